@@ -14,7 +14,6 @@ import numpy as np
 import pandas as pd
 
 import petmjx
-from petmjx.options.carriers import Carrier
 from petmjx.packers.sample_plans import generate
 from petmjx.plans.plan import Plan
 from petmjx.plans.plan_validation import parse_plan
@@ -50,7 +49,7 @@ def disturbed(plans: Sequence[Plan], seed: int, **how: Any) -> Iterator[Plan]:
     verdicts = petmjx.score(list(plans), **how).worlds.verdict
     for plan in [plan for plan, verdict in zip(plans, verdicts, strict=True) if verdict == "stable"]:
         rng = np.random.default_rng([seed, len(plan.plan_id), plan.n_boxes])
-        rules, start = Rules(plan, Carrier.FOOTPRINT, 0.0, 0), Draft.of(plan)
+        rules, start = Rules(plan, petmjx.Simulation(), 0.0, 0), Draft.of(plan)
         moved = []
         for number in range(TRIES):
             box, axis = int(rng.integers(plan.n_boxes)), int(rng.integers(2))

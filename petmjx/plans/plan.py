@@ -160,6 +160,36 @@ class Plan:
         arrays = {"size_mm": size_mm, "corner_mm": corner_mm, "mass_kg": mass_kg}
         return cls(**fields_from_boxes(plan_id, boxes, arrays, columns, InputConventions.checked(units, anchor)))
 
+    @classmethod
+    def of_units(
+        cls,
+        plan_id: str,
+        loads: Sequence[Plan],
+        corner_mm: Any,
+        *,
+        pallet: str = "epal-1",
+        pallet_kg: float = 25.0,
+        material: str = "",
+    ) -> Plan:
+        """Loaded pallets as one plan: beside one another on a carrier, or stacked. Pallet after pallet with its load is
+        placed.
+
+        ``Plan.of_units("two", [plan, plan], [(0, 0, 0), (0, 0, 1344)])`` has the second pallet on a load of 1,200 mm.
+
+        Args:
+            loads: a plan for each pallet, whose z = 0 is the pallet's top, and whose origin is its corner.
+            corner_mm: (u, 3) front-left-bottom corner of each pallet, mm.
+            pallet: the kind of the pallets, "epal-1" or "gma-48x40".
+            pallet_kg: mass of each, kg.
+            material: what the pallets are made of, for friction by materials; "": not given.
+
+        Raises:
+            InputError: an argument is unusable.
+        """
+        from petmjx.plans.plan_builder import fields_of_units  # not at the top of the module: it loads Arrow
+
+        return cls(**fields_of_units(plan_id, loads, corner_mm, pallet, pallet_kg, material))
+
     @property
     def n_boxes(self) -> int:
         return len(self.mass_kg)

@@ -4,17 +4,20 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
-from typing import Any, Final
+from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
-from petmjx.common.argument_checks import list_of, text_of
+from petmjx.common.argument_checks import array_of, list_of, text_of
 from petmjx.common.checked_records import shown_value
 from petmjx.common.errors import InputError
 from petmjx.common.text import printable_name
 from petmjx.plans.input_conventions import InputConventions
 from petmjx.plans.placement_table import PlanFields, RefusedPlan, Table, as_column, sorted_columns, table_plans
-from petmjx.plans.plan_fields import plan_id_fault
+from petmjx.plans.plan_fields import PALLETS, SPARSE, plan_id_fault
+
+if TYPE_CHECKING:
+    from petmjx.plans.plan import Plan
 
 SOURCE: Final = "python"
 
@@ -70,6 +73,49 @@ def fields_from_boxes(
     if isinstance(plan, RefusedPlan):
         raise InputError(plan.message.removeprefix(f"{SOURCE}: ").replace(", row ", ", box ", 1))
     return plan
+
+
+def fields_of_units(
+    plan_id: str, loads: Sequence[Plan], corner_mm: Any, pallet: str, pallet_kg: float, material: str
+) -> dict[str, Any]:
+    """The fields of a plan of loaded pallets. Arguments are those of ``Plan.of_units``.
+
+    Raises:
+        InputError: an argument is unusable.
+    """
+    text_of(plan_id, "plan_id")
+    if pallet not in PALLETS:
+        raise InputError(f"pallet must be {' or '.join(PALLETS)}, {shown_value(pallet)}")
+    size, corners = np.array(PALLETS[pallet]), array_of(corner_mm, "corner_mm", (3,))
+    if not loads or len(corners) != len(loads):
+        raise InputError(f"corner_mm must have a corner for each of {len(loads)} loads, got {len(corners)}")
+    of_pallet = {"item_ids": "pallet", "articles": pallet, "product_groups": "", "materials": material, "kinds": pallet}
+    usual = {"mass_center_mm": np.zeros(3), "orientation": 0, **dict.fromkeys(SPARSE, np.nan)}
+    fields: dict[str, Any] = {"plan_id": plan_id, "source": SOURCE}
+    placed = [load.corner_mm + at + [0.0, 0.0, size[2]] for load, at in zip(loads, corners, strict=True)]
+    fields["corner_mm"] = _joined(corners, placed)
+    fields["size_mm"] = _joined([size] * len(loads), [load.size_mm for load in loads])
+    fields["mass_kg"] = _joined([pallet_kg] * len(loads), [load.mass_kg for load in loads])
+    fields["sequence"] = np.arange(1, len(fields["mass_kg"]) + 1)
+    for name, value in of_pallet.items():
+        texts = [text for load in loads for text in (value, *(getattr(load, name) or ("",) * load.n_boxes))]
+        fields[name] = tuple(texts) if any(texts) else ()
+    for name, number in usual.items():
+        values = [getattr(load, name) for load in loads]
+        if any(of_load is not None for of_load in values):
+            filled = [_filled(of_load, number, load.n_boxes) for of_load, load in zip(values, loads, strict=True)]
+            fields[name] = _joined([number] * len(loads), filled)
+    return fields
+
+
+def _joined(of_pallets: Sequence[Any], of_loads: Sequence[Any]) -> Any:
+    """A value of each pallet and those of its load, pallet after pallet."""
+    return np.concatenate([part for one, load in zip(of_pallets, of_loads, strict=True) for part in ([one], load)])
+
+
+def _filled(values: Any, usual: Any, count: int) -> Any:
+    """The values, or ``count`` usual ones where there are none."""
+    return np.array([usual] * count) if values is None else values
 
 
 def _columns_of(boxes: Any, where: str) -> dict[str, Any]:

@@ -61,8 +61,11 @@ SPARSE: Final = {
 N/mm."""
 
 SHEET: Final = "sheet"
-PALLETS: Final = (Carrier.EPAL_1.value, Carrier.GMA_48X40.value)
-"""Kinds of items that are pallets, which bear other boxes: carriers of the same names."""
+PALLETS: Final[Mapping[str, tuple[float, float, float]]] = {
+    Carrier.EPAL_1.value: (1200.0, 800.0, 144.0),
+    Carrier.GMA_48X40.value: (1219.0, 1016.0, 121.0),
+}
+"""Kinds of items that are pallets, which bear other boxes → their extents, mm. Carriers have the same names."""
 KINDS: Final = ("box", SHEET, *PALLETS)
 """Kinds of items; the default is a box."""
 KINDS_IN_WORDS: Final = f"{', '.join(KINDS[:-1])} or {KINDS[-1]}"

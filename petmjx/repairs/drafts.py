@@ -331,7 +331,7 @@ class Rules:
             return np.zeros(low.shape[:2])
         middle_m, half_m = (low + high) / 2 / MM_PER_M, (high - low) / 2 / MM_PER_M
         gap_mm = MM_PER_M * self._room.gaps(middle_m, half_m, TOLERANCE_MM / MM_PER_M)
-        return np.maximum(-gap_mm.min(axis=(2, 3)), 0.0)
+        return np.asarray(np.maximum(-gap_mm.min(axis=(2, 3)), 0.0))
 
 
 AT_ONCE: Final = 256

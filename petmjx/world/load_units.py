@@ -17,6 +17,7 @@ from petmjx.common.text import printable_name
 from petmjx.common.units import MM_PER_M, FloatArray, mm_to_m
 from petmjx.options.carriers import Carrier
 from petmjx.plans.plan import Plan
+from petmjx.plans.plan_fields import PALLETS
 from petmjx.world.body_shapes import Body, Pieces
 from petmjx.world.carrier_boards import pallet
 
@@ -31,7 +32,7 @@ def check_pallets(plan: Plan) -> None:
         InputError: one line with the plan, the box and the sizes.
     """
     for box, kind in plan.pallets.items():
-        x, y, height = _extent_mm(kind)
+        x, y, height = PALLETS[kind]
         size = plan.size_mm[box]
         if not any(np.abs(size - extent).max() <= SIZE_MM for extent in ((x, y, height), (y, x, height))):
             sizes = " × ".join(f"{side:g}" for side in size)
@@ -55,7 +56,7 @@ def with_pallets(
     centers = np.zeros_like(half_size) if mass_center is None else mass_center.copy()
     inertia_box, pieces = half_size.copy(), []
     for box, kind in plan.pallets.items():
-        extent = np.array(_extent_mm(kind))
+        extent = np.array(PALLETS[kind])
         boards = _boards(kind, half_size[box])
         turned = abs(plan.size_mm[box, 0] - extent[0]) > SIZE_MM
         if turned:
@@ -72,21 +73,12 @@ def with_pallets(
     return tuple(pieces), centers, inertia_box
 
 
-def _extent_mm(kind: str) -> tuple[float, float, float]:
-    """Extents of a kind of pallet along x, y and z, mm."""
-    boards = pallet(Carrier(kind))
-    assert boards is not None
-    corner, size = (np.array(part, np.float64) for part in zip(*boards.boards, strict=True))
-    x, y, height = (corner + size).max(axis=0).tolist()
-    return x, y, height
-
-
 def _boards(kind: str, half_size: FloatArray) -> Body:
     """The boards of a kind of pallet, not turned, seen from the middle, m; scaled to a pallet of this half size."""
     boards = pallet(Carrier(kind))
     assert boards is not None
     corner, size = (mm_to_m(np.array(part, np.float64)) for part in zip(*boards.boards, strict=True))
-    extent = np.array(_extent_mm(kind)) / MM_PER_M
+    extent = np.array(PALLETS[kind]) / MM_PER_M
     sides = np.sort(2 * half_size[:2])[::-1] if extent[0] >= extent[1] else np.sort(2 * half_size[:2])
     scale = np.append(sides, 2 * half_size[2]) / extent
     middle = (corner + size / 2 - extent / 2) * scale

@@ -9,24 +9,26 @@ from pathlib import Path
 import jax
 import numpy as np
 import pytest
-from support.plans import Box, make_plan
+from support.plans import Triple, make_plan
 
 import petmjx
 from petmjx.common.errors import InputError
 from petmjx.engines.protocol import Engine
 from petmjx.engines.verdict import Outcome
+from petmjx.options.carriers import Carrier
 from petmjx.options.materials import friction_between, kinetic_share_between
 from petmjx.options.simulation import Check, Schedule, Simulation
 from petmjx.plans.plan import Plan
+from petmjx.plans.plan_fields import PALLETS
 from petmjx.runs.transport_limits import slide_m
+from petmjx.world.carrier_boards import pallet
 from petmjx.world.job import ACCELERATION, Drive, Excitation, Job
 from petmjx.world.option_lint import notes_about
 from petmjx.world.scene import build_scene
 from petmjx.world.supports import bearing_of
 
 G = 9.81
-EPAL_MM = (1200.0, 800.0, 144.0)
-EPAL_KG = 25.0
+EPAL_MM = PALLETS["epal-1"]
 MARGIN = 0.03
 """Exactness of thresholds: a load stays that much below, and goes that much above."""
 WAY = 0.03
@@ -35,17 +37,15 @@ WAY = 0.03
 SHAKEN = Simulation(check=Check.STATIC, schedule=Schedule.FIXED, settle_s=0.4, early_stop=False)
 
 
-def unit(corner_mm: tuple[float, float, float], height_mm: float, kg: float) -> tuple[Box, Box]:
+def unit(corner_mm: Triple, height_mm: float, kg: float, material: str = "wood") -> Plan:
     """A pallet with one block on it, as large as its deck."""
-    x, y, z = corner_mm
-    return (EPAL_MM, corner_mm, EPAL_KG), ((1200.0, 800.0, height_mm), (x, y, z + EPAL_MM[2]), kg)
+    return units([corner_mm], height_mm, kg, material)
 
 
-def as_plan(units: Sequence[tuple[Box, Box]], pallet_material: str = "wood") -> Plan:
-    """Units, one after the other."""
-    plan = make_plan("units", [box for pair in units for box in pair])
-    n = len(units)
-    return replace(plan, kinds=("epal-1", "box") * n, materials=(pallet_material, "cardboard") * n)
+def units(corners_mm: Sequence[Triple], height_mm: float, kg: float, material: str = "wood") -> Plan:
+    block = make_plan("block", [((1200.0, 800.0, height_mm), (0.0, 0.0, 0.0), kg)])
+    load = replace(block, materials=("cardboard",))
+    return Plan.of_units("units", [load] * len(corners_mm), corners_mm, material=material)
 
 
 def shaken(engine: Engine, plan: Plan, sim: Simulation, acceleration: np.ndarray) -> Outcome:
@@ -68,8 +68,31 @@ def engine_of(name: str) -> Engine:
     return make_engine(name)
 
 
+@pytest.mark.parametrize("kind", PALLETS)
+def test_pallets_have_the_extents_of_carriers(kind: str) -> None:
+    boards = pallet(Carrier(kind))
+    assert boards is not None
+    ends = [np.add(corner, size) for corner, size in boards.boards]
+    np.testing.assert_allclose(np.max(ends, axis=0), PALLETS[kind])
+
+
+def test_units_are_joined_pallet_after_pallet() -> None:
+    loads = [replace(make_plan("a", 2), stiffness_n_mm=np.array([5.0, 6.0])), make_plan("b", 1)]
+    plan = Plan.of_units("two", loads, [(0, 0, 0), (1300, 100, 0)], pallet="gma-48x40", pallet_kg=20.0, material="wood")
+    assert plan.kinds == ("gma-48x40", "", "", "gma-48x40", "")
+    assert plan.materials == ("wood", "", "", "wood", "")
+    np.testing.assert_array_equal(plan.stiffness_n_mm, [np.nan, 5.0, 6.0, np.nan, np.nan])
+    np.testing.assert_array_equal(plan.corner_mm[:, 2], [0, 121, 321, 0, 121])
+    np.testing.assert_array_equal(plan.corner_mm[4, :2], [1300, 100])
+    np.testing.assert_array_equal(plan.mass_kg, [20, 5, 5, 20, 5])
+    with pytest.raises(InputError, match="corner_mm must have a corner for each of 2 loads, got 1"):
+        Plan.of_units("two", loads, [(0, 0, 0)])
+    with pytest.raises(InputError, match="pallet must be epal-1 or gma-48x40, got 'skid'"):
+        Plan.of_units("two", loads, [(0, 0, 0)] * 2, pallet="skid")
+
+
 def test_a_pallet_is_a_body_of_boards_that_bears_on_its_deck() -> None:
-    plan = as_plan([unit((0.0, 0.0, 0.0), 300.0, 200.0)])
+    plan = unit((0.0, 0.0, 0.0), 300.0, 200.0)
     scene = build_scene(plan, Simulation(carrier="trailer"))
     carrier = build_scene(
         make_plan(boxes=[((1200.0, 800.0, 100.0), (0.0, 0.0, 0.0), 1.0)]), Simulation(carrier="epal-1")
@@ -97,7 +120,7 @@ def test_a_loaded_pallet_slides_on_a_trailers_floor_at_its_friction(name: str, m
     share = kinetic_share_between(material, "trailer floor", ())
     assert static is not None
     assert share is not None
-    plan = as_plan([unit((2000.0, 800.0, 0.0), 400.0, 200.0)], material)
+    plan = unit((2000.0, 800.0, 0.0), 400.0, 200.0, material)
     sim = SHAKEN.changed(
         carrier="trailer", walls=[], friction_pairs=[{"between": ["cardboard", material], "friction": 0.6}]
     )
@@ -118,7 +141,7 @@ def test_a_loaded_pallet_slides_on_a_trailers_floor_at_its_friction(name: str, m
 def test_two_loaded_pallets_on_each_other_topple_as_one(name: str) -> None:
     """At g·b/h, of the pile's common centre of mass."""
     height, kg = 1000.0, 200.0
-    plan = as_plan([unit((3000.0, 800.0, z), height, kg) for z in (0.0, EPAL_MM[2] + height)])
+    plan = units([(3000.0, 800.0, z) for z in (0.0, EPAL_MM[2] + height)], height, kg)
     sim = SHAKEN.changed(
         carrier="trailer", walls=[], friction_pairs=[{"between": ["wood", "trailer floor"], "friction": 0.6}]
     )
@@ -146,7 +169,7 @@ def test_two_loaded_pallets_on_each_other_topple_as_one(name: str) -> None:
     ],
 )
 def test_what_pallets_cannot_be_is_said(change: dict[str, np.ndarray], line: str) -> None:
-    plan = replace(as_plan([unit((0.0, 0.0, 0.0), 400.0, 200.0)]), **change)
+    plan = replace(unit((0.0, 0.0, 0.0), 400.0, 200.0), **change)
     with pytest.raises(InputError, match=f"^plan units: {line}$"):
         notes_about(Simulation(carrier="trailer", wrap={"turns": 0 if change else 3}), [plan])
 
@@ -157,7 +180,7 @@ def test_a_pair_that_slides_better_at_rest_is_refused() -> None:
 
 
 def test_plans_with_pallets_are_written_and_read(tmp_path: Path) -> None:
-    plan = as_plan([unit((0.0, 0.0, 0.0), 400.0, 200.0)])
+    plan = unit((0.0, 0.0, 0.0), 400.0, 200.0)
     for name in ("plans.json", "plans.csv"):
         petmjx.save_plans([plan], tmp_path / name)
         (read,) = petmjx.load_plans(tmp_path / name).plans

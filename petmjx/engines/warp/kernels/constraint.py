@@ -169,7 +169,8 @@ def make_constraint(
                 put_number(work.efc, block, contact, 18 + 3 * r + i, arms_two[r, i])
         pull = -times(times(kbi[0], kbi[2]), point[3])
         slip = wp.sqrt(fused(velocity[1], velocity[1], times(velocity[2], velocity[2])))
-        mu = times(mu, friction_share(_kinetic_share(model, worlds, world, first, second), slip))
+        if slip > STICKS:
+            mu = times(mu, friction_share(_kinetic_share(model, worlds, world, first, second), slip))
         excess = times(damping, slip) - model.slip_slack
         work.excess[block, contact] = wp.where(excess > 0.0, excess, -1.0)
         put_number(work.efc, block, contact, 27, fused(-kbi[1], velocity[0], pull))
