@@ -93,7 +93,7 @@ def fields_of_units(
     usual = {"mass_center_mm": np.zeros(3), "orientation": 0, **dict.fromkeys(SPARSE, np.nan)}
     fields: dict[str, Any] = {"plan_id": plan_id, "source": SOURCE}
     placed = [load.corner_mm + at + [0.0, 0.0, size[2]] for load, at in zip(loads, corners, strict=True)]
-    fields["corner_mm"] = _joined(corners, placed)
+    fields["corner_mm"] = _joined([*corners], placed)
     fields["size_mm"] = _joined([size] * len(loads), [load.size_mm for load in loads])
     fields["mass_kg"] = _joined([pallet_kg] * len(loads), [load.mass_kg for load in loads])
     fields["sequence"] = np.arange(1, len(fields["mass_kg"]) + 1)

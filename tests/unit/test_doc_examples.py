@@ -73,7 +73,9 @@ def test_examples_of_kpis_and_loads_run(with_the_minimal_plan: Path) -> None:
 
 def test_the_example_of_a_carrier_runs(tmp_path: Path) -> None:
     (tmp_path / "half-pallet.toml").write_text(blocks("carriers.md", "toml")[0], encoding="utf-8")
-    assert "half pallet 5" in run_in(tmp_path, blocks("carriers.md", "python")[0])
+    own, of_units = blocks("carriers.md", "python")
+    assert "half pallet 5" in run_in(tmp_path, own)
+    assert "stable" in run_in(tmp_path, of_units)
 
 
 def test_examples_of_extending_run(with_the_minimal_plan: Path) -> None:
