@@ -117,11 +117,13 @@ def test_a_wall_bears_what_friction_leaves_of_a_block(friction: float, level_g: 
     assert force == pytest.approx(KG * G * (level_g - friction), rel=FORCE_SHARE)
 
 
-def leaning(side: Side, beyond_mm: float = 60.0) -> tuple[Box, ...]:
-    """A tall box on a post. Its middle is beyond the post's edge on a side where it stands at the deck's end."""
+def leaning(side: Side, beyond_mm: float = 60.0, along_mm: float = 0.0) -> tuple[Box, ...]:
+    """A tall box on a post, in the middle of a side or away from it. Its middle is beyond the post's edge on the side at
+    which it stands."""
     width, post, height = 300.0, 200.0, 600.0
     extent = (X_MM, Y_MM)
     corner = [(end - width) / 2 for end in extent]
+    corner[1 - side.axis] += along_mm
     corner[side.axis] = extent[side.axis] - width if side.is_far else 0.0
     below = [at + (width - post) / 2 for at in corner]
     way = -post / 2 - beyond_mm if side.is_far else post / 2 + beyond_mm  # of the post, away from the wall
@@ -249,13 +251,14 @@ def test_options_of_walls_that_mean_nothing_are_named() -> None:
 
 
 def drawn_piles(n: int, seed: int) -> list[petmjx.Plan]:
-    """Piles at two opposite sides of a roll container, some of which lean."""
+    """Piles at two opposite sides of a roll container, which do not overlap, and some of which lean."""
     rng = np.random.default_rng(seed)
     plans = []
     for number in range(n):
         boxes: list[Box] = []
         for side in ((Side.LEFT, Side.RIGHT), (Side.FRONT, Side.BACK))[number % 2]:
-            post, (size, corner, _) = leaning(side, beyond_mm=float(rng.uniform(-60.0, 80.0)))
+            along_mm = 200.0 if side.is_far else -200.0
+            post, (size, corner, _) = leaning(side, float(rng.uniform(-60.0, 80.0)), along_mm)
             height = float(rng.uniform(250.0, 600.0))
             boxes += [post, ((size[0], size[1], height), corner, float(rng.uniform(3.0, 12.0)))]
             if rng.random() < 0.7:
