@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from operator import attrgetter
 
 import jax
 import numpy as np
@@ -11,6 +12,7 @@ from support.plans import Box, make_plan, make_scene, stack
 
 import petmjx
 from petmjx.common.errors import InputError
+from petmjx.engines.engine_choice import make_engine
 from petmjx.engines.mujoco.engine import MujocoEngine
 from petmjx.engines.verdict import Outcome, Verdict
 from petmjx.options.simulation import Check, Schedule, Simulation
@@ -21,6 +23,7 @@ from petmjx.world.edge_distances import building_edges, edges_of
 from petmjx.world.history import Record
 from petmjx.world.job import ACCELERATION, Drive, Excitation, Job
 from petmjx.world.option_lint import notes_about
+from petmjx.world.profiles.accelerations import eumos_40509
 from petmjx.world.scene import build_scene
 from petmjx.world.supports import bearings_of
 from petmjx.world.variants import Distribution, DistributionShape, PlacementChange, Variant, apply_all
@@ -43,6 +46,8 @@ FORCE_SHARE = 0.03
 """Exactness of the force on a wall, of the weight's share that friction does not bear."""
 MARGIN = 0.03
 """Exactness of thresholds: a load stands that much below, and falls that much above."""
+
+EUMOS = Drive(eumos_40509().excitation(0.002), scale=0.45, yaw_rad=-np.pi / 2)
 
 SHAKEN = Simulation(check=Check.STATIC, schedule=Schedule.FIXED, settle_s=0.4, early_stop=False, size_reduction_mm=0.0)
 
@@ -118,8 +123,8 @@ def test_a_wall_bears_what_friction_leaves_of_a_block(friction: float, level_g: 
 
 
 def leaning(side: Side, beyond_mm: float = 60.0, along_mm: float = 0.0) -> tuple[Box, ...]:
-    """A tall box on a post, in the middle of a side or away from it. Its middle is beyond the post's edge on the side at
-    which it stands."""
+    """A tall box on a post at a side, in its middle or away from it. The box's middle is beyond the post's edge on that
+    side."""
     width, post, height = 300.0, 200.0, 600.0
     extent = (X_MM, Y_MM)
     corner = [(end - width) / 2 for end in extent]
@@ -280,6 +285,26 @@ def test_engines_agree_on_what_stands_in_a_roll_container() -> None:
     stands = twin.boxes.plan_id.map(verdicts) == Verdict.STABLE
     for name in ("shift_x_m", "shift_y_m"):
         np.testing.assert_allclose(twin.boxes[name][stands], other.boxes[name][stands], atol=SAME_M)
+
+
+def test_engines_agree_on_what_falls_when_a_roll_container_is_shaken() -> None:
+    """With few iterations of the solver, mjx-warp let piles stand that fall."""
+    sim = Simulation(carrier="rollcontainer-4")
+    piles = drawn_piles(6, seed=11)
+    scenes = [build_scene(plan, sim) for plan in (*piles[:2], piles[4])]
+    answers = []
+    for engine in (MujocoEngine(1), make_engine("mjx-warp-cpu")):
+        with jax.numpy_rank_promotion("allow"):
+            settled = sorted(engine.run([Job(scene, keep_state=True) for scene in scenes], sim), key=attrgetter("job"))
+            jobs = [
+                Job(scene, EUMOS, start=outcome.state)
+                for scene, outcome in zip(scenes, settled, strict=True)
+                if outcome.verdict is Verdict.STABLE
+            ]
+            shaken = sorted(engine.run(jobs, sim), key=attrgetter("job"))
+        answers.append([(outcome.verdict, outcome.culprit) for outcome in shaken])
+    assert answers[0] == answers[1]
+    assert len({verdict for verdict, _ in answers[0]}) == 2
 
 
 ERRORS = PlacementChange(
