@@ -13,6 +13,7 @@ from petmjx.common.errors import InputError
 from petmjx.common.text import count_text, printable, printable_name, shortened_text
 from petmjx.common.units import mm_to_m
 from petmjx.options.run_options import ALL
+from petmjx.options.walls import Walls
 from petmjx.plans.order_matching import PlanOrderCounts
 from petmjx.plans.plan import Plan
 from petmjx.plans.plan_fields import SPARSE
@@ -177,12 +178,25 @@ def _settings_of_command(settings: Mapping[str, Any]) -> Mapping[str, Any]:
     """Settings with the names that the command uses. The sweep of a score is written as its number of worlds and its
     errors. An entry that is only written if its option is on counts as false if it is missing."""
     settings = {"force_intervals": False, "keep": ALL, **settings}
+    if isinstance(simulation := settings.get("simulation"), Mapping):
+        settings["simulation"] = _with_later_fields(simulation)
     sweep = settings.get("sweep")
     if settings.get("command") != "score" or not isinstance(sweep, Mapping):
         return settings
     errors = {name: value for name, value in sweep.items() if name != "replicates"}
     others = {name: value for name, value in settings.items() if name != "sweep"}
     return {**others, "confidence": sweep.get("replicates"), "errors": errors}
+
+
+def _with_later_fields(simulation: Mapping[str, Any]) -> dict[str, Any]:
+    """Options of a simulation with the fields that runs of earlier versions do not have, which mean nothing there."""
+    walls = Walls().model_dump(mode="json")
+    later = {"walls": walls, **simulation}
+    if isinstance(carrier := later.get("carrier"), Mapping):
+        later["carrier"] = {"walls": walls, **carrier}
+    if _are_tables(pairs := later.get("friction_pairs")):
+        later["friction_pairs"] = [{"kinetic": None, **pair} for pair in pairs]
+    return later
 
 
 def _setting_differences(was: Any, now: Any, path: str) -> Iterator[str]:

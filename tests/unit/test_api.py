@@ -188,7 +188,8 @@ def test_bad_options_are_one_line(function: Any, tmp_path: Path) -> None:
         (
             {"carrier": "raft"},
             "carrier must be 'footprint', 'euro-pallet', 'rollcontainer', 'epal-1', 'gma-48x40', 'pet-eur', "
-            "'rollcontainer-grid' or a TOML file of boards, got 'raft'",
+            "'rollcontainer-grid', 'rollcontainer-2', 'rollcontainer-3', 'rollcontainer-4', 'gitterbox', "
+            "'container-20ft', 'trailer' or a TOML file of boards, got 'raft'",
         ),
         ({"threads": 0}, "threads must be ≥ 1, got 0"),
     ):
