@@ -19,6 +19,7 @@ from petmjx.common.errors import InputError
 from petmjx.options.carriers import MOST_BOARDS, OwnCarrier, read_carrier
 from petmjx.options.physics import PHYSICS
 from petmjx.options.simulation import Simulation
+from petmjx.options.walls import Side
 from petmjx.world.carrier_boards import carrier_notes, floor_z_m
 from petmjx.world.scene import build_scene
 
@@ -75,6 +76,24 @@ def test_one_mass_is_shared_out_by_volume_and_a_file_has_its_name() -> None:
     assert carrier.name == "mine"
     volumes = [board.volume_mm3 for board in carrier.boards]
     assert carrier.masses_kg == pytest.approx([12 * volume / sum(volumes) for volume in volumes])
+
+
+def test_a_file_may_have_walls_and_options_change_them() -> None:
+    write(FILE, SOUND + '\n[walls]\nsides = ["left", "back"]\nheight_mm = 700\n')
+    own = build_scene(PLAN, Simulation(carrier=FILE)).carrier
+    assert own.walls == (Side.LEFT, Side.BACK)
+    assert own.room.top[0, 0] == pytest.approx(0.7)
+    opened = build_scene(PLAN, Simulation(carrier=FILE, walls={"open": ["left"]})).carrier
+    assert opened.walls == (Side.BACK,)
+    others = build_scene(PLAN, Simulation(carrier=FILE, walls=["right"])).carrier
+    assert others.walls == (Side.RIGHT,)
+    assert others.room.top[1, 0] == pytest.approx(0.7)
+    assert build_scene(PLAN, Simulation(carrier=FILE, walls=[])).carrier.walls == ()
+    write(FILE, SOUND + '\n[walls]\nsides = ["top"]\n')
+    with pytest.raises(
+        InputError, match=r"mine.toml: walls.sides\[0\] must be 'left', 'right', 'front' or 'back', got"
+    ):
+        read_carrier(FILE)
 
 
 @pytest.mark.parametrize(
