@@ -55,7 +55,7 @@ CARRIER_EXTENT_M: dict[Carrier, tuple[float, float] | None] = {
 """x–y extent of each carrier in metres. None: the plan's bounding box."""
 
 _GRID_WALLS: Final = Walls(sides=(), height_mm=1500.0, gap_mm=5.0, thickness_mm=30.0, mass_kg_m2=6.0, material=STEEL)
-"""Lattices of tubes. Typical ones, not those of a certain maker: EN 12674 leaves the sizes of roll containers open."""
+"""Lattices of tubes. Typical ones, not those of a certain maker: no source for exact sizes was found."""
 
 WALLS_OF_CARRIERS: Final[Mapping[Carrier, Walls]] = {
     Carrier.ROLLCONTAINER_GRID: _GRID_WALLS,
@@ -63,10 +63,10 @@ WALLS_OF_CARRIERS: Final[Mapping[Carrier, Walls]] = {
     Carrier.ROLLCONTAINER_3: _GRID_WALLS.changed(sides=("left", "right", "back")),
     Carrier.ROLLCONTAINER_4: _GRID_WALLS.changed(sides=tuple(Side)),
     Carrier.GITTERBOX: Walls(
-        sides=tuple(Side), height_mm=800.0, gap_mm=0.0, thickness_mm=17.5, mass_kg_m2=14.0, material=STEEL
+        sides=tuple(Side), height_mm=800.0, gap_mm=0.0, thickness_mm=17.5, mass_kg_m2=18.0, material=STEEL
     ),
     Carrier.CONTAINER_20FT: Walls(
-        sides=tuple(Side), height_mm=2350.0, gap_mm=0.0, thickness_mm=50.0, mass_kg_m2=30.0, material=STEEL
+        sides=tuple(Side), height_mm=2350.0, gap_mm=0.0, thickness_mm=50.0, mass_kg_m2=33.0, material=STEEL
     ),
     Carrier.TRAILER: Walls(
         sides=(Side.RIGHT,), height_mm=1600.0, gap_mm=0.0, thickness_mm=50.0, mass_kg_m2=30.0, material=WOOD
@@ -74,8 +74,8 @@ WALLS_OF_CARRIERS: Final[Mapping[Carrier, Walls]] = {
 }
 """The walls of built-in carriers. Those of ``rollcontainer-grid`` are only there on sides that the user names.
 ``gitterbox`` is 1200 × 800 × 800 mm inside and some 85 kg (UIC 435-3), ``container-20ft`` 5867 × 2330 × 2350 mm (least
-inner sizes of 1CC, ISO 668) and some 2.2 t. ``trailer`` has a headboard alone, of 1,600 mm (EN 12642), at the end to
-which braking throws a load, +x."""
+inner sizes of 1CC, ISO 668) and some 2.2 t. ``trailer`` has a headboard alone, at the end to which braking throws a
+load, +x; its sizes are usual ones."""
 
 TARGETS = (Carrier.EURO_PALLET, Carrier.ROLLCONTAINER)
 """Carriers that are BED-BPP's targets."""
