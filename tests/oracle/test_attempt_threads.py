@@ -10,6 +10,7 @@ import pytest
 
 pytest.importorskip("warp", reason="warp-lang is not installed (extra: warp)")
 
+from support.fake_stepper import assert_same
 from support.plans import make_plan, make_world, stack
 
 from petmjx.engines import attempts
@@ -46,8 +47,7 @@ def test_a_world_is_simulated_again_beside_the_others_and_the_same(monkeypatch: 
     (beside,) = (result for result in results if result.world.plan is SINKS)
     assert [attempt.attempt for attempt in beside.attempts] == [attempt.attempt for attempt in again.attempts] == [1, 6]
     assert {attempt.engine for attempt in beside.attempts} == {"mjx-warp-cpu"}
-    assert beside.outcome.n_steps == again.outcome.n_steps
-    assert (beside.outcome.boxes.pos == again.outcome.boxes.pos).all()
+    assert_same(beside.outcome, again.outcome)
 
 
 def test_an_error_is_an_answer_and_close_ends_what_runs(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -63,7 +63,7 @@ def main() -> None:
     thread_state, writing = threading.local(), threading.Lock()
 
     def answer(task: Task) -> None:
-        reply = answer_to(task, vars(thread_state))
+        reply = answer_to(task, vars(thread_state), granule=GRANULE)
         try:
             data = pickle.dumps(reply)
         except Exception as error:
@@ -78,20 +78,23 @@ def main() -> None:
     os._exit(0)  # running tasks are not needed any more
 
 
-def answer_to(task: Task, engines: dict[str, Engine], stops: Callable[[], bool] = lambda: False) -> Answer:
+def answer_to(
+    task: Task, engines: dict[str, Engine], stops: Callable[[], bool] = lambda: False, granule: int | None = None
+) -> Answer:
     """Simulate a world.
 
     Args:
         engines: name → engine of this thread; a missing one is added.
         stops: whether the outcome is no longer needed.
+        granule: box columns of tables are a multiple of this; None: as usual.
     """
     outcome, progress = None, Progress(pauses=True)
     try:
         if task.engine not in engines:
             with _BUILDING:
                 engine = make_engine(task.engine, threads=1)
-            if hasattr(engine, "granule"):
-                engine.granule = GRANULE
+            if granule is not None and hasattr(engine, "granule"):
+                engine.granule = granule
             engines[task.engine] = engine
         with closing(engines[task.engine].run([task.job], task.sim, progress)) as answers:  # type: ignore[type-var]  # a generator
             for outcome in answers:
