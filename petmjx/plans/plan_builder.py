@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
-from typing import TYPE_CHECKING, Any, Final
+from typing import Any, Final
 
 import numpy as np
 
@@ -15,9 +15,6 @@ from petmjx.common.text import printable_name
 from petmjx.plans.input_conventions import InputConventions
 from petmjx.plans.placement_table import PlanFields, RefusedPlan, Table, as_column, sorted_columns, table_plans
 from petmjx.plans.plan_fields import PALLETS, SPARSE, plan_id_fault
-
-if TYPE_CHECKING:
-    from petmjx.plans.plan import Plan
 
 SOURCE: Final = "python"
 
@@ -76,9 +73,9 @@ def fields_from_boxes(
 
 
 def fields_of_units(
-    plan_id: str, loads: Sequence[Plan], corner_mm: Any, pallet: str, pallet_kg: float, material: str
+    plan_id: str, loads: Sequence[Any], corner_mm: Any, pallet: str, pallet_kg: float, material: str
 ) -> dict[str, Any]:
-    """The fields of a plan of loaded pallets. Arguments are those of ``Plan.of_units``.
+    """The fields of a plan of loaded pallets. Arguments are those of ``Plan.of_units``; ``loads`` are plans.
 
     Raises:
         InputError: an argument is unusable.

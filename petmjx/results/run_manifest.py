@@ -194,7 +194,8 @@ def _with_later_fields(simulation: Mapping[str, Any]) -> dict[str, Any]:
     later = {"walls": walls, **simulation}
     if isinstance(carrier := later.get("carrier"), Mapping):
         later["carrier"] = {"walls": walls, **carrier}
-    if _are_tables(pairs := later.get("friction_pairs")):
+    pairs = later.get("friction_pairs", [])
+    if _are_tables(pairs):
         later["friction_pairs"] = [{"kinetic": None, **pair} for pair in pairs]
     return later
 
