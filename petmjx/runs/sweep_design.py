@@ -203,8 +203,7 @@ class Design:
             variant
             for _, variants in self.placements()
             for variant in variants
-            if variant.placement.random
-            or any(sweep.profiles[drive.profile].random for drive in _drives(variant))
+            if variant.placement.random or any(sweep.profiles[drive.profile].random for drive in _drives(variant))
         )
         return {variant.index: variant.replicate for variant in drawn}
 

@@ -166,7 +166,9 @@ class Sweep(CheckedRecord):
         {}, description="what is varied: axes by name, in the order of the file"
     )
     legs: tuple[Leg, ...] = Field((), max_length=MOST_LEGS, description="a chain: what shakes the pallet on its way")
-    remedies: tuple[Remedy, ...] = Field((), max_length=MOST_LEGS, description="changes of the chain to compare it with")
+    remedies: tuple[Remedy, ...] = Field(
+        (), max_length=MOST_LEGS, description="changes of the chain to compare it with"
+    )
 
     _file: Path | None = None
     _tables: Mapping[str, Any] | None = None
@@ -270,7 +272,9 @@ class Sweep(CheckedRecord):
         if self.search is not None:
             raise ValueError("[search] contradicts legs: a chain is the same way for every pallet")
         if self.sample is not None:
-            raise complaint('contradicts legs: set replicates, the number of worlds, instead of mode = "sample"', "sample")
+            raise complaint(
+                'contradicts legs: set replicates, the number of worlds, instead of mode = "sample"', "sample"
+            )
         for name, axis in self.axes.items():
             if not axis.kind.placement:
                 raise _contradiction(name, "legs: the events of a leg say what shakes the pallet")
@@ -279,10 +283,6 @@ class Sweep(CheckedRecord):
         turns = next((place for place, leg in enumerate(self.legs) if leg.wrap_turns is not None), None)
         if turns is not None and "wrap_turns" in self.axes:
             raise _contradiction("wrap_turns", f"legs[{turns}].wrap_turns: drop one of them")
-        if self.simulation.total_time_factor is not None:
-            raise complaint("contradicts legs: it ends the world before they do", "simulation", "total_time_factor")
-        if self.simulation.has_soft:
-            raise complaint("contradicts legs: soft boxes have no state in which a leg could begin", "simulation", "soft")
         return self
 
     @model_validator(mode="after")
@@ -318,7 +318,9 @@ class Sweep(CheckedRecord):
                 raise complaint(f": profile {name!r} takes {text}", *field)
         for number, leg in enumerate(self.legs):
             profiles = [profile for event in leg.events for profile in resolve(event.profile, self.own_profiles)]
-            n_steps = sum(profile.n_steps(timestep_s) + seconds_to_steps(leg.pause_s, timestep_s) for profile in profiles)
+            n_steps = sum(
+                profile.n_steps(timestep_s) + seconds_to_steps(leg.pause_s, timestep_s) for profile in profiles
+            )
             if n_steps > MAX_PROFILE_STEPS:
                 text = f"take {n_steps:,} steps of {timestep_s:g} s, more than {MAX_PROFILE_STEPS:,}"
                 raise complaint(text, "legs", number, "events")
@@ -413,3 +415,20 @@ def _existing_files(plans: str | tuple[Path, ...] | None, folder: Path) -> str |
 def nominal_sweep(sim: Simulation) -> Sweep:
     """The sweep with one variant, the unchanged plan: a score."""
     return Sweep(name="nominal", nominal=True, simulation=sim)
+
+
+def chain_sweep(file: str | Path, n_worlds: int | None, simulation: Mapping[str, Any]) -> Sweep:
+    """The sweep of a score with a chain: its worlds, and the nominal one, which is placed alone.
+
+    Args:
+        file: a sweep file with legs, or the name of a ready-made one.
+        n_worlds: worlds with errors for each plan; None: as many as the file says.
+        simulation: fields of ``Simulation`` that replace those of the file.
+
+    Raises:
+        InputError: an unusable file, or one without legs.
+    """
+    sweep = load_sweep(find_sweep(file), plans_given=True, simulation=simulation)
+    if not sweep.legs:
+        raise InputError(f"{sweep.file}: has no [[legs]], which a chain needs; for other sweeps use petmjx sweep")
+    return sweep.model_copy(update={"nominal": True, "replicates": n_worlds or sweep.replicates})

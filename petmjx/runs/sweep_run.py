@@ -104,9 +104,7 @@ class SettledPlacement:
         """A world with the outcome of the placement. No step was simulated for it."""
         outcome = replace(self.outcome, flags=self.outcome.flags | Flag.FORKED, n_steps=0, state=None)
         end = LegEnd(PLACING, 0.0) if variant.legs else None
-        return FinishedWorld(
-            self.group.plan, variant, self.scene, outcome, self.attempts, self.outcome, ended_in=end
-        )
+        return FinishedWorld(self.group.plan, variant, self.scene, outcome, self.attempts, self.outcome, ended_in=end)
 
     def with_film(self, turns: float | None) -> Scene:
         """The scene with so many turns of film around the pallet; None: as it was placed."""

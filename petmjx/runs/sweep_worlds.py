@@ -78,7 +78,7 @@ class SweepPlan(Design):
 
     Raises:
         InputError: no usable plan, more than a million worlds without ``allow_large``, an axis ``placing`` although
-            boxes may not be carried, or a profile whose frequencies are too high for the timestep.
+            boxes may not be carried, legs with soft boxes or ``total_time_factor``, or a profile whose frequencies are too high for the timestep.
     """
 
     plans: Sequence[Plan]
@@ -102,6 +102,12 @@ class SweepPlan(Design):
         if "placing" in self.sweep.axes and not self.sweep.simulation.may_carry:
             needs = "simulation.placing auto, hand or tines, check one-by-one and schedule adaptive"
             raise InputError(f"{file}: axes.placing needs {needs}")
+        if self.sweep.legs:
+            sim = self.sweep.simulation
+            if sim.total_time_factor is not None:
+                raise InputError(f"{file}: legs contradict total_time_factor, which ends a world before they do")
+            if sim.has_soft:
+                raise InputError(f"{file}: legs contradict soft boxes: no leg can begin where another one left them")
         # made once before the run, because this raises if a profile's frequencies are too high for the timestep
         for profile in self.sweep.profiles.values():
             try:

@@ -4,15 +4,17 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Iterator, Sequence
-from typing import Final
+from collections.abc import Iterator, Mapping, Sequence
+from typing import Any, Final
 
 import numpy as np
 import pandas as pd
 
 from petmjx.common.text import box_label
 from petmjx.common.units import FloatArray
-from petmjx.results.share_intervals import ALL_PLANS
+from petmjx.results.share_intervals import ALL_PLANS, ONE_PLAN
+from petmjx.runs.chain_legs import AS_IS
+from petmjx.runs.chain_summary import WHOLE_WAY, arrivals
 from petmjx.runs.sweep_axes import AXIS_KINDS
 from petmjx.show.table_layout import FittedTable, TableColumn, number, percent
 
@@ -45,6 +47,9 @@ def sweep_tables(summary: pd.DataFrame) -> Iterator[FittedTable]:
     """
     if "axis" in summary:
         yield shares_table(summary)
+        return
+    if "weakest_leg" in summary:
+        yield from chain_tables(summary)
         return
     yield levels_table(summary)
     if len(summary) <= FEW_ROWS:
@@ -133,6 +138,95 @@ def confidence_table(summary: pd.DataFrame) -> FittedTable:
             *([f"{row[name] or ''}" for name in ("n_not_placed", "n_fell")] if fails else []),
             *([percent(row["share_exact"]) + (" *" if row["placing_matters"] else "")] if both else []),
             *(["coin toss" if row["coin_toss"] else ""] if tosses else []),
+        )
+    return table
+
+
+def chain_tables(summary: pd.DataFrame) -> Iterator[FittedTable]:
+    """The tables of a chain: a row for each plan, if there are few; then all plans leg by leg, and what remedies
+    gain."""
+    of_plans = arrivals(summary)
+    if len(of_plans) <= FEW_ROWS:
+        yield arrivals_table(summary, of_plans)
+    overall = summary[summary["scope"] == ALL_PLANS]
+    if len(of_plans) > 1:
+        yield legs_table(overall[overall["remedy"] == AS_IS])
+    remedies = overall[(overall["remedy"] != AS_IS) & (overall["leg"] == WHOLE_WAY)]
+    if len(remedies):
+        yield remedies_table(remedies)
+
+
+def arrivals_table(summary: pd.DataFrame, of_plans: pd.DataFrame) -> FittedTable:
+    """One row per plan: how likely it arrives, its share of worlds that stand after each leg that they reached, and
+    where most of them fail."""
+    chosen = summary[(summary["scope"] == ONE_PLAN) & (summary["remedy"] == AS_IS)]
+    legs = [leg for leg in chosen["leg"].unique().tolist() if leg != WHOLE_WAY]
+    shares = chosen.pivot(index="plan_id", columns="leg", values="share")
+    drawn = bool(of_plans["low"].notna().any())
+    table = FittedTable(
+        TableColumn("plan", "left", least=20, middle=True),
+        TableColumn("arrive"),
+        TableColumn("P"),
+        *([TableColumn("95 %")] if drawn else []),
+        *(TableColumn(leg, spare=2) for leg in legs),
+        TableColumn("weakest", "left", least=8),
+        TableColumn("box", spare=1),
+        title="worlds that arrive; by leg: that stand after it, of those that reached it",
+    )
+    for row in of_plans.to_dict("records"):
+        table.add(
+            str(row["plan_id"]),
+            f"{row['n_standing']:,} of {row['n_worlds'] - row['n_invalid']:,}",
+            percent(row["share"]),
+            *([_interval(row, "low", "high")] if drawn else []),
+            *(percent(shares.loc[row["plan_id"], leg]) for leg in legs),
+            str(row["weakest_leg"]),
+            "" if pd.isna(row["box"]) else str(int(row["box"])),
+        )
+    return table
+
+
+def _interval(row: Mapping[Any, Any], low: str, high: str) -> str:
+    return "" if pd.isna(row[low]) else f"{percent(row[low])} to {percent(row[high])}"
+
+
+def legs_table(legs: pd.DataFrame) -> FittedTable:
+    """One row per leg, over all plans."""
+    table = FittedTable(
+        TableColumn("leg", "left", least=10),
+        TableColumn("worlds\nreach it"),
+        TableColumn("stand\nafter it"),
+        TableColumn("invalid", spare=2),
+        TableColumn("share"),
+        TableColumn("95 %", spare=1),
+        title="all plans",
+    )
+    for row in legs.to_dict("records"):
+        counts = (f"{row[name]:,}" for name in ("n_worlds", "n_standing", "n_invalid"))
+        table.add(str(row["leg"]) or "whole way", *counts, percent(row["share"]), _interval(row, "low", "high"))
+    return table
+
+
+def remedies_table(remedies: pd.DataFrame) -> FittedTable:
+    """One row per remedy over all plans, the one that gains most first."""
+    table = FittedTable(
+        TableColumn("remedy", "left", least=16),
+        TableColumn("P"),
+        TableColumn("gain,\npoints"),
+        TableColumn("95 %", spare=1),
+        TableColumn("arrive only\nwith it", spare=2),
+        TableColumn("only\nwithout", spare=2),
+        title="what would help: the same worlds with a remedy",
+    )
+    for row in remedies.sort_values("gain", ascending=False, kind="stable").to_dict("records"):
+        bounds = [number(row[name], "+.1f", factor=100.0) for name in ("gain", "gain_low", "gain_high")]
+        span = "" if pd.isna(row["gain_low"]) else f"{bounds[1]} to {bounds[2]}"
+        table.add(
+            str(row["remedy"]),
+            percent(row["share"]),
+            bounds[0],
+            span,
+            *(f"{int(row[name]):,}" for name in ("only_with", "only_without")),
         )
     return table
 
