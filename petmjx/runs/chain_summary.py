@@ -15,7 +15,6 @@ import pandas as pd
 from petmjx.engines.metrics import DIMENSIONLESS
 from petmjx.engines.verdict import Verdict
 from petmjx.results.plan_order import rows_in_order
-from petmjx.results.run_tables import Parts
 from petmjx.results.run_writer import RunWriter
 from petmjx.results.schema import data_frame, summary_table
 from petmjx.results.share_intervals import ALL_PLANS, ONE_PLAN, PairedCounts, newcombe_interval, wilson_interval
@@ -24,6 +23,9 @@ from petmjx.runs.sweep_worlds import SweepPlan
 
 WHOLE_WAY: Final = ""
 """``leg`` of the rows about the whole way."""
+
+OF_WORLDS: Final = ("plan_id", "variant", "verdict", "culprit", "leg", "remedy")
+"""Columns of ``worlds`` from which the summary is made."""
 
 _KEYS: Final = ["scope", "plan_id", "remedy", "leg"]
 _COUNTS: Final = ["n_worlds", "n_standing", "n_invalid"]
@@ -72,22 +74,18 @@ class ChainColumns:
         return cls([leg.name for leg in plan.ways[first]], remedies, bool(plan.draws()))
 
 
-def summarise_chain(parts: Parts, chain: ChainColumns) -> pd.DataFrame:
+def summarise_chain(worlds: pd.DataFrame, chain: ChainColumns) -> pd.DataFrame:
     """The summary of a chain: a row for all plans and for each plan, for each remedy, for the whole way and each leg.
 
     Worlds of a plan are independent draws, so shares have Wilson's interval. A world and the same world with a remedy
     are a pair.
 
     Args:
-        parts: files of the run, all written.
+        worlds: the columns ``OF_WORLDS`` of all worlds of the run, in its order.
     """
-    rows = rows_in_order(parts, "worlds", ["plan_id", "variant", "verdict", "culprit", "leg", "remedy"])
-    assert rows is not None
-    worlds = data_frame(rows)
-    worlds = worlds[worlds["variant"] > 0]
     ways, legs = [AS_IS, *chain.remedies], [WHOLE_WAY, PLACING, *chain.legs]
-    worlds["draw"] = (worlds["variant"] - 1) // len(ways)
-    worlds["verdict"] = worlds["verdict"].astype(str)
+    worlds = worlds[worlds["variant"] > 0]
+    worlds = worlds.assign(verdict=worlds["verdict"].astype(str), draw=(worlds["variant"] - 1) // len(ways))
     both = pd.concat(
         [worlds.assign(scope=ALL_PLANS, plan_id="", pair=worlds["plan_id"]), worlds.assign(scope=ONE_PLAN, pair="")],
         ignore_index=True,
@@ -179,7 +177,9 @@ def write_chain(writer: RunWriter, chain: ChainColumns) -> None:
     Raises:
         PetmjxError: the file cannot be written.
     """
-    summary = summarise_chain(writer.parts, chain)
+    rows = rows_in_order(writer.parts, "worlds", OF_WORLDS)
+    assert rows is not None
+    summary = summarise_chain(data_frame(rows), chain)
     units = {name: DIMENSIONLESS for name in summary if name not in _TEXTS}
     writer.write_summary(summary_table(summary, units, _DESCRIPTIONS))
 

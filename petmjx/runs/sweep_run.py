@@ -433,7 +433,7 @@ class SweepRun:
             job = Job(scene, drive=drive, start=start.outcome.state, poses=poses, record=record)
             yield _LegWorld(plan, same[0].index, job, start, tuple(same), number, before)
 
-    def _through_legs(self, first: Sequence[_LegWorld]) -> Iterator[FinishedWorld]:
+    def _through_legs(self, first: Iterable[_LegWorld]) -> Iterator[FinishedWorld]:
         """Simulate legs, and those that follow them; yield each world at the end of its way."""
         begin = time.perf_counter()
         next_ones: list[_LegWorld] = []

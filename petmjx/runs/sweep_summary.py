@@ -16,6 +16,7 @@ from petmjx.results.plan_order import rows_in_order
 from petmjx.results.run_tables import Parts
 from petmjx.results.schema import Param, data_frame
 from petmjx.results.share_intervals import KEYS, by_plan_and_axis, share_standing
+from petmjx.runs.chain_legs import PLACING
 from petmjx.runs.level_search import failure_mode
 from petmjx.runs.study import FinishedWorld
 from petmjx.runs.sweep_axes import AXIS_KINDS, Axis
@@ -89,8 +90,8 @@ class SweepColumns:
     def _of_leg(self, world: FinishedWorld) -> dict[str, Any]:
         """The leg in which a world of a chain ended, and when a box crossed a threshold in it."""
         end = world.ended_in
-        if end is None:
-            return {LEG.name: ""}
+        if end is None or end.leg == PLACING:
+            return {LEG.name: end.leg if end is not None else ""}
         since_s = world.outcome.first_sign_s - end.began_s
         return {LEG.name: end.leg, SIGN.name: since_s if since_s > 0.5 * self._sim.physics.timestep_s else None}
 

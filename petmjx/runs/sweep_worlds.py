@@ -78,7 +78,8 @@ class SweepPlan(Design):
 
     Raises:
         InputError: no usable plan, more than a million worlds without ``allow_large``, an axis ``placing`` although
-            boxes may not be carried, legs with soft boxes or ``total_time_factor``, or a profile whose frequencies are too high for the timestep.
+            boxes may not be carried, legs with soft boxes or ``total_time_factor``, or a profile whose frequencies are
+            too high for the timestep.
     """
 
     plans: Sequence[Plan]
