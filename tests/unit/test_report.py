@@ -360,3 +360,22 @@ def test_confidence_has_its_answers(tmp_path: Path) -> None:
     assert "How sure are the verdicts?" in checked(html)
     assert info_of(html)["n"] == 2, "a row a plan, not a row a world"
     assert {"share", "low", "high"} <= {column["key"] for column in info_of(html)["columns"]}
+
+
+def test_a_chain_has_its_answers(tmp_path: Path) -> None:
+    import petmjx
+
+    file = tmp_path / "chain.toml"
+    file.write_text(
+        "replicates = 2\n[axes]\nfriction_tolerance_rel = 0.05\n[[legs]]\nname = 'belt <1>'\n"
+        "events = [{ profile = 'eumos-40509', level = 0.1 }]\n"
+        "[[remedies]]\nname = 'slower'\nleg = 'belt <1>'\nfactor = 0.5\n"
+    )
+    write_plans(tmp_path / "two.json", ["a", "b"], n_boxes=2)
+    petmjx.score(tmp_path / "two.json", out=tmp_path / "way", engine="mujoco", chain=file)
+    html = page_of(tmp_path / "way")
+    words = words_of(checked(html))
+    assert "How likely do pallets arrive?" in words
+    assert "belt &lt;1&gt; 100.0 % of 4 (51.0 to 100.0 %)" in words
+    assert "slower 100.0 % +0.0 -49.0 to +49.0 0 0" in words
+    assert info_of(html)["n"] == 4, "worlds with errors alone, without those of remedies"
