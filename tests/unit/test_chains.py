@@ -244,3 +244,29 @@ def test_a_chain_needs_legs_and_time_and_rigid_boxes(tmp_path: Path) -> None:
     file = write_sweep(tmp_path, legs(a=PUSH))
     with pytest.raises(InputError, match="legs contradict total_time_factor"):
         petmjx.sweep(file, [make_plan()], schedule="fixed", total_time_factor=2.0)
+
+
+def test_packers_are_compared_by_how_likely_their_plans_arrive(tmp_path: Path) -> None:
+    file = write_sweep(tmp_path, DRAWN + QUICK.replace("early_stop = false", "") + legs(truck=PUSH))
+    ids = ("o1", "o2", "o3")
+    low = petmjx.score([make_plan(plan_id, stack(1)) for plan_id in ids], chain=file, engine="mujoco")
+    high = petmjx.score(
+        [make_plan(plan_id, stack(3, size_mm=(100, 100, 300))) for plan_id in ids], chain=file, engine="mujoco"
+    )
+    compared = petmjx.compare_packers({"low": low, "high": high})
+    shares = {}
+    for name, run in (("low", low), ("high", high)):
+        drawn = run.worlds[run.worlds["variant"] > 0]
+        shares[name] = drawn["verdict"].eq("stable").groupby(drawn["plan_id"]).mean()
+        row = compared.packers.query("size == 'all' and packer == @name").iloc[0]
+        assert row["p_arrives"] == pytest.approx(shares[name].mean())
+    gain = shares["high"] - shares["low"]
+    assert gain.mean() < 0
+    pair = compared.pairs.query("size == 'all'").iloc[0]
+    # Student's factor for three orders
+    half = 4.302653 * gain.std() / np.sqrt(3)
+    assert (pair["p_gain"], pair["p_gain_high"]) == pytest.approx((gain.mean(), gain.mean() + half))
+    assert not compared.notes
+    other = petmjx.score([make_plan("o1", 1)], chain="chain-to-wrapper", confidence=4, engine="mujoco")
+    notes = petmjx.compare_packers({"low": low, "other": other}).notes
+    assert "other was not taken through the same chain as low" in notes
