@@ -69,10 +69,11 @@ class Stacking(CheckedRecord):
     @property
     def humidity_loss(self) -> float:
         """The share of the strength that moisture takes."""
-        return float(np.interp(self.humidity_percent, *zip(*HUMIDITY_LOSS, strict=True)))
+        percent, losses = np.array(HUMIDITY_LOSS).T
+        return float(np.interp(self.humidity_percent, percent, losses))
 
     @property
     def time_loss(self) -> float:
         """The share of the strength that time under load takes."""
-        days, losses = zip((PRESS_DAYS, 0.0), *TIME_LOSS, strict=True)
+        days, losses = np.array([(PRESS_DAYS, 0.0), *TIME_LOSS]).T
         return float(np.interp(np.log(max(self.storage_days, PRESS_DAYS)), np.log(days), losses))

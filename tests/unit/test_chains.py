@@ -80,10 +80,11 @@ SLIDING = 0.03
 """Share by which a simulated block may slide more or less than by Coulomb's law."""
 
 
-def test_a_block_slides_on_from_where_the_leg_before_left_it(tmp_path: Path) -> None:
+@pytest.mark.parametrize("engine", ["mujoco", "mjx-warp-cpu"])
+def test_a_block_slides_on_from_where_the_leg_before_left_it(engine: str, tmp_path: Path) -> None:
     assert 0.05 < WAY_M < 0.15
     file = write_sweep(tmp_path, SLIDES + legs(one=PUSH, two=PUSH, back=BACK, both=f"{PUSH}, {PUSH}"))
-    run = petmjx.sweep(file, [BLOCK], engine="mujoco", record="all")
+    run = petmjx.sweep(file, [BLOCK], engine=engine, record="all")
     (box,) = run.boxes.to_dict("records")
     assert box["shift_x_m"] == pytest.approx(-3 * WAY_M, rel=SLIDING)
     assert box["max_sway_m"] == pytest.approx(2 * WAY_M, rel=SLIDING)  # in the leg of two pushes
