@@ -325,7 +325,8 @@ def test_boards_bear_as_boxes_would_that_stand_fast() -> None:
     part of the carrier, with a slack of 1.
     """
     rng, compared, unstable = np.random.default_rng(4), 0, 0
-    loads = [NAMES.index(name) for name in ("stacking_tree", "equilibrium", "tolerable_acceleration")]
+    loads = [NAMES.index(name) for name in ("stacking_tree", "equilibrium")]
+    of_load = NAMES.index("tolerable_acceleration")
     of_base = slice(min(loads))
     for _ in range(60):
         edges = np.sort(rng.choice(np.arange(0, 61), 8, replace=False)) * 10.0
@@ -338,7 +339,7 @@ def test_boards_bear_as_boxes_would_that_stand_fast() -> None:
         np.testing.assert_array_equal(answers.corners, twin.corners[4:])
         np.testing.assert_allclose(answers.share, twin.share[4:], atol=1e-12)
         np.testing.assert_allclose(answers.slack[:, of_base], twin.slack[4:, of_base], atol=1e-9)
-        same = [number for number in range(len(NAMES)) if number not in loads]
+        same = [number for number in range(len(NAMES)) if number not in (*loads, of_load)]
         np.testing.assert_array_equal(answers.stable[:, same], twin.stable[4:, same])
         assert (answers.stable[:, loads] >= twin.stable[4:, loads]).all()
         compared, unstable = compared + answers.stable.size, unstable + int((answers.stable == NO).sum())
