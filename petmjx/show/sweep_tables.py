@@ -54,6 +54,10 @@ def sweep_tables(summary: pd.DataFrame) -> Iterator[FittedTable]:
     yield levels_table(summary)
     if len(summary) <= FEW_ROWS:
         yield answers_table(summary)
+        if "eumos_passed" in summary and summary["eumos_passed"].notna().any():
+            yield laboratory_table(summary)
+    if summary.get("wrap_turns", pd.Series(dtype="float64")).nunique() > 1 and "largest_level_g" in summary:
+        yield turns_table(summary)
 
 
 def _varied_columns(summary: pd.DataFrame) -> list[str]:
@@ -302,6 +306,61 @@ def answers_table(summary: pd.DataFrame) -> FittedTable:
             "" if pd.isna(row["box"]) else box_label(int(row["box"]), row["article"]),
         )
     return table
+
+
+def laboratory_table(summary: pd.DataFrame) -> FittedTable:
+    """One row per search with EUMOS's test: what a laboratory reports of the largest level survived."""
+    varied = _varied_columns(summary)
+    table = FittedTable(
+        TableColumn("plan", "left", least=20, middle=True),
+        TableColumn("direction\n°"),
+        *_headers(varied),
+        TableColumn("level\ng"),
+        TableColumn("elastic\n≤ 10 %"),
+        TableColumn("permanent\n≤ 5 %"),
+        TableColumn("foot, cm\n≤ 4"),
+        TableColumn("EUMOS\n40509", "left"),
+        title="EUMOS 40509 at the largest level survived: deformations as shares of the load's height",
+    )
+    for row in summary[summary["eumos_passed"].notna()].to_dict("records"):
+        table.add(
+            str(row["plan_id"]),
+            f"{row['direction_deg']:g}",
+            *(_cell(row[name]) for name in varied),
+            number(row["largest_level_g"]),
+            percent(row["eumos_elastic_share"]),
+            percent(row["eumos_permanent_share"]),
+            number(row["eumos_foot_permanent_m"], ".1f", factor=100.0),
+            "passed" if row["eumos_passed"] else "failed",
+        )
+    return table
+
+
+LABORATORY_LEVELS_G: Final = (0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8)
+"""Levels at which laboratories test load units by EUMOS 40509."""
+
+
+def turns_table(summary: pd.DataFrame) -> FittedTable:
+    """How many turns of film each plan needs: the fewest of those tried with which it survives a level in every
+    direction. "none": it does not with any."""
+    least = summary.fillna({"largest_level_g": 0.0}).groupby(["plan_id", "wrap_turns"], sort=False)["largest_level_g"]
+    survived = least.min().unstack("wrap_turns")
+    tested = np.fmax(summary["largest_level_g"].max(), summary["first_failed_level_g"].max())
+    levels = [level for level in LABORATORY_LEVELS_G if level <= tested]
+    table = FittedTable(
+        TableColumn("plan", "left", least=20, middle=True),
+        *(TableColumn(f"{level:g} g") for level in levels),
+        title="turns of film with which plans survive a level in every direction tried",
+        caption=_more(len(survived)),
+    )
+    for plan_id, row in survived.head(MAX_VALUES).iterrows():
+        enough = (row.index[row >= level - _SAME_LEVEL_G] for level in levels)
+        table.add(str(plan_id), *(f"{turns.min():g}" if len(turns) else "none" for turns in enough))
+    return table
+
+
+_SAME_LEVEL_G: Final = 1e-9
+"""Levels that differ by less are the same: 0.1 + 0.2 is not 0.3."""
 
 
 def _doubts(summary: pd.DataFrame, column: str) -> pd.Series[bool]:
