@@ -208,11 +208,17 @@ def tolerable_acceleration_g(contacts: PlanContacts, hulls: Hulls, friction: flo
     """(n,) the level acceleration at which a box, or the load placed by then, begins to slide or to tip, g.
 
     Both are taken for rigid bodies: they slide at the coefficient of friction, and tip at the distance of the centre
-    from the edge / its height above it (statics; EN 12195-1 has the same conditions). The load stands on the rectangle
-    around what lies on the carrier.
+    from the edge / its height above it (statics; EN 12195-1 has the same conditions).
     """
     half_mm = contacts.centre_mm[:, 2] - contacts.corner_mm[:, 2]
     of_box = hulls.distance(np.arange(contacts.n_boxes), contacts.centre_mm[:, :2]) / half_mm
+    least: FloatArray = np.minimum(np.minimum(of_box, load_tipping_g(contacts)), friction)
+    return least
+
+
+def load_tipping_g(contacts: PlanContacts) -> FloatArray:
+    """(n,) the level acceleration at which the load placed by then tips as one rigid body, g. It stands on the
+    rectangle around what lies on the carrier."""
     low, high = np.full((contacts.n_boxes, 2), np.inf), np.full((contacts.n_boxes, 2), -np.inf)
     on_carrier = contacts.lower == CARRIER
     np.minimum.at(low, contacts.upper[on_carrier], contacts.low_mm[on_carrier])
@@ -220,9 +226,8 @@ def tolerable_acceleration_g(contacts: PlanContacts, hulls: Hulls, friction: flo
     low, high = np.minimum.accumulate(low), np.maximum.accumulate(high)
     mass_kg = contacts.mass_kg[:, None]
     centre = np.cumsum(mass_kg * contacts.centre_mm, axis=0) / np.cumsum(mass_kg, axis=0)
-    of_load = np.minimum(centre[:, :2] - low, high - centre[:, :2]).min(axis=1) / centre[:, 2]
-    least: FloatArray = np.minimum(np.minimum(of_box, of_load), friction)
-    return least
+    tipping: FloatArray = np.minimum(centre[:, :2] - low, high - centre[:, :2]).min(axis=1) / centre[:, 2]
+    return tipping
 
 
 _MM: Final = "mm"
