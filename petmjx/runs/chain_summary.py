@@ -190,6 +190,12 @@ def arrivals(summary: pd.DataFrame, remedy: str = AS_IS) -> pd.DataFrame:
     return summary[chosen].reset_index(drop=True)
 
 
+def shares_by_leg(summary: pd.DataFrame) -> pd.DataFrame:
+    """P(stands after a leg, if it was reached) of each plan without remedies: a row a plan, a column a leg in order."""
+    chosen = summary[(summary["scope"] == ONE_PLAN) & (summary["remedy"] == AS_IS) & (summary["leg"] != WHOLE_WAY)]
+    return chosen.pivot(index="plan_id", columns="leg", values="share")[chosen["leg"].unique().tolist()]
+
+
 def is_chain(info: Mapping[str, Any]) -> bool:
     """Whether a run is one of a chain. ``info``: its ``run.json``."""
     return info.get("config", {}).get("chain") is not None

@@ -12,9 +12,9 @@ import pandas as pd
 
 from petmjx.common.text import box_label
 from petmjx.common.units import FloatArray
-from petmjx.results.share_intervals import ALL_PLANS, ONE_PLAN
+from petmjx.results.share_intervals import ALL_PLANS
 from petmjx.runs.chain_legs import AS_IS
-from petmjx.runs.chain_summary import WHOLE_WAY, arrivals
+from petmjx.runs.chain_summary import WHOLE_WAY, arrivals, shares_by_leg
 from petmjx.runs.sweep_axes import AXIS_KINDS
 from petmjx.show.table_layout import FittedTable, TableColumn, number, percent
 
@@ -163,16 +163,14 @@ def chain_tables(summary: pd.DataFrame) -> Iterator[FittedTable]:
 def arrivals_table(summary: pd.DataFrame, of_plans: pd.DataFrame) -> FittedTable:
     """One row per plan: how likely it arrives, its share of worlds that stand after each leg that they reached, and
     where most of them fail."""
-    chosen = summary[(summary["scope"] == ONE_PLAN) & (summary["remedy"] == AS_IS)]
-    legs = [leg for leg in chosen["leg"].unique().tolist() if leg != WHOLE_WAY]
-    shares = chosen.pivot(index="plan_id", columns="leg", values="share")
+    shares = shares_by_leg(summary)
     drawn = bool(of_plans["low"].notna().any())
     table = FittedTable(
         TableColumn("plan", "left", least=20, middle=True),
         TableColumn("arrive"),
         TableColumn("P"),
         *([TableColumn("95 %")] if drawn else []),
-        *(TableColumn(leg, spare=2) for leg in legs),
+        *(TableColumn(leg, spare=2) for leg in shares),
         TableColumn("weakest", "left", least=8),
         TableColumn("box", spare=1),
         title="worlds that arrive; by leg: that stand after it, of those that reached it",
@@ -183,7 +181,7 @@ def arrivals_table(summary: pd.DataFrame, of_plans: pd.DataFrame) -> FittedTable
             f"{row['n_standing']:,} of {row['n_worlds'] - row['n_invalid']:,}",
             percent(row["share"]),
             *([_interval(row, "low", "high")] if drawn else []),
-            *(percent(shares.loc[row["plan_id"], leg]) for leg in legs),
+            *map(percent, shares.loc[row["plan_id"]]),
             str(row["weakest_leg"]),
             "" if pd.isna(row["box"]) else str(int(row["box"])),
         )

@@ -11,9 +11,9 @@ import pandas as pd
 from petmjx.common.text import count_text, three_digits
 from petmjx.common.units import FloatArray
 from petmjx.engines.verdict import Verdict
-from petmjx.results.share_intervals import ALL_PLANS, ONE_PLAN, share_standing
+from petmjx.results.share_intervals import ALL_PLANS, share_standing
 from petmjx.runs.chain_legs import AS_IS
-from petmjx.runs.chain_summary import WHOLE_WAY, arrivals
+from petmjx.runs.chain_summary import WHOLE_WAY, arrivals, shares_by_leg
 from petmjx.show.report.charts import (
     ROSE_RINGS,
     Bar,
@@ -358,15 +358,13 @@ def _remedies(remedies: pd.DataFrame) -> Markup:
 
 
 def _plans_by_leg(summary: pd.DataFrame) -> Markup:
-    chosen = summary[(summary["scope"] == ONE_PLAN) & (summary["remedy"] == AS_IS)]
-    legs = [leg for leg in chosen["leg"].unique().tolist() if leg != WHOLE_WAY]
-    shares = chosen.pivot(index="plan_id", columns="leg", values="share")
+    shares = shares_by_leg(summary)
     rows = []
     for row in arrivals(summary).to_dict("records"):
-        by_leg = (percent(float(shares.loc[row["plan_id"], leg])) for leg in legs)
+        by_leg = map(percent, shares.loc[row["plan_id"]])
         span = "" if pd.isna(row["low"]) else interval_text(row["low"], row["high"])
         rows.append([str(row["plan_id"]), percent(float(row["share"])), span, *by_leg, str(row["weakest_leg"])])
-    return table(["plan", "arrives", "95 %", *legs, "weakest leg"], rows, caption="By plan")
+    return table(["plan", "arrives", "95 %", *shares, "weakest leg"], rows, caption="By plan")
 
 
 # Scores with confidence.
