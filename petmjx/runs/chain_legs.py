@@ -16,7 +16,7 @@ from petmjx.common.checked_records import CheckedRecord, complaint, similar, wit
 from petmjx.common.errors import InputError
 from petmjx.common.units import seconds_to_steps
 from petmjx.engines.verdict import Outcome, Verdict
-from petmjx.runs.sweep_axes import Direction, Positive, Turn, degrees
+from petmjx.runs.sweep_axes import Direction, Range, Strengths, Turn, degrees
 from petmjx.world.history import History
 from petmjx.world.job import ACCELERATION, Drive, Excitation
 from petmjx.world.profiles.profile import Profile, Strength
@@ -40,8 +40,13 @@ class Event(CheckedRecord):
 
     profile: Name = Field(description="name of a profile of accelerations, or of a family of them")
     direction: Direction = Field(0.0, description="turn of the profile from +x to +y")
-    level: Positive | None = Field(None, description="level of the profile, g")
-    scale: Positive | None = Field(None, description="factor on the profile")
+    level: Strengths | None = Field(None, description="level of the profile, g, or {from, to}: drawn for each world")
+    scale: Strengths | None = Field(None, description="factor on the profile, or {from, to}: drawn for each world")
+
+    @property
+    def drawn(self) -> bool:
+        """Whether its strength differs from world to world."""
+        return isinstance(self.level, Range) or isinstance(self.scale, Range)
 
     @model_validator(mode="before")
     @classmethod
@@ -78,6 +83,11 @@ class Remedy(CheckedRecord):
         if self.wrap_turns is None and self.factor is None:
             raise ValueError("changes nothing: give wrap_turns or factor")
         return self
+
+
+def _ends(strength: float | Range[Any]) -> tuple[float, float | None]:
+    """``scale`` and ``scale_to`` of a drive."""
+    return (strength.low, strength.high) if isinstance(strength, Range) else (strength, None)
 
 
 def check_chain(legs: Sequence[Leg], remedies: Sequence[Remedy], defined: Mapping[str, Profile]) -> None:
@@ -129,6 +139,9 @@ def _check_event(event: Event, defined: Mapping[str, Profile], path: tuple[str |
             if getattr(event, name) is not None and profile.strength is not name:
                 has = "an angle of its own" if profile.strength is Strength.ANGLE else f"a {profile.strength}"
                 raise complaint(f"contradicts profile {profile.name!r}, which has {has}", *path, name)
+        for name in (Strength.LEVEL, Strength.SCALE):
+            if isinstance(drawn := getattr(event, name), Range) and not drawn.continuous:
+                raise complaint("is drawn between from and to: it has no step or count", *path, name)
         if profile.strength is Strength.LEVEL and event.level is None:
             raise complaint(f"is missing: profile {profile.name!r} has a level in g", *path, "level")
 
@@ -153,10 +166,10 @@ def _specs(legs: Sequence[Leg], remedy: Remedy | None, defined: Mapping[str, Pro
             factor = 1.0 if remedy.factor is None else remedy.factor
         drives = []
         for event in leg.events:
-            strength = next((value for value in (event.level, event.scale) if value is not None), 1.0)
+            low, high = _ends(next((value for value in (event.level, event.scale) if value is not None), 1.0))
             for profile in resolve(event.profile, defined):
-                scale = strength if profile.strength is Strength.ANGLE else factor * strength
-                drives.append(DriveSpec(profile.name, scale, event.direction))
+                by = 1.0 if profile.strength is Strength.ANGLE else factor
+                drives.append(DriveSpec(profile.name, by * low, event.direction, None if high is None else by * high))
         if drives:
             yield LegSpec(leg.name, tuple(drives), leg.pause_s if len(drives) > 1 else 0.0, turns)
 

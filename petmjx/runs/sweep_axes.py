@@ -155,6 +155,10 @@ Directions = Annotated[
 ]
 
 
+Strengths = Annotated[Annotated[Range[Positive], Tag(TABLE)] | Annotated[Positive, Tag(VALUE)], _value_or(TABLE)]
+"""A level or a scale, or a range from which it is drawn."""
+
+
 def _value_list(setting: Any) -> tuple[Any, ...]:
     """A value or a list of values (`OneOrMore`) as a list."""
     return setting if isinstance(setting, tuple) else (setting,)

@@ -128,8 +128,12 @@ class Design:
     def _chain_replicates(self) -> int:
         """Worlds of a chain without remedies: one, if nothing in it is random."""
         random = [axis.random for axis in self.sweep.axes.values()]
-        random += [profile.random for profile in self.sweep.profiles.values()]
+        random += [self._is_drawn(drive) for legs in self.ways.values() for leg in legs for drive in leg.drives]
         return self.sweep.replicates if any(random) else 1
+
+    def _is_drawn(self, drive: DriveSpec) -> bool:
+        """Whether a drive differs from world to world."""
+        return drive.scale_to is not None or self.sweep.profiles[drive.profile].random
 
     def _ways_from(self, placement: Variant, again: Sequence[int]) -> Iterator[Variant]:
         """The worlds of a chain that share a placement: for each replicate of its legs, one for each remedy."""
@@ -203,7 +207,7 @@ class Design:
             variant
             for _, variants in self.placements()
             for variant in variants
-            if variant.placement.random or any(sweep.profiles[drive.profile].random for drive in _drives(variant))
+            if variant.placement.random or any(map(self._is_drawn, _drives(variant)))
         )
         return {variant.index: variant.replicate for variant in drawn}
 

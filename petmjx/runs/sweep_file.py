@@ -340,6 +340,7 @@ class Sweep(CheckedRecord):
             text = "is empty: nothing is varied (nominal = true simulates the unchanged plans)"
             raise complaint(text, "axes")
         varies = [axis.random for axis in self.axes.values()] + [profile.random for profile in self.profiles.values()]
+        varies += [event.drawn for leg in self.legs for event in leg.events]
         if self.replicates > 1 and not any(varies):
             raise ValueError(f"replicates = {self.replicates} needs something random: no axis and no profile is")
         return self

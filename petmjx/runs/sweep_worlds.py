@@ -223,11 +223,14 @@ class SweepPlan(Design):
 
     def leg_drive(self, plan: Plan, variant: Variant, leg: LegSpec, load_height_m: float = 0.0) -> Drive:
         """All drives of a leg of one world, as one drive. Worlds with the same samples share the array."""
-        made = (self.drive(plan, replace(variant, drive=spec), load_height_m) for spec in leg.drives)
+        made = (
+            self.drive(plan, replace(variant, drive=self._with_strength(plan, variant, leg, place)), load_height_m)
+            for place in range(len(leg.drives))
+        )
         first, *more = drives = [drive for drive in made if drive is not None]
         if not more:
             return first
-        random = any(self.sweep.profiles[spec.profile].random for spec in leg.drives)
+        random = any(map(self._is_drawn, leg.drives))
         key = (leg, plan.plan_id, variant.replicate) if random else (leg, "", 0)
         if key not in self._rows:
             if random:
@@ -236,6 +239,14 @@ class SweepPlan(Design):
             self._rows[key] = in_a_row(leg.name, drives, leg.pause_s, timestep_s)
         allowed_m = max(drive.allowed_sway_m for drive in drives)
         return Drive(self._rows[key], rest_s=first.rest_s, allowed_sway_m=allowed_m)
+
+    def _with_strength(self, plan: Plan, variant: Variant, leg: LegSpec, place: int) -> DriveSpec:
+        """A drive of a leg with the strength that it has in one world. Remedies share the random number."""
+        spec = leg.drives[place]
+        if spec.scale_to is None:
+            return spec
+        rng = WorldKey(self.sweep.seed, plan.plan_id, variant.replicate).rng(f"strength:{leg.name}:{place}")
+        return replace(spec, scale=spec.scale + rng.random() * (spec.scale_to - spec.scale), scale_to=None)
 
     def _unit_drive(self, profile: Profile, plan: Plan, start_s: float, world: WorldKey) -> Drive:
         """A profile at scale 1, not turned.

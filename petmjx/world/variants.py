@@ -153,11 +153,16 @@ PlacementKey = tuple[PlacementChange, int]
 
 @dataclass(frozen=True)
 class DriveSpec:
-    """The drive of the finished pallet: the name of a profile, its scale or level, and its direction."""
+    """The drive of the finished pallet: the name of a profile, its scale or level, and its direction.
+
+    Attributes:
+        scale_to: the scale is drawn evenly from ``scale`` up to this one, once for each world; None: it is ``scale``.
+    """
 
     profile: str
     scale: float = 1.0
     direction_deg: float = 0.0
+    scale_to: float | None = None
 
 
 @dataclass(frozen=True)

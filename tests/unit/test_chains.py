@@ -20,6 +20,7 @@ from petmjx.runs.merge import merge_runs
 from petmjx.runs.rerun import worlds_of_run
 from petmjx.runs.sweep_file import load_sweep
 from petmjx.runs.sweep_run import SweepRun
+from petmjx.runs.sweep_worlds import SweepPlan
 from petmjx.runs.transport_limits import slide_m
 from petmjx.world.profiles.accelerations import eumos_40509
 from petmjx.world.random_streams import WorldKey, rngs
@@ -190,6 +191,31 @@ def test_a_summary_counts_leg_by_leg_and_what_remedies_gain(tmp_path: Path) -> N
     assert both["only_with"] == worlds.query("remedy == ''")["verdict"].eq("unstable").sum()
 
 
+def test_levels_are_drawn_once_a_world_and_shared_by_remedies(tmp_path: Path) -> None:
+    """A block with friction 0.5 slides by more than 20 mm from some level on; each world has its own level."""
+    drawn = '{ profile = "eumos-40509", level = { from = 0.45, to = 0.75 } }'
+    text = "replicates = 8\n" + QUICK.replace("early_stop = false", 'carrier = "euro-pallet"') + legs(truck=drawn)
+    file = write_sweep(tmp_path, text + REMEDIES.partition('[[remedies]]\nname = "wrapped')[0])
+    plan = SweepPlan(load_sweep(file, plans_given=True), [BLOCK])
+    worlds = [variant for _, variants in plan.placements() for variant in variants]
+    drives = [plan.leg_drive(BLOCK, variant, variant.legs[0]) for variant in worlds]
+    levels, slower = np.array([drive.scale for drive in drives]).reshape(-1, 2).T
+    assert slower == pytest.approx(levels / 2)
+    assert len(set(levels)) == 8
+    assert levels.min() >= 0.45
+    assert levels.max() <= 0.75
+    samples = eumos_40509().excitation(0.002).samples
+    ways_m = np.array([slide_m(level * samples, 0.5, STANDARD_GRAVITY, 0.002) for level in levels])
+    assert 0 < (ways_m < 0.02).sum() < 8
+    assert (np.abs(ways_m - 0.02) > SLIDING * 0.02).all()  # none so near that it may be either way
+    run = petmjx.sweep(file, [BLOCK], engine="mujoco")
+    stands = run.worlds["verdict"].eq("stable").to_numpy().reshape(-1, 2)
+    assert stands[:, 0].tolist() == (ways_m < 0.02).tolist()
+    assert stands[:, 1].all()
+    assert run.summary is not None
+    assert run.summary.query("scope == 'plan' and leg == ''")["low"].notna().all()
+
+
 def test_resumed_and_merged_runs_have_the_same_answers(tmp_path: Path) -> None:
     file = write_sweep(
         tmp_path, DRAWN.replace("5\n[", "2\n[") + QUICK + legs(one=PUSH, two=BACK) + REMEDIES.replace("truck", "two")
@@ -218,6 +244,10 @@ def test_resumed_and_merged_runs_have_the_same_answers(tmp_path: Path) -> None:
         (legs(a='{ profile = "eumos-40509" }'), "legs[0].events[0].level is missing: profile 'eumos-40509'"),
         (legs(a='{ profile = "tilt", scale = 2.0 }'), "legs[0].events[0].scale contradicts profile 'tilt', which"),
         (legs(a='{ profile = "tilt", direction = "up" }'), "legs[0].events[0].direction must be degrees or one of +x"),
+        (
+            legs(a='{ profile = "eumos-40509", level = { from = 0.1, to = 0.3, step = 0.1 } }'),
+            "legs[0].events[0].level is drawn between from and to: it has no step or count",
+        ),
         (legs(a=PUSH, placing=PUSH), "legs[1].name: 'placing' is already the part before the first leg"),
         ('[[legs]]\nname = "film"\nwrap_turns = 3', "legs have no events"),
         (legs(a=PUSH) + '\n[[remedies]]\nname = "x"\nleg = "b"\nfactor = 0.5', "remedies[0].leg: no leg 'b'"),

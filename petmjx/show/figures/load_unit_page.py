@@ -210,9 +210,8 @@ def _assumed(run: RunResults) -> list[str]:
 def _leg_text(leg: Mapping[str, Any]) -> str:
     events = []
     for event in leg["events"]:
-        strength = (
-            f" {event['level']:g} g" if event.get("level") else f" × {event['scale']:g}" if event.get("scale") else ""
-        )
+        strengths = (("level", " {} g"), ("scale", " × {}"))
+        strength = "".join(form.format(_range(event[name])) for name, form in strengths if event.get(name))
         events.append(f"{event['profile']}{strength} {event['direction']:g}°")
     film = [] if leg.get("wrap_turns") is None else [f"{leg['wrap_turns']:g} turns of film from here on"]
     return ", ".join([*events, *film]) or "nothing"
@@ -220,3 +219,7 @@ def _leg_text(leg: Mapping[str, Any]) -> str:
 
 def _value(values: Sequence[Any] | Any) -> str:
     return ", ".join(f"{value:g}" if isinstance(value, float) else str(value) for value in values)
+
+
+def _range(strength: float | Mapping[str, float]) -> str:
+    return f"{strength['low']:g} to {strength['high']:g}" if isinstance(strength, Mapping) else f"{strength:g}"
