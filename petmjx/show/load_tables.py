@@ -38,8 +38,7 @@ def load_tables(loads: Loads, out: str | None = None) -> Iterator[RenderableType
     counts = {name: int((loads.plans["crushed"] == name).sum()) for name in (SURELY, POSSIBLY, NOT)}
     unsure = len(loads.plans) - sum(counts.values())
     named = ", ".join(f"{count:,} {name}" for name, count in counts.items())
-    spread = f"if losses of strength are off by {percent(loads.stacking.loss_spread)}"
-    yield line(f"crushed, at rest or at the peak: {named}, {unsure:,} not known ({spread})")
+    yield line(f"crushed: {named}, {unsure:,} not known")
     if loads.ways is not None:
         yield ""
         yield _ways_table(loads.ways)
