@@ -35,6 +35,19 @@ PRIOR_SIGMA: Final = 0.02
 FRICTIONS: Final = tuple(round(0.12 + 0.01 * k, 2) for k in range(13))
 """Grid on which friction is sought."""
 
+MUJOCO_OWN: Final = {
+    "name": "pallet",
+    "solref": (0.02, 1.0),
+    "solimp": (0.9, 0.95, 0.001),
+    "solreffriction": (0.0, 0.0),
+    "impratio": 1.0,
+    "slip_correction": False,
+    "landing_s": 0.0,
+    "skin_m": 0.0,
+    "timestep_s": 0.0005,
+}
+"""MuJoCo's own elliptic contacts (the defaults of 3.17.0), and a timestep at which they have converged."""
+
 SEED: Final = 20
 REGIONS: Final = (0.5, 0.9)
 

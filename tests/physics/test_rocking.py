@@ -13,6 +13,7 @@ from benchmarks.rocking import (
     EUMOS_S,
     ROUGH,
     SETTLES_S,
+    SHARP,
     RockingBlock,
     block_plan,
     eumos_levels,
@@ -82,7 +83,7 @@ def test_a_pulse_overturns_a_block_at_housner_s_level_but_for_what_its_edge_sink
     (row,) = overturning_limits("mujoco", pulses_s=(0.2,), within=0.008)
     assert row.expected == 0.602
     assert 0 < row.expected - row.value <= OVERTURNS_G
-    (sharp,) = overturning_limits("mujoco", (0.2,), "solimp = [0.1, 0.999, 0.00002]", within=0.008)
+    (sharp,) = overturning_limits("mujoco", (0.2,), SHARP, within=0.008)
     assert sharp.expected - sharp.value <= OVERTURNS_G / 3
 
 
