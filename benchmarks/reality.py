@@ -239,7 +239,7 @@ def _rows_of_friction(measures: Mapping[str, Any], engine: str) -> Iterator[Row]
         other, miss = half["errors_of_other_half"], half["friction"] - measures["published"]
         yield Row(
             "friction found from half of the tosses", _CUBE, f"{measures['published']}", f"{half['friction']}",
-            f"{abs(miss):.2f}", engine,
+            f"{abs(miss):.3f}", engine,
             f"the other half then: {percent(other['right_face'])} right, {other['place_median_mm']:.1f} mm, "
             f"path {other['path_mean_mm']:.1f} mm",
             abs(miss) <= _FRICTION_WITHIN + 1e-9,
