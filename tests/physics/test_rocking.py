@@ -51,6 +51,9 @@ def test_the_block_itself_keeps_to_what_is_known_of_it() -> None:
     assert not any(TOWER.rock(trapezoid(level), SETTLES_S, EUMOS_S).fell for level in ROCKS_G)
     assert all(TOWER.rock(trapezoid(level), SETTLES_S, EUMOS_S).fell for level in FALLS_G)
     assert largest_level_g(RockingBlock(0.5, 0.2), 0.5) == 0.53  # by hand: (0.53 − 0.5) g for 0.3 s, and braked
+    squat = RockingBlock(0.3, 0.25).rock(trapezoid(1.32), SETTLES_S, EUMOS_S)  # it falls by itself from 50° on
+    assert squat.lost
+    assert not squat.fell
 
 
 ENGINES = "mujoco", pytest.param("mjx-warp-cpu", marks=needs_warp)
@@ -73,8 +76,10 @@ def test_a_tower_that_rocks_and_comes_back_stands(engine: str) -> None:
 
 
 def test_the_largest_levels_of_eumos_s_test_are_those_of_a_rigid_block() -> None:
-    """A stack that slides from 0.34 g on, and one that rocks instead, and falls from 0.36 g on."""
-    for row in eumos_levels("mujoco", stacks=(3, 5), frictions=(0.3,)):
+    """A stack that slides from 0.34 g on, one that rocks instead and falls from 0.36 g on, and one that tilts by more
+    than the threshold and would come back."""
+    levels = *eumos_levels("mujoco", stacks=(3, 5), frictions=(0.3,)), *eumos_levels("mujoco", (2,), (0.9,))
+    for row in levels:
         assert row.value == pytest.approx(row.expected, abs=1.001 * LEVEL_G), row
 
 
