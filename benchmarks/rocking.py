@@ -1,4 +1,4 @@
-"""Blocks that rock, slide and are tilted: what mechanics and measurements say, and what petmjx says.
+"""Blocks that rock, slide, are tilted and wrapped: what mechanics and measurements say, and what petmjx says.
 
 The equations of motion are those of Housner 1963 ("The behavior of inverted pendulum structures during earthquakes",
 Bulletin of the Seismological Society of America 53): a rigid block that rocks about its lower edges and does not slip.
@@ -289,6 +289,7 @@ def rows(engine: EngineName = "mujoco") -> Iterator[Row]:
     yield from overturning_limits(engine, physics=SHARP)
     yield from tilting(engine)
     yield from eumos_levels(engine)
+    yield from wrapped_levels(engine)
 
 
 FREE_BLOCKS: Final = tuple(RockingBlock(width_m, 0.6) for width_m in (0.12, 0.15, 0.2, 0.3))
@@ -499,6 +500,36 @@ def eumos_levels(
         expected = largest_level_g(RockingBlock(SIDE_MM / 1000, 0.25 * n), friction)
         quantity = f"stack of {n}, friction {friction:g}: largest level of EUMOS's test, g"
         yield Row(quantity, "Coulomb, or Housner 1963, integrated", expected, answer["largest_level_g"], engine)
+
+
+TURNS: Final = (2, 3, 4)
+TURN_N: Final = 20.0
+FILM_FRICTION: Final = 0.4
+FILM_M: Final = 0.5
+"""Tension of a turn, N, friction on film, and width of the film, m: numbers for a closed form, not measured."""
+
+
+def wrapped_levels(engine: EngineName) -> Iterator[Row]:
+    """The largest level of EUMOS's test that a wrapped box of 10 kg survives, to 0.01 g.
+
+    Each turn adds its tension (Sensors 2025, 25(22), 6883). At a corner film pulls along two sides, so that each of the
+    four is pressed by 2 T, with T the tension of as much film as the box is high. That times the friction of film is
+    what holds the box beside its own friction.
+    """
+    mass_kg, height_m = 10.0, 0.2
+    plan = petmjx.Plan.from_boxes("w", size_mm=[[400, 300, 200]], corner_mm=[[400, 250, 0]], mass_kg=[mass_kg])
+    film = f"wrap = {{ force_n = {TURN_N}, friction = {FILM_FRICTION}, film_mm = {1000 * FILM_M} }}\n"
+    axes = f'[axes]\nprofile = "eumos-40509"\ndirection = "+x"\nwrap_turns = {list(TURNS)}\n'
+    search = "[search]\nlower = 0.3\nupper = 2.0\ntolerance = 0.01\n"
+    summary = swept([plan], engine, film + axes + search).summary
+    assert summary is not None
+    for answer in summary.to_dict("records"):
+        turns = answer["wrap_turns"]
+        hold_n = FILM_FRICTION * 4 * 2 * turns * TURN_N * height_m / FILM_M
+        friction = BOX_FRICTION + hold_n / (mass_kg * GRAVITY)
+        expected = _largest(lambda level, grip=friction: slide_m(level, grip) <= THRESHOLD_M)
+        quantity = f"box of 10 kg with {turns:g} turns of {TURN_N:g} N: largest level of EUMOS's test, g"
+        yield Row(quantity, "Coulomb, with film as in Sensors 2025", expected, answer["largest_level_g"], engine)
 
 
 if __name__ == "__main__":

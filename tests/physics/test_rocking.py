@@ -22,6 +22,7 @@ from benchmarks.rocking import (
     swept,
     tilting,
     trapezoid,
+    wrapped_levels,
 )
 from petmjx.engines.verdict import Flag
 
@@ -80,6 +81,13 @@ def test_the_largest_levels_of_eumos_s_test_are_those_of_a_rigid_block() -> None
     than the threshold and would come back."""
     levels = *eumos_levels("mujoco", stacks=(3, 5), frictions=(0.3,)), *eumos_levels("mujoco", (2,), (0.9,))
     for row in levels:
+        assert row.value == pytest.approx(row.expected, abs=1.001 * LEVEL_G), row
+
+
+def test_a_wrapped_box_is_lost_at_coulomb_s_level_with_what_film_holds() -> None:
+    rows = list(wrapped_levels("mujoco"))
+    assert [row.expected for row in rows] == sorted({row.expected for row in rows})
+    for row in rows:
         assert row.value == pytest.approx(row.expected, abs=1.001 * LEVEL_G), row
 
 
