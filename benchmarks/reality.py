@@ -168,16 +168,9 @@ def _tosses(data: Path, limit: int | None, engine: str, *, complete: bool) -> tu
         measures["spread_as_shipped"] = spread(tosses, engine)
         measures["spread_mujoco_own"] = spread(tosses, engine, physics=MUJOCO_OWN)
         rows += _rows_of_spread(measures["spread"], engine)
-        face = percent(measures["mujoco_own"]["right_face"])
-        rows += [
-            _row_of_faces(measures["spread_as_shipped"], "by default", engine),
-            _row_of_faces(
-                measures["spread_mujoco_own"],
-                "with MuJoCo's own contacts",
-                engine,
-                f"from the measured starts {face} right",
-            ),
-        ]
+        rows.append(_row_of_faces(measures["spread_as_shipped"], "by default", engine))
+        note = f"from the measured starts {percent(measures['mujoco_own']['right_face'])} right"
+        rows.append(_row_of_faces(measures["spread_mujoco_own"], "with MuJoCo's own contacts", engine, note))
         rows += _rows_of_friction(measures["friction"], engine)
         rows += _rows_of_calibration(measures["calibration"], engine)
     return measures, rows

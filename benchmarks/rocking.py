@@ -225,15 +225,20 @@ LEVEL_STEPS: Final = 100
 THRESHOLD_M: Final = petmjx.Thresholds().shift_m
 
 
+def slide_level_g(friction: float) -> float:
+    """The largest level of EUMOS's test, in hundredths, in which a block slides no farther than the threshold."""
+    return _largest(lambda level: slide_m(level, friction) <= THRESHOLD_M)
+
+
 def largest_level_g(block: RockingBlock, friction: float) -> float:
     """The largest level of EUMOS's test, in hundredths, that a block survives.
 
     One that rocks before it slides, and whose rocking never takes more than the friction there is, does not slide. So
     it is lost at Housner's level, even where that is beyond the level at which a block that stands flat would slide too
-    far. Where friction is within a hundredth of width / height a block slides and rocks at once, for which this is no
-    closed form: there a hundredth of friction is worth more than 0.1 g.
+    far. Where friction is width / height or a few hundredths more, a block slides and rocks at once, for which this is
+    no closed form.
     """
-    slides = _largest(lambda level: slide_m(level, friction) <= THRESHOLD_M)
+    slides = slide_level_g(friction)
     if friction <= math.tan(block.slenderness_rad):
         return slides
     rocks = _largest(lambda level: not block.rock(trapezoid(level), SETTLES_S, EUMOS_S).lost)
@@ -526,8 +531,7 @@ def wrapped_levels(engine: EngineName) -> Iterator[Row]:
     for answer in summary.to_dict("records"):
         turns = answer["wrap_turns"]
         hold_n = FILM_FRICTION * 4 * 2 * turns * TURN_N * height_m / FILM_M
-        friction = BOX_FRICTION + hold_n / (mass_kg * GRAVITY)
-        expected = _largest(lambda level, grip=friction: slide_m(level, grip) <= THRESHOLD_M)
+        expected = slide_level_g(BOX_FRICTION + hold_n / (mass_kg * GRAVITY))
         quantity = f"box of 10 kg with {turns:g} turns of {TURN_N:g} N: largest level of EUMOS's test, g"
         yield Row(quantity, "Coulomb, with film as in Sensors 2025", expected, answer["largest_level_g"], engine)
 
