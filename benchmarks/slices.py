@@ -10,13 +10,12 @@ import argparse
 import time
 from typing import Any
 
-import numpy as np
-
 from petmjx.engines.attempt_stream import score_worlds
 from petmjx.engines.engine_choice import make_engine
 from petmjx.engines.mjx.world_state import Status
 from petmjx.engines.protocol import Progress
 from petmjx.engines.warp.time_slices import Rollout
+from petmjx.engines.warp.world_table import WorldTable
 from petmjx.engines.world_results import World
 from petmjx.options.run_options import RunOptions
 from petmjx.options.simulation import Simulation
@@ -43,11 +42,11 @@ def main() -> None:
     said("the engine is there")
     wait, looked = Rollout.wait, [0.0]
 
-    def timed(self: Rollout, group: Any) -> Any:
+    def timed(self: Rollout, table: WorldTable) -> Any:
         begin_s = time.perf_counter()
-        status, ended = wait(self, group)
+        status, ended = wait(self, table)
         waited = time.perf_counter() - begin_s
-        running, host = int((np.asarray(status) == Status.RUNNING).sum()), begin_s - looked[0]
+        running, host = int((table.live & (status == Status.RUNNING)).sum()), begin_s - looked[0]
         said(f"{running:6} run; the host worked for {host:.3f} s, then waited for {waited:.3f} s")
         looked[0] = time.perf_counter()
         return status, ended

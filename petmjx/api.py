@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any, TypeVar, Unpack
 from petmjx.common.argument_checks import flag_of, instance_of, path_of
 from petmjx.common.checked_records import CheckedRecord, shown_value
 from petmjx.common.errors import InputError
-from petmjx.options.run_options import Confidence, RunOptions, sorted_options
+from petmjx.options.run_options import Confidence, RunOptions, Transport, sorted_options
 from petmjx.options.simulation import Simulation
 from petmjx.plans.plan_sources import PathArgument, PlanSource
 from petmjx.results.run_reader import RunResults
@@ -87,7 +87,7 @@ def _intervals(options: RunOptions) -> Intervals | None:
     return intervals_at_rest
 
 
-@_takes_options(Simulation, Confidence, RunOptions)
+@_takes_options(Simulation, Confidence, Transport, RunOptions)
 def score(
     plans: PlanSource | None = None,
     *,
@@ -95,7 +95,8 @@ def score(
     progress: bool = False,
     **options: Unpack[ScoreOptions],
 ) -> RunResults:
-    """Simulate each plan and say whether it stands, and with ``confidence`` how sure that is.
+    """Simulate each plan and say whether it stands, with ``confidence`` how sure that is, and with ``chain`` how likely
+    it arrives.
 
     ``petmjx.score("plans.json", schedule="fixed", thresholds={"shift_m": 0.03}, out="results")``
 
@@ -104,18 +105,30 @@ def score(
             box, a plan, a list of plans or a ``PlanSet``; None: the bundled samples.
         watcher: follows the run. Without one, notebooks show a progress bar.
         progress: in a script, print the progress of the run on standard error every few seconds.
-        options: ``confidence`` and ``errors``, fields of ``petmjx.Simulation`` and ``petmjx.RunOptions``, listed below.
+        options: ``confidence``, ``errors`` and ``chain``, fields of ``petmjx.Simulation`` and ``petmjx.RunOptions``,
+            listed below.
 
     Returns:
         The results, with ``.worlds``, ``.boxes`` and ``.attempts`` as data frames and ``.info``. With ``confidence``
-        also ``.summary``, and ``.worlds`` has several rows per plan: variant 0 is the world without errors.
+        or ``chain`` also ``.summary``, and ``.worlds`` has several rows per plan: variant 0 is the world without
+        errors.
 
     Raises:
         InputError: unusable plans or options.
         EngineUnavailable: the engine asked for cannot run here.
     """
-    of_simulation, of_run, of_confidence = sorted_options(options, Confidence)
-    run, sure = RunOptions(**of_run), Confidence(**of_confidence)
+    of_simulation, of_run, of_confidence, of_transport = sorted_options(options, Confidence, Transport)
+    run, sure, transport = RunOptions(**of_run), Confidence(**of_confidence), Transport(**of_transport)
+    if transport.chain is not None:
+        from petmjx.runs.sweep_file import chain_sweep
+        from petmjx.runs.sweep_study import SweepStudy
+
+        if sure.errors is not None or sure.exact_too:
+            raise InputError(f"{'errors' if sure.errors else 'exact_too'} contradicts chain, which has its own errors")
+        definition = chain_sweep(transport.chain, sure.confidence, of_simulation)
+        ask = partial(SweepStudy, definition, confidence=definition.replicates)
+        with _watching(watcher, progress) as follows:
+            return simulate(ask, definition.simulation, plans, run, follows, _intervals(run))
     if sure.confidence is None:
         sim = Simulation(**of_simulation)
         with _watching(watcher, progress) as follows:

@@ -20,7 +20,7 @@ from petmjx.options.carriers import Board, OwnCarrier
 from petmjx.options.materials import FrictionPair, LandingPair
 from petmjx.options.physics import CUSTOM, PHYSICS, Physics
 from petmjx.options.placing import Placing
-from petmjx.options.run_options import AUTO, Confidence, RunOptions
+from petmjx.options.run_options import AUTO, Confidence, RunOptions, Transport
 from petmjx.options.simulation import Quiet, Simulation, Thresholds
 from petmjx.options.walls import Walls
 from petmjx.options.wrap import Wrap
@@ -66,13 +66,14 @@ SHORT: dict[type[CheckedRecord], tuple[str, ...]] = {
 OUTER: dict[str, type[CheckedRecord]] = {
     "SimulationOptions": Simulation,
     "ConfidenceOptions": Confidence,
+    "TransportOptions": Transport,
     "RunOptionsGiven": RunOptions,
 }
 """Name of a typed dictionary → the record whose fields it has."""
 
 TAIL = '''
 
-class ScoreOptions(SimulationOptions, ConfidenceOptions, RunOptionsGiven, total=False):
+class ScoreOptions(SimulationOptions, ConfidenceOptions, TransportOptions, RunOptionsGiven, total=False):
     """The options of ``petmjx.score``."""
 
 

@@ -1,6 +1,7 @@
 """Loads on boxes of a run as shares of their strength, at rest and at the peak: ``petmjx.loads``.
 
-The strength of a box is what it bears in a press, times factors for how it is stacked (petmjx.options.stacking).
+The strength of a box is what it bears in a press, times factors for how it is stacked, for moist air and for time
+(petmjx.options.stacking). Which boxes are crushed, surely or possibly: petmjx/analysis/crushing.py.
 Verdicts do not depend on it.
 
 A carton bears by its walls, and most at its corners. So ``walls_of`` works out from the plan which share of a box's
@@ -20,6 +21,7 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
+from petmjx.analysis.crushing import BOX_UNITS, PLAN_UNITS, WAY_UNITS, crushed_worlds, ways_of, with_crush_shares
 from petmjx.common.argument_checks import path_of
 from petmjx.common.atomic_write import write_errors
 from petmjx.common.errors import InputError
@@ -35,6 +37,7 @@ from petmjx.results.documented_tables import check_tables_free, write_documented
 from petmjx.results.plan_lookup import find_plans
 from petmjx.results.run_manifest import Manifest
 from petmjx.results.run_reader import RunResults, load_run
+from petmjx.runs.chain_summary import is_chain
 from petmjx.world.carrier_boards import pallet
 
 MOST_GAP_MM: Final = 5.0
@@ -176,16 +179,19 @@ _BOX_UNITS: Final = {
     "rest_top_force_n": ("N", "force on top of the box at rest"),
     "rest_top_force_low_n": ("N", "the least that balance and friction allow; null: not known"),
     "rest_top_force_high_n": ("N", "the most that balance and friction allow; null: not known"),
-    "max_top_force_n": ("N", "largest sampled force on top of the box, also while it is placed or shaken"),
+    "max_top_force_n": ("N", "largest force on top of the box in any step, also while it is placed or shaken"),
     "press_strength_n": ("N", "what the box bears between plates; null: not known"),
     "wall_factor": ("1", "by how far walls of the boxes on it stand on its own"),
     "overhang_factor": ("1", "by how far its walls hang over nothing"),
     "deck_factor": ("1", "by gaps and bending of the deck that it stands on"),
-    "strength_n": ("N", "what the box bears as it is stacked: press_strength_n times the three; null: not known"),
-    "load_share": ("1", "rest_top_force_n / strength_n"),
+    "humidity_factor": ("1", "by moist air"),
+    "strength_n": ("N", "what the box bears as it is stacked: press_strength_n times the four; null: not known"),
+    "time_factor": ("1", "by days under a load that lasts; of forces at rest alone"),
+    "load_share": ("1", "rest_top_force_n / (strength_n * time_factor)"),
     "peak_share": ("1", "max_top_force_n / strength_n"),
-    "load_share_low": ("1", "rest_top_force_low_n / strength_n"),
-    "load_share_high": ("1", "rest_top_force_high_n / strength_n"),
+    "load_share_low": ("1", "rest_top_force_low_n / (strength_n * time_factor)"),
+    "load_share_high": ("1", "rest_top_force_high_n / (strength_n * time_factor)"),
+    **BOX_UNITS,
 }
 _PLAN_UNITS: Final = {
     "plan_id": _BOX_UNITS["plan_id"],
@@ -207,13 +213,16 @@ _PLAN_UNITS: Final = {
     "max_peak_share": ("1", "largest peak_share of a box"),
     "peak_box": ("1", "the box that has it"),
     "peak_article": ("", "its article"),
+    **PLAN_UNITS,
 }
+
+_PEAK: Final = "max_top_force_n"
 
 _SHARES: Final = {
     "rest_top_force_n": "load_share",
     "rest_top_force_low_n": "load_share_low",
     "rest_top_force_high_n": "load_share_high",
-    "max_top_force_n": "peak_share",
+    _PEAK: "peak_share",
 }
 """Force on a box → column with its share of the strength. The second and the third exist if the run has intervals."""
 
@@ -235,6 +244,7 @@ class Loads:
         notes: a line on a run that is not finished, one on articles without strength, and one on forces at rest after a
             drive with film.
         stacking: how much strength boxes lose by the way in which they are stacked.
+        ways: of a chain: how likely each plan arrives, and arrives whole, with each remedy; None: the run is no chain.
     """
 
     run: Path
@@ -242,12 +252,13 @@ class Loads:
     plans: pd.DataFrame
     notes: tuple[str, ...]
     stacking: Stacking = field(default_factory=Stacking)
+    ways: pd.DataFrame | None = None
 
     def __repr__(self) -> str:
         return f"Loads({count_text(len(self.plans), 'world')}, {int(self.plans['overloaded'].sum()):,} overloaded)"
 
     def write(self, folder: str | Path, overwrite: bool = False) -> None:
-        """Write ``box_loads`` and ``plan_loads``, as Parquet with units and as CSV.
+        """Write ``box_loads``, ``plan_loads`` and, of a chain, ``way_loads``, as Parquet with units and as CSV.
 
         Args:
             overwrite: tables that petmjx wrote there before may be replaced.
@@ -258,7 +269,8 @@ class Loads:
         folder = path_of(folder, "folder")
         check_loads_free(folder, overwrite)
         with write_errors(folder):
-            tables = (("box_loads", self.boxes, _BOX_UNITS), ("plan_loads", self.plans, _PLAN_UNITS))
+            tables = [("box_loads", self.boxes, _BOX_UNITS), ("plan_loads", self.plans, _PLAN_UNITS)]
+            tables += [("way_loads", self.ways, WAY_UNITS)] if self.ways is not None else []
             write_documented_tables(folder, tables)
 
 
@@ -268,7 +280,7 @@ def check_loads_free(folder: Path, overwrite: bool, inputs: Iterable[Path] = ())
     Raises:
         InputError: as ``petmjx.results.documented_tables.check_tables_free``.
     """
-    check_tables_free(folder, ("box_loads", "plan_loads"), overwrite=overwrite, inputs=inputs)
+    check_tables_free(folder, ("box_loads", "plan_loads", "way_loads"), overwrite=overwrite, inputs=inputs)
 
 
 def loads(
@@ -307,10 +319,17 @@ def loads(
     shares = {force: share for force, share in _SHARES.items() if force in results.boxes}
     boxes = results.boxes[["plan_id", "variant", "box", "article", *shares]].astype(dict.fromkeys(shares, "float64"))
     boxes = boxes.merge(known, on=["plan_id", "box"], how="inner", validate="many_to_one")
-    boxes = boxes.assign(**{share: boxes[force] / boxes["strength_n"] for force, share in shares.items()})
+    of_time = {force: 1.0 if force == _PEAK else boxes["time_factor"] for force in shares}
+    boxes = boxes.assign(
+        **{share: boxes[force] / (boxes["strength_n"] * of_time[force]) for force, share in shares.items()}
+    )
+    spread = losses.loss_spread
+    boxes = with_crush_shares(boxes, (_kept(losses.time_loss, 1 + spread), _kept(losses.time_loss, 1 - spread)))
     boxes = boxes[[name for name in _BOX_UNITS if name in boxes]]
     notes = (*results.doubts("the run"), *_notes(missing), *_film_notes(results))
-    return Loads(results.path, boxes, _of_worlds(results, boxes), notes, losses)
+    plan_loads = _of_worlds(results, boxes)
+    ways = ways_of(results.worlds, plan_loads) if is_chain(results.info) else None
+    return Loads(results.path, boxes, plan_loads, notes, losses, ways)
 
 
 def _plans_of(results: RunResults, plans: PlanSource | None) -> Mapping[str, Plan]:
@@ -333,7 +352,8 @@ def _plans_of(results: RunResults, plans: PlanSource | None) -> Mapping[str, Pla
     return plans_again.plans
 
 
-_STRENGTH: Final = ("press_strength_n", "wall_factor", "overhang_factor", "deck_factor", "strength_n")
+_FACTORS: Final = ("wall_factor", "overhang_factor", "deck_factor", "humidity_factor")
+_STRENGTH: Final = ("press_strength_n", *_FACTORS, "strength_n", "time_factor", "strength_low_n", "strength_high_n")
 
 
 def _strengths(
@@ -354,8 +374,11 @@ def _strengths(
                 strength_n[box] = strength.of_box(*sizes[box])
             if np.isnan(strength_n[box]) and not sheets[box]:
                 missing[article] += 1
-        factors = _factors(plan, losses, carrier)
-        columns = dict(zip(_STRENGTH, (strength_n, *factors, strength_n * np.prod(factors, axis=0)), strict=True))
+        factors, low, high = _factors(plan, losses, carrier)
+        borne = (strength_n * np.prod(each, axis=0) for each in (factors, low, high))
+        columns = {"press_strength_n": strength_n, **dict(zip(_FACTORS, factors, strict=True))}
+        columns |= dict(zip(("strength_n", "strength_low_n", "strength_high_n"), borne, strict=True))
+        columns["time_factor"] = np.full(plan.n_boxes, _kept(losses.time_loss))
         table = pd.DataFrame({"plan_id": plan.plan_id, "box": np.arange(plan.n_boxes, dtype=np.int32), **columns})
         parts.append(table[~sheets])
     if not parts:
@@ -364,16 +387,28 @@ def _strengths(
     return pd.concat(parts, ignore_index=True), missing
 
 
+def _kept(loss: float, factor: float = 1.0) -> float:
+    """The share of a strength that is left after a loss times a factor."""
+    return 1.0 - min(factor * loss, 1.0)
+
+
 def _factors(plan: Plan, losses: Stacking, carrier: Carrier | OwnCarrier) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Three times (n,), the factor on each box's strength: for walls that do not meet, for walls that hang over, and
-    for gaps of the deck."""
+    """Three times (4, n), the ``_FACTORS`` of each box's strength: as the losses say, the least and the most."""
     extent, boards = extent_m(carrier), pallet(carrier)
     extent_mm = None if extent is None else (MM_PER_M * extent[0], MM_PER_M * extent[1])
     walls = walls_of(plan, extent_mm, None if boards is None else boards.deck_mm, losses.wall_tolerance_mm)
     perimeter_mm = 2 * plan.size_mm[:, :2].sum(axis=1)
     gaps = walls.on_deck & (walls.over_gaps * perimeter_mm > losses.wall_tolerance_mm)
-    deck = np.where(gaps, 1 - losses.gap_loss, 1.0) * np.where(walls.on_deck, 1 - losses.soft_deck_loss, 1.0)
-    return 1 - losses.interlocked_loss * (1 - walls.met), 1 - losses.overhang_loss * walls.hanging, deck
+
+    def factors(spread: float) -> FloatArray:
+        some = losses.with_losses(spread)
+        deck = np.where(gaps, 1 - some.gap_loss, 1.0) * np.where(walls.on_deck, 1 - some.soft_deck_loss, 1.0)
+        moist = np.full(plan.n_boxes, _kept(losses.humidity_loss, spread))
+        return np.stack(
+            [1 - some.interlocked_loss * (1 - walls.met), 1 - some.overhang_loss * walls.hanging, deck, moist]
+        )
+
+    return factors(1.0), factors(1.0 + losses.loss_spread), factors(1.0 - losses.loss_spread)
 
 
 def _of_worlds(results: RunResults, boxes: pd.DataFrame) -> pd.DataFrame:
@@ -399,6 +434,7 @@ def _of_worlds(results: RunResults, boxes: pd.DataFrame) -> pd.DataFrame:
         over[(table[f"n_{name}"] == 0) & (table[f"unknown_{name}"] > 0)] = pd.NA
         table[name] = over
     table["n_unknown"] = table["unknown_overloaded"]
+    table = table.merge(crushed_worlds(boxes), on=key, how="left")
     table = table.astype({"box": "Int32", "peak_box": "Int32"})
     return table[[name for name in _PLAN_UNITS if name in table]]
 

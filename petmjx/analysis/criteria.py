@@ -42,6 +42,7 @@ from petmjx.common.units import FloatArray
 from petmjx.engines.metrics import DIMENSIONLESS
 from petmjx.plans.plan import Plan
 from petmjx.world.body_shapes import Room
+from petmjx.world.history import CARRIER
 
 
 @dataclass(frozen=True, eq=False)
@@ -201,6 +202,36 @@ CORNER_AREA_PAPER: Final = (0.60, 0.80, 0.95)
 CORNER_AREA_CODE: Final = (0.50, 0.85, 0.95)
 """Shares required with four borne corners, with three, and with fewer, in the paper and in its authors' code."""
 
+LEAST_TOLERABLE_G: Final = 0.5
+"""EN 12195-1:2010: acceleration sideways and rearward on the road, g."""
+
+
+def tolerable_acceleration_g(contacts: PlanContacts, hulls: Hulls, friction: float) -> FloatArray:
+    """(n,) the level acceleration at which a box, or the load placed by then, begins to slide or to tip, g.
+
+    Both are taken for rigid bodies: they slide at the coefficient of friction, and tip at the distance of the centre
+    from the edge / its height above it (statics; EN 12195-1 has the same conditions).
+    """
+    half_mm = contacts.centre_mm[:, 2] - contacts.corner_mm[:, 2]
+    of_box = hulls.distance(np.arange(contacts.n_boxes), contacts.centre_mm[:, :2]) / half_mm
+    least: FloatArray = np.minimum(np.minimum(of_box, load_tipping_g(contacts)), friction)
+    return least
+
+
+def load_tipping_g(contacts: PlanContacts) -> FloatArray:
+    """(n,) the level acceleration at which the load placed by then tips as one rigid body, g. It stands on the
+    rectangle around what lies on the carrier."""
+    low, high = np.full((contacts.n_boxes, 2), np.inf), np.full((contacts.n_boxes, 2), -np.inf)
+    on_carrier = contacts.lower == CARRIER
+    np.minimum.at(low, contacts.upper[on_carrier], contacts.low_mm[on_carrier])
+    np.maximum.at(high, contacts.upper[on_carrier], contacts.high_mm[on_carrier])
+    low, high = np.minimum.accumulate(low), np.maximum.accumulate(high)
+    mass_kg = contacts.mass_kg[:, None]
+    centre = np.cumsum(mass_kg * contacts.centre_mm, axis=0) / np.cumsum(mass_kg, axis=0)
+    tipping: FloatArray = np.minimum(centre[:, :2] - low, high - centre[:, :2]).min(axis=1) / centre[:, 2]
+    return tipping
+
+
 _MM: Final = "mm"
 
 LEANING: Final = "force_balance_leaning"
@@ -219,6 +250,7 @@ class Criterion:
         slack_of: computes (n,) the slacks of a plan's boxes; NaN if a box has none.
         strict: whether a slack of 0 is not enough.
         number: the number that its threshold applies to; "" if there is none.
+        threshold: its threshold of this number: the number less the slack.
         ends: whether boxes after the first one that fails are not asked.
         usual: whether it is evaluated if the user names no criteria.
     """
@@ -231,6 +263,7 @@ class Criterion:
     slack_of: Callable[[CriterionInputs], FloatArray]
     strict: bool = False
     number: str = ""
+    threshold: float = 0.0
     ends: bool = False
     usual: bool = True
 
@@ -244,6 +277,7 @@ def _support(share: float) -> Criterion:
         "Bortfeldt & Wäscher 2013",
         lambda inputs: inputs.share - share,
         number="borne share of the base" if share == 1 else "",
+        threshold=share if share == 1 else 0.0,
     )
 
 
@@ -336,6 +370,19 @@ CRITERIA: Final = (
         "McKee, Gander, Wachuta 1963, or strengths of the user's",
         lambda inputs: strength_slack(inputs.contacts, inputs.strength_n, even_bedding),
         usual=False,  # if no strength is known it accepts everything
+    ),
+    Criterion(
+        "tolerable_acceleration",
+        f"neither it nor the load placed by then slides or tips at {LEAST_TOLERABLE_G:g} g, as rigid bodies",
+        f"least of friction and of distances of centres from edges / their heights, - {LEAST_TOLERABLE_G:g}",
+        DIMENSIONLESS,
+        "EN 12195-1:2010, and statics",
+        lambda inputs: (
+            tolerable_acceleration_g(inputs.contacts, inputs.hulls, inputs.friction.flat) - LEAST_TOLERABLE_G
+        ),
+        number="tolerable acceleration, g",
+        threshold=LEAST_TOLERABLE_G,
+        usual=False,  # it is about transport, and not about standing
     ),
 )
 """All criteria in the order of tables: from criteria of the base to criteria of the whole stack."""

@@ -34,6 +34,10 @@ class CriteriaOptions(CheckedRecord):
     walls: Walls = Field(Walls(), description="walls around the carrier's top, by default those of the run")
     only: tuple[str, ...] | None = Field(None, description="names of criteria; all if none is named")
     processes: Annotated[int, within(1, 1024)] = Field(1, description="processes that share the plans")
+    p_arrives: Annotated[float, within(0, 1), CliFlag("--p-arrives", "P")] = Field(
+        0.5,
+        description="of a run of a chain: a plan counts as standing if at least this share of its worlds arrives",
+    )
     seed: Annotated[int, within(0, 2**63 - 1), CliFlag("--seed", "SEED")] = Field(
         0, description="of the halves of the plans and of the bootstrap"
     )

@@ -23,6 +23,7 @@ from petmjx.common.errors import InputError
 from petmjx.common.processes import process_pool
 from petmjx.common.text import count_text, printable_name
 from petmjx.engines.metrics import DIMENSIONLESS, TEXT
+from petmjx.engines.verdict import Verdict
 from petmjx.options.carriers import Carrier, OwnCarrier
 from petmjx.options.run_options import Anchor, RunOptions
 from petmjx.options.simulation import Simulation
@@ -35,6 +36,7 @@ from petmjx.results.read_files import source_files
 from petmjx.results.run_folder import text
 from petmjx.results.run_reader import RunResults, load_run
 from petmjx.results.to_json import to_json
+from petmjx.runs.chain_summary import arrivals, is_chain
 from petmjx.world.carrier_boards import has_walls, pallet
 from petmjx.world.scene import carrier_of
 
@@ -256,7 +258,7 @@ def criteria(
     Args:
         plans: as for ``petmjx.score``; None: the plans of the run, or without one the bundled samples.
         run: a run of the same plans, or its folder. The criteria are compared with its verdicts. If a plan has several
-            worlds, the nominal one counts.
+            worlds, the nominal one counts; of a chain, whether it arrives often enough.
         out: a folder for the tables, as Parquet and CSV.
         overwrite: whether existing tables are replaced.
         limit: largest number of plans.
@@ -265,7 +267,7 @@ def criteria(
         anchor: as for ``petmjx.load_plans``.
         progress: called with the number of finished plans and the number of all plans.
         options: fields of ``petmjx.analysis.criteria_options.CriteriaOptions``: ``friction``, ``side_friction``,
-            ``tolerance_mm``, ``carrier`` (by default the run's), ``only``, ``processes``, ``seed``. With
+            ``tolerance_mm``, ``carrier`` (by default the run's), ``only``, ``processes``, ``p_arrives``, ``seed``. With
             ``processes`` a script needs its ``if __name__``.
 
     Raises:
@@ -298,7 +300,7 @@ def criteria(
     by_plan = plans_frame(plan_set.plans, answers, selected_criteria)
     judged = thresholds = None
     if physics is not None:
-        worlds = _nominal_worlds(physics, plan_set.plans)
+        worlds = _judging_worlds(physics, plan_set.plans, chosen.p_arrives)
         judged = judge(by_plan, worlds, selected_criteria, chosen.seed)
         thresholds = best_thresholds(by_plan, worlds, selected_criteria, chosen.seed)
     info = {
@@ -374,13 +376,30 @@ def _ask(plans: Sequence[Plan], options: CriteriaOptions) -> list[Answers]:
     ]
 
 
-def _nominal_worlds(run: RunResults, plans: Sequence[Plan]) -> Any:
-    """The worlds of variant 0.
+def _judging_worlds(run: RunResults, plans: Sequence[Plan], p_arrives: float) -> pd.DataFrame:
+    """One row for each plan of the run: its nominal world; of a chain whether it arrives often enough. Then the reason
+    is its weakest leg, and the margin what its share has beyond the least one.
+
+    Raises:
+        InputError: as ``_nominal_worlds``.
+    """
+    if not is_chain(run.info) or run.summary is None:
+        return _nominal_worlds(run.worlds[run.worlds["variant"] == 0], run, plans)
+    shares = arrivals(run.summary).merge(run.worlds.drop_duplicates("plan_id")[["plan_id", "n_boxes"]], on="plan_id")
+    names = [Verdict.INVALID.value, Verdict.STABLE.value]
+    verdict = np.select([shares["share"].isna(), shares["share"] >= p_arrives], names, Verdict.UNSTABLE.value)
+    judged = shares.assign(
+        verdict=verdict, reason=shares["weakest_leg"], margin=shares["share"] - p_arrives, culprit=shares["box"]
+    )
+    return _nominal_worlds(judged.astype({"culprit": "Int32"}), run, plans)
+
+
+def _nominal_worlds(worlds: pd.DataFrame, run: RunResults, plans: Sequence[Plan]) -> pd.DataFrame:
+    """The worlds, one for each plan, if they are of these plans.
 
     Raises:
         InputError: the run has none of these plans, or a plan has another number of boxes.
     """
-    worlds = run.worlds[run.worlds["variant"] == 0]
     counts = {plan.plan_id: plan.n_boxes for plan in plans}
     common = worlds[worlds["plan_id"].isin(list(counts))]
     if common.empty:

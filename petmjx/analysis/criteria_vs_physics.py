@@ -125,7 +125,7 @@ def best_thresholds(
     for criterion in criteria:
         if not criterion.number:
             continue
-        published = 1.0 if criterion.name == "support_100" else 0.0
+        published = criterion.threshold
         number = both[f"{criterion.name}_slack"].to_numpy(dtype=np.float64) + published
         threshold, mcc = best_threshold(number[first_half], stands[first_half])
         # without a threshold there is nothing to judge

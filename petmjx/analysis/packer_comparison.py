@@ -18,7 +18,7 @@ import numpy as np
 import pandas as pd
 
 from petmjx.analysis.packer_kpis import KPIS, against_orders
-from petmjx.analysis.packer_runs import MEASURES, MISSING, Run, doubts, plans_of, runs_by_packer
+from petmjx.analysis.packer_runs import ARRIVES, MEASURES, MISSING, Run, doubts, plans_of, runs_by_packer
 from petmjx.common.errors import InputError
 from petmjx.common.text import count_text, printable_name
 from petmjx.engines.verdict import Verdict
@@ -93,6 +93,9 @@ SHOWN: Final = (
 """Columns of ``packers`` in a notebook."""
 
 
+_ARRIVAL_PAIR: Final = ("p_gain", "p_gain_low", "p_gain_high")
+"""More columns of pairs, if plans were taken through a chain."""
+
 TABLES: Final = ("packers", "pairs", "reasons", "decided", "plans")
 """Names of the tables of a comparison."""
 
@@ -107,11 +110,14 @@ class PackerComparison:
         packers: a row for each packer and size of order (``all`` first): ``size``, ``packer``, ``n`` compared orders,
             ``n_stable``, ``share`` with its Wilson interval ``low``, ``high``; the means of ``MEASURES``, and with
             orders also of ``KPIS``, over the compared orders; ``n_orders`` of this size, of which ``n_invalid`` have an
-            invalid world and ``n_missing`` no plan; ``share_at_worst``.
+            invalid world and ``n_missing`` no plan; ``share_at_worst``; of chains
+            also the mean of ``p_arrives``, with its interval ``p_low``, ``p_high`` over orders.
         pairs: a row for each two packers and size: ``a``, ``b``, ``n``, ``both``, ``only_a``, ``only_b``, ``neither``
             stand, ``difference`` (share of b − share of a) with Newcombe's interval ``low``, ``high``; ``p`` of
             McNemar's exact test, and ``p_holm``, corrected for the number of pairs (only for size ``all``; the other
-            sizes are for inspection, not for tests, and have null).
+            sizes are for inspection, not for tests, and have null); of chains also
+            ``p_gain``, the mean over orders of ``p_arrives`` of b − that of a, with its interval ``p_gain_low``,
+            ``p_gain_high``.
         reasons: for each two packers, the number ``n`` of orders that ``lost_by`` loses for a ``reason`` why its plan
             does not stand: ``a``, ``b``, ``lost_by``, ``reason``, ``n``.
         decided: orders that stand with only one of two packers: ``plan_id``, ``a``, ``b``, ``won_by``, ``lost_by``,
@@ -200,7 +206,7 @@ def comparison_of(
     parts = {size: sized if size == ALL_SIZES else sized[sized["size"] == size] for size in sizes}
     packers = [_packer_row(size, name, rows, confidence) for size, rows in parts.items() for name in runs]
     pairs = [_pair_row(size, a, b, rows, confidence) for size, rows in parts.items() for a, b in combinations(runs, 2)]
-    pair_table = pd.DataFrame(pairs, columns=_PAIR_COLUMNS)
+    pair_table = pd.DataFrame(pairs, columns=[*_PAIR_COLUMNS, *(_ARRIVAL_PAIR if ARRIVES in plans else ())])
     overall = pair_table["size"] == ALL_SIZES
     pair_table.loc[overall, "p_holm"] = holm(pair_table.loc[overall, "p"].tolist())
     decided = _decided_orders(plans, list(runs))
@@ -244,6 +250,8 @@ def _packer_row(size: str, name: str, rows: pd.DataFrame, confidence: float) -> 
     measures = [*MEASURES, *(column for column in KPIS if column in rows and column not in MEASURES)]
     means = {column: float(compared[column].mean()) for column in measures}
     standing = int((mine["verdict"] == Verdict.STABLE.value).sum())
+    if ARRIVES in rows:
+        means |= dict(zip((ARRIVES, "p_low", "p_high"), _mean_interval(compared[ARRIVES], confidence), strict=True))
     return {
         "size": size,
         "packer": name,
@@ -267,7 +275,24 @@ def _pair_row(size: str, a: str, b: str, rows: pd.DataFrame, confidence: float) 
     low, high = newcombe_interval(counts, confidence)
     test = mcnemar_p(counts) if size == ALL_SIZES else float("nan")
     shares = {"difference": counts.difference, "low": low, "high": high, "p": test, "p_holm": float("nan")}
+    if ARRIVES in rows:
+        of = rows[rows["compared"]].pivot(index="plan_id", columns="packer", values=ARRIVES)
+        gains = of[b] - of[a] if len(of) else pd.Series(dtype="float64")
+        shares |= dict(zip(_ARRIVAL_PAIR, _mean_interval(gains, confidence), strict=True))
     return {"size": size, "a": a, "b": b, "n": counts.n, **vars(counts), **shares}  # _PAIR_COLUMNS
+
+
+def _mean_interval(values: pd.Series, confidence: float) -> tuple[float, float, float]:
+    """The mean of values of orders, and Student's interval of it. Orders differ more than chance moves each of their
+    values, and the spread between them has both. NaN for fewer than two orders."""
+    known = values.dropna()
+    mean, n = float(known.mean()), len(known)
+    if n < 2:
+        return mean, float("nan"), float("nan")
+    from scipy.stats import t
+
+    half = float(t.ppf(0.5 + confidence / 2, n - 1) * known.std() / np.sqrt(n))
+    return mean, mean - half, mean + half
 
 
 def _standing_table(rows: pd.DataFrame) -> pd.DataFrame:

@@ -16,6 +16,7 @@ from petmjx.common.text import count_text, printable_name
 from petmjx.common.units import FloatArray
 from petmjx.options.carriers import CARRIER_EXTENT_M, TARGETS, Carrier, OwnCarrier, extent_m
 from petmjx.results.run_reader import RunResults, load_run
+from petmjx.runs.chain_summary import arrivals, is_chain
 
 LONGEST_NAME: Final = 200
 """Most bytes of a packer's name. File systems allow 255 for the name of a folder."""
@@ -32,6 +33,9 @@ MEASURES: Final[Mapping[str, str]] = {
 }
 """Column of a plan → its heading. The means of these columns are shown next to the shares. To add a column, add a line
 here and a column in :func:`plans_of`."""
+
+ARRIVES: Final = "p_arrives"
+"""Column of plans that were taken through a chain: the share of their worlds that arrive."""
 
 Run = RunResults | str | Path
 
@@ -96,8 +100,9 @@ def plans_of(runs: Mapping[str, RunResults], against: OrderComparison | None = N
     Returns:
         ``plan_id``, ``packer``, ``order_boxes`` of the order, ``verdict`` (also ``missing``), ``reason``, ``margin``,
         ``digest``, the columns of ``MEASURES``; ``as_ordered``: number of boxes of the plan that were ordered, each
-        counted once, that have the order's size and mass and are on its target; null if not known. ``listed``: whether
-        ratings count the order. ``compared``: whether the order has a valid verdict from every packer.
+        counted once, that have the order's size and mass and are on its target; null if not known.
+        ``listed``: whether ratings count the order. ``compared``: whether the order has a valid verdict from every
+        packer. ``p_arrives``: of runs that are all chains.
     """
     table = _worlds_of(runs)
     sizes = None if against is None else against.sizes
@@ -124,7 +129,8 @@ def plans_of(runs: Mapping[str, RunResults], against: OrderComparison | None = N
     table["compared"] = table["verdict"].isin(["stable", "unstable"])
     table["compared"] = table.groupby("plan_id", sort=False)["compared"].transform("all")
     first = ["plan_id", "packer", "order_boxes", "listed", "compared", "verdict", "reason", "margin"]
-    return table[[*first, *MEASURES, "as_ordered", "digest"]]
+    arrives = [ARRIVES] if ARRIVES in table else []
+    return table[[*first, *MEASURES, *arrives, "as_ordered", "digest"]]
 
 
 _OF_PLAN: Final = ("volume_m3", "extent_x_m", "extent_y_m", "height_m", "ordered_boxes", "left_out", "resized")
@@ -141,6 +147,10 @@ def _worlds_of(runs: Mapping[str, RunResults]) -> pd.DataFrame:
         for parts in (worlds, plans)
     ]
     table = joined[0].rename(columns={"n_boxes": "boxes"}).merge(joined[1], on=["packer", "plan_id"], how="left")
+    if all(is_chain(run.info) for run in runs.values()):
+        shares = [arrivals(run.summary)[["plan_id", "share"]] for run in runs.values() if run.summary is not None]
+        named = pd.concat(shares, keys=list(runs), names=["packer", None]).reset_index("packer")
+        table = table.merge(named.rename(columns={"share": ARRIVES}), on=["packer", "plan_id"], how="left")
     return table.astype(dict.fromkeys(("boxes", "margin", *_OF_PLAN), np.float64))
 
 
@@ -179,6 +189,10 @@ def doubts(runs: Mapping[str, RunResults], table: pd.DataFrame) -> list[str]:
                 f"{printable_name(name)} was simulated with other options than {printable_name(first)}: "
                 f"{', '.join(differing)}"
             )
+    if any(is_chain(run.info) for run in runs.values()):
+        ways = {name: run.info.get("identity", {}).get("sweep") for name, run in runs.items()}
+        for name in (name for name in others if ways[name] != ways[first]):
+            lines.append(f"{printable_name(name)} was not taken through the same chain as {printable_name(first)}")
     engines = {str(run.info.get("config", {}).get("engine")) for run in runs.values()}
     if len(engines) > 1:
         lines.append(f"simulated by different engines: {', '.join(sorted(engines))}")

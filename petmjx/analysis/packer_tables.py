@@ -35,6 +35,12 @@ _NUMBERS: Final = {
     "difference": "share of b - share of a",
     "p": "of McNemar's exact test; null where it is not tested",
     "p_holm": "the same, corrected for the number of pairs",
+    "p_arrives": "share of worlds with errors that arrive at the end of a chain; in packers the mean",
+    "p_low": "lower end of the interval of that mean over orders",
+    "p_high": "upper end of it",
+    "p_gain": "mean over orders of p_arrives of b - that of a",
+    "p_gain_low": "lower end of its interval over orders",
+    "p_gain_high": "upper end of it",
     "margin": "distance to the nearest threshold as a share of it",
 }
 _TEXTS: Final = {

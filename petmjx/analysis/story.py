@@ -308,7 +308,7 @@ def _story(worlds: SweepPlan, index: int, engine: Engine, record: Record) -> Sto
         why = world.outcome.message or f"engine {engine.name} records no histories"
         raise PetmjxError(f"plan {printable_name(plan.plan_id)}: there are no frames: {why}")
     sweep = worlds.sweep
-    values = SweepColumns(worlds).of(world) if sweep.axes else {}
+    values = SweepColumns(worlds).of(world) if sweep.axes or sweep.legs else {}
     return Story(
         plan=plan,
         scene=world.scene,

@@ -30,6 +30,7 @@ ASKED = "What is asked"
     "carrier",
     "tolerance_mm",
     "seed",
+    "p_arrives",
     more=((CriteriaOptions, ASKED),),
 )
 def criteria(

@@ -51,9 +51,23 @@ def loads(
         float,
         typer.Option("--wall-tolerance-mm", metavar="MM", help="Walls that are no further apart stand on each other."),
     ] = _LOSSES.wall_tolerance_mm,
+    humidity_percent: Annotated[
+        float,
+        typer.Option("--humidity", metavar="PERCENT", help="Relative humidity: above 50 % it takes strength."),
+    ] = _LOSSES.humidity_percent,
+    storage_days: Annotated[
+        float,
+        typer.Option("--storage-days", metavar="DAYS", help="Days under the load at rest, which take strength."),
+    ] = _LOSSES.storage_days,
+    loss_spread: Annotated[
+        float,
+        typer.Option(
+            "--loss-spread", metavar="SHARE", help="How far losses may be off: what is surely and possibly crushed."
+        ),
+    ] = _LOSSES.loss_spread,
     out: Annotated[
         Path | None,
-        typer.Option("--out", "-o", metavar="DIR", help="Folder for box_loads and plan_loads, as Parquet and CSV."),
+        typer.Option("--out", "-o", metavar="DIR", help="Folder for the tables of loads, as Parquet and CSV."),
     ] = None,
     overwrite: opt.Overwrite = False,
     as_json: opt.JsonOption = False,
@@ -78,11 +92,15 @@ def loads(
         "gap_loss": gap_loss,
         "soft_deck_loss": soft_deck_loss,
         "wall_tolerance_mm": wall_tolerance_mm,
+        "humidity_percent": humidity_percent,
+        "storage_days": storage_days,
+        "loss_spread": loss_spread,
     }
     comparison = compare(run, articles, plans or None, stacking=stacking)
     if out is not None:
         comparison.write(out, overwrite)
     if as_json:
-        print(json.dumps({"plans": to_json(comparison.plans), "notes": comparison.notes}, indent=2))
+        ways = {} if comparison.ways is None else {"ways": to_json(comparison.ways)}
+        print(json.dumps({"plans": to_json(comparison.plans), **ways, "notes": comparison.notes}, indent=2))
         return
     print_renderables(load_tables(comparison, None if out is None else printable(str(out))), results_console())

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
 from petmjx.cli import command_options as opt
+from petmjx.common.errors import InputError
 
 
 def report(
@@ -21,6 +23,15 @@ def report(
             help="File or folder with the runs' plans; can be given again. By default what the runs have kept.",
         ),
     ] = None,
+    pdf: Annotated[
+        Path | None,
+        typer.Option(
+            "--pdf",
+            metavar="FILE",
+            help="Of one run of a chain: instead of the page a PDF with one page to send about each plan.",
+            show_default=False,
+        ),
+    ] = None,
     overwrite: opt.Overwrite = False,
 ) -> None:
     """Write one offline page about runs: what came out, charts, all plans in a table and in 3D.
@@ -28,7 +39,26 @@ def report(
     Of several runs it says where their verdicts differ, and whose plans stand. The page is one file and asks nothing of
     any server, so it can be sent by mail.
     """
+    if pdf is not None:
+        _write_pdf(runs, pdf, plans or (), overwrite=overwrite)
+        return
     from petmjx.show.report.report_page import report as write_report
 
     path = write_report(list(runs), out, plans=plans or (), overwrite=overwrite)
     print(f"report in {path} ({path.stat().st_size / 1e6:,.1f} MB)")
+
+
+def _write_pdf(runs: Sequence[Path], pdf: Path, plans: Sequence[Path], *, overwrite: bool) -> None:
+    """Write the pages to send."""
+    from petmjx.cli.figure import figure_files
+    from petmjx.common.text import count_text
+    from petmjx.results.run_reader import load_run
+    from petmjx.show.figures.load_unit_page import write_load_unit_pages
+    from petmjx.show.report.report_plans import find_report_plans
+
+    if len(runs) != 1:
+        raise InputError(f"--pdf: is about one run, got {len(runs)}")
+    figure_files(pdf, None, None, overwrite, list(runs), list(plans))
+    run = load_run(runs[0])
+    count = write_load_unit_pages(run, find_report_plans(run, plans).plans, pdf)
+    print(f"{count_text(count, 'page')} in {pdf}")

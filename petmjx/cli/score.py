@@ -11,7 +11,7 @@ from petmjx.cli.name_arguments import named_paths
 from petmjx.cli.packers import score_named
 from petmjx.cli.run_command import run_and_show
 from petmjx.common.errors import InputError
-from petmjx.options.run_options import Confidence
+from petmjx.options.run_options import Confidence, Transport
 
 Names = Annotated[
     list[str] | None,
@@ -25,7 +25,7 @@ Names = Annotated[
 ]
 
 
-@opt.takes(more=((Confidence, opt.HOW_SURE),))
+@opt.takes(more=((Confidence, opt.HOW_SURE), (Transport, opt.HOW_SURE)))
 def score(plans: opt.PlanPaths = None, names: Names = None, as_json: opt.JsonOption = False, **options: Any) -> None:
     """Simulate packing plans and say which of them stand.
 
@@ -34,6 +34,9 @@ def score(plans: opt.PlanPaths = None, names: Names = None, as_json: opt.JsonOpt
 
     With --confidence N it says how sure the verdicts are: which share of N worlds with errors stands, with a 95 %
     interval, and which plans are a coin toss.
+
+    With --chain NAME it says how likely each plan arrives: in which share of worlds it stands after all legs of its
+    way, which leg is the weakest, and what would help.
     """
     from petmjx import api
 

@@ -27,7 +27,7 @@ from petmjx.engines.protocol import PHYSICS, Capability, Engine, Progress, says_
 from petmjx.engines.verdict import Outcome
 from petmjx.options.simulation import Simulation, Solver
 from petmjx.world.free_bodies import FreeBodies
-from petmjx.world.job import Job
+from petmjx.world.job import Job, KeptState
 from petmjx.world.scene import Scene
 
 LEAST_WORLDS: Final = 20
@@ -177,7 +177,9 @@ class _Shared(Generic[Faster]):
 
     def _is_for_mujoco(self, job: Job) -> bool:
         stays = self._engine._faster is None or self._engine._stays
-        return stays or job.scene.soft is not None or not self._first_attempt
+        # an engine that repeats the placement of another one cannot put boxes elsewhere afterwards
+        kept = job.poses is not None and isinstance(job.start, KeptState) and job.start.engine == self._engine.name
+        return stays or kept or job.scene.soft is not None or not self._first_attempt
 
     def on_mujoco(self) -> Iterator[Outcome]:
         """Run jobs on C MuJoCo. It is given only as many as it begins, so that the remaining ones can be taken back."""

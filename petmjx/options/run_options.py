@@ -1,4 +1,4 @@
-"""Options of a run (``RunOptions``) and of confidence (``Confidence``), and the sorting of options by record.
+"""Options of a run, of its confidence and of transport, and the sorting of options by record.
 
 Defaults, checks and descriptions are written only here.
 """
@@ -136,6 +136,17 @@ class Confidence(CheckedRecord):
         if self.exact_too and self.confidence is None:
             raise complaint("needs confidence, the number of worlds", "exact_too")
         return self
+
+
+class Transport(CheckedRecord):
+    """The way that a score takes each plan after it has been placed."""
+
+    chain: Annotated[File | None, CliFlag("--chain", "NAME|FILE")] = Field(
+        None,
+        description="take each plan through a chain, from the robot to the dock, in as many worlds with errors as the "
+        "chain says or confidence asks for, and report how likely it arrives: a ready-made one, such as "
+        "chain-film-truck, or a sweep file with legs",
+    )
 
 
 class RunOptions(CheckedRecord):

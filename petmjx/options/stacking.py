@@ -1,4 +1,5 @@
-"""Options of ``petmjx loads`` (``Stacking``): how much of their strength boxes lose by the way they are stacked.
+"""Options of ``petmjx loads`` (``Stacking``): how much of their strength boxes lose by the way they are stacked, in
+moist air, and with time.
 
 Defaults, units, checks and descriptions are written only here. docs/loads.md explains them to users, and has the
 sources of the numbers.
@@ -6,11 +7,23 @@ sources of the numbers.
 
 from __future__ import annotations
 
-from typing import Annotated
+from typing import Annotated, Final, Self
 
+import numpy as np
 from pydantic import Field
 
 from petmjx.common.checked_records import CheckedRecord, within
+
+HUMIDITY_LOSS: Final = ((50, 0.0), (60, 0.10), (70, 0.20), (80, 0.32), (90, 0.52), (100, 0.85))
+"""Relative humidity, %, → share of the strength of corrugated boxes that it takes. Source: Fibre Box Association, as a
+maker of boxes gives its table (http://www.richbox.com/about_boxes/target_compression.asp)."""
+
+TIME_LOSS: Final = ((10.0, 0.37), (30.0, 0.40), (90.0, 0.45), (180.0, 0.50))
+"""Days under a load → share of the strength that they take. Source: the same."""
+
+PRESS_DAYS: Final = 1.0 / 1440
+"""How long a box in a press bears its load, days: a minute, which takes nothing. From there to ten days the loss grows
+with the logarithm of time: an assumption, since what creeps does so."""
 
 
 class Stacking(CheckedRecord):
@@ -38,3 +51,29 @@ class Stacking(CheckedRecord):
     wall_tolerance_mm: Annotated[float, within(0, 1000)] = Field(
         10.0, description="walls stand on each other, and on edges of what is below, if no further apart, mm"
     )
+    humidity_percent: Annotated[float, within(0, 100)] = Field(
+        50.0, description="relative humidity of the air, %; above 50 it takes strength, at rest and at the peak"
+    )
+    storage_days: Annotated[float, within(0, 180)] = Field(
+        0.0, description="days under load at rest, which take strength; 0: as long as in a press"
+    )
+    loss_spread: Annotated[float, within(0, 1)] = Field(
+        0.2, description="how far each loss may be from its number, as a share of it: for surely and possibly"
+    )
+
+    def with_losses(self, factor: float) -> Self:
+        """The options with all losses by stacking times a factor, at most 1."""
+        names = ("interlocked_loss", "overhang_loss", "gap_loss", "soft_deck_loss")
+        return self.changed(**{name: min(factor * getattr(self, name), 1.0) for name in names})
+
+    @property
+    def humidity_loss(self) -> float:
+        """The share of the strength that moisture takes."""
+        percent, losses = np.array(HUMIDITY_LOSS).T
+        return float(np.interp(self.humidity_percent, percent, losses))
+
+    @property
+    def time_loss(self) -> float:
+        """The share of the strength that time under load takes."""
+        days, losses = np.array([(PRESS_DAYS, 0.0), *TIME_LOSS]).T
+        return float(np.interp(np.log(max(self.storage_days, PRESS_DAYS)), np.log(days), losses))

@@ -24,6 +24,7 @@ from petmjx.results.run_manifest import Manifest
 from petmjx.results.run_reader import RunResults, load_run, split_warnings
 from petmjx.results.run_writer import RunWriter
 from petmjx.results.schema import Param, summary_table
+from petmjx.runs.chain_summary import ChainColumns, is_chain, write_chain
 from petmjx.runs.confidence import write_confidence
 from petmjx.runs.sweep_summary import ShareColumns, summarise_shares
 
@@ -80,7 +81,9 @@ def merge_runs(shards: Iterable[str | Path], out: str | Path, *, overwrite: bool
         _note_input(writer, [run.info for run in runs])
         for note in _other_versions(runs):
             writer.warn(note)
-        if first["config"].get("confidence") is not None:
+        if is_chain(first):
+            write_chain(writer, ChainColumns(**first["config"]["chain"]))
+        elif first["config"].get("confidence") is not None:
             write_confidence(writer, first["config"]["sweep"]["axes"])
         elif merged_manifest.settings["command"] == "sweep":
             _write_summary(writer, runs)
@@ -138,7 +141,8 @@ def _check_worlds(runs: Sequence[RunResults], manifest: Manifest) -> None:
 
 def _is_search(info: Mapping[str, Any]) -> bool:
     """Whether a run is a search: its plans have different numbers of worlds, and its answers are not shares."""
-    return info["identity"]["command"] == "sweep" and info["config"].get("shares") is None
+    shares = info["config"].get("shares") is not None or is_chain(info)
+    return info["identity"]["command"] == "sweep" and not shares
 
 
 def _variants(runs: Sequence[RunResults]) -> range:

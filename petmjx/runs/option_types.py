@@ -242,6 +242,12 @@ class ConfidenceOptions(TypedDict, total=False):
     exact_too: bool
 
 
+class TransportOptions(TypedDict, total=False):
+    """Fields of ``petmjx.options.run_options.Transport``."""
+
+    chain: str | PathLike[str] | None
+
+
 class RunOptionsGiven(TypedDict, total=False):
     """Fields of ``petmjx.options.run_options.RunOptions``."""
 
@@ -275,7 +281,7 @@ class RunOptionsGiven(TypedDict, total=False):
     shard: str | None
 
 
-class ScoreOptions(SimulationOptions, ConfidenceOptions, RunOptionsGiven, total=False):
+class ScoreOptions(SimulationOptions, ConfidenceOptions, TransportOptions, RunOptionsGiven, total=False):
     """The options of ``petmjx.score``."""
 
 

@@ -18,9 +18,10 @@ from petmjx.results.plan_table import kept_plans
 from petmjx.results.run_folder import RUN_FILE
 from petmjx.results.run_manifest import Manifest, plan_digest
 from petmjx.results.run_reader import RunResults
+from petmjx.runs.chain_summary import is_chain
 from petmjx.runs.confidence import PLACING, confidence_sweep
 from petmjx.runs.sweep_design import sweep_identity
-from petmjx.runs.sweep_file import Sweep, find_sweep, load_sweep, nominal_sweep, sweep_of_tables
+from petmjx.runs.sweep_file import Sweep, chain_sweep, find_sweep, load_sweep, nominal_sweep, sweep_of_tables
 from petmjx.runs.sweep_worlds import SweepPlan
 
 
@@ -114,7 +115,9 @@ def sweep_of_run(run: RunResults) -> Sweep:
         raise InputError(f"{run.path}: the sweep file it was made of is not there") from None
     both = PLACING in config["sweep"].get("axes", {})  # not an axis of the sweep of errors itself
     sweep = (
-        confidence_sweep(worlds, sweep_file, changes, exact_too=both)
+        chain_sweep(sweep_file, worlds, changes)
+        if is_chain(run.info) and worlds
+        else confidence_sweep(worlds, sweep_file, changes, exact_too=both)
         if worlds
         else load_sweep(sweep_file, True, changes)
     )

@@ -38,6 +38,18 @@ MAX_WORLDS: Final = 1_000_000
 NOMINAL: Final = Variant(0, UNCHANGED)
 
 
+@dataclass(frozen=True)
+class LegEnd:
+    """The leg of a chain after which a world does not go on.
+
+    Attributes:
+        began_s: when the leg began, in the world's time, s; 0 for the placing.
+    """
+
+    leg: str
+    began_s: float
+
+
 @dataclass(frozen=True, eq=False)
 class FinishedWorld:
     """One world with its final outcome.
@@ -47,6 +59,7 @@ class FinishedWorld:
             beginning.
         driven: whether the drive was simulated. If the placement does not stand, the world has the outcome of the
             placement. Without early stop it is still shaken, but it is not stable.
+        ended_in: of a chain: where it ended. None: it arrived, or is no chain.
     """
 
     plan: Plan
@@ -56,6 +69,7 @@ class FinishedWorld:
     attempts: tuple[Attempt, ...]
     placement: Outcome | None = None
     driven: bool = False
+    ended_in: LegEnd | None = None
 
 
 @dataclass(eq=False, kw_only=True)

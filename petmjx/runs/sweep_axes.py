@@ -89,7 +89,8 @@ Names = OneOrMore[Annotated[str, Field(max_length=100)]]
 Ways = OneOrMore[Literal["exact", "drop", "hand", "tines"]]
 
 
-def _degrees(value: object) -> object:
+def degrees(value: object) -> object:
+    """The degrees of a direction such as "+x"; other values as they are."""
     if isinstance(value, str):
         if value not in DIRECTIONS_DEG:
             raise ValueError(f"must be degrees or one of {', '.join(DIRECTIONS_DEG)}, {shown_value(value)}")
@@ -99,7 +100,7 @@ def _degrees(value: object) -> object:
 
 Positive = Annotated[StrictFloat, Field(gt=0), within(0, MAX_STRENGTH)]
 Turn = Annotated[StrictFloat, within(0, MAX_STRENGTH)]
-Direction = Annotated[StrictFloat, within(-3600, 3600), BeforeValidator(_degrees)]
+Direction = Annotated[StrictFloat, within(-3600, 3600), BeforeValidator(degrees)]
 
 
 Number = TypeVar("Number", bound=float)
@@ -152,6 +153,10 @@ Turns = Annotated[Annotated[Range[Turn], Tag(TABLE)] | Annotated[OneOrMore[Turn]
 Directions = Annotated[
     Annotated[DirectionRange, Tag(TABLE)] | Annotated[OneOrMore[Direction], Tag(VALUE)], _value_or(TABLE)
 ]
+
+
+Strengths = Annotated[Annotated[Range[Positive], Tag(TABLE)] | Annotated[Positive, Tag(VALUE)], _value_or(TABLE)]
+"""A level or a scale, or a range from which it is drawn."""
 
 
 def _value_list(setting: Any) -> tuple[Any, ...]:

@@ -13,15 +13,19 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any, Final
 
+from petmjx.runs.chain_legs import AS_IS, Remedy, legs_with
 from petmjx.runs.sweep_axes import AXIS_KINDS, Axis, Value
 from petmjx.runs.sweep_file import Sweep
 from petmjx.world.profiles.profile import Profile
 from petmjx.world.random_streams import WorldKey
-from petmjx.world.variants import Distribution, DriveSpec, PlacementChange, PlacementKey, Variant
+from petmjx.world.variants import Distribution, DriveSpec, LegSpec, PlacementChange, PlacementKey, Variant
 
 MOST_KEPT: Final = 100_000
 """Up to this number, variants are made once for all plans; each takes 1 kB. Larger numbers are made again for every
 plan."""
+
+REMEDY: Final = "remedy"
+"""Column of the worlds of a chain."""
 
 Point = Mapping[str, Value]
 """A value on each axis, by the axis's name."""
@@ -54,6 +58,8 @@ class Design:
             columns[strength.column] = strength.unit
         if self._has_replicates:
             columns["replicate"] = ""
+        if self.sweep.legs:
+            columns[REMEDY] = ""
         return columns
 
     @property
@@ -69,6 +75,8 @@ class Design:
         nominal = int(sweep.nominal)
         if sweep.sample is not None:
             return sweep.sample + nominal
+        if sweep.legs:
+            return self._chain_replicates * len(self.ways) + nominal
         per_profile = _n_points(axis for axis in self._axes(placement=False) if axis.name != "profile")
         profiles: list[Profile | None] = [*sweep.profiles.values()] or [None]
         total = 0
@@ -96,13 +104,47 @@ class Design:
 
     def _placement_counts(self) -> tuple[tuple[int, int], ...]:
         """(points, replicates of each): points with a random error are repeated, the others are not."""
-        if not self.sweep.axes:
+        if not self.sweep.axes and not self.sweep.legs:
             return ()
         axes = self._axes(placement=True)
         calm = math.prod(
             sum(not (isinstance(value, Distribution) and value.random) for value in axis.values) for axis in axes
         )
         return (calm, 1), (_n_points(axes) - calm, self.sweep.replicates)
+
+    # Chains.
+
+    @cached_property
+    def ways(self) -> Mapping[str, tuple[LegSpec, ...]]:
+        """Name of each remedy of a chain → its legs. The chain as the file describes it is the first (``AS_IS``)."""
+        sweep = self.sweep
+        remedies: tuple[Remedy | None, ...] = (None, *sweep.remedies)
+        return {
+            AS_IS if remedy is None else remedy.name: legs_with(sweep.legs, remedy, sweep.own_profiles)
+            for remedy in remedies
+        }
+
+    @property
+    def _chain_replicates(self) -> int:
+        """Worlds of a chain without remedies: one, if nothing in it is random."""
+        random = [axis.random for axis in self.sweep.axes.values()]
+        random += [self._is_drawn(drive) for legs in self.ways.values() for leg in legs for drive in leg.drives]
+        return self.sweep.replicates if any(random) else 1
+
+    def _is_drawn(self, drive: DriveSpec) -> bool:
+        """Whether a drive differs from world to world."""
+        return drive.scale_to is not None or self.sweep.profiles[drive.profile].random
+
+    def _ways_from(self, placement: Variant, again: Sequence[int]) -> Iterator[Variant]:
+        """The worlds of a chain that share a placement: for each replicate of its legs, one for each remedy."""
+        ways = self.ways
+        for replicate in again:
+            for number, (remedy, legs) in enumerate(ways.items()):
+                parameters = {**placement.parameters, REMEDY: remedy}
+                if self._has_replicates:
+                    parameters["replicate"] = replicate
+                index = 1 + replicate * len(ways) + number
+                yield replace(placement, index=index, replicate=replicate, parameters=parameters, legs=legs)
 
     def _axes(self, placement: bool) -> list[Axis]:
         """In the order of nesting, not in the order of the file."""
@@ -124,7 +166,7 @@ class Design:
         if sweep.nominal:
             nominal = Variant(0, self._change({}))
             yield nominal, (nominal,)
-        if not sweep.axes:
+        if not sweep.axes and not sweep.legs:
             return
         if sweep.sample is not None:
             grouped: dict[PlacementKey, list[Variant]] = {}
@@ -140,6 +182,10 @@ class Design:
                 placement = self._variant(0, point, replicate, change)
                 if sweep.search is not None:
                     yield placement, ()
+                    continue
+                if sweep.legs:
+                    again = (replicate,) if change.random else range(self._chain_replicates)
+                    yield placement, tuple(self._ways_from(placement, again))
                     continue
                 variants = tuple(
                     self._variant(next(index), {**point, **drive_point}, again, change)
@@ -161,7 +207,7 @@ class Design:
             variant
             for _, variants in self.placements()
             for variant in variants
-            if variant.placement.random or (variant.drive and sweep.profiles[variant.drive.profile].random)
+            if variant.placement.random or any(map(self._is_drawn, _drives(variant)))
         )
         return {variant.index: variant.replicate for variant in drawn}
 
@@ -210,6 +256,14 @@ class Design:
         return PlacementChange(shifts_from_release=self.sweep.shifts_from == "release", **changes)
 
 
+def _drives(variant: Variant) -> Iterator[DriveSpec]:
+    """The drives of a variant, also those of its legs."""
+    if variant.drive is not None:
+        yield variant.drive
+    for leg in variant.legs:
+        yield from leg.drives
+
+
 def _points(axes: Sequence[Axis]) -> Iterator[dict[str, Value]]:
     """The full grid; the last axis varies fastest. One empty point if there is no axis."""
     names = [axis.name for axis in axes]
@@ -230,6 +284,8 @@ def sweep_identity(sweep: Sweep) -> dict[str, Any]:
     settings = sweep.model_dump(mode="json", exclude=_BESIDE)
     if sweep.search is not None:
         settings["search"]["levels"] = len(sweep.search_levels)
+    if not sweep.legs:  # so that runs of earlier versions can be resumed
+        del settings["legs"], settings["remedies"]
     settings["axes"] = {name: _values(axis) for name, axis in sweep.axes.items()}
     settings["profiles"] = {name: _digest(sweep, name) for name in sweep.profiles}
     return settings

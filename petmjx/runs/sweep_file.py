@@ -31,8 +31,9 @@ from pydantic import (
 from petmjx.common.checked_records import LIST, VALUE, CheckedRecord, complaint, read_toml, shape
 from petmjx.common.errors import InputError
 from petmjx.common.text import printable
-from petmjx.common.units import FloatArray
+from petmjx.common.units import FloatArray, seconds_to_steps
 from petmjx.options.simulation import Simulation
+from petmjx.runs.chain_legs import MOST_LEGS, Leg, Remedy, check_chain, profiles_of_legs
 from petmjx.runs.sweep_axes import AXIS_KINDS, MAX_STRENGTH, Axis, read_axes
 from petmjx.world.profiles.profile import Profile, Strength
 from petmjx.world.profiles.profile_registry import resolve
@@ -164,6 +165,10 @@ class Sweep(CheckedRecord):
     axes: Annotated[dict[str, Axis], PlainValidator(_named_axes)] = Field(
         {}, description="what is varied: axes by name, in the order of the file"
     )
+    legs: tuple[Leg, ...] = Field((), max_length=MOST_LEGS, description="a chain: what shakes the pallet on its way")
+    remedies: tuple[Remedy, ...] = Field(
+        (), max_length=MOST_LEGS, description="changes of the chain to compare it with"
+    )
 
     _file: Path | None = None
     _tables: Mapping[str, Any] | None = None
@@ -179,7 +184,9 @@ class Sweep(CheckedRecord):
 
     @cached_property
     def profiles(self) -> dict[str, Profile]:
-        """The profiles that the sweep uses, by name."""
+        """The profiles that the sweep uses, by name: those of its axis, or of the legs of its chain."""
+        if self.legs:
+            return profiles_of_legs(self.legs, self.own_profiles)
         names = [str(value) for value in self.axes["profile"].values] if "profile" in self.axes else []
         return {name: resolve(name, self.own_profiles)[0] for name in names}
 
@@ -258,7 +265,30 @@ class Sweep(CheckedRecord):
         return self
 
     @model_validator(mode="after")
+    def _chain_fits(self) -> Self:
+        check_chain(self.legs, self.remedies, self.own_profiles)
+        if not self.legs:
+            return self
+        if self.search is not None:
+            raise ValueError("[search] contradicts legs: a chain is the same way for every pallet")
+        if self.sample is not None:
+            raise complaint(
+                'contradicts legs: set replicates, the number of worlds, instead of mode = "sample"', "sample"
+            )
+        for name, axis in self.axes.items():
+            if not axis.kind.placement:
+                raise _contradiction(name, "legs: the events of a leg say what shakes the pallet")
+            if len(axis.values) > 1:
+                raise complaint(f"must be one value in a chain, got {len(axis.values)}", "axes", name)
+        turns = next((place for place, leg in enumerate(self.legs) if leg.wrap_turns is not None), None)
+        if turns is not None and "wrap_turns" in self.axes:
+            raise _contradiction("wrap_turns", f"legs[{turns}].wrap_turns: drop one of them")
+        return self
+
+    @model_validator(mode="after")
     def _strengths_fit_profiles(self) -> Self:
+        if self.legs:
+            return self
         axes = self.axes
         for name in ("scale", "level", "direction"):
             if name in axes and not self.profiles:
@@ -284,7 +314,16 @@ class Sweep(CheckedRecord):
             n_steps = profile.n_steps(timestep_s)
             if n_steps > MAX_PROFILE_STEPS:
                 text = f"{n_steps:,} steps of {timestep_s:g} s, more than {MAX_PROFILE_STEPS:,}"
-                raise complaint(f": profile {name!r} takes {text}", "axes", "profile")
+                field = ("legs",) if self.legs else ("axes", "profile")
+                raise complaint(f": profile {name!r} takes {text}", *field)
+        for number, leg in enumerate(self.legs):
+            profiles = [profile for event in leg.events for profile in resolve(event.profile, self.own_profiles)]
+            n_steps = sum(
+                profile.n_steps(timestep_s) + seconds_to_steps(leg.pause_s, timestep_s) for profile in profiles
+            )
+            if n_steps > MAX_PROFILE_STEPS:
+                text = f"take {n_steps:,} steps of {timestep_s:g} s, more than {MAX_PROFILE_STEPS:,}"
+                raise complaint(text, "legs", number, "events")
         return self
 
     @model_validator(mode="after")
@@ -297,10 +336,11 @@ class Sweep(CheckedRecord):
 
     @model_validator(mode="after")
     def _something_varies(self) -> Self:
-        if not self.axes and not self.nominal:
+        if not self.axes and not self.nominal and not self.legs:
             text = "is empty: nothing is varied (nominal = true simulates the unchanged plans)"
             raise complaint(text, "axes")
         varies = [axis.random for axis in self.axes.values()] + [profile.random for profile in self.profiles.values()]
+        varies += [event.drawn for leg in self.legs for event in leg.events]
         if self.replicates > 1 and not any(varies):
             raise ValueError(f"replicates = {self.replicates} needs something random: no axis and no profile is")
         return self
@@ -376,3 +416,20 @@ def _existing_files(plans: str | tuple[Path, ...] | None, folder: Path) -> str |
 def nominal_sweep(sim: Simulation) -> Sweep:
     """The sweep with one variant, the unchanged plan: a score."""
     return Sweep(name="nominal", nominal=True, simulation=sim)
+
+
+def chain_sweep(file: str | Path, n_worlds: int | None, simulation: Mapping[str, Any]) -> Sweep:
+    """The sweep of a score with a chain: its worlds, and the nominal one, which is placed alone.
+
+    Args:
+        file: a sweep file with legs, or the name of a ready-made one.
+        n_worlds: worlds with errors for each plan; None: as many as the file says.
+        simulation: fields of ``Simulation`` that replace those of the file.
+
+    Raises:
+        InputError: an unusable file, or one without legs.
+    """
+    sweep = load_sweep(find_sweep(file), plans_given=True, simulation=simulation)
+    if not sweep.legs:
+        raise InputError(f"{sweep.file}: has no [[legs]], which a chain needs; for other sweeps use petmjx sweep")
+    return sweep.model_copy(update={"nominal": True, "replicates": n_worlds or sweep.replicates})

@@ -13,6 +13,8 @@ from functools import cached_property
 from itertools import chain, islice
 from typing import Any
 
+import numpy as np
+
 from petmjx.engines.attempt_stream import FIRST_WORLDS, MOST_PENDING, check_pool_for, score_worlds
 from petmjx.engines.attempts import ATTEMPTS
 from petmjx.engines.protocol import Engine, Progress
@@ -23,14 +25,15 @@ from petmjx.options.simulation import Simulation, Thresholds
 from petmjx.plans.plan import Plan
 from petmjx.results.history_tables import NO_RECORDING, Recording
 from petmjx.results.resume import CompletedWorlds
+from petmjx.runs.chain_legs import PLACING, after
 from petmjx.runs.level_search import Bisection, Probe, SearchBracket
-from petmjx.runs.study import FinishedWorld
+from petmjx.runs.study import FinishedWorld, LegEnd
 from petmjx.runs.sweep_design import SearchItem
 from petmjx.runs.sweep_worlds import PlacementGroup, SweepPlan
 from petmjx.runs.transport_limits import load_height_m
 from petmjx.world.job import Job
 from petmjx.world.scene import Scene
-from petmjx.world.variants import Variant
+from petmjx.world.variants import LegSpec, Variant
 
 
 @dataclass(frozen=True)
@@ -72,6 +75,7 @@ class SettledPlacement:
     scene: Scene
     outcome: Outcome
     attempts: tuple[Attempt, ...]
+    _filmed: dict[float, Scene] = field(default_factory=dict, init=False)
 
     @cached_property
     def load_height_m(self) -> float:
@@ -99,7 +103,16 @@ class SettledPlacement:
     def undriven(self, variant: Variant) -> FinishedWorld:
         """A world with the outcome of the placement. No step was simulated for it."""
         outcome = replace(self.outcome, flags=self.outcome.flags | Flag.FORKED, n_steps=0, state=None)
-        return FinishedWorld(self.group.plan, variant, self.scene, outcome, self.attempts, self.outcome)
+        end = LegEnd(PLACING, 0.0) if variant.legs else None
+        return FinishedWorld(self.group.plan, variant, self.scene, outcome, self.attempts, self.outcome, ended_in=end)
+
+    def with_film(self, turns: float | None) -> Scene:
+        """The scene with so many turns of film around the pallet; None: as it was placed."""
+        if turns is None:
+            return self.scene
+        if turns not in self._filmed:
+            self._filmed[turns] = replace(self.scene, wrap=self.scene.wrap.changed(turns=turns))
+        return self._filmed[turns]
 
 
 @dataclass(frozen=True, eq=False)
@@ -142,6 +155,26 @@ class _DriveWorld(World):
     settled: SettledPlacement
     change: Variant
     test: Test = (-1, -1)
+
+
+@dataclass(frozen=True, eq=False)
+class _LegWorld(World):
+    """A leg of a chain as a world that the engine simulates.
+
+    Attributes:
+        changes: the worlds whose chains are the same up to this leg.
+        number: of the leg in their chains.
+        before: the outcome after the legs before; None: this is the first one.
+    """
+
+    settled: SettledPlacement
+    changes: tuple[Variant, ...]
+    number: int
+    before: Outcome | None
+
+    @property
+    def leg(self) -> LegSpec:
+        return self.changes[0].legs[self.number]
 
 
 @dataclass(eq=False)
@@ -192,7 +225,9 @@ class SweepRun:
         if not profiles:
             return
         for chunk in self._chunks():
-            if self.plan.sweep.search is None:
+            if self.plan.sweep.legs:
+                yield from self._chain(chunk)
+            elif self.plan.sweep.search is None:
                 yield from self._fork(chunk)
             else:
                 yield from self._search(self._settle([group for group in chunk if not self._answer_again(group)]))
@@ -212,6 +247,9 @@ class SweepRun:
         (start,) = self._settle([group])
         if not self._can_be_driven(start):
             return start.undriven(variant)
+        if variant.legs:
+            (world,) = self._through_legs(self._legs_of(start, [variant], 0, None))
+            return world
         ((_, world),) = self._drive([self._driving(start, variant)])
         return world
 
@@ -366,6 +404,70 @@ class SweepRun:
             )
             yield world.test, swept
         self.tally.drive_s += time.perf_counter() - begin
+
+    # Chains.
+
+    def _chain(self, groups: Sequence[PlacementGroup]) -> Iterator[FinishedWorld]:
+        """Take placements through the legs of their chains, each leg from the end of the one before."""
+        first: list[_LegWorld] = []
+        for start in self._settling(groups):
+            missing = self._missing(start.group)
+            if self._can_be_driven(start):
+                first += self._legs_of(start, missing, 0, None)
+            else:
+                yield from map(start.undriven, missing)
+        yield from self._through_legs(first)
+
+    def _legs_of(
+        self, start: SettledPlacement, changes: Iterable[Variant], number: int, before: Outcome | None
+    ) -> Iterator[_LegWorld]:
+        """The legs with this number of some worlds, after the same outcome. Worlds with the same leg share it."""
+        plan, record = start.group.plan, self.recording.of(start.group.plan)
+        alike: dict[tuple[LegSpec, int], list[Variant]] = {}
+        for change in changes:
+            alike.setdefault((change.legs[number], change.replicate), []).append(change)
+        for (leg, _), same in alike.items():
+            drive = self.plan.leg_drive(plan, same[0], leg, start.load_height_m)
+            poses = None if before is None else np.concatenate([before.boxes.pos, before.boxes.quat], axis=1)
+            scene = start.with_film(leg.wrap_turns)
+            job = Job(scene, drive=drive, start=start.outcome.state, poses=poses, record=record)
+            yield _LegWorld(plan, same[0].index, job, start, tuple(same), number, before)
+
+    def _through_legs(self, first: Iterable[_LegWorld]) -> Iterator[FinishedWorld]:
+        """Simulate legs, and those that follow them; yield each world at the end of its way."""
+        begin = time.perf_counter()
+        next_ones: list[_LegWorld] = []
+
+        def following() -> list[_LegWorld]:
+            legs = next_ones.copy()
+            next_ones.clear()
+            return legs
+
+        most = self.batching.drives
+        for result in self._score(first, most, forks=True, begin_with=most, following=following):
+            self.tally.drives += 1
+            self.tally.drive_steps += result.outcome.n_steps
+            world, start = result.world, result.world.settled
+            if world.before is None:
+                outcome = start.shaken(result.outcome, self.sim.thresholds)
+            else:
+                outcome = after(world.before, result.outcome, self.sim.physics.timestep_s)
+            on = outcome.verdict is Verdict.STABLE
+            more = [change for change in world.changes if on and len(change.legs) > world.number + 1]
+            next_ones += self._legs_of(start, more, world.number + 1, outcome)
+            end = None if on else self._end(world, outcome, result.outcome.n_steps)
+            for change in world.changes:
+                if change not in more:
+                    yield FinishedWorld(
+                        world.plan, change, world.job.scene, outcome, result.attempts, start.outcome, True, end
+                    )
+        self.tally.drive_s += time.perf_counter() - begin
+
+    def _end(self, world: _LegWorld, outcome: Outcome, n_steps: int) -> LegEnd:
+        """Where a world ended that does not stand. ``n_steps``: those of its last leg."""
+        if world.settled.outcome.verdict is not Verdict.STABLE:
+            return LegEnd(PLACING, 0.0)
+        return LegEnd(world.leg.name, outcome.sim_time_s - n_steps * self.sim.physics.timestep_s)
 
     # Search.
 

@@ -13,6 +13,7 @@ from petmjx.results.history_tables import Recording
 from petmjx.results.resume import CompletedWorlds
 from petmjx.results.run_writer import RunWriter
 from petmjx.results.schema import summary_table
+from petmjx.runs.chain_summary import ChainColumns, write_chain
 from petmjx.runs.confidence import write_confidence
 from petmjx.runs.study import FinishedWorld, Study
 from petmjx.runs.sweep_design import sweep_identity
@@ -54,7 +55,9 @@ class SweepStudy(Study):
         plan.plans = [input_plan for input_plan in everything if options.takes(input_plan.plan_id)]
         self._plan, self._columns = plan, SweepColumns(plan)
         self._confidence, self._batching = confidence, batching or Batching()
-        self._shares = ShareColumns.of(plan) if confidence is None and sweep.search is None else None
+        shares = confidence is None and sweep.search is None and not sweep.legs
+        self._shares = ShareColumns.of(plan) if shares else None
+        self._chain = ChainColumns.of(plan) if sweep.legs else None
         self._answers: list[dict[str, Any]] = []
         self._tally = Tally()
         super().__init__(
@@ -80,6 +83,7 @@ class SweepStudy(Study):
                 **({"confidence": confidence} if confidence is not None else {}),
                 "sweep": sweep.resolved(),
                 **({"shares": asdict(self._shares)} if self._shares else {}),
+                **({"chain": asdict(self._chain)} if self._chain else {}),
             },
         )
 
@@ -108,6 +112,9 @@ class SweepStudy(Study):
         return vars(self._tally)
 
     def summarise(self, writer: RunWriter) -> None:
+        if self._chain is not None:
+            write_chain(writer, self._chain)
+            return
         if self._confidence is not None:
             write_confidence(writer, self._plan.sweep.axes)
             return

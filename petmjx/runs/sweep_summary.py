@@ -16,9 +16,11 @@ from petmjx.results.plan_order import rows_in_order
 from petmjx.results.run_tables import Parts
 from petmjx.results.schema import Param, data_frame
 from petmjx.results.share_intervals import KEYS, by_plan_and_axis, share_standing
+from petmjx.runs.chain_legs import PLACING
 from petmjx.runs.level_search import failure_mode
 from petmjx.runs.study import FinishedWorld
 from petmjx.runs.sweep_axes import AXIS_KINDS, Axis
+from petmjx.runs.sweep_design import REMEDY
 from petmjx.runs.sweep_run import Answer
 from petmjx.runs.sweep_worlds import SweepPlan
 from petmjx.runs.transport_limits import EUMOS_COLUMNS, EUMOS_PROFILE, eumos_assessment
@@ -29,6 +31,7 @@ RANGE_BINS = 8
 
 MODE = Param("mode", TEXT, "how the first box failed: slide, tilt or drop; empty where stable", str)
 SIGN = Param("sign_in_profile_s", "s", "when the culprit crossed a threshold, from the profile's beginning")
+LEG = Param("leg", TEXT, "leg of the chain in which the world failed first; empty: it arrived", str)
 FAIL_ANGLE = Param("fail_angle_deg", "deg", "angle of the carrier at that moment; null for profiles that do not tilt")
 
 
@@ -45,13 +48,15 @@ class SweepColumns:
         ]
         self.strength = AXIS_KINDS[sweep.strength].column
         self.has_drives = bool(sweep.profiles)
-        self.has_tilt = any(isinstance(profile, Tilt) for profile in sweep.profiles.values())
-        self.has_eumos = EUMOS_PROFILE in sweep.profiles
+        self.has_tilt = not sweep.legs and any(isinstance(profile, Tilt) for profile in sweep.profiles.values())
+        self.has_eumos = EUMOS_PROFILE in sweep.profiles and not sweep.legs
+        self.has_legs = bool(sweep.legs)
 
     @property
     def params(self) -> list[Param]:
         """All additional columns, in order."""
         columns = [*self.parameters, MODE]
+        columns += [LEG] if self.has_legs else []
         columns += [SIGN] if self.has_drives else []
         columns += [FAIL_ANGLE] if self.has_tilt else []
         columns += EUMOS_COLUMNS if self.has_eumos else ()
@@ -67,6 +72,8 @@ class SweepColumns:
     def during_drive(self, world: FinishedWorld) -> dict[str, Any]:
         """The values that come from the drive."""
         values: dict[str, Any] = {}
+        if world.variant.legs:
+            return self._of_leg(world)
         drive = world.variant.drive
         if drive is None:
             return values
@@ -79,6 +86,14 @@ class SweepColumns:
         if drive.profile == EUMOS_PROFILE and world.placement is not None:
             values |= self._eumos(world, world.placement)
         return values
+
+    def _of_leg(self, world: FinishedWorld) -> dict[str, Any]:
+        """The leg in which a world of a chain ended, and when a box crossed a threshold in it."""
+        end = world.ended_in
+        if end is None or end.leg == PLACING:
+            return {LEG.name: end.leg if end is not None else ""}
+        since_s = world.outcome.first_sign_s - end.began_s
+        return {LEG.name: end.leg, SIGN.name: since_s if since_s > 0.5 * self._sim.physics.timestep_s else None}
 
     def _eumos(self, world: FinishedWorld, placement: Outcome) -> dict[str, Any]:
         """EUMOS's figures, measured from where the boxes stood. A placement that did not stand has none, or has not
@@ -104,6 +119,8 @@ class SweepColumns:
 def _type_of(column: str, axes: Mapping[str, Axis]) -> type[float] | type[int] | type[str]:
     if column == "replicate":
         return int
+    if column == REMEDY:
+        return str
     cells = [axis.cell(value) for axis in axes.values() if axis.kind.column == column for value in axis.values]
     return str if any(isinstance(cell, str) for cell in cells) else float
 

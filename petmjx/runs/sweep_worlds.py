@@ -17,16 +17,17 @@ from petmjx.options.simulation import Check, Schedule
 from petmjx.plans.loose_boxes import placed_shares
 from petmjx.plans.plan import Plan
 from petmjx.plans.plan_set import Skipped
+from petmjx.runs.chain_legs import in_a_row
 from petmjx.runs.study import MAX_WORLDS
 from petmjx.runs.sweep_axes import AXIS_KINDS
 from petmjx.runs.sweep_design import Design
 from petmjx.runs.transport_limits import EUMOS_ELASTIC_SHARE, EUMOS_PROFILE
 from petmjx.world.history import Record
-from petmjx.world.job import Drive, Job
+from petmjx.world.job import Drive, Excitation, Job
 from petmjx.world.profiles.profile import Profile, Strength, allowed_sway_m
 from petmjx.world.random_streams import WorldKey
 from petmjx.world.scene import Scene, build_scene
-from petmjx.world.variants import DriveSpec, Variant, apply_all
+from petmjx.world.variants import DriveSpec, LegSpec, Variant, apply_all
 
 _TILTED: Final = 0.5
 """Expected share of the steps of a tilt that are simulated, since pallets slide or topple before its end."""
@@ -60,7 +61,7 @@ class PlacementGroup:
     @property
     def driven(self) -> bool:
         """Whether its worlds have drives: all of them or none. True for a search."""
-        return all(variant.drive is not None for variant in self.variants)
+        return all(variant.drive is not None or variant.legs for variant in self.variants)
 
 
 @dataclass(eq=False)
@@ -77,7 +78,8 @@ class SweepPlan(Design):
 
     Raises:
         InputError: no usable plan, more than a million worlds without ``allow_large``, an axis ``placing`` although
-            boxes may not be carried, or a profile whose frequencies are too high for the timestep.
+            boxes may not be carried, legs with soft boxes or ``total_time_factor``, or a profile whose frequencies are
+            too high for the timestep.
     """
 
     plans: Sequence[Plan]
@@ -85,6 +87,7 @@ class SweepPlan(Design):
     strict: bool = False
     skipped: list[Skipped] = field(init=False, default_factory=list)
     _drives: dict[tuple[object, ...], Drive] = field(init=False, default_factory=dict, repr=False)
+    _rows: dict[tuple[LegSpec, str, int], Excitation] = field(init=False, default_factory=dict, repr=False)
 
     def __post_init__(self) -> None:
         file = self.sweep.file
@@ -100,6 +103,12 @@ class SweepPlan(Design):
         if "placing" in self.sweep.axes and not self.sweep.simulation.may_carry:
             needs = "simulation.placing auto, hand or tines, check one-by-one and schedule adaptive"
             raise InputError(f"{file}: axes.placing needs {needs}")
+        if self.sweep.legs:
+            sim = self.sweep.simulation
+            if sim.total_time_factor is not None:
+                raise InputError(f"{file}: legs contradict total_time_factor, which ends a world before they do")
+            if sim.has_soft:
+                raise InputError(f"{file}: legs contradict soft boxes: no leg can begin where another one left them")
         # made once before the run, because this raises if a profile's frequencies are too high for the timestep
         for profile in self.sweep.profiles.values():
             try:
@@ -212,6 +221,33 @@ class SweepPlan(Design):
         allowed_m = EUMOS_ELASTIC_SHARE * load_height_m if tested else allowed_sway_m(profile)
         return Drive(unit.excitation, spec.scale, yaw_rad, unit.rest_s, allowed_m)
 
+    def leg_drive(self, plan: Plan, variant: Variant, leg: LegSpec, load_height_m: float = 0.0) -> Drive:
+        """All drives of a leg of one world, as one drive. Worlds with the same samples share the array."""
+        made = (
+            self.drive(plan, replace(variant, drive=self._with_strength(plan, variant, leg, place)), load_height_m)
+            for place in range(len(leg.drives))
+        )
+        first, *more = drives = [drive for drive in made if drive is not None]
+        if not more:
+            return first
+        random = any(map(self._is_drawn, leg.drives))
+        key = (leg, plan.plan_id, variant.replicate) if random else (leg, "", 0)
+        if key not in self._rows:
+            if random:
+                self._rows = {k: row for k, row in self._rows.items() if k[1] in ("", plan.plan_id)}
+            timestep_s = self.sweep.simulation.physics.timestep_s
+            self._rows[key] = in_a_row(leg.name, drives, leg.pause_s, timestep_s)
+        allowed_m = max(drive.allowed_sway_m for drive in drives)
+        return Drive(self._rows[key], rest_s=first.rest_s, allowed_sway_m=allowed_m)
+
+    def _with_strength(self, plan: Plan, variant: Variant, leg: LegSpec, place: int) -> DriveSpec:
+        """A drive of a leg with the strength that it has in one world. Remedies share the random number."""
+        spec = leg.drives[place]
+        if spec.scale_to is None:
+            return spec
+        rng = WorldKey(self.sweep.seed, plan.plan_id, variant.replicate).rng(f"strength:{leg.name}:{place}")
+        return replace(spec, scale=spec.scale + rng.random() * (spec.scale_to - spec.scale), scale_to=None)
+
     def _unit_drive(self, profile: Profile, plan: Plan, start_s: float, world: WorldKey) -> Drive:
         """A profile at scale 1, not turned.
 
@@ -253,22 +289,32 @@ class SweepPlan(Design):
             for profile in profiles
         ]
         nominal = int(self.sweep.nominal)
+        if self.sweep.legs:
+            drives = [self._leg_steps(leg) for legs in self.ways.values() for leg in legs]
+        n_legs = len(drives) / len(self.ways) if self.sweep.legs else 1
         return Work(
             sim=sim,
             boxes=[plan.n_boxes for plan in self.plans],
             placements=self._all_placements,
             displaced=self._displaced,
             carried=self._carried,
-            drives=self.n_variants - nominal if profiles else 0,
+            drives=round((self.n_variants - nominal) * n_legs) if profiles else 0,
             drive_steps=sum(drives) / len(drives) if drives else 0.0,
-            filmed=sim.wrap.holds or "wrap_turns" in self.sweep.axes,
+            filmed=sim.wrap.holds or "wrap_turns" in self.sweep.axes or any(leg.wrap_turns for leg in self.sweep.legs),
             placed_share=placed_shares(self.plans),
         )
+
+    def _leg_steps(self, leg: LegSpec) -> float:
+        """Expected steps of a leg, if the pallet stands until its end."""
+        sim = self.sweep.simulation
+        pauses = (len(leg.drives) - 1) * seconds_to_steps(leg.pause_s, sim.physics.timestep_s)
+        steps = sum(self.sweep.profiles[drive.profile].n_steps(sim.physics.timestep_s) for drive in leg.drives)
+        return steps + pauses + rest_steps(sim, sim.rest_s)
 
     @property
     def amount(self) -> str:
         """What is simulated, in words."""
-        if not self.sweep.axes:
+        if not self.sweep.axes and not self.sweep.legs:
             return count_text(len(self.plans), "plan")
         most = "at most " if self.sweep.search is not None else ""
         placements = count_text(len(self.plans) * self._all_placements, "placement")

@@ -16,6 +16,7 @@ from petmjx.common.units import STANDARD_GRAVITY, FloatArray
 from petmjx.engines.metrics import DIMENSIONLESS, TEXT, BoxMetrics
 from petmjx.options.simulation import Simulation
 from petmjx.results.schema import Param
+from petmjx.runs.chain_legs import legs_with
 from petmjx.runs.sweep_file import Sweep
 from petmjx.world.carrier_boards import carrier_friction
 from petmjx.world.contact_laws import friction_share, kinetic_share
@@ -167,11 +168,15 @@ def hopeless_profiles(sweep: Sweep) -> list[str]:
     varies = any(len(factors) > 1 for factors in (both, box, carrier, errors)) or any(error.random for error in errors)
     up_to = "up to " if varies else ""
     lines = []
-    for name, profile in sweep.profiles.items():
+    shaken = [(name, profile, values(profile.strength)) for name, profile in sweep.profiles.items()]
+    if sweep.legs:
+        legs = legs_with(sweep.legs, None, sweep.own_profiles)
+        bare = ((leg.name, drive) for leg in legs for drive in leg.drives if not leg.wrap_turns)
+        shaken = [(f"leg {leg}: {drive.profile}", sweep.profiles[drive.profile], [drive.scale]) for leg, drive in bare]
+    for name, profile, strengths in shaken:
         if profile.kind != ACCELERATION or profile.random:
             continue
         unit = profile.excitation(sim.physics.timestep_s).samples
-        strengths = values(profile.strength)
         first = _first_hopeless(unit, strengths, friction, sim)
         if first == len(strengths):
             continue

@@ -9,6 +9,7 @@ import pandas as pd
 from rich.console import RenderableType
 
 from petmjx.analysis.box_strength import Loads
+from petmjx.analysis.crushing import NOT, POSSIBLY, SURELY
 from petmjx.common.text import box_label, count_text
 from petmjx.show.sweep_tables import FEW_ROWS
 from petmjx.show.table_layout import FittedTable, TableColumn, line, number, percent
@@ -34,8 +35,34 @@ def load_tables(loads: Loads, out: str | None = None) -> Iterator[RenderableType
     if "surely_overloaded" in loads.plans:
         surely, possibly = (int(loads.plans[name].sum()) for name in ("surely_overloaded", "possibly_overloaded"))
         yield line(f"{surely:,} surely, {possibly:,} possibly: by the least and the most force that statics allows")
+    counts = {name: int((loads.plans["crushed"] == name).sum()) for name in (SURELY, POSSIBLY, NOT)}
+    unsure = len(loads.plans) - sum(counts.values())
+    named = ", ".join(f"{count:,} {name}" for name, count in counts.items())
+    yield line(f"crushed: {named}, {unsure:,} not known")
+    if loads.ways is not None:
+        yield ""
+        yield _ways_table(loads.ways)
     if out is not None:
         yield line(f"loads in {out}")
+
+
+def _ways_table(ways: pd.DataFrame) -> FittedTable:
+    """How likely pallets arrive at the end of a chain, and with whole boxes."""
+    remedies = ways["remedy"].nunique() > 1
+    table = FittedTable(
+        TableColumn("plan", "left", least=12, middle=True),
+        *([TableColumn("remedy", "left", least=8)] if remedies else []),
+        TableColumn("worlds"),
+        TableColumn("arrive"),
+        TableColumn("possibly\nwhole"),
+        TableColumn("surely\nwhole"),
+        title="worlds that arrive, and in which no box is surely, or even possibly, overloaded",
+        caption=f"{len(ways) - FEW_ROWS:,} more in way_loads" if len(ways) > FEW_ROWS else "",
+    )
+    for row in ways.head(FEW_ROWS).to_dict("records"):
+        shares = (percent(row[name]) for name in ("share", "share_possibly_whole", "share_whole"))
+        table.add(row["plan_id"], *([row["remedy"]] if remedies else []), f"{row['n_worlds']:,}", *shares)
+    return table
 
 
 def _table(loads: Loads) -> FittedTable:

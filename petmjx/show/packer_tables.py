@@ -11,7 +11,7 @@ from rich.padding import Padding
 
 from petmjx.analysis.packer_comparison import ALL_SIZES, LEAST_P, PackerComparison
 from petmjx.analysis.packer_kpis import KPIS
-from petmjx.analysis.packer_runs import MISSING
+from petmjx.analysis.packer_runs import ARRIVES, MISSING
 from petmjx.common.text import count_text, printable_name
 from petmjx.show.table_layout import FittedTable, TableColumn, line, number, percent
 
@@ -32,6 +32,9 @@ def packer_tables(comparison: PackerComparison, max_rows: int = 40) -> Iterator[
         yield _kpis_table(comparison)
     yield ""
     yield _pairs_table(comparison)
+    if ARRIVES in comparison.packers:
+        yield ""
+        yield from _arrival_tables(comparison)
     yield ""
     # the padding wraps between words; the terminal would break words
     yield from (Padding(line(sentence), 0, expand=False) for sentence in comparison.sentences)
@@ -124,6 +127,29 @@ def _pairs_table(comparison: PackerComparison) -> FittedTable:
         difference = number(row["difference"], "+.2f", factor=100.0)
         table.add(row["a"], row["b"], *counts, difference, _interval(row, "+.2f"), _p(row["p_holm"]))
     return table
+
+
+def _arrival_tables(comparison: PackerComparison) -> Iterator[RenderableType]:
+    """How likely plans arrive, if they were taken through a chain: by packer, and differences of each two."""
+    table = FittedTable(
+        TableColumn("packer", "left", least=8, middle=True),
+        TableColumn("P"),
+        TableColumn(_interval_header(comparison)),
+        title="share of worlds that arrive, mean over orders",
+    )
+    for row in comparison.packers[comparison.packers["size"] == ALL_SIZES].to_dict("records"):
+        table.add(row["packer"], percent(row[ARRIVES]), f"{percent(row['p_low'])} to {percent(row['p_high'])}")
+    yield table
+    pairs = FittedTable(
+        TableColumn("a", "left", least=8, middle=True),
+        TableColumn("b", "left", least=8, middle=True),
+        TableColumn("b - a\npoints"),
+        TableColumn(_interval_header(comparison)),
+    )
+    for row in comparison.pairs[comparison.pairs["size"] == ALL_SIZES].to_dict("records"):
+        points = [number(row[name], "+.1f", factor=100.0) for name in ("p_gain", "p_gain_low", "p_gain_high")]
+        pairs.add(row["a"], row["b"], points[0], f"{points[1]} to {points[2]}")
+    yield pairs
 
 
 def _sizes_table(comparison: PackerComparison, sized: pd.DataFrame) -> FittedTable:

@@ -15,6 +15,7 @@ from petmjx.common.text import box_label, count_text, printable_name, three_digi
 from petmjx.engines.knife_edges import kept_edges, nearest_edge
 from petmjx.engines.verdict import Flag, Reason, Verdict
 from petmjx.results.run_reader import RunResults, split_warnings
+from petmjx.runs.chain_summary import is_chain
 from petmjx.runs.confidence import contradiction_mask
 from petmjx.runs.level_search import MODES
 from petmjx.show.order_lines import order_lines
@@ -38,6 +39,9 @@ def run_tables(results: RunResults) -> Iterator[RenderableType]:
     if results.summary is not None and "coin_toss" in results.summary:
         yield from _confidence_tables(results, results.summary)
         return
+    if is_chain(results.info) and len(results.plans) <= FEW_ROWS and (nominal := _nominal(results)) is not None:
+        yield nominal
+        yield ""
     if results.summary is not None:
         for table in sweep_tables(results.summary):
             yield table
@@ -55,16 +59,22 @@ def run_tables(results: RunResults) -> Iterator[RenderableType]:
     yield line(f"results in {results.path}")
 
 
+def _nominal(results: RunResults) -> FittedTable | None:
+    """The table of the worlds without errors; None if the run has none."""
+    worlds, boxes = (table[table["variant"] == 0] for table in (results.worlds, results.boxes_if_kept))
+    orders = results.plans if results.info.get("orders") else None
+    return worlds_table(worlds.sort_values("plan_id"), boxes, orders) if len(worlds) else None
+
+
 def _confidence_tables(results: RunResults, summary: pd.DataFrame) -> Iterator[RenderableType]:
     """The tables of a score with confidence: the nominal worlds, the shares, and the names of plans that need
     attention."""
     since = {name: 0 for name in ("n_not_placed", "n_fell") if name not in summary}  # runs of earlier versions
     summary = summary.assign(**since)
     if len(summary) <= FEW_ROWS:
-        worlds, boxes = (table[table["variant"] == 0] for table in (results.worlds, results.boxes_if_kept))
-        orders = results.plans if results.info.get("orders") else None
-        yield worlds_table(worlds.sort_values("plan_id"), boxes, orders)
-        yield ""
+        if (nominal := _nominal(results)) is not None:
+            yield nominal
+            yield ""
         yield confidence_table(summary)
         yield ""
     yield from notes(results.info)

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Iterator, Sequence
-from typing import Final
+from collections.abc import Iterator, Mapping, Sequence
+from typing import Any, Final
 
 import numpy as np
 import pandas as pd
@@ -13,6 +13,8 @@ import pandas as pd
 from petmjx.common.text import box_label
 from petmjx.common.units import FloatArray
 from petmjx.results.share_intervals import ALL_PLANS
+from petmjx.runs.chain_legs import AS_IS
+from petmjx.runs.chain_summary import WHOLE_WAY, arrivals, shares_by_leg
 from petmjx.runs.sweep_axes import AXIS_KINDS
 from petmjx.show.table_layout import FittedTable, TableColumn, number, percent
 
@@ -46,9 +48,16 @@ def sweep_tables(summary: pd.DataFrame) -> Iterator[FittedTable]:
     if "axis" in summary:
         yield shares_table(summary)
         return
+    if "weakest_leg" in summary:
+        yield from chain_tables(summary)
+        return
     yield levels_table(summary)
     if len(summary) <= FEW_ROWS:
         yield answers_table(summary)
+        if "eumos_passed" in summary and summary["eumos_passed"].notna().any():
+            yield laboratory_table(summary)
+    if summary.get("wrap_turns", pd.Series(dtype="float64")).nunique() > 1 and "largest_level_g" in summary:
+        yield turns_table(summary)
 
 
 def _varied_columns(summary: pd.DataFrame) -> list[str]:
@@ -137,6 +146,93 @@ def confidence_table(summary: pd.DataFrame) -> FittedTable:
     return table
 
 
+def chain_tables(summary: pd.DataFrame) -> Iterator[FittedTable]:
+    """The tables of a chain: a row for each plan, if there are few; then all plans leg by leg, and what remedies
+    gain."""
+    of_plans = arrivals(summary)
+    if len(of_plans) <= FEW_ROWS:
+        yield arrivals_table(summary, of_plans)
+    overall = summary[summary["scope"] == ALL_PLANS]
+    if len(of_plans) > 1:
+        yield legs_table(overall[overall["remedy"] == AS_IS])
+    remedies = overall[(overall["remedy"] != AS_IS) & (overall["leg"] == WHOLE_WAY)]
+    if len(remedies):
+        yield remedies_table(remedies)
+
+
+def arrivals_table(summary: pd.DataFrame, of_plans: pd.DataFrame) -> FittedTable:
+    """One row per plan: how likely it arrives, its share of worlds that stand after each leg that they reached, and
+    where most of them fail."""
+    shares = shares_by_leg(summary)
+    drawn = bool(of_plans["low"].notna().any())
+    table = FittedTable(
+        TableColumn("plan", "left", least=20, middle=True),
+        TableColumn("arrive"),
+        TableColumn("P"),
+        *([TableColumn("95 %")] if drawn else []),
+        *(TableColumn(leg, spare=2) for leg in shares),
+        TableColumn("weakest", "left", least=8),
+        TableColumn("box", spare=1),
+        title="worlds that arrive; by leg: that stand after it, of those that reached it",
+    )
+    for row in of_plans.to_dict("records"):
+        table.add(
+            str(row["plan_id"]),
+            f"{row['n_standing']:,} of {row['n_worlds'] - row['n_invalid']:,}",
+            percent(row["share"]),
+            *([_interval(row, "low", "high")] if drawn else []),
+            *map(percent, shares.loc[row["plan_id"]]),
+            str(row["weakest_leg"]),
+            "" if pd.isna(row["box"]) else str(int(row["box"])),
+        )
+    return table
+
+
+def _interval(row: Mapping[Any, Any], low: str, high: str) -> str:
+    return "" if pd.isna(row[low]) else f"{percent(row[low])} to {percent(row[high])}"
+
+
+def legs_table(legs: pd.DataFrame) -> FittedTable:
+    """One row per leg, over all plans."""
+    table = FittedTable(
+        TableColumn("leg", "left", least=10),
+        TableColumn("worlds\nreach it"),
+        TableColumn("stand\nafter it"),
+        TableColumn("invalid", spare=2),
+        TableColumn("share"),
+        TableColumn("95 %", spare=1),
+        title="all plans",
+    )
+    for row in legs.to_dict("records"):
+        counts = (f"{row[name]:,}" for name in ("n_worlds", "n_standing", "n_invalid"))
+        table.add(str(row["leg"]) or "whole way", *counts, percent(row["share"]), _interval(row, "low", "high"))
+    return table
+
+
+def remedies_table(remedies: pd.DataFrame) -> FittedTable:
+    """One row per remedy over all plans, the one that gains most first."""
+    table = FittedTable(
+        TableColumn("remedy", "left", least=16),
+        TableColumn("P"),
+        TableColumn("gain,\npoints"),
+        TableColumn("95 %", spare=1),
+        TableColumn("arrive only\nwith it", spare=2),
+        TableColumn("only\nwithout", spare=2),
+        title="what would help: the same worlds with a remedy",
+    )
+    for row in remedies.sort_values("gain", ascending=False, kind="stable").to_dict("records"):
+        bounds = [number(row[name], "+.1f", factor=100.0) for name in ("gain", "gain_low", "gain_high")]
+        span = "" if pd.isna(row["gain_low"]) else f"{bounds[1]} to {bounds[2]}"
+        table.add(
+            str(row["remedy"]),
+            percent(row["share"]),
+            bounds[0],
+            span,
+            *(f"{int(row[name]):,}" for name in ("only_with", "only_without")),
+        )
+    return table
+
+
 def levels_table(summary: pd.DataFrame) -> FittedTable:
     """Quantiles of the largest levels survived, for each profile and direction, over searches whose placement stands.
 
@@ -208,6 +304,61 @@ def answers_table(summary: pd.DataFrame) -> FittedTable:
             "" if pd.isna(row["box"]) else box_label(int(row["box"]), row["article"]),
         )
     return table
+
+
+def laboratory_table(summary: pd.DataFrame) -> FittedTable:
+    """One row per search with EUMOS's test: what a laboratory reports of the largest level survived."""
+    varied = _varied_columns(summary)
+    table = FittedTable(
+        TableColumn("plan", "left", least=20, middle=True),
+        TableColumn("direction\n°"),
+        *_headers(varied),
+        TableColumn("level\ng"),
+        TableColumn("elastic\n≤ 10 %"),
+        TableColumn("permanent\n≤ 5 %"),
+        TableColumn("foot, cm\n≤ 4"),
+        TableColumn("EUMOS\n40509", "left"),
+        title="EUMOS 40509 at the largest level survived: deformations as shares of the load's height",
+    )
+    for row in summary[summary["eumos_passed"].notna()].to_dict("records"):
+        table.add(
+            str(row["plan_id"]),
+            f"{row['direction_deg']:g}",
+            *(_cell(row[name]) for name in varied),
+            number(row["largest_level_g"]),
+            percent(row["eumos_elastic_share"]),
+            percent(row["eumos_permanent_share"]),
+            number(row["eumos_foot_permanent_m"], ".1f", factor=100.0),
+            "passed" if row["eumos_passed"] else "failed",
+        )
+    return table
+
+
+LABORATORY_LEVELS_G: Final = (0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8)
+"""Levels at which laboratories test load units by EUMOS 40509."""
+
+
+def turns_table(summary: pd.DataFrame) -> FittedTable:
+    """How many turns of film each plan needs: the fewest of those tried with which it survives a level in every
+    direction. "none": it does not with any."""
+    least = summary.fillna({"largest_level_g": 0.0}).groupby(["plan_id", "wrap_turns"], sort=False)["largest_level_g"]
+    survived = least.min().unstack("wrap_turns")
+    tested = np.fmax(summary["largest_level_g"].max(), summary["first_failed_level_g"].max())
+    levels = [level for level in LABORATORY_LEVELS_G if level <= tested]
+    table = FittedTable(
+        TableColumn("plan", "left", least=20, middle=True),
+        *(TableColumn(f"{level:g} g") for level in levels),
+        title="turns of film with which plans survive a level in every direction tried",
+        caption=_more(len(survived)),
+    )
+    for plan_id, row in survived.head(MAX_VALUES).iterrows():
+        enough = (row.index[row >= level - _SAME_LEVEL_G] for level in levels)
+        table.add(str(plan_id), *(f"{turns.min():g}" if len(turns) else "none" for turns in enough))
+    return table
+
+
+_SAME_LEVEL_G: Final = 1e-9
+"""Levels that differ by less are the same: 0.1 + 0.2 is not 0.3."""
 
 
 def _doubts(summary: pd.DataFrame, column: str) -> pd.Series[bool]:

@@ -105,11 +105,16 @@ class Job:
     not only when a box has dropped. The largest tilt counts, so the verdict is known then. The rest would be the
     dearest part of the simulation. A large shift decides nothing: a board that tips under one load is level again under
     the next one. A world with a drive ends when its culprit is lost: then it is also known how the first box failed.
+
+    ``poses``, (n, 7): middles, m, and orientations (w, x, y, z) of the boxes when the drive begins. They are at rest
+    there. So a drive goes on where another one left the boxes, on any engine: the carrier is where the placement left
+    it, since it is clamped in drives of accelerations. None: the boxes are where the placement left them.
     """
 
     scene: Scene
     drive: Drive | None = None
     start: KeptState | EngineState | None = None
+    poses: FloatArray | None = None
     keep_state: bool = False
     record: Record | None = None
     has_errors: bool = False

@@ -154,11 +154,31 @@ PlacementKey = tuple[PlacementChange, int]
 
 @dataclass(frozen=True)
 class DriveSpec:
-    """The drive of the finished pallet: the name of a profile, its scale or level, and its direction."""
+    """The drive of the finished pallet: the name of a profile, its scale or level, and its direction.
+
+    Attributes:
+        scale_to: the scale is drawn evenly from ``scale`` up to this one, once for each world; None: it is ``scale``.
+    """
 
     profile: str
     scale: float = 1.0
     direction_deg: float = 0.0
+    scale_to: float | None = None
+
+
+@dataclass(frozen=True)
+class LegSpec:
+    """A leg of a chain: what shakes the pallet on a part of its way.
+
+    Attributes:
+        drives: one after the other, each ``pause_s`` after the end of the one before.
+        wrap_turns: turns of film around the pallet meanwhile; None: those of the options.
+    """
+
+    name: str
+    drives: tuple[DriveSpec, ...]
+    pause_s: float = 0.0
+    wrap_turns: float | None = None
 
 
 @dataclass(frozen=True)
@@ -170,6 +190,7 @@ class Variant:
         placement, drive: the two halves. Without a drive the world ends when the placement is at rest.
         replicate: which repetition; random numbers depend on (seed, plan id, replicate) alone.
         parameters: result column → value.
+        legs: of a chain, instead of a drive; each begins where the one before has left the boxes.
     """
 
     index: int
@@ -177,6 +198,7 @@ class Variant:
     drive: DriveSpec | None = None
     replicate: int = 0
     parameters: Mapping[str, float | int | str] = field(default_factory=dict, hash=False)
+    legs: tuple[LegSpec, ...] = ()
 
     @property
     def placement_key(self) -> PlacementKey:

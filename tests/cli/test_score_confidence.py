@@ -48,3 +48,40 @@ def test_confidence_that_is_refused(
     plans = write(tmp_path / "plans.json", {"tower": TOWER})
     assert run("score", plans, "--engine", "mujoco", *options) == 2
     assert expected in only_line(capsys.readouterr().err)
+
+
+CHAIN = """
+replicates = 4
+[axes]
+friction_tolerance_rel = 0.01
+[[legs]]
+name = "belt"
+events = [{ profile = "eumos-40509", level = 0.05 }]
+[[legs]]
+name = "truck"
+events = [{ profile = "eumos-40509", level = 0.6 }]
+[[remedies]]
+name = "gentler truck"
+leg = "truck"
+factor = 0.1
+"""
+
+
+def test_a_chain_says_how_likely_a_pallet_arrives(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("COLUMNS", "120")
+    file = tmp_path / "way.toml"
+    file.write_text(CHAIN)
+    plans = write(tmp_path / "plans.json", {"tower": TOWER})
+    out = tmp_path / "out"
+    assert run("score", plans, "--engine", "mujoco", "--chain", file, "--out", out) == 0
+    printed = capsys.readouterr()
+    assert printed.err.startswith("9 worlds (1 plan × 9 variants) from 5 placements")
+    assert re.search(r"^tower +2 stable +1\.00 ", printed.out, flags=re.MULTILINE)
+    assert re.search(
+        r"^tower 0 of 4 0\.0 % 0\.0 % to 49\.0 % +100\.0 % 100\.0 % 0\.0 % truck +[01]$", printed.out, re.MULTILINE
+    )
+    assert re.search(r"^gentler truck 100\.0 % +\+100\.0 +\+30\.7 to \+100\.0 +4 +0$", printed.out, re.MULTILINE)
+    assert run("score", plans, "--chain", "tilt", "--out", out, "--overwrite") == 2
+    assert "has no [[legs]], which a chain needs" in only_line(capsys.readouterr().err)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -225,3 +226,58 @@ def test_options_of_the_command(tmp_path: Path, capsys: pytest.CaptureFixture[st
     with pytest.raises(petmjx.InputError, match="interlock_loss: unknown field; did you mean interlocked_loss"):
         petmjx.loads(tmp_path / "run", stacking={"interlock_loss": 0.1})
     assert petmjx.loads(tmp_path / "run", stacking=Stacking(gap_loss=0.1)).stacking.gap_loss == 0.1
+
+
+def test_moisture_and_time_take_what_their_tables_say() -> None:
+    """At the rows of the tables their numbers, between them lines; of time over its logarithm from a minute on."""
+    losses = [Stacking(humidity_percent=percent).humidity_loss for percent in (0, 50, 65, 80, 100)]
+    assert losses == pytest.approx([0, 0, 0.15, 0.32, 0.85])
+    losses = [Stacking(storage_days=days).time_loss for days in (0, 10, np.sqrt(300), 180)]
+    assert losses == pytest.approx([0, 0.37, 0.385, 0.50])
+    plan = stacked((0, 0, 0), (0, 0, 200))
+    dry, moist = loads_of(plan).boxes, loads_of(plan, humidity_percent=80, storage_days=30).boxes
+    assert moist["strength_n"].tolist() == pytest.approx((0.68 * dry["strength_n"]).tolist())
+    assert moist["load_share"][0] == pytest.approx(dry["load_share"][0] / (0.68 * 0.6), rel=1e-6)
+    assert moist["peak_share"][0] == pytest.approx(dry["peak_share"][0] / 0.68, rel=1e-6)
+
+
+def test_boxes_are_crushed_surely_possibly_or_not() -> None:
+    """The lower box bears the upper one, across it: with a loss of a half, give or take a fifth, 0.4 to 0.6 of its
+    strength in a press."""
+    weight_n = KG * STANDARD_GRAVITY
+    crushed = []
+    for strength_n in (1.5 * weight_n, 1.8 * weight_n, 3.0 * weight_n, np.nan):
+        plan = stacked((0, 0, 0), (50, -50, 200, TURNED))
+        plan = replace(plan, strength_n=np.array([strength_n, 1000.0]))
+        boxes = loads_of(plan).boxes
+        assert boxes["strength_low_n"][0] == pytest.approx(0.4 * strength_n, nan_ok=True)
+        assert boxes["strength_high_n"][0] == pytest.approx(0.6 * strength_n, nan_ok=True)
+        (world,) = loads_of(plan).plans.to_dict("records")
+        crushed.append((world["crushed"], world["crush_box"]))
+    assert [answer for answer, _ in crushed[:3]] == ["surely", "possibly", "not"]
+    assert crushed[3][0] is None
+    assert [box for _, box in crushed] == [0, 0, 0, 1]
+    exact = loads_of(replace(plan, strength_n=np.array([1.8 * weight_n, 1000.0])), loss_spread=0.0)
+    assert exact.plans["crushed"].tolist() == ["surely"]
+
+
+def test_pallets_of_a_chain_arrive_whole_or_not(tmp_path: Path) -> None:
+    chain = tmp_path / "chain.toml"
+    chain.write_text(
+        "replicates = 2\n[axes]\nfriction_tolerance_rel = 0.01\n[[legs]]\nname = 'belt'\n"
+        "events = [{ profile = 'eumos-40509', level = 0.1 }]\n"
+        "[[remedies]]\nname = 'slower'\nleg = 'belt'\nfactor = 0.5\n"
+    )
+    weight_n = KG * STANDARD_GRAVITY
+    plan = replace(stacked((0, 0, 0), (0, 0, 200)), strength_n=np.array([1.02 * weight_n, 1000.0]))
+    run = petmjx.score([plan], chain=chain, engine="mujoco", threads=1)
+    loads = petmjx.loads(run)
+    assert loads.ways is not None
+    ways = loads.ways.set_index("remedy")
+    assert ways["n_worlds"].to_dict() == {"": 2, "slower": 2}
+    peaks = run.boxes.query("box == 0 and variant > 0")["max_top_force_n"]
+    over = peaks.gt(1.02 * weight_n).groupby(run.boxes["variant"].sub(1).mod(2)).sum()  # a column loses nothing
+    assert ways["n_whole"].tolist() == [2 - over[0], 2 - over[1]]
+    assert ways["n_possibly_whole"].tolist() == ways["n_whole"].tolist()
+    loads.write(tmp_path / "loads")
+    assert (tmp_path / "loads" / "way_loads.parquet").is_file()

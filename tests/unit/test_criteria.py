@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -14,6 +15,7 @@ pytest.importorskip("shapely")
 
 from scipy.optimize import nnls
 
+import petmjx
 from petmjx.analysis.criteria import (
     CRITERIA,
     NAMES,
@@ -24,7 +26,9 @@ from petmjx.analysis.criteria import (
     answer,
     chosen_criteria,
     support_share,
+    tolerable_acceleration_g,
 )
+from petmjx.analysis.criteria_vs_physics import CELLS
 from petmjx.analysis.force_balance import Friction, _slack_alone, _VerticalSystem, balance_slack
 from petmjx.analysis.load_paths import even_bedding, load_polygons, load_slack
 from petmjx.analysis.plan_contacts import contact_hulls, find_contacts
@@ -123,7 +127,8 @@ def test_l_shaped_support_beside_the_centre_falls() -> None:
 
 def test_tower() -> None:
     answers = asked(stack(5))
-    assert (answers.stable == YES).all()
+    at_rest = [number for number, name in enumerate(NAMES) if name != "tolerable_acceleration"]
+    assert (answers.stable[:, at_rest] == YES).all()
     assert slack(answers, "centre") == pytest.approx(150)
     assert slack(answers, "force_balance") == pytest.approx(1)
     assert answers.share.tolist() == [1] * 5
@@ -315,11 +320,13 @@ def test_the_closed_form_of_one_box_is_what_its_linear_programme_finds() -> None
 def test_boards_bear_as_boxes_would_that_stand_fast() -> None:
     """What is asked of a box on a deck of boards is what is asked of it on boxes in the boards' places.
 
-    Criteria that pass loads down also ask boxes in the boards' places, which may be lifted. And force balance takes a
-    box that stands on the deck with all its corners for part of the carrier, with a slack of 1.
+    Criteria that pass loads down also ask boxes in the boards' places, which may be lifted, and the tolerable
+    acceleration of the load counts them. And force balance takes a box that stands on the deck with all its corners for
+    part of the carrier, with a slack of 1.
     """
     rng, compared, unstable = np.random.default_rng(4), 0, 0
     loads = [NAMES.index(name) for name in ("stacking_tree", "equilibrium")]
+    of_load = NAMES.index("tolerable_acceleration")
     of_base = slice(min(loads))
     for _ in range(60):
         edges = np.sort(rng.choice(np.arange(0, 61), 8, replace=False)) * 10.0
@@ -332,7 +339,7 @@ def test_boards_bear_as_boxes_would_that_stand_fast() -> None:
         np.testing.assert_array_equal(answers.corners, twin.corners[4:])
         np.testing.assert_allclose(answers.share, twin.share[4:], atol=1e-12)
         np.testing.assert_allclose(answers.slack[:, of_base], twin.slack[4:, of_base], atol=1e-9)
-        same = [number for number in range(len(NAMES)) if number not in loads]
+        same = [number for number in range(len(NAMES)) if number not in (*loads, of_load)]
         np.testing.assert_array_equal(answers.stable[:, same], twin.stable[4:, same])
         assert (answers.stable[:, loads] >= twin.stable[4:, loads]).all()
         compared, unstable = compared + answers.stable.size, unstable + int((answers.stable == NO).sum())
@@ -395,3 +402,38 @@ def test_equilibrium_has_the_sign_of_vertical_forces_that_balance() -> None:
         np.testing.assert_array_equal(equilibrium[judged] >= -1e-6, balance[judged] >= -1e-6)
         accepted.append(bool((balance[judged] >= -1e-6).all()))
     assert 5 < sum(accepted) < 35
+
+
+def test_the_tolerable_acceleration_by_hand() -> None:
+    """A carton of 400 × 300 × 200 mm slides; one on it, moved by 150 mm, tips over an edge; a tower tips as a whole."""
+    boxes = make_plan(boxes=stack(2, 150.0))
+    tower = make_plan(boxes=stack(8))
+    for friction, of_boxes in ((0.4, [0.4, 0.4]), (3.0, [150 / 100, 50 / 100])):
+        contacts = find_contacts(boxes, 0.5)
+        found = tolerable_acceleration_g(contacts, contact_hulls(contacts), friction)
+        assert found == pytest.approx(of_boxes)
+    contacts = find_contacts(tower, 0.5)
+    found = tolerable_acceleration_g(contacts, contact_hulls(contacts), 3.0)
+    assert found == pytest.approx([150 / (100 * k) for k in range(1, 9)])  # its centre is half as high as its top
+    names = chosen_criteria(("tolerable_acceleration",))
+    answers = answer(tower, names, Friction(0.6), 0.5)
+    assert answers.stable[:, 0].tolist() == [YES, YES, YES, NO, NO, NO, NO, NO]  # 0.5 g from three boxes on
+    assert "tolerable_acceleration" not in [criterion.name for criterion in chosen_criteria()]
+
+
+def test_criteria_are_judged_by_how_often_plans_arrive(tmp_path: Path) -> None:
+    chain = tmp_path / "chain.toml"
+    chain.write_text(
+        "replicates = 4\n[axes]\nfriction_tolerance_rel = { distribution = 'uniform', low = -0.1, high = 0.1 }\n"
+        "[[legs]]\nname = 'truck'\nevents = [{ profile = 'eumos-40509', level = 0.4 }]\n"
+    )
+    plans = [make_plan("low", stack(1)), make_plan("tower", stack(3, size_mm=(100.0, 100.0, 300.0)))]
+    run = petmjx.score(plans, chain=chain, engine="mujoco")
+    assert set(run.worlds.query("variant == 0")["verdict"]) == {"stable"}
+    names = ("centre", "tolerable_acceleration")
+    judged = petmjx.criteria(plans, run=run, only=names).judged
+    assert judged is not None
+    cells = judged.set_index("criterion")[[*CELLS]]
+    assert cells.loc["centre"].tolist() == [1, 1, 0, 0]
+    assert cells.loc["tolerable_acceleration"].tolist() == [1, 0, 0, 1]
+    assert petmjx.criteria(plans, run=run, only=names, p_arrives=0.0).judged[[*CELLS]].iloc[0].tolist() == [2, 0, 0, 0]

@@ -11,7 +11,7 @@ from typing import get_type_hints
 import pytest
 
 from petmjx import api
-from petmjx.options.run_options import Confidence, RunOptions
+from petmjx.options.run_options import Confidence, RunOptions, Transport
 from petmjx.options.simulation import Simulation
 from petmjx.runs.option_types import ScoreOptions, SweepOptions
 from tools.option_types import TARGET, option_types
@@ -49,7 +49,7 @@ def test_the_types_are_those_of_the_records() -> None:
 
 
 def test_what_is_typed_is_what_is_taken() -> None:
-    known = [set(record.model_fields) for record in (Simulation, RunOptions, Confidence)]
+    known = [set(record.model_fields) for record in (Simulation, RunOptions, Confidence, Transport)]
     assert set(get_type_hints(ScoreOptions)) == set.union(*known)
     assert set(get_type_hints(SweepOptions)) == set.union(*known[:2])
     assert api.score.__annotations__["options"] == "Unpack[ScoreOptions]"

@@ -14,6 +14,7 @@ from xml.etree import ElementTree
 import numpy as np
 import pandas as pd
 import pytest
+from support.plans import make_plan
 from support.reported import CONFIG, fallen, invalid, scored, standing, write_plans, write_run
 from test_pages import opened_block
 
@@ -360,3 +361,46 @@ def test_confidence_has_its_answers(tmp_path: Path) -> None:
     assert "How sure are the verdicts?" in checked(html)
     assert info_of(html)["n"] == 2, "a row a plan, not a row a world"
     assert {"share", "low", "high"} <= {column["key"] for column in info_of(html)["columns"]}
+
+
+def test_a_chain_has_its_answers(tmp_path: Path) -> None:
+    import petmjx
+
+    file = tmp_path / "chain.toml"
+    file.write_text(
+        "replicates = 2\n[axes]\nfriction_tolerance_rel = 0.05\n[[legs]]\nname = 'belt <1>'\n"
+        "events = [{ profile = 'eumos-40509', level = 0.1 }]\n"
+        "[[remedies]]\nname = 'slower'\nleg = 'belt <1>'\nfactor = 0.5\n"
+    )
+    write_plans(tmp_path / "two.json", ["a", "b"], n_boxes=2)
+    petmjx.score(tmp_path / "two.json", out=tmp_path / "way", engine="mujoco", chain=file)
+    html = page_of(tmp_path / "way")
+    words = words_of(checked(html))
+    assert "How likely do pallets arrive?" in words
+    assert "belt &lt;1&gt; 100.0 % of 4 (51.0 to 100.0 %)" in words
+    assert "slower 100.0 % +0.0 -49.0 to +49.0 0 0" in words
+    assert info_of(html)["n"] == 4, "worlds with errors alone, without those of remedies"
+
+
+def test_a_page_to_send_is_about_each_plan_of_a_chain(tmp_path: Path) -> None:
+    pytest.importorskip("matplotlib")
+    import petmjx
+    from petmjx.show.figures.load_unit_page import sentence, write_load_unit_pages
+
+    file = tmp_path / "chain.toml"
+    file.write_text(
+        "replicates = 2\n[axes]\nfriction_tolerance_rel = 0.05\n[[legs]]\nname = 'truck'\n"
+        "events = [{ profile = 'eumos-40509', level = 0.8 }]\n"
+    )
+    plans = [make_plan("stays", 1), make_plan("slides", 2)]
+    run = petmjx.score(plans, engine="mujoco", chain=file)
+    out = tmp_path / "pages.pdf"
+    assert write_load_unit_pages(run, {plan.plan_id: plan for plan in plans}, out) == 2
+    assert out.read_bytes().startswith(b"%PDF")
+    assert out.read_bytes().count(b"/Type /Page ") == 2
+    assert run.summary is not None
+    (row,) = run.summary.query("scope == 'plan' and plan_id == 'slides' and leg == ''").to_dict("records")
+    assert sentence(row).startswith("Arrives in 0 of 2 worlds: P = 0.0 % (0.0 % to 65.8 %, 95 %). Weakest leg: truck")
+    score = petmjx.score(plans, engine="mujoco")
+    with pytest.raises(InputError, match="a page to send is about a chain"):
+        write_load_unit_pages(score, {}, out)

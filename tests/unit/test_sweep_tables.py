@@ -13,7 +13,7 @@ from petmjx.runs.sweep_file import load_sweep
 from petmjx.runs.transport_limits import hopeless_profiles
 from petmjx.show.report.charts import histogram
 from petmjx.show.report.svg_charts import Frame, Scale
-from petmjx.show.sweep_tables import answers_table, levels_table
+from petmjx.show.sweep_tables import answers_table, laboratory_table, levels_table, turns_table
 from petmjx.show.table_layout import FittedTable, print_renderables
 
 
@@ -40,6 +40,30 @@ def test_turns_of_film_are_in_the_tables(capsys: pytest.CaptureFixture[str]) -> 
         assert [row[row.index("0") + 1] for row in rows] == ["1", "4", "16"]
         assert any("turns" in line for line in lines)
         assert not any("friction" in line for line in lines), "it has one value"
+
+
+def test_a_search_says_how_many_turns_a_plan_needs(capsys: pytest.CaptureFixture[str]) -> None:
+    """The weaker of two directions counts; with 16 turns the plan survives all levels, with 1 less than 0.3 g."""
+    levels = {"wrap_turns": [1.0, 1.0, 4.0, 4.0, 16.0, 16.0], "direction_deg": [0.0, 90.0] * 3}
+    searches = summary(**levels).assign(
+        largest_level_g=[0.5, 0.1 + 0.1, 0.1 + 0.2, 0.6, 0.8, 0.9],
+        first_failed_level_g=[0.6, 0.3, 0.4, 0.7, None, None],
+    )
+    text = printed(turns_table(pd.concat([searches, searches.assign(plan_id="q", largest_level_g=None)])), capsys)
+    head, rows = text.splitlines()[1], text.splitlines()[2:]
+    assert head.split() == ["plan", *(word for level in range(2, 9) for word in (f"{level / 10:g}", "g"))]
+    assert rows[0].split() == ["p", "1", "4", "16", "16", "16", "16", "16"]
+    assert rows[1].split() == ["q", *["none"] * 7]
+
+
+def test_a_search_reports_what_laboratories_do(capsys: pytest.CaptureFixture[str]) -> None:
+    shares = {"eumos_elastic_share": [0.061, 0.12], "eumos_permanent_share": [0.02, 0.06]}
+    searches = summary(direction_deg=[0.0, 90.0]).assign(
+        **shares, eumos_foot_permanent_m=[0.012, 0.05], eumos_passed=[True, False]
+    )
+    lines = printed(laboratory_table(searches), capsys).splitlines()
+    assert lines[-2].split() == ["p", "0", "0", "6.1", "%", "2.0", "%", "1.2", "passed"]
+    assert lines[-1].split() == ["p", "90", "0.1", "12.0", "%", "6.0", "%", "5.0", "failed"]
 
 
 def test_tables_of_searches_without_such_axes_are_as_before(capsys: pytest.CaptureFixture[str]) -> None:

@@ -80,6 +80,17 @@ def _outcomes(
         )
 
 
+def _put_at_rest(jobs: Sequence[Job], host: State) -> None:
+    """Put the boxes of jobs with ``poses`` to rest there, in states on the host."""
+    for row, job in enumerate(jobs):
+        if job.poses is None:
+            continue
+        pos, quat = job.poses[:, :3], job.poses[:, 3:]
+        host.qpos[row, : len(pos)] = np.concatenate([job.scene.frames(pos, quat), quat], axis=1)
+        for moving in (host.qvel, host.qacc, host.qacc_warmstart):
+            moving[row] = 0.0
+
+
 def started_states(jobs: Sequence[Job], fresh: State) -> State:
     """First states of jobs: the kept state for jobs that start from one, else a fresh state.
 
@@ -89,6 +100,8 @@ def started_states(jobs: Sequence[Job], fresh: State) -> State:
     Args:
         fresh: shapes and types are enough if all jobs start from kept states.
     """
+    # a drive that follows a placement at once begins on the device, where boxes cannot be put elsewhere
+    assert all(job.poses is None or isinstance(job.start, State) for job in jobs)
     starts = list({id(job.start): job.start for job in jobs if isinstance(job.start, State)}.values())
     if not starts:
         return fresh
@@ -109,6 +122,7 @@ def started_states(jobs: Sequence[Job], fresh: State) -> State:
     stacked = jax.tree.map(stack, fresh, *starts)._replace(steps_done=np.zeros(len(starts), np.int32))
     leaves, structure = jax.tree.flatten(stacked)
     rows = gather_rows(leaves, source)
+    _put_at_rest(jobs, jax.tree.unflatten(structure, rows))
     if not forked.all():
         for mine, new in zip(rows, jax.tree.leaves(fresh), strict=True):
             mine[~forked] = np.asarray(new)[~forked]

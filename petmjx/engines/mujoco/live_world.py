@@ -379,6 +379,12 @@ class LiveWorld:
             return np.concatenate((self._held.pos, self._held.quat))
         return np.array(self.data.qpos[:7])
 
+    def put_at_rest(self, poses: FloatArray) -> None:
+        """Put all boxes to rest with their middles and orientations at (n, 7) ``poses``, m."""
+        self._poses[self._row, :3] = self.scene.frames(poses[:, :3], poses[:, 3:])
+        self._poses[self._row, 3:] = poses[:, 3:]
+        self._velocities[self._row] = self._warmstarts[self._row] = 0.0
+
     def hold_carrier(self) -> None:
         """Clamp the carrier at its present pose. The boxes keep their poses and velocities."""
         state, time_s = self.body_state(), self.data.time

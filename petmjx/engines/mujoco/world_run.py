@@ -353,6 +353,8 @@ class WorldRun:
         self._set_end(self._waits.drive_end)
         if self._waits.rests_first and rest_steps > 2 * self._rest_steps:
             self._wait(last_sample)
+        if self._job.poses is not None:
+            self._live.put_at_rest(self._job.poses)
         self._drive = ActingDrive(drive, self._step, self._scene.total_mass, self._down)
         self._metrics.begin_drive(self._live.pose[:, :3], self._live.pose[:, 3:])
         if self._drive.holds_carrier:

@@ -12,6 +12,7 @@ from petmjx.common.errors import InputError
 from petmjx.common.text import count_text, printable, printable_name
 from petmjx.results.run_reader import RunResults
 from petmjx.results.share_intervals import ALL_PLANS, ONE_PLAN
+from petmjx.runs.chain_summary import arrivals
 from petmjx.show.figures.figure_style import POINTS, WIDTH_IN
 from petmjx.show.pages.palette import category
 
@@ -46,7 +47,7 @@ def draw_answers(run: RunResults) -> Any:
 
     For a search: a panel per profile with the share of all plans that survive a level, and a line per direction. For a
     grid or a sample: the share that stands, with its interval, along each axis with several values. For a score with
-    confidence: the share of each plan that stands.
+    confidence: the share of each plan that stands; for a chain: that arrives.
 
     Raises:
         InputError: the run has no summary, or the summary has nothing that can be drawn.
@@ -58,6 +59,8 @@ def draw_answers(run: RunResults) -> Any:
         return _shares(summary)
     if "profile" in summary:
         return _levels(summary)
+    if "weakest_leg" in summary:
+        return _plans(arrivals(summary))
     return _plans(summary)
 
 

@@ -14,7 +14,7 @@ from petmjx.engines.verdict import Verdict
 from petmjx.results.share_intervals import PairedCounts, newcombe_interval, wilson_interval
 from petmjx.show.report.charts import interval_text, intervals, percent, stacked_bars
 from petmjx.show.report.markup import NOTHING, Content, Markup, element, joined_markup, table
-from petmjx.show.report.report_runs import Kind, ReportRun
+from petmjx.show.report.report_runs import ReportRun
 from petmjx.show.report.svg_charts import figure
 from petmjx.show.report.verdict_shares import plan_link
 
@@ -65,7 +65,7 @@ def _rates(runs: Sequence[ReportRun], common: pd.DataFrame) -> Markup:
     invalid = int((common == Verdict.INVALID.value).sum().sum())
     note = "Share that stands of the worlds in all runs, with Wilson’s 95 % interval."
     note += f" {count_text(invalid, 'invalid world is', 'invalid worlds are')} not counted." if invalid else ""
-    if any(run.kind in (Kind.GRID, Kind.SEARCH) for run in runs):
+    if any(run.kind.sweeps for run in runs):
         note += " Worlds of one plan depend on each other: the intervals are too narrow."
     return figure("Stable rates", intervals("Stable rates", rows), note)
 

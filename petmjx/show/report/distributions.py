@@ -16,7 +16,7 @@ from petmjx.options.simulation import Thresholds
 from petmjx.results.share_intervals import wilson_interval
 from petmjx.show.report.charts import MOST_POINTS, equal_groups, histogram, points, quantile_bands, share_curve
 from petmjx.show.report.markup import NOTHING, Markup, element, joined_markup
-from petmjx.show.report.report_runs import Kind, ReportRun
+from petmjx.show.report.report_runs import ReportRun
 from petmjx.show.report.svg_charts import Frame, Scale, figure
 from petmjx.show.report.verdict_shares import ORDER
 
@@ -92,7 +92,7 @@ def distributions(run: ReportRun) -> Markup:
     ]
     parts = [element("div", *alone, class_="charts")]
     if sizes:
-        shares = [_share(size, worlds, one_each=run.kind is not Kind.GRID) for size in sizes]
+        shares = [_share(size, worlds, one_each=not run.kind.sweeps) for size in sizes]
         known = [metric for metric in METRICS if metric.of(worlds).notna().sum() > 1]
         against = [_against(size, metric, worlds, limits) for metric in known for size in sizes]
         parts.append(element("h3", "Against number of boxes, height and weight"))

@@ -15,6 +15,7 @@ from petmjx.common.text import printable
 from petmjx.common.units import MM_PER_M
 from petmjx.engines.verdict import Verdict
 from petmjx.results.share_intervals import ONE_PLAN
+from petmjx.runs.chain_summary import arrivals
 from petmjx.runs.sweep_axes import AXIS_KINDS
 from petmjx.show.pages.page_arrays import PackedArray, integer_column
 from petmjx.show.report.report_runs import Kind, ReportRun
@@ -56,7 +57,7 @@ NUMBERS: Final = (
     NumberColumn(
         "margin", "margin", "margin", digits=2, meaning="1: nothing moved, 0: on a threshold, below 0: beyond"
     ),
-    NumberColumn("share", "share", "stand", "%", 1, 100.0, meaning="share of the worlds with errors that stand"),
+    NumberColumn("share", "share", "stand", "%", 1, 100.0, meaning="share of worlds with errors that stand or arrive"),
     NumberColumn("low", "low", "from", "%", 1, 100.0, meaning="lower end of its Wilson 95 % interval"),
     NumberColumn("high", "high", "to", "%", 1, 100.0, meaning="upper end of it"),
     NumberColumn("n_boxes", "boxes", "boxes"),
@@ -137,7 +138,8 @@ def _of_run(at: int, run: ReportRun, summed_up: bool) -> pd.DataFrame:
         if run.shares is not None:
             of_plans = run.shares[(run.shares["scope"] == ONE_PLAN) & (run.shares["axis"] == "")]
             worlds = worlds.merge(of_plans[["plan_id", "share", "low", "high"]], on="plan_id", how="left")
-    if run.kind is Kind.CONFIDENCE and summary is not None:
+    if run.kind in (Kind.CONFIDENCE, Kind.CHAIN) and summary is not None:
+        summary = arrivals(summary) if run.kind is Kind.CHAIN else summary
         worlds = worlds.merge(summary[["plan_id", "share", "low", "high"]], on="plan_id", how="left")
     return worlds
 

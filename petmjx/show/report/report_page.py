@@ -102,7 +102,7 @@ def _of_run(run: ReportRun) -> dict[str, Any]:
     limits = thresholds_of(run.info)
     return {
         "name": run.name,
-        "command": "sweep" if run.kind in (Kind.GRID, Kind.SEARCH) else "score",
+        "command": "sweep" if run.kind.sweeps else "score",
         "floorZ": floor_z_m(simulation_of(run.info)),
         "limits": {"shift_mm": MM_PER_M * limits.shift_m, "tilt_deg": limits.tilt_deg},
         "missing": run.plan_files.note,
@@ -160,7 +160,7 @@ def _body(runs: Sequence[ReportRun], notes: Sequence[str]) -> Markup:
 
 
 def _worlds(runs: Sequence[ReportRun]) -> bool:
-    return any(run.kind in (Kind.GRID, Kind.SEARCH) for run in runs)
+    return any(run.kind.sweeps for run in runs)
 
 
 def _outcome_section(run: ReportRun) -> Markup:
@@ -180,7 +180,8 @@ def _outcome_section(run: ReportRun) -> Markup:
 
 def _details_of(run: ReportRun) -> list[tuple[str, str, Markup]]:
     """(name, title, content) of the sections that only some runs have."""
-    title = "How sure are the verdicts?" if run.kind is Kind.CONFIDENCE else "Answers of the sweep"
+    titles = {Kind.CONFIDENCE: "How sure are the verdicts?", Kind.CHAIN: "How likely do pallets arrive?"}
+    title = titles.get(run.kind, "Answers of the sweep")
     sections = [("answers", title, sweep_answers(run))]
     if run.kind is not Kind.SEARCH:  # its worlds show where the search looked, and not how pallets behave
         sections.append(("distributions", "Shift, tilt, force, time", distributions(run)))

@@ -20,6 +20,8 @@ from petmjx.common.units import MM_PER_M
 from petmjx.plans.plan import Plan
 from petmjx.results.run_reader import RunResults, load_run, rows_of_worlds
 from petmjx.results.share_intervals import ALL_PLANS, share_standing
+from petmjx.runs.chain_legs import AS_IS
+from petmjx.runs.chain_summary import is_chain
 from petmjx.show.report.report_plans import ReportPlans, find_report_plans
 
 
@@ -30,6 +32,12 @@ class Kind(StrEnum):
     CONFIDENCE = "confidence"
     GRID = "sweep"
     SEARCH = "search"
+    CHAIN = "chain"
+
+    @property
+    def sweeps(self) -> bool:
+        """Whether plans have several worlds that are shown."""
+        return self in (Kind.GRID, Kind.SEARCH, Kind.CHAIN)
 
 
 @dataclass(frozen=True, eq=False)
@@ -55,6 +63,8 @@ class ReportRun:
     def kind(self) -> Kind:
         """The kind of the run."""
         config = self.info.get("config", {})
+        if is_chain(self.info):
+            return Kind.CHAIN
         if config.get("command") == "sweep":
             return Kind.SEARCH if (config.get("sweep") or {}).get("search") is not None else Kind.GRID
         return Kind.CONFIDENCE if config.get("confidence") is not None else Kind.SCORE
@@ -67,7 +77,7 @@ class ReportRun:
     @cached_property
     def worlds(self) -> pd.DataFrame:
         """The worlds that are shown, one row each, by plan and variant. These are all worlds; for a score with
-        confidence only the nominal ones.
+        confidence only the nominal ones, for a chain those with errors and without a remedy.
 
         Additional columns: ``height_m`` and ``mass_kg`` of the plan (NaN if it was not found), and ``first_article``,
         the article of the first box to fail ("" if there is none).
@@ -75,6 +85,8 @@ class ReportRun:
         worlds = self.results.worlds
         if self.kind is Kind.CONFIDENCE:
             worlds = worlds[worlds["variant"] == 0]
+        if self.kind is Kind.CHAIN:
+            worlds = worlds[worlds["remedy"] == AS_IS]
         worlds = worlds.sort_values(KEY, kind="stable", ignore_index=True)
         plans = self.plan_files.plans
         codes, plan_ids = pd.factorize(worlds["plan_id"])

@@ -56,10 +56,11 @@ def _command(run: ReportRun) -> str:
     config = run.info.get("config", {})
     if run.kind is Kind.CONFIDENCE:
         return f"score, each plan also in {config['confidence']:,} worlds with errors"
-    if run.kind in (Kind.GRID, Kind.SEARCH):
+    if run.kind.sweeps:
         sweep = config.get("sweep") or {}
         name = sweep.get("name") or "sweep"
-        return f"sweep “{name}”" + (f": {sweep['description']}" if sweep.get("description") else "")
+        kind = "chain" if run.kind is Kind.CHAIN else "sweep"
+        return f"{kind} “{name}”" + (f": {sweep['description']}" if sweep.get("description") else "")
     return str(config.get("command", "unknown"))
 
 

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
-from typing import Final
+from collections.abc import Iterator, Mapping, Sequence
+from typing import Any, Final
 
 import numpy as np
 import pandas as pd
@@ -12,7 +12,19 @@ from petmjx.common.text import count_text, three_digits
 from petmjx.common.units import FloatArray
 from petmjx.engines.verdict import Verdict
 from petmjx.results.share_intervals import ALL_PLANS, share_standing
-from petmjx.show.report.charts import ROSE_RINGS, Bar, bars, histogram, percent, rose, share_curve
+from petmjx.runs.chain_legs import AS_IS
+from petmjx.runs.chain_summary import WHOLE_WAY, arrivals, shares_by_leg
+from petmjx.show.report.charts import (
+    ROSE_RINGS,
+    Bar,
+    bars,
+    histogram,
+    interval_text,
+    intervals,
+    percent,
+    rose,
+    share_curve,
+)
 from petmjx.show.report.markup import NOTHING, Markup, element, joined_markup, table
 from petmjx.show.report.report_runs import Kind, ReportRun
 from petmjx.show.report.svg_charts import MOST_TICKS, Frame, Scale, figure, round_step
@@ -38,6 +50,10 @@ MATTERS: Final = (
 ROSE: Final = "Line: the median plan; band: half of the plans. None survived counts as 0."
 
 
+BY_LEG: Final = "Share that stands after a leg, of the worlds that reached it. Line: Wilson’s 95 % interval."
+WEAKEST: Final = "The leg in which most worlds of a plan failed first."
+
+
 def sweep_answers(run: ReportRun) -> Markup:
     """The section with the answers of a sweep, or of a score with confidence. Other scores have none."""
     summary = run.results.summary
@@ -47,6 +63,8 @@ def sweep_answers(run: ReportRun) -> Markup:
         return _grid(run, run.shares)
     if run.kind is Kind.SEARCH:
         return _search(run, summary)
+    if run.kind is Kind.CHAIN:
+        return _chain(summary)
     return _confidence(run, summary)
 
 
@@ -291,6 +309,62 @@ def _levels_table(levels: pd.DataFrame, name: str, unit: str) -> Markup:
     head = ["profile", "direction, °", "searches", "least", "median", "most"]
     caption = f"Largest {name} survived" + (f", {unit}" if unit else "")
     return table(head, rows[:MOST_VALUES], caption=caption)
+
+
+# Chains.
+
+
+def _chain(summary: pd.DataFrame) -> Markup:
+    """How likely plans arrive: all of them, leg by leg; each of them; and what remedies gain."""
+    overall, of_plans = summary[summary["scope"] == ALL_PLANS], arrivals(summary)
+    legs = overall[overall["remedy"] == AS_IS]
+    named = [(str(row["leg"]) or "whole way", row) for row in legs.to_dict("records")]
+    charts = [figure("By leg", intervals("By leg", [_share_row(name, row) for name, row in named]), BY_LEG)]
+    if len(of_plans) > 1:
+        frame = Frame("Share of worlds that arrive", Scale(0, 1), Scale(0, 1), "share that arrives", "plans")
+        frame.x_ticks = [(value, f"{100 * value:.0f} %") for value in (0, 0.25, 0.5, 0.75, 1)]
+        shares = of_plans["share"].dropna()
+        histogram(frame, shares, pd.Series("plain", index=shares.index), ["plain"])
+        weakest = of_plans.loc[of_plans["weakest_leg"] != "", "weakest_leg"].value_counts()
+        rows = [
+            Bar(str(leg), float(n), count_text(int(n), "plan"), Verdict.UNSTABLE.value) for leg, n in weakest.items()
+        ]
+        charts.append(figure(frame.title, frame.svg()))
+        charts += [figure("Weakest leg", bars("Weakest leg", rows), WEAKEST)] if rows else []
+    remedies = overall[(overall["remedy"] != AS_IS) & (overall["leg"] == WHOLE_WAY)]
+    return joined_markup(
+        element("div", *charts, class_="charts"),
+        _remedies(remedies) if len(remedies) else NOTHING,
+        _plans_by_leg(summary) if len(of_plans) <= MOST_VALUES else NOTHING,
+    )
+
+
+def _share_row(name: str, row: Mapping[Any, Any]) -> tuple[str, float, float, float, str]:
+    """A row of a chart of intervals. Without draws the interval is the share itself."""
+    share = float(row["share"])
+    low, high = (share if pd.isna(row[end]) else float(row[end]) for end in ("low", "high"))
+    text = f"{percent(share)} of {row['n_worlds'] - row['n_invalid']:,}"
+    return name, share, low, high, text + (f" ({interval_text(low, high)})" if low < high else "")
+
+
+def _remedies(remedies: pd.DataFrame) -> Markup:
+    rows = []
+    for row in remedies.sort_values("gain", ascending=False, kind="stable").to_dict("records"):
+        span = "" if pd.isna(row["gain_low"]) else f"{100 * row['gain_low']:+.1f} to {100 * row['gain_high']:+.1f}"
+        paired = (f"{int(row[name]):,}" for name in ("only_with", "only_without"))
+        rows.append([str(row["remedy"]), percent(row["share"]), f"{100 * row['gain']:+.1f}", span, *paired])
+    head = ["remedy", "share that arrives", "gain, points", "95 %", "arrive only with it", "only without it"]
+    return table(head, rows, caption="What would help: the same worlds with a remedy")
+
+
+def _plans_by_leg(summary: pd.DataFrame) -> Markup:
+    shares = shares_by_leg(summary)
+    rows = []
+    for row in arrivals(summary).to_dict("records"):
+        by_leg = map(percent, shares.loc[row["plan_id"]])
+        span = "" if pd.isna(row["low"]) else interval_text(row["low"], row["high"])
+        rows.append([str(row["plan_id"]), percent(float(row["share"])), span, *by_leg, str(row["weakest_leg"])])
+    return table(["plan", "arrives", "95 %", *shares, "weakest leg"], rows, caption="By plan")
 
 
 # Scores with confidence.

@@ -1,0 +1,108 @@
+"""Which boxes are crushed, at rest or at the peak: surely, possibly, or not; and how many pallets arrive whole.
+
+Strengths are not exact: the losses by stacking, moisture and time have a spread. Nor are, for several supports, forces
+at rest. So a box is *surely* overloaded if the least force is more than the most that it may bear, and *possibly* if
+the most force is more than the least that it may bear. Users read about it in docs/loads.md.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Final
+
+import numpy as np
+import pandas as pd
+
+from petmjx.engines.verdict import Verdict
+
+SURELY: Final = "surely"
+POSSIBLY: Final = "possibly"
+NOT: Final = "not"
+"""Values of the column ``crushed``."""
+
+BOX_UNITS: Final = {
+    "strength_low_n": ("N", "the least that the box may bear as it is stacked, for a short time"),
+    "strength_high_n": ("N", "the most that it may bear then"),
+    "crush_share_low": ("1", "larger of the least force at rest and the peak, each / the most that it bears then"),
+    "crush_share_high": (
+        "1",
+        "larger of the most force at rest and the peak, each / the least that it bears then",
+    ),
+}
+PLAN_UNITS: Final = {
+    "crushed": ("", "surely, possibly or not: whether a box bears too much, at rest or at the peak; null: not known"),
+    "crush_box": ("1", "the box with the largest crush_share_high"),
+}
+WAY_UNITS: Final = {
+    "plan_id": ("", "id of the packing plan"),
+    "remedy": ("", "what was changed in the chain; empty: nothing"),
+    "n_worlds": ("1", "worlds with a verdict"),
+    "n_standing": ("1", "those that arrive"),
+    "n_whole": ("1", "those that arrive, and in which no box is even possibly overloaded"),
+    "n_possibly_whole": ("1", "those that arrive, and in which no box is surely overloaded"),
+    "share": ("1", "n_standing / n_worlds"),
+    "share_whole": ("1", "n_whole / n_worlds"),
+    "share_possibly_whole": ("1", "n_possibly_whole / n_worlds"),
+}
+
+_KEY: Final = ["plan_id", "variant"]
+
+
+def with_crush_shares(boxes: pd.DataFrame, time_factors: tuple[float, float]) -> pd.DataFrame:
+    """The boxes with the columns ``crush_share_low`` and ``crush_share_high``.
+
+    Args:
+        boxes: forces on boxes (the least and the most at rest, if they are known) and the strengths of ``BOX_UNITS``.
+        time_factors: the least and the most share of its strength that a box keeps under forces at rest.
+    """
+    peak = boxes["max_top_force_n"]
+    least, most = (
+        boxes["rest_top_force_n"] if name not in boxes else boxes[name].fillna(boxes["rest_top_force_n"])
+        for name in ("rest_top_force_low_n", "rest_top_force_high_n")
+    )
+    low, high = boxes["strength_low_n"], boxes["strength_high_n"]
+    shortest, longest = time_factors
+    return boxes.assign(
+        crush_share_low=np.fmax(least / (high * longest), peak / high),
+        crush_share_high=np.fmax(most / (low * shortest), peak / low),
+    )
+
+
+def crushed_worlds(boxes: pd.DataFrame) -> pd.DataFrame:
+    """The columns ``PLAN_UNITS`` of each world."""
+    marked = boxes[_KEY].assign(
+        surely=boxes["crush_share_low"] > 1,
+        possibly=boxes["crush_share_high"] > 1,
+        unknown=boxes["crush_share_high"].isna(),
+    )
+    worlds = marked.groupby(_KEY, sort=False, as_index=False).any()
+    answers = [worlds["surely"], worlds["possibly"], ~worlds["unknown"]]
+    worlds["crushed"] = np.select(answers, [SURELY, POSSIBLY, NOT], "")
+    worlds["crushed"] = worlds["crushed"].astype(object).where(worlds["crushed"] != "", None)
+    known = boxes.dropna(subset="crush_share_high")
+    largest = known.loc[known.groupby(_KEY, sort=False)["crush_share_high"].idxmax(), [*_KEY, "box"]]
+    worlds = worlds.merge(largest.rename(columns={"box": "crush_box"}), on=_KEY, how="left")
+    return worlds[[*_KEY, *PLAN_UNITS]].astype({"crush_box": "Int32"})
+
+
+def ways_of(worlds: pd.DataFrame, plans: pd.DataFrame) -> pd.DataFrame:
+    """How likely pallets arrive, and arrive whole, at the end of a chain: one row for each plan and remedy.
+
+    Args:
+        worlds: of the run of a chain.
+        plans: its worlds with the column ``crushed``.
+    """
+    drawn = worlds.loc[worlds["variant"] > 0, [*_KEY, "verdict", "remedy"]]
+    drawn = drawn[drawn["verdict"].astype(str) != Verdict.INVALID.value].merge(plans[[*_KEY, "crushed"]], on=_KEY)
+    arrives = drawn["verdict"].astype(str) == Verdict.STABLE.value
+    counted: Mapping[str, pd.Series] = {
+        "n_worlds": pd.Series(True, index=drawn.index),
+        "n_standing": arrives,
+        "n_whole": arrives & (drawn["crushed"] == NOT),
+        "n_possibly_whole": arrives & (drawn["crushed"] != SURELY),
+    }
+    by_way = drawn[["plan_id", "remedy"]].assign(**counted).groupby(["plan_id", "remedy"], sort=False, as_index=False)
+    ways = by_way.sum()
+    shares = {"share": "n_standing", "share_whole": "n_whole", "share_possibly_whole": "n_possibly_whole"}
+    ways = ways.assign(**{share: ways[count] / ways["n_worlds"] for share, count in shares.items()})
+    return ways[[*WAY_UNITS]]

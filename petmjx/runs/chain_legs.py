@@ -1,0 +1,216 @@
+"""The legs of a chain: the tables ``[[legs]]`` and ``[[remedies]]`` of sweep files, and what a world is after a leg.
+
+A chain is the way of a pallet: it is placed, and then shaken leg by leg. Users read about it in docs/chains.md.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
+from typing import Annotated, Any, Final, Self
+
+import numpy as np
+from pydantic import Field, StrictFloat, model_validator
+
+from petmjx.common.checked_records import CheckedRecord, complaint, similar, within
+from petmjx.common.errors import InputError
+from petmjx.common.units import seconds_to_steps
+from petmjx.engines.verdict import Outcome, Verdict
+from petmjx.runs.sweep_axes import Direction, Range, Strengths, Turn, degrees
+from petmjx.world.history import History
+from petmjx.world.job import ACCELERATION, Drive, Excitation
+from petmjx.world.profiles.profile import Profile, Strength
+from petmjx.world.profiles.profile_registry import resolve
+from petmjx.world.variants import DriveSpec, LegSpec
+
+PLACING: Final = "placing"
+"""The name of the part of a chain before its first leg: boxes are placed, and come to rest."""
+
+AS_IS: Final = ""
+"""The remedy of worlds of the chain as the file describes it."""
+
+MOST_LEGS: Final = 100
+
+Name = Annotated[str, Field(min_length=1, max_length=100)]
+Factor = Annotated[StrictFloat, Field(gt=0), within(0, 100)]
+
+
+class Event(CheckedRecord):
+    """One profile of a leg."""
+
+    profile: Name = Field(description="name of a profile of accelerations, or of a family of them")
+    direction: Direction = Field(0.0, description="turn of the profile from +x to +y")
+    level: Strengths | None = Field(None, description="level of the profile, g, or {from, to}: drawn for each world")
+    scale: Strengths | None = Field(None, description="factor on the profile, or {from, to}: drawn for each world")
+
+    @property
+    def drawn(self) -> bool:
+        """Whether its strength differs from world to world."""
+        return isinstance(self.level, Range) or isinstance(self.scale, Range)
+
+    @model_validator(mode="before")
+    @classmethod
+    def _direction_in_degrees(cls, values: Any) -> Any:
+        if isinstance(values, Mapping) and isinstance(values.get("direction"), str):
+            try:
+                return {**values, "direction": degrees(values["direction"])}
+            except ValueError as error:
+                raise complaint(str(error), "direction") from None
+        return values
+
+
+class Leg(CheckedRecord):
+    """One table ``[[legs]]``. A leg without events only puts film around the pallet, or takes it off."""
+
+    name: Name = Field(description="name of the leg in the results")
+    events: tuple[Event, ...] = Field((), max_length=MOST_LEGS, description="profiles, one after the other")
+    pause_s: Annotated[StrictFloat, Field(ge=0), within(0, 60)] = Field(
+        1.0, description="time between the end of an event and the beginning of the next one, s"
+    )
+    wrap_turns: Turn | None = Field(None, description="turns of stretch film around the pallet from here on")
+
+
+class Remedy(CheckedRecord):
+    """One table ``[[remedies]]``: a change of one leg, which is tried in the same worlds."""
+
+    name: Name = Field(description="what is done, in the results")
+    leg: Name = Field(description="name of the leg that is changed")
+    wrap_turns: Turn | None = Field(None, description="turns of film from this leg on, instead of those of the leg")
+    factor: Factor | None = Field(None, description="factor on the levels and scales of its events")
+
+    @model_validator(mode="after")
+    def _changes_something(self) -> Self:
+        if self.wrap_turns is None and self.factor is None:
+            raise ValueError("changes nothing: give wrap_turns or factor")
+        return self
+
+
+def _ends(strength: float | Range[Any]) -> tuple[float, float | None]:
+    """``scale`` and ``scale_to`` of a drive."""
+    return (strength.low, strength.high) if isinstance(strength, Range) else (strength, None)
+
+
+def check_chain(legs: Sequence[Leg], remedies: Sequence[Remedy], defined: Mapping[str, Profile]) -> None:
+    """Check the tables of a chain against each other. Called by a validator.
+
+    Args:
+        defined: profiles that the file defines.
+
+    Raises:
+        ValidationError: names the table and the field.
+    """
+    names = [leg.name for leg in legs]
+    for number, name in enumerate(names):
+        if name == PLACING or name in names[:number]:
+            why = "the part before the first leg" if name == PLACING else "another leg"
+            raise complaint(f": {name!r} is already {why}", "legs", number, "name")
+    if legs and not any(leg.events for leg in legs):
+        raise complaint("have no events: nothing shakes the pallet", "legs")
+    for number, leg in enumerate(legs):
+        for place, event in enumerate(leg.events):
+            _check_event(event, defined, ("legs", number, "events", place))
+    if remedies and not legs:
+        raise complaint("need [[legs]], of which they change one", "remedies")
+    for number, remedy in enumerate(remedies):
+        if remedy.name in [other.name for other in remedies[:number]]:
+            raise complaint(f": {remedy.name!r} is already another remedy", "remedies", number, "name")
+        if remedy.leg not in names:
+            raise complaint(f": no leg {remedy.leg!r}{similar(remedy.leg, names)}", "remedies", number, "leg")
+        leg = legs[names.index(remedy.leg)]
+        if remedy.factor is not None and not any(_has_strength(event, defined) for event in leg.events):
+            text = f": no event of leg {remedy.leg!r} has a level or scale"
+            raise complaint(text, "remedies", number, "factor")
+
+
+def _has_strength(event: Event, defined: Mapping[str, Profile]) -> bool:
+    return any(profile.strength is not Strength.ANGLE for profile in resolve(event.profile, defined))
+
+
+def _check_event(event: Event, defined: Mapping[str, Profile], path: tuple[str | int, ...]) -> None:
+    try:
+        profiles = resolve(event.profile, defined)
+    except InputError as error:
+        raise complaint(f": {error}", *path, "profile") from None
+    for profile in profiles:
+        if profile.kind != ACCELERATION:
+            text = f": {profile.name!r} pushes the carrier; legs need profiles of accelerations"
+            raise complaint(text, *path, "profile")
+        for name in (Strength.LEVEL, Strength.SCALE):
+            if getattr(event, name) is not None and profile.strength is not name:
+                has = "an angle of its own" if profile.strength is Strength.ANGLE else f"a {profile.strength}"
+                raise complaint(f"contradicts profile {profile.name!r}, which has {has}", *path, name)
+        for name in (Strength.LEVEL, Strength.SCALE):
+            if isinstance(drawn := getattr(event, name), Range) and not drawn.continuous:
+                raise complaint("is drawn between from and to: it has no step or count", *path, name)
+        if profile.strength is Strength.LEVEL and event.level is None:
+            raise complaint(f"is missing: profile {profile.name!r} has a level in g", *path, "level")
+
+
+def profiles_of_legs(legs: Sequence[Leg], defined: Mapping[str, Profile]) -> dict[str, Profile]:
+    """The profiles of all legs, by name."""
+    events = (event for leg in legs for event in leg.events)
+    return {profile.name: profile for event in events for profile in resolve(event.profile, defined)}
+
+
+def legs_with(legs: Sequence[Leg], remedy: Remedy | None, defined: Mapping[str, Profile]) -> tuple[LegSpec, ...]:
+    """The legs that shake the pallet, with the film that is around it then, and with a remedy."""
+    return tuple(_specs(legs, remedy, defined))
+
+
+def _specs(legs: Sequence[Leg], remedy: Remedy | None, defined: Mapping[str, Profile]) -> Iterator[LegSpec]:
+    turns: float | None = None
+    for leg in legs:
+        turns, factor = (turns if leg.wrap_turns is None else leg.wrap_turns), 1.0
+        if remedy is not None and remedy.leg == leg.name:
+            turns = turns if remedy.wrap_turns is None else remedy.wrap_turns
+            factor = 1.0 if remedy.factor is None else remedy.factor
+        drives = []
+        for event in leg.events:
+            low, high = _ends(next((value for value in (event.level, event.scale) if value is not None), 1.0))
+            for profile in resolve(event.profile, defined):
+                by = 1.0 if profile.strength is Strength.ANGLE else factor
+                drives.append(DriveSpec(profile.name, by * low, event.direction, None if high is None else by * high))
+        if drives:
+            yield LegSpec(leg.name, tuple(drives), leg.pause_s if len(drives) > 1 else 0.0, turns)
+
+
+def in_a_row(name: str, drives: Sequence[Drive], pause_s: float, timestep_s: float) -> Excitation:
+    """Drives of accelerations one after the other, with pauses between them, as one excitation."""
+    pause = np.zeros((seconds_to_steps(pause_s, timestep_s), 3))
+    # the total mass is the unit of forces alone
+    parts = [part for drive in drives for part in (drive.rows(total_mass=0.0), pause)]
+    return Excitation(name, ACCELERATION, np.concatenate(parts[:-1]))
+
+
+def after(before: Outcome, leg: Outcome, timestep_s: float) -> Outcome:
+    """The outcome of a world after one more leg: its metrics since the first box was placed, its time since then.
+
+    Largest values are those of the whole way, the place of the boxes and their forces at rest those of the end.
+
+    Args:
+        before: the outcome after the legs before, in which the world stood.
+        leg: the outcome of the leg alone, whose clock begins where the placement ended.
+    """
+    since_s = before.n_steps * timestep_s
+    boxes, old = leg.boxes, before.boxes
+    largest = {
+        name: np.fmax(getattr(old, name), getattr(boxes, name))
+        for name in ("max_tilt_deg", "max_lin_acc", "max_ang_acc", "max_top_force_n", "max_sway_m")
+    }
+    history = leg.history
+    if history is not None and before.history is not None:
+        history = before.history.then(_later(history, since_s))
+    return replace(
+        leg,
+        boxes=replace(boxes, **largest, drop_s=boxes.drop_s + since_s),
+        first_sign_s=leg.first_sign_s + since_s,
+        sim_time_s=leg.sim_time_s + since_s,
+        n_steps=before.n_steps + leg.n_steps,
+        flags=before.flags | leg.flags,
+        margin=leg.margin if leg.verdict is Verdict.INVALID else min(before.margin, leg.margin),
+        history=history,
+    )
+
+
+def _later(history: History, since_s: float) -> History:
+    return replace(history, time_s=history.time_s + since_s)

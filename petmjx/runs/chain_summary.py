@@ -1,0 +1,201 @@
+"""The answers of a chain: how likely a pallet arrives, which leg is the weakest, and what a remedy gains.
+
+Users read about the columns in docs/chains.md.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, Final
+
+import numpy as np
+import pandas as pd
+
+from petmjx.engines.metrics import DIMENSIONLESS
+from petmjx.engines.verdict import Verdict
+from petmjx.results.plan_order import rows_in_order
+from petmjx.results.run_writer import RunWriter
+from petmjx.results.schema import data_frame, summary_table
+from petmjx.results.share_intervals import ALL_PLANS, ONE_PLAN, PairedCounts, newcombe_interval, wilson_interval
+from petmjx.runs.chain_legs import AS_IS, PLACING
+from petmjx.runs.sweep_worlds import SweepPlan
+
+WHOLE_WAY: Final = ""
+"""``leg`` of the rows about the whole way."""
+
+OF_WORLDS: Final = ("plan_id", "variant", "verdict", "culprit", "leg", "remedy")
+"""Columns of ``worlds`` from which the summary is made."""
+
+_KEYS: Final = ["scope", "plan_id", "remedy", "leg"]
+_COUNTS: Final = ["n_worlds", "n_standing", "n_invalid"]
+
+_DESCRIPTIONS: Final = {
+    "scope": "all: the row is about all plans together; plan: about one",
+    "plan_id": "id of the packing plan; null where the row is about all of them",
+    "remedy": "what was changed in the chain; empty: nothing",
+    "leg": "leg of the chain; empty: the whole way",
+    "n_worlds": "worlds that reached the leg; of the whole way: all worlds",
+    "n_standing": "those that stand after it; of the whole way: that arrive",
+    "n_invalid": "those without a verdict; not in the share",
+    "share": "n_standing / (n_worlds - n_invalid); null where there is none",
+    "low": "lower end of the share's Wilson 95 % interval; null where nothing is drawn",
+    "high": "upper end of it",
+    "weakest_leg": "of the whole way: the leg in which most worlds failed first; empty: none failed",
+    "box": "the box that failed first most often in that leg; null where the row is about all plans",
+    "only_with": "of the whole way with a remedy: draws that arrive with it and not without it",
+    "only_without": "draws that arrive without it and not with it",
+    "gain": "share with the remedy less share without it, over draws with a verdict for both",
+    "gain_low": "lower end of Newcombe's 95 % interval of the gain for paired draws; null where nothing is drawn",
+    "gain_high": "upper end of it",
+}
+
+_TEXTS: Final = frozenset({"scope", "plan_id", "remedy", "leg", "weakest_leg"})
+
+
+@dataclass(frozen=True)
+class ChainColumns:
+    """What the summary of a chain needs to know. ``run.json`` has it, so that shards can be joined.
+
+    Attributes:
+        legs: names of the legs that shake the pallet, in order.
+        remedies: names of the remedies, in order.
+        random: whether worlds are drawn.
+    """
+
+    legs: Sequence[str]
+    remedies: Sequence[str]
+    random: bool
+
+    @classmethod
+    def of(cls, plan: SweepPlan) -> ChainColumns:
+        """The columns of a sweep with legs."""
+        first, *remedies = plan.ways
+        return cls([leg.name for leg in plan.ways[first]], remedies, bool(plan.draws()))
+
+
+def summarise_chain(worlds: pd.DataFrame, chain: ChainColumns) -> pd.DataFrame:
+    """The summary of a chain: a row for all plans and for each plan, for each remedy, for the whole way and each leg.
+
+    Worlds of a plan are independent draws, so shares have Wilson's interval. A world and the same world with a remedy
+    are a pair.
+
+    Args:
+        worlds: the columns ``OF_WORLDS`` of all worlds of the run, in its order.
+    """
+    ways, legs = [AS_IS, *chain.remedies], [WHOLE_WAY, PLACING, *chain.legs]
+    worlds = worlds[worlds["variant"] > 0]
+    worlds = worlds.assign(verdict=worlds["verdict"].astype(str), draw=(worlds["variant"] - 1) // len(ways))
+    both = pd.concat(
+        [worlds.assign(scope=ALL_PLANS, plan_id="", pair=worlds["plan_id"]), worlds.assign(scope=ONE_PLAN, pair="")],
+        ignore_index=True,
+    )
+    for name, order in (("plan_id", ["", *worlds["plan_id"].unique()]), ("remedy", ways), ("leg", legs)):
+        both[name] = pd.Categorical(both[name], categories=order)
+    summary = _leg_counts(both, legs)
+    judged = (summary["n_worlds"] - summary["n_invalid"]).to_numpy()
+    drawn = (judged > 0) & chain.random
+    low, high = wilson_interval(summary["n_standing"], judged)
+    summary["share"] = np.where(judged > 0, summary["n_standing"] / np.maximum(judged, 1), np.nan)
+    summary["low"], summary["high"] = np.where(drawn, low, np.nan), np.where(drawn, high, np.nan)
+    summary = summary.merge(_weakest_legs(summary, both), on=_KEYS, how="left")
+    summary = summary.merge(_gains(both, random=chain.random), on=_KEYS, how="left")
+    for name in ("plan_id", "remedy", "leg"):
+        summary[name] = summary[name].astype(object)
+    summary.loc[summary["scope"] == ALL_PLANS, "plan_id"] = None
+    whole = summary["leg"] == WHOLE_WAY
+    weakest = summary["weakest_leg"].astype(object)
+    summary["weakest_leg"] = weakest.where(weakest.notna(), "").where(whole, None)
+    for name in ("box", "only_with", "only_without"):
+        summary[name] = summary[name].astype("Int32")
+    return summary[[*_DESCRIPTIONS]]
+
+
+def _leg_counts(worlds: pd.DataFrame, legs: Sequence[str]) -> pd.DataFrame:
+    """The columns ``_KEYS`` and ``_COUNTS``, in order."""
+    invalid = worlds["verdict"] == Verdict.INVALID.value
+    arrives = worlds["leg"] == WHOLE_WAY
+    end = worlds["leg"].cat.codes.where(~arrives, len(legs))
+    parts = []
+    for number, leg in enumerate(legs):
+        here = pd.Series(True, index=worlds.index) if leg == WHOLE_WAY else end >= number
+        counted = {
+            "n_worlds": here,
+            "n_standing": arrives if leg == WHOLE_WAY else end > number,
+            "n_invalid": invalid if leg == WHOLE_WAY else invalid & (end == number),
+        }
+        part = worlds[["scope", "plan_id", "remedy"]].assign(leg=pd.Categorical([leg] * len(worlds), legs), **counted)
+        parts.append(part)
+    by_leg = pd.concat(parts, ignore_index=True).groupby(_KEYS, sort=True, observed=True)[_COUNTS]
+    return by_leg.sum().astype("int64").reset_index()
+
+
+def _weakest_legs(summary: pd.DataFrame, worlds: pd.DataFrame) -> pd.DataFrame:
+    """The leg in which most worlds failed, for each row about the whole way, and the box that failed there most often.
+    Of equal ones the first counts."""
+    way = _KEYS[:3]
+    failed = summary.assign(n=summary["n_worlds"] - summary["n_standing"] - summary["n_invalid"])
+    failed = failed[(failed["leg"] != WHOLE_WAY) & (failed["n"] > 0)]
+    weakest = failed.sort_values("n", ascending=False, kind="stable").drop_duplicates(way)
+    falls = worlds[(worlds["verdict"] == Verdict.UNSTABLE.value) & (worlds["scope"] == ONE_PLAN)]
+    boxes = falls.groupby([*_KEYS, "culprit"], observed=True).size().rename("n").reset_index()
+    boxes = boxes.sort_values("n", ascending=False, kind="stable").drop_duplicates(_KEYS)
+    weakest = weakest[_KEYS].merge(boxes[[*_KEYS, "culprit"]], on=_KEYS, how="left")
+    weakest = weakest.rename(columns={"leg": "weakest_leg", "culprit": "box"})
+    return weakest.assign(leg=WHOLE_WAY)
+
+
+def _gains(worlds: pd.DataFrame, *, random: bool) -> pd.DataFrame:
+    """What each remedy gains, for rows about the whole way."""
+    judged = worlds[worlds["verdict"] != Verdict.INVALID.value]
+    pairs = ["scope", "plan_id", "pair", "draw"]
+    without = judged.loc[judged["remedy"] == AS_IS, [*pairs, "verdict"]]
+    paired = judged.loc[judged["remedy"] != AS_IS, [*pairs, "remedy", "verdict"]].merge(
+        without, on=pairs, suffixes=("", "_without")
+    )
+    stands = paired["verdict"] == Verdict.STABLE.value
+    stood = paired["verdict_without"] == Verdict.STABLE.value
+    counted = {"both": stands & stood, "only_without": ~stands & stood, "only_with": stands & ~stood}
+    counted["neither"] = ~stands & ~stood
+    way = _KEYS[:3]
+    counts = paired[way].assign(**counted).groupby(way, observed=True).sum().astype("int64").reset_index()
+    rows = [_gain(PairedCounts(*numbers), random) for numbers in counts[[*counted]].itertuples(index=False, name=None)]
+    columns = ["gain", "gain_low", "gain_high"]
+    gains = pd.DataFrame(rows, columns=columns, index=counts.index, dtype="float64")
+    return pd.concat([counts[[*way, "only_with", "only_without"]], gains], axis=1).assign(leg=WHOLE_WAY)
+
+
+def _gain(counts: PairedCounts, random: bool) -> tuple[float, float, float]:
+    """The gain of a remedy, a in the pairs being the world without it, and its interval."""
+    low, high = newcombe_interval(counts) if random and counts.n else (np.nan, np.nan)
+    return counts.difference, low, high
+
+
+def write_chain(writer: RunWriter, chain: ChainColumns) -> None:
+    """Write the table ``summary`` of a chain. All parts of the run must be written.
+
+    Raises:
+        PetmjxError: the file cannot be written.
+    """
+    rows = rows_in_order(writer.parts, "worlds", OF_WORLDS)
+    assert rows is not None
+    summary = summarise_chain(data_frame(rows), chain)
+    units = {name: DIMENSIONLESS for name in summary if name not in _TEXTS}
+    writer.write_summary(summary_table(summary, units, _DESCRIPTIONS))
+
+
+def arrivals(summary: pd.DataFrame, remedy: str = AS_IS) -> pd.DataFrame:
+    """The rows of a chain's summary about the whole way of each plan, in the order of the run."""
+    chosen = (summary["scope"] == ONE_PLAN) & (summary["leg"] == WHOLE_WAY) & (summary["remedy"] == remedy)
+    return summary[chosen].reset_index(drop=True)
+
+
+def shares_by_leg(summary: pd.DataFrame) -> pd.DataFrame:
+    """P(stands after a leg, if it was reached) of each plan without remedies: a row a plan, a column a leg in order."""
+    chosen = summary[(summary["scope"] == ONE_PLAN) & (summary["remedy"] == AS_IS) & (summary["leg"] != WHOLE_WAY)]
+    return chosen.pivot(index="plan_id", columns="leg", values="share")[chosen["leg"].unique().tolist()]
+
+
+def is_chain(info: Mapping[str, Any]) -> bool:
+    """Whether a run is one of a chain. ``info``: its ``run.json``."""
+    return info.get("config", {}).get("chain") is not None

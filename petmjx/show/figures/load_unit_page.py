@@ -1,0 +1,225 @@
+"""A page to send about each load unit of a chain, as PDF: its four sides, how likely it arrives, and what is assumed.
+
+``petmjx report DIR --pdf FILE`` writes it, with matplotlib. docs/chains.md shows what stands on it.
+"""
+
+from __future__ import annotations
+
+import textwrap
+from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+import pandas as pd
+
+from petmjx.analysis.criteria import load_tipping_g
+from petmjx.analysis.plan_contacts import find_contacts
+from petmjx.common.atomic_write import atomic_write
+from petmjx.common.errors import InputError
+from petmjx.common.text import box_label, count_text, printable, printable_name
+from petmjx.common.units import MM_PER_M
+from petmjx.options.carriers import Carrier
+from petmjx.plans.plan import Plan
+from petmjx.plans.plan_warnings import DEFAULT_TOLERANCE_MM
+from petmjx.results.run_reader import RunResults
+from petmjx.results.share_intervals import ONE_PLAN
+from petmjx.runs.chain_legs import AS_IS, PLACING
+from petmjx.runs.chain_summary import WHOLE_WAY, arrivals, is_chain
+from petmjx.show.figures.figure_style import paper_style
+from petmjx.show.pages.palette import article_colours, category
+from petmjx.show.table_layout import percent
+from petmjx.world.profiles.accelerations import EN_12195_FORWARD_G, EN_12195_SIDEWAYS_G
+
+A4_IN: Final = (8.27, 11.69)
+
+MOST_PAGES: Final = 50
+"""Most plans of one file, a page each."""
+
+LETTERS: Final = 100
+"""Letters of a line of text."""
+
+SIDES: Final = (("front", 0, 1, 1.0), ("right", 1, 0, -1.0), ("back", 0, 1, -1.0), ("left", 1, 0, 1.0))
+"""Name of a view, the axis across it, the axis into it, and whether that leads away (1) or towards the eye (-1)."""
+
+MIRRORED: Final = frozenset({"back", "left"})
+"""Views in which the axis across runs to the left."""
+
+
+def write_load_unit_pages(run: RunResults, plans: Mapping[str, Plan], path: Path) -> int:
+    """Write a page for each plan of a chain; returns the number of pages.
+
+    Args:
+        plans: the plans of the run, by id.
+
+    Raises:
+        InputError: the run is no chain, has too many plans, or none that was found.
+    """
+    if not is_chain(run.info) or run.summary is None:
+        raise InputError(f"{run.path}: a page to send is about a chain: petmjx score PLANS --chain NAME")
+    rows = [row for row in arrivals(run.summary).to_dict("records") if row["plan_id"] in plans]
+    if not rows:
+        raise InputError(f"{run.path}: none of its plans was found: name their files")
+    if len(rows) > MOST_PAGES:
+        raise InputError(f"{run.path}: has {len(rows):,} plans, more than the {MOST_PAGES} pages of a file")
+    from matplotlib.backends.backend_pdf import PdfPages
+
+    with paper_style(), atomic_write(path) as file, PdfPages(file, metadata={"CreationDate": None}) as pages:
+        for row in rows:
+            pages.savefig(_page(run, plans[str(row["plan_id"])], row))
+    return len(rows)
+
+
+def sentence(row: Mapping[Any, Any]) -> str:
+    """The answer in one sentence. ``row``: of ``arrivals``."""
+    judged = row["n_worlds"] - row["n_invalid"]
+    if not judged:
+        return "No world has a verdict."
+    interval = "" if pd.isna(row["low"]) else f" ({percent(row['low'])} to {percent(row['high'])}, 95 %)"
+    text = f"Arrives in {row['n_standing']:,} of {judged:,} worlds: P = {percent(row['share'])}{interval}."
+    if not row["weakest_leg"]:
+        return f"{text} It fails in no leg."
+    box = "" if pd.isna(row["box"]) else f", most often by box {int(row['box'])}"
+    return f"{text} Weakest leg: {row['weakest_leg']}{box}."
+
+
+def _page(run: RunResults, plan: Plan, row: Mapping[Any, Any]) -> Any:
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=A4_IN, facecolor="white")
+    figure.text(0.07, 0.96, printable(plan.plan_id), fontsize=15, fontweight="bold", va="top")
+    figure.text(0.07, 0.935, "\n".join(textwrap.wrap(sentence(row), 88)), fontsize=10, va="top")
+    for place, side in enumerate(SIDES):
+        axes = figure.add_axes((0.07 + 0.225 * place, 0.62, 0.2, 0.26))
+        _draw_side(axes, plan, *side)
+    _draw_legs(figure.add_axes((0.2, 0.4, 0.73, 0.17)), run, plan)
+    texts = [("Load unit", _facts(run, plan)), ("What would help", _remedies(run, plan)), ("Assumed", _assumed(run))]
+    y = 0.35
+    for title, lines in texts:
+        if not lines:
+            continue
+        figure.text(0.07, y, title, fontsize=10, fontweight="bold", va="top")
+        text = "\n".join(part for line in lines for part in textwrap.wrap(line, LETTERS, subsequent_indent="   "))
+        figure.text(0.07, y - 0.018, text, fontsize=8, va="top", linespacing=1.35)
+        y -= 0.03 + 0.0135 * (text.count("\n") + 1)
+    versions = run.info.get("versions", {})
+    named = ", ".join(f"{name} {versions[name]}" for name in ("petmjx", "mujoco", "python") if name in versions)
+    engine = run.info.get("config", {}).get("engine", "")
+    figure.text(0.07, 0.03, f"{named}; engine {engine}; {run.info.get('started', '')}", fontsize=7, color="0.4")
+    return figure
+
+
+def _draw_side(axes: Any, plan: Plan, name: str, across: int, into: int, away: float) -> None:
+    """The load seen from a side, far boxes first."""
+    from matplotlib.patches import Rectangle
+
+    colours = article_colours(plan.articles)
+    low, high = plan.corner_mm, plan.corner_mm + plan.size_mm
+    depth = low[:, into] if away > 0 else -high[:, into]
+    for box in np.argsort(-depth, kind="stable").tolist():
+        size = plan.size_mm[box, across], plan.size_mm[box, 2]
+        place = low[box, across], low[box, 2]
+        axes.add_patch(Rectangle(place, *size, facecolor=colours[box], edgecolor="black", linewidth=0.5))
+    left, right, top = low[:, across].min(), high[:, across].max(), high[:, 2].max()
+    axes.add_patch(Rectangle((left, -80), right - left, 80, facecolor="0.75", edgecolor="0.4", linewidth=0.5))
+    axes.set_xlim((right + 30, left - 30) if name in MIRRORED else (left - 30, right + 30))
+    axes.set_ylim(-100, top + 30)
+    axes.set_aspect("equal", anchor="S")
+    axes.set_axis_off()
+    axes.set_title(name, fontsize=8)
+
+
+def _rows_of(run: RunResults, plan: Plan) -> pd.DataFrame:
+    """The rows about a plan in the summary of a chain."""
+    assert run.summary is not None
+    return run.summary[(run.summary["scope"] == ONE_PLAN) & (run.summary["plan_id"] == plan.plan_id)]
+
+
+def _draw_legs(axes: Any, run: RunResults, plan: Plan) -> None:
+    rows = _rows_of(run, plan)
+    rows = rows[rows["remedy"] == AS_IS]
+    named = [("whole way" if row["leg"] == WHOLE_WAY else row["leg"], row) for row in rows.to_dict("records")]
+    for place, (_, row) in enumerate(named):
+        if pd.isna(row["share"]):
+            continue
+        if not pd.isna(row["low"]):
+            ends = [100 * row["low"], 100 * row["high"]]
+            axes.plot(ends, [place, place], color=category(4), linewidth=1.4)
+        axes.plot(100 * row["share"], place, "o", color=category(4), markersize=4)
+    axes.set_yticks(range(len(named)), [printable_name(str(name)) for name, _ in named])
+    axes.set_ylim(len(named) - 0.4, -0.6)
+    axes.set_xlim(-2, 102)
+    axes.set_title("worlds that stand after a leg, of those that reached it, %; lines: 95 % intervals", loc="left")
+    axes.grid(axis="x", color="0.9", linewidth=0.6)
+
+
+def _facts(run: RunResults, plan: Plan) -> Iterator[str]:
+    top = float((plan.corner_mm + plan.size_mm)[:, 2].max())
+    simulation = run.info["config"]["simulation"]
+    carrier = run.carrier
+    name = carrier.value if isinstance(carrier, Carrier) else printable_name(carrier.name)
+    boxes = count_text(plan.n_boxes, "box", "boxes")
+    yield f"{boxes}, {plan.mass_kg.sum():,.0f} kg, {top / MM_PER_M:.2f} m high, on the carrier {name}."
+    slides_g = float(simulation["physics"]["box_friction"][0])
+    tips_g = float(load_tipping_g(find_contacts(plan, DEFAULT_TOLERANCE_MM))[-1])
+    limits = f"EN 12195-1 asks for {EN_12195_FORWARD_G:g} g forward, {EN_12195_SIDEWAYS_G:g} g sideways and rearward"
+    yield f"As one rigid body without film it slides from {slides_g:.2f} g and tips from {tips_g:.2f} g; {limits}."
+    yield from _most_loaded(run, plan)
+
+
+def _most_loaded(run: RunResults, plan: Plan) -> Iterator[str]:
+    """The box with the largest force on its top, in the worlds that arrive."""
+    if not run.keeps_boxes:
+        return
+    worlds = run.worlds[run.worlds["plan_id"] == plan.plan_id]
+    arrived = worlds.loc[(worlds["remedy"] == AS_IS) & (worlds["leg"] == WHOLE_WAY), ["plan_id", "variant"]]
+    boxes = run.boxes.merge(arrived, on=["plan_id", "variant"])
+    if boxes.empty:
+        return
+    largest = boxes.groupby("box")[["rest_top_force_n", "max_top_force_n"]].median()
+    box = int(largest["max_top_force_n"].idxmax())
+    rest_n, peak_n = largest.loc[box]
+    label = box_label(box, plan.articles[box])
+    of = "medians of worlds that arrive"
+    yield f"Most loaded: box {label}, {rest_n:,.0f} N at rest, {peak_n:,.0f} N at the peak ({of})."
+
+
+def _remedies(run: RunResults, plan: Plan) -> list[str]:
+    rows = _rows_of(run, plan)
+    rows = rows[(rows["leg"] == WHOLE_WAY) & (rows["remedy"] != AS_IS)]
+    lines = []
+    for row in rows.sort_values("gain", ascending=False, kind="stable").to_dict("records"):
+        span = "" if pd.isna(row["gain_low"]) else f" ({100 * row['gain_low']:+.0f} to {100 * row['gain_high']:+.0f})"
+        lines.append(f"{row['remedy']}: {percent(row['share'])}, {100 * row['gain']:+.0f} points{span}")
+    return lines
+
+
+def _assumed(run: RunResults) -> list[str]:
+    """The chain in words: errors, legs, and what the model leaves out."""
+    sweep = run.info["config"]["sweep"]
+    errors = ", ".join(f"{name} {_value(value)}" for name, value in sweep["axes"].items())
+    lines = [f"Chain {printable_name(str(sweep['name']))}; {PLACING} with {errors or 'no errors'}."]
+    lines += [f"{leg['name']}: {_leg_text(leg)}." for leg in sweep["legs"]]
+    lines.append(
+        "The pallet stands alone, without walls, straps or neighbours. Boxes are rigid. A world arrives if every box "
+        "is within the thresholds of its planned place after each leg."
+    )
+    return [printable(line) for line in lines]
+
+
+def _leg_text(leg: Mapping[str, Any]) -> str:
+    events = []
+    for event in leg["events"]:
+        strengths = (("level", " {} g"), ("scale", " × {}"))
+        strength = "".join(form.format(_range(event[name])) for name, form in strengths if event.get(name))
+        events.append(f"{event['profile']}{strength} {event['direction']:g}°")
+    film = [] if leg.get("wrap_turns") is None else [f"{leg['wrap_turns']:g} turns of film from here on"]
+    return ", ".join([*events, *film]) or "nothing"
+
+
+def _value(values: Sequence[Any] | Any) -> str:
+    return ", ".join(f"{value:g}" if isinstance(value, float) else str(value) for value in values)
+
+
+def _range(strength: float | Mapping[str, float]) -> str:
+    return f"{strength['low']:g} to {strength['high']:g}" if isinstance(strength, Mapping) else f"{strength:g}"
