@@ -61,23 +61,6 @@ def test_worlds_that_are_alike_are_filled_in_together(
         np.testing.assert_array_equal(in_threads[name], [*values, *[values[0]] * 3], err_msg=name)
 
 
-@pytest.mark.parametrize("carrier", ["footprint", "epal-1"])
-def test_rows_of_the_first_scenes_may_be_made_before(carrier: str) -> None:
-    """The others are scenes again, more of these, and, or not, a carrier of more boards than the first ones have."""
-    sim = Simulation()
-    first, more = with_errors(sim, 3), make_scene(stack(3), Simulation(carrier=carrier))
-    scenes = [*first, more, *first[:2], more]
-    ready = rows_of(first, 28, sim)
-    rows = rows_of(scenes, 28, sim, spare=2)
-    in_two = rows_of(scenes, 28, sim, spare=2, ready=ready)
-    all_ready = rows_of(first, 28, sim, spare=2, ready=ready)
-    assert (len(rows["shape_half"][0]) == len(ready["shape_half"][0])) == (carrier == "footprint")
-    for name, values in rows.items():
-        np.testing.assert_array_equal(in_two[name], values, err_msg=name, strict=True)
-    for name, values in rows_of(first, 28, sim, spare=2).items():
-        np.testing.assert_array_equal(all_ready[name], values, err_msg=name, strict=True)
-
-
 def test_groups_have_each_scene_once_and_only_those_alike() -> None:
     sim = Simulation()
     scenes = [*with_errors(sim, AT_A_TIME + 5, 7), make_scene(stack(3), sim), make_scene(stack(3), sim)]
