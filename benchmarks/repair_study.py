@@ -8,6 +8,7 @@ from __future__ import annotations
 import time
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
+from itertools import islice
 from typing import Any, Final
 
 import numpy as np
@@ -15,7 +16,7 @@ import pandas as pd
 
 import petmjx
 from petmjx.options.carriers import Carrier
-from petmjx.packers.sample_plans import generate
+from petmjx.packers.sample_plans import MOST_SAMPLES, generate
 from petmjx.plans.plan import Plan
 from petmjx.plans.plan_validation import parse_plan
 from petmjx.repairs.drafts import Draft, Rules
@@ -34,13 +35,13 @@ def falling(plans: Sequence[Plan], **how: Any) -> list[Plan]:
     return [plan for plan, verdict in zip(plans, verdicts.verdict, strict=True) if verdict != "stable"]
 
 
-def generated(n: int, seed: int, **how: Any) -> list[Plan]:
-    """The first ``n`` plans of the mixed set of a seed that fall."""
+def generated(n: int, seed: int, most_boxes: int, **how: Any) -> list[Plan]:
+    """The first ``n`` plans of the mixed set of a seed that fall, of those with at most so many boxes."""
+    drawn = (parse_plan(name, f"seed {seed}", placed, len(placed), {}) for name, placed in generate(MOST_SAMPLES, seed))
+    small = (plan for plan in drawn if plan.n_boxes <= most_boxes)
     plans: list[Plan] = []
-    count = 2 * n
     while len(plans) < n:
-        drawn = [parse_plan(name, f"seed {seed}", placed, len(placed), {}) for name, placed in generate(count, seed)]
-        plans, count = falling(drawn, **how), 2 * count
+        plans += falling([*islice(small, 2 * (n - len(plans)))], **how)
     return plans[:n]
 
 

@@ -266,6 +266,7 @@ def repair(
     ] = None,
     n: Annotated[int, typer.Option(metavar="N", help="Generated plans that fall, if no plans are named.")] = 60,
     seed: Annotated[int, typer.Option(metavar="SEED", help="Of the generated plans, or of the moves.")] = 0,
+    most_boxes: Annotated[int, typer.Option(metavar="N", help="Of a generated plan.")] = 512,
     worlds: Annotated[int, typer.Option(metavar="N", help="Worlds with errors.")] = 8,
     most_s: Annotated[float, typer.Option(metavar="S", help="No plan is begun after this time.")] = 1e9,
     out: Annotated[Path | None, typer.Option(metavar="FILE", help="Appends a line of JSON for each plan.")] = None,
@@ -281,7 +282,7 @@ def repair(
     if plans:
         chosen: Any = disturbed(usable(plans, RunOptions()), seed, **options)
     else:
-        chosen = generated(n, seed, **options)
+        chosen = generated(n, seed, most_boxes, **options)
     for row, result in repaired_rows(chosen, worlds=worlds, **options):
         rows.append(row)
         seconds = f"{row['wall_s']:.0f} s, {row['trials']} trials"

@@ -21,7 +21,7 @@ from petmjx.plans.plan_writer import save_plans
 from petmjx.repairs.changes import Change, Kind, applied, cost_of
 from petmjx.repairs.drafts import Draft
 from petmjx.repairs.repair_options import RepairOptions
-from petmjx.repairs.search import Asking, Search, State
+from petmjx.repairs.search import Asking, Search
 from petmjx.repairs.trials import OF_RUN, Asked, Question, Share, Trial
 from petmjx.results.notebook_tables import ShownColumn, block_as_html, table_as_html
 from petmjx.results.plan_lookup import plans_in_place
@@ -292,27 +292,34 @@ def _with_shares(searches: Sequence[Search], question: Question, options: Repair
     """The results of searches, with the shares of worlds with errors.
 
     Of repairs with the same number of changes the cheapest one that stands often enough is taken; if none does, the one
-    that stands most often.
+    that stands most often. What is chosen by chance looks better than it is. So the shares that are reported are of
+    other errors than those by which repairs are chosen.
     """
     shares: list[list[Share]] = [[] for _ in searches]
-    before: list[Share | None] = [None] * len(searches)
-    if options.worlds:
-        before = [*question.shares([search.plan for search in searches])]
-        rows = [row for row, search in enumerate(searches) if search.repairs and search.repairs[0].changes]
-        while rows:
-            drafts = [searches[row].repairs[len(shares[row])].draft for row in rows]
-            for row, result in zip(rows, question.shares([draft.as_plan() for draft in drafts]), strict=True):
-                shares[row].append(result)
-            rows = [
-                row for row in rows if len(shares[row]) < len(searches[row].repairs) and not _is_good(shares[row][-1])
-            ]
-    for search, tried, share in zip(searches, shares, before, strict=True):
-        assert search.before is not None
-        state: State | None = search.repairs[0] if search.repairs else None
-        after = share if state is not None and not state.changes else None
+    chosen = [search.repairs[0] if search.repairs else None for search in searches]
+    rows = [row for row, search in enumerate(searches) if len(search.repairs) > 1] if options.worlds else []
+    while rows:
+        drafts = [searches[row].repairs[len(shares[row])].draft for row in rows]
+        names = [f"{draft.plan.plan_id}: choice" for draft in drafts]
+        plans = [draft.as_plan(name) for draft, name in zip(drafts, names, strict=True)]
+        for row, share in zip(rows, question.shares(plans), strict=True):
+            shares[row].append(share)
+        rows = [row for row in rows if len(shares[row]) < len(searches[row].repairs) and not _is_good(shares[row][-1])]
+    for row, tried in enumerate(shares):
         if tried:
             best = max(range(len(tried)), key=lambda k: (tried[k].n_standing, -k))  # the last one, if it is good
-            state, after = search.repairs[best], tried[best]
+            chosen[row] = searches[row].repairs[best]
+    before: list[Share | None] = [None] * len(searches)
+    after = list(before)
+    if options.worlds:
+        before[:] = question.shares([search.plan for search in searches])
+        rows = [row for row, state in enumerate(chosen) if state is not None and state.changes]
+        after[:] = [None if state is None else share for state, share in zip(chosen, before, strict=True)]
+        changed = [state.draft.as_plan() for state in chosen if state is not None and state.changes]
+        for row, share in zip(rows, question.shares(changed) if changed else [], strict=True):
+            after[row] = share
+    for search, state, share, share_after in zip(searches, chosen, before, after, strict=True):
+        assert search.before is not None
         yield Repaired(
             before=search.plan,
             plan=search.plan if state is None else state.draft.as_plan(),
@@ -320,7 +327,7 @@ def _with_shares(searches: Sequence[Search], question: Question, options: Repair
             trial_before=search.before,
             trial_after=None if state is None else state.trial,
             share_before=share,
-            share_after=after,
+            share_after=share_after,
             n_trials=search.n_trials,
         )
 

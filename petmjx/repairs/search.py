@@ -40,7 +40,7 @@ AT_ONCE: Final = (24, 48, 96)
 CONFIRMED_AT_ONCE: Final = 6
 """Plans that stand when judged, and are scored at once."""
 
-MOST_FINALISTS: Final = 3
+MOST_FINALISTS: Final = 4
 """Repairs with the least number of changes that are compared with errors."""
 
 PER_COST: Final = 0.3
@@ -195,9 +195,14 @@ class Search:
                     break
                 trials = yield from self._simulated([c.draft for c in batch], judged=True)
                 states = [State(c.draft, c.changes, trial) for c, trial in zip(batch, trials, strict=True)]
-                standing = yield from self._confirmed(states)
-                if standing:
-                    return standing, best
+                if any(state.trial.stands for state in states):
+                    more = [c for queue in queues for c in _taken(queue, AT_ONCE[0] // len(beam))]
+                    trials = yield from self._simulated([c.draft for c in more], judged=True)
+                    states += [State(c.draft, c.changes, trial) for c, trial in zip(more, trials, strict=True)]
+                    batch += more
+                    standing = yield from self._confirmed(states)
+                    if standing:
+                        return standing, best
                 tried += zip(states, batch, strict=True)
                 if any(state.trial.n_standing > progress for state, _ in tried):
                     break
@@ -228,17 +233,18 @@ class Search:
         return [state]
 
     def _confirmed(self, states: list[State]) -> Generator[list[Asked], list[Trial], list[State]]:
-        """Score states that stand when judged, the cheapest first, until some are confirmed. Returns those; the others
-        that were scored get the trial of the score."""
+        """Score states that stand when judged, those with few changes first, until some are confirmed. Returns those;
+        the others that were scored get the trial of the score."""
         ways: Counter[tuple[object, ...]] = Counter()
         queue = []
-        for k in sorted((k for k, state in enumerate(states) if state.trial.stands), key=lambda k: _size(states[k])):
-            queue.append((ways[_way(states[k])], k))
-            ways[_way(states[k])] += 1
-        queue.sort(key=lambda pair: pair[0])  # stable: one of each way first
-        numbers = [k for _, k in queue]
-        for begin in range(0, len(numbers), CONFIRMED_AT_ONCE):
-            chosen = numbers[begin : begin + CONFIRMED_AT_ONCE]
+        numbers = [k for k, state in enumerate(states) if state.trial.stands]
+        for k in sorted(numbers, key=lambda k: (len(states[k].changes), -self._chance(states[k]), states[k].cost)):
+            way = _way(states[k])
+            queue.append((len(states[k].changes), ways[way], k))  # one of each way first
+            ways[way] += 1
+        queue.sort(key=lambda place: place[:2])
+        for begin in range(0, len(queue), CONFIRMED_AT_ONCE):
+            chosen = [k for _, _, k in queue[begin : begin + CONFIRMED_AT_ONCE]]
             trials = yield from self._simulated([states[k].draft for k in chosen])
             for k, trial in zip(chosen, trials, strict=True):
                 states[k] = replace(states[k], trial=trial)
@@ -302,47 +308,57 @@ class Search:
 
     def _finished(self, standing: Sequence[State]) -> Asking:
         """Take back what is not needed, and keep the repairs with the fewest changes."""
-        ways: dict[tuple[object, ...], list[State]] = {}
-        for state in sorted(standing, key=_size):
-            ways.setdefault(_way(state), []).append(state)
-        pruned: list[State] = []
-        for states in [*ways.values()][:MOST_FINALISTS]:
-            chosen = max(states, key=lambda state: (self._chance(state), -state.cost))
-            pruned.append((yield from self._pruned(chosen)))
+        fewest = min(len(state.changes) for state in standing)
+        pruned = []
+        for state in [state for state in standing if len(state.changes) == fewest][:MOST_FINALISTS]:
+            reduced = yield from self._reduced(state)
+            pruned.append((yield from self._pruned(reduced)))
         fewest = min(len(state.changes) for state in pruned)
-        short = [state for state in pruned if len(state.changes) == fewest]
-        different = {_key(state.draft): state for state in reversed(short)}
-        self.repairs = tuple(sorted(different.values(), key=lambda state: (_size(state), -self._chance(state))))
+        different = {_key(state.draft): state for state in pruned if len(state.changes) == fewest}
+        self.repairs = tuple(sorted(different.values(), key=lambda state: math.floor(state.cost / SAME_COST)))
+
+    def _reduced(self, state: State) -> Generator[list[Asked], list[Trial], State]:
+        """The state without groups of changes that are not needed: halves first, then smaller ones."""
+        size = len(state.changes) // 2
+        shorter = state
+        while size > 1:
+            changes = shorter.changes
+            some = [(*changes[:k], *changes[k + size :]) for k in range(0, len(changes), size)]
+            standing = [one for one in (yield from self._trials_of(some, judged=True)) if one.trial.stands]
+            if standing:
+                shorter = min(standing, key=lambda one: one.cost)
+            size = min(size if standing else size // 2, len(shorter.changes) // 2)
+        if shorter is not state:
+            (trial,) = yield from self._simulated([shorter.draft])
+            if trial.stands:
+                return replace(shorter, trial=trial)
+        return state
+
+    def _trials_of(
+        self, lists: Sequence[tuple[Change, ...]], *, judged: bool = False
+    ) -> Generator[list[Asked], list[Trial], list[State]]:
+        """The states with these lists of changes, of which some cannot be made and others are not allowed."""
+        made = [(draft, changes) for changes in lists if (draft := applied(self._start, changes)) is not None]
+        allowed = self.rules.allow([draft for draft, _ in made])
+        made = [pair for pair, good in zip(made, allowed, strict=True) if good]
+        if not made:
+            return []
+        trials = yield from self._simulated([draft for draft, _ in made], judged=judged)
+        return [State(draft, changes, trial) for (draft, changes), trial in zip(made, trials, strict=True)]
 
     def _pruned(self, state: State) -> Generator[list[Asked], list[Trial], State]:
-        """The state without changes that are not needed."""
+        """The state without changes that are not needed, one by one."""
         while len(state.changes) > 1:
-            shorter = [
-                (draft, changes)
-                for k in range(len(state.changes))
-                if (draft := applied(self._start, changes := (*state.changes[:k], *state.changes[k + 1 :]))) is not None
-            ]
-            allowed = self.rules.allow([draft for draft, _ in shorter]) if shorter else np.zeros(0, bool)
-            some = [pair for pair, good in zip(shorter, allowed, strict=True) if good]
-            trials = (yield from self._simulated([draft for draft, _ in some])) if some else []
-            standing = [
-                State(draft, changes, trial)
-                for (draft, changes), trial in zip(some, trials, strict=True)
-                if trial.stands
-            ]
+            some = [(*state.changes[:k], *state.changes[k + 1 :]) for k in range(len(state.changes))]
+            standing = [shorter for shorter in (yield from self._trials_of(some)) if shorter.trial.stands]
             if not standing:
-                return state
-            state = min(standing, key=lambda shorter_state: shorter_state.cost)
+                break
+            state = min(standing, key=lambda shorter: shorter.cost)
         return state
 
     def _chance(self, state: State) -> float:
         """The estimated chance that the changed plan stands when a robot places the boxes, in tenths."""
         return round(float(placement_stability(state.draft.as_plan()).prod()), 1)
-
-
-def _size(state: State) -> tuple[int, float]:
-    """The number of changes, and their cost in steps of ``SAME_COST``."""
-    return len(state.changes), math.floor(state.cost / SAME_COST)
 
 
 def _way(state: State) -> tuple[object, ...]:
