@@ -21,7 +21,7 @@ from petmjx.plans.plan_writer import save_plans
 from petmjx.repairs.changes import Change, Kind, applied, cost_of
 from petmjx.repairs.drafts import Draft
 from petmjx.repairs.repair_options import RepairOptions
-from petmjx.repairs.search import Asking, Search
+from petmjx.repairs.search import Asking, Search, State
 from petmjx.repairs.trials import OF_RUN, Asked, Question, Share, Trial
 from petmjx.results.notebook_tables import ShownColumn, block_as_html, table_as_html
 from petmjx.results.plan_lookup import plans_in_place
@@ -289,35 +289,17 @@ def _run_searches(searches: Sequence[Search], question: Question) -> None:
 
 
 def _with_shares(searches: Sequence[Search], question: Question, options: RepairOptions) -> Iterator[Repaired]:
-    """The results of searches, with the shares of worlds with errors.
-
-    Of repairs with the same number of changes the cheapest one that stands often enough is taken; if none does, the one
-    that stands most often. What is chosen by chance looks better than it is. So the shares that are reported are of
-    other errors than those by which repairs are chosen.
-    """
-    shares: list[list[Share]] = [[] for _ in searches]
-    chosen = [search.repairs[0] if search.repairs else None for search in searches]
-    rows = [row for row, search in enumerate(searches) if len(search.repairs) > 1] if options.worlds else []
-    while rows:
-        drafts = [searches[row].repairs[len(shares[row])].draft for row in rows]
-        names = [f"{draft.plan.plan_id}: choice" for draft in drafts]
-        plans = [draft.as_plan(name) for draft, name in zip(drafts, names, strict=True)]
-        for row, share in zip(rows, question.shares(plans), strict=True):
-            shares[row].append(share)
-        rows = [row for row in rows if len(shares[row]) < len(searches[row].repairs) and not _is_good(shares[row][-1])]
-    for row, tried in enumerate(shares):
-        if tried:
-            best = max(range(len(tried)), key=lambda k: (tried[k].n_standing, -k))  # the last one, if it is good
-            chosen[row] = searches[row].repairs[best]
+    """The results of searches, with the shares of worlds with errors."""
     before: list[Share | None] = [None] * len(searches)
     after = list(before)
+    chosen = [search.repairs[0] if search.repairs else None for search in searches]
     if options.worlds:
-        before[:] = question.shares([search.plan for search in searches])
-        rows = [row for row, state in enumerate(chosen) if state is not None and state.changes]
-        after[:] = [None if state is None else share for state, share in zip(chosen, before, strict=True)]
-        changed = [state.draft.as_plan() for state in chosen if state is not None and state.changes]
-        for row, share in zip(rows, question.shares(changed) if changed else [], strict=True):
-            after[row] = share
+        chosen = _likeliest(searches, question)
+        before = [*question.shares([search.plan for search in searches])]
+        after = [None if state is None else share for state, share in zip(chosen, before, strict=True)]
+        changed = {row: state.draft.as_plan() for row, state in enumerate(chosen) if state and state.changes}
+        for row, result in zip(changed, question.shares([*changed.values()]) if changed else [], strict=True):
+            after[row] = result
     for search, state, share, share_after in zip(searches, chosen, before, after, strict=True):
         assert search.before is not None
         yield Repaired(
@@ -330,6 +312,25 @@ def _with_shares(searches: Sequence[Search], question: Question, options: Repair
             share_after=share_after,
             n_trials=search.n_trials,
         )
+
+
+def _likeliest(searches: Sequence[Search], question: Question) -> list[State | None]:
+    """The repair of each search that is chosen; None: there is none.
+
+    Of repairs with the same number of changes it is the cheapest one that stands often enough with errors; if none
+    does, the one that stands most often. What is chosen as the best of several looks better than it is. So these errors
+    are others than those of the shares that are reported: errors depend on the plan's id.
+    """
+    shares: list[list[Share]] = [[] for _ in searches]
+    rows = [row for row, search in enumerate(searches) if len(search.repairs) > 1]
+    while rows:
+        drafts = [searches[row].repairs[len(shares[row])].draft for row in rows]
+        plans = [draft.as_plan(f"{draft.plan.plan_id}: choice") for draft in drafts]
+        for row, share in zip(rows, question.shares(plans), strict=True):
+            shares[row].append(share)
+        rows = [row for row in rows if len(shares[row]) < len(searches[row].repairs) and not _is_good(shares[row][-1])]
+    best = [max(range(len(some)), key=lambda k: (some[k].n_standing, -k)) if some else 0 for some in shares]
+    return [search.repairs[k] if search.repairs else None for search, k in zip(searches, best, strict=True)]
 
 
 def _is_good(share: Share) -> bool:

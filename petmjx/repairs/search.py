@@ -1,8 +1,8 @@
 """The search for the smallest change that makes a plan stand.
 
 A beam of changed plans is simulated, until one stands. Each step changes a plan where it fails: statics ranks what may
-help there, and the best ranked changes are simulated at once. Then changes that are not needed are taken back, so that
-without any one of those that are left the plan falls.
+help there, and the best ranked changes are judged at once, by one short simulation each. What stands is scored. Then
+changes that are not needed are taken back, so that without any one of those that are left the plan falls.
 
 ``search`` is a generator: it yields drafts to be simulated and is sent their trials. So the searches of many plans can
 share runs of an engine. What is simulated depends on the plan and the options alone, not on the time that it takes.
@@ -35,7 +35,8 @@ BEAM: Final = 4
 """Changed plans that are changed further in each step."""
 
 AT_ONCE: Final = (24, 48, 96)
-"""Changed plans that are judged at once in a step: the best ranked ones, then more if none of these helps."""
+"""Changed plans that are judged at once in a step: the best ranked ones, then more as long as none of these has more
+standing boxes. Where one stands as many as at first are judged besides, for the choice by errors."""
 
 CONFIRMED_AT_ONCE: Final = 6
 """Plans that stand when judged, and are scored at once."""
@@ -189,20 +190,16 @@ class Search:
             tried: list[tuple[State, _Candidate]] = []
             progress = max(state.trial.n_standing for state in beam)
             for count in AT_ONCE:
-                batch = [c for queue in queues for c in _taken(queue, count // len(beam))]
-                batch = batch[: max(last - self.n_trials, 0)]
-                if not batch:
-                    break
-                trials = yield from self._simulated([c.draft for c in batch], judged=True)
-                states = [State(c.draft, c.changes, trial) for c, trial in zip(batch, trials, strict=True)]
-                if any(state.trial.stands for state in states):
-                    more = [c for queue in queues for c in _taken(queue, AT_ONCE[0] // len(beam))]
-                    trials = yield from self._simulated([c.draft for c in more], judged=True)
-                    states += [State(c.draft, c.changes, trial) for c, trial in zip(more, trials, strict=True)]
-                    batch += more
+                batch = _batch(queues, min(count, last - self.n_trials))
+                states = yield from self._judged(batch)
+                if any(state.trial.stands for state in states):  # further ones may stand more often with errors
+                    more = _batch(queues, min(AT_ONCE[0], last - self.n_trials))
+                    batch, states = batch + more, states + (yield from self._judged(more))
                     standing = yield from self._confirmed(states)
                     if standing:
                         return standing, best
+                if not batch:
+                    break
                 tried += zip(states, batch, strict=True)
                 if any(state.trial.n_standing > progress for state, _ in tried):
                     break
@@ -211,6 +208,11 @@ class Search:
             if beam and beam[0].trial.n_standing > best[0].trial.n_standing:
                 best = beam
         return [], best
+
+    def _judged(self, batch: Sequence[_Candidate]) -> Generator[list[Asked], list[Trial], list[State]]:
+        """The states of candidates that are only judged."""
+        trials = (yield from self._simulated([c.draft for c in batch], judged=True)) if batch else []
+        return [State(c.draft, c.changes, trial) for c, trial in zip(batch, trials, strict=True)]
 
     def _stripped(self, state: State) -> Generator[list[Asked], list[Trial], list[State]]:
         """The state without the boxes that fall, left out one after the other with all that stands on them, until the
@@ -366,21 +368,23 @@ def _way(state: State) -> tuple[object, ...]:
     return tuple((change.kind, change.boxes) for change in state.changes)
 
 
-def _taken(queue: list[_Candidate], count: int) -> list[_Candidate]:
-    """Take candidates off a ranked queue: the first one of each way to change a box, then the second one of each.
-    What statics ranks first are often many amounts of one move."""
-    ways: Counter[tuple[object, ...]] = Counter()
-    turns = []
-    for rank, candidate in enumerate(queue):
-        change = candidate.proposal[-1]
-        way = change.kind, change.boxes[:1], len(candidate.proposal) > 1
-        turns.append((ways[way], rank))
-        ways[way] += 1
-    chosen = [rank for _, rank in sorted(turns)[:count]]
-    candidates = [queue[rank] for rank in chosen]
-    for rank in sorted(chosen, reverse=True):
-        del queue[rank]
-    return candidates
+def _batch(queues: Sequence[list[_Candidate]], count: int) -> list[_Candidate]:
+    """Take candidates off ranked queues, as many off each: the first one of each way to change a box, then the second
+    one of each. What statics ranks first are often many amounts of one move."""
+    batch = []
+    for queue in queues:
+        ways: Counter[tuple[object, ...]] = Counter()
+        turns = []
+        for rank, candidate in enumerate(queue):
+            change = candidate.proposal[-1]
+            way = change.kind, change.boxes[:1], len(candidate.proposal) > 1
+            turns.append((ways[way], rank))
+            ways[way] += 1
+        chosen = [rank for _, rank in sorted(turns)[: max(count, 0) // len(queues)]]
+        batch += [queue[rank] for rank in chosen]
+        for rank in sorted(chosen, reverse=True):
+            del queue[rank]
+    return batch
 
 
 def _different(states: Sequence[State], count: int) -> list[State]:
