@@ -25,6 +25,9 @@ from petmjx.repairs.repair import Repaired
 TRIES: Final = 40
 """Moves of a box that are tried in each plan of others."""
 
+SCORED_AT_ONCE: Final = 4
+"""Moves that are scored at once until one makes the plan fall."""
+
 MOVES_MM: Final = (40.0, 200.0)
 """Range of these moves."""
 
@@ -48,8 +51,9 @@ def generated(n: int, seed: int, most_boxes: int, **how: Any) -> list[Plan]:
 def disturbed(plans: Sequence[Plan], seed: int, **how: Any) -> Iterator[Plan]:
     """Plans that stand, each with one box moved so that it falls: the first of ``TRIES`` random moves that is allowed
     and makes it fall. Plans without such a move are left out."""
-    verdicts = petmjx.score(list(plans), **how).worlds.verdict
-    for plan in [plan for plan, verdict in zip(plans, verdicts, strict=True) if verdict == "stable"]:
+    for plan in plans:
+        if falling([plan], **how):
+            continue
         rng = np.random.default_rng([seed, len(plan.plan_id), plan.n_boxes])
         rules, start = Rules(plan, Carrier.FOOTPRINT, 0.0, 0), Draft.of(plan)
         moved = []
@@ -60,7 +64,8 @@ def disturbed(plans: Sequence[Plan], seed: int, **how: Any) -> Iterator[Plan]:
             draft = start.with_places([box], corner, anew=False)
             if rules.allow([draft])[0]:
                 moved.append(draft.as_plan(f"{number}"))
-        if moved and (falls := falling(moved, **how)):
+        groups = (moved[begin : begin + SCORED_AT_ONCE] for begin in range(0, len(moved), SCORED_AT_ONCE))
+        if falls := next(filter(None, (falling(group, **how) for group in groups)), None):
             yield replace(falls[0], plan_id=plan.plan_id)
 
 
