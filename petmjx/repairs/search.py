@@ -44,6 +44,9 @@ CONFIRMED_AT_ONCE: Final = 6
 MOST_FINALISTS: Final = 4
 """Repairs with the least number of changes that are compared with errors."""
 
+MOST_UNDONE: Final = 8
+"""Changes of all these repairs together, each of which is undone and scored: of long repairs fewer are compared."""
+
 PER_COST: Final = 0.3
 """Weight of a change's cost in the ranking, against loads beyond edges."""
 
@@ -311,8 +314,9 @@ class Search:
     def _finished(self, standing: Sequence[State]) -> Asking:
         """Take back what is not needed, and keep the repairs with the fewest changes."""
         fewest = min(len(state.changes) for state in standing)
+        short = [state for state in standing if len(state.changes) == fewest]
         pruned = []
-        for state in [state for state in standing if len(state.changes) == fewest][:MOST_FINALISTS]:
+        for state in short[: min(MOST_FINALISTS, max(MOST_UNDONE // fewest, 1))]:
             reduced = yield from self._reduced(state)
             pruned.append((yield from self._pruned(reduced)))
         fewest = min(len(state.changes) for state in pruned)
