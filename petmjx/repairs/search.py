@@ -47,6 +47,9 @@ MOST_FINALISTS: Final = 4
 MOST_UNDONE: Final = 8
 """Changes of all these repairs together, each of which is undone and scored: of long repairs fewer are compared."""
 
+PER_DRIVE: Final = 6
+"""Trials as which a plan counts that is scored with a drive: such plans cannot be judged in less time."""
+
 PER_COST: Final = 0.3
 """Weight of a change's cost in the ranking, against loads beyond edges."""
 
@@ -133,13 +136,14 @@ class Search:
         if Kind.FILM in kinds:
             standing = yield from self._wrapped(start)
         beam, whole = [start], kinds - {Kind.FILM, Kind.LEAVE_OUT}
+        most = self.options.trials if self.options.profile is None else self.options.trials // PER_DRIVE
         if not standing and whole:
-            standing, beam = yield from self._changed(beam, whole, self.options.trials)
+            standing, beam = yield from self._changed(beam, whole, most)
         if not standing and Kind.PLACE in whole:
-            standing, beam = yield from self._changed(beam, whole, self.options.trials // 4, rebuilds=True)
+            standing, beam = yield from self._changed(beam, whole, most // 4, rebuilds=True)
         if not standing and Kind.LEAVE_OUT in kinds:
             self._seen.clear()
-            standing, beam = yield from self._changed(beam, kinds - {Kind.FILM}, self.options.trials // 2)
+            standing, beam = yield from self._changed(beam, kinds - {Kind.FILM}, most // 2)
             if not standing:
                 standing = yield from self._stripped(beam[0])
         if standing:
@@ -239,7 +243,7 @@ class Search:
 
     def _confirmed(self, states: list[State]) -> Generator[list[Asked], list[Trial], list[State]]:
         """Score states that stand when judged, those with few changes first, until some are confirmed. Returns those;
-        the others that were scored get the trial of the score."""
+        the others that were scored get the trial of the score. With a drive all were scored."""
         ways: Counter[tuple[object, ...]] = Counter()
         queue = []
         numbers = [k for k, state in enumerate(states) if state.trial.stands]
@@ -248,6 +252,8 @@ class Search:
             queue.append((len(states[k].changes), ways[way], k))  # one of each way first
             ways[way] += 1
         queue.sort(key=lambda place: place[:2])
+        if self.options.profile is not None:
+            return [states[k] for _, _, k in queue]
         for begin in range(0, len(queue), CONFIRMED_AT_ONCE):
             chosen = [k for _, _, k in queue[begin : begin + CONFIRMED_AT_ONCE]]
             trials = yield from self._simulated([states[k].draft for k in chosen])
