@@ -282,12 +282,12 @@ def test_statics_names_the_box_that_is_too_much() -> None:
 def test_a_search_asks_for_the_same_worlds_again() -> None:
     """What is simulated depends on the plan and the options alone."""
     plan, asked = make_plan(boxes=TOWER), []
+    question = Question({"engine": "mujoco", "threads": 1}, RepairOptions(worlds=0))
     for _ in range(2):
         search = Search(plan, Simulation(), RepairOptions(worlds=0))
         steps = search.run()
         first = next(steps)
-        trial = petmjx.repair(plan, **FAST).each[0].trial_before
-        asked.append([first, steps.send([trial])])
+        asked.append([first, steps.send(question.trials(first))])
     assert [len(part) for part in asked[0]] == [len(part) for part in asked[1]]
     for (one, judged), (other, _) in zip(asked[0][1], asked[1][1], strict=True):
         assert judged
