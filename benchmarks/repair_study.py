@@ -8,13 +8,14 @@ from __future__ import annotations
 import time
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
+from itertools import islice
 from typing import Any, Final
 
 import numpy as np
 import pandas as pd
 
 import petmjx
-from petmjx.packers.sample_plans import generate
+from petmjx.packers.sample_plans import MOST_SAMPLES, generate
 from petmjx.plans.plan import Plan
 from petmjx.plans.plan_validation import parse_plan
 from petmjx.repairs.drafts import Draft, Rules
@@ -22,6 +23,9 @@ from petmjx.repairs.repair import Repaired
 
 TRIES: Final = 40
 """Moves of a box that are tried in each plan of others."""
+
+SCORED_AT_ONCE: Final = 4
+"""Moves that are scored at once until one makes the plan fall."""
 
 MOVES_MM: Final = (40.0, 200.0)
 """Range of these moves."""
@@ -33,21 +37,22 @@ def falling(plans: Sequence[Plan], **how: Any) -> list[Plan]:
     return [plan for plan, verdict in zip(plans, verdicts.verdict, strict=True) if verdict != "stable"]
 
 
-def generated(n: int, seed: int, **how: Any) -> list[Plan]:
-    """The first ``n`` plans of the mixed set of a seed that fall."""
+def generated(n: int, seed: int, most_boxes: int, **how: Any) -> list[Plan]:
+    """The first ``n`` plans of the mixed set of a seed that fall, of those with at most so many boxes."""
+    drawn = (parse_plan(name, f"seed {seed}", placed, len(placed), {}) for name, placed in generate(MOST_SAMPLES, seed))
+    small = (plan for plan in drawn if plan.n_boxes <= most_boxes)
     plans: list[Plan] = []
-    count = 2 * n
     while len(plans) < n:
-        drawn = [parse_plan(name, f"seed {seed}", placed, len(placed), {}) for name, placed in generate(count, seed)]
-        plans, count = falling(drawn, **how), 2 * count
+        plans += falling([*islice(small, 2 * (n - len(plans)))], **how)
     return plans[:n]
 
 
 def disturbed(plans: Sequence[Plan], seed: int, **how: Any) -> Iterator[Plan]:
     """Plans that stand, each with one box moved so that it falls: the first of ``TRIES`` random moves that is allowed
     and makes it fall. Plans without such a move are left out."""
-    verdicts = petmjx.score(list(plans), **how).worlds.verdict
-    for plan in [plan for plan, verdict in zip(plans, verdicts, strict=True) if verdict == "stable"]:
+    for plan in plans:
+        if falling([plan], **how):
+            continue
         rng = np.random.default_rng([seed, len(plan.plan_id), plan.n_boxes])
         rules, start = Rules(plan, petmjx.Simulation(), 0.0, 0), Draft.of(plan)
         moved = []
@@ -58,7 +63,8 @@ def disturbed(plans: Sequence[Plan], seed: int, **how: Any) -> Iterator[Plan]:
             draft = start.with_places([box], corner, anew=False)
             if rules.allow([draft])[0]:
                 moved.append(draft.as_plan(f"{number}"))
-        if moved and (falls := falling(moved, **how)):
+        groups = (moved[begin : begin + SCORED_AT_ONCE] for begin in range(0, len(moved), SCORED_AT_ONCE))
+        if falls := next(filter(None, (falling(group, **how) for group in groups)), None):
             yield replace(falls[0], plan_id=plan.plan_id)
 
 

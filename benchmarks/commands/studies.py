@@ -264,8 +264,9 @@ def repair(
         list[Path] | None,
         typer.Argument(metavar="[PLANS...]", help="Plans of others: one box of each is moved so that it falls."),
     ] = None,
-    n: Annotated[int, typer.Option(metavar="N", help="Generated plans that fall, if no plans are named.")] = 60,
+    n: Annotated[int, typer.Option(metavar="N", help="Plans at most.")] = 60,
     seed: Annotated[int, typer.Option(metavar="SEED", help="Of the generated plans, or of the moves.")] = 0,
+    most_boxes: Annotated[int, typer.Option(metavar="N", help="Of a plan.")] = 512,
     worlds: Annotated[int, typer.Option(metavar="N", help="Worlds with errors.")] = 8,
     most_s: Annotated[float, typer.Option(metavar="S", help="No plan is begun after this time.")] = 1e9,
     out: Annotated[Path | None, typer.Option(metavar="FILE", help="Appends a line of JSON for each plan.")] = None,
@@ -273,15 +274,17 @@ def repair(
 ) -> None:
     """How many plans that fall can be repaired, with how many changes, and how long it takes."""
     import time
+    from itertools import islice
 
     from benchmarks.repair_study import describe, disturbed, generated, repaired_rows
     from petmjx.options.run_options import RunOptions
 
     begin, rows = time.monotonic(), []
     if plans:
-        chosen: Any = disturbed(usable(plans, RunOptions()), seed, **options)
+        small = [plan for plan in usable(plans, RunOptions()) if plan.n_boxes <= most_boxes]
+        chosen: Any = islice(disturbed(small, seed, **options), n)
     else:
-        chosen = generated(n, seed, **options)
+        chosen = generated(n, seed, most_boxes, **options)
     for row, result in repaired_rows(chosen, worlds=worlds, **options):
         rows.append(row)
         seconds = f"{row['wall_s']:.0f} s, {row['trials']} trials"

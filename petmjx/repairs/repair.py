@@ -289,30 +289,19 @@ def _run_searches(searches: Sequence[Search], question: Question) -> None:
 
 
 def _with_shares(searches: Sequence[Search], question: Question, options: RepairOptions) -> Iterator[Repaired]:
-    """The results of searches, with the shares of worlds with errors.
-
-    Of repairs with the same number of changes the cheapest one that stands often enough is taken; if none does, the one
-    that stands most often.
-    """
-    shares: list[list[Share]] = [[] for _ in searches]
+    """The results of searches, with the shares of worlds with errors."""
     before: list[Share | None] = [None] * len(searches)
+    after = list(before)
+    chosen = [search.repairs[0] if search.repairs else None for search in searches]
     if options.worlds:
+        chosen = _likeliest(searches, question)
         before = [*question.shares([search.plan for search in searches])]
-        rows = [row for row, search in enumerate(searches) if search.repairs and search.repairs[0].changes]
-        while rows:
-            drafts = [searches[row].repairs[len(shares[row])].draft for row in rows]
-            for row, result in zip(rows, question.shares([draft.as_plan() for draft in drafts]), strict=True):
-                shares[row].append(result)
-            rows = [
-                row for row in rows if len(shares[row]) < len(searches[row].repairs) and not _is_good(shares[row][-1])
-            ]
-    for search, tried, share in zip(searches, shares, before, strict=True):
+        after = [None if state is None else share for state, share in zip(chosen, before, strict=True)]
+        changed = {row: state.draft.as_plan() for row, state in enumerate(chosen) if state and state.changes}
+        for row, result in zip(changed, question.shares([*changed.values()]) if changed else [], strict=True):
+            after[row] = result
+    for search, state, share, share_after in zip(searches, chosen, before, after, strict=True):
         assert search.before is not None
-        state: State | None = search.repairs[0] if search.repairs else None
-        after = share if state is not None and not state.changes else None
-        if tried:
-            best = max(range(len(tried)), key=lambda k: (tried[k].n_standing, -k))  # the last one, if it is good
-            state, after = search.repairs[best], tried[best]
         yield Repaired(
             before=search.plan,
             plan=search.plan if state is None else state.draft.as_plan(),
@@ -320,9 +309,28 @@ def _with_shares(searches: Sequence[Search], question: Question, options: Repair
             trial_before=search.before,
             trial_after=None if state is None else state.trial,
             share_before=share,
-            share_after=after,
+            share_after=share_after,
             n_trials=search.n_trials,
         )
+
+
+def _likeliest(searches: Sequence[Search], question: Question) -> list[State | None]:
+    """The repair of each search that is chosen; None: there is none.
+
+    Of repairs with the same number of changes it is the cheapest one that stands often enough with errors; if none
+    does, the one that stands most often. What is chosen as the best of several looks better than it is. So these errors
+    are others than those of the shares that are reported: errors depend on the plan's id.
+    """
+    shares: list[list[Share]] = [[] for _ in searches]
+    rows = [row for row, search in enumerate(searches) if len(search.repairs) > 1]
+    while rows:
+        drafts = [searches[row].repairs[len(shares[row])].draft for row in rows]
+        plans = [draft.as_plan(f"{draft.plan.plan_id}: choice") for draft in drafts]
+        for row, share in zip(rows, question.shares(plans), strict=True):
+            shares[row].append(share)
+        rows = [row for row in rows if len(shares[row]) < len(searches[row].repairs) and not _is_good(shares[row][-1])]
+    best = [max(range(len(some)), key=lambda k: (some[k].n_standing, -k)) if some else 0 for some in shares]
+    return [search.repairs[k] if search.repairs else None for search, k in zip(searches, best, strict=True)]
 
 
 def _is_good(share: Share) -> bool:

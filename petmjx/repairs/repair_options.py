@@ -58,7 +58,9 @@ class RepairOptions(CheckedRecord):
         24, description="changes at most, boxes left out not counted"
     )
     trials: Annotated[int, within(1, 1_000_000), CliFlag("--trials", "N")] = Field(
-        96, description="changed plans that are simulated at most; half as many more if boxes must be left out"
+        600,
+        description="changed plans that are judged at most, with a profile a sixth of them; half as many more if boxes "
+        "must be left out",
     )
     worlds: Annotated[int, AfterValidator(_worlds), CliFlag("--worlds", "N")] = Field(
         8,

@@ -1,8 +1,8 @@
 """The search for the smallest change that makes a plan stand.
 
 A beam of changed plans is simulated, until one stands. Each step changes a plan where it fails: statics ranks what may
-help there, and the best ranked changes are simulated at once. Then changes that are not needed are taken back, so that
-without any one of those that are left the plan falls.
+help there, and the best ranked changes are judged at once, by one short simulation each. What stands is scored. Then
+changes that are not needed are taken back, so that without any one of those that are left the plan falls.
 
 ``search`` is a generator: it yields drafts to be simulated and is sent their trials. So the searches of many plans can
 share runs of an engine. What is simulated depends on the plan and the options alone, not on the time that it takes.
@@ -31,22 +31,24 @@ from petmjx.repairs.trials import Asked, Trial
 
 Asking = Generator[list[Asked], list[Trial], None]
 
-BEAM: Final = 2
+BEAM: Final = 4
 """Changed plans that are changed further in each step."""
 
-TRIALS: Final = (6, 10, 20)
-"""Changes of a plan that are simulated at once: the first ones, then more as long as none helps."""
-
-MOST_OF_KIND: Final = 4
-MOST_OF_BOX: Final = 3
-"""Changes of one kind, and of one box by one kind, among those that are simulated at once: what statics ranks first are
-often many ways to do the same."""
+AT_ONCE: Final = (24, 48, 96)
+"""Changed plans that are judged at once in a step: the best ranked ones, then more as long as none of these has more
+standing boxes. Where one stands as many as at first are judged besides, for the choice by errors."""
 
 CONFIRMED_AT_ONCE: Final = 6
-"""Plans that stand on forks and are scored at once."""
+"""Plans that stand when judged, and are scored at once."""
 
-MOST_FINALISTS: Final = 3
+MOST_FINALISTS: Final = 4
 """Repairs with the least number of changes that are compared with errors."""
+
+MOST_UNDONE: Final = 8
+"""Changes of all these repairs together, each of which is undone and scored: of long repairs fewer are compared."""
+
+PER_DRIVE: Final = 6
+"""Trials as which a plan counts that is scored with a drive: such plans cannot be judged in less time."""
 
 PER_COST: Final = 0.3
 """Weight of a change's cost in the ranking, against loads beyond edges."""
@@ -57,9 +59,6 @@ errors is taken."""
 
 UNSOLVED: Final = 3.0
 """Weight of the first cause if it is still there."""
-
-WITHOUT_PROGRESS: Final = 3
-"""Steps without a further standing box after which a search ends."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -89,7 +88,6 @@ class _Candidate:
     Attributes:
         proposal: the changes that make it of another state's plan.
         key: its rank: smaller is better.
-        culprit: the box that fell first without the changes; None: not known.
     """
 
     draft: Draft
@@ -97,14 +95,6 @@ class _Candidate:
     proposal: Proposal
     trouble: float
     key: float
-    culprit: int | None
-
-    def helped(self, trial: Trial) -> bool:
-        """Whether the box that fell first stands now, or is left out."""
-        if self.culprit is None:
-            return True
-        rank = self.draft.rank[self.culprit]
-        return not math.isfinite(rank) or (rank < trial.n_placed and self.culprit not in trial.fallen)
 
 
 @dataclass(eq=False)
@@ -145,26 +135,25 @@ class Search:
         standing: list[State] = []
         if Kind.FILM in kinds:
             standing = yield from self._wrapped(start)
-        best = start
-        if not standing and kinds - {Kind.FILM, Kind.LEAVE_OUT}:
-            standing, best = yield from self._changed(start, kinds - {Kind.FILM, Kind.LEAVE_OUT}, self.options.trials)
+        beam, whole = [start], kinds - {Kind.FILM, Kind.LEAVE_OUT}
+        most = self.options.trials if self.options.profile is None else self.options.trials // PER_DRIVE
+        if not standing and whole:
+            standing, beam = yield from self._changed(beam, whole, most)
+        if not standing and Kind.PLACE in whole:
+            standing, beam = yield from self._changed(beam, whole, most // 4, rebuilds=True)
         if not standing and Kind.LEAVE_OUT in kinds:
-            left = self.options.trials // 2
             self._seen.clear()
-            standing, _ = yield from self._changed(best, kinds - {Kind.FILM}, left)
-            if not standing and best is not start:
-                self._seen.clear()
-                standing, _ = yield from self._changed(start, frozenset({Kind.LEAVE_OUT}), left)
+            standing, beam = yield from self._changed(beam, kinds - {Kind.FILM}, most // 2)
             if not standing:
-                standing = yield from self._stripped(best)
+                standing = yield from self._stripped(beam[0])
         if standing:
             yield from self._finished(standing)
 
     def _simulated(
-        self, drafts: Sequence[Draft], parents: Sequence[Draft] | None = None
+        self, drafts: Sequence[Draft], *, judged: bool = False
     ) -> Generator[list[Asked], list[Trial], list[Trial]]:
         self.n_trials += len(drafts)
-        return (yield [(draft, None if parents is None else parents[k]) for k, draft in enumerate(drafts)])
+        return (yield [(draft, judged) for draft in drafts])
 
     # ------------------------------------------------------------------ film
 
@@ -192,41 +181,45 @@ class Search:
     # ------------------------------------------------------------------ changes
 
     def _changed(
-        self, start: State, kinds: frozenset[Kind], most_trials: int
-    ) -> Generator[list[Asked], list[Trial], tuple[list[State], State]]:
-        """Plans that stand after changes of these kinds, and the one with the most standing boxes if none does."""
+        self, beam: list[State], kinds: frozenset[Kind], most_trials: int, *, rebuilds: bool = False
+    ) -> Generator[list[Asked], list[Trial], tuple[list[State], list[State]]]:
+        """Plans that stand after changes of these kinds, and the plans with the most standing boxes if none does.
+
+        Args:
+            rebuilds: whether piles may be put elsewhere box by box, with a change for each.
+        """
         options = self.options
         limits = Limits(kinds, options.most_move_mm, options.sheet_mm, options.sheet_kg_m2)
-        beam, best, last = [start], start, self.n_trials + most_trials
-        idle = 0
-        while beam and self.n_trials < last and idle < WITHOUT_PROGRESS:
-            ranked = [self._ranked(state, limits) for state in beam]
+        last = self.n_trials + most_trials
+        best = beam
+        while beam and self.n_trials < last:
+            queues = [self._ranked(state, limits, rebuilds) for state in beam]
             tried: list[tuple[State, _Candidate]] = []
             progress = max(state.trial.n_standing for state in beam)
-            for count in TRIALS:
-                batch = [
-                    (c, state.draft) for state, some in zip(beam, ranked, strict=True) for c in _diverse(some, count)
-                ]
-                for candidates in ranked:
-                    candidates[:] = [c for c in candidates if all(c is not other for other, _ in batch)]
-                batch = batch[: max(last - self.n_trials, 0)]
+            for count in AT_ONCE:
+                batch = _batch(queues, min(count, last - self.n_trials))
+                states = yield from self._judged(batch)
+                if any(state.trial.stands for state in states):  # further ones may stand more often with errors
+                    more = _batch(queues, min(AT_ONCE[0], last - self.n_trials))
+                    batch, states = batch + more, states + (yield from self._judged(more))
+                    standing = yield from self._confirmed(states)
+                    if standing:
+                        return standing, best
                 if not batch:
                     break
-                trials = yield from self._simulated([c.draft for c, _ in batch], [parent for _, parent in batch])
-                states = [State(c.draft, c.changes, trial) for (c, _), trial in zip(batch, trials, strict=True)]
-                standing = yield from self._confirmed(states)
-                if standing:
-                    return standing, best
-                tried += [(state, c) for state, (c, _) in zip(states, batch, strict=True)]
-                if any(c.helped(state.trial) and state.trial.n_standing > progress for state, c in tried):
+                tried += zip(states, batch, strict=True)
+                if any(state.trial.n_standing > progress for state, _ in tried):
                     break
-            tried.sort(key=lambda p: (not p[1].helped(p[0].trial), -p[0].trial.n_standing, p[1].trouble, p[0].cost))
-            beam = [state for state, _ in tried if self._is_short(state)][:BEAM]
-            if beam and tried[0][1].helped(beam[0].trial) and beam[0].trial.n_standing > best.trial.n_standing:
-                best, idle = beam[0], 0
-            else:
-                idle += 1
+            tried.sort(key=lambda p: (-p[0].trial.n_standing, p[1].trouble, p[0].cost))
+            beam = _different([state for state, _ in tried if self._is_short(state)], BEAM)
+            if beam and beam[0].trial.n_standing > best[0].trial.n_standing:
+                best = beam
         return [], best
+
+    def _judged(self, batch: Sequence[_Candidate]) -> Generator[list[Asked], list[Trial], list[State]]:
+        """The states of candidates that are only judged."""
+        trials = (yield from self._simulated([c.draft for c in batch], judged=True)) if batch else []
+        return [State(c.draft, c.changes, trial) for c, trial in zip(batch, trials, strict=True)]
 
     def _stripped(self, state: State) -> Generator[list[Asked], list[Trial], list[State]]:
         """The state without the boxes that fall, left out one after the other with all that stands on them, until the
@@ -249,17 +242,20 @@ class Search:
         return [state]
 
     def _confirmed(self, states: list[State]) -> Generator[list[Asked], list[Trial], list[State]]:
-        """Score states that stand on forks, the cheapest first, until some are confirmed. Returns those; the others
-        that were scored get the trial of the score."""
+        """Score states that stand when judged, those with few changes first, until some are confirmed. Returns those;
+        the others that were scored get the trial of the score. With a drive all were scored."""
         ways: Counter[tuple[object, ...]] = Counter()
         queue = []
-        for k in sorted((k for k, state in enumerate(states) if state.trial.stands), key=lambda k: _size(states[k])):
-            queue.append((ways[_way(states[k])], k))
-            ways[_way(states[k])] += 1
-        queue.sort(key=lambda pair: pair[0])  # stable: one of each way first
-        numbers = [k for _, k in queue]
-        for begin in range(0, len(numbers), CONFIRMED_AT_ONCE):
-            chosen = numbers[begin : begin + CONFIRMED_AT_ONCE]
+        numbers = [k for k, state in enumerate(states) if state.trial.stands]
+        for k in sorted(numbers, key=lambda k: (len(states[k].changes), -self._chance(states[k]), states[k].cost)):
+            way = _way(states[k])
+            queue.append((len(states[k].changes), ways[way], k))  # one of each way first
+            ways[way] += 1
+        queue.sort(key=lambda place: place[:2])
+        if self.options.profile is not None:
+            return [states[k] for _, _, k in queue]
+        for begin in range(0, len(queue), CONFIRMED_AT_ONCE):
+            chosen = [k for _, _, k in queue[begin : begin + CONFIRMED_AT_ONCE]]
             trials = yield from self._simulated([states[k].draft for k in chosen])
             for k, trial in zip(chosen, trials, strict=True):
                 states[k] = replace(states[k], trial=trial)
@@ -273,7 +269,7 @@ class Search:
         counted = [change for change in state.changes if change.kind is not Kind.LEAVE_OUT]
         return len(counted) < self.options.most_changes
 
-    def _ranked(self, state: State, limits: Limits) -> list[_Candidate]:
+    def _ranked(self, state: State, limits: Limits, rebuilds: bool) -> list[_Candidate]:
         """Allowed changes of a plan, the most promising first."""
         (balance,) = balances([state.draft], self.sim)
         trial = state.trial
@@ -282,9 +278,8 @@ class Search:
         drafts: list[Draft] = []
         origins: list[Proposal] = []
         for cause in causes:
-            for proposal in itertools.chain(
-                proposals(state.draft, self.rules, cause, limits), self._relocations(state.draft, cause, limits)
-            ):
+            some = proposals(state.draft, self.rules, cause, limits)
+            for proposal in itertools.chain(some, self._relocations(state.draft, cause)) if rebuilds else some:
                 draft = applied(state.draft, proposal)
                 if draft is None:
                     continue
@@ -307,55 +302,70 @@ class Search:
                     changes = (*state.changes, *proposal)
             unsolved = first is not None and after.depth_of(first.box) > 0
             rank = after.trouble + UNSOLVED * unsolved + PER_COST * cost_of(proposal)
-            ranked.append(_Candidate(draft, changes, proposal, after.trouble, rank, trial.culprit))
+            ranked.append(_Candidate(draft, changes, proposal, after.trouble, rank))
         ranked.sort(key=lambda candidate: candidate.key)
-        self._seen.difference_update(_key(candidate.draft) for candidate in ranked[sum(TRIALS) :])
+        self._seen.difference_update(_key(candidate.draft) for candidate in ranked[sum(AT_ONCE) :])
         return ranked
 
-    def _relocations(self, draft: Draft, cause: Target, limits: Limits) -> Iterator[Proposal]:
+    def _relocations(self, draft: Draft, cause: Target) -> Iterator[Proposal]:
         """Piles put elsewhere box by box: that of the box that does not hold, and that of the box that is too much."""
-        if Kind.PLACE in limits.kinds:
-            for box in dict.fromkeys((cause.box, cause.cause)):
-                if box in draft.order and draft.on_top[box].any():
-                    relocated = relocation(draft, self.rules, self.sim, box)
-                    if relocated is not None:
-                        yield relocated
+        for box in dict.fromkeys((cause.box, cause.cause)):
+            if box in draft.order and draft.on_top[box].any():
+                relocated = relocation(draft, self.rules, self.sim, box)
+                if relocated is not None:
+                    yield relocated
 
     # ------------------------------------------------------------------ the end
 
     def _finished(self, standing: Sequence[State]) -> Asking:
         """Take back what is not needed, and keep the repairs with the fewest changes."""
-        ways: dict[tuple[object, ...], list[State]] = {}
-        for state in sorted(standing, key=_size):
-            ways.setdefault(_way(state), []).append(state)
-        pruned: list[State] = []
-        for states in [*ways.values()][:MOST_FINALISTS]:
-            chosen = max(states, key=lambda state: (self._chance(state), -state.cost))
-            pruned.append((yield from self._pruned(chosen)))
+        fewest = min(len(state.changes) for state in standing)
+        short = [state for state in standing if len(state.changes) == fewest]
+        pruned = []
+        for state in short[: min(MOST_FINALISTS, max(MOST_UNDONE // fewest, 1))]:
+            reduced = yield from self._reduced(state)
+            pruned.append((yield from self._pruned(reduced)))
         fewest = min(len(state.changes) for state in pruned)
-        short = [state for state in pruned if len(state.changes) == fewest]
-        different = {_key(state.draft): state for state in reversed(short)}
-        self.repairs = tuple(sorted(different.values(), key=lambda state: (_size(state), -self._chance(state))))
+        different = {_key(state.draft): state for state in pruned if len(state.changes) == fewest}
+        self.repairs = tuple(sorted(different.values(), key=lambda state: math.floor(state.cost / SAME_COST)))
+
+    def _reduced(self, state: State) -> Generator[list[Asked], list[Trial], State]:
+        """The state without groups of changes that are not needed: halves first, then smaller ones."""
+        size = len(state.changes) // 2
+        shorter = state
+        while size > 1:
+            changes = shorter.changes
+            some = [(*changes[:k], *changes[k + size :]) for k in range(0, len(changes), size)]
+            standing = [one for one in (yield from self._trials_of(some, judged=True)) if one.trial.stands]
+            if standing:
+                shorter = min(standing, key=lambda one: one.cost)
+            size = min(size if standing else size // 2, len(shorter.changes) // 2)
+        if shorter is not state:
+            (trial,) = yield from self._simulated([shorter.draft])
+            if trial.stands:
+                return replace(shorter, trial=trial)
+        return state
+
+    def _trials_of(
+        self, lists: Sequence[tuple[Change, ...]], *, judged: bool = False
+    ) -> Generator[list[Asked], list[Trial], list[State]]:
+        """The states with these lists of changes, of which some cannot be made and others are not allowed."""
+        made = [(draft, changes) for changes in lists if (draft := applied(self._start, changes)) is not None]
+        allowed = self.rules.allow([draft for draft, _ in made])
+        made = [pair for pair, good in zip(made, allowed, strict=True) if good]
+        if not made:
+            return []
+        trials = yield from self._simulated([draft for draft, _ in made], judged=judged)
+        return [State(draft, changes, trial) for (draft, changes), trial in zip(made, trials, strict=True)]
 
     def _pruned(self, state: State) -> Generator[list[Asked], list[Trial], State]:
-        """The state without changes that are not needed."""
+        """The state without changes that are not needed, one by one."""
         while len(state.changes) > 1:
-            shorter = [
-                (draft, changes)
-                for k in range(len(state.changes))
-                if (draft := applied(self._start, changes := (*state.changes[:k], *state.changes[k + 1 :]))) is not None
-            ]
-            allowed = self.rules.allow([draft for draft, _ in shorter]) if shorter else np.zeros(0, bool)
-            some = [pair for pair, good in zip(shorter, allowed, strict=True) if good]
-            trials = (yield from self._simulated([draft for draft, _ in some])) if some else []
-            standing = [
-                State(draft, changes, trial)
-                for (draft, changes), trial in zip(some, trials, strict=True)
-                if trial.stands
-            ]
+            some = [(*state.changes[:k], *state.changes[k + 1 :]) for k in range(len(state.changes))]
+            standing = [shorter for shorter in (yield from self._trials_of(some)) if shorter.trial.stands]
             if not standing:
-                return state
-            state = min(standing, key=lambda shorter_state: shorter_state.cost)
+                break
+            state = min(standing, key=lambda shorter: shorter.cost)
         return state
 
     def _chance(self, state: State) -> float:
@@ -363,32 +373,33 @@ class Search:
         return round(float(placement_stability(state.draft.as_plan()).prod()), 1)
 
 
-def _size(state: State) -> tuple[int, float]:
-    """The number of changes, and their cost in steps of ``SAME_COST``."""
-    return len(state.changes), math.floor(state.cost / SAME_COST)
-
-
 def _way(state: State) -> tuple[object, ...]:
     """Equal for repairs that change the same boxes in the same ways, by other amounts."""
     return tuple((change.kind, change.boxes) for change in state.changes)
 
 
-def _diverse(candidates: Sequence[_Candidate], count: int) -> list[_Candidate]:
-    """The first candidates, with few of a kind and of a box; then the others that come first."""
-    kinds: Counter[tuple[Kind, bool]] = Counter()
-    boxes: Counter[tuple[tuple[Kind, bool], tuple[int, ...]]] = Counter()
-    chosen: list[_Candidate] = []
-    for candidate in candidates:
-        if len(chosen) == count:
-            break
-        kind = candidate.proposal[-1].kind, len(candidate.proposal) > 1
-        key = kind, candidate.proposal[-1].boxes[:1]
-        if kinds[kind] < MOST_OF_KIND and boxes[key] < MOST_OF_BOX:
-            chosen.append(candidate)
-            kinds[kind] += 1
-            boxes[key] += 1
-    rest = [candidate for candidate in candidates if candidate not in chosen]
-    return chosen + rest[: count - len(chosen)]
+def _batch(queues: Sequence[list[_Candidate]], count: int) -> list[_Candidate]:
+    """Take candidates off ranked queues, as many off each: the first one of each way to change a box, then the second
+    one of each. What statics ranks first are often many amounts of one move."""
+    batch = []
+    for queue in queues:
+        ways: Counter[tuple[object, ...]] = Counter()
+        turns = []
+        for rank, candidate in enumerate(queue):
+            change = candidate.proposal[-1]
+            way = change.kind, change.boxes[:1], len(candidate.proposal) > 1
+            turns.append((ways[way], rank))
+            ways[way] += 1
+        chosen = [rank for _, rank in sorted(turns)[: max(count, 0) // len(queues)]]
+        batch += [queue[rank] for rank in chosen]
+        for rank in sorted(chosen, reverse=True):
+            del queue[rank]
+    return batch
+
+
+def _different(states: Sequence[State], count: int) -> list[State]:
+    """The first states, of those with the same changes by other amounts only the first one."""
+    return [*{_way(state): state for state in reversed(states)}.values()][::-1][:count]
 
 
 def _key(draft: Draft) -> bytes:

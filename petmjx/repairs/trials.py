@@ -13,15 +13,15 @@ import pandas as pd
 from petmjx.common.errors import InputError
 from petmjx.common.machine import why_no_warp, why_no_warp_on_cpu
 from petmjx.common.text import printable_name
+from petmjx.engines.attempts import Engines
 from petmjx.engines.engine_choice import make_engine, options_of
 from petmjx.engines.metrics import BoxMetrics
-from petmjx.engines.protocol import Engine
+from petmjx.engines.protocol import Engine, Progress
 from petmjx.engines.verdict import Outcome, Signs, Verdict, failures
 from petmjx.options.run_options import AUTO, Confidence, RunOptions, sorted_options
 from petmjx.options.simulation import Simulation, Thresholds
 from petmjx.plans.plan import Plan
 from petmjx.repairs.drafts import BoolArray, Draft
-from petmjx.repairs.forks import Forks, can_fork
 from petmjx.repairs.repair_options import RepairOptions
 from petmjx.results.run_reader import RunResults
 from petmjx.runs.confidence import confidence_sweep
@@ -29,18 +29,20 @@ from petmjx.runs.simulate import simulate
 from petmjx.runs.study import Nominal
 from petmjx.runs.sweep_file import Sweep, sweep_of_tables
 from petmjx.runs.sweep_study import SweepStudy
+from petmjx.world.job import Job
 from petmjx.world.profiles.profile import Strength
 from petmjx.world.profiles.profile_registry import resolve
+from petmjx.world.scene import build_scene
 
 OF_RUN: Final = ("engine", "threads", "lanes", "world_timeout_s")
 """Fields of ``RunOptions`` that a repair accepts."""
 
 
-FORKING: Final = "mujoco"
-"""The engine whose worlds are forked. A GPU simulates thousands of whole plans at once instead."""
+LONGEST_WAIT_S: Final = 2.0
+"""Longest wait for a pallet to come to rest where a draft is only judged."""
 
-Asked = tuple[Draft, Draft | None]
-"""A draft, and the draft from which it was made, whose settled pallet may be forked; None: it is scored."""
+Asked = tuple[Draft, bool]
+"""A draft, and whether it is only judged: simulated once, until a box is lost. Else it is scored."""
 
 
 class Trial(NamedTuple):
@@ -113,8 +115,8 @@ class Question:
         self._engine, self._second = _engines(self._run)
         self._owns = isinstance(self._run.engine, str)
         self._run = RunOptions(engine=self._engine)
-        forks = options.profile is None and self._engine.name == FORKING and can_fork(self.sim)
-        self._forks = Forks(self._engine, self.sim) if forks else None
+        self._engines = Engines(self._engine, Progress())
+        self._quick = self.sim.changed(longest_wait_s=min(self.sim.longest_wait_s, LONGEST_WAIT_S))
         self._drive_sweep(self.sim.wrap.turns)  # an unusable profile is refused before anything is simulated
         if options.worlds:
             confidence_sweep(options.worlds, self._errors, of_simulation)
@@ -125,10 +127,11 @@ class Question:
         return self.sim.wrap.turns
 
     def trials(self, asked: Sequence[Asked]) -> list[Trial]:
-        """The trial of each draft. All are simulated at once, but for those with other turns of film."""
+        """The trial of each draft. All are simulated at once, but for those with other turns of film. If pallets must
+        survive a profile, all are scored."""
         drafts = [draft for draft, _ in asked]
         self.n_simulated += len(drafts)
-        results = self._forked(asked)
+        results = self._judged(asked) if self._options.profile is None else {}
         turns = dict.fromkeys(draft.film_turns for draft in drafts)
         for film_turns in turns:
             numbers = [n for n, draft in enumerate(drafts) if draft.film_turns == film_turns and n not in results]
@@ -152,22 +155,30 @@ class Question:
             for number in numbers
         }
 
-    def _forked(self, asked: Sequence[Asked]) -> dict[int, Trial]:
-        """Trials on forks, by their numbers: those with parents, if worlds can be forked."""
+    def _judged(self, asked: Sequence[Asked]) -> dict[int, Trial]:
+        """Trials of the drafts that are only judged, by their numbers.
+
+        Most drafts fall, and a box on its way down is the dearest part of a simulation: such a world takes a quarter of
+        the time if it ends when a box is lost, as worlds with errors do. What a score would simulate again with other
+        settings (docs/rules.md, section 9) is not. So a draft that stands has to be scored before that is said.
+        """
+        jobs: dict[int, list[tuple[int, Job]]] = {}
+        engines: dict[int, Engine] = {}
+        for number, (draft, is_judged) in enumerate(asked):
+            if is_judged:
+                job = Job(build_scene(draft.as_plan(), self.sim), has_errors=True)
+                engine = self._engines.for_job(job, self.sim, doubles=False, soft=job.scene.soft is not None)
+                engines[id(engine)] = engine
+                jobs.setdefault(id(engine), []).append((number, job))
         results: dict[int, Trial] = {}
-        parents = {id(parent): parent for _, parent in asked if parent is not None}
-        if not parents or self._forks is None:
-            return results
-        for key, parent in parents.items():
-            numbers = [number for number, (_, other) in enumerate(asked) if other is not None and id(other) == key]
-            outcomes = self._forks.outcomes(parent, [asked[number][0] for number in numbers])
-            for number, outcome in zip(numbers, outcomes, strict=True):
-                if outcome is not None:
-                    results[number] = _trial_of(outcome, asked[number][0].order, self.sim)
+        for key, numbered in jobs.items():
+            for outcome in engines[key].run([job for _, job in numbered], self._quick):
+                number = numbered[outcome.job][0]
+                results[number] = _trial_of(outcome, asked[number][0].order, self.sim)
         return results
 
     def close(self) -> None:
-        """Free what the engine of forks holds."""
+        """Free what the engine holds."""
         if self._owns:
             self._engine.close()
 
@@ -229,7 +240,7 @@ def _over_limits(boxes: Signs | BoxMetrics, limits: Thresholds) -> BoolArray:
 
 
 def _trial_of(outcome: Outcome, order: tuple[int, ...], sim: Simulation) -> Trial:
-    """A trial from the outcome of a fork."""
+    """A trial from the outcome of a single simulation."""
     k = outcome.n_placed
     over = _over_limits(outcome.boxes, sim.thresholds)
     return Trial(

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Generator, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -21,7 +21,8 @@ from petmjx.repairs.changes import Exchange, Film, Kind, LeaveOut, Move, Order, 
 from petmjx.repairs.drafts import Draft, Rules
 from petmjx.repairs.repair import Repaired
 from petmjx.repairs.repair_options import RepairOptions
-from petmjx.repairs.search import Search
+from petmjx.repairs.search import Search, State, _batch, _Candidate
+from petmjx.repairs.trials import Asked, Question, Trial
 
 FAST = {"engine": "mujoco", "threads": 1, "worlds": 0, "trials": 40}
 """Repairs without worlds with errors, which take most of the time."""
@@ -279,16 +280,65 @@ def test_statics_names_the_box_that_is_too_much() -> None:
 def test_a_search_asks_for_the_same_worlds_again() -> None:
     """What is simulated depends on the plan and the options alone."""
     plan, asked = make_plan(boxes=TOWER), []
+    question = Question({"engine": "mujoco", "threads": 1}, RepairOptions(worlds=0))
     for _ in range(2):
         search = Search(plan, Simulation(), RepairOptions(worlds=0))
         steps = search.run()
         first = next(steps)
-        trial = petmjx.repair(plan, **FAST).each[0].trial_before
-        asked.append([first, steps.send([trial])])
+        asked.append([first, steps.send(question.trials(first))])
     assert [len(part) for part in asked[0]] == [len(part) for part in asked[1]]
-    for (one, _), (other, _) in zip(asked[0][1], asked[1][1], strict=True):
+    for (one, judged), (other, _) in zip(asked[0][1], asked[1][1], strict=True):
+        assert judged
         assert one.order == other.order
         assert np.array_equal(one.corner_mm, other.corner_mm)
+
+
+def test_a_draft_is_judged_as_it_is_scored() -> None:
+    """A judged world ends when a box is lost: its verdict and its first box are those of the whole simulation."""
+    question = Question({"engine": "mujoco", "threads": 1}, RepairOptions(worlds=0))
+    drafts = [Draft.of(make_plan(boxes=boxes)) for boxes in (COUNTERWEIGHT, TOWER, LATE_SUPPORT, stack(2))]
+    judged = question.trials([(draft, True) for draft in drafts])
+    scored = question.trials([(draft, False) for draft in drafts])
+    assert [(t.stands, t.culprit) for t in judged] == [(t.stands, t.culprit) for t in scored]
+    assert [trial.stands for trial in judged] == [False, False, False, True]
+
+
+def answered(steps: Generator[list[Asked], list[Trial], Any], stands: Callable[[Draft], bool]) -> tuple[Any, int]:
+    """What a part of a search returns, and how many trials it asks for, if drafts stand as told."""
+    count = 0
+    try:
+        asked = next(steps)
+        while True:
+            count += len(asked)
+            good = [stands(draft) for draft, _ in asked]
+            asked = steps.send([Trial("stable" if g else "unstable", "", None, (), 1, 0.0) for g in good])
+    except StopIteration as end:
+        return end.value, count
+
+
+def test_only_changes_that_are_needed_are_left() -> None:
+    """Of sixteen moves two are needed: groups are undone before single ones, with fewer trials than one by one."""
+    plan = make_plan(boxes=[((100, 100, 100), (150 * k, 0, 0), 1) for k in range(16)])
+    search = Search(plan, Simulation(), RepairOptions(worlds=0))
+    changes = tuple(Move(k, 20.0, 0.0) for k in reversed(range(16)))
+    draft = applied(Draft.of(plan), changes)
+    assert draft is not None
+
+    def stands(draft: Draft) -> bool:
+        return bool((draft.corner_mm[[3, 12], 0] == plan.corner_mm[[3, 12], 0] + 20).all())
+
+    _, count = answered(search._finished([State(draft, changes, Trial("stable", "", None, (), 16, 0.0))]), stands)
+    (repair,) = search.repairs
+    assert [change.boxes for change in repair.changes] == [(12,), (3,)]
+    assert count < 50, "one by one it is up to 16 + 15 + … + 3 = 133"
+
+
+def test_each_way_to_change_a_box_is_judged_before_other_amounts() -> None:
+    draft = Draft.of(make_plan(boxes=stack(2)))
+    proposals = [Move(0, 5.0, 0.0), Move(0, 9.0, 0.0), Move(0, 0.0, 7.0), Move(1, 5.0, 0.0), Order(1, 0)]
+    queue = [_Candidate(draft, (change,), (change,), 0.0, float(k)) for k, change in enumerate(proposals)]
+    assert [c.changes[0] for c in _batch([queue], 3)] == [proposals[0], proposals[3], proposals[4]]
+    assert [c.changes[0] for c in queue] == [proposals[1], proposals[2]]
 
 
 # ---------------------------------------------------------------------- bad input
