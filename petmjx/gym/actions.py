@@ -126,12 +126,18 @@ class Actions:
         stands = np.ones(len(chosen), bool)
         source = places.row[chosen]
         if self.asks_physics and len(chosen):
-            trials = self._pallets.try_all(
-                size_mm=sizes[source], corner_mm=places.corner_mm[chosen], mass_kg=masses[source], pallet=rows[row]
-            )
-            margin, stands = np.nan_to_num(trials.margin), trials.stable
+            candidates = {
+                "size_mm": sizes[source],
+                "corner_mm": places.corner_mm[chosen],
+                "mass_kg": masses[source],
+                "pallet": rows[row],
+            }
             if self._options.mask == LOADS:
-                stands = stands & ~self._overloads(rows[row], trials.top_force_n)
+                trials = self._pallets.try_all(**candidates)
+                margin = np.nan_to_num(trials.margin)
+                stands = trials.stable & ~self._overloads(rows[row], trials.top_force_n)
+            else:
+                stands, margin = self._pallets.stands(**candidates)
         chosen, row, number, source = (values[stands] for values in (chosen, row, number, source))
         into = rows[row], number
         table.legal[into] = True

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from petmjx.engines.protocol import Engine
 from petmjx.loop.box_tables import BoxTable
+from petmjx.loop.placement_bounds import Bounds, decidable, is_calm
 from petmjx.loop.placement_results import PlacementResults
 from petmjx.loop.placements import Placements
 from petmjx.options.simulation import Simulation
@@ -22,14 +23,19 @@ class PalletWorlds:
     Attributes:
         worlds: world i is pallet i, and world n + i is pallet i before its last box; the last world stays empty.
         boxes: the boxes of the pallets, as they were requested.
+        bounds: bounds on placements.
         dead: (n,) whether a pallet has fallen.
+        calm: (n,) whether a pallet rests where its plan is.
         placing: whether an engine's thread is letting pallets come to rest. Meanwhile only that thread uses the worlds.
     """
 
     def __init__(self, n: int, engine: Engine, sim: Simulation, most_boxes: int) -> None:
         self._n, self._sim = n, sim
+        self._decidable = decidable(sim)
         self.boxes = BoxTable(n)
+        self.bounds = Bounds(self.boxes)
         self.dead: NDArray[np.bool_] = np.zeros(n, bool)
+        self.calm: NDArray[np.bool_] = np.full(n, self._decidable)
         self.placing = False
         self._before: NDArray[np.int64] = np.full(n, -1, np.int64)  # boxes in world n + i; -1: it is unused
         self.worlds = engine.open([EmptyCarrier(sim).scene] * (2 * n + 1), sim, most_boxes)
@@ -63,6 +69,7 @@ class PalletWorlds:
             self.worlds.go_on()
         outcomes = PlacementResults.of_readings(rows, self.worlds.readings(rows.tolist()), self._sim.thresholds)
         self.dead[rows] = outcomes.ended
+        self.calm[rows] = is_calm(outcomes) & self._decidable
         return outcomes
 
     def take_back(self, rows: NDArray[np.int64]) -> None:
@@ -71,8 +78,8 @@ class PalletWorlds:
         kept = self._before[rows] == left
         if kept.any():
             self.worlds.fork((self._n + rows[kept]).tolist(), rows[kept].tolist())
-        self.boxes.cut(rows, left)
-        self.dead[rows], self._before[rows] = False, -1
+        self._cut(rows, left)
+        self.dead[rows], self.calm[rows], self._before[rows] = False, False, -1
         if not kept.all():
             self._build(rows[~kept])
 
@@ -81,12 +88,19 @@ class PalletWorlds:
         these, copies = ([*rows.tolist(), *(self._n + rows).tolist()] for rows in (sources, into))
         self.worlds.fork(these, copies)
         self.boxes.copy(sources, into)
-        self._before[into], self.dead[into] = self._before[sources], self.dead[sources]
+        self.bounds.cut(into, np.zeros(len(into), np.int64))
+        for values in (self._before, self.dead, self.calm):
+            values[into] = values[sources]
 
     def empty(self, rows: NDArray[np.int64]) -> None:
         """Empty some pallets."""
         self._empty_worlds(rows)
-        self.boxes.cut(rows, np.zeros(len(rows), np.int64))
+        self._cut(rows, np.zeros(len(rows), np.int64))
+        self.calm[rows] = self._decidable
+
+    def _cut(self, rows: NDArray[np.int64], count: NDArray[np.int64]) -> None:
+        self.boxes.cut(rows, count)
+        self.bounds.cut(rows, count)
 
     def _empty_worlds(self, rows: NDArray[np.int64]) -> None:
         self.worlds.fork([2 * self._n] * len(rows), rows.tolist())

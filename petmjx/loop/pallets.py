@@ -23,6 +23,7 @@ from petmjx.loop.engine_setup import MOST_PALLETS, OF_RUN, Closable, check_open,
 from petmjx.loop.height_maps import height_maps
 from petmjx.loop.pallet_verdicts import SettledEngine
 from petmjx.loop.pallet_worlds import PalletWorlds
+from petmjx.loop.placement_bounds import FALLS, OPEN, STANDS
 from petmjx.loop.placement_results import PlacementResults
 from petmjx.loop.placements import Placements, boxes_of, grid_of, once_each, pallets_of, placements_of
 from petmjx.options.carriers import AnyCarrier, extent_m
@@ -200,6 +201,32 @@ class Pallets(Closable):
             if number is None:
                 return outcomes
             return outcomes.with_share(shares(self._worlds, worlds, boxes, errors_of(number, self.simulation), shaken))
+
+    def stands(
+        self, *, size_mm: Any, corner_mm: Any, mass_kg: Any, pallet: Any = None
+    ) -> tuple[NDArray[np.bool_], FloatArray]:
+        """Find for m candidates whether ``try_all`` would call them stable. Those that stand or fall beyond doubt
+        (docs/loop.md) are not simulated, so that it takes a fraction of the time. The pallets do not change.
+
+        Returns:
+            (m,) whether the pallet stands, and (m,) its margin: 1 where it stands beyond doubt, -1 where it does not
+            stand or is invalid.
+
+        Raises:
+            InputError: as ``try_all``.
+        """
+        with self._using():
+            request = self._placements(size_mm, corner_mm, mass_kg, pallet)
+            decided = self._standing.bounds.of(request, self._standing.calm[request.pallet])
+            margin = decided.astype(np.float64)
+            rest = request.take(np.flatnonzero(decided == OPEN))
+            if len(rest):
+                boxes = self._standing.next_boxes(rest)
+                readings = self._worlds.try_next(rest.pallet.tolist(), boxes, until_lost=True)
+                results = PlacementResults.of_readings(rest.pallet, readings, self.simulation.thresholds)
+                margin[decided == OPEN] = np.where(results.stable, results.margin, -1.0)
+                decided[decided == OPEN] = np.where(results.stable, STANDS, FALLS)
+            return decided == STANDS, margin
 
     def take_back(self, pallet: Any = None) -> None:
         """Take the last box off some pallets; None: all that have boxes. The pallets are then as they were before this
