@@ -1,5 +1,7 @@
-"""``petmjx/Palletizing-v0`` as a vector environment of Stable-Baselines3: n pallets a step, on one engine, with the masks
-that MaskablePPO of sb3-contrib asks for. Needs the extra ``sb3``."""
+"""``petmjx/Palletizing-v0`` as a vector environment of Stable-Baselines3: n pallets a step, on one engine.
+
+It has the masks that MaskablePPO of sb3-contrib asks for. Needs the extra ``sb3``.
+"""
 
 from __future__ import annotations
 

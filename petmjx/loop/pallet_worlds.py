@@ -8,8 +8,10 @@ from concurrent.futures import ThreadPoolExecutor
 import numpy as np
 from numpy.typing import NDArray
 
+from petmjx.common.units import FloatArray
 from petmjx.engines.protocol import Engine
 from petmjx.loop.box_tables import BoxTable
+from petmjx.loop.candidate_trials import placing_errors_of
 from petmjx.loop.placement_bounds import Bounds, decidable, is_calm
 from petmjx.loop.placement_results import PlacementResults
 from petmjx.loop.placements import Placements
@@ -37,6 +39,8 @@ class PalletWorlds:
         self.dead: NDArray[np.bool_] = np.zeros(n, bool)
         self.calm: NDArray[np.bool_] = np.full(n, self._decidable)
         self.placing = False
+        self._error: NDArray[np.int64] = np.zeros((n, most_boxes), np.int64)  # of each box, as in ``place``
+        self._strength: FloatArray = np.zeros((n, most_boxes))
         self._before: NDArray[np.int64] = np.full(n, -1, np.int64)  # boxes in world n + i; -1: it is unused
         self.worlds = engine.open([EmptyCarrier(sim).scene] * (2 * n + 1), sim, most_boxes)
         self.worlds.go_on()
@@ -45,13 +49,26 @@ class PalletWorlds:
         """The requested boxes, in the form for open worlds."""
         return NextBoxes.of(placements.size_mm, placements.corner_mm, placements.mass_kg, self._sim)
 
-    def place(self, placements: Placements, meanwhile: Callable[[], object] | None) -> PlacementResults:
-        """Put one box each onto pallets, and wait until these rest. ``meanwhile`` is called during the wait."""
+    def place(
+        self,
+        placements: Placements,
+        meanwhile: Callable[[], object] | None,
+        error: NDArray[np.int64] | None = None,
+        strength: FloatArray | None = None,
+    ) -> PlacementResults:
+        """Put one box each onto pallets, and wait until these rest. ``meanwhile`` is called during the wait.
+
+        Args:
+            error, strength: (m,) as in ``petmjx.Pallets.place``; None: boxes are placed exactly.
+        """
         rows = placements.pallet
         if len(rows):
             self.worlds.fork(rows.tolist(), (self._n + rows).tolist())
             self._before[rows] = self.boxes.count[rows]
-            self.worlds.put_next(rows.tolist(), self.next_boxes(placements))
+            at = self.boxes.count[rows]
+            for values, of_boxes in ((error, self._error), (strength, self._strength)):
+                of_boxes[rows, at] = 0 if values is None else values
+            self._put(placements, at)
             self.boxes.add(placements)
         if meanwhile is None:
             return self._rested(rows)
@@ -63,6 +80,23 @@ class PalletWorlds:
         finally:
             self.placing = False
         return future.result()
+
+    def _put(self, placements: Placements, at: NDArray[np.int64]) -> None:
+        """Put boxes into the worlds of pallets, with their errors.
+
+        Args:
+            at: (m,) numbers of the boxes on their pallets.
+        """
+        worlds, boxes, strength = placements.pallet, self.next_boxes(placements), self._strength[placements.pallet, at]
+        exact = np.flatnonzero(strength == 0)
+        if len(exact):
+            self.worlds.put_next(worlds[exact].tolist(), boxes.take(exact))
+        if len(rest := np.flatnonzero(strength)):
+            errors = placing_errors_of(self._sim)
+            scenes = self.worlds.with_next(worlds[rest].tolist(), boxes.take(rest))
+            numbers = self._error[worlds[rest], at[rest]].tolist()
+            drawn = [errors.scene(*of) for of in zip(scenes, numbers, strength[rest].tolist(), strict=True)]
+            self.worlds.put(worlds[rest].tolist(), drawn)
 
     def _rested(self, rows: NDArray[np.int64]) -> PlacementResults:
         if len(rows):
@@ -89,7 +123,7 @@ class PalletWorlds:
         self.worlds.fork(these, copies)
         self.boxes.copy(sources, into)
         self.bounds.cut(into, np.zeros(len(into), np.int64))
-        for values in (self._before, self.dead, self.calm):
+        for values in (self._before, self.dead, self.calm, self._error, self._strength):
             values[into] = values[sources]
 
     def empty(self, rows: NDArray[np.int64]) -> None:
@@ -111,5 +145,5 @@ class PalletWorlds:
         self._empty_worlds(rows)
         for number in range(int(self.boxes.count[rows].max(initial=0))):
             some = rows[self.boxes.count[rows] > number]
-            self.worlds.put_next(some.tolist(), self.next_boxes(self.boxes.box(some, number)))
+            self._put(self.boxes.box(some, number), np.full(len(some), number))
             self.worlds.go_on()

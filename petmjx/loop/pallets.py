@@ -18,7 +18,7 @@ from petmjx.common.errors import InputError
 from petmjx.common.units import MM_PER_M, FloatArray
 from petmjx.engines.protocol import Engine
 from petmjx.loop.candidate_places import Places, free_places
-from petmjx.loop.candidate_trials import drive_of, driven_results, errors_of, shares
+from petmjx.loop.candidate_trials import drive_of, driven_results, errors_asked, errors_of, shares
 from petmjx.loop.engine_setup import MOST_PALLETS, OF_RUN, Closable, check_open, open_engine
 from petmjx.loop.height_maps import height_maps
 from petmjx.loop.pallet_verdicts import SettledEngine
@@ -141,20 +141,30 @@ class Pallets(Closable):
         mass_kg: Any,
         pallet: Any = None,
         meanwhile: Callable[[], object] | None = None,
+        error: Any = None,
+        error_strength: Any = 1.0,
     ) -> PlacementResults:
         """Put one box each onto some pallets, and wait until these rest.
 
         Args:
+            error: (m,) whole numbers, each of which stands for an error of a robot and its carton: of place, rotation,
+                size and mass, as ``petmjx score --confidence`` draws them. A hand carries the box to its place. None:
+                boxes are placed exactly.
+            error_strength: factor of the errors, one or (m,); 0: the box is placed exactly.
             meanwhile: is called while the pallets come to rest. It may only call ``places``, ``boxes`` and
                 ``height_map``, which have the new boxes where they were put.
 
         Raises:
-            InputError: wrong shapes, units or numbers, a pallet that has fallen, is full, or is named twice.
+            InputError: wrong shapes, units or numbers, a pallet that has fallen, is full, or is named twice; or no
+                number of an error.
         """
         with self._using():
             request = self._placements(size_mm, corner_mm, mass_kg, pallet)
             once_each(request.pallet)
-            return self._standing.place(request, meanwhile)
+            if error is None:
+                return self._standing.place(request, meanwhile)
+            numbers, strengths = errors_asked(error, error_strength, len(request))
+            return self._standing.place(request, meanwhile, numbers, strengths)
 
     def try_all(
         self,
@@ -231,7 +241,7 @@ class Pallets(Closable):
     def take_back(self, pallet: Any = None) -> None:
         """Take the last box off some pallets; None: all that have boxes. The pallets are then as they were before this
         box, to the last bit. Pallets that have fallen stand again. If further boxes are taken back, the pallet is built
-        again.
+        again, with the errors that its boxes were placed with.
 
         Raises:
             InputError: a pallet has no box.

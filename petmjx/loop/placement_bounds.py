@@ -319,7 +319,8 @@ class _Rests:
             shared_high = np.minimum(high[..., :2], end + NEAR_MM)
             over = (shared_high - shared_low > TOUCH_MM).all(axis=2) & ~self.under[rows]
             reach = np.where(towards[:, None] > 0, shared_high, shared_low) @ towards[..., None]
-            bed = over & (z[:, None] - high[..., 2] < slope * (reach[..., 0] - edge[:, None]))
+            depth = z[:, None] - high[..., 2]
+            bed = over & (depth >= -NEAR_MM) & (depth < slope * (reach[..., 0] - edge[:, None]))
             rise = np.minimum(high[..., 2] - z[:, None], height[:, None])
             out = (sine[:, None] * rise + NEAR_MM)[..., None] * towards[:, None]
             swept_low, swept_high = start + np.minimum(out, 0.0), end + np.maximum(out, 0.0)
