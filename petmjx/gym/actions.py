@@ -10,10 +10,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from petmjx.common.units import FloatArray
-from petmjx.gym.environment_options import ALL, CANDIDATES, CENTRE, LOADS, PHYSICS, SUPPORT, PalletizingOptions
+from petmjx.gym.environment_options import ALL, CANDIDATES, CENTRE, LOADS, PHYSICS, SUPPORT, SURE, PalletizingOptions
 from petmjx.loop.candidate_places import Places
 from petmjx.loop.order_sources import Orders
 from petmjx.loop.pallets import Pallets
+from petmjx.loop.placement_bounds import STANDS
 
 FEATURES: Final = ("box", "turned", "x", "y", "z", "length_x", "length_y", "height", "mass", "support", "margin")
 """Features of a candidate: its index among the visible boxes, whether it is turned by 90°, its corner and extents, mm,
@@ -112,8 +113,8 @@ class Actions:
 
     @property
     def asks_physics(self) -> bool:
-        """Whether the mask tries places in physics."""
-        return self._options.mask in (PHYSICS, LOADS)
+        """Whether the mask depends on how the pallets rest."""
+        return self._options.mask in (SURE, PHYSICS, LOADS)
 
     def fill(
         self,
@@ -166,6 +167,9 @@ class Actions:
                 trials = self._pallets.try_all(**candidates)
                 margin = np.nan_to_num(trials.margin)
                 stands = trials.stable & ~self._overloads(on[source], trials.top_force_n)
+            elif self._options.mask == SURE:
+                stands = self._pallets.decided(**candidates) == STANDS
+                margin = np.ones(len(stands))
             else:
                 stands, margin = self._pallets.stands(**candidates)
         chosen, row, number, source = (values[stands] for values in (chosen, row, number, source))

@@ -55,12 +55,12 @@ class Curriculum:
 
     def order(self, boxes: Boxes, level: float) -> Boxes:
         """An order as it is at a level."""
+        size, mass = boxes.size_mm.mean(axis=0), boxes.mass_kg.mean()
         if self.boxes is not None:
             boxes = boxes.take(slice(round(_between(self.boxes, level))))
         share = _between(self.sizes, level)
         if share == 1.0:
             return boxes
-        size, mass = boxes.size_mm.mean(axis=0), boxes.mass_kg.mean()
         return Boxes(
             size + share * (boxes.size_mm - size),
             mass + share * (boxes.mass_kg - mass),

@@ -15,6 +15,7 @@ from petmjx.loop.rewards import weights_of
 CELLS: Final = "cells"
 CANDIDATES: Final = "candidates"
 PHYSICS: Final = "physics"
+SURE: Final = "sure"
 LOADS: Final = "loads"
 GEOMETRY: Final = "geometry"
 CENTRE: Final = "centre"
@@ -25,7 +26,7 @@ MOST_OPEN: Final = 64
 MOST_ERRORS: Final = 10.0
 """Largest multiple of the errors of a common robot: 20 mm, more than a place that is still meant."""
 SUPPORT: Final = {f"support_{100 * share:.0f}": share for share in SUPPORT_SHARES}
-MASKS: Final = (GEOMETRY, *SUPPORT, CENTRE, PHYSICS, LOADS)
+MASKS: Final = (GEOMETRY, *SUPPORT, CENTRE, SURE, PHYSICS, LOADS)
 
 
 @dataclass(frozen=True)
@@ -46,8 +47,8 @@ class PalletizingOptions:
             second lowest of each, and so on.
         action_cell_mm: side of the cells of actions; ``cell_mm``: side of the cells of maps.
         mask: which actions on the carrier and below the highest top are legal: ``geometry``: all of them; a criterion
-            of docs/criteria.md (``support_75``, … or ``centre``); ``physics``: actions that stand in a trial; or
-            ``loads``: actions that also overload no box.
+            of docs/criteria.md (``support_75``, … or ``centre``); ``physics``: actions that stand in a trial; ``sure``:
+            those of them that stand beyond doubt, without a trial; or ``loads``: actions that also overload no box.
         max_height_mm: highest top of a box.
         rewards: weights of terms (``petmjx.loop.rewards.TERMS``).
         most_illegal: illegal actions after which an episode is truncated.

@@ -106,6 +106,10 @@ class PalletWorlds:
         self.calm[rows] = is_calm(outcomes) & self._decidable
         return outcomes
 
+    def decided(self, placements: Placements) -> NDArray[np.int8]:
+        """(m,) what the bounds say of placements."""
+        return self.bounds.of(placements, self.calm[placements.pallet])
+
     def take_back(self, rows: NDArray[np.int64]) -> None:
         """Take the last box off each of these pallets, which must have one."""
         left = self.boxes.count[rows] - 1

@@ -227,7 +227,7 @@ class Pallets(Closable):
         """
         with self._using():
             request = self._placements(size_mm, corner_mm, mass_kg, pallet)
-            decided = self._standing.bounds.of(request, self._standing.calm[request.pallet])
+            decided = self._standing.decided(request)
             margin = decided.astype(np.float64)
             rest = request.take(np.flatnonzero(decided == OPEN))
             if len(rest):
@@ -237,6 +237,16 @@ class Pallets(Closable):
                 margin[decided == OPEN] = np.where(results.stable, results.margin, -1.0)
                 decided[decided == OPEN] = np.where(results.stable, STANDS, FALLS)
             return decided == STANDS, margin
+
+    def decided(self, *, size_mm: Any, corner_mm: Any, mass_kg: Any, pallet: Any = None) -> NDArray[np.int8]:
+        """What is known of m candidates without a simulation: (m,) 1 for those that stand beyond doubt, -1 for those
+        that fall beyond doubt, 0 for all others (docs/loop.md).
+
+        Raises:
+            InputError: as ``try_all``.
+        """
+        with self._using():
+            return self._standing.decided(self._placements(size_mm, corner_mm, mass_kg, pallet))
 
     def take_back(self, pallet: Any = None) -> None:
         """Take the last box off some pallets; None: all that have boxes. The pallets are then as they were before this
