@@ -22,7 +22,7 @@ BOXES: Final = 6
 """Drawn for each pallet in a round; ``PLACES``: places of theirs that are decided."""
 PLACES: Final = 24
 
-SIMULATED: Final = 256
+SIMULATED: Final = 128
 """Decided placements that are simulated in a round."""
 
 

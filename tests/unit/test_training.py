@@ -147,7 +147,7 @@ def test_a_curriculum_grows_with_the_level() -> None:
     shown, _ = many.reset(seed=0, options={"level": np.array([0.0, 1.0])})
     assert shown["left"].tolist() == [[1], [3]]
     for wrong, message in (
-        ({"curriculum": {"size": (0, 1)}}, "curriculum: unknown entry 'size'; did you mean 'sizes'"),
+        ({"curriculum": {"size": (0, 1)}}, "curriculum: unknown entry 'size'; did you mean sizes"),
         ({"curriculum": {"sizes": (0, 2)}}, r"curriculum\.sizes must be .* 1"),
         ({"curriculum": {"sizes": 1}}, r"curriculum\.sizes must be two numbers"),
         ({"curriculum": [1]}, "curriculum must be a table"),
