@@ -121,6 +121,17 @@ class Orders:
             return _of_order(draw_order(self._seed, int(rng.integers(_MOST_DRAWN))), self._articles)
         return self._all[int(rng.integers(len(self._all)))]
 
+    def numbered(self, number: int) -> Boxes:
+        """An order by its number, from 0, below ``count``."""
+        if self._all is None:
+            return _of_order(draw_order(self._seed, number), self._articles)
+        return self._all[number]
+
+    @property
+    def count(self) -> int:
+        """The number of orders."""
+        return _MOST_DRAWN if self._all is None else len(self._all)
+
     def some(self, count: int) -> list[Boxes]:
         """All orders; with ``endless`` the first ``count``."""
         if self._all is not None:

@@ -110,6 +110,10 @@ class PalletWorlds:
         """(m,) what the bounds say of placements."""
         return self.bounds.of(placements, self.calm[placements.pallet])
 
+    def has_errors(self, pallet: int) -> bool:
+        """Whether a box of a pallet was placed with an error."""
+        return bool(self._strength[pallet, : self.boxes.count[pallet]].any())
+
     def take_back(self, rows: NDArray[np.int64]) -> None:
         """Take the last box off each of these pallets, which must have one."""
         left = self.boxes.count[rows] - 1

@@ -311,14 +311,17 @@ class Pallets(Closable):
             name = f"pallet-{number}" if plan_id is None else text_of(plan_id, "plan_id")
             return self._boxes.plan(number, name, fields)
 
-    def score(self, pallet: Any = None, **options: Any) -> RunResults:
+    def score(self, pallet: Any = None, *, to_the_bit: bool = True, **options: Any) -> RunResults:
         """The results of ``petmjx.score`` for the plans of pallets, to the last bit, further attempts included; None:
-        all pallets that have boxes. A pallet that has fallen is scored, too.
+        all pallets that have boxes. A pallet that has fallen is scored, too. Boxes that were placed with errors are
+        scored where the plan has them.
 
         On ``mjx-warp`` pallets go on from their current state. On ``mujoco`` plans are simulated from their first
         boxes, since waiting boxes affect the last digits of a score there.
 
         Args:
+            to_the_bit: False: on ``mujoco``, too, pallets go on from their current state, which takes a fraction of the
+                time; last digits may differ.
             options: fields of ``petmjx.RunOptions``, such as ``out``.
 
         Raises:
@@ -329,7 +332,9 @@ class Pallets(Closable):
             if not len(rows):
                 raise InputError("pallet: none has boxes")
             plans = {row: self.plan(row) for row in rows.tolist()}
-            settled = SettledEngine(self._engine, self._worlds, plans, self.simulation)
+            digits = flag_of(to_the_bit, "to_the_bit")
+            exact = {row: plan for row, plan in plans.items() if not self._standing.has_errors(row)}
+            settled = SettledEngine(self._engine, self._worlds, exact, self.simulation, to_the_bit=digits)
             run = RunOptions(**{"engine": settled, **options})
             return simulate(partial(Nominal, self.simulation), self.simulation, list(plans.values()), run)
 

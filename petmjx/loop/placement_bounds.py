@@ -322,8 +322,9 @@ class _Rests:
             depth = z[:, None] - high[..., 2]
             bed = over & (depth >= -NEAR_MM) & (depth < slope * (reach[..., 0] - edge[:, None]))
             rise = np.minimum(high[..., 2] - z[:, None], height[:, None])
-            out = (sine[:, None] * rise + NEAR_MM)[..., None] * towards[:, None]
-            swept_low, swept_high = start + np.minimum(out, 0.0), end + np.maximum(out, 0.0)
+            out = (sine[:, None] * rise)[..., None] * towards[:, None]
+            swept_low = start - NEAR_MM + np.minimum(out, 0.0)
+            swept_high = end + NEAR_MM + np.maximum(out, 0.0)
             beside = np.minimum(high[..., :2], swept_high) - np.maximum(low[..., :2], swept_low)
             wall = (rise > 0) & (beside > TOUCH_MM).all(axis=2)
         far = (np.where(towards > 0, end[:, 0], start[:, 0]) * towards).sum(axis=1) - edge

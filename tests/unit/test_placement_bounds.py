@@ -45,8 +45,9 @@ def test_what_the_geometry_decides() -> None:
 
 def test_what_may_catch_a_box_leaves_it_open() -> None:
     """It hangs over the edge by 150 mm: a box as high as the support bears it, one that is 20 mm lower may, one that is
-    150 mm lower does not; a wall beside it may lean it, and one behind it does not."""
-    support = ((200, 200, 0), (300, 300, 200))
+    150 mm lower does not; a wall before it may lean it, one that it touches may hold it by friction, and one that is
+    farther than it turns does not."""
+    support = ((440, 200, 0), (110, 300, 200))
     hanging = {"corner": (440, 200, 200), "size": (300, 300, 200)}
     expected = {
         None: FALLS,
@@ -55,7 +56,8 @@ def test_what_may_catch_a_box_leaves_it_open() -> None:
         ((600, 200, 0), (300, 300, 50)): FALLS,
         ((745, 200, 0), (100, 300, 400)): OPEN,
         ((850, 200, 0), (100, 300, 400)): FALLS,
-        ((100, 200, 0), (100, 300, 400)): FALLS,
+        ((340, 200, 0), (95, 300, 400)): FALLS,
+        ((440, 500, 0), (300, 200, 400)): OPEN,
     }
     for other, verdict in expected.items():
         pallets = pile(support) if other is None else pile(support, other)
