@@ -46,7 +46,7 @@ SETTINGS: Final[tuple[dict[str, Any], ...]] = (
         "action_cell_mm": 400,
         "sides": "all",
         "open_pallets": 2,
-        "curriculum": {"boxes": [1, 5], "sizes": [0, 1], "errors": [0, 2]},
+        "curriculum": {"boxes": [1, 5], "sizes": [0, 1]},
         "level": 0.5,
     },
     {"mask": "loads", "n_candidates": 4, "most_illegal": 1},

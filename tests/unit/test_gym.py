@@ -60,9 +60,17 @@ def assert_equal(one: Any, other: Any) -> None:
         np.testing.assert_array_equal(one[name], other[name], name)
 
 
-@pytest.mark.parametrize("options", [{}, {"actions": "cells", "action_cell_mm": 400, "mask": "geometry"}])
+@pytest.mark.parametrize(
+    "options",
+    [
+        {},
+        {"actions": "cells", "action_cell_mm": 400, "mask": "geometry"},
+        {"mask": "sure", "scaled": True, "sides": "all", "open_pallets": 2, "errors": 1.0},
+        {"curriculum": {"boxes": (1, 3), "sizes": (0, 1)}, "level": 0.5, "buffer": 1},
+    ],
+)
 def test_gymnasium_finds_nothing_wrong(options: dict[str, Any]) -> None:
-    env = gym.make(NAME, **SMALL, look_ahead=2, buffer=2, **options)
+    env = gym.make(NAME, **{**SMALL, "look_ahead": 2, "buffer": 2, **options})
     check_env(env.unwrapped, skip_render_check=True)
 
 

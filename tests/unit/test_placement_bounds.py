@@ -121,10 +121,10 @@ def test_edges_of_hulls() -> None:
 
 def test_simulations_agree_with_the_bounds() -> None:
     """Some of the placements that ``python -m benchmarks loop bounds`` simulates by the ten thousand."""
-    summary = bounds(make_engine("mujoco", threads=1), 320, seed=1)
+    summary = bounds(make_engine("mujoco", threads=1), 200, seed=1)
     assert summary["faults"] == []
-    assert summary["simulated"] == 320
-    assert min(summary["stand"], summary["fall"]) > 100
+    assert summary["simulated"] == 200
+    assert min(summary["stand"], summary["fall"]) > 20
 
 
 def test_stands_is_what_trials_say() -> None:
