@@ -24,7 +24,6 @@ import sys
 import numpy as np
 from support.plans import make_plan, make_world, stack
 from petmjx.options.simulation import Simulation
-from petmjx.options.simulation import Simulation
 from petmjx.engines.attempts import ATTEMPTS
 from petmjx.engines.engine_choice import make_engine
 from petmjx.engines.attempt_stream import score_worlds
@@ -38,12 +37,12 @@ print(outcome.n_steps, *outcome.boxes.pos.ravel())
 RUN = """
 import sys
 import petmjx
-from petmjx.engines import attempts, retry
+from petmjx.engines import attempt_stream, attempts
 
 engine, plans, out, first = sys.argv[1:]
 # each further attempt, as if all before had failed
 asked = (attempts.ATTEMPTS[0], *attempts.ATTEMPTS[int(first) - 1 :])
-retry.score_worlds.__kwdefaults__["attempts"] = asked
+attempt_stream.score_worlds.__kwdefaults__["attempts"] = asked
 attempts.AttemptRecipe.is_for = lambda self, outcome, sim: self.number == int(first) and outcome.attempt != int(first)
 petmjx.score(plans, engine=engine, out=out)
 """
