@@ -19,7 +19,7 @@ from ray.rllib.examples.rl_modules.classes.action_masking_rlm import ActionMaski
 from ray.tune.registry import register_env
 
 
-class FlatWithMask(gymnasium.ObservationWrapper):  # type: ignore[type-arg]
+class FlatWithMask(gymnasium.ObservationWrapper[Any, Any, Any]):
     """Observations as RLlib's module for masks wants them: one vector, and the mask beside it."""
 
     def __init__(self, env: gymnasium.Env[Any, Any]) -> None:
@@ -57,8 +57,9 @@ def main() -> None:
 
     register_env("palletizing", make)
     options = {"mask": "support_50", "rewards": {"utilisation": 20, "fall": 2}, "threads": 1}
+    start: Any = PPOConfig  # has no types
     config = (
-        PPOConfig()
+        start()
         .environment("palletizing", env_config=options)
         .env_runners(num_env_runners=arguments.runners, num_envs_per_env_runner=arguments.pallets)
         .rl_module(rl_module_spec=RLModuleSpec(module_class=ActionMaskingTorchRLModule))

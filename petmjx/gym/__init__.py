@@ -6,9 +6,12 @@ Stable-Baselines3 (extra ``sb3``).
 
 from __future__ import annotations
 
-from typing import Any, Final
+from typing import TYPE_CHECKING, Any, Final
 
 from petmjx.common.errors import EngineUnavailable
+
+if TYPE_CHECKING:
+    from petmjx.gym.sb3_vec_env import PalletizingVecEnv as PalletizingVecEnv
 
 try:
     from gymnasium.envs.registration import register, registry

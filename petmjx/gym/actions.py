@@ -56,13 +56,15 @@ class Table:
         """A table without legal actions."""
         three, one = (n, a, 3), (n, a)
         return cls(
-            np.zeros(one, bool),
-            *(np.zeros(one, np.int64) for _ in range(3)),
-            np.zeros(three),
-            np.zeros(three),
-            np.zeros(one),
-            np.zeros(one),
-            np.zeros(one),
+            legal=np.zeros(one, bool),
+            box=np.zeros(one, np.int64),
+            side=np.zeros(one, np.int64),
+            pallet=np.zeros(one, np.int64),
+            size_mm=np.zeros(three),
+            corner_mm=np.zeros(three),
+            mass_kg=np.zeros(one),
+            support=np.zeros(one),
+            margin=np.zeros(one),
         )
 
     def clear(self, rows: NDArray[np.int64]) -> None:

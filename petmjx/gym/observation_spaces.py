@@ -67,7 +67,12 @@ class ObservationSpaces:
         if options.actions == CANDIDATES:
             length = 20_000.0
             most = dict.fromkeys(_LENGTHS, length) | {"mass": LARGEST_KG, "margin": 1.0, UPRIGHT: 2.0}
-            most |= {"box": max(options.buffer - 1.0, 1.0), "turned": 1.0, "support": 1.01, PALLET: options.open_pallets - 1.0}
+            most |= {
+                "box": max(options.buffer - 1.0, 1.0),
+                "turned": 1.0,
+                "support": 1.01,
+                PALLET: options.open_pallets - 1.0,
+            }
             low = np.array([-1.0 if name == "margin" else 0.0 for name in features], np.float32)
             high = np.array([most[name] for name in features], np.float32)
             shape = (n_actions, len(features))

@@ -74,7 +74,7 @@ class PlacingErrors:
         """A scene whose last box has the error of this number, times a strength. With strength 0 it has none."""
         if strength == 0:
             return scene
-        errors = {
+        errors: dict[str, Any] = {
             entry.name: replace(error, centre=strength * error.centre, spread=strength * error.spread)
             for entry in fields(self._change)
             if isinstance(error := getattr(self._change, entry.name), Distribution)

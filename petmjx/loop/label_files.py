@@ -30,6 +30,9 @@ README: Final = "README.md"
 _ROWS: Final = 10_000
 """Labels of a row group."""
 
+_REPORTED: Final = 50
+"""Labels between two reports of progress."""
+
 MOST_JUDGED: Final = 1_000
 """Most labels of the last split on which baselines are judged."""
 
@@ -55,7 +58,7 @@ def write_labels(
 
     Args:
         source: the file of the orders, or ``endless``, for the card.
-        progress: called with the number of labels that are written.
+        progress: called with the number of labels that are made.
 
     Returns:
         The card.
@@ -77,14 +80,14 @@ def write_labels(
             for split, file in files.items()
         }
         done = 0
-        for some in _groups(labeller.labels(count), _ROWS):
+        for some in _groups(_watched(labeller.labels(count), progress), _ROWS):
             for split in SPLITS:
                 rows = [label for label in some if label["split"] == split]
                 if rows:
                     writers[split].write_table(_table(rows))
                 tally[split].add(rows)
             judged += [label for label in some if label["split"] == last][: MOST_JUDGED - len(judged)]
-            progress(done := done + len(some))
+            done += len(some)
         if not done:
             raise InputError("orders: no box has a place on the empty carrier")
     card = _card(labeller, source, tally, judged)
@@ -92,6 +95,13 @@ def write_labels(
         with atomic_write(folder / name) as path:
             path.write_text(text, encoding="utf-8")
     return card
+
+
+def _watched(labels: Iterator[Label], progress: Callable[[int], object]) -> Iterator[Label]:
+    for number, label in enumerate(labels, 1):
+        if number % _REPORTED == 0:
+            progress(number)
+        yield label
 
 
 def _groups(labels: Iterator[Label], most: int) -> Iterator[list[Label]]:

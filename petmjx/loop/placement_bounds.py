@@ -113,13 +113,14 @@ class Bounds:
     """
 
     def __init__(self, stock: BoxTable) -> None:
-        n, k = stock.mass_kg.shape
+        n = len(stock.count)
         self._stock = stock
         self._boxes: NDArray[np.int64] = np.zeros(n, np.int64)  # boxes of each pallet that the tables have
-        self._bearers: NDArray[np.int64] = np.full((n, k, MOST_BEARERS), NOTHING)
-        self._shares: FloatArray = np.zeros((n, k, MOST_BEARERS, 3, 3))
-        self._edges: FloatArray = np.zeros((n, k, MOST_CORNERS, 3))  # of each bearing, as in _Rests
-        self._least: FloatArray = np.zeros((n, k))  # margin that each box must have, mm
+        # (n, k, …) a row for each box; one column at first, since few pallets are asked for bounds
+        self._bearers: NDArray[np.int64] = np.full((n, 1, MOST_BEARERS), NOTHING)
+        self._shares: FloatArray = np.zeros((n, 1, MOST_BEARERS, 3, 3))
+        self._edges: FloatArray = np.zeros((n, 1, MOST_CORNERS, 3))  # of each bearing, as in _Rests
+        self._least: FloatArray = np.zeros((n, 1))  # margin that each box must have, mm
 
     def cut(self, pallets: NDArray[np.int64], count: NDArray[np.int64]) -> None:
         """Keep the first ``count`` boxes of some pallets."""
@@ -195,19 +196,19 @@ class Bounds:
         with np.errstate(invalid="ignore", divide="ignore"):  # columns beyond a pallet's boxes
             margin = _margin(self._edges[pallets, :k], after[..., 1:] / after[..., :1])
         enough = np.where(bears, 1.0, KNIFE_SHARE) * self._least[pallets, :k]
-        stands &= (~here | (margin >= enough)).all(axis=1)
-        stands &= ~(bears & (after[..., 0] > MOST_LOAD * np.nan_to_num(self._stock.mass_kg[pallets, :k], nan=1.0))).any(
-            axis=1
-        )
+        stands = stands & (~here | (margin >= enough)).all(axis=1)
+        light = after[..., 0] > MOST_LOAD * np.nan_to_num(self._stock.mass_kg[pallets, :k], nan=1.0)
+        stands &= ~(bears & light).any(axis=1)
         sides = self._stock.size_mm[pallets, :k, :2].min(axis=2)
         narrow = np.where(bears, sides, np.inf).min(axis=1, initial=np.inf)
         narrow = np.minimum(narrow, request.size_mm[:, :2].min(axis=1))
-        return stands & (request.corner_mm[:, 2] + request.size_mm[:, 2] <= MOST_SLENDER * narrow)
+        low: NDArray[np.bool_] = request.corner_mm[:, 2] + request.size_mm[:, 2] <= MOST_SLENDER * narrow
+        return np.asarray(stands & low)
 
 
 def _least_margin(boxes: Placements) -> FloatArray:
     """(m,) distance by which loads must act inside bearings, mm."""
-    return np.minimum(MARGIN_M * MM_PER_M, MARGIN_SHARE * boxes.size_mm[:, :2].min(axis=1))
+    return np.asarray(np.minimum(MARGIN_M * MM_PER_M, MARGIN_SHARE * boxes.size_mm[:, :2].min(axis=1)))
 
 
 def _pass_on(
@@ -231,7 +232,7 @@ class _Rests:
         bearers, shares: (m, b) the boxes below, and (m, b, 3, 3) matrices from a load on the box to the share of each
             of them, by the plane of pressures of ``petmjx.packers.pile_balance``.
         edges: (m, e, 3) the edges of the bearing: (d, n_x, n_y) says that a point p is inside by d − n · p, mm; d is
-            infinite on the carrier, and negative where nothing is below.
+            infinite on the carrier, and minus infinity where nothing is below.
     """
 
     low: FloatArray
@@ -280,9 +281,9 @@ class _Rests:
         corners = np.stack(
             [first, np.stack([first[:, 0], last[:, 1]], 1), last, np.stack([last[:, 0], first[:, 1]], 1)], 1
         )
-        for count in range(1, MOST_BEARERS + 1):
-            some = np.flatnonzero((bearing == count) & ~on_carrier)
-            edges[some] = _hull_edges(corners[np.isin(row, some)].reshape(len(some), 4 * count, 2))
+        for number in range(1, MOST_BEARERS + 1):
+            some = np.flatnonzero((bearing == number) & ~on_carrier)
+            edges[some] = _hull_edges(corners[np.isin(row, some)].reshape(len(some), 4 * number, 2))
         rests = (on_carrier | (bearing > 0)) & ~blocked
         return cls(low, high, here, start, end, under, on_carrier, rests, bearers, shares, edges)
 

@@ -206,13 +206,13 @@ class Labeller:
             episode = running[row]
             label |= {"order": episode.order, "episode": episode.number, "step": len(episode.labels)}
             episode.labels.append(label | {"careful": is_careful, "split": episode.split})
-            if label["stands"]:
+            if label["stands"] and not self.pallets.ended[row]:  # a later attempt may stand where the first has fallen
                 episode.next, episode.again = episode.next + 1, False
                 if self.pallets.n_boxes[row] >= self.pallets.most_boxes:
                     episode.next = len(episode.boxes)
                 continue
             fallen.append(row)
-            episode.again = not is_careful
+            episode.again = not is_careful and not label["stands"]
             episode.next += not episode.again
         if fallen:
             self.pallets.take_back(fallen)

@@ -26,10 +26,11 @@ class PictureWindow:
         except ImportError as error:
             raise InputError("render_mode: human needs matplotlib: pip install 'petmjx[show]'") from error
         import matplotlib
-        from matplotlib.backends import BackendFilter, backend_registry
+        from matplotlib.backends.registry import BackendFilter, backend_registry
 
         backend = matplotlib.get_backend()
-        if backend.lower() not in backend_registry.list_builtin(BackendFilter.INTERACTIVE):
+        registry: Any = backend_registry  # has no types
+        if backend.lower() not in registry.list_builtin(BackendFilter.INTERACTIVE):
             raise InputError(f"render_mode: human needs a window, and Matplotlib's backend {backend} has none here")
         self._pyplot: Any = pyplot
         self._pause_s = pause_s
