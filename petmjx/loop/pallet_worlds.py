@@ -103,7 +103,7 @@ class PalletWorlds:
             self.worlds.go_on()
         outcomes = PlacementResults.of_readings(rows, self.worlds.readings(rows.tolist()), self._sim.thresholds)
         self.dead[rows] = outcomes.ended
-        self.calm[rows] = is_calm(outcomes) & self._decidable
+        self.calm[rows] = is_calm(outcomes) & self._decidable & ~(self._strength[rows] > 0).any(axis=1)
         return outcomes
 
     def decided(self, placements: Placements) -> NDArray[np.int8]:
@@ -143,6 +143,7 @@ class PalletWorlds:
     def _cut(self, rows: NDArray[np.int64], count: NDArray[np.int64]) -> None:
         self.boxes.cut(rows, count)
         self.bounds.cut(rows, count)
+        self._strength[rows] = np.where(np.arange(self._strength.shape[1]) < count[:, None], self._strength[rows], 0.0)
 
     def _empty_worlds(self, rows: NDArray[np.int64]) -> None:
         self.worlds.fork([2 * self._n] * len(rows), rows.tolist())

@@ -216,7 +216,7 @@ class Pallets(Closable):
         self, *, size_mm: Any, corner_mm: Any, mass_kg: Any, pallet: Any = None
     ) -> tuple[NDArray[np.bool_], FloatArray]:
         """Find for m candidates whether ``try_all`` would call them stable. Those that stand or fall beyond doubt
-        (docs/loop.md) are not simulated, so that it takes a fraction of the time. The pallets do not change.
+        (docs/training.md) are not simulated, so that it takes a fraction of the time. The pallets do not change.
 
         Returns:
             (m,) whether the pallet stands, and (m,) its margin: 1 where it stands beyond doubt, -1 where it does not
@@ -240,7 +240,7 @@ class Pallets(Closable):
 
     def decided(self, *, size_mm: Any, corner_mm: Any, mass_kg: Any, pallet: Any = None) -> NDArray[np.int8]:
         """What is known of m candidates without a simulation: (m,) 1 for those that stand beyond doubt, -1 for those
-        that fall beyond doubt, 0 for all others (docs/loop.md).
+        that fall beyond doubt, 0 for all others (docs/training.md).
 
         Raises:
             InputError: as ``try_all``.

@@ -83,8 +83,8 @@ def test_loads_on_boxes_below_count() -> None:
 
 def test_nothing_is_decided_on_a_pallet_that_does_not_rest_where_its_plan_is() -> None:
     pallets = pile(((400, 200, 0),))
-    pallets.place(size_mm=BOX, corner_mm=(0, 0, 0), mass_kg=6, error=[3], error_strength=2.0)
-    assert said(pallets, (800, 200, 0)) == OPEN
+    pallets.place(size_mm=BOX, corner_mm=(0, 0, 0), mass_kg=6, error=[3], error_strength=1e-3)
+    assert said(pallets, (800, 200, 0)) == OPEN  # however small the error
     pallets.take_back()
     assert said(pallets, (800, 200, 0)) == OPEN, "how it rests is not known until something is placed"
     pallets.reset()
