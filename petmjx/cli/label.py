@@ -12,28 +12,11 @@ from petmjx.common.argument_checks import integer_of
 from petmjx.common.text import count_text, printable
 
 MOST_LABELS: Final = 100_000_000
-LABELLED: Final = "What is labelled"
-
-_NOT_OPEN: Final = ("check", "schedule", "soft", "attempts")
-"""Options of the simulation that open pallets do not have."""
 
 
 @opt.takes(
-    without=(
-        *(
-            "workers",
-            "ray",
-            "record",
-            "record_interval_s",
-            "record_details",
-            "orders",
-            "allow_large",
-            "out",
-            "overwrite",
-        ),
-        *("resume", "shard", "force_intervals", "keep", "confidence", "exact_too", "limit", "strict", "anchor", "up"),
-        *("sizes", "items", "reading", "articles", "world_timeout_s", "check_timestep", "errors", *_NOT_OPEN),
-    )
+    *("physics", "size_reduction_mm", "longest_wait_s", "placing", "thresholds", "solver"),
+    *("engine", "threads", "lanes", "units", "columns", "density"),
 )
 def label(
     orders: Annotated[
@@ -72,6 +55,14 @@ def label(
     max_height_mm: Annotated[
         float, typer.Option("--max-height-mm", metavar="MM", help="Highest top of a box.")
     ] = 1800.0,
+    carrier: Annotated[
+        str,
+        typer.Option(
+            "--carrier",
+            metavar="NAME|FILE",
+            help="What the boxes stand on: a carrier of a fixed size (docs/carriers.md).",
+        ),
+    ] = "euro-pallet",
     overwrite: opt.Overwrite = False,
     **options: Any,
 ) -> None:
@@ -92,7 +83,14 @@ def label(
     has_gpu = options.get("engine", "auto") in ("auto", "mjx-warp") and why_no_warp() is None
     side_by_side = (2048 if has_gpu else 64) if pallets is None else integer_of(pallets, "--pallets", 1)
     labeller = Labeller(
-        source, pallets=side_by_side, seed=seed, explore=explore, errors=errors, max_height_mm=max_height_mm, **options
+        source,
+        pallets=side_by_side,
+        seed=seed,
+        explore=explore,
+        errors=errors,
+        max_height_mm=max_height_mm,
+        carrier=carrier,
+        **options,
     )
     with progress(count, "label") as bar:
         card = write_labels(labeller, count, out, source=orders or ENDLESS, overwrite=overwrite, progress=bar.update)
