@@ -15,12 +15,15 @@ import numpy as np
 import petmjx
 from petmjx.common.units import STANDARD_GRAVITY, FloatArray
 from petmjx.options.physics import LANDING_S, RESTITUTION
+from petmjx.options.simulation import Quiet
 
 HEIGHTS_MM = (10.0, 50.0, 100.0, 300.0)
 MOST_DEPTH_MM = (1.0, 3.0, 5.0, 9.0)
 """What a box may pass below where it rests, from each height."""
 TIMESTEPS_S = (0.002, 0.001, 0.0005)
 ASKED = (0.0, 0.1, 0.3)
+NEAR = 0.03
+"""How near restitution is meant to be to what was asked."""
 CARDBOARD = (0.1, 0.3)
 """Restitution of cardboard boxes: TU/e, T-RO 2023 (four cartons on a conveyor; 0 to 0.6 over all identifications)."""
 
@@ -41,8 +44,17 @@ def landed(engine: str, height_mm: float, timestep_s: float, landing_s: float, r
     plan = petmjx.Plan.from_boxes("two", size_mm=size, corner_mm=corner, mass_kg=[5.0, 5.0])
     physics = {"timestep_s": timestep_s, "landing_s": landing_s, "restitution": restitution}
     placing: dict[str, Any] = {"name": "drop", "height_mm": height_mm}
+    # the box below waits for as long as with the first timestep: else it still rises, by half a rebound from 10 mm
+    quiet = {"steps": round(Quiet().steps * TIMESTEPS_S[0] / timestep_s)}
     story = petmjx.tell(
-        "two", [plan], engine=engine, carrier="euro-pallet", placing=placing, physics=physics, interval_s=timestep_s
+        "two",
+        [plan],
+        engine=engine,
+        carrier="euro-pallet",
+        placing=placing,
+        physics=physics,
+        quiet=quiet,
+        interval_s=timestep_s,
     )
     height: FloatArray = story.history.pos[:, 1, 2]
     height = height[np.isfinite(height)]
@@ -74,15 +86,11 @@ def rows(engine: str) -> list[dict[str, Any]]:
             landing = landed(engine, height_mm, step_s, LANDING_S, restitution)
             conditions = f"from {height_mm:g} mm, restitution {restitution:g}"
             made.append(row(f"depth {conditions}, mm", given, 0, most_mm, landing.depth_mm))
-            made.append(
-                row(
-                    f"restitution {conditions}",
-                    "what was asked",
-                    restitution - 0.03,
-                    restitution + 0.03,
-                    landing.restitution,
-                )
-            )
+            low, high = restitution - NEAR, restitution + NEAR
+            made.append(row(f"restitution {conditions}", "what was asked", low, high, landing.restitution))
+            bounces = [landed(engine, height_mm, s, LANDING_S, restitution).restitution for s in TIMESTEPS_S[1:]]
+            worst = restitution + max((bounce - restitution for bounce in bounces), key=abs)
+            made.append(row(f"restitution {conditions}, the worse of 1 and 0.5 ms", "what was asked", low, high, worst))
         for name, landing_s in (("as shipped", LANDING_S), ("landing_s 0", 0.0)):
             peaks = [landed(engine, height_mm, timestep_s, landing_s, RESTITUTION).peak_n for timestep_s in TIMESTEPS_S]
             spread = max(peaks) / min(peaks) - 1

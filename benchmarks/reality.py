@@ -15,8 +15,9 @@ from pathlib import Path
 from typing import Any, Final
 
 from benchmarks.record import environment
-from benchmarks.toss_study import calibration, compared, friction, spread
+from benchmarks.toss_study import MUJOCO_OWN, calibration, compared, friction, spread
 from benchmarks.tosses import RESTITUTION, read_tosses
+from petmjx.results.share_intervals import wilson_interval
 
 BEGIN: Final = "<!-- measured: begin (made by python -m benchmarks reality) -->"
 END: Final = "<!-- measured: end -->"
@@ -163,7 +164,13 @@ def _tosses(data: Path, limit: int | None, engine: str, *, complete: bool) -> tu
         measures |= {
             study.__name__: study(tosses, engine, restitution=RESTITUTION) for study in (spread, friction, calibration)
         }
+        measures["mujoco_own"] = compared(tosses, engine, physics=MUJOCO_OWN)
+        measures["spread_as_shipped"] = spread(tosses, engine)
+        measures["spread_mujoco_own"] = spread(tosses, engine, physics=MUJOCO_OWN)
         rows += _rows_of_spread(measures["spread"], engine)
+        rows.append(_row_of_faces(measures["spread_as_shipped"], "by default", engine))
+        note = f"from the measured starts {percent(measures['mujoco_own']['right_face'])} right"
+        rows.append(_row_of_faces(measures["spread_mujoco_own"], "with MuJoCo's own contacts", engine, note))
         rows += _rows_of_friction(measures["friction"], engine)
         rows += _rows_of_calibration(measures["calibration"], engine)
     return measures, rows
@@ -171,9 +178,10 @@ def _tosses(data: Path, limit: int | None, engine: str, *, complete: bool) -> tu
 
 def _rows_of_errors(measures: Mapping[str, Any], name: str, n: int, engine: str) -> Iterator[Row]:
     face, place, path = measures["right_face"], measures["place_median_mm"], measures["path_mean_mm"]
+    low, high = map(float, wilson_interval(round(face * n), n))
     yield Row(
         f"{name}: face that is up at the end", _CUBE, f"{n} of {n}", f"{percent(face)} right", percent(1 - face),
-        engine, f"meant: {percent(_RIGHT_FACE)}", face >= _RIGHT_FACE,
+        engine, f"meant: {percent(_RIGHT_FACE)}; 95 % interval {percent(low)} to {percent(high)}", face >= _RIGHT_FACE,
     )  # fmt: skip
     yield Row(
         f"{name}: place at the end", _CUBE, "by camera", "–", f"{place:.1f} mm in the median", engine,
@@ -207,10 +215,15 @@ def _rows_of_spread(measures: Mapping[str, Any], engine: str) -> Iterator[Row]:
         f"{measures['from_measured_median_mm'] / measures['between_runs_median_mm']:.1f} times", engine,
         f"medians; a perfect model of a perfect cube has the same in both; starts differ by {uncertain}",
     )  # fmt: skip
+    yield _row_of_faces(measures, f"with restitution {RESTITUTION}", engine)
+
+
+def _row_of_faces(measures: Mapping[str, Any], contacts: str, engine: str, note: str = "") -> Row:
+    """Of runs with such starts: how often they have the same face up as the camera saw, and as each other."""
     measured, runs_agree = measures["same_face_as_measured"], measures["same_face_between_runs"]
-    yield Row(
-        "the same face up", _CUBE, f"{percent(measured)} of runs and the camera", f"{percent(runs_agree)} of two runs",
-        percent(runs_agree - measured), engine,
+    return Row(
+        f"the same face up, {contacts}", _CUBE, f"{percent(measured)} of runs and the camera",
+        f"{percent(runs_agree)} of two runs", percent(runs_agree - measured), engine, note,
     )  # fmt: skip
 
 
@@ -219,7 +232,7 @@ def _rows_of_friction(measures: Mapping[str, Any], engine: str) -> Iterator[Row]
         other, miss = half["errors_of_other_half"], half["friction"] - measures["published"]
         yield Row(
             "friction found from half of the tosses", _CUBE, f"{measures['published']}", f"{half['friction']}",
-            f"{abs(miss):.2f}", engine,
+            f"{abs(miss):.3f}", engine,
             f"the other half then: {percent(other['right_face'])} right, {other['place_median_mm']:.1f} mm, "
             f"path {other['path_mean_mm']:.1f} mm",
             abs(miss) <= _FRICTION_WITHIN + 1e-9,

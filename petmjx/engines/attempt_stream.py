@@ -37,8 +37,9 @@ engine before the source waits."""
 PENDING_BOXES: Final = 1 << 20
 """Number of boxes of pending jobs from which on the source waits: 130 MB of scenes."""
 
-FIRST_WORLDS: Final = 2048
-"""Number of worlds with which a GPU begins. They fill its blocks for few boxes, and are made in half a second."""
+FIRST_WORLDS: Final = 1600
+"""Number of worlds with which a GPU begins. They are enough for its blocks for few boxes (``small_world_blocks``); the
+others join them."""
 
 PAUSE_S: Final = 0.02
 """Time between two looks of a source that waits for other attempts, s."""

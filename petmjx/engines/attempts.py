@@ -15,7 +15,8 @@ fallback.
 
 A GPU takes as long for a single world as for many. So in a run on ``mjx-warp`` further attempts that few worlds need
 are made beside it, on CPU threads (petmjx/engines/subprocess): the attempts of C MuJoCo, and those with stiffer
-contacts, which ``mjx-warp-cpu`` makes with the same kernels. The engine of an attempt depends only on the world and the
+contacts, which ``mjx-warp-cpu`` makes with the same kernels. A run on ``mjx-warp-cpu`` makes the latter on further
+threads (petmjx/engines/attempt_threads.py). The engine of an attempt depends only on the world and the
 options.
 """
 
@@ -29,6 +30,7 @@ from typing import Any, Final
 import numpy as np
 
 from petmjx.common.text import count_text
+from petmjx.engines.attempt_threads import ThreadSimulator
 from petmjx.engines.contact_penetration import stiffened_physics
 from petmjx.engines.engine_choice import make_engine
 from petmjx.engines.protocol import Capability, Engine, Progress
@@ -167,6 +169,10 @@ _FALLBACK_NOTES: Final = {
 BESIDE: Final = {"mjx-warp": "mjx-warp-cpu"}
 """Engine → the engine that makes further attempts on CPU threads beside it, if few worlds need them."""
 
+BESIDE_ITSELF: Final = "mjx-warp-cpu"
+"""The engine whose runs make attempts that few worlds need on further threads: a last world would leave most of its own
+threads idle."""
+
 
 @dataclass(eq=False)
 class Engines:
@@ -211,9 +217,11 @@ class Engines:
             few: whether few worlds need that attempt. A job with a drive, or with a state from which other worlds
                 start, stays with the engine of the run: there may be many of these.
         """
-        if self.primary.name not in BESIDE:
+        if self.primary.name not in (*BESIDE, BESIDE_ITSELF):
             return None
         engine = self.for_job(job, sim, doubles=doubles, soft=soft)
+        if self.primary.name == BESIDE_ITSELF:
+            return BESIDE_ITSELF if engine is self.primary and few and not job.settles else None
         if engine is not self.primary:
             return engine.name
         if not few or job.settles:
@@ -224,7 +232,9 @@ class Engines:
 
     @cached_property
     def helper(self) -> SideSimulator:
-        """The processes that make attempts beside the engine of the run."""
+        """The processes or threads that make attempts beside the engine of the run."""
+        if isinstance(threads := getattr(self.primary, "threads", None), int) and self.primary.name == BESIDE_ITSELF:
+            return ThreadSimulator(threads)
         return SubprocessSimulator()
 
     def note_failure(self, engine: str, attempt: int, worlds: int, message: str) -> None:

@@ -172,7 +172,8 @@ def resolve_engine(
 
         return resolve_workers(options, work, costs or MEASURED, ahead)
     threads = options.threads or cpu_threads()
-    costs = costs or costs_here(work, threads)
+    # the speed of CPU threads, which takes half a second to measure, says nothing of a GPU
+    costs = costs or (MEASURED if requested_engine == "mjx-warp" else costs_here(work, threads))
     seconds = costs.seconds(work, threads)
     if requested_engine == AUTO and earlier in ENGINES:
         name, reason = earlier, "as before"

@@ -16,7 +16,7 @@ from petmjx.engines.warp.block_launch import SIZES
 from petmjx.engines.warp.block_pool import BlockPools, most_room
 from petmjx.engines.warp.kernel_features import KernelFeatures
 from petmjx.engines.warp.kernel_launcher import CONTACTS_PER_BOX, MORE_BOXES, PAIRS_PER_BOX
-from petmjx.engines.warp.world_groups import MAX_GROWTH
+from petmjx.engines.warp.world_table import MAX_GROWTH
 from petmjx.options.simulation import Simulation
 
 USUAL = Simulation()

@@ -1,18 +1,16 @@
-"""On mjx-warp results depend neither on other worlds nor on blocks, groups, time slices, or what ran before."""
+"""On mjx-warp results depend neither on other worlds nor on blocks, rows, time slices, or what ran before."""
 
 from __future__ import annotations
 
 import threading
-import weakref
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import replace
 from typing import Any
 
 import numpy as np
 import pytest
 
-from petmjx.engines.mjx.scene_rows import Rows
-from petmjx.engines.mjx.world_state import SOFT_START_BEGIN, State
+from petmjx.engines.mjx.world_state import SOFT_START_BEGIN
 from petmjx.engines.verdict import Outcome
 from petmjx.world.history import Record
 from petmjx.world.job import Drive, Excitation, Job
@@ -38,12 +36,13 @@ from support.tiny_worlds import (
 from support.worlds import simulate
 
 from petmjx.engines.warp import engine as mjx_warp
-from petmjx.engines.warp import slice_result
+from petmjx.engines.warp import slice_result, table_jobs
 from petmjx.engines.warp.block_launch import Launch
 from petmjx.engines.warp.block_queues import Queues
 from petmjx.engines.warp.engine import MjxWarpEngine
-from petmjx.engines.warp.group_schedule import GroupHandover, RowPrefetcher
+from petmjx.engines.warp.table_jobs import TableJobs
 from petmjx.engines.warp.time_slices import Rollout
+from petmjx.engines.warp.world_table import RunningWorlds, WorldTable
 
 pytestmark = pytest.mark.usefixtures("ranks_may_differ")
 
@@ -108,91 +107,67 @@ def test_any_number_of_blocks_gives_the_same(monkeypatch: pytest.MonkeyPatch, cr
 
 
 @pytest.mark.slow
-def test_groups_of_any_size_give_the_same(crowd: dict[str, Outcome]) -> None:
-    assert_equal_worlds(simulate(engine(group_size=2), tiny_scenes(), SHORT), crowd)
+def test_tables_of_any_size_give_the_same(crowd: dict[str, Outcome]) -> None:
+    """In two rows a world begins when another has ended."""
+    assert_equal_worlds(simulate(engine(most_rows=2), tiny_scenes(), SHORT), crowd)
 
 
 @pytest.mark.slow
-def test_the_last_worlds_of_a_group_go_on_in_the_next_one(
+def test_rows_of_ended_worlds_are_given_to_further_jobs(
     monkeypatch: pytest.MonkeyPatch, crowd: dict[str, Outcome]
 ) -> None:
-    """Two groups of six worlds, and one of three of the next part; each may leave two. The tables of the next are
-    made when four are left, of which some end before they would go on."""
-    monkeypatch.setattr(mjx_warp, "LEFT_SHARE", 5)
-    monkeypatch.setattr(mjx_warp, "READY_SHARE", 2)
-    going_on: list[int] = []
-    ended: list[int] = []
-    ready: list[int] = []
-    rows: list[int] = []
-    before: list[weakref.ref[GroupHandover]] = []
-    put_into, take, leave = GroupHandover.put_into, RowPrefetcher.take, GroupHandover.leave
-
-    def watched(self: GroupHandover, table: Any, first_row: int) -> Any:
-        next_table = put_into(self, table, first_row)
-        assert next_table is not table
-        assert self.ready is not None
-        rows.append(len(table.step))
-        going_on.extend(number for number, emitted in zip(self.numbers, self.emitted, strict=True) if not emitted)
-        ended.extend(number for number, emitted in zip(self.numbers, self.emitted, strict=True) if emitted)
-        steps = np.asarray(next_table.step)
-        assert steps[first_row] > steps[0]  # which has not begun
-        return next_table
-
-    def leaves(self: GroupHandover, *args: Any) -> None:
-        assert all(left() is None for left in before)  # with their tables
-        before.append(weakref.ref(self))
-        leave(self, *args)
-
-    def taken(self: RowPrefetcher, jobs: Sequence[Job], width: int) -> Rows | None:
-        rows = take(self, jobs, width)
-        ready.append(0 if rows is None else len(rows["n_boxes"]))
-        return rows
-
-    monkeypatch.setattr(GroupHandover, "put_into", watched)
-    monkeypatch.setattr(RowPrefetcher, "ready", True)  # what is not is waited for
-    monkeypatch.setattr(GroupHandover, "leave", leaves)
-    monkeypatch.setattr(RowPrefetcher, "take", taken)
-    scenes = tiny_scenes(TINY[:3])
+    """Fifteen worlds in eight rows, of which six have jobs at the beginning. A slice that was in flight when a job got
+    its row tells nothing of it."""
+    scenes, rows = tiny_scenes(TINY[:3]), list[int]()
     jobs = [Job(scene) for scene in scenes.values()]
-    run = engine(group_size=10, slice_ns=STEP_NS).run(LateStream(jobs * 4, jobs), SHORT)
+    add, load = WorldTable.add, MjxWarpEngine._load
+    tables: list[WorldTable] = []
+
+    def watched(self: WorldTable, *args: Any) -> Any:
+        rows.extend(joined := add(self, *args).tolist())
+        return np.array(joined, int)
+
+    monkeypatch.setattr(WorldTable, "add", watched)
+    monkeypatch.setattr(MjxWarpEngine, "_load", lambda *args: tables.append(load(*args)) or tables[-1])
+    monkeypatch.setattr(table_jobs, "JOIN_ROWS", 2)
+    run = engine(most_rows=8, slice_ns=STEP_NS).run(LateStream(jobs * 2, jobs * 3), SHORT)
     outcome_by_job = {outcome.job: outcome for outcome in run}
     for first in range(0, 15, 3):
         assert_equal_worlds({name: outcome_by_job.pop(first + k) for k, name in enumerate(scenes)}, crowd)
     assert not outcome_by_job
-    assert min(going_on) < 6 <= max(going_on)
-    assert ended
-    assert ready == [0, 6, 3]
-    assert rows == [16, 16]  # also in the last group, for which no other programs are compiled
+    assert len(tables) == 1
+    assert len(rows) == 9
+    assert len(set(rows)) < 9
+    assert max(rows) < 8
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("polls", [0, 3, 10_000])
-def test_the_next_part_of_a_run_may_need_what_the_first_one_did_not(
-    polls: int, monkeypatch: pytest.MonkeyPatch, crowd: dict[str, Outcome]
+@pytest.mark.parametrize("blocks", [1, 10_000])
+def test_a_job_without_room_in_the_table_has_another_one(
+    blocks: int, monkeypatch: pytest.MonkeyPatch, crowd: dict[str, Outcome]
 ) -> None:
-    """Wider tables, in which the worlds that are left go on; or it comes when they have ended."""
+    """As soon as no more worlds run than there are blocks. They go on in the other table, which is wider."""
     widths: list[tuple[int, int]] = []
-    put_into = GroupHandover.put_into
+    put_running = WorldTable.put_running
 
-    def watched(self: GroupHandover, table: State, first_row: int) -> State:
-        next_table = put_into(self, table, first_row)
-        widths.append((self.table.qpos.shape[1], table.qpos.shape[1]))
-        assert (np.asarray(next_table.step)[first_row:] > SOFT_START_BEGIN).any()
+    def watched(self: WorldTable, running: RunningWorlds) -> None:
+        put_running(self, running)
+        widths.append((running.states.qpos.shape[1], self.table.qpos.shape[1]))
+        assert (np.asarray(self.table.step)[: len(running.jobs)] > SOFT_START_BEGIN).any()
         some.slice_ns = SOME_NS
-        return next_table
 
-    monkeypatch.setattr(GroupHandover, "put_into", watched)
-    monkeypatch.setattr(RowPrefetcher, "ready", True)  # what is not is waited for
-    monkeypatch.setattr(mjx_warp, "LEFT_SHARE", 4)  # all may be left, as soon as there are tables for them
-    monkeypatch.setattr(mjx_warp, "LOADING_NS", 0)
-    some = engine(group_size=32, slice_ns=SOME_NS if polls == 10_000 else STEP_NS)
+    monkeypatch.setattr(WorldTable, "put_running", watched)
+    some = engine(slice_ns=STEP_NS)
+    monkeypatch.setattr(table_jobs, "_roomy", lambda needs: needs)
+    needs_another = TableJobs.needs_another
+    monkeypatch.setattr(TableJobs, "needs_another", lambda self, table, _: needs_another(self, table, blocks))
     wide, scenes = make_scene(9), tiny_scenes()
     alone = simulate(shared_engine(), {"nine": wide}, SHORT)
     jobs = [Job(scene) for scene in scenes.values()]
-    run = some.run(LateStream(jobs, [Job(wide), *jobs, jobs[0]], looks=polls), SHORT)
+    run = some.run(LateStream(jobs, [Job(wide), *jobs, jobs[0]]), SHORT)
     outcome_by_job = dict(sorted((outcome.job, outcome) for outcome in run))
     assert list(outcome_by_job) == list(range(2 * len(jobs) + 2))
-    assert widths[:1] == ([] if polls == 10_000 else [(4, 12)])
+    assert widths == [(4, 12)]
     assert_equal_worlds({"nine": outcome_by_job[len(jobs)]}, alone)
     for first in (0, len(jobs) + 1):
         assert_equal_worlds({name: outcome_by_job[first + k] for k, name in enumerate(scenes)}, crowd)
@@ -202,25 +177,27 @@ def test_the_next_part_of_a_run_may_need_what_the_first_one_did_not(
 def test_memory_that_runs_out_for_outcomes_loses_no_world(
     monkeypatch: pytest.MonkeyPatch, crowd: dict[str, Outcome]
 ) -> None:
-    """The device is ahead: it has left the last worlds of the first group to the next one by then."""
-    has_left = threading.Event()
-    leave, make = GroupHandover.leave, slice_result.outcomes
+    """The device is ahead: rows of worlds whose outcomes are not made yet have been given to further jobs by then."""
+    has_joined, add, make = threading.Event(), WorldTable.add, slice_result.outcomes
 
-    def watched(self: GroupHandover, *args: Any) -> None:
-        leave(self, *args)
-        has_left.set()
+    def watched(self: WorldTable, *args: Any) -> Any:
+        rows = add(self, *args)
+        has_joined.set()
+        return rows
 
-    def fails_once(*args: Any) -> Iterator[Outcome]:
-        monkeypatch.setattr(slice_result, "outcomes", make)
-        assert has_left.wait(60)
-        raise MemoryError
+    def late(*args: Any) -> Iterator[Outcome]:
+        if not failed:
+            failed.append(has_joined.wait(60))
+            raise MemoryError
+        return make(*args)
 
-    monkeypatch.setattr(mjx_warp, "LEFT_SHARE", 4)
+    failed: list[bool] = []
+    monkeypatch.setattr(WorldTable, "add", watched)
+    monkeypatch.setattr(slice_result, "outcomes", late)
     monkeypatch.setattr(slice_result, "MOST_AHEAD", 1 << 20)
-    monkeypatch.setattr(GroupHandover, "leave", watched)
-    monkeypatch.setattr(slice_result, "outcomes", fails_once)
     scenes = tiny_scenes()
-    outcomes = run_all(engine(group_size=8, slice_ns=STEP_NS), [Job(scene) for scene in scenes.values()] * 2, SHORT)
+    outcomes = run_all(engine(most_rows=4, slice_ns=STEP_NS), [Job(scene) for scene in scenes.values()] * 2, SHORT)
+    assert failed == [True]
     for first in (0, len(scenes)):
         assert_equal_worlds(dict(zip(scenes, outcomes[first : first + len(scenes)], strict=True)), crowd)
 
@@ -245,18 +222,20 @@ def test_worlds_of_each_size_have_blocks_of_their_own(monkeypatch: pytest.Monkey
     assert [pool.n_boxes for pool in rollout.launcher.pools] == [12, 4]
     (order,) = queues
     assert [sorted(row[row >= 0].tolist()) for row in order] == [[5, 6], [0, 1, 2, 3, 4]]
-    few = engine(group_size=2)  # groups may have worlds of one size only
+    few = engine(most_rows=2)  # tables may have worlds of one size only
     assert_equal_worlds(simulate(few, scenes, SHORT), alike)
 
 
 def test_blocks_take_the_longest_worlds_of_their_size_first() -> None:
+    """Also of those that came later; ended ones are in no queue."""
     jobs = [Job(make_scene(n)) for n in (3, 9, 2, 7, 4)]
     queues = Queues(["12", "4"], lambda job: "4" if job.scene.n_boxes <= 4 else "12", rows=8)
-    queues.add(jobs, 0, SHORT)
-    first = np.asarray(queues.order)
-    queues.add(jobs[:2], len(jobs), SHORT)
-    assert first.tolist() == [[1, 3] + [-1] * 6, [4, 0, 2] + [-1] * 5]
-    assert np.asarray(queues.order).tolist() == [[1, 3, 6] + [-1] * 5, [4, 0, 2, 5] + [-1] * 4]
+    live = np.arange(8) < 5
+    queues.add(jobs, np.arange(5), live, SHORT)
+    assert np.asarray(queues.order).tolist() == [[1, 3] + [-1] * 6, [4, 0, 2] + [-1] * 5]
+    live[[1, 5]] = False, True
+    queues.add([Job(make_scene(8))], np.array([5]), live, SHORT)
+    assert np.asarray(queues.order).tolist() == [[5, 3] + [-1] * 6, [4, 0, 2] + [-1] * 5]
 
 
 @pytest.mark.gpu
@@ -282,18 +261,18 @@ def test_a_run_that_is_left_early_does_not_change_the_next(crowd: dict[str, Outc
 def test_worlds_that_come_later_are_as_those_that_were_there(
     monkeypatch: pytest.MonkeyPatch, crowd: dict[str, Outcome]
 ) -> None:
-    """Four rows for one job: two more have room; one with more boxes has not, nor what follows it; then there are rows
-    for these three. Each group has outcomes of its own jobs only."""
+    """Four rows for one job: two more have room, one of them in the row of the first; one with more boxes has not, nor
+    what follows it; then there is a table for these three."""
     names = ["hand-bridge", "hand-one-box", "hand-overhang-45", "nine boxes", "hand-falls-off", "hand-bridge"]
     jobs = {**tiny_scenes(), "nine boxes": make_scene(9)}
-    some, groups = engine(), []
-    load = some._load_group
+    some, tables = engine(), list[WorldTable]()
+    load = some._load
 
-    def watched(run: Any, group: list[Job], *args: Any) -> Any:
-        groups.append(group)
-        return load(run, group, *args)
+    def watched(*args: Any) -> WorldTable:
+        tables.append(load(*args))
+        return tables[-1]
 
-    monkeypatch.setattr(some, "_load_group", watched)
+    monkeypatch.setattr(some, "_load", watched)
     stream, numbers = feedback_stream([Job(jobs[names[0]])]), []
     for outcome in some.run(stream, SHORT):
         numbers.append(outcome.job)
@@ -302,8 +281,8 @@ def test_worlds_that_come_later_are_as_those_that_were_there(
         if outcome.job == 0:
             put(stream, *[Job(jobs[name]) for name in names[1:]])
     assert sorted(numbers) == list(range(len(names)))
-    assert [len(group) for group in groups] == [3, 3]
-    groups.clear()
+    assert [table.numbers for table in tables] == [[1, 2], [3, 4, 5]]
+    tables.clear()
     some.least_rows = some.granule = 16
     stream, numbers = feedback_stream([Job(jobs[names[0]])]), []
     for outcome in some.run(stream, SHORT):
@@ -311,7 +290,7 @@ def test_worlds_that_come_later_are_as_those_that_were_there(
         if outcome.job == 0:
             put(stream, *[Job(jobs[name]) for name in names[1:]])
     assert sorted(numbers) == list(range(len(names)))
-    assert [len(group) for group in groups] == [len(names)]
+    assert [sorted(table.numbers) for table in tables] == [[1, 2, 3, 4, 5]]
 
 
 @pytest.mark.slow

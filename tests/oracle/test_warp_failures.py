@@ -35,13 +35,12 @@ from support.tiny_worlds import (
 from support.worlds import simulate
 
 from petmjx.engines.warp import block_pool
-from petmjx.engines.warp import engine as mjx_warp
 from petmjx.engines.warp.block_launch import SIZES
 from petmjx.engines.warp.block_pool import most_room
 from petmjx.engines.warp.engine import MjxWarpEngine
 from petmjx.engines.warp.kernel_launcher import MORE_BOXES
 from petmjx.engines.warp.world_arrays import MAX_BOXES
-from petmjx.engines.warp.world_groups import Group
+from petmjx.engines.warp.world_table import WorldTable
 
 pytestmark = pytest.mark.usefixtures("ranks_may_differ")
 
@@ -110,32 +109,32 @@ MARKED = "hand-bridge"
 NAN = float("nan")
 
 
-def poisoned(monkeypatch: pytest.MonkeyPatch, poison: Callable[[Group, int], Group]) -> None:
+def poisoned(monkeypatch: pytest.MonkeyPatch, poison: Callable[[WorldTable, int], WorldTable]) -> None:
     """Put what is no number into the tables of jobs with the most boxes."""
-    plain = MjxWarpEngine._load_group
+    plain = MjxWarpEngine._load
 
-    def load(self: MjxWarpEngine, run: Any, jobs: list[Job], *args: Any) -> Group:
-        group = plain(self, run, jobs)
-        return poison(group, int(np.argmax([job.scene.n_boxes for job in jobs])))
+    def load(self: MjxWarpEngine, run: Any, jobs: list[Job], *args: Any) -> WorldTable:
+        table = plain(self, run, jobs, *args)
+        return poison(table, int(np.argmax([job.scene.n_boxes for job in jobs])))
 
-    monkeypatch.setattr(MjxWarpEngine, "_load_group", load)
-
-
-def in_release_pose(group: Group, row: int) -> Group:
-    group.worlds = group.worlds._replace(start=group.worlds.start.at[row, 1].set(NAN))
-    return group
+    monkeypatch.setattr(MjxWarpEngine, "_load", load)
 
 
-def in_carrier_velocity(group: Group, row: int) -> Group:
-    group.table = group.table._replace(carrier_qvel=group.table.carrier_qvel.at[row, 2].set(NAN))
-    return group
+def in_release_pose(table: WorldTable, row: int) -> WorldTable:
+    table.worlds = table.worlds._replace(start=table.worlds.start.at[row, 1].set(NAN))
+    return table
+
+
+def in_carrier_velocity(table: WorldTable, row: int) -> WorldTable:
+    table.table = table.table._replace(carrier_qvel=table.table.carrier_qvel.at[row, 2].set(NAN))
+    return table
 
 
 @pytest.mark.slow
 @devices
 @pytest.mark.parametrize("poison", [in_release_pose, in_carrier_velocity])
 def test_a_world_that_turns_into_no_number_harms_no_other(
-    device: str, poison: Callable[[Group, int], Group], monkeypatch: pytest.MonkeyPatch
+    device: str, poison: Callable[[WorldTable, int], WorldTable], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     names = ("hand-one-box", MARKED, "hand-overhang-45")
     healthy = simulate(shared_engine(), tiny_scenes(names), SHORT)
@@ -156,14 +155,12 @@ def test_a_plan_with_more_bodies_than_the_solver_has_room_for_is_refused() -> No
 
 
 @pytest.mark.slow
-def test_a_plan_that_is_refused_in_a_next_part_takes_no_outcome_from_the_part_before(
-    monkeypatch: pytest.MonkeyPatch, crowd: dict[str, Outcome]
-) -> None:
-    monkeypatch.setattr(mjx_warp, "LEFT_SHARE", 4)
+def test_a_plan_that_is_refused_takes_no_outcome_from_those_before(crowd: dict[str, Outcome]) -> None:
     jobs, outcomes = [Job(scene) for scene in tiny_scenes(TINY[:3]).values()], list[Outcome]()
     stream = LateStream(jobs, [jobs[0], Job(make_scene(TOO_MANY))])
-    run = engine(group_size=8, slice_ns=STEP_NS).run(stream, SHORT)
+    run = engine(most_rows=8, slice_ns=STEP_NS).run(stream, SHORT)
     with pytest.raises(InputError, match=f"one has {MAX_BOXES + 1}"):
         outcomes.extend(run)
-    assert_equal_worlds({TINY[outcome.job]: outcome for outcome in outcomes}, crowd)
-    assert len(outcomes) == len(jobs)
+    assert sorted(outcome.job for outcome in outcomes) == list(range(len(jobs) + 1))
+    for outcome in outcomes:
+        assert_equal_worlds({TINY[outcome.job % len(jobs)]: outcome}, crowd)

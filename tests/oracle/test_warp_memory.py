@@ -47,7 +47,7 @@ from petmjx.engines.warp.engine import MjxWarpEngine
 from petmjx.engines.warp.kernel_launcher import KernelLauncher
 from petmjx.engines.warp.time_slices import Rollout
 from petmjx.engines.warp.world_arrays import BUFFER_WORDS, axes, buffer_rows
-from petmjx.engines.warp.world_groups import Group, Run
+from petmjx.engines.warp.world_table import Run, WorldTable
 
 pytestmark = pytest.mark.usefixtures("ranks_may_differ")
 
@@ -130,11 +130,11 @@ class FailingRollout(Rollout):
     holds = 2
     error: Callable[[], Exception] = staticmethod(out_of_memory)
 
-    def wait(self, group: Group) -> Any:
+    def wait(self, table: WorldTable) -> Any:
         self.waits = getattr(self, "waits", 0) + 1
-        if len(group.jobs) > self.holds and self.waits >= 3:
+        if len(table.jobs) > self.holds and self.waits >= 3:
             raise self.error()
-        return super().wait(group)
+        return super().wait(table)
 
 
 @pytest.mark.slow
@@ -147,15 +147,15 @@ def test_memory_that_runs_out_midway_loses_nothing(monkeypatch: pytest.MonkeyPat
 @pytest.mark.slow
 def test_tables_are_free_before_their_worlds_are_simulated_again(monkeypatch: pytest.MonkeyPatch) -> None:
     """With each half the tables of the whole would be in memory, too, and with each quarter those of both."""
-    load, groups, alive = MjxWarpEngine._load_group, list[weakref.ref[Group]](), []
+    load, tables, alive = MjxWarpEngine._load, list[weakref.ref[WorldTable]](), []
 
-    def watched(self: MjxWarpEngine, *args: Any) -> Group:
-        alive.append(sum(group() is not None for group in groups))
-        groups.append(weakref.ref(group := load(self, *args)))
-        return group
+    def watched(self: MjxWarpEngine, *args: Any) -> WorldTable:
+        alive.append(sum(table() is not None for table in tables))
+        tables.append(weakref.ref(table := load(self, *args)))
+        return table
 
     monkeypatch.setattr(mjx_warp, "Rollout", FailingRollout)
-    monkeypatch.setattr(MjxWarpEngine, "_load_group", watched)
+    monkeypatch.setattr(MjxWarpEngine, "_load", watched)
     run_all(engine(slice_ns=STEP_NS), [Job(tiny("hand-one-box"))] * 6, SHORT)
     assert alive == [0] * 7
 
@@ -192,7 +192,7 @@ def test_a_world_that_has_not_enough_memory_even_alone_is_invalid(monkeypatch: p
 
 
 @pytest.mark.parametrize("n_jobs", [1, 2])
-def test_memory_that_is_short_before_a_group_has_begun_ends_the_run(
+def test_memory_that_is_short_before_a_table_has_begun_ends_the_run(
     n_jobs: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """It is not tried for ever."""
@@ -283,7 +283,7 @@ def test_a_device_whose_memory_runs_out_goes_on_with_fewer_blocks(monkeypatch: p
 PIECES = 1 << 30, 1 << 26, 1 << 22
 """Bytes of the blocks that take a device's memory."""
 
-TABLES_BYTES = 64 << 20
+TABLES_BYTES = 192 << 20
 """More than the tables of some hundred worlds take, with what JAX needs beside them."""
 
 

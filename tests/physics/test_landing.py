@@ -14,6 +14,7 @@ import numpy as np
 import pytest
 from support.plans import Box, make_plan, make_scene, stack
 
+from benchmarks.landings import NEAR, landed
 from petmjx.common.errors import InputError
 from petmjx.common.units import STANDARD_GRAVITY
 from petmjx.engines.mjx.landing import Landing, act
@@ -110,7 +111,14 @@ def fallen(height_mm: float, restitution: float, material: str = "", **changes: 
 def test_boxes_stop_and_bounce_as_asked(height_mm: float, most_mm: float, restitution: float) -> None:
     depth_mm, bounce = fallen(height_mm, restitution)
     assert depth_mm < most_mm
-    assert bounce == pytest.approx(restitution, abs=0.03)
+    assert bounce == pytest.approx(restitution, abs=NEAR)
+
+
+@pytest.mark.parametrize("restitution", [0.1, 0.3])
+def test_they_bounce_alike_at_a_quarter_of_the_timestep(restitution: float) -> None:
+    landing = landed("mujoco", 10.0, 0.0005, LANDING_S, restitution)
+    assert landing.depth_mm < 1.0
+    assert landing.restitution == pytest.approx(restitution, abs=NEAR)
 
 
 def test_a_pair_of_materials_lands_as_it_is_said() -> None:

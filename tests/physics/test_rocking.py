@@ -13,6 +13,7 @@ from benchmarks.rocking import (
     EUMOS_S,
     ROUGH,
     SETTLES_S,
+    SHARP,
     RockingBlock,
     block_plan,
     eumos_levels,
@@ -21,6 +22,7 @@ from benchmarks.rocking import (
     swept,
     tilting,
     trapezoid,
+    wrapped_levels,
 )
 from petmjx.engines.verdict import Flag
 
@@ -50,6 +52,9 @@ def test_the_block_itself_keeps_to_what_is_known_of_it() -> None:
     assert not any(TOWER.rock(trapezoid(level), SETTLES_S, EUMOS_S).fell for level in ROCKS_G)
     assert all(TOWER.rock(trapezoid(level), SETTLES_S, EUMOS_S).fell for level in FALLS_G)
     assert largest_level_g(RockingBlock(0.5, 0.2), 0.5) == 0.53  # by hand: (0.53 − 0.5) g for 0.3 s, and braked
+    squat = RockingBlock(0.3, 0.25).rock(trapezoid(1.32), SETTLES_S, EUMOS_S)  # it falls by itself from 50° on
+    assert squat.lost
+    assert not squat.fell
 
 
 ENGINES = "mujoco", pytest.param("mjx-warp-cpu", marks=needs_warp)
@@ -72,8 +77,17 @@ def test_a_tower_that_rocks_and_comes_back_stands(engine: str) -> None:
 
 
 def test_the_largest_levels_of_eumos_s_test_are_those_of_a_rigid_block() -> None:
-    """A stack that slides from 0.34 g on, and one that rocks instead, and falls from 0.36 g on."""
-    for row in eumos_levels("mujoco", stacks=(3, 5), frictions=(0.3,)):
+    """A stack that slides from 0.34 g on, one that rocks instead and falls from 0.36 g on, and one that tilts by more
+    than the threshold and would come back."""
+    levels = *eumos_levels("mujoco", stacks=(3, 5), frictions=(0.3,)), *eumos_levels("mujoco", (2,), (0.9,))
+    for row in levels:
+        assert row.value == pytest.approx(row.expected, abs=1.001 * LEVEL_G), row
+
+
+def test_a_wrapped_box_is_lost_at_coulomb_s_level_with_what_film_holds() -> None:
+    rows = list(wrapped_levels("mujoco"))
+    assert [row.expected for row in rows] == sorted({row.expected for row in rows})
+    for row in rows:
         assert row.value == pytest.approx(row.expected, abs=1.001 * LEVEL_G), row
 
 
@@ -82,7 +96,7 @@ def test_a_pulse_overturns_a_block_at_housner_s_level_but_for_what_its_edge_sink
     (row,) = overturning_limits("mujoco", pulses_s=(0.2,), within=0.008)
     assert row.expected == 0.602
     assert 0 < row.expected - row.value <= OVERTURNS_G
-    (sharp,) = overturning_limits("mujoco", (0.2,), "solimp = [0.1, 0.999, 0.00002]", within=0.008)
+    (sharp,) = overturning_limits("mujoco", (0.2,), SHARP, within=0.008)
     assert sharp.expected - sharp.value <= OVERTURNS_G / 3
 
 

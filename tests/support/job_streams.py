@@ -32,10 +32,10 @@ class LateStream(JobStream[Any]):
         self._late, self._looks = late, looks
         put(self, *jobs)
 
-    def take(self, most: int, *, least: int = 1, wait: bool = True) -> list[Job]:
+    def peek(self, most: int, *, least: int = 1, wait: bool = False) -> list[Job]:
         if self.ready < least and not self.closed:
             if wait or not self._looks:
                 put(self, *self._late)
                 self.close()
             self._looks -= 1
-        return super().take(most, least=least, wait=wait)
+        return super().peek(most, least=least, wait=wait)

@@ -18,7 +18,7 @@ from petmjx.engines.warp.engine import MjxWarpEngine
 from petmjx.engines.warp.kernel_features import KernelFeatures
 from petmjx.engines.warp.kernel_launcher import CONTACTS_PER_BOX, MORE_BOXES, PAIRS_PER_BOX, BlockPool
 from petmjx.engines.warp.time_slices import Rollout
-from petmjx.engines.warp.world_groups import Group, Run
+from petmjx.engines.warp.world_table import Run
 from petmjx.options.physics import Physics
 from petmjx.options.simulation import Check, Simulation
 from petmjx.world.job import Job
@@ -49,12 +49,12 @@ class OneStep:
         self.sim = Simulation(physics=physics, check=Check.STATIC)
         needs = KernelFeatures({size_for(scene.n_boxes).most_boxes: scene.n_boxes})
         run = Run(self.sim, build_timetable(self.sim, scene.n_boxes), needs, Progress())
-        self.group: Group = MjxWarpEngine(1, allow_cpu=True)._load_group(run, [Job(scene)])
+        self.table = MjxWarpEngine(1, allow_cpu=True)._load(run, [Job(scene)], [0], 1)
         boards = len(scene.carrier.half_size)
         room, launch = scene.n_boxes + boards - 1 + MORE_BOXES, Launch.here(scene.n_boxes)
         pool = BlockPool(launch, 1, scene.n_boxes, boards, PAIRS_PER_BOX * room, CONTACTS_PER_BOX * room)
         self.rollout = Rollout(run, [pool], slice_ns=0)
-        self.fresh = jax.tree.map(np.asarray, self.group.table)
+        self.fresh = jax.tree.map(np.asarray, self.table.table)
         self.most_contacts = 0
 
     def __call__(self, data: mujoco.MjData) -> Stepped:
@@ -67,7 +67,7 @@ class OneStep:
         carrier_qpos, qpos = rows(data.qpos, 7)
         carrier_qvel, qvel = rows(data.qvel, 6)
         carrier_qacc, qacc = rows(data.qacc_warmstart, 6)
-        self.group.table = jax.tree.map(jnp.asarray, self.fresh)._replace(
+        self.table.table = jax.tree.map(jnp.asarray, self.fresh)._replace(
             carrier_qpos=carrier_qpos,
             carrier_qvel=carrier_qvel,
             carrier_qacc=carrier_qacc,
@@ -80,13 +80,13 @@ class OneStep:
             rest_from=jnp.zeros(1, jnp.int32),
         )
         before = self._taken()
-        self.rollout.start(self.group, jnp.zeros((1, 1), jnp.int32))
-        _, ended = self.rollout.wait(self.group)
-        after, counts = jax.device_get((self.group.table, ended.counts))
+        self.rollout.start(self.table, jnp.zeros((1, 1), jnp.int32))
+        _, ended = self.rollout.wait(self.table)
+        after, counts = jax.device_get((self.table.table, ended.counts))
         assert int(after.step[0]) == int(counts["steps"][0]) == 1
         assert (self._taken() - before).tolist() == [1, counts["iterations"][0]]
         self.most_contacts = max(self.most_contacts, counts["contacts"][0])
-        assert self.group.run.progress.extra["kernel contacts"] == self.most_contacts
+        assert self.table.run.progress.extra["kernel contacts"] == self.most_contacts
 
         def joined(carrier: FloatArray, boxes: FloatArray) -> FloatArray:
             return np.vstack([carrier, boxes[0]]).astype(float)
@@ -103,5 +103,5 @@ class OneStep:
 
     def _taken(self) -> NDArray[np.float64]:
         """Steps and iterations so far, as the progress has them."""
-        progress = self.group.run.progress
+        progress = self.table.run.progress
         return np.array([progress.world_steps, progress.extra.get("kernel iterations", 0)])

@@ -19,7 +19,7 @@ from petmjx.engines.warp.engine import MjxWarpEngine
 from petmjx.engines.warp.kernel_launcher import BlockPool
 from petmjx.engines.warp.time_slices import Rollout, Slice
 from petmjx.engines.warp.world_arrays import most_panels
-from petmjx.engines.warp.world_groups import Group, Run
+from petmjx.engines.warp.world_table import Run, WorldTable
 from petmjx.options.simulation import Simulation
 from petmjx.world.scene import Scene, build_scene
 from support.fake_stepper import assert_same
@@ -114,8 +114,8 @@ def watched_queues(monkeypatch: pytest.MonkeyPatch) -> list[list[int]]:
     queue_counts: list[list[int]] = []
     wait = Rollout.wait
 
-    def watched(self: Rollout, group: Group) -> tuple[NDArray[np.int32], Slice]:
-        status, ended = wait(self, group)
+    def watched(self: Rollout, table: WorldTable) -> tuple[NDArray[np.int32], Slice]:
+        status, ended = wait(self, table)
         requests, in_vain = (np.asarray(ended.counts[name]) for name in ("taken", "idle"))
         queue_counts.append((requests - in_vain).tolist())
         return status, ended

@@ -12,7 +12,6 @@ from numpy.typing import NDArray
 
 from petmjx.engines.mjx.frame_recorder import Recorder
 from petmjx.engines.mjx.outcomes import started_states
-from petmjx.engines.mjx.scene_rows import Rows
 from petmjx.engines.mjx.timetable import Timetable
 from petmjx.engines.mjx.world_constants import Worlds, device_array, upload_worlds
 from petmjx.engines.mjx.world_state import NEVER, State, Status, fresh_state
@@ -53,22 +52,22 @@ class Batch:
 
 
 def load(
-    jobs: list[Job], rows: int, width: int, sim: Simulation, timetable: Timetable, ready: Rows | None = None
+    jobs: list[Job], rows: int, width: int, sim: Simulation, timetable: Timetable, spare_profiles: int = 1
 ) -> Batch:
     """The tables of some jobs.
 
     Args:
         rows: rows of the tables, at least one a job.
         width: box columns, at least as many as the largest plan has boxes.
-        ready: rows that were made before, as for ``scene_rows.rows_of``.
+        spare_profiles: rows for profiles, as a multiple of the number of profiles.
     """
     excitations = {id(job.drive.excitation): job.drive.excitation for job in jobs if job.drive}
     steps = max([len(e.samples) for e in excitations.values()], default=1)
-    profiles = np.zeros((max(len(excitations), 1), steps, 3), np.float32)
+    profiles = np.zeros((max(spare_profiles * len(excitations), 1), steps, 3), np.float32)
     for row, excitation in enumerate(excitations.values()):
         profiles[row, : len(excitation.samples)] = excitation.samples
     profile_rows = {key: row for row, key in enumerate(excitations)}
-    worlds, table = tables(jobs, rows, width, profile_rows, sim, timetable, ready=ready)
+    worlds, table = tables(jobs, rows, width, profile_rows, sim, timetable)
     return Batch(jobs, worlds, table, device_array(profiles), profile_rows, Recorder(jobs, sim))
 
 
@@ -80,10 +79,9 @@ def tables(
     sim: Simulation,
     timetable: Timetable,
     boards: int = 1,
-    ready: Rows | None = None,
 ) -> tuple[Worlds, State]:
-    """Constants and first states of jobs. ``boards`` and ``ready`` as in ``upload_worlds``."""
-    worlds = upload_worlds(jobs, rows, width, profile_rows, sim, boards, ready)
+    """Constants and first states of jobs. ``boards`` as in ``upload_worlds``."""
+    worlds = upload_worlds(jobs, rows, width, profile_rows, sim, boards)
     static = sim.check is Check.STATIC
     ends = np.full(rows, NEVER, np.int32)
     if sim.schedule is Schedule.FIXED:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
 import jax
@@ -22,8 +22,10 @@ from petmjx.options.simulation import Simulation
 from petmjx.world.job import Job
 
 
-def outcomes(picked: Sequence[Readback], jobs: Sequence[Job], sim: Simulation, recorder: Recorder) -> Iterator[Outcome]:
-    """Outcomes, with histories, of the rows that ``read_back`` has read back. Job i has row i."""
+def outcomes(
+    picked: Sequence[Readback], jobs: Mapping[int, Job] | Sequence[Job], sim: Simulation, recorder: Recorder
+) -> Iterator[Outcome]:
+    """Outcomes, with histories, of the rows that ``read_back`` has read back; ``jobs`` by row."""
     clock = Clock(sim.physics.timestep_s)
     for batch in picked:
         state, measured = batch.on_host()
@@ -34,14 +36,14 @@ def _outcomes(
     rows: NDArray[np.int64],
     host: State,
     measured: RunMetrics,
-    jobs: Sequence[Job],
+    jobs: Mapping[int, Job] | Sequence[Job],
     clock: Clock,
     sim: Simulation,
     recorder: Recorder,
 ) -> Iterator[Outcome]:
     m, seconds = host.metrics, clock.time_s
     for i, row in enumerate(rows):
-        job = jobs[row]
+        job = jobs[int(row)]
         n = job.scene.n_boxes
         driven = job.drive is not None and bool(host.driven_from[i] <= host.step[i])
         drops, pose = m.drop_step[i, :n], np.asarray(host.qpos[i, :n], np.float64)

@@ -25,9 +25,7 @@ Rows = dict[str, NDArray[Any]]
 """Name of a field of ``world_constants.Worlds`` → its rows, one for each scene."""
 
 
-def rows_of(
-    scenes: Sequence[Scene], width: int, sim: Simulation, boards: int = 1, spare: int = 0, ready: Rows | None = None
-) -> Rows:
+def rows_of(scenes: Sequence[Scene], width: int, sim: Simulation, boards: int = 1, spare: int = 0) -> Rows:
     """Rows of scenes: the fields of ``world_constants.Worlds`` that do not depend on the job.
 
     Args:
@@ -35,14 +33,7 @@ def rows_of(
         width: box columns.
         boards: columns for the shapes of a carrier; more if a scene's carrier has more.
         spare: number of additional rows, which repeat the first scene's row.
-        ready: rows of the first of these scenes, made before with the same columns and without spare rows.
     """
-    if ready is not None:
-        room = ready["shape_half"].shape[1] - width
-        rest = scenes[len(ready["n_boxes"]) :]
-        parts = [ready, rows_of(rest, width, sim, room)] if rest else [ready]
-        if boards <= room and all(part["shape_half"].shape[1] == room + width for part in parts):
-            return {name: joined_rows([part[name] for part in parts], spare) for name in ready}
     distinct = list({id(scene): scene for scene in scenes}.values())
     if len(distinct) == len(scenes):
         return _rows_of_distinct(scenes, width, sim, boards, spare)
@@ -52,9 +43,9 @@ def rows_of(
     return dict(zip(rows, gather_rows(rows.values(), fan_out), strict=True))
 
 
-def joined_rows(parts: Sequence[NDArray[Any]], spare: int) -> NDArray[Any]:
-    """The rows of all parts, one after another, and then spare rows, which repeat the first."""
-    return np.concatenate([*parts, np.repeat(parts[0][:1], spare, axis=0)])
+def with_spare_rows(values: NDArray[Any], spare: int) -> NDArray[Any]:
+    """The rows, and then spare rows, which repeat the first."""
+    return np.concatenate([values, np.repeat(values[:1], spare, axis=0)])
 
 
 def _rows_of_distinct(scenes: Sequence[Scene], width: int, sim: Simulation, boards: int, spare: int = 0) -> Rows:

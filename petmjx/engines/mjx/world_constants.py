@@ -15,7 +15,7 @@ from jaxtyping import Array, Bool, Float, Int
 from numpy.typing import NDArray
 
 from petmjx.common.units import seconds_to_steps
-from petmjx.engines.mjx.scene_rows import Rows, joined_rows, rows_of
+from petmjx.engines.mjx.scene_rows import Rows, rows_of, with_spare_rows
 from petmjx.options.simulation import Simulation
 from petmjx.world.job import ACCELERATION, FORCE, Drive, Excitation, Job
 
@@ -115,7 +115,6 @@ def upload_worlds(
     profiles: dict[int, int],
     sim: Simulation,
     boards: int = 1,
-    ready: Rows | None = None,
 ) -> Worlds:
     """Constants of a group of jobs as device arrays. Everything is made on the host. On a device each operation would
     first have to be compiled for each shape.
@@ -125,12 +124,11 @@ def upload_worlds(
         width: box columns.
         profiles: ``id`` of an excitation → its row in the profile table.
         boards: columns for the shapes of a carrier; more if a scene's carrier has more.
-        ready: rows that were made before, as for ``rows_of``.
     """
     spare = rows - len(jobs)
-    of_scenes = rows_of([job.scene for job in jobs], width, sim, boards, spare, ready)
+    of_scenes = rows_of([job.scene for job in jobs], width, sim, boards, spare)
     of_jobs = _rows_of_jobs(jobs, profiles, sim.physics.timestep_s)
-    of_jobs = {name: joined_rows([values], spare) for name, values in of_jobs.items()}
+    of_jobs = {name: with_spare_rows(values, spare) for name, values in of_jobs.items()}
     columns = of_scenes | of_jobs | {"pauses": np.zeros(rows, np.bool_)}
     return Worlds(**dict(zip(columns, device_arrays(columns.values()), strict=True)))
 

@@ -60,12 +60,12 @@ class Waits:
         self.since, self._boxes, self._all_placed = step, n_boxes, all_placed
         self._patient = self._sim.waits_for_rest and self.adapts and not self._is_plain_static
         self._latest_if_failed = NEVER
-        self._latest = self.longest if self._patient and not restless else self._latest_after(step)
+        self._latest = self.longest_wait if self._patient and not restless else self._latest_after(step)
 
     def lasts_longer(self, step: int) -> bool:
         """Whether a wait that is short because an earlier one was in vain, and over after this step, goes on if it is
         the last one."""
-        return self._patient and step < self.longest
+        return self._patient and step < self.longest_wait
 
     def deadline(self, sign_step: int | None) -> int:
         """The latest step for the next event. Once a box has failed, patience gains nothing: the wait is then as long
@@ -107,7 +107,7 @@ class Waits:
         return self.drive_end if self.drive_end is not None and step < self.drive_end else NEVER
 
     @property
-    def longest(self) -> int:
+    def longest_wait(self) -> int:
         """The step up to which a moving world is given time, after its last placement or the end of its drive."""
         return self._later(self.last_placement if self.drive_end is None else self.drive_end, self._sim.longest_wait_s)
 
@@ -115,7 +115,7 @@ class Waits:
         """Whether a world that still moves at its end, after this step, is given more time."""
         if not self._sim.waits_for_rest or self._sim.total_time_factor is not None:
             return False
-        return step < (self.static_end if self._is_plain_static else self.longest)
+        return step < (self.static_end if self._is_plain_static else self.longest_wait)
 
     def _later(self, since: int, wait_s: float) -> int:
         """The step at which a wait is over. After a drive waits are counted in steps, since its end is, too."""

@@ -9,15 +9,16 @@ from __future__ import annotations
 import os
 import pickle
 import threading
+from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import suppress
+from contextlib import closing, suppress
 from dataclasses import dataclass
 
 from petmjx.common.errors import EngineUnavailable
 from petmjx.common.machine import cpu_threads
 from petmjx.common.text import one_line
 from petmjx.engines.engine_choice import make_engine
-from petmjx.engines.protocol import Engine
+from petmjx.engines.protocol import Engine, Progress
 from petmjx.engines.subprocess.task_pipe import next_of, own_pipes
 from petmjx.engines.verdict import Outcome
 from petmjx.options.simulation import Simulation
@@ -62,7 +63,7 @@ def main() -> None:
     thread_state, writing = threading.local(), threading.Lock()
 
     def answer(task: Task) -> None:
-        reply = _answer(task, vars(thread_state))
+        reply = answer_to(task, vars(thread_state), granule=GRANULE)
         try:
             data = pickle.dumps(reply)
         except Exception as error:
@@ -77,18 +78,30 @@ def main() -> None:
     os._exit(0)  # running tasks are not needed any more
 
 
-def _answer(task: Task, engines: dict[str, Engine]) -> Answer:
-    """Simulate a world on one of the thread's engines."""
+def answer_to(
+    task: Task, engines: dict[str, Engine], stops: Callable[[], bool] = lambda: False, granule: int | None = None
+) -> Answer:
+    """Simulate a world.
+
+    Args:
+        engines: name → engine of this thread; a missing one is added.
+        stops: whether the outcome is no longer needed.
+        granule: box columns of tables are a multiple of this; None: as usual.
+    """
+    outcome, progress = None, Progress(pauses=True)
     try:
         if task.engine not in engines:
             with _BUILDING:
                 engine = make_engine(task.engine, threads=1)
-            if hasattr(engine, "granule"):
-                engine.granule = GRANULE
+            if granule is not None and hasattr(engine, "granule"):
+                engine.granule = granule
             engines[task.engine] = engine
-        (outcome,) = engines[task.engine].run([task.job], task.sim)
+        with closing(engines[task.engine].run([task.job], task.sim, progress)) as answers:  # type: ignore[type-var]  # a generator
+            for outcome in answers:
+                if outcome is not None or stops():  # None: a pause
+                    break
     except EngineUnavailable as error:
         return Answer(task.number, None, str(error))
     except Exception as error:
         return Answer(task.number, None, one_line(error))
-    return Answer(task.number, outcome)
+    return Answer(task.number, outcome, "" if outcome is not None else "no outcome")

@@ -1,4 +1,4 @@
-"""Block pools: the thread blocks for the worlds of a group, and the size of their buffers."""
+"""Block pools: the thread blocks for the worlds of a table, and the size of their buffers."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from petmjx.engines.warp.block_launch import FEW_BOXES, Launch
 from petmjx.engines.warp.kernel_launcher import CONTACTS_PER_BOX, MORE_BOXES, PAIRS_PER_BOX, BlockPool
 from petmjx.engines.warp.small_world_blocks import small_world_pool
 from petmjx.engines.warp.tail_blocks import tail_pool
-from petmjx.engines.warp.world_groups import MAX_GROWTH, Group, Run
+from petmjx.engines.warp.world_table import MAX_GROWTH, Run, WorldTable
 from petmjx.options.physics import Cone
 from petmjx.world.contact_laws import is_stiff
 
@@ -23,7 +23,7 @@ def most_room(size: int) -> int:
 
 
 class BlockPools:
-    """Makes the block pools of an engine's groups. Buffers that overflow grow, and stay large.
+    """Makes the block pools of an engine's tables. Buffers that overflow grow, and stay large.
 
     Args:
         lanes: most worlds of a size at the same time; None: as many as the device has room for.
@@ -35,16 +35,16 @@ class BlockPools:
         self._growth: dict[tuple[Cone, int], int] = {}
         """Factor by which buffers must be larger than usual, by size of worlds."""
 
-    def of(self, group: Group) -> tuple[BlockPool, ...]:
-        """The block pools of a group. The pools for the last worlds and for small worlds come first, if they are
+    def of(self, table: WorldTable) -> tuple[BlockPool, ...]:
+        """The block pools of a table. The pools for the last worlds and for small worlds come first, if they are
         worthwhile. The pools by size follow, the one for the largest worlds first."""
-        run = group.run
-        pools = tuple(self._of_size(run, size, group.boards) for size in run.needs.sizes)
+        run = table.run
+        pools = tuple(self._of_size(run, size, table.boards) for size in run.needs.sizes)
         usual = self._growth_of(run, run.needs.sizes[-1]) == 1
         # Not with enlarged buffers, which all lanes would have. And not with stiff contacts: a step then takes five
         # times as many iterations, in some worlds many more, and the other worlds of their block would wait for them.
         if usual and not is_stiff(run.sim.physics):
-            worlds = int((np.asarray(group.table.placed)[: len(group.jobs)] <= FEW_BOXES.most_boxes).sum())
+            worlds = int((np.asarray(table.table.placed)[: len(table.jobs)] <= FEW_BOXES.most_boxes).sum())
             few = small_world_pool(pools[-1], worlds, self._lanes)
             pools = (few, *pools) if few else pools
         last = tail_pool(pools[-1], self._lanes)

@@ -17,7 +17,7 @@ from petmjx.engines.warp.open_worlds import WarpWorlds
 from petmjx.options.simulation import Simulation
 from petmjx.world.scene import Scene
 
-CPU_GROUP_WORLDS = 4096
+CPU_ROWS = 4096
 """Worlds whose states are in memory at the same time."""
 
 
@@ -41,7 +41,7 @@ class MjxWarpCpuEngine(MjxWarpEngine):
         if problem := why_no_warp_on_cpu():
             raise EngineUnavailable(f"engine {self.name} cannot run here: {problem}")
         self.threads = threads if threads is not None else cpu_threads()
-        super().__init__(allow_cpu=True, group_size=CPU_GROUP_WORLDS, slice_ns=SLICE_NS)
+        super().__init__(allow_cpu=True, most_rows=CPU_ROWS, slice_ns=SLICE_NS)
         if jax.default_backend() != "cpu":
             raise EngineUnavailable(
                 f"engine {self.name} cannot run here: jax uses a GPU in this process; set JAX_PLATFORMS=cpu, or take "

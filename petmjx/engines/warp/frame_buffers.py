@@ -13,7 +13,7 @@ import warp as wp
 from petmjx.engines.mjx.frame_recorder import Frames, Recorder
 from petmjx.engines.warp import world_arrays
 from petmjx.engines.warp.world_arrays import FrameBuffer
-from petmjx.engines.warp.world_groups import Group
+from petmjx.engines.warp.world_table import WorldTable
 
 MOST_BYTES: Final = 64 << 20
 """Largest frame buffer, in bytes: 40,000 frames if the run's largest plan has 45 boxes. For worlds of that size an H200
@@ -32,15 +32,15 @@ FEWEST: Final = 1024
 _KINDS: Final = {name: wp.dtype_to_numpy(kind.dtype) for name, kind in world_arrays.array_types(FrameBuffer).items()}
 
 
-def room_for(group: Group, blocks: int) -> dict[str, jax.Array]:
-    """Empty frame buffers; nearly none if no world of the group is recorded."""
-    n_worlds, n_boxes = group.table.qpos.shape[:2]
+def room_for(table: WorldTable, blocks: int) -> dict[str, jax.Array]:
+    """Empty frame buffers; nearly none if no world of the table is recorded."""
+    n_worlds, n_boxes = table.table.qpos.shape[:2]
     words = sum(math.prod(shape) for shape in _shapes(1, n_boxes, 0).values())
-    n_recorded = int(np.count_nonzero(group.recorder.every))
+    n_recorded = int(np.count_nonzero(table.recorder.every))
     needed = min(FRAMES_PER_WORLD * n_recorded, MOST_BYTES // (4 * words))
-    n_frames = 1 if group.recorder.idle else max(needed, FRAMES_PER_BLOCK * blocks)
+    n_frames = 1 if table.recorder.idle else max(needed, FRAMES_PER_BLOCK * blocks)
     room = {name: np.zeros(shape, _KINDS[name]) for name, shape in _shapes(n_frames, n_boxes, n_worlds).items()}
-    room["every"][: len(group.jobs)] = group.recorder.every
+    room["every"][: len(table.jobs)] = table.recorder.every
     placed: dict[str, jax.Array] = jax.device_put(room)
     return placed
 

@@ -29,7 +29,7 @@ from petmjx.engines.warp.kernel_launcher import CONTACTS_PER_BOX, MORE_BOXES, PA
 from petmjx.engines.warp.programs import constants
 from petmjx.engines.warp.small_world_blocks import small_world_pool
 from petmjx.engines.warp.world_arrays import FrameBuffer
-from petmjx.engines.warp.world_groups import MAX_GROWTH
+from petmjx.engines.warp.world_table import MAX_GROWTH
 from petmjx.options.simulation import Simulation
 from petmjx.world.free_bodies import FreeBodies
 
@@ -44,19 +44,19 @@ _NO_RULES: Final[dict[str, Any]] = {
 
 
 def paths(
-    bodies: FreeBodies, sim: Simulation, blocks: Callable[[Launch], int], slice_ns: int, group_size: int
+    bodies: FreeBodies, sim: Simulation, blocks: Callable[[Launch], int], slice_ns: int, most_rows: int
 ) -> FloatArray:
     """As ``petmjx.engines.protocol.Engine.paths``.
 
     Args:
         blocks: gives the number of thread blocks of a launch.
         slice_ns: time of a call, ns.
-        group_size: worlds whose states are on the device at the same time.
+        most_rows: worlds whose states are on the device at the same time.
     """
     n = len(bodies.scenes)
     parts = [
-        _paths_of_group(bodies.part(slice(begin, begin + group_size)), sim, blocks, slice_ns)
-        for begin in range(0, n, group_size)
+        _paths_of_group(bodies.part(slice(begin, begin + most_rows)), sim, blocks, slice_ns)
+        for begin in range(0, n, most_rows)
     ]
     return np.concatenate(parts)
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 from petmjx.common.errors import InputError
 from petmjx.engines.mjx.host_to_device import round_up
@@ -78,11 +78,6 @@ class KernelFeatures:
         }
         kinds = (self.hands or other.hands, self.gives or other.gives, self.wraps or other.wraps)
         return KernelFeatures(widest, *kinds)
-
-    def of_sizes(self, jobs: Sequence[Job]) -> KernelFeatures:
-        """The same features with only the sizes of these jobs."""
-        sizes = {size_for(count).most_boxes for count in _box_counts(jobs)}
-        return replace(self, widths={size: self.widths[size] for size in sizes})
 
     def know(self, job: Job) -> bool:
         """Whether kernels with these features know those of a job. Room for its boxes is not checked."""

@@ -26,7 +26,7 @@ from petmjx.engines.verdict import Flag, Outcome
 from petmjx.engines.warp import world_arrays
 from petmjx.engines.warp.next_boxes import NewBox, ReadingInputs, new_box, reading_inputs, readings_of
 from petmjx.engines.warp.open_simulator import OpenState, Simulator, Traits
-from petmjx.engines.warp.world_groups import MAX_GROWTH, OVERFLOW_BITS
+from petmjx.engines.warp.world_table import MAX_GROWTH, OVERFLOW_BITS
 from petmjx.options.simulation import Simulation
 from petmjx.world.growing_scenes import NextBoxes, Stacks
 from petmjx.world.job import Drive, Job

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Generator, Iterator, Sequence
+from collections.abc import Generator, Iterator, Mapping, Sequence
 from contextlib import closing
 from threading import Lock
 from typing import Final, NamedTuple
@@ -28,13 +28,13 @@ class SliceResult(NamedTuple):
     Attributes:
         picked: states and metrics of these worlds, on the device.
         recorder: holds the histories of recorded worlds.
-        jobs, numbers: the jobs of all worlds of the group, and their numbers in the run.
+        jobs, numbers: row → job of these worlds, and its number in the run. Their rows may have other worlds by now.
     """
 
     picked: Sequence[Readback]
     recorder: Recorder
-    jobs: Sequence[Job]
-    numbers: Sequence[int]
+    jobs: Mapping[int, Job]
+    numbers: Mapping[int, int]
 
 
 def outcomes_of(

@@ -79,9 +79,10 @@ def expected_tail(
     """
     begun = steps > 0
     ended = begun & ~running
+    queued = jnp.zeros_like(running).at[jnp.where(order >= 0, order, len(running))].set(True, mode="drop")
     # the steps of thousands of worlds may exceed an int32
     mean = jnp.where(ended, steps, 0).sum(dtype=jnp.float32) / jnp.maximum(ended.sum(), 1)
-    rest = ((order >= 0).sum() - begun.sum()) * mean / lanes  # steps of a lane until no world waits
+    rest = (queued & running & ~begun).sum() * mean / lanes  # steps of a lane until no world waits
     long = running & ended.any() & (steps > LONG * mean) & (GOES_ON * steps > rest)
     most, rows = jax.lax.top_k(jnp.where(long, steps, 0), min(MOST_EXPECTED, len(steps)))
     return jnp.zeros_like(long).at[rows].set(most > 0)

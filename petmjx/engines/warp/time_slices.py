@@ -1,4 +1,4 @@
-"""Rollouts of mjx-warp: time slices in which every world of a group goes on."""
+"""Rollouts of mjx-warp: time slices in which every world of a table goes on."""
 
 from __future__ import annotations
 
@@ -16,17 +16,19 @@ from numpy.typing import NDArray
 from petmjx.engines.warp.frame_buffers import room_for
 from petmjx.engines.warp.kernel_launcher import SLICE_NS, BlockPool
 from petmjx.engines.warp.programs import READ_COUNTS, programs
-from petmjx.engines.warp.world_groups import Group, Run
+from petmjx.engines.warp.world_table import Run, WorldTable
 
 
 class Slice(NamedTuple):
     """The results of a time slice other than states.
 
     Attributes:
+        number: number of the slice of its table.
         began: time at which the host began it, s.
         readback: statuses of all rows, then the counts ``READ_COUNTS``.
     """
 
+    number: int
     began: float
     readback: Int[Array, " word"]
     frames: dict[str, jax.Array]
@@ -53,26 +55,27 @@ class Rollout:
         """Number of slices in flight: begun, and not waited for yet."""
         return len(self._slices)
 
-    def start(self, group: Group, order: Int[Array, "queue world"]) -> None:
-        """Begin a time slice for all running worlds of a group, after the slices in flight."""
+    def start(self, table: WorldTable, order: Int[Array, "queue world"]) -> None:
+        """Begin a time slice for all running worlds of a table, after the slices in flight."""
         lanes = self.launcher.lanes
-        if group.frames is None or (len(group.frames["of"]) < lanes and not group.recorder.idle):
-            group.frames = room_for(group, lanes)
-        arguments = (group.table, self.workspace, group.worlds, group.profiles, order, group.frames)
-        program = self.programs.compiled(arguments, group.run.progress)
+        if table.frames is None or (len(table.frames["of"]) < lanes and not table.recorder.idle):
+            table.frames = room_for(table, lanes)
+        arguments = (table.table, self.workspace, table.worlds, table.profiles, order, table.frames)
+        program = self.programs.compiled(arguments, table.run.progress)
         began = time.perf_counter()
-        group.table, self.workspace, readback, frames, counts = program(*arguments)
-        self._slices.append(Slice(began, readback, frames, counts))
+        table.table, self.workspace, readback, frames, counts = program(*arguments)
+        self._slices.append(Slice(table.slices, began, readback, frames, counts))
+        table.slices += 1
 
-    def keep_under_way(self, count: int, group: Group, order: Int[Array, "queue world"]) -> None:
+    def keep_under_way(self, count: int, table: WorldTable, order: Int[Array, "queue world"]) -> None:
         """Begin slices until ``count`` are in flight."""
         while self.under_way < count:
-            self.start(group, order)
+            self.start(table, order)
 
-    def finish(self, group: Group) -> None:
+    def finish(self, table: WorldTable) -> None:
         """Wait for all slices in flight."""
         while self.under_way:
-            self.wait(group)
+            self.wait(table)
 
     def close(self) -> None:
         """Wait for slices in flight, and free the workspace."""
@@ -84,14 +87,14 @@ class Rollout:
                 self.workspace.block_until_ready()
             self.workspace.delete()
 
-    def wait(self, group: Group) -> tuple[NDArray[np.int32], Slice]:
-        """Wait for the first slice in flight. Returns the statuses of the group's worlds after it, and the slice."""
+    def wait(self, table: WorldTable) -> tuple[NDArray[np.int32], Slice]:
+        """Wait for the first slice in flight. Returns the statuses of the table's worlds after it, and the slice."""
         ended = self._slices.popleft()
         readback = np.array(ended.readback)
         self._last_end, began = time.perf_counter(), max(ended.began, self._last_end)
-        progress = group.run.progress
+        progress = table.run.progress
         counts = dict(zip(READ_COUNTS, readback[-len(READ_COUNTS) :].tolist(), strict=True))
-        progress.message = group.run.message
+        progress.message = table.run.message
         progress.world_steps += counts["steps"]
         extra = progress.extra
         sums = {"seconds": self._last_end - began, "steps": counts["steps"], "iterations": counts["iterations"]}
@@ -99,4 +102,4 @@ class Rollout:
             extra[f"kernel {quantity}"] = extra.get(f"kernel {quantity}", 0) + amount
         extra["kernel lanes"] = max(extra.get("kernel lanes", 0), self.launcher.lanes)
         extra["kernel contacts"] = max(extra.get("kernel contacts", 0), counts["contacts"])
-        return readback[: len(group.jobs)], ended
+        return table.status_after(ended.number, readback[: table.rows]), ended

@@ -1,0 +1,52 @@
+"""Further attempts at single worlds on threads of this process, beside a run on the same CPU."""
+
+from __future__ import annotations
+
+import queue
+import threading
+from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
+
+from petmjx.engines.subprocess.attempt_host import LOOK_S
+from petmjx.engines.subprocess.attempt_process import Answer, Task, answer_to
+
+
+class ThreadSimulator:
+    """Simulates worlds on threads, each with an engine of one thread. While a run goes on, its own threads and these
+    share the CPUs; at its end these are no longer held up.
+
+    Args:
+        threads: number of threads.
+    """
+
+    def __init__(self, threads: int) -> None:
+        self._pool = ThreadPoolExecutor(threads, thread_name_prefix="petmjx-beside")
+        self._answers = queue.SimpleQueue[Answer]()
+        self._unanswered, self._closed = 0, False
+        self._of_thread = threading.local()
+
+    def begin(self, task: Task) -> None:
+        """See ``SideSimulator.begin``."""
+        self._unanswered += 1
+        self._pool.submit(self._simulate, task)
+
+    def _simulate(self, task: Task) -> None:
+        self._answers.put(answer_to(task, vars(self._of_thread), lambda: self._closed))
+
+    def ended(self, *, wait: bool) -> Iterator[Answer]:
+        """See ``SideSimulator.ended``."""
+        while self._unanswered:
+            try:
+                answer = self._answers.get(timeout=LOOK_S) if wait else self._answers.get_nowait()
+            except queue.Empty:
+                if wait:
+                    continue
+                return
+            wait = False
+            self._unanswered -= 1
+            yield answer
+
+    def close(self) -> None:
+        """See ``SideSimulator.close``. Worlds end with their current time slice."""
+        self._closed = True
+        self._pool.shutdown(wait=False, cancel_futures=True)

@@ -1,0 +1,147 @@
+"""``TableJobs``: the jobs of a run, on their way from a ``JobStream`` into the rows of a table."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from itertools import takewhile
+from typing import Any, Final
+
+from petmjx.engines.job_stream import JobStream
+from petmjx.engines.mjx.host_to_device import round_up
+from petmjx.engines.warp.block_launch import SIZES
+from petmjx.engines.warp.kernel_features import KernelFeatures
+from petmjx.engines.warp.world_arrays import MAX_BOXES
+from petmjx.engines.warp.world_table import RunningWorlds, WorldTable
+from petmjx.world.job import Job
+
+SPARE_ROWS: Final = 4
+"""Rows of a table if more jobs may follow, as a multiple of the jobs at the beginning. Blocks take the longest of the
+waiting worlds first."""
+
+REFILL_SHARE: Final = 2
+"""Jobs join a table while fewer than one in ``REFILL_SHARE`` of its rows are live: then many join at a time. Those that
+follow from outcomes join at once."""
+
+MOST_JOINING: Final = 512
+"""Most jobs that join between two time slices. They take some 50 ms, in which the device works on slices in flight."""
+
+JOIN_ROWS, FEEDBACK_ROWS = 256, 64
+"""Jobs that are written into a table at a time, and those that follow from outcomes."""
+
+LARGE_GRANULE: Final = 64
+"""Box columns for worlds larger than the smaller size are a multiple of this if larger plans may follow."""
+
+
+class TableJobs:
+    """Takes the jobs of a stream for one table, and for further ones if jobs come that have no room in it.
+
+    Args:
+        size: most rows of a table.
+        least_rows: fewest rows of a table if more jobs may follow.
+        granule: as for ``KernelFeatures.of``.
+
+    Attributes:
+        needs: features of the jobs of the latest table.
+        alone: whether there is one job in all.
+        running: worlds of the table before, which go on in the next one.
+        in_flight: number → job, for jobs that have been taken and have no outcome yet.
+    """
+
+    def __init__(self, stream: JobStream[Any], size: int, least_rows: int, granule: int) -> None:
+        self.needs, self.in_flight = KernelFeatures({}), dict[int, Job]()
+        self.alone = stream.closed and stream.ready == 1 and not stream.feedback
+        self.running: RunningWorlds | None = None
+        self._stream, self._size, self._least_rows, self._granule = stream, size, least_rows, granule
+        self._begun, self._number = False, 0
+
+    @property
+    def feedback(self) -> bool:
+        """Whether jobs may follow from outcomes."""
+        return self._stream.feedback
+
+    @property
+    def ended(self) -> bool:
+        """Whether no job waits, none comes, and no world is on its way into another table. Waits for the source."""
+        return self.running is None and not self._stream.peek(1, wait=True)
+
+    @property
+    def recorded(self) -> bool:
+        """Whether a world of the next table is recorded."""
+        return any(job.record is not None for job in self._stream.peek(self._size))
+
+    def begin(self) -> tuple[list[Job], list[int], int]:
+        """The jobs of the next table, first those of running worlds, their numbers, and the number of its rows.
+
+        Raises:
+            InputError: a job has more boxes than any block has room for.
+        """
+        jobs, numbers = (self.running.jobs, self.running.numbers) if self.running is not None else ([], [])
+        room = self._size - len(jobs)
+        least = min(1 if self._begun else self._stream.begin_with, room)
+        further = self._stream.peek(room, least=least, wait=not jobs)
+        every = [*jobs, *further]
+        grows = self.feedback or not self._stream.closed or self._stream.ready > len(further)
+        # A table that others may join has columns for them. Each width is compiled once.
+        needs = KernelFeatures.of(every, self._granule)
+        if grows and not self.feedback:
+            needs = _roomy(needs | self.needs)
+        self.needs, self._begun = needs, True
+        taken = self._take(len(further))
+        rows = min(max(SPARE_ROWS * len(every), self._least_rows), self._size) if grows else 0
+        return every, [*numbers, *taken], 1 << (max(len(every), rows) - 1).bit_length()
+
+    def join(self, table: WorldTable, *, wait: bool = False) -> list[int]:
+        """Put waiting jobs into free rows of a table, in order, until one does not fit. Returns their rows.
+
+        Args:
+            wait: wait for a job if more come.
+        """
+        live = int(table.live.sum())
+        limit = table.rows if self.feedback else table.rows // REFILL_SHARE
+        most = min(min(table.rows, self._size) - live, self._size if self.feedback else MOST_JOINING)
+        if live >= limit or most <= 0:
+            return []
+        fitting = list(takewhile(table.fits, self._stream.peek(most, wait=wait)))
+        if not fitting:
+            return []
+        numbers = range(self._number, self._number + len(fitting))
+        rows: list[int] = table.add(fitting, numbers, FEEDBACK_ROWS if self.feedback else JOIN_ROWS).tolist()
+        self._take(len(rows))
+        return rows
+
+    def needs_another(self, table: WorldTable, blocks: int) -> bool:
+        """Whether the next job has no room in a table, and so few worlds are live that another table is due.
+
+        Args:
+            blocks: blocks of the device. Jobs that follow from outcomes wait until no world is live.
+        """
+        live = int(table.live.sum())
+        waiting = self._stream.peek(1)
+        if not waiting or live == 0 or live > blocks or self.feedback:
+            return False
+        (job,) = waiting
+        # a plan that is refused, or recorded, waits until all outcomes before it are there
+        apart = job.scene.n_boxes > MAX_BOXES or job.record is not None or not table.recorder.idle
+        return not apart and not table.fits(job)
+
+    def lose(self) -> dict[int, Job]:
+        """Remove and return the jobs without an outcome, whose states are lost."""
+        lost, self.in_flight, self.running = self.in_flight, {}, None
+        return lost
+
+    def _take(self, count: int) -> Sequence[int]:
+        """Take so many jobs; returns their numbers."""
+        numbers = range(self._number, self._number + count)
+        self.in_flight.update(zip(numbers, self._stream.take(count, wait=False), strict=True))
+        self._number += count
+        return numbers
+
+
+def _roomy(needs: KernelFeatures) -> KernelFeatures:
+    """The same features, with columns for larger plans of each size."""
+    small = SIZES[0].most_boxes
+    widths = {
+        size: size if size == small else min(round_up(width, LARGE_GRANULE), size)
+        for size, width in needs.widths.items()
+    }
+    return KernelFeatures(widths, needs.hands, needs.gives, needs.wraps)

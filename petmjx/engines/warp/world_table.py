@@ -1,0 +1,212 @@
+"""The table of worlds on mjx-warp's device: a row a world. Rows of ended worlds are given to further jobs."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from typing import NamedTuple, TypeVar
+
+import jax
+import numpy as np
+from numpy.typing import NDArray
+
+from petmjx.engines.mjx.host_to_device import Batch, tables
+from petmjx.engines.mjx.timetable import Timetable, build_timetable
+from petmjx.engines.mjx.world_constants import Worlds, device_array
+from petmjx.engines.mjx.world_state import State, Status, put_resized, put_rows, take_rows
+from petmjx.engines.protocol import Progress
+from petmjx.engines.verdict import Flag
+from petmjx.engines.warp.kernel_features import KernelFeatures, size_of
+from petmjx.options.simulation import Simulation
+from petmjx.world.job import Excitation, Job
+
+MAX_GROWTH = 8
+"""Largest growth of buffers. They double with each overflow. A world that needs more is invalid."""
+
+OVERFLOW_BITS = int(Flag.CONTACT_OVERFLOW | Flag.CONSTRAINT_OVERFLOW | Flag.OTHER_OVERFLOW)
+
+Table = TypeVar("Table", State, Worlds)
+
+_put = jax.jit(put_rows, donate_argnums=0)
+_take, _put_resized = jax.jit(take_rows), jax.jit(put_resized, donate_argnums=0)
+
+
+def _put_into(table: Table, rows: NDArray[np.intp], values: Table, put: Callable[..., Table] = _put) -> Table:
+    """The table with the first values in these rows. The memory of the table before is reused.
+
+    Args:
+        values: at least as many as rows.
+        put: a function like ``put_rows``.
+    """
+    length, end = len(jax.tree.leaves(values)[0]), len(jax.tree.leaves(table)[0])
+    padded = np.full(length, end, np.int32)  # rows beyond the end are dropped
+    padded[: len(rows)] = rows
+    return put(table, device_array(padded), values)
+
+
+@dataclass
+class Run:
+    """Options that the worlds of a table have in common.
+
+    Attributes:
+        needs: features and sizes of the table's kernels.
+        message: the progress message while its worlds are simulated.
+    """
+
+    sim: Simulation
+    timetable: Timetable
+    needs: KernelFeatures
+    progress: Progress
+    message: str = ""
+
+    @classmethod
+    def of(cls, needs: KernelFeatures, sim: Simulation, progress: Progress) -> Run:
+        """The run options of worlds with these needs."""
+        return cls(sim, build_timetable(sim, needs.most_boxes), needs, progress, progress.message)
+
+
+class RunningWorlds(NamedTuple):
+    """The worlds of a table that have not ended, on their way into another table.
+
+    Attributes:
+        jobs, numbers: their jobs, and the numbers of these in the run.
+        states: a row a world, then rows that belong to no world.
+    """
+
+    jobs: list[Job]
+    numbers: list[int]
+    states: State
+
+
+@dataclass
+class WorldTable(Batch):
+    """Worlds of all sizes on the device, and the buffers for their frames.
+
+    ``jobs`` has the latest job of each row that was ever used.
+
+    Attributes:
+        numbers: number in the run of each row's job.
+        live: (row,) whether the row's world has not ended.
+        slices: number of time slices that have begun.
+        since: (row,) number of the first slice with the row's world. Earlier slices tell of the world before.
+    """
+
+    run: Run
+    numbers: list[int]
+    frames: dict[str, jax.Array] | None = None
+    slices: int = 0
+    live: NDArray[np.bool_] = field(init=False)
+    since: NDArray[np.int64] = field(init=False)
+
+    def __post_init__(self) -> None:
+        self.live = np.arange(self.rows) < len(self.jobs)
+        self.since = np.zeros(self.rows, np.int64)
+
+    @property
+    def rows(self) -> int:
+        """Number of rows."""
+        return len(self.table.status)
+
+    def status(self) -> NDArray[np.int32]:
+        """(row,) statuses on the host, after all slices that have begun. Waits for them."""
+        return np.asarray(self.table.status)
+
+    def status_after(self, slice_number: int, status: NDArray[np.int32]) -> NDArray[np.int32]:
+        """(row,) statuses after a slice. Worlds that joined later are running."""
+        running: NDArray[np.int32] = np.where(self.since > slice_number, np.int32(Status.RUNNING), status)
+        return running
+
+    def ended(self, status: NDArray[np.int32]) -> NDArray[np.intp]:
+        """Rows of the live worlds that have reached their end. A settled world that waits for its drive has not."""
+        settled = np.flatnonzero(self.live & (status == Status.SETTLED))
+        is_end = self.live & (status == Status.FINISHED)
+        is_end[[row for row in settled.tolist() if self.jobs[row].drive is None]] = True
+        return np.flatnonzero(is_end)
+
+    def fits(self, job: Job) -> bool:
+        """Whether a job can get a row: the table, and the blocks of its size, have room for it."""
+        needs = self.run.needs
+        has_blocks = job.scene.n_boxes <= needs.widths.get(size_of(job), 0)
+        has_blocks &= len(job.scene.carrier.half_size) <= self.boards
+        has_times = job.scene.n_boxes < len(self.run.timetable.one_by_one_end)
+        return has_blocks and has_times and needs.know(job) and job.record is None and self.recorder.idle
+
+    def add(self, jobs: Sequence[Job], numbers: Sequence[int], at_once: int) -> NDArray[np.intp]:
+        """Put jobs that fit into free rows. Returns their rows, fewer than jobs if there is no room for all profiles.
+
+        Args:
+            at_once: rows that are written at a time. XLA compiles a program for each number.
+        """
+        jobs = jobs[: self._with_profiles(jobs)]
+        free = np.flatnonzero(~self.live)[: len(jobs)]
+        for first in range(0, len(free), at_once):
+            some, rows = jobs[first : first + at_once], free[first : first + at_once]
+            width, sim, timetable = self.table.qpos.shape[1], self.run.sim, self.run.timetable
+            worlds, states = tables(some, at_once, width, self.profile_rows, sim, timetable, self.boards)
+            self.worlds = _put_into(self.worlds, rows, worlds)
+            self.table = _put_into(self.table, rows, states)
+        for row, job, number in zip(free.tolist(), jobs, numbers, strict=False):
+            if row < len(self.jobs):
+                self.jobs[row], self.numbers[row] = job, number
+            else:
+                self.jobs.append(job)
+                self.numbers.append(number)
+        self.live[free], self.since[free] = True, self.slices
+        return free
+
+    def _with_profiles(self, jobs: Sequence[Job]) -> int:
+        """Give the profiles of jobs rows that no live world needs. Returns for how many jobs there was room."""
+        if all(job.drive is None for job in jobs):
+            return len(jobs)
+        live = [self.jobs[row] for row in np.flatnonzero(self.live).tolist()]
+        needed = {id(excitation) for excitation in map(_excitation, live) if excitation is not None}
+        # profiles that no world needs may be gone, and another may have their id
+        self.profile_rows = {key: row for key, row in self.profile_rows.items() if key in needed}
+        free = sorted({*range(len(self.profiles))} - {*self.profile_rows.values()}, reverse=True)
+        rows, samples = list[int](), list[NDArray[np.float32]]()
+        fitting = len(jobs)
+        for number, excitation in enumerate(map(_excitation, jobs)):
+            if excitation is None or id(excitation) in self.profile_rows:
+                continue
+            if not free or len(excitation.samples) > self.profiles.shape[1]:
+                fitting = number
+                break
+            rows.append(free.pop())
+            self.profile_rows[id(excitation)] = rows[-1]
+            padded = np.zeros(self.profiles.shape[1:], np.float32)
+            padded[: len(excitation.samples)] = excitation.samples
+            samples.append(padded)
+        if rows:
+            # as many as a power of two, so that few programs are compiled
+            repeated = np.resize(np.arange(len(rows)), 1 << (len(rows) - 1).bit_length())
+            self.profiles = self.profiles.at[np.array(rows)[repeated]].set(np.stack(samples)[repeated])
+        return fitting
+
+    def end(self, rows: NDArray[np.intp]) -> None:
+        """Give rows free, whose worlds have ended."""
+        self.live[rows] = False
+
+    def take_running(self) -> RunningWorlds | None:
+        """The live worlds, for another table; None if there are none."""
+        rows = np.flatnonzero(self.live)
+        if not len(rows):
+            return None
+        jobs, numbers = [self.jobs[row] for row in rows], [self.numbers[row] for row in rows]
+        # as many rows as a power of two, so that few programs are compiled
+        padded = np.resize(rows, 1 << (len(rows) - 1).bit_length()).astype(np.int32)
+        return RunningWorlds(jobs, numbers, _take(self.table, device_array(padded)))
+
+    def put_running(self, running: RunningWorlds) -> None:
+        """Let worlds of another table go on in the first rows, which have their jobs. The tables may differ in box
+        columns, but each has as many as these worlds need."""
+        rows = np.arange(len(running.jobs))
+        self.table = _put_into(self.table, rows, running.states, _put_resized)
+
+    def retry(self, rows: NDArray[np.int64]) -> None:
+        """Clear the overflow bits and set the bit for a re-run. In larger buffers the result is valid."""
+        flags = (self.table.flags[rows] & ~OVERFLOW_BITS) | int(Flag.RERUN_AFTER_OVERFLOW)
+        self.table = self.table._replace(flags=self.table.flags.at[rows].set(flags))
+
+
+def _excitation(job: Job) -> Excitation | None:
+    return job.drive.excitation if job.drive is not None else None

@@ -1,0 +1,76 @@
+"""A run on mjx-warp-cpu makes attempts that few worlds need on further threads, while its own go on."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Iterator
+
+import pytest
+
+pytest.importorskip("warp", reason="warp-lang is not installed (extra: warp)")
+
+from support.fake_stepper import assert_same
+from support.plans import make_plan, make_world, stack
+
+from petmjx.engines import attempts
+from petmjx.engines.attempt_stream import score_worlds
+from petmjx.engines.attempt_threads import ThreadSimulator
+from petmjx.engines.subprocess.attempt_process import Task
+from petmjx.engines.verdict import Outcome
+from petmjx.engines.warp.cpu_engine import MjxWarpCpuEngine
+from petmjx.engines.world_results import World, WorldResult
+from petmjx.options.simulation import Simulation
+
+SINKS = make_plan("sinks", stack(2, size_mm=(400, 300, 200), kg=(0.02, 300.0)))
+PLAIN = make_plan("plain", stack(2))
+
+
+@pytest.mark.slow
+def test_a_world_is_simulated_again_beside_the_others_and_the_same(monkeypatch: pytest.MonkeyPatch) -> None:
+    begun_after = list[int]()
+    begin = ThreadSimulator.begin
+
+    def watched(self: ThreadSimulator, task: Task) -> None:
+        begun_after.append(len(results))
+        begin(self, task)
+
+    monkeypatch.setattr(ThreadSimulator, "begin", watched)
+    engine, results = MjxWarpCpuEngine(2), list[WorldResult[World]]()
+    for result in score_worlds([make_world(SINKS), *[make_world(PLAIN)] * 2], Simulation(), engine):
+        results.append(result)
+    assert len(begun_after) == 1
+    assert begun_after[0] < 3, "not at the end"
+    monkeypatch.setattr(attempts, "BESIDE_ITSELF", "")
+    (again,) = score_worlds([make_world(SINKS)], Simulation(), engine)
+    assert len(begun_after) == 1
+    (beside,) = (result for result in results if result.world.plan is SINKS)
+    assert [attempt.attempt for attempt in beside.attempts] == [attempt.attempt for attempt in again.attempts] == [1, 6]
+    assert {attempt.engine for attempt in beside.attempts} == {"mjx-warp-cpu"}
+    assert_same(beside.outcome, again.outcome)
+
+
+def test_an_error_is_an_answer_and_close_ends_what_runs(monkeypatch: pytest.MonkeyPatch) -> None:
+    pauses = threading.Event()
+
+    class Slow:
+        def run(self, jobs: object, sim: object, progress: object) -> Iterator[Outcome | None]:
+            while True:
+                pauses.set()
+                yield None
+                time.sleep(0.01)
+
+    simulator, job = ThreadSimulator(1), make_world(PLAIN).job
+    simulator.begin(Task(0, "no-such-engine", job, Simulation()))
+    (answer,) = simulator.ended(wait=True)
+    assert (answer.number, answer.outcome) == (0, None)
+    assert "no-such-engine" in answer.message
+    monkeypatch.setattr("petmjx.engines.subprocess.attempt_process.make_engine", lambda *_, **__: Slow())
+    simulator.begin(Task(1, "slow", job, Simulation()))
+    simulator.begin(Task(2, "slow", job, Simulation()))
+    assert pauses.wait(10)
+    assert [*simulator.ended(wait=False)] == []
+    simulator.close()
+    for thread in simulator._pool._threads:
+        thread.join(10)
+        assert not thread.is_alive()
