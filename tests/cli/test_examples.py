@@ -51,6 +51,7 @@ def test_label_plans(folder: Path, repository: Path) -> None:
     assert list(pd.read_parquet(folder / "labels.parquet")["stands"]) == [1.0, 0.0]
 
 
+@pytest.mark.slow
 def test_training_in_jax(tmp_path: Path, repository: Path) -> None:
     script = str(repository / "examples" / "train_in_jax.py")
     few = ["--updates", "2", "--pallets", "2", "--steps", "3", "--epochs", "1", "--boxes", "4", "--cell-mm", "400"]
