@@ -56,7 +56,11 @@ def bounds(engine: Engine, count: int, seed: int) -> Result:
             results = pallets.try_all(**{name: values[checked] for name, values in boxes.items()})
             for wrong in np.flatnonzero((decided[checked] == STANDS) != results.stable).tolist():
                 row = checked[wrong]
-                faults.append({"decided": int(decided[row]), "reason": str(results.reason[wrong])})
+                pile = [values[0].tolist() for values in pallets.boxes([boxes["pallet"][row]])]
+                box = {name: values[row].tolist() for name, values in boxes.items()}
+                faults.append(
+                    {"decided": int(decided[row]), "margin": float(results.margin[wrong]), **box, "pile": pile}
+                )
             _grow(pallets, {name: values[decided != FALLS] for name, values in boxes.items()}, rng)
     return {
         "placements": int(number.sum()),

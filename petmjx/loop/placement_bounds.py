@@ -56,9 +56,9 @@ HANGING_MM: Final = 10.0
 
 TURN_DEG: Final = 25.0
 GONE_MM: Final = 30.0
-"""A box that turns by this, or until its middle has moved by this, before anything catches it, is lost: its weight is
-farther beyond the edge than at first, so that it does not come back. It is beyond the thresholds by a quarter and by a
-half."""
+"""A box that turns by this, or until its middle has come down and aside by this, before anything catches it, is lost:
+its weight is farther beyond the edge than at first, so that it does not come back. It is beyond the thresholds by a
+quarter and by a half."""
 
 NEAR_MM: Final = 2.0
 """Gap between two boxes that may have closed: boxes of a calm pallet are up to 1 mm beside their places."""
@@ -300,18 +300,24 @@ class _Rests:
         least = np.maximum(HANGING_MM, HANGING_SHARE * sides.min(axis=1))
         falls: NDArray[np.bool_] = self.rests & ~self.on_carrier & (outside.max(axis=1) >= least)
         rows, which = np.nonzero(falls[:, None] & (outside > 0))
-        caught = self._may_be_caught(rows, self.edges[rows, which, 1:], self.edges[rows, which, 0])
+        edges = self.edges[rows, which]
+        caught = self._may_be_caught(rows, edges[:, 1:], edges[:, 0], outside[rows, which])
         falls[rows[caught]] = False
         return falls
 
-    def _may_be_caught(self, rows: NDArray[np.intp], towards: FloatArray, edge: FloatArray) -> NDArray[np.bool_]:
+    def _may_be_caught(
+        self, rows: NDArray[np.intp], towards: FloatArray, edge: FloatArray, outside: FloatArray
+    ) -> NDArray[np.bool_]:
         """(r,) whether something may catch boxes before they have turned too far.
 
         Args:
-            towards: (r, 2) directions in which they turn; ``edge``: (r,) place of the edge along it, mm.
+            towards: (r, 2) directions in which they turn; ``edge``: (r,) place of the edge along it, mm; ``outside``:
+                (r,) distance of the weight from it, mm, by which, times the sine, the middle comes down. Its way
+                aside, half the height times the sine, is not sure by itself, since the edge may slide.
         """
         z, height = self.start[rows, 2], self.end[rows, 2] - self.start[rows, 2]
-        sine = np.minimum(np.sin(np.radians(TURN_DEG)), 2 * GONE_MM / height)
+        gone = np.maximum(GONE_MM / outside, 2 * GONE_MM / height)
+        sine = np.minimum(np.sin(np.radians(TURN_DEG)), gone)
         slope = (sine / np.sqrt(1 - sine**2))[:, None]
         start, end = self.start[rows, None, :2], self.end[rows, None, :2]
         low, high = self.low[rows], self.high[rows]
