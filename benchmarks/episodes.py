@@ -37,7 +37,18 @@ SETTINGS: Final[tuple[dict[str, Any], ...]] = (
     {"mask": "support_75", "rewards": _ALL_TERMS},
     {"mask": "centre", "actions": "cells", "action_cell_mm": 200},
     {"mask": "geometry", "actions": "cells", "action_cell_mm": 200, "look_ahead": 2, "buffer": 2},
-    {"mask": "physics", "n_candidates": 4},
+    {"mask": "physics", "n_candidates": 4, "scaled": True},
+    {"mask": "sure", "look_ahead": 3, "buffer": 3, "open_pallets": 2, "scaled": True},
+    {"mask": "support_75", "sides": "all", "errors": 1.0},
+    {
+        "mask": "geometry",
+        "actions": "cells",
+        "action_cell_mm": 400,
+        "sides": "all",
+        "open_pallets": 2,
+        "curriculum": {"boxes": [1, 5], "sizes": [0, 1]},
+        "level": 0.5,
+    },
     {"mask": "loads", "n_candidates": 4, "most_illegal": 1},
     {"mask": "support_50", "carrier": "rollcontainer", "max_height_mm": 900},
     {"mask": "geometry", "most_boxes": 2},
@@ -121,8 +132,8 @@ def _check(env: PalletizingVectorEnv, observed: Any, reward: Any, over: Any, see
     for name in outside:
         seen.faults[f"{name} is outside of its space"] += 1
     seen.fault("a reward is no number", ~np.isfinite(reward))
-    on = env.episodes.pallets
-    seen.fault("an episode goes on with a pallet that has ended", ~over & on.ended)
+    ended = env.episodes.pallets.ended.reshape(PALLETS, -1).any(axis=1)
+    seen.fault("an episode goes on with a pallet that has ended", ~over & ended)
 
 
 def _orders(rng: np.random.Generator) -> pd.DataFrame:

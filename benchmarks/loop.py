@@ -236,6 +236,13 @@ def environment(loop: Loop) -> Result:
     }
 
 
+def bounds(loop: Loop) -> Result:
+    """Placements that are decided without a simulation, against it: ``count`` of them."""
+    from benchmarks.bounds import bounds as compare
+
+    return compare(loop.engine, loop.count, loop.seed)
+
+
 def episodes(loop: Loop) -> Result:
     """Random episodes of small orders, in all kinds of settings: ``count`` of them."""
     from benchmarks.episodes import episodes as play  # needs the extra gym
@@ -251,6 +258,7 @@ CASES: Final[dict[str, Callable[[Loop], Result]]] = {
     "memory": memory,
     "environment": environment,
     "episodes": episodes,
+    "bounds": bounds,
 }
 
 

@@ -17,7 +17,6 @@ import gymnasium
 import numpy as np
 from numpy.typing import NDArray
 
-import petmjx.gym
 from petmjx.gym.actions import FEATURES
 
 Array = NDArray[np.float64]
@@ -112,7 +111,7 @@ def main() -> None:
     arguments = parser.parse_args()
 
     env = gymnasium.make_vec(
-        f"petmjx/{petmjx.gym.ENVIRONMENT}",
+        "petmjx.gym:petmjx/Palletizing-v0",
         num_envs=arguments.pallets,
         vectorization_mode="vector_entry_point",
         autoreset_mode="SameStep",

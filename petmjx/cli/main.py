@@ -23,6 +23,7 @@ from petmjx.cli import (
     figure,
     info,
     kpis,
+    label,
     leaderboard,
     loads,
     merge,
@@ -92,6 +93,7 @@ for _command, _short_help in (
     (info.info, "Say what a file is, how it is read and what is odd."),
     (convert.convert, "Write packing plans as JSON, CSV or Parquet."),
     (samples.samples, "Write packing plans with BED-BPP's statistics."),
+    (label.label, "Label placements by physics, to train models with."),
     (export.export, "Write the MuJoCo model of one plan."),
     (doctor.doctor, "Show versions, devices and which engines work here."),
 ):

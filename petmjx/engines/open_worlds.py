@@ -237,9 +237,13 @@ class OpenWorlds(ABC):
             self._put_next(worlds, boxes)
             self._scenes.add(worlds, boxes)
 
-    def try_next(self, worlds: Sequence[int], boxes: NextBoxes) -> Readings:
+    def try_next(self, worlds: Sequence[int], boxes: NextBoxes, *, until_lost: bool = False) -> Readings:
         """The state of worlds if one box were put into each and rested. This is tried on forks, which are discarded. A
         world may be named more than once, and must have paused.
+
+        Args:
+            until_lost: a fork ends as soon as a box is tilted too far at a sample, as a world with errors does: then it
+                is known not to stand, but not how it would end.
 
         Raises:
             ValueError: a world has ended.
@@ -247,7 +251,7 @@ class OpenWorlds(ABC):
         _check_worlds(worlds, len(self), distinct=False)
         _check_as_many(worlds, boxes, "boxes")
         self._check_open(worlds)
-        return self._try_next(worlds, boxes)
+        return self._try_next(worlds, boxes, until_lost=until_lost)
 
     def try_scenes(
         self, worlds: Sequence[int], scenes: Sequence[Scene], drives: Sequence[Drive | None] | None = None
@@ -334,7 +338,7 @@ class OpenWorlds(ABC):
         return Readings.of(self._read(worlds), [self._scenes[world] for world in worlds])
 
     @abstractmethod
-    def _try_next(self, worlds: Sequence[int], boxes: NextBoxes) -> Readings: ...
+    def _try_next(self, worlds: Sequence[int], boxes: NextBoxes, *, until_lost: bool) -> Readings: ...
 
     @abstractmethod
     def _try_scenes(

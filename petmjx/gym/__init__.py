@@ -1,29 +1,36 @@
-"""Gymnasium environments: importing this package registers ``petmjx/Palletizing-v0``. Needs the extra ``gym``."""
+"""Gymnasium environments: importing this package registers ``petmjx/Palletizing-v0``. Needs the extra ``gym``.
+
+``gymnasium.make("petmjx.gym:petmjx/Palletizing-v0")`` imports it. ``PalletizingVecEnv`` is the environment for
+Stable-Baselines3 (extra ``sb3``).
+"""
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING, Any, Final
+
 from petmjx.common.errors import EngineUnavailable
 
-ENVIRONMENT = "Palletizing-v0"
-
-
-def register_environments() -> None:
-    """Register the environment with Gymnasium, in the namespace ``petmjx``. Gymnasium calls this through an entry
-    point."""
-    from gymnasium.envs.registration import current_namespace, register, registry
-
-    name = ENVIRONMENT if current_namespace == "petmjx" else f"petmjx/{ENVIRONMENT}"
-    if f"petmjx/{ENVIRONMENT}" not in registry:
-        register(
-            name,
-            entry_point="petmjx.gym.env:PalletizingEnv",
-            vector_entry_point="petmjx.gym.vector_env:PalletizingVectorEnv",
-        )
-
+if TYPE_CHECKING:
+    from petmjx.gym.sb3_vec_env import PalletizingVecEnv as PalletizingVecEnv
 
 try:
-    import gymnasium as _gymnasium
+    from gymnasium.envs.registration import register, registry
 except ImportError as error:
     raise EngineUnavailable("petmjx.gym needs gymnasium, not installed: pip install 'petmjx[gym]'") from error
-assert _gymnasium
-register_environments()
+
+ENVIRONMENT: Final = "Palletizing-v0"
+
+if f"petmjx/{ENVIRONMENT}" not in registry:
+    register(
+        f"petmjx/{ENVIRONMENT}",
+        entry_point="petmjx.gym.env:PalletizingEnv",
+        vector_entry_point="petmjx.gym.vector_env:PalletizingVectorEnv",
+    )
+
+
+def __getattr__(name: str) -> Any:
+    if name == "PalletizingVecEnv":  # loads Stable-Baselines3, and with it PyTorch
+        from petmjx.gym.sb3_vec_env import PalletizingVecEnv
+
+        return PalletizingVecEnv
+    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")

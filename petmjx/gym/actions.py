@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Final
 
@@ -9,13 +10,23 @@ import numpy as np
 from numpy.typing import NDArray
 
 from petmjx.common.units import FloatArray
-from petmjx.gym.environment_options import CANDIDATES, CENTRE, LOADS, PHYSICS, SUPPORT, PalletizingOptions
+from petmjx.gym.environment_options import ALL, CANDIDATES, CENTRE, LOADS, PHYSICS, SUPPORT, SURE, PalletizingOptions
 from petmjx.loop.candidate_places import Places
+from petmjx.loop.order_sources import Orders
 from petmjx.loop.pallets import Pallets
+from petmjx.loop.placement_bounds import STANDS
 
 FEATURES: Final = ("box", "turned", "x", "y", "z", "length_x", "length_y", "height", "mass", "support", "margin")
 """Features of a candidate: its index among the visible boxes, whether it is turned by 90°, its corner and extents, mm,
 its mass, kg, the supported share of its base, and the pallet's margin with it if the mask uses physics (else 0)."""
+
+UPRIGHT: Final = "upright"
+PALLET: Final = "pallet"
+"""Further features, of environments in which there is a choice: which size is vertical (0: height, 1: width, 2:
+length), and the number of the pallet."""
+
+SIDES: Final = np.array([(0, 1, 2), (1, 0, 2), (0, 2, 1), (2, 0, 1), (1, 2, 0), (2, 1, 0)])
+"""(6, 3) the sizes (0: length, 1: width, 2: height) along x, y and z on each side, in pairs that differ by a turn."""
 
 
 @dataclass(eq=False)
@@ -25,14 +36,15 @@ class Table:
     Attributes:
         legal: (n, a) mask of legal actions.
         box: (n, a) index among the visible boxes; ``size_mm``, ``corner_mm``: (n, a, 3); ``mass_kg``: (n, a).
-        turned: (n, a) whether length and width are swapped.
+        side: (n, a) index into ``SIDES``; ``pallet``: (n, a) number of the pallet in its episode.
         support: (n, a) supported share of the base; ``margin``: (n, a) the pallet's margin if the mask uses physics,
             else 0.
     """
 
     legal: NDArray[np.bool_]
     box: NDArray[np.int64]
-    turned: NDArray[np.bool_]
+    side: NDArray[np.int64]
+    pallet: NDArray[np.int64]
     size_mm: FloatArray
     corner_mm: FloatArray
     mass_kg: FloatArray
@@ -44,14 +56,15 @@ class Table:
         """A table without legal actions."""
         three, one = (n, a, 3), (n, a)
         return cls(
-            np.zeros(one, bool),
-            np.zeros(one, np.int64),
-            np.zeros(one, bool),
-            np.zeros(three),
-            np.zeros(three),
-            np.zeros(one),
-            np.zeros(one),
-            np.zeros(one),
+            legal=np.zeros(one, bool),
+            box=np.zeros(one, np.int64),
+            side=np.zeros(one, np.int64),
+            pallet=np.zeros(one, np.int64),
+            size_mm=np.zeros(three),
+            corner_mm=np.zeros(three),
+            mass_kg=np.zeros(one),
+            support=np.zeros(one),
+            margin=np.zeros(one),
         )
 
     def clear(self, rows: NDArray[np.int64]) -> None:
@@ -59,60 +72,80 @@ class Table:
         for values in vars(self).values():
             values[rows] = 0
 
-    def features(self, rows: NDArray[np.int64]) -> NDArray[np.float32]:
-        """(m, a, f) ``FEATURES`` of some episodes."""
-        features = np.empty((len(rows), self.legal.shape[1], len(FEATURES)), np.float32)
+    def features(self, rows: NDArray[np.int64], names: Sequence[str]) -> NDArray[np.float32]:
+        """(m, a, f) features of some episodes, ``FEATURES`` and perhaps more."""
+        features = np.empty((len(rows), self.legal.shape[1], len(names)), np.float32)
+        more = {UPRIGHT: self.side // 2, PALLET: self.pallet}
         at = 0
-        for values in (self.box, self.turned, self.corner_mm, self.size_mm, self.mass_kg, self.support, self.margin):
+        for values in (
+            *(self.box, self.side % 2, self.corner_mm, self.size_mm, self.mass_kg, self.support, self.margin),
+            *(more[name] for name in names[len(FEATURES) :]),
+        ):
             some = values[rows].reshape(*features.shape[:2], -1)
             features[..., at : at + some.shape[2]] = some
             at += some.shape[2]
         return features
 
 
+def features_of(options: PalletizingOptions, orders: Orders) -> tuple[str, ...]:
+    """The names of a candidate's features."""
+    more = ((UPRIGHT, options.sides == ALL or orders.lie), (PALLET, options.open_pallets > 1))
+    return (*FEATURES, *(name for name, is_on in more if is_on))
+
+
 class Actions:
-    """Fills in action tables.
+    """Fills in action tables. The pallets of episode i are i × ``open_pallets`` and the following ones.
 
     Attributes:
         count: number of actions of an episode.
         strength_n: (n, k) the loads that the boxes on pallets can bear, N; NaN if not given.
     """
 
-    def __init__(self, pallets: Pallets, options: PalletizingOptions) -> None:
+    def __init__(self, pallets: Pallets, options: PalletizingOptions, orders: Orders) -> None:
         self._pallets, self._options = pallets, options
         self.strength_n: FloatArray = np.full((pallets.n, pallets.most_boxes), np.nan)
         cell, (x, y) = options.action_cell_mm, pallets.extent_mm
         self._cells = int(np.ceil(x / cell - 1e-9)), int(np.ceil(y / cell - 1e-9))
         corners: FloatArray = np.indices(self._cells).reshape(2, -1).T.astype(np.float64) * cell
         self._grid = None if options.actions == CANDIDATES else corners
+        self._sides = SIDES if options.sides == ALL or orders.lie else SIDES[:2]
         most = max(options.n_candidates, options.buffer)  # each box of the buffer has a share
-        self.count = most if self._grid is None else 2 * options.buffer * len(corners)
+        ways = options.open_pallets * options.buffer * len(self._sides)
+        self.count = most if self._grid is None else ways * len(corners)
 
     @property
     def asks_physics(self) -> bool:
-        """Whether the mask tries places in physics."""
-        return self._options.mask in (PHYSICS, LOADS)
+        """Whether the mask depends on how the pallets rest."""
+        return self._options.mask in (SURE, PHYSICS, LOADS)
 
-    def fill(self, table: Table, rows: NDArray[np.int64], size_mm: FloatArray, mass_kg: FloatArray) -> None:
+    def fill(
+        self,
+        table: Table,
+        rows: NDArray[np.int64],
+        size_mm: FloatArray,
+        mass_kg: FloatArray,
+        upright: NDArray[np.bool_],
+    ) -> None:
         """Find the actions of some episodes.
 
         Args:
-            size_mm: (m, k, 3) of the visible boxes; ``mass_kg``: (m, k), 0 without a box.
+            size_mm: (m, k, 3) of the visible boxes; ``mass_kg``: (m, k), 0 without a box; ``upright``: (m, k, 3) which
+                sizes may be vertical.
         """
         table.clear(rows)
         at, box = np.nonzero(mass_kg[:, : self._options.buffer])
-        square = size_mm[at, box, 0] == size_mm[at, box, 1]
-        at, box = (np.repeat(values, 2) for values in (at, box))
-        turned = np.tile([False, True], len(square))
-        kept = ~(turned & np.repeat(square, 2))
-        at, box, turned = at[kept], box[kept], turned[kept]
-        sizes, masses = size_mm[at, box].copy(), mass_kg[at, box]
-        sizes[turned] = sizes[turned][:, [1, 0, 2]]
+        stands = self._sides_of(size_mm[at, box], upright[at, box])
+        of, side, pallet = np.nonzero(np.repeat(stands[..., None], self._options.open_pallets, axis=2))
+        at, box = at[of], box[of]
+        on = rows[at] * self._options.open_pallets + pallet
+        room = self._pallets.n_boxes[on] < self._pallets.most_boxes
+        at, box, side, pallet, on = (values[room] for values in (at, box, side, pallet, on))
+        sizes, masses = np.take_along_axis(size_mm[at, box], self._sides[side], axis=1), mass_kg[at, box]
         if not len(at):
             return
         places = self._pallets.places(
             size_mm=sizes,
-            pallet=rows[at],
+            pallet=on,
             max_height_mm=self._options.max_height_mm,
             grid_mm=self._grid,
             least_support=SUPPORT.get(self._options.mask, 0.0),
@@ -120,25 +153,45 @@ class Actions:
         )
         legal = self._geometric(places)
         chosen = np.flatnonzero(legal)
-        row, number = self._numbered(places, chosen, at, box, turned)
+        row, number = self._numbered(places, chosen, at, box, side, pallet)
         chosen, row, number = (values[number < self.count] for values in (chosen, row, number))
         margin = np.zeros(len(chosen))
         stands = np.ones(len(chosen), bool)
         source = places.row[chosen]
         if self.asks_physics and len(chosen):
-            trials = self._pallets.try_all(
-                size_mm=sizes[source], corner_mm=places.corner_mm[chosen], mass_kg=masses[source], pallet=rows[row]
-            )
-            margin, stands = np.nan_to_num(trials.margin), trials.stable
+            candidates = {
+                "size_mm": sizes[source],
+                "corner_mm": places.corner_mm[chosen],
+                "mass_kg": masses[source],
+                "pallet": on[source],
+            }
             if self._options.mask == LOADS:
-                stands = stands & ~self._overloads(rows[row], trials.top_force_n)
+                trials = self._pallets.try_all(**candidates)
+                margin = np.nan_to_num(trials.margin)
+                stands = trials.stable & ~self._overloads(on[source], trials.top_force_n)
+            elif self._options.mask == SURE:
+                stands = self._pallets.decided(**candidates) == STANDS
+                margin = np.ones(len(stands))
+            else:
+                stands, margin = self._pallets.stands(**candidates)
         chosen, row, number, source = (values[stands] for values in (chosen, row, number, source))
         into = rows[row], number
         table.legal[into] = True
-        table.box[into], table.turned[into] = box[source], turned[source]
+        table.box[into], table.side[into], table.pallet[into] = box[source], side[source], pallet[source]
         table.size_mm[into], table.mass_kg[into] = sizes[source], masses[source]
         table.corner_mm[into], table.support[into] = places.corner_mm[chosen], places.support[chosen]
         table.margin[into] = margin[stands]
+
+    def _sides_of(self, size_mm: FloatArray, upright: NDArray[np.bool_]) -> NDArray[np.bool_]:
+        """(b, s) the sides on which boxes may stand, without those on which they are as on an earlier one."""
+        sizes = size_mm[:, self._sides]
+        may = np.ones(sizes.shape[:2], bool)
+        if self._options.sides != ALL:
+            may &= upright[:, self._sides[:, 2]]
+        for side in range(1, len(self._sides)):
+            same = (sizes[:, :side] == sizes[:, side, None]).all(axis=2)
+            may[:, side] &= ~(same & may[:, :side]).any(axis=1)
+        return may
 
     def _overloads(self, pallets: NDArray[np.int64], force_n: FloatArray) -> NDArray[np.bool_]:
         """(c,) whether a box on the pallet bears more than its strength. ``force_n``: (c, k), N. The last box is the
@@ -157,17 +210,19 @@ class Actions:
         chosen: NDArray[np.intp],
         at: NDArray[np.intp],
         box: NDArray[np.intp],
-        turned: NDArray[np.bool_],
+        side: NDArray[np.intp],
+        pallet: NDArray[np.intp],
     ) -> tuple[NDArray[np.intp], NDArray[np.int64]]:
         """(c,) the episode of each chosen place, and the number of its action; ``count`` or more if it has none.
-        Candidates are numbered box after box, the lowest places first. Cells are numbered by box, orientation and
-        cell."""
+        Candidates are numbered box after box, the lowest places first. Cells are numbered by pallet, box, side
+        and cell."""
         source = places.row[chosen]
         row = at[source]
         if self._grid is not None:
             x, y = np.rint(places.corner_mm[chosen, :2] / self._options.action_cell_mm).astype(np.int64).T
             nx, ny = self._cells
-            return row, ((box[source] * 2 + turned[source]) * nx + x) * ny + y
+            way = (pallet[source] * self._options.buffer + box[source]) * len(self._sides) + side[source]
+            return row, (way * nx + x) * ny + y
         corner = places.corner_mm[chosen]
         seen = row * self._options.buffer + box[source]  # places of one box are already in order along x
         order = np.lexsort((corner[:, 1], corner[:, 0], corner[:, 2], seen))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any, Final
 
 import gymnasium as gym
@@ -11,7 +12,9 @@ from numpy.typing import NDArray
 
 from petmjx.common.checked_records import shown_value
 from petmjx.common.errors import InputError
-from petmjx.gym.episodes import Episodes, Observation
+from petmjx.gym.episodes import Episodes
+from petmjx.gym.observation_spaces import Observation
+from petmjx.show.picture_window import PictureWindow
 
 _FIRST: Final = np.zeros(1, np.int64)
 
@@ -19,7 +22,7 @@ _FIRST: Final = np.zeros(1, np.int64)
 def spaces_of(episodes: Episodes) -> tuple[spaces.Dict, spaces.Discrete]:
     """The spaces of observations and actions of one episode."""
     boxes: dict[str, spaces.Space[Any]] = {
-        name: spaces.Box(low, high, shape, kind) for name, (shape, low, high, kind) in episodes.shapes.items()
+        name: spaces.Box(low, high, shape, kind) for name, (shape, low, high, kind) in episodes.spaces.items()
     }
     return spaces.Dict(boxes), spaces.Discrete(episodes.n_actions)
 
@@ -32,7 +35,8 @@ class PalletizingEnv(gym.Env[Observation, np.int64]):
     place are left out. More: docs/loop.md.
 
     Args:
-        render_mode: None, or "rgb_array": pictures of 480 × 480 pixels, which need EGL and the extra ``show``.
+        render_mode: None; "rgb_array": pictures of 480 × 480 pixels a pallet, which need EGL and the extra ``show``; or
+            "human": they are shown in a window after each step, which needs a display.
         options: fields of ``petmjx.gym.environment_options.PalletizingOptions``, arguments of ``petmjx.Pallets``, and
             fields of
             ``petmjx.Simulation``.
@@ -41,23 +45,31 @@ class PalletizingEnv(gym.Env[Observation, np.int64]):
         InputError: an unusable option.
     """
 
-    metadata = {"render_modes": ["rgb_array"], "render_fps": 4}  # noqa: RUF012  # as Gymnasium has it
+    metadata = {"render_modes": ["rgb_array", "human"], "render_fps": 4}  # noqa: RUF012  # as Gymnasium has it
 
     def __init__(self, render_mode: str | None = None, **options: Any) -> None:
         check_render_mode(render_mode)
         self.render_mode = render_mode
         self.episodes = Episodes(1, {"engine": "mujoco", **options})
         self._ended = True
+        self._window: PictureWindow | None = None
         self.observation_space: Any
         self.observation_space, self.action_space = spaces_of(self.episodes)
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[Observation, dict[str, Any]]:
-        """Begin an episode. The same seed gives the same episode."""
+        """Begin an episode. The same seed gives the same episode.
+
+        Args:
+            options: ``level``, from 0 to 1: the level of the curriculum from this episode on.
+        """
         super().reset(seed=seed)
+        if options and "level" in options:
+            self.episodes.set_level(_FIRST, options["level"])
         self.episodes.begin(_FIRST, [self.np_random])
         self._ended = False
+        self._show()
         return self._observed(), self._info()
 
     def step(self, action: Any) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
@@ -72,11 +84,21 @@ class PalletizingEnv(gym.Env[Observation, np.int64]):
         terms = {f"reward_{name}": float(values[0]) for name, values in stepped.terms.items()}
         ends = bool(stepped.terminated[0]), bool(stepped.truncated[0])
         self._ended = any(ends)
+        self._show()
         return self._observed(), float(stepped.reward[0]), *ends, self._info() | terms
 
     def render(self) -> NDArray[np.uint8] | None:
-        """A picture of the pallet."""
-        return None if self.render_mode is None else self.episodes.pallets.show(0, size=(480, 480))
+        """A picture of the pallet; None if it is shown in a window."""
+        if self.render_mode == "rgb_array":
+            return self.episodes.picture(0)
+        self._show()
+        return None
+
+    def _show(self) -> None:
+        if self.render_mode == "human":
+            if self._window is None:
+                self._window = PictureWindow("petmjx", 1 / self.metadata["render_fps"])
+            self._window.show(self.episodes.picture(0))
 
     def action_masks(self) -> NDArray[np.bool_]:
         """(a,) mask of legal actions, under the name that libraries for masked policies use."""
@@ -84,7 +106,9 @@ class PalletizingEnv(gym.Env[Observation, np.int64]):
         return masks
 
     def close(self) -> None:
-        """Free the engine."""
+        """Free the engine, and close the window."""
+        if self._window is not None:
+            self._window.close()
         self.episodes.pallets.close()
 
     def _observed(self) -> Observation:
@@ -94,7 +118,7 @@ class PalletizingEnv(gym.Env[Observation, np.int64]):
         return {name: values[0] for name, values in self.episodes.info_of(_FIRST).items()}
 
 
-def check_render_mode(render_mode: str | None) -> None:
-    """Raises InputError unless it is None or ``rgb_array``."""
-    if render_mode not in (None, "rgb_array"):
-        raise InputError(f"render_mode must be None or rgb_array, got {render_mode!r}")
+def check_render_mode(render_mode: str | None, modes: Sequence[str] = PalletizingEnv.metadata["render_modes"]) -> None:
+    """Raises InputError unless it is None or one of these."""
+    if render_mode is not None and render_mode not in modes:
+        raise InputError(f"render_mode must be None or {' or '.join(modes)}, got {render_mode!r}")

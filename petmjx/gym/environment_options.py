@@ -6,7 +6,7 @@ from dataclasses import dataclass, fields
 from typing import Any, Final, Self
 
 from petmjx.analysis.criteria import SUPPORT_SHARES
-from petmjx.common.argument_checks import integer_of, number_of
+from petmjx.common.argument_checks import flag_of, integer_of, number_of
 from petmjx.common.checked_records import hint, shown_value
 from petmjx.common.errors import InputError
 from petmjx.loop.order_sources import ENDLESS, Orders, order_reading
@@ -15,11 +15,18 @@ from petmjx.loop.rewards import weights_of
 CELLS: Final = "cells"
 CANDIDATES: Final = "candidates"
 PHYSICS: Final = "physics"
+SURE: Final = "sure"
 LOADS: Final = "loads"
 GEOMETRY: Final = "geometry"
 CENTRE: Final = "centre"
+OF_ORDER: Final = "order"
+ALL: Final = "all"
+MOST_OPEN: Final = 64
+"""Most pallets of an episode: more are no pallets that a robot can reach."""
+MOST_ERRORS: Final = 10.0
+"""Largest multiple of the errors of a common robot: 20 mm, more than a place that is still meant."""
 SUPPORT: Final = {f"support_{100 * share:.0f}": share for share in SUPPORT_SHARES}
-MASKS: Final = (GEOMETRY, *SUPPORT, CENTRE, PHYSICS, LOADS)
+MASKS: Final = (GEOMETRY, *SUPPORT, CENTRE, SURE, PHYSICS, LOADS)
 
 
 @dataclass(frozen=True)
@@ -40,11 +47,17 @@ class PalletizingOptions:
             second lowest of each, and so on.
         action_cell_mm: side of the cells of actions; ``cell_mm``: side of the cells of maps.
         mask: which actions on the carrier and below the highest top are legal: ``geometry``: all of them; a criterion
-            of docs/criteria.md (``support_75``, … or ``centre``); ``physics``: actions that stand in a trial; or
-            ``loads``: actions that also overload no box.
+            of docs/criteria.md (``support_75``, … or ``centre``); ``physics``: actions that stand in a trial; ``sure``:
+            those of them that stand beyond doubt, without a trial; or ``loads``: actions that also overload no box.
         max_height_mm: highest top of a box.
         rewards: weights of terms (``petmjx.loop.rewards.TERMS``).
         most_illegal: illegal actions after which an episode is truncated.
+        scaled: whether observations are from 0 to 1 (``petmjx.gym.observation_spaces``).
+        sides: on which sides boxes may stand: ``order``: those that the order allows, else the base alone; ``all``.
+        open_pallets: number of pallets of an episode, any of which may get the next box.
+        errors: how inexactly boxes are placed, as a multiple of the errors of ``petmjx score --confidence``.
+        curriculum: what grows with the level of an episode (``petmjx.gym.curriculum.Curriculum``).
+        level: the level of episodes, from 0 to 1; ``reset(options={"level": …})`` changes it.
     """
 
     orders: Any = ENDLESS
@@ -63,6 +76,12 @@ class PalletizingOptions:
     max_height_mm: float = 1800.0
     rewards: Any = None
     most_illegal: int = 20
+    scaled: bool = False
+    sides: str = OF_ORDER
+    open_pallets: int = 1
+    errors: float = 0.0
+    curriculum: Any = None
+    level: float = 1.0
 
     @classmethod
     def of(cls, arguments: dict[str, Any]) -> tuple[Self, dict[str, Any]]:
@@ -79,11 +98,15 @@ class PalletizingOptions:
             ("buffer", 1, 512),
             ("n_candidates", 1, 100_000),
             ("most_illegal", 1, None),
+            ("open_pallets", 1, MOST_OPEN),
         ):
             integer_of(getattr(options, name), name, least, most)
         number_of(options.max_height_mm, "max_height_mm", 1.0, 20_000.0)
         number_of(options.action_cell_mm, "action_cell_mm", 10.0, 20_000.0)
-        for name, choices in (("actions", (CANDIDATES, CELLS)), ("mask", MASKS)):
+        number_of(options.errors, "errors", 0.0, MOST_ERRORS)
+        number_of(options.level, "level", 0.0, 1.0)
+        flag_of(options.scaled, "scaled")
+        for name, choices in (("actions", (CANDIDATES, CELLS)), ("mask", MASKS), ("sides", (OF_ORDER, ALL))):
             value = getattr(options, name)
             if not isinstance(value, str):
                 raise InputError(f"{name} must be text, {shown_value(value)}")

@@ -9,22 +9,26 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
+from petmjx.common.argument_checks import number_of
 from petmjx.common.errors import InputError
 from petmjx.common.units import FloatArray
-from petmjx.gym.actions import FEATURES, Actions, Table
+from petmjx.gym.actions import Actions, Table, features_of
+from petmjx.gym.curriculum import Curriculum
 from petmjx.gym.environment_options import PalletizingOptions
 from petmjx.gym.item_queues import Queues
 from petmjx.gym.observation_maps import Maps
+from petmjx.gym.observation_spaces import Observation, ObservationSpaces, Space
+from petmjx.loop.candidate_trials import MOST_ERRORS_DRAWN
 from petmjx.loop.height_maps import cells_of
 from petmjx.loop.pallets import Pallets
 from petmjx.loop.placement_results import PlacementResults
 from petmjx.loop.rewards import TERMS, Placement
-from petmjx.plans.plan_fields import LARGEST_KG, LARGEST_MM
 
 _MOST_ORDERS: Final = 100
 """Most orders that are drawn until one has a box that fits on the empty carrier."""
 
-Observation = dict[str, NDArray[Any]]
+PICTURE: Final = (480, 480)
+"""Pixels of a pallet's picture."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -56,21 +60,28 @@ class Episodes:
         self.options, of_pallets = PalletizingOptions.of(options)
         self.weights = self.options.weights
         self.orders = self.options.read_orders()
-        self.pallets = Pallets(n, **of_pallets)
+        self.curriculum = Curriculum.of(self.options)
+        self._several = self.options.open_pallets
+        self.pallets = Pallets(n * self._several, **of_pallets)
         self.n = n
+        self.level: FloatArray = np.full(n, float(self.options.level))
+        self._errors: FloatArray = np.zeros(n)
         self.cells = cells_of(self.pallets.extent_mm, self.options.cell_mm)
-        self._actions = Actions(self.pallets, self.options)
+        self._actions = Actions(self.pallets, self.options, self.orders)
         self.n_actions = self._actions.count
         self.table = Table.empty(n, self.n_actions)
         self._queues = Queues(n, self.options.look_ahead)
-        self._maps = Maps(n, self.cells, self.options.cell_mm)
-        self._mass: FloatArray = np.zeros(n)
+        self._features = features_of(self.options, self.orders)
+        self._spaces = ObservationSpaces(self.options, self.pallets, self.cells, self.n_actions, self._features)
+        self._maps = Maps(self.pallets.n, self.cells, self.options.cell_mm)
+        self._mass: FloatArray = np.zeros((n, self._several))
         self._volume: FloatArray = np.zeros(n)
-        self._top: FloatArray = np.zeros(n)
+        self._top: FloatArray = np.zeros(self.pallets.n)
         self._illegal = np.zeros(n, np.int64)
         self._verdict = np.full(n, "stable", dtype="<U8")
         self._reason, self._culprit = np.full(n, "", dtype="<U16"), np.full(n, -1)
         self._margin = np.ones(n)
+        self._rngs: list[np.random.Generator | None] = [None] * n
 
     # ------------------------------------------------------------------ what happens
 
@@ -82,16 +93,21 @@ class Episodes:
         """
         if not len(rows):
             return
-        self.pallets.reset(rows)
-        self._actions.strength_n[rows] = np.nan
-        self._maps.clear(rows)
-        for values in (self._mass, self._volume, self._top, self._illegal):
+        on = self._pallets_of(rows).ravel()
+        self.pallets.reset(on)
+        self._actions.strength_n[on], self._top[on] = np.nan, 0
+        self._maps.clear(on)
+        for values in (self._mass, self._volume, self._illegal):
             values[rows] = 0
+        self._errors[rows] = self.curriculum.error_strength(self.level[rows])
         self._verdict[rows], self._reason[rows], self._culprit[rows], self._margin[rows] = "stable", "", -1, 1.0
         left, by_row = rows, dict(zip(rows.tolist(), rngs, strict=True))
+        for row, rng in by_row.items():
+            self._rngs[row] = rng
         for _ in range(_MOST_ORDERS):
             for row in left.tolist():
-                self._queues.begin(row, self.orders.draw(by_row[row]))
+                order = self.orders.draw(by_row[row])
+                self._queues.begin(row, self.curriculum.order(order, float(self.level[row])))
             self._look(left)
             left = left[~self.table.legal[left].any(axis=1)]
             if not len(left):
@@ -113,8 +129,7 @@ class Episodes:
                 terms[name][legal] = new_terms[name]
             terminated[legal] = ~report.stable
             self.table.clear(rows[legal][~report.stable])
-            full = self.pallets.n_boxes[rows] >= self.pallets.most_boxes
-            self.table.clear(rows[full])
+            self.table.clear(rows[self._are_full(rows)])
         terminated |= ~self.table.legal[rows].any(axis=1)
         truncated = ~terminated & (self._illegal[rows] >= self.options.most_illegal)
         reward = np.sum([self.weights[name] * values for name, values in terms.items()], axis=0) + np.zeros(m)
@@ -125,36 +140,60 @@ class Episodes:
     ) -> tuple[PlacementResults, dict[str, FloatArray]]:
         table, at = self.table, (rows, actions)
         size, corner, mass, box = table.size_mm[at], table.corner_mm[at], table.mass_kg[at], table.box[at]
-        last = self.pallets.n_boxes[rows]
+        pallet = table.pallet[at]
+        on = rows * self._several + pallet
+        last = self.pallets.n_boxes[on]
         queues: list[NDArray[Any]] = []
 
         def go_on() -> None:  # updates that depend only on where boxes were put
-            self._actions.strength_n[rows, last] = self._queues.take(rows, box)
-            self._maps.add(rows, last, size, corner)
+            self._actions.strength_n[on, last] = self._queues.take(rows, box)
+            self._maps.add(on, last, size, corner)
             queues.extend(self._queues.kept(rows))
             if not self._actions.asks_physics:
-                self._look(rows)
+                self._look(rows[~self._are_full(rows)])
 
-        report = self.pallets.place(size_mm=size, corner_mm=corner, mass_kg=mass, pallet=rows, meanwhile=go_on)
+        report = self.pallets.place(
+            size_mm=size, corner_mm=corner, mass_kg=mass, pallet=on, meanwhile=go_on, **self._drawn_errors(rows)
+        )
         if self._actions.asks_physics:
-            self._look(rows[report.stable])
+            self._look(rows[report.stable & ~self._are_full(rows)])
         fallen = ~report.stable  # an ended episode leaves out no further box
         self._queues.restore(rows[fallen], [values[fallen] for values in queues])
         volume, top = size.prod(axis=1), corner[:, 2] + size[:, 2]
-        higher = np.maximum(top - self._top[rows], 0.0)
-        self._top[rows] += higher
-        self._mass[rows] += mass
+        higher = np.maximum(top - self._top[on], 0.0)
+        self._top[on] += higher
+        self._mass[rows, pallet] += mass
         self._volume[rows] += volume * report.stable
-        self._maps.load(rows, report.top_force_n)
+        self._maps.load(on, report.top_force_n)
         self._verdict[rows], self._reason[rows] = report.verdict, report.reason
         self._culprit[rows], self._margin[rows] = report.culprit, np.nan_to_num(report.margin, nan=-1.0)
-        placement = Placement(report, volume, self._mass[rows], self._room_mm3, higher, self.options.max_height_mm)
+        placement = Placement(
+            report, volume, self._mass[rows, pallet], self._room_mm3, higher, self.options.max_height_mm
+        )
         return report, {name: value(placement) for name, (_, value) in TERMS.items() if name in self.weights}
 
     @property
     def _room_mm3(self) -> float:
         x, y = self.pallets.extent_mm
-        return x * y * self.options.max_height_mm
+        return x * y * self.options.max_height_mm * self._several
+
+    def _pallets_of(self, rows: NDArray[np.int64]) -> NDArray[np.int64]:
+        """(m, p) the pallets of episodes."""
+        pallets: NDArray[np.int64] = rows[:, None] * self._several + np.arange(self._several)
+        return pallets
+
+    def _are_full(self, rows: NDArray[np.int64]) -> NDArray[np.bool_]:
+        """(m,) whether no pallet of an episode has room for another box."""
+        full: NDArray[np.bool_] = self.pallets.n_boxes[self._pallets_of(rows)].min(axis=1) >= self.pallets.most_boxes
+        return full
+
+    def _drawn_errors(self, rows: NDArray[np.int64]) -> dict[str, Any]:
+        """The errors of the next boxes of episodes, arguments of ``Pallets.place``; none where there are none."""
+        if not self._errors[rows].any():
+            return {}
+        rngs = [self._rngs[row] for row in rows.tolist()]
+        numbers = [0 if rng is None else int(rng.integers(MOST_ERRORS_DRAWN)) for rng in rngs]
+        return {"error": np.array(numbers, np.int64), "error_strength": self._errors[rows]}
 
     def _look(self, rows: NDArray[np.int64]) -> None:
         """Find the actions of episodes. If an episode has none, the boxes that may come next are left out."""
@@ -168,20 +207,21 @@ class Episodes:
 
     def observed(self, rows: NDArray[np.int64]) -> Observation:
         """The observations of episodes, arrays of m rows."""
-        size, mass = self._queues.seen(rows)
+        size, mass, _ = self._queues.seen(rows)
+        on = rows if self._several == 1 else self._pallets_of(rows)
         observation: Observation = {
-            "height_map": self._maps.heights[rows],
-            "load_map": self._maps.loads[rows],
+            "height_map": self._maps.heights[on],
+            "load_map": self._maps.loads[on],
             "boxes": np.concatenate([size, mass[..., None]], axis=2),
             "left": self._queues.counts[rows, None],
-            "mass": self._mass[rows, None],
+            "mass": self._mass[rows],
             "carrier": np.tile([*self.pallets.extent_mm, self.options.max_height_mm], (len(rows), 1)),
         }
         observation = {name: values.astype(np.float32, copy=False) for name, values in observation.items()}
         observation["action_mask"] = self.table.legal[rows].astype(np.int8)
         if self.options.actions == "candidates":
-            observation["candidates"] = self.table.features(rows)
-        return observation
+            observation["candidates"] = self.table.features(rows, self._features)
+        return self._spaces.scaled(observation)
 
     def info_of(self, rows: NDArray[np.int64]) -> dict[str, NDArray[Any]]:
         """The ``info`` values of episodes after a step."""
@@ -190,25 +230,27 @@ class Episodes:
             "reason": self._reason[rows].astype(object),
             "culprit": self._culprit[rows],
             "margin": self._margin[rows],
-            "placed": self.pallets.n_boxes[rows],
+            "placed": self.pallets.n_boxes[self._pallets_of(rows)].sum(axis=1),
             "left_out": self._queues.left_out[rows],
             "utilisation": self._volume[rows] / self._room_mm3,
             "illegal": self._illegal[rows],
         }
 
     @property
-    def shapes(self) -> dict[str, tuple[tuple[int, ...], float, float, type[Any]]]:
-        """Name of an observation → shape, least and largest value, type."""
-        most, high = float(np.finfo(np.float32).max), self.options.max_height_mm
-        spaces: dict[str, tuple[tuple[int, ...], float, float, type[Any]]] = {
-            "height_map": (self.cells, 0.0, high + 1.0, np.float32),
-            "load_map": (self.cells, 0.0, most, np.float32),
-            "boxes": ((self.options.look_ahead, 4), 0.0, max(LARGEST_MM, LARGEST_KG), np.float32),
-            "left": ((1,), 0.0, most, np.float32),
-            "mass": ((1,), 0.0, most, np.float32),
-            "carrier": ((3,), 0.0, 20_000.0, np.float32),
-            "action_mask": ((self.n_actions,), 0, 1, np.int8),
-        }
-        if self.options.actions == "candidates":
-            spaces["candidates"] = ((self.n_actions, len(FEATURES)), -most, most, np.float32)
-        return spaces
+    def spaces(self) -> dict[str, Space]:
+        """The space of each observation."""
+        return self._spaces.spaces
+
+    def set_level(self, rows: NDArray[np.int64], level: Any) -> None:
+        """Set the level of some environments, (m,) or one number, from their next episodes on.
+
+        Raises:
+            InputError: a level is not from 0 to 1.
+        """
+        values = np.broadcast_to(np.asarray(level, object), len(rows)).tolist()
+        self.level[rows] = [number_of(value, "level", 0.0, 1.0) for value in values]
+
+    def picture(self, row: int) -> NDArray[np.uint8]:
+        """A picture of an episode's pallets, side by side."""
+        pictures = [self.pallets.show(int(pallet), size=PICTURE) for pallet in self._pallets_of(np.array([row]))[0]]
+        return np.concatenate(pictures, axis=1)

@@ -29,8 +29,8 @@ class Queues:
     def __init__(self, n: int, seen: int) -> None:
         self._boxes: list[Boxes] = [Boxes(np.zeros((0, 3)), np.zeros(0), np.zeros(0))] * n
         self._seen = seen
-        # (n, k, 5) the next boxes from column `first` on: size, mass and strength; 0 after the last one
-        self._next: FloatArray = np.zeros((n, seen + _MORE, 5))
+        # (n, k, 8) the next boxes from column `first` on, as in ``Boxes.rows``; 0 after the last one
+        self._next: FloatArray = np.zeros((n, seen + _MORE, 8))
         self._first: NDArray[np.int64] = np.zeros(n, np.int64)
         self._behind: NDArray[np.int64] = np.zeros(n, np.int64)  # boxes that are not in the table yet
         self.counts: NDArray[np.int64] = np.zeros(n, np.int64)
@@ -72,10 +72,11 @@ class Queues:
     def _arrays(self) -> tuple[NDArray[Any], ...]:
         return self._next, self._first, self._behind, self.counts, self.left_out
 
-    def seen(self, rows: NDArray[np.int64]) -> tuple[FloatArray, FloatArray]:
-        """(m, k, 3) sizes, mm, and (m, k) masses, kg, of the visible boxes; 0 beyond the last one."""
+    def seen(self, rows: NDArray[np.int64]) -> tuple[FloatArray, FloatArray, NDArray[np.bool_]]:
+        """(m, k, 3) sizes, mm, and (m, k) masses, kg, of the visible boxes, and (m, k, 3) which of their sizes may be
+        vertical; 0 beyond the last one."""
         boxes = self._next[rows[:, None], self._first[rows, None] + np.arange(self._seen)]
-        return boxes[..., :3], boxes[..., 3]
+        return boxes[..., :3], boxes[..., 3], boxes[..., 5:] > 0
 
     def _go_on(self, rows: NDArray[np.int64], count: NDArray[np.int64]) -> None:
         self._first[rows] += count
@@ -89,6 +90,6 @@ class Queues:
         here, first = int(self.counts[row]) - behind, int(self._first[row])
         table[:here] = table[first : first + here].copy()
         more = slice(len(boxes) - behind, len(boxes) - behind + len(table) - here)
-        new = np.column_stack([boxes.size_mm[more], boxes.mass_kg[more], boxes.strength_n[more]])
+        new = boxes.take(more).rows
         table[here : here + len(new)], table[here + len(new) :] = new, 0.0
         self._first[row], self._behind[row] = 0, behind - len(new)

@@ -13,7 +13,8 @@ from numpy.typing import NDArray
 from petmjx.common.argument_checks import integer_of
 from petmjx.common.errors import InputError
 from petmjx.gym.env import PalletizingEnv, check_render_mode, spaces_of
-from petmjx.gym.episodes import Episodes, Observation
+from petmjx.gym.episodes import Episodes
+from petmjx.gym.observation_spaces import Observation
 from petmjx.loop.engine_setup import MOST_PALLETS
 
 Info = dict[str, Any]
@@ -26,13 +27,18 @@ class PalletizingVectorEnv(VectorEnv[Observation, NDArray[np.int64], NDArray[Any
         num_envs: n.
         autoreset_mode: when an ended episode begins anew: in the next step, which then does nothing else; in the same
             step, with the last observation and information in ``info``; or when ``reset`` is called for it.
-        render_mode, options: as in ``PalletizingEnv``; the engine is ``auto`` unless one is named.
+        render_mode: None or "rgb_array"; ``options``: as in ``PalletizingEnv``; the engine is ``auto`` unless one is
+            named.
 
     Raises:
         InputError: an unusable option.
     """
 
-    metadata = {**PalletizingEnv.metadata, "autoreset_mode": AutoresetMode.NEXT_STEP}  # noqa: RUF012  # as Gymnasium
+    metadata = {  # noqa: RUF012  # as Gymnasium has it
+        **PalletizingEnv.metadata,
+        "render_modes": ["rgb_array"],
+        "autoreset_mode": AutoresetMode.NEXT_STEP,
+    }
 
     def __init__(
         self,
@@ -41,7 +47,7 @@ class PalletizingVectorEnv(VectorEnv[Observation, NDArray[np.int64], NDArray[Any
         render_mode: str | None = None,
         **options: Any,
     ) -> None:
-        check_render_mode(render_mode)
+        check_render_mode(render_mode, self.metadata["render_modes"])
         try:
             self.autoreset_mode = AutoresetMode(autoreset_mode)
         except ValueError:
@@ -63,6 +69,7 @@ class PalletizingVectorEnv(VectorEnv[Observation, NDArray[np.int64], NDArray[Any
         """Begin all episodes, or those of ``options["reset_mask"]``, (n,) booleans.
 
         Args:
+            options: also ``level``, from 0 to 1, one or (n,): the level of the curriculum from these episodes on.
             seed: seed of the first environment, while the other environments have the following numbers; or a list with
                 one for each.
         """
@@ -74,6 +81,9 @@ class PalletizingVectorEnv(VectorEnv[Observation, NDArray[np.int64], NDArray[Any
         for row in rows.tolist():
             if seeds is not None and seeds[row] is not None:
                 self._rngs[row], _ = seeding.np_random(seeds[row])
+        if options is not None and options.get("level") is not None:
+            level = np.asarray(options["level"], object)
+            self.episodes.set_level(rows, level[rows] if level.ndim else level)
         self._begin(rows)
         return self.episodes.observed(self._all), self._info(rows)
 
@@ -110,7 +120,7 @@ class PalletizingVectorEnv(VectorEnv[Observation, NDArray[np.int64], NDArray[Any
         """A picture of each pallet."""
         if self.render_mode is None:
             return None
-        return tuple(self.episodes.pallets.show(row, size=(480, 480)) for row in range(self.num_envs))
+        return tuple(self.episodes.picture(row) for row in range(self.num_envs))
 
     def close_extras(self, **_: Any) -> None:
         """Free the engine."""

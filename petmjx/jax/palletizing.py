@@ -139,6 +139,7 @@ class Palletizing:
         self._counts = jnp.array([len(boxes) for boxes in of_orders], jnp.int32)
         longest = int(self._counts.max()) + self._seen  # so that only zeros are visible beyond an order's end
         rows = [np.column_stack([boxes.size_mm, boxes.mass_kg]) for boxes in of_orders]
+        self._largest = max(float(table.max(initial=0.0)) for table in rows)  # also for specs in a jitted program
         self._boxes = jnp.array([np.pad(table, ((0, longest - len(table)), (0, 0))) for table in rows], jnp.float32)
 
     def _usable(self, orders: Orders) -> list[Boxes]:
@@ -319,7 +320,7 @@ class Palletizing:
         specs = (
             Spec("height_map", self._maps, jnp.float32, 0.0, self._highest + 1.0),
             Spec("load_map", self._maps, jnp.float32, 0.0, _LARGEST),
-            Spec("boxes", (self._seen, 4), jnp.float32, 0.0, float(self._boxes.max())),
+            Spec("boxes", (self._seen, 4), jnp.float32, 0.0, self._largest),
             Spec("left", (), jnp.int32, 0, longest),
             Spec("mass", (), jnp.float32, 0.0, _LARGEST),
             Spec("action_mask", (self.num_actions,), jnp.bool_, 0, 1),

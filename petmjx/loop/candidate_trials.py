@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import functools
 from collections.abc import Sequence
+from dataclasses import fields, replace
 from typing import Any, Final
 
 import numpy as np
@@ -25,13 +26,17 @@ from petmjx.world.job import Drive
 from petmjx.world.profiles.profile import Strength, allowed_sway_m
 from petmjx.world.profiles.profile_registry import resolve
 from petmjx.world.scene import Scene
-from petmjx.world.variants import Variant, apply
+from petmjx.world.variants import ZERO, Distribution, Variant, apply
 
 _AT_ONCE: Final = 1024
 """Most worlds with errors or drives at a time."""
 
 _NAME = "candidate"
 """Stands for a plan's id in random numbers. So all candidates have the same errors, and can be compared."""
+
+
+MOST_ERRORS_DRAWN: Final = 2**31
+"""Errors of single boxes have numbers below this."""
 
 
 class Errors:
@@ -56,11 +61,56 @@ class Errors:
         return [apply(scene, _NAME, variant, self._sweep.seed, standing=standing) for variant in self._variants]
 
 
+class PlacingErrors:
+    """The errors of ``petmjx score --confidence`` for boxes that are put onto pallets for good: of place, rotation,
+    size and mass. The friction of a pallet stays as it is."""
+
+    def __init__(self, sim: Simulation) -> None:
+        self._sweep = confidence_sweep(1, None, dict(sim))
+        (variant,) = (variant for variant, _ in Design(self._sweep).placements() if variant.placement.random)
+        self._change = replace(variant.placement, friction_rel=ZERO)
+
+    def scene(self, scene: Scene, number: int, strength: float) -> Scene:
+        """A scene whose last box has the error of this number, times a strength. With strength 0 it has none."""
+        if strength == 0:
+            return scene
+        errors: dict[str, Any] = {
+            entry.name: replace(error, centre=strength * error.centre, spread=strength * error.spread)
+            for entry in fields(self._change)
+            if isinstance(error := getattr(self._change, entry.name), Distribution)
+        }
+        variant = Variant(1, replace(self._change, **errors), replicate=number)
+        return apply(scene, _NAME, variant, self._sweep.seed, standing=scene.n_boxes - 1)
+
+
+@functools.lru_cache(maxsize=4)
+def placing_errors_of(sim: Simulation) -> PlacingErrors:
+    """The errors of single boxes. The file with the errors is read only once."""
+    return PlacingErrors(sim)
+
+
 @functools.lru_cache(maxsize=4)
 def errors_of(count: int, sim: Simulation) -> Errors:
     """The errors of ``count`` worlds. The file with the errors is read only once, since candidates are tried in every
     step."""
     return Errors(count, sim)
+
+
+def errors_asked(error: Any, strength: Any, m: int) -> tuple[NDArray[np.int64], FloatArray]:
+    """(m,) numbers of errors, and (m,) their strengths.
+
+    Raises:
+        InputError: not m whole numbers from 0, or a strength that is negative or no number.
+    """
+    numbers = np.asarray(error)
+    if (
+        numbers.shape != (m,)
+        or numbers.dtype.kind not in "iu"
+        or ((numbers < 0) | (numbers >= MOST_ERRORS_DRAWN)).any()
+    ):
+        raise InputError(f"error must be {m} whole numbers from 0, {shown_value(error)}")
+    strengths = np.broadcast_to(np.asarray(strength, object), (m,)).tolist()
+    return numbers.astype(np.int64), np.array([number_of(value, "error_strength", 0.0) for value in strengths])
 
 
 def drive_of(drive: Any, level: Any, direction_deg: Any, sim: Simulation) -> Drive | None:

@@ -10,6 +10,7 @@ from typing import Any, Final
 
 import numpy as np
 import pandas as pd
+from numpy.typing import NDArray
 
 from petmjx.common.argument_checks import list_of, path_of
 from petmjx.common.arrow_files import parquet_table
@@ -32,6 +33,9 @@ _MOST_DRAWN: Final = 200_000
 
 _COLUMNS: Final = ("length_mm", "width_mm", "height_mm", "weight_kg")
 _STRENGTH: Final = "strength_n"
+_UPRIGHT: Final = "upright"
+_SIZES: Final = "lwh"
+"""Letters of the column ``upright``: length, width, height."""
 
 
 def order_reading(units: Any = None, columns: Any = None, density: Any = None) -> OrderReading:
@@ -57,11 +61,24 @@ class Boxes:
     Attributes:
         size_mm: (k, 3) length, width and height; ``mass_kg``: (k,).
         strength_n: (k,) the load that each box bears on its top, N; NaN if not given.
+        upright: (k, 3) whether the length, the width and the height may be vertical; None: the height alone.
     """
 
     size_mm: FloatArray
     mass_kg: FloatArray
     strength_n: FloatArray
+    upright: NDArray[np.bool_] | None = None
+
+    @property
+    def rows(self) -> FloatArray:
+        """(k, 8) sizes, mass, strength, and 1 for each size that may be vertical."""
+        upright = np.tile([False, False, True], (len(self), 1)) if self.upright is None else self.upright
+        return np.column_stack([self.size_mm, self.mass_kg, self.strength_n, upright])
+
+    def take(self, rows: Any) -> Boxes:
+        """Some of the boxes."""
+        upright = None if self.upright is None else self.upright[rows]
+        return Boxes(self.size_mm[rows], self.mass_kg[rows], self.strength_n[rows], upright)
 
     def __len__(self) -> int:
         return len(self.mass_kg)
@@ -73,13 +90,15 @@ class Orders:
     Args:
         source: ``endless``; a file of orders of any form that ``petmjx samples --orders`` reads; a table of boxes (CSV,
             Parquet or a data frame with ``length_mm``, ``width_mm``, ``height_mm``, ``weight_kg`` and perhaps
-            ``order_id`` and ``strength_n``); or a list of ``Order``.
+            ``order_id``, ``strength_n``, and ``upright``: letters of the sizes that may be vertical, of l, w and h); or
+            a list of ``Order``.
         seed: seed of the generator's catalogue.
         articles: a table of articles, which gives the boxes of orders their strengths.
         reading: how files of orders are read that are not in BED-BPP's form; None: what is most plausible.
 
         Attributes:
             have_strengths: whether the strength of any box can be known.
+            lie: whether any box may stand on another side than its base.
 
         Raises:
             InputError: an unknown source, or a file that cannot be used.
@@ -94,12 +113,24 @@ class Orders:
         self._all: list[Boxes] | None = None if endless else _read(source, self._articles, reading or order_reading())
         orders = self._all or ()
         self.have_strengths = articles is not None or any(np.isfinite(boxes.strength_n).any() for boxes in orders)
+        self.lie = any(boxes.upright is not None and boxes.upright[:, :2].any() for boxes in orders)
 
     def draw(self, rng: np.random.Generator) -> Boxes:
         """A random order, or with ``endless`` a new one."""
         if self._all is None:
             return _of_order(draw_order(self._seed, int(rng.integers(_MOST_DRAWN))), self._articles)
         return self._all[int(rng.integers(len(self._all)))]
+
+    def numbered(self, number: int) -> Boxes:
+        """An order by its number, from 0, below ``count``."""
+        if self._all is None:
+            return _of_order(draw_order(self._seed, number), self._articles)
+        return self._all[number]
+
+    @property
+    def count(self) -> int:
+        """The number of orders."""
+        return _MOST_DRAWN if self._all is None else len(self._all)
 
     def some(self, count: int) -> list[Boxes]:
         """All orders; with ``endless`` the first ``count``."""
@@ -158,17 +189,40 @@ def _of_table(table: pd.DataFrame, name: str) -> list[Boxes]:
     groups = [group for _, group in table.groupby("order_id", sort=False)] if "order_id" in table else [table]
     if _STRENGTH in table and not (table[_STRENGTH].dropna() > 0).all():
         raise InputError(f"{name}: {_STRENGTH} must be above 0, or empty")
-    return _checked_boxes([(rows[list(_COLUMNS[:3])], rows[_COLUMNS[3]], rows.get(_STRENGTH)) for rows in groups], name)
+    upright = _upright(table, name)
+    return _checked_boxes(
+        [
+            (
+                rows[list(_COLUMNS[:3])],
+                rows[_COLUMNS[3]],
+                rows.get(_STRENGTH),
+                None if upright is None else upright[table.index.get_indexer(rows.index)],
+            )
+            for rows in groups
+        ],
+        name,
+    )
 
 
-def _checked_boxes(groups: Sequence[tuple[Any, Any, Any]], name: str) -> list[Boxes]:
+def _upright(table: pd.DataFrame, name: str) -> NDArray[np.bool_] | None:
+    """(k, 3) which sizes of boxes may be vertical; None: the table does not say it."""
+    if _UPRIGHT not in table:
+        return None
+    marks = table[_UPRIGHT].fillna("h").astype(str).str.lower()
+    if not (wrong := marks[~marks.str.fullmatch(f"[{_SIZES}]+")]).empty:
+        raise InputError(f"{name}: {_UPRIGHT} must be letters of l, w and h, or empty, got {wrong.iloc[0]!r}")
+    return np.column_stack([marks.str.contains(letter) for letter in _SIZES])
+
+
+def _checked_boxes(groups: Sequence[tuple[Any, Any, Any, Any]], name: str) -> list[Boxes]:
     orders = [
         Boxes(
             np.asarray(sizes, float),
             np.asarray(masses, float),
             np.full(len(masses), np.nan) if strengths is None else np.asarray(strengths, float),
+            upright,
         )
-        for sizes, masses, strengths in groups
+        for sizes, masses, strengths, upright in groups
     ]
     orders = [boxes for boxes in orders if len(boxes)]
     if not orders:

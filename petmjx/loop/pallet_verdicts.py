@@ -22,16 +22,25 @@ class SettledEngine(Engine):
     other attempts.
 
     On ``mjx-warp`` a world does not depend on how its boxes were put in. On ``mujoco`` waiting boxes are in a world's
-    model, and affect the last digits. So nothing is taken from open worlds there.
+    model, and affect the last digits. So nothing is taken from open worlds there if digits count.
 
     Args:
         plans: open world → the plan whose boxes it has.
+        to_the_bit: whether outcomes must have the digits of a score.
     """
 
-    def __init__(self, engine: Engine, open_worlds: OpenWorlds, plans: Mapping[int, Plan], sim: Simulation) -> None:
+    def __init__(
+        self,
+        engine: Engine,
+        open_worlds: OpenWorlds,
+        plans: Mapping[int, Plan],
+        sim: Simulation,
+        *,
+        to_the_bit: bool = True,
+    ) -> None:
         self.name, self._engine, self._open, self._sim = engine.name, engine, open_worlds, sim
         self._worlds: dict[bytes, int] = {}
-        if engine.name in ("mjx-warp", "mjx-warp-cpu"):
+        if engine.name in ("mjx-warp", "mjx-warp-cpu") or not to_the_bit:
             self._worlds = {_key(Job(build_scene(plan, sim))): world for world, plan in plans.items()}
 
     @property

@@ -8,8 +8,11 @@ from concurrent.futures import ThreadPoolExecutor
 import numpy as np
 from numpy.typing import NDArray
 
+from petmjx.common.units import FloatArray
 from petmjx.engines.protocol import Engine
 from petmjx.loop.box_tables import BoxTable
+from petmjx.loop.candidate_trials import placing_errors_of
+from petmjx.loop.placement_bounds import Bounds, decidable, is_calm
 from petmjx.loop.placement_results import PlacementResults
 from petmjx.loop.placements import Placements
 from petmjx.options.simulation import Simulation
@@ -22,15 +25,22 @@ class PalletWorlds:
     Attributes:
         worlds: world i is pallet i, and world n + i is pallet i before its last box; the last world stays empty.
         boxes: the boxes of the pallets, as they were requested.
+        bounds: bounds on placements.
         dead: (n,) whether a pallet has fallen.
+        calm: (n,) whether a pallet rests where its plan is.
         placing: whether an engine's thread is letting pallets come to rest. Meanwhile only that thread uses the worlds.
     """
 
     def __init__(self, n: int, engine: Engine, sim: Simulation, most_boxes: int) -> None:
         self._n, self._sim = n, sim
+        self._decidable = decidable(sim)
         self.boxes = BoxTable(n)
+        self.bounds = Bounds(self.boxes)
         self.dead: NDArray[np.bool_] = np.zeros(n, bool)
+        self.calm: NDArray[np.bool_] = np.full(n, self._decidable)
         self.placing = False
+        self._error: NDArray[np.int64] = np.zeros((n, most_boxes), np.int64)  # of each box, as in ``place``
+        self._strength: FloatArray = np.zeros((n, most_boxes))
         self._before: NDArray[np.int64] = np.full(n, -1, np.int64)  # boxes in world n + i; -1: it is unused
         self.worlds = engine.open([EmptyCarrier(sim).scene] * (2 * n + 1), sim, most_boxes)
         self.worlds.go_on()
@@ -39,13 +49,26 @@ class PalletWorlds:
         """The requested boxes, in the form for open worlds."""
         return NextBoxes.of(placements.size_mm, placements.corner_mm, placements.mass_kg, self._sim)
 
-    def place(self, placements: Placements, meanwhile: Callable[[], object] | None) -> PlacementResults:
-        """Put one box each onto pallets, and wait until these rest. ``meanwhile`` is called during the wait."""
+    def place(
+        self,
+        placements: Placements,
+        meanwhile: Callable[[], object] | None,
+        error: NDArray[np.int64] | None = None,
+        strength: FloatArray | None = None,
+    ) -> PlacementResults:
+        """Put one box each onto pallets, and wait until these rest. ``meanwhile`` is called during the wait.
+
+        Args:
+            error, strength: (m,) as in ``petmjx.Pallets.place``; None: boxes are placed exactly.
+        """
         rows = placements.pallet
         if len(rows):
             self.worlds.fork(rows.tolist(), (self._n + rows).tolist())
             self._before[rows] = self.boxes.count[rows]
-            self.worlds.put_next(rows.tolist(), self.next_boxes(placements))
+            at = self.boxes.count[rows]
+            for values, of_boxes in ((error, self._error), (strength, self._strength)):
+                of_boxes[rows, at] = 0 if values is None else values
+            self._put(placements, at)
             self.boxes.add(placements)
         if meanwhile is None:
             return self._rested(rows)
@@ -58,12 +81,38 @@ class PalletWorlds:
             self.placing = False
         return future.result()
 
+    def _put(self, placements: Placements, at: NDArray[np.int64]) -> None:
+        """Put boxes into the worlds of pallets, with their errors.
+
+        Args:
+            at: (m,) numbers of the boxes on their pallets.
+        """
+        worlds, boxes, strength = placements.pallet, self.next_boxes(placements), self._strength[placements.pallet, at]
+        exact = np.flatnonzero(strength == 0)
+        if len(exact):
+            self.worlds.put_next(worlds[exact].tolist(), boxes.take(exact))
+        if len(rest := np.flatnonzero(strength)):
+            errors = placing_errors_of(self._sim)
+            scenes = self.worlds.with_next(worlds[rest].tolist(), boxes.take(rest))
+            numbers = self._error[worlds[rest], at[rest]].tolist()
+            drawn = [errors.scene(*of) for of in zip(scenes, numbers, strength[rest].tolist(), strict=True)]
+            self.worlds.put(worlds[rest].tolist(), drawn)
+
     def _rested(self, rows: NDArray[np.int64]) -> PlacementResults:
         if len(rows):
             self.worlds.go_on()
         outcomes = PlacementResults.of_readings(rows, self.worlds.readings(rows.tolist()), self._sim.thresholds)
         self.dead[rows] = outcomes.ended
+        self.calm[rows] = is_calm(outcomes) & self._decidable & ~(self._strength[rows] > 0).any(axis=1)
         return outcomes
+
+    def decided(self, placements: Placements) -> NDArray[np.int8]:
+        """(m,) what the bounds say of placements."""
+        return self.bounds.of(placements, self.calm[placements.pallet])
+
+    def has_errors(self, pallet: int) -> bool:
+        """Whether a box of a pallet was placed with an error."""
+        return bool(self._strength[pallet, : self.boxes.count[pallet]].any())
 
     def take_back(self, rows: NDArray[np.int64]) -> None:
         """Take the last box off each of these pallets, which must have one."""
@@ -71,8 +120,8 @@ class PalletWorlds:
         kept = self._before[rows] == left
         if kept.any():
             self.worlds.fork((self._n + rows[kept]).tolist(), rows[kept].tolist())
-        self.boxes.cut(rows, left)
-        self.dead[rows], self._before[rows] = False, -1
+        self._cut(rows, left)
+        self.dead[rows], self.calm[rows], self._before[rows] = False, False, -1
         if not kept.all():
             self._build(rows[~kept])
 
@@ -81,12 +130,20 @@ class PalletWorlds:
         these, copies = ([*rows.tolist(), *(self._n + rows).tolist()] for rows in (sources, into))
         self.worlds.fork(these, copies)
         self.boxes.copy(sources, into)
-        self._before[into], self.dead[into] = self._before[sources], self.dead[sources]
+        self.bounds.cut(into, np.zeros(len(into), np.int64))
+        for values in (self._before, self.dead, self.calm, self._error, self._strength):
+            values[into] = values[sources]
 
     def empty(self, rows: NDArray[np.int64]) -> None:
         """Empty some pallets."""
         self._empty_worlds(rows)
-        self.boxes.cut(rows, np.zeros(len(rows), np.int64))
+        self._cut(rows, np.zeros(len(rows), np.int64))
+        self.calm[rows] = self._decidable
+
+    def _cut(self, rows: NDArray[np.int64], count: NDArray[np.int64]) -> None:
+        self.boxes.cut(rows, count)
+        self.bounds.cut(rows, count)
+        self._strength[rows] = np.where(np.arange(self._strength.shape[1]) < count[:, None], self._strength[rows], 0.0)
 
     def _empty_worlds(self, rows: NDArray[np.int64]) -> None:
         self.worlds.fork([2 * self._n] * len(rows), rows.tolist())
@@ -97,5 +154,5 @@ class PalletWorlds:
         self._empty_worlds(rows)
         for number in range(int(self.boxes.count[rows].max(initial=0))):
             some = rows[self.boxes.count[rows] > number]
-            self.worlds.put_next(some.tolist(), self.next_boxes(self.boxes.box(some, number)))
+            self._put(self.boxes.box(some, number), np.full(len(some), number))
             self.worlds.go_on()

@@ -18,11 +18,12 @@ from petmjx.common.errors import InputError
 from petmjx.common.units import MM_PER_M, FloatArray
 from petmjx.engines.protocol import Engine
 from petmjx.loop.candidate_places import Places, free_places
-from petmjx.loop.candidate_trials import drive_of, driven_results, errors_of, shares
+from petmjx.loop.candidate_trials import drive_of, driven_results, errors_asked, errors_of, shares
 from petmjx.loop.engine_setup import MOST_PALLETS, OF_RUN, Closable, check_open, open_engine
 from petmjx.loop.height_maps import height_maps
 from petmjx.loop.pallet_verdicts import SettledEngine
 from petmjx.loop.pallet_worlds import PalletWorlds
+from petmjx.loop.placement_bounds import FALLS, OPEN, STANDS
 from petmjx.loop.placement_results import PlacementResults
 from petmjx.loop.placements import Placements, boxes_of, grid_of, once_each, pallets_of, placements_of
 from petmjx.options.carriers import AnyCarrier, extent_m
@@ -140,20 +141,30 @@ class Pallets(Closable):
         mass_kg: Any,
         pallet: Any = None,
         meanwhile: Callable[[], object] | None = None,
+        error: Any = None,
+        error_strength: Any = 1.0,
     ) -> PlacementResults:
         """Put one box each onto some pallets, and wait until these rest.
 
         Args:
+            error: (m,) whole numbers, each of which stands for an error of a robot and its carton: of place, rotation,
+                size and mass, as ``petmjx score --confidence`` draws them. A hand carries the box to its place. None:
+                boxes are placed exactly.
+            error_strength: factor of the errors, one or (m,); 0: the box is placed exactly.
             meanwhile: is called while the pallets come to rest. It may only call ``places``, ``boxes`` and
                 ``height_map``, which have the new boxes where they were put.
 
         Raises:
-            InputError: wrong shapes, units or numbers, a pallet that has fallen, is full, or is named twice.
+            InputError: wrong shapes, units or numbers, a pallet that has fallen, is full, or is named twice; or no
+                number of an error.
         """
         with self._using():
             request = self._placements(size_mm, corner_mm, mass_kg, pallet)
             once_each(request.pallet)
-            return self._standing.place(request, meanwhile)
+            if error is None:
+                return self._standing.place(request, meanwhile)
+            numbers, strengths = errors_asked(error, error_strength, len(request))
+            return self._standing.place(request, meanwhile, numbers, strengths)
 
     def try_all(
         self,
@@ -201,10 +212,46 @@ class Pallets(Closable):
                 return outcomes
             return outcomes.with_share(shares(self._worlds, worlds, boxes, errors_of(number, self.simulation), shaken))
 
+    def stands(
+        self, *, size_mm: Any, corner_mm: Any, mass_kg: Any, pallet: Any = None
+    ) -> tuple[NDArray[np.bool_], FloatArray]:
+        """Find for m candidates whether ``try_all`` would call them stable. Those that stand or fall beyond doubt
+        (docs/training.md) are not simulated, so that it takes a fraction of the time. The pallets do not change.
+
+        Returns:
+            (m,) whether the pallet stands, and (m,) its margin: 1 where it stands beyond doubt, -1 where it does not
+            stand or is invalid.
+
+        Raises:
+            InputError: as ``try_all``.
+        """
+        with self._using():
+            request = self._placements(size_mm, corner_mm, mass_kg, pallet)
+            decided = self._standing.decided(request)
+            margin = decided.astype(np.float64)
+            rest = request.take(np.flatnonzero(decided == OPEN))
+            if len(rest):
+                boxes = self._standing.next_boxes(rest)
+                readings = self._worlds.try_next(rest.pallet.tolist(), boxes, until_lost=True)
+                results = PlacementResults.of_readings(rest.pallet, readings, self.simulation.thresholds)
+                margin[decided == OPEN] = np.where(results.stable, results.margin, -1.0)
+                decided[decided == OPEN] = np.where(results.stable, STANDS, FALLS)
+            return decided == STANDS, margin
+
+    def decided(self, *, size_mm: Any, corner_mm: Any, mass_kg: Any, pallet: Any = None) -> NDArray[np.int8]:
+        """What is known of m candidates without a simulation: (m,) 1 for those that stand beyond doubt, -1 for those
+        that fall beyond doubt, 0 for all others (docs/training.md).
+
+        Raises:
+            InputError: as ``try_all``.
+        """
+        with self._using():
+            return self._standing.decided(self._placements(size_mm, corner_mm, mass_kg, pallet))
+
     def take_back(self, pallet: Any = None) -> None:
         """Take the last box off some pallets; None: all that have boxes. The pallets are then as they were before this
         box, to the last bit. Pallets that have fallen stand again. If further boxes are taken back, the pallet is built
-        again.
+        again, with the errors that its boxes were placed with.
 
         Raises:
             InputError: a pallet has no box.
@@ -264,14 +311,17 @@ class Pallets(Closable):
             name = f"pallet-{number}" if plan_id is None else text_of(plan_id, "plan_id")
             return self._boxes.plan(number, name, fields)
 
-    def score(self, pallet: Any = None, **options: Any) -> RunResults:
+    def score(self, pallet: Any = None, *, to_the_bit: bool = True, **options: Any) -> RunResults:
         """The results of ``petmjx.score`` for the plans of pallets, to the last bit, further attempts included; None:
-        all pallets that have boxes. A pallet that has fallen is scored, too.
+        all pallets that have boxes. A pallet that has fallen is scored, too. Boxes that were placed with errors are
+        scored where the plan has them.
 
         On ``mjx-warp`` pallets go on from their current state. On ``mujoco`` plans are simulated from their first
         boxes, since waiting boxes affect the last digits of a score there.
 
         Args:
+            to_the_bit: False: on ``mujoco``, too, pallets go on from their current state, which takes a fraction of the
+                time; last digits may differ.
             options: fields of ``petmjx.RunOptions``, such as ``out``.
 
         Raises:
@@ -282,7 +332,9 @@ class Pallets(Closable):
             if not len(rows):
                 raise InputError("pallet: none has boxes")
             plans = {row: self.plan(row) for row in rows.tolist()}
-            settled = SettledEngine(self._engine, self._worlds, plans, self.simulation)
+            digits = flag_of(to_the_bit, "to_the_bit")
+            exact = {row: plan for row, plan in plans.items() if not self._standing.has_errors(row)}
+            settled = SettledEngine(self._engine, self._worlds, exact, self.simulation, to_the_bit=digits)
             run = RunOptions(**{"engine": settled, **options})
             return simulate(partial(Nominal, self.simulation), self.simulation, list(plans.values()), run)
 

@@ -189,7 +189,7 @@ class Balance:
         if len(under) == 1:  # the only support takes the whole load
             passed = self._passed[under[0], :n]
         else:
-            moments = _moments(low, high)
+            moments = pressure_moments(low, high)
             shares = moments @ np.linalg.inv(moments.sum(axis=0))
             passed = np.matmul(self._passed[under, :n], shares[:, None]).sum(axis=0)
         return Rest(load, passed, planes)
@@ -222,7 +222,7 @@ def margin_m(base_mm: tuple[float, float]) -> float:
     return min(MARGIN_M, MARGIN_SHARE * (min(base_mm) / MM_PER_M))
 
 
-def _moments(low: FloatArray, high: FloatArray) -> FloatArray:
+def pressure_moments(low: FloatArray, high: FloatArray) -> FloatArray:
     """(c, 3, 3) ∫ (1, x, y)ᵀ (1, x, y) dA over each of c rectangles, given by (c, 2) low and high corners."""
     middle, side = (low + high) / 2, high - low
     ones = np.concatenate([np.ones((len(low), 1)), middle], axis=1)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import re
 import runpy
 import subprocess
 import sys
@@ -48,6 +49,34 @@ def test_label_plans(folder: Path, repository: Path) -> None:
     sure = ["labels.parquet", "--run", "sure", "--engine", "mujoco", "--confidence", "4"]
     run(folder, repository, [sys.executable, script, "plans.json", *sure])
     assert list(pd.read_parquet(folder / "labels.parquet")["stands"]) == [1.0, 0.0]
+
+
+@pytest.mark.slow
+def test_training_in_jax(tmp_path: Path, repository: Path) -> None:
+    script = str(repository / "examples" / "train_in_jax.py")
+    few = ["--updates", "2", "--pallets", "2", "--steps", "3", "--epochs", "1", "--boxes", "4", "--cell-mm", "400"]
+    command = [sys.executable, script, *few, "--engine", "mujoco"]
+    printed = run(tmp_path, repository, command, JAX_NUMPY_RANK_PROMOTION="allow")  # as its users have it
+    assert re.fullmatch(r"(update \d: \d+ episodes, about -?\d+\.\d+ a return\n){2}", printed)
+
+
+@pytest.mark.parametrize(
+    ("script", "library", "few"),
+    [
+        (
+            "train_with_sb3.py",
+            "sb3_contrib",
+            ["--steps", "32", "--pallets", "4", "--rollout", "4", "--engine", "mujoco"],
+        ),
+        ("train_with_rllib.py", "tree", ["--updates", "1", "--steps", "16", "--pallets", "2"]),
+    ],
+)
+def test_training_with_libraries(tmp_path: Path, repository: Path, script: str, library: str, few: list[str]) -> None:
+    pytest.importorskip("torch", reason="PyTorch is not installed")
+    pytest.importorskip(library, reason=f"{library} is not installed")
+    path = os.pathsep.join([str(repository), os.environ.get("PYTHONPATH", "")])
+    printed = run(tmp_path, repository, [sys.executable, str(repository / "examples" / script), *few], PYTHONPATH=path)
+    assert "ep_rew_mean" in printed or "update 1: return" in printed
 
 
 def test_judge_packer(folder: Path, repository: Path) -> None:

@@ -107,6 +107,22 @@ def test_on_mjx_warp_pallets_go_on_to_the_score_from_where_they_stand() -> None:
     assert_same(pallets.results(), before)
 
 
+def test_on_mjx_warp_too_trials_may_end_when_a_box_is_lost() -> None:
+    """They say of each candidate whether it stands as trials to the end do, and take less simulated time."""
+    pallets = Pallets(1, engine=warp_engine(), most_boxes=8)
+    pallets.place(**carton((400, 200, 0)))
+    pallets.place(**carton((0, 200, 0)))
+    candidates = carton((590, 200, 200), (640, 200, 200), (395, 340, 200), (420, 210, 200))
+    results = pallets.try_all(**candidates)
+    stands, _ = pallets.stands(**candidates)
+    np.testing.assert_array_equal(stands, results.stable)
+    assert results.stable.tolist() == [True, False, True, True]
+    boxes = pallets._standing.next_boxes(pallets._placements(*(candidates[name] for name in candidates), [0] * 4))
+    lost, whole = (pallets._worlds.try_next([0] * 4, boxes, until_lost=until).time_s for until in (True, False))
+    assert lost[1] < whole[1]
+    np.testing.assert_array_equal(lost[[0, 2, 3]], whole[[0, 2, 3]])
+
+
 def test_a_candidate_is_told_of_as_if_it_were_placed_and_changes_nothing(pallets: Pallets) -> None:
     pallets.place(**carton((0, 0, 0), (100, 100, 0), (0, 0, 0)))
     before = pallets.results()

@@ -11,6 +11,7 @@ import sys
 from pathlib import Path
 from typing import Any
 
+import pandas as pd
 import pytest
 from support.pictures import needs_pictures
 from support.plan_files import placement
@@ -26,7 +27,7 @@ def blocks(document: str, language: str) -> list[str]:
 
 
 def run_in(folder: Path, program: str) -> str:
-    environment = {**os.environ, "PYTHONPATH": str(REPOSITORY)}
+    environment = {**os.environ, "PYTHONPATH": os.pathsep.join([str(REPOSITORY), os.environ.get("PYTHONPATH", "")])}
     done = subprocess.run(
         [sys.executable, "-c", program], cwd=folder, env=environment, capture_output=True, text=True, check=False
     )
@@ -117,6 +118,31 @@ def test_examples_of_the_readme_and_of_results_run(tmp_path: Path) -> None:
 def test_examples_of_the_loop_run(tmp_path: Path) -> None:
     pytest.importorskip("gymnasium")
     assert re.search(r"1\d boxes, \d left out: stable", run_in(tmp_path, "\n".join(blocks("loop.md", "python"))))
+
+
+@pytest.mark.parametrize("number", range(4))
+def test_examples_of_training_run(number: int, tmp_path: Path) -> None:
+    """Each in a fresh interpreter, after the command of the page; those of libraries that are not here are skipped."""
+    pytest.importorskip("gymnasium")
+    programs = blocks("training.md", "python")
+    assert len(programs) == 4
+    for library in ("torch", "sb3_contrib"):
+        if re.search(rf"^(import|from) {library}\b", programs[number], flags=re.MULTILINE):
+            pytest.importorskip(library, reason=f"{library} is not installed")
+    if "labels/" in programs[number]:
+        few = {"length_mm": [400, 300] * 20, "width_mm": 300, "height_mm": [200, 250] * 20, "weight_kg": 5}
+        orders = pd.DataFrame({"order_id": [order for order in range(20) for _ in range(2)], **few})
+        orders["length_mm"] += orders["order_id"]  # all different
+        orders.to_csv(tmp_path / "orders.csv", index=False)
+        (command,) = re.findall(r"^\$ petmjx (label .+)$", blocks("training.md", "console")[0], flags=re.MULTILINE)
+        run_in(tmp_path, f"from petmjx.cli import main; assert main({shlex.split(command)!r}) == 0")
+    assert run_in(tmp_path, programs[number]) or number == 0
+
+
+def test_no_page_needs_an_import_before_gymnasium_knows_the_environment() -> None:
+    pages = [*(REPOSITORY / "docs").rglob("*.md"), *(REPOSITORY / "examples").rglob("*.py"), REPOSITORY / "README.md"]
+    bare = [str(page) for page in pages if re.search(r'make(_vec)?\(\s*"petmjx/Pall', page.read_text(encoding="utf-8"))]
+    assert not bare
 
 
 LESSONS = ("start.md", *(f"tutorials/{name}.md" for name in ("score", "see", "sweep", "packers", "loop", "train")))

@@ -24,7 +24,7 @@ def test_queues_are_lists_of_boxes() -> None:
     left_out = np.zeros(n, int)
     while any(lists):
         np.testing.assert_array_equal(queues.counts, [len(remaining) for remaining in lists])
-        size, mass = queues.seen(np.arange(n))
+        size, mass, _ = queues.seen(np.arange(n))
         for row, queue in enumerate(lists):
             expected = np.zeros((seen, 4))
             expected[: len(queue)] = np.reshape([box[:4] for box in queue[:seen]], (-1, 4))

@@ -78,9 +78,11 @@ class OpenWorld(WorldRun):
         twin._explosion, twin._stepper = copy.copy(self._explosion), copy.copy(self._stepper)
         return twin
 
-    def tried(self, scene: Scene) -> Reading:
-        """The reading of a fork after the additional boxes of this scene have been put into it and rest."""
+    def tried(self, scene: Scene, *, until_lost: bool = False) -> Reading:
+        """The reading of a fork after the additional boxes of this scene have been put into it and rest, or, with
+        ``until_lost``, a box is tilted too far at a sample."""
         twin = self.fork(grows=self.paused)
+        twin._job = replace(twin._job, has_errors=until_lost)
         twin.put(scene)
         twin.go_on()
         reading = twin.read()
@@ -176,10 +178,10 @@ class MujocoWorlds(OpenWorlds):
     def _read(self, worlds: Sequence[int]) -> list[Reading]:
         return [self._worlds[world].read() for world in worlds]
 
-    def _try_next(self, worlds: Sequence[int], boxes: NextBoxes) -> Readings:
+    def _try_next(self, worlds: Sequence[int], boxes: NextBoxes, *, until_lost: bool) -> Readings:
         def tried(row: int, world: int) -> tuple[Reading, Scene]:
             scene = self._blank.with_box(self._scenes[world], boxes, row)
-            return self._worlds[world].tried(scene), scene
+            return self._worlds[world].tried(scene, until_lost=until_lost), scene
 
         trials = self._map(lambda pair: tried(*pair), enumerate(worlds))
         return Readings.of([reading for reading, _ in trials], [scene for _, scene in trials])

@@ -97,16 +97,16 @@ class WarpWorlds(OpenWorlds):
         box = self._new_box(self._scenes.stacks(worlds), boxes, len(rows))
         self.open = self._jitted_put_next(self.open, rows, box)
 
-    def _try_next(self, worlds: Sequence[int], boxes: NextBoxes) -> Readings:
+    def _try_next(self, worlds: Sequence[int], boxes: NextBoxes, *, until_lost: bool) -> Readings:
         if len(worlds) <= MOST_TRIED:
-            return self._tried(worlds, boxes)
+            return self._tried(worlds, boxes, until_lost)
         parts = []
         for first in range(0, len(worlds), MOST_TRIED):
             some = slice(first, first + MOST_TRIED)
-            parts.append(self._tried(worlds[some], boxes.take(np.arange(len(boxes))[some])))
+            parts.append(self._tried(worlds[some], boxes.take(np.arange(len(boxes))[some]), until_lost))
         return Readings.joined(parts)
 
-    def _tried(self, worlds: Sequence[int], boxes: NextBoxes) -> Readings:
+    def _tried(self, worlds: Sequence[int], boxes: NextBoxes, until_lost: bool) -> Readings:
         count, before = len(worlds), self._scenes.stacks(worlds)
         padded = _coarsely_padded(count)
         forks = _take(self.open, self._rows(worlds, padded), count)
@@ -116,6 +116,9 @@ class WarpWorlds(OpenWorlds):
             more = self._constants(self.with_next(worlds, boxes), padded)
             rows = jnp.where(jnp.arange(padded) < count, jnp.arange(padded), padded)
             begun = self._jitted_put(forks, rows, more)
+        if until_lost:
+            lost = jnp.ones_like(begun.worlds.ends_when_lost)
+            begun = begun._replace(worlds=begun.worlds._replace(ends_when_lost=lost))
         state = self._to_the_end(begun, jnp.zeros((1, 1, 3))).state
         report = reading_inputs(state, device_array(np.arange(padded, dtype=np.int32)))
         return readings_of(report, *before.with_next(boxes), self._sim)

@@ -1,0 +1,104 @@
+"""``petmjx label``."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated, Any, Final
+
+import typer
+
+from petmjx.cli import command_options as opt
+from petmjx.common.argument_checks import integer_of
+from petmjx.common.text import count_text, printable
+
+MOST_LABELS: Final = 100_000_000
+
+
+@opt.takes(
+    *("physics", "size_reduction_mm", "longest_wait_s", "placing", "thresholds", "solver"),
+    *("engine", "threads", "lanes", "units", "columns", "density"),
+)
+def label(
+    orders: Annotated[
+        Path | None,
+        typer.Argument(
+            metavar="ORDERS",
+            help="A file of orders: BED-BPP's JSON, a table or sheet of items, or another tool's form "
+            "(docs/plan-format.md). Without one: drawn orders, as of petmjx samples.",
+            show_default=False,
+        ),
+    ] = None,
+    out: Annotated[Path, typer.Option("--out", "-o", metavar="DIR", help="Folder to write.")] = Path("labels"),
+    n: Annotated[int, typer.Option("-n", metavar="N", help="Number of labels.")] = 10_000,
+    seed: Annotated[int, typer.Option("--seed", metavar="SEED", help="Seed of the orders and places.")] = 0,
+    errors: Annotated[
+        int | None,
+        typer.Option(
+            "--worlds-with-errors",
+            metavar="N",
+            help="Simulate each label also in N worlds in which a robot places the box inexactly (column share).",
+            show_default=False,
+        ),
+    ] = None,
+    explore: Annotated[
+        float, typer.Option("--explore", metavar="0…1", help="Share of boxes that go to a random place first.")
+    ] = 0.5,
+    pallets: Annotated[
+        int | None,
+        typer.Option(
+            "--pallets",
+            metavar="N",
+            help="Pallets side by side; it does not change labels.  [default: 2048 on a GPU, else 64]",
+            show_default=False,
+        ),
+    ] = None,
+    max_height_mm: Annotated[
+        float, typer.Option("--max-height-mm", metavar="MM", help="Highest top of a box.")
+    ] = 1800.0,
+    carrier: Annotated[
+        str,
+        typer.Option(
+            "--carrier",
+            metavar="NAME|FILE",
+            help="What the boxes stand on: a carrier of a fixed size (docs/carriers.md).",
+        ),
+    ] = "euro-pallet",
+    overwrite: opt.Overwrite = False,
+    **options: Any,
+) -> None:
+    """Label placements of boxes by physics, to train or test a model with.
+
+    Writes a Parquet table for each split (train, validation, test; no two have orders with the same boxes), and a card:
+    what is in them, how it was made, and how well rules and petmjx's own estimate predict it.
+    """
+    from petmjx.common.machine import why_no_warp
+    from petmjx.loop.label_files import write_labels
+    from petmjx.loop.order_sources import ENDLESS, Orders, order_reading
+    from petmjx.loop.placement_labels import Labeller
+    from petmjx.show.progress import progress
+
+    count = integer_of(n, "-n", 1, MOST_LABELS)
+    reading = order_reading(*(options.pop(name, None) for name in ("units", "columns", "density")))
+    source = Orders(ENDLESS if orders is None else orders, integer_of(seed, "--seed", 0), reading=reading)
+    has_gpu = options.get("engine", "auto") in ("auto", "mjx-warp") and why_no_warp() is None
+    side_by_side = (2048 if has_gpu else 64) if pallets is None else integer_of(pallets, "--pallets", 1)
+    labeller = Labeller(
+        source,
+        pallets=side_by_side,
+        seed=seed,
+        explore=explore,
+        errors=errors,
+        max_height_mm=max_height_mm,
+        carrier=carrier,
+        **options,
+    )
+    with progress(count, "label") as bar:
+        card = write_labels(labeller, count, out, source=orders or ENDLESS, overwrite=overwrite, progress=bar.update)
+    for split, numbers in card["splits"].items():
+        print(
+            f"{split}: {count_text(numbers['labels'], 'label')} of {count_text(numbers['orders'], 'order')}, "
+            f"{numbers['stand']:,} stand, {numbers['fall']:,} fall"
+        )
+    for name, found in card["baselines"].items():
+        print(f"{name}: finds {found['standing_found']:.1%} of what stands, {found['falling_found']:.1%} of what falls")
+    print(f"{printable(str(out))}: README.md and card.json say what is in it")

@@ -1,0 +1,78 @@
+"""Curricula: orders and errors that grow with the level of an episode, from 0 to 1."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any, Final, Self
+
+import numpy as np
+
+from petmjx.common.argument_checks import number_of
+from petmjx.common.checked_records import hint, shown_value
+from petmjx.common.errors import InputError
+from petmjx.common.units import FloatArray
+from petmjx.gym.environment_options import MOST_ERRORS, PalletizingOptions
+from petmjx.loop.order_sources import Boxes
+
+_LIMITS: Final = {"boxes": (1.0, 100_000.0), "sizes": (0.0, 1.0), "errors": (0.0, MOST_ERRORS)}
+
+Range = tuple[float, float]
+
+
+@dataclass(frozen=True)
+class Curriculum:
+    """What episodes are at the levels 0 and 1; between them it grows linearly.
+
+    Attributes:
+        boxes: most boxes of an order, of which the first ones are taken; None: all.
+        sizes: how different the boxes of an order are: 0: all have its mean size and mass; 1: those of the order.
+        errors: as the option ``errors``.
+    """
+
+    boxes: Range | None = None
+    sizes: Range = (1.0, 1.0)
+    errors: Range = (0.0, 0.0)
+
+    @classmethod
+    def of(cls, options: PalletizingOptions) -> Self:
+        """The curriculum of an environment. Without one all levels are the same.
+
+        Raises:
+            InputError: an unknown entry, or one that is not two numbers in its range.
+        """
+        entries = {} if options.curriculum is None else options.curriculum
+        if not isinstance(entries, Mapping):
+            raise InputError(f"curriculum must be a table, {shown_value(entries)}")
+        ranges: dict[str, Any] = {"errors": (options.errors, options.errors)}
+        for name, ends in entries.items():
+            if name not in _LIMITS:
+                raise InputError(f"curriculum: unknown entry {name!r}; {hint(str(name), _LIMITS)}")
+            if not isinstance(ends, list | tuple) or len(ends) != 2:
+                raise InputError(f"curriculum.{name} must be two numbers, at the levels 0 and 1, {shown_value(ends)}")
+            ranges[name] = tuple(number_of(end, f"curriculum.{name}", *_LIMITS[name]) for end in ends)
+        return cls(**ranges)
+
+    def order(self, boxes: Boxes, level: float) -> Boxes:
+        """An order as it is at a level."""
+        size, mass = boxes.size_mm.mean(axis=0), boxes.mass_kg.mean()
+        if self.boxes is not None:
+            boxes = boxes.take(slice(round(_between(self.boxes, level))))
+        share = _between(self.sizes, level)
+        if share == 1.0:
+            return boxes
+        return Boxes(
+            size + share * (boxes.size_mm - size),
+            mass + share * (boxes.mass_kg - mass),
+            boxes.strength_n,
+            boxes.upright,
+        )
+
+    def error_strength(self, level: FloatArray) -> FloatArray:
+        """(m,) strength of errors at levels."""
+        low, high = self.errors
+        return np.asarray(low + level * (high - low), np.float64)
+
+
+def _between(ends: Range, level: float) -> float:
+    return ends[0] + level * (ends[1] - ends[0])

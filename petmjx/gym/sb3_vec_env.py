@@ -1,0 +1,146 @@
+"""``petmjx/Palletizing-v0`` as a vector environment of Stable-Baselines3: n pallets a step, on one engine.
+
+It has the masks that MaskablePPO of sb3-contrib asks for. Needs the extra ``sb3``.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Sequence
+from functools import partial
+from typing import Any
+
+import numpy as np
+from gymnasium.vector import AutoresetMode
+from numpy.typing import NDArray
+
+from petmjx.common.errors import EngineUnavailable, InputError
+from petmjx.gym.vector_env import PalletizingVectorEnv
+
+try:
+    from stable_baselines3.common.monitor import Monitor
+    from stable_baselines3.common.vec_env import VecEnv
+except ImportError as error:
+    raise EngineUnavailable(
+        "petmjx.gym.PalletizingVecEnv needs stable_baselines3, not installed: pip install 'petmjx[sb3]'"
+    ) from error
+
+
+class PalletizingVecEnv(VecEnv):  # type: ignore[misc, unused-ignore]  # where Stable-Baselines3 is not installed
+    """n pallets for ``MaskablePPO("MultiInputPolicy", env)`` and the other algorithms of Stable-Baselines3.
+
+    Episodes that end begin anew in the same step. Their last observation is ``info["terminal_observation"]``, and
+    ``info["episode"]`` has their return ``r``, length ``l`` and time ``t``, s, as ``VecMonitor`` gives them, so that no
+    monitor is needed around it. ``info["TimeLimit.truncated"]`` tells an end by illegal actions from a failure.
+
+    Args:
+        num_envs: n.
+        options: as in ``PalletizingVectorEnv``; observations are scaled unless ``scaled=False``.
+
+    Raises:
+        InputError: an unusable option.
+        EngineUnavailable: Stable-Baselines3 is not installed, or the engine cannot run here.
+    """
+
+    def __init__(self, num_envs: int = 16, **options: Any) -> None:
+        self.env = PalletizingVectorEnv(num_envs, AutoresetMode.SAME_STEP, **{"scaled": True, **options})
+        super().__init__(num_envs, self.env.single_observation_space, self.env.single_action_space)
+        self._actions: Any = None
+        self._return = np.zeros(num_envs)
+        self._length = np.zeros(num_envs, np.int64)
+        self._began_s = time.monotonic()
+
+    def reset(self) -> dict[str, NDArray[Any]]:
+        """Begin all episodes, with the seeds of ``seed`` if it was called."""
+        level = [options["level"] for options in self._options if "level" in options]
+        if len(level) not in (0, self.num_envs):
+            raise InputError("options: give all environments a level, or none")
+        observed, info = self.env.reset(seed=self._seeds, options={"level": np.array(level)} if level else None)
+        self.reset_infos = self._separate(info)
+        self._return[:] = self._length[:] = 0
+        self._reset_seeds()
+        self._reset_options()
+        return observed
+
+    def step_async(self, actions: Any) -> None:
+        """Take the actions of the next step."""
+        self._actions = actions
+
+    def step_wait(self) -> tuple[dict[str, NDArray[Any]], NDArray[np.float32], NDArray[np.bool_], list[dict[str, Any]]]:
+        """Put a box onto each pallet."""
+        observed, reward, terminated, truncated, info = self.env.step(self._actions)
+        over = terminated | truncated
+        self._return += reward
+        self._length += 1
+        infos = self._separate(info)
+        if over.any():
+            last = self._separate(info["final_info"])
+            for row in np.flatnonzero(over).tolist():
+                self.reset_infos[row] = infos[row]
+                infos[row] = last[row] | {
+                    "terminal_observation": info["final_obs"][row],
+                    "TimeLimit.truncated": bool(truncated[row]),
+                    "episode": {
+                        "r": float(self._return[row]),
+                        "l": int(self._length[row]),
+                        "t": round(time.monotonic() - self._began_s, 6),
+                    },
+                }
+            self._return[over] = self._length[over] = 0
+        return observed, reward.astype(np.float32), over, infos
+
+    def close(self) -> None:
+        """Free the engine."""
+        self.env.close()
+
+    def action_masks(self, row: int) -> NDArray[np.bool_]:
+        """(a,) mask of legal actions of one environment."""
+        masks: NDArray[np.bool_] = self.env.episodes.table.legal[row].copy()
+        return masks
+
+    def get_images(self) -> Sequence[NDArray[np.uint8]]:
+        """A picture of each pallet; needs ``render_mode="rgb_array"``."""
+        return self.env.render() or ()
+
+    def get_attr(self, attr_name: str, indices: Any = None) -> list[Any]:
+        """An attribute of each environment: ``level``, ``action_masks``, or one that all have in common, such as
+        ``render_mode``."""
+        rows = self._get_indices(indices)
+        if attr_name == "level":
+            return [float(self.env.episodes.level[row]) for row in rows]
+        if attr_name in self._methods:
+            return [partial(self._methods[attr_name], row) for row in rows]
+        value = getattr(self.env, attr_name)  # else an AttributeError, by which has_attr says no
+        return [value for _ in rows]
+
+    def set_attr(self, attr_name: str, value: Any, indices: Any = None) -> None:
+        """Set ``level``, the level of the curriculum from the next episode on. Nothing else can be set.
+
+        Raises:
+            InputError: another name, or no level.
+        """
+        if attr_name != "level":
+            raise InputError(f"set_attr: an environment has level to set, got {attr_name!r}")
+        self.env.episodes.set_level(np.asarray(list(self._get_indices(indices)), np.int64), value)
+
+    def env_method(self, method_name: str, *method_args: Any, indices: Any = None, **method_kwargs: Any) -> list[Any]:
+        """The results of ``action_masks`` or ``render`` of each environment."""
+        if method_name not in self._methods:
+            raise AttributeError(f"an environment has the methods {', '.join(self._methods)}, got {method_name!r}")
+        return [self._methods[method_name](row, *method_args, **method_kwargs) for row in self._get_indices(indices)]
+
+    def env_is_wrapped(self, wrapper_class: type[Any], indices: Any = None) -> list[bool]:
+        """Whether each environment does what a wrapper does: that of ``Monitor``, and of no other."""
+        return [wrapper_class is Monitor for _ in self._get_indices(indices)]
+
+    @property
+    def _methods(self) -> dict[str, Callable[..., Any]]:
+        return {"action_masks": self.action_masks, "render": self.env.episodes.picture}
+
+    def _separate(self, info: dict[str, Any]) -> list[dict[str, Any]]:
+        """The information of each environment, from arrays of all."""
+        names = [name for name in info if not name.startswith(("_", "final_"))]
+        columns = [info[name].tolist() for name in names]
+        if not names:
+            return [{} for _ in range(self.num_envs)]
+        return [dict(zip(names, values, strict=True)) for values in zip(*columns, strict=True)]

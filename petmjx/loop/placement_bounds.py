@@ -1,0 +1,363 @@
+"""Bounds on placements: boxes that stand beyond doubt, and boxes that fall beyond doubt, without a simulation.
+
+The bearing of a box is the convex hull of its contacts with the boxes below, or all of the carrier. Loads pass from box
+to box by the plane of pressures of ``petmjx.packers.pile_balance``. Rigid boxes stand if there are any forces that
+balance them (the safe theorem of statics; Livesley 1978, "Limit analysis of structures formed from rigid blocks", Int.
+J. for Numerical Methods in Engineering 12, 1853–1871). So a box stands beyond doubt, on a pallet that rests where its
+plan is, if its weight and the loads of all boxes that bear it act well inside their bearings, and no other load is near
+the edge of one.
+
+A box falls beyond doubt if its weight acts well outside its bearing, and nothing is near that could catch it before it
+has turned too far. All other placements are open. The bounds are for rigid boxes, and for thresholds of verdicts that
+are usual (``decidable``). Margins are such that simulations agree: ``python -m benchmarks loop bounds`` compares.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from petmjx.common.units import MM_PER_M, FloatArray
+from petmjx.loop.box_tables import BoxTable
+from petmjx.loop.growing_tables import widened_table
+from petmjx.loop.placement_results import PlacementResults
+from petmjx.loop.placements import Placements
+from petmjx.options.carriers import Carrier
+from petmjx.options.physics import Cone
+from petmjx.options.simulation import Simulation
+from petmjx.packers.pile_balance import MARGIN_M, MARGIN_SHARE, TOUCH_MM, pressure_moments
+from petmjx.world.release_places import NOTHING
+
+OPEN: Final = 0
+STANDS: Final = 1
+FALLS: Final = -1
+
+KNIFE_SHARE: Final = 0.25
+"""Margin of loads that a placement does not change, as a share of the margin of those that it does. A box whose load is
+nearer to its edge may seem to rest while it begins to turn."""
+
+MOST_LOAD: Final = 100.0
+"""Largest load on a box that bears, as a multiple of its own mass. Contacts are soft: a box sinks by about 0.003 mm ×
+load / own mass (docs/rules.md, section 8), here by 0.3 mm."""
+
+MOST_SLENDER: Final = 8.0
+"""Largest height of a pile, as a multiple of the shortest side of its boxes. What softness makes a pile lean grows with
+its height."""
+
+HANGING_SHARE: Final = 0.05
+"""Distance by which the weight of a falling box acts outside of its bearing, as a share of its shorter side: then it
+turns within a second, which no rule of rest takes for a rest."""
+
+HANGING_MM: Final = 10.0
+"""The same in millimetres; the larger one counts."""
+
+TURN_DEG: Final = 25.0
+GONE_MM: Final = 30.0
+"""A box that turns by this, or until its middle has come down and aside by this, before anything catches it, is lost:
+its weight is farther beyond the edge than at first, so that it does not come back. It is beyond the thresholds by a
+quarter and by a half."""
+
+NEAR_MM: Final = 2.0
+"""Gap between two boxes that may have closed: boxes of a calm pallet are up to 1 mm beside their places."""
+
+CALM_DEG: Final = 0.5
+"""Largest tilt on a pallet that rests where its plan is: 3 mm on a box of 350 mm."""
+
+MOST_BEARERS: Final = 4
+"""Most boxes below a box that is decided."""
+
+MOST_CORNERS: Final = 4 * MOST_BEARERS
+
+ROUNDING_MM2: Final = 1e-4
+"""A corner that is beyond an edge by less, as a product of lengths, is on it."""
+
+_AT_ONCE: Final = 512
+"""Placements that are decided at a time, so that their tables stay in a core's cache."""
+
+_USUAL: Final = frozenset({Carrier.EURO_PALLET, Carrier.ROLLCONTAINER})
+"""Carriers of one piece. Boards can tip by themselves."""
+
+
+def decidable(sim: Simulation) -> bool:
+    """Whether the bounds hold in this simulation: rigid boxes that appear at their places, on a carrier of one piece,
+    contacts of the preset ``pallet`` or stiffer, and thresholds that are about the usual ones."""
+    limits, physics = sim.thresholds, sim.physics
+    return (
+        sim.carrier in _USUAL
+        and sim.placing.appears
+        and not physics.falls_into_place
+        and physics.cone is Cone.ELLIPTIC
+        and physics.solref[0] <= 0.02
+        and physics.gravity_m_s2 >= 1.0
+        and 0.01 <= limits.shift_m <= 0.02
+        and limits.shift_floor_m <= 0.001
+        and 10.0 <= limits.tilt_deg <= 20.0
+        and sim.size_reduction_mm <= 1.0
+    )
+
+
+def is_calm(results: PlacementResults) -> NDArray[np.bool_]:
+    """(m,) whether pallets rest where their plans are: no box has a shift that counts, or is tilted."""
+    calm: NDArray[np.bool_] = results.stable & ~results.moving & (results.shift_mm == 0) & (results.tilt_deg < CALM_DEG)
+    return calm
+
+
+class Bounds:
+    """The bounds of n pallets, kept from box to box.
+
+    Args:
+        stock: the boxes of the pallets.
+    """
+
+    def __init__(self, stock: BoxTable) -> None:
+        n = len(stock.count)
+        self._stock = stock
+        self._boxes: NDArray[np.int64] = np.zeros(n, np.int64)  # boxes of each pallet that the tables have
+        # (n, k, …) a row for each box; one column at first, since few pallets are asked for bounds
+        self._bearers: NDArray[np.int64] = np.full((n, 1, MOST_BEARERS), NOTHING)
+        self._shares: FloatArray = np.zeros((n, 1, MOST_BEARERS, 3, 3))
+        self._edges: FloatArray = np.zeros((n, 1, MOST_CORNERS, 3))  # of each bearing, as in _Rests
+        self._least: FloatArray = np.zeros((n, 1))  # margin that each box must have, mm
+
+    def cut(self, pallets: NDArray[np.int64], count: NDArray[np.int64]) -> None:
+        """Keep the first ``count`` boxes of some pallets."""
+        self._boxes[pallets] = np.minimum(self._boxes[pallets], count)
+
+    def of(self, request: Placements, calm: NDArray[np.bool_]) -> NDArray[np.int8]:
+        """(m,) ``STANDS``, ``FALLS`` or ``OPEN`` for placements.
+
+        Args:
+            calm: (m,) whether the pallet rests where its plan is.
+        """
+        pallets, of = np.unique(request.pallet, return_inverse=True)
+        self._update(pallets)
+        loads = self._loads(pallets)
+        decided = np.full(len(request), OPEN, np.int8)
+        for some in np.array_split(np.arange(len(request)), -(-len(request) // _AT_ONCE) or 1):
+            boxes = request.take(some)
+            rests = _Rests.of(self._stock, boxes, self._stock.count[boxes.pallet])
+            decided[some[rests.falls(boxes)]] = FALLS
+            decided[some[self._stand(rests, boxes, loads[of[some]])]] = STANDS
+        return np.where(calm, decided, OPEN).astype(np.int8)
+
+    def _update(self, pallets: NDArray[np.int64]) -> None:
+        """Bring the tables up to date for the boxes of these pallets."""
+        stock, most = self._stock, self._stock.mass_kg.shape[1]
+        self._bearers = widened_table(self._bearers, most, NOTHING)
+        for name in ("_shares", "_edges", "_least"):
+            setattr(self, name, widened_table(getattr(self, name), most))
+        while len(rows := pallets[self._boxes[pallets] < stock.count[pallets]]):
+            at = self._boxes[rows]
+            box = Placements(stock.size_mm[rows, at], stock.corner_mm[rows, at], stock.mass_kg[rows, at], rows)
+            rests = _Rests.of(stock, box, at)
+            self._bearers[rows, at], self._shares[rows, at] = rests.bearers, rests.shares
+            self._edges[rows, at], self._least[rows, at] = rests.edges, _least_margin(box)
+            self._boxes[rows] += 1
+
+    def _loads(self, pallets: NDArray[np.int64]) -> FloatArray:
+        """(m, k, 3) the load of each box of pallets, with its own weight: kg, kg·mm, kg·mm."""
+        stock = self._stock
+        k = int(stock.count[pallets].max(initial=0))
+        middle = stock.corner_mm[pallets, :k, :2] + stock.size_mm[pallets, :k, :2] / 2
+        mass = stock.mass_kg[pallets, :k, None]
+        return self._passed_down(pallets, np.nan_to_num(mass * np.concatenate([np.ones_like(mass), middle], axis=2)))
+
+    def _passed_down(self, pallets: NDArray[np.int64], loads: FloatArray) -> FloatArray:
+        """(m, k, 3) the loads of boxes with what they get from the boxes above. Boxes bear on earlier ones alone."""
+        loads = loads.copy()
+        for number in range(loads.shape[1] - 1, 0, -1):
+            row = np.flatnonzero(loads[:, number, 0] > 0)
+            _pass_on(
+                loads, row, self._bearers[pallets[row], number], self._shares[pallets[row], number], loads[row, number]
+            )
+        return loads
+
+    def _stand(self, rests: _Rests, request: Placements, loads: FloatArray) -> NDArray[np.bool_]:
+        """(m,) which boxes stand beyond doubt.
+
+        Args:
+            loads: (m, k, 3) of the boxes on their pallets.
+        """
+        m, k = loads.shape[:2]
+        pallets, middle = request.pallet, request.corner_mm[:, :2] + request.size_mm[:, :2] / 2
+        least = _least_margin(request)
+        stands = rests.rests & (_margin(rests.edges, middle) >= least)
+        load = request.mass_kg[:, None] * np.concatenate([np.ones((m, 1)), middle], axis=1)
+        more: FloatArray = np.zeros((m, k, 3))
+        row = np.flatnonzero(stands)
+        _pass_on(more, row, rests.bearers[row], rests.shares[row], load[row])
+        more = self._passed_down(pallets, more)
+        bears = more[..., 0] > 0
+        after = loads + more
+        here = np.arange(k) < self._stock.count[pallets, None]
+        with np.errstate(invalid="ignore", divide="ignore"):  # columns beyond a pallet's boxes
+            margin = _margin(self._edges[pallets, :k], after[..., 1:] / after[..., :1])
+        enough = np.where(bears, 1.0, KNIFE_SHARE) * self._least[pallets, :k]
+        stands = stands & (~here | (margin >= enough)).all(axis=1)
+        light = after[..., 0] > MOST_LOAD * np.nan_to_num(self._stock.mass_kg[pallets, :k], nan=1.0)
+        stands &= ~(bears & light).any(axis=1)
+        sides = self._stock.size_mm[pallets, :k, :2].min(axis=2)
+        narrow = np.where(bears, sides, np.inf).min(axis=1, initial=np.inf)
+        narrow = np.minimum(narrow, request.size_mm[:, :2].min(axis=1))
+        low: NDArray[np.bool_] = request.corner_mm[:, 2] + request.size_mm[:, 2] <= MOST_SLENDER * narrow
+        return np.asarray(stands & low)
+
+
+def _least_margin(boxes: Placements) -> FloatArray:
+    """(m,) distance by which loads must act inside bearings, mm."""
+    return np.asarray(np.minimum(MARGIN_M * MM_PER_M, MARGIN_SHARE * boxes.size_mm[:, :2].min(axis=1)))
+
+
+def _pass_on(
+    loads: FloatArray, rows: NDArray[np.intp], bearers: NDArray[np.int64], shares: FloatArray, load: FloatArray
+) -> None:
+    """Add the shares of loads, (r, 3), to the loads of the boxes that bear them, in place."""
+    at, which = np.nonzero(bearers != NOTHING)
+    passed = np.einsum("qab,qb->qa", shares[at, which], load[at])
+    np.add.at(loads, (rows[at], bearers[at, which]), passed)
+
+
+@dataclass(frozen=True, eq=False)
+class _Rests:
+    """How m boxes rest on what is below, each on a pallet of which some first boxes stand.
+
+    Attributes:
+        low, high: (m, k, 3) ends of the boxes of the pallets, mm; ``here``: (m, k) which of them stand.
+        start, end: (m, 3) ends of the boxes themselves.
+        under: (m, k) which boxes touch the base from below; ``on_carrier``: (m,) the base is on the carrier.
+        rests: (m,) the box rests on what is below, and nothing is where it goes.
+        bearers, shares: (m, b) the boxes below, and (m, b, 3, 3) matrices from a load on the box to the share of each
+            of them, by the plane of pressures of ``petmjx.packers.pile_balance``.
+        edges: (m, e, 3) the edges of the bearing: (d, n_x, n_y) says that a point p is inside by d − n · p, mm; d is
+            infinite on the carrier, and minus infinity where nothing is below.
+    """
+
+    low: FloatArray
+    high: FloatArray
+    here: NDArray[np.bool_]
+    start: FloatArray
+    end: FloatArray
+    under: NDArray[np.bool_]
+    on_carrier: NDArray[np.bool_]
+    rests: NDArray[np.bool_]
+    bearers: NDArray[np.int64]
+    shares: FloatArray
+    edges: FloatArray
+
+    @classmethod
+    def of(cls, stock: BoxTable, request: Placements, count: NDArray[np.int64]) -> _Rests:
+        """How boxes rest on the first ``count`` boxes of their pallets."""
+        m, k = len(request), int(count.max(initial=0))
+        here = np.arange(k) < count[:, None]
+        low = stock.corner_mm[request.pallet, :k]
+        high = low + stock.size_mm[request.pallet, :k]
+        start, end = request.corner_mm, request.corner_mm + request.size_mm
+        with np.errstate(invalid="ignore"):  # columns beyond a pallet's boxes
+            shared = np.minimum(high, end[:, None])[..., :2] - np.maximum(low, start[:, None])[..., :2]
+            over = here & (shared > TOUCH_MM).all(axis=2)
+            gap = start[:, None, 2] - high[..., 2]
+            under = over & (np.abs(gap) <= TOUCH_MM)
+            blocked = (over & (gap < -TOUCH_MM)).any(axis=1)
+        on_carrier = np.abs(start[:, 2]) <= TOUCH_MM
+        row, box = np.nonzero(under)
+        rank = np.arange(len(row)) - np.searchsorted(row, row)
+        few = np.bincount(row, minlength=m) <= MOST_BEARERS
+        row, box, rank = (values[few[row]] for values in (row, box, rank))
+        first = np.maximum(low[row, box], start[row])[:, :2]
+        last = np.minimum(high[row, box], end[row])[:, :2]
+        bearers, shares = np.full((m, MOST_BEARERS), NOTHING), np.zeros((m, MOST_BEARERS, 3, 3))
+        bearers[row, rank] = box
+        moments = pressure_moments(first, last)
+        total = np.tile(np.eye(3), (m, 1, 1)) * ~few[:, None, None]
+        np.add.at(total, row, moments)
+        total[on_carrier | ~under.any(axis=1)] = np.eye(3)
+        shares[row, rank] = moments @ np.linalg.inv(total)[row]
+        edges = np.zeros((m, MOST_CORNERS, 3))
+        edges[..., 0] = np.where(on_carrier, np.inf, -np.inf)[:, None]
+        bearing = np.bincount(row, minlength=m)
+        corners = np.stack(
+            [first, np.stack([first[:, 0], last[:, 1]], 1), last, np.stack([last[:, 0], first[:, 1]], 1)], 1
+        )
+        for number in range(1, MOST_BEARERS + 1):
+            some = np.flatnonzero((bearing == number) & ~on_carrier)
+            edges[some] = _hull_edges(corners[np.isin(row, some)].reshape(len(some), 4 * number, 2))
+        rests = (on_carrier | (bearing > 0)) & ~blocked
+        return cls(low, high, here, start, end, under, on_carrier, rests, bearers, shares, edges)
+
+    def falls(self, request: Placements) -> NDArray[np.bool_]:
+        """(m,) which boxes fall beyond doubt.
+
+        A box turns about the edge of its bearing that is nearest to its weight. Turned by an angle, its base is lower
+        by the tangent times the distance from the edge, and its side has come out by the sine times the height.
+        """
+        sides = request.size_mm[:, :2]
+        with np.errstate(invalid="ignore"):  # nothing is below
+            outside = self.edges[..., 1:] @ (self.start[:, :2] + sides / 2)[..., None]
+            outside = outside[..., 0] - self.edges[..., 0]
+        least = np.maximum(HANGING_MM, HANGING_SHARE * sides.min(axis=1))
+        falls: NDArray[np.bool_] = self.rests & ~self.on_carrier & (outside.max(axis=1) >= least)
+        rows, which = np.nonzero(falls[:, None] & (outside > 0))
+        edges = self.edges[rows, which]
+        caught = self._may_be_caught(rows, edges[:, 1:], edges[:, 0], outside[rows, which])
+        falls[rows[caught]] = False
+        return falls
+
+    def _may_be_caught(
+        self, rows: NDArray[np.intp], towards: FloatArray, edge: FloatArray, outside: FloatArray
+    ) -> NDArray[np.bool_]:
+        """(r,) whether something may catch boxes before they have turned too far.
+
+        Args:
+            towards: (r, 2) directions in which they turn; ``edge``: (r,) place of the edge along it, mm; ``outside``:
+                (r,) distance of the weight from it, mm, by which, times the sine, the middle comes down. Its way
+                aside, half the height times the sine, is not sure by itself, since the edge may slide.
+        """
+        z, height = self.start[rows, 2], self.end[rows, 2] - self.start[rows, 2]
+        gone = np.maximum(GONE_MM / outside, 2 * GONE_MM / height)
+        sine = np.minimum(np.sin(np.radians(TURN_DEG)), gone)
+        slope = (sine / np.sqrt(1 - sine**2))[:, None]
+        start, end = self.start[rows, None, :2], self.end[rows, None, :2]
+        low, high = self.low[rows], self.high[rows]
+        with np.errstate(invalid="ignore"):  # columns beyond a pallet's boxes
+            shared_low = np.maximum(low[..., :2], start - NEAR_MM)
+            shared_high = np.minimum(high[..., :2], end + NEAR_MM)
+            over = (shared_high - shared_low > TOUCH_MM).all(axis=2) & ~self.under[rows]
+            reach = np.where(towards[:, None] > 0, shared_high, shared_low) @ towards[..., None]
+            depth = z[:, None] - high[..., 2]
+            bed = over & (depth >= -NEAR_MM) & (depth < slope * (reach[..., 0] - edge[:, None]))
+            rise = np.minimum(high[..., 2] - z[:, None], height[:, None])
+            out = (sine[:, None] * rise)[..., None] * towards[:, None]
+            swept_low = start - NEAR_MM + np.minimum(out, 0.0)
+            swept_high = end + NEAR_MM + np.maximum(out, 0.0)
+            beside = np.minimum(high[..., :2], swept_high) - np.maximum(low[..., :2], swept_low)
+            wall = (rise > 0) & (beside > TOUCH_MM).all(axis=2)
+        far = (np.where(towards > 0, end[:, 0], start[:, 0]) * towards).sum(axis=1) - edge
+        caught: NDArray[np.bool_] = (z < slope[:, 0] * far) | (self.here[rows] & (bed | wall)).any(axis=1)
+        return caught
+
+
+def _margin(edges: FloatArray, place_mm: FloatArray) -> FloatArray:
+    """(…,) distance of places, (…, 2), inside bearings with these edges, (…, e, 3), mm; negative: outside."""
+    margin: FloatArray = (edges[..., 0] - (edges[..., 1:] @ place_mm[..., None])[..., 0]).min(axis=-1)
+    return margin
+
+
+def _hull_edges(corners: FloatArray) -> FloatArray:
+    """(m, e, 3) edges of the convex hulls of (m, c, 2) points, as in ``_Rests``: from each point on the hull, the
+    edge to the farthest point that has all others on its left. Edges that are missing are infinitely far.
+    """
+    m = len(corners)
+    along = corners[:, None] - corners[:, :, None]  # (m, from, to, 2)
+    length = np.linalg.norm(along, axis=-1)
+    left = along[..., None, 0] * along[:, :, None, :, 1] - along[..., None, 1] * along[:, :, None, :, 0]
+    whole = (left >= -ROUNDING_MM2).all(axis=-1) & (length > TOUCH_MM)
+    to = np.where(whole, length, -1.0).argmax(axis=-1)
+    row, start = np.nonzero(whole.any(axis=-1))
+    x, y = (along[row, start, to[row, start]] / length[row, start, to[row, start], None]).T
+    edges = np.zeros((m, MOST_CORNERS, 3))
+    edges[..., 0] = np.inf
+    edges[row, start] = np.stack([y * corners[row, start, 0] - x * corners[row, start, 1], y, -x], axis=1)
+    return edges

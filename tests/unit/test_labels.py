@@ -1,0 +1,158 @@
+"""``petmjx label``: labels are what a score says, splits share no order, and the card counts what is there."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+import pyarrow.parquet as pq
+import pytest
+
+import petmjx
+from petmjx.cli import main
+from petmjx.common.errors import InputError
+from petmjx.loop.label_files import CARD, README, RULES, baselines, label_files, write_labels
+from petmjx.loop.order_sources import Boxes, Orders
+from petmjx.loop.placement_labels import COLUMNS, SPLITS, Labeller, plans_of_labels, split_of
+
+MUJOCO: dict[str, Any] = {"engine": "mujoco", "threads": 1}
+
+
+def some_orders(count: int = 24) -> pd.DataFrame:
+    """Orders of three boxes of a few sizes; each has a twin of the same boxes, turned and in another sequence."""
+    rng = np.random.default_rng(0)
+    rows = []
+    for order in range(0, count, 2):
+        sizes, masses = rng.choice([200, 300, 400, 600], (3, 3)), rng.integers(2, 9, 3)
+        for twin, at in ((order, [0, 1, 2]), (order + 1, [2, 0, 1])):
+            rows += [(twin, *(sizes[k][::-1] if twin % 2 else sizes[k]), masses[k]) for k in at]
+    return pd.DataFrame(rows, columns=["order_id", "length_mm", "width_mm", "height_mm", "weight_kg"])
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("labels")
+    some_orders().to_csv(folder / "orders.csv", index=False)
+    command = ["label", str(folder / "orders.csv"), "-n", "60", "-o", str(folder / "set"), "--engine", "mujoco"]
+    assert main([*command, "--threads", "1", "--pallets", "8", "--explore", "0.8"]) == 0
+    return folder
+
+
+def tables(folder: Path) -> dict[str, pd.DataFrame]:
+    return {split: pq.read_table(file).to_pandas() for split, file in label_files(folder / "set").items()}
+
+
+def test_labels_are_what_a_score_says(folder: Path) -> None:
+    labels = pd.concat(tables(folder).values()).sort_values(["episode", "step"]).reset_index(drop=True)
+    assert list(labels) == list(COLUMNS)
+    assert len(labels) == 60
+    assert 3 <= (labels["stands"] == False).sum() < 55  # noqa: E712  # null is neither
+    rows = [
+        {**row, "size_mm": np.stack(row["size_mm"]), "corner_mm": np.stack(row["corner_mm"])}
+        for row in labels.to_dict("records")
+    ]
+    scored = petmjx.score(plans_of_labels(rows), carrier="euro-pallet", **MUJOCO)
+    worlds = scored.worlds
+    np.testing.assert_array_equal(labels["stands"].astype(bool), worlds["verdict"] == "stable")
+    np.testing.assert_array_equal(labels["reason"], worlds["reason"].fillna(""))
+    np.testing.assert_array_equal(labels["culprit"].fillna(-1), worlds["culprit"].fillna(-1).astype(int))
+    stands = labels["stands"].astype(bool).to_numpy()
+    np.testing.assert_allclose(labels["margin"][stands], worlds["margin"][stands], atol=1e-4)
+    forces = np.concatenate(labels["top_force_n"][stands].to_list())
+    same = scored.boxes[scored.boxes["plan_id"].isin(worlds["plan_id"][stands])]["rest_top_force_n"]
+    np.testing.assert_allclose(forces, same, atol=0.01)
+
+
+def test_no_order_is_in_two_splits_under_any_name(folder: Path) -> None:
+    """Orders and their twins, which have the same boxes, are together."""
+    by_split = {split: set((table["order"] // 2).tolist()) for split, table in tables(folder).items()}
+    pairs = [pair for some in by_split.values() for pair in some]
+    assert len(pairs) == len(set(pairs))
+    assert len(by_split["train"]) > 5
+    rng = np.random.default_rng(1)
+    drawn = [
+        split_of(Boxes(rng.uniform(100, 500, (4, 3)), rng.uniform(1, 9, 4), np.full(4, np.nan))) for _ in range(2000)
+    ]
+    for split, share in SPLITS.items():
+        assert abs(drawn.count(split) / 2000 - share) < 3 * np.sqrt(share * (1 - share) / 2000)
+
+
+def test_the_card_counts_what_is_there(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    card = json.loads((folder / "set" / CARD).read_text(encoding="utf-8"))
+    for split, table in tables(folder).items():
+        assert card["splits"][split] == {
+            "labels": len(table),
+            "orders": table["order"].nunique(),
+            "stand": int((table["stands"] == True).sum()),  # noqa: E712  # null is neither
+            "fall": int((table["stands"] == False).sum()),  # noqa: E712
+        }
+    assert card["orders"]["source"] == "orders.csv"
+    assert card["simulation"]["carrier"] == "euro-pallet"
+    assert card["options"]["explore"] == 0.8
+    page = (folder / "set" / README).read_text(encoding="utf-8")
+    assert card["orders"]["sha256"] in page
+    assert all(f"`{name}`" in page for name in COLUMNS)
+    assert main(["label", "-n", "10", "-o", str(folder / "set")]) == 2
+    assert "train.parquet" in capsys.readouterr().err
+
+
+def test_more_labels_begin_with_the_same_ones_however_many_pallets(folder: Path) -> None:
+    orders = Orders(some_orders())
+    few = list(Labeller(orders, pallets=2, explore=0.8, **MUJOCO).labels(9))
+    known = pd.concat(tables(folder).values()).sort_values(["episode", "step"]).head(9)
+    assert [label["stands"] for label in few] == known["stands"].tolist()
+    np.testing.assert_array_equal(
+        [label["corner_mm"][-1] for label in few], np.stack([c[-1] for c in known["corner_mm"]])
+    )
+
+
+def test_labels_have_shares_of_worlds_with_errors() -> None:
+    orders = Orders(some_orders(2))
+    (label,) = Labeller(orders, pallets=1, errors=4, **MUJOCO).labels(1)
+    assert label["share"] in {0.0, 0.25, 0.5, 0.75, 1.0}
+
+
+def test_baselines_are_judged_by_what_they_find() -> None:
+    """Two boxes on the carrier, and boxes on one: a rule finds those that hang over."""
+    base = ((400, 300, 200), (0, 0, 0), 6.0)
+
+    def label(step: int, corner: tuple[float, float, float], stands: bool | None) -> dict[str, Any]:
+        size, first, mass = base
+        return {
+            "episode": 0,
+            "step": step,
+            "size_mm": np.array([size, size], float),
+            "corner_mm": np.array([first, corner], float),
+            "mass_kg": np.array([mass, mass]),
+            "stands": stands,
+        }
+
+    labels = [
+        label(0, (400, 0, 0), True),
+        label(1, (0, 0, 200), True),
+        label(2, (150, 0, 200), True),  # borne by 62 %
+        label(3, (300, 0, 200), False),
+        label(4, (300, 0, 200), None),
+    ]
+    judged = baselines(labels)
+    assert set(judged) == {*RULES, "placement_stability"}
+    assert judged["support_75"] == {
+        "labels": 4,
+        "standing_found": pytest.approx(2 / 3),
+        "falling_found": 1.0,
+        "mean": pytest.approx(5 / 6),
+    }
+    assert judged["support_50"]["mean"] == judged["centre"]["mean"] == 1.0
+    assert baselines(labels[:3]) == {}
+
+
+def test_what_is_wrong_with_labels_is_one_line(tmp_path: Path) -> None:
+    too_long = pd.DataFrame({"length_mm": [2000], "width_mm": [2000], "height_mm": [100], "weight_kg": [1]})
+    with pytest.raises(InputError, match="orders: no box has a place on the empty carrier"):
+        write_labels(Labeller(Orders(too_long), pallets=1, **MUJOCO), 5, tmp_path / "none", source="endless")
+    assert not list((tmp_path / "none").glob("*.parquet"))
+    with pytest.raises(InputError, match="explore must be"):
+        Labeller(Orders(too_long), explore=2, **MUJOCO)

@@ -1,0 +1,142 @@
+"""Placements that stand or fall beyond doubt: by their geometry, and as they are simulated."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+import petmjx
+from benchmarks.bounds import bounds
+from petmjx.engines.engine_choice import make_engine
+from petmjx.loop.placement_bounds import FALLS, OPEN, STANDS, _hull_edges, _margin
+
+MUJOCO: dict[str, Any] = {"engine": "mujoco", "threads": 1}
+
+BOX = (400, 300, 200)
+
+
+def pile(*boxes: tuple[Any, ...], **options: Any) -> petmjx.Pallets:
+    """A pallet with boxes of a corner, and perhaps a size and a mass."""
+    pallets = petmjx.Pallets(**{**MUJOCO, **options})
+    for corner, *more in boxes:
+        size, mass = (*more, *(BOX, 6.0)[len(more) :])
+        assert pallets.place(size_mm=size, corner_mm=corner, mass_kg=mass).stable
+    return pallets
+
+
+def said(pallets: petmjx.Pallets, corner: Any, size: Any = BOX, mass: float = 6.0) -> int:
+    return int(pallets.decided(size_mm=size, corner_mm=corner, mass_kg=mass)[0])
+
+
+def test_what_the_geometry_decides() -> None:
+    one = pile(((400, 200, 0),))
+    assert said(one, (0, 0, 0)) == STANDS  # on the carrier
+    assert said(one, (400, 200, 200)) == STANDS  # on the box
+    assert said(one, (425, 250, 200)) == STANDS  # its weight is 175 and 100 mm from the edges
+    assert said(one, (590, 200, 200)) == OPEN  # 10 mm from the edge
+    assert said(one, (620, 200, 200)) == FALLS  # 20 mm beyond it
+    assert said(one, (0, 0, 50)) == OPEN  # nothing is below
+    assert said(one, (500, 200, 100)) == OPEN  # in the box
+    assert said(one, (400, 200, 200), BOX, 700.0) == OPEN  # too heavy for what is below
+    assert said(one, (550, 300, 200), (90, 90, 600)) == OPEN  # slender
+
+
+def test_what_may_catch_a_box_leaves_it_open() -> None:
+    """It hangs over the edge by 150 mm: a box as high as the support bears it, one that is 20 mm lower may, one that is
+    150 mm lower does not; a wall before it may lean it, one that it touches may hold it by friction, and one that is
+    farther than it turns does not."""
+    support = ((440, 200, 0), (110, 300, 200))
+    hanging = {"corner": (440, 200, 200), "size": (300, 300, 200)}
+    expected = {
+        None: FALLS,
+        ((600, 200, 0), (300, 300, 200)): STANDS,
+        ((600, 200, 0), (300, 300, 180)): OPEN,
+        ((600, 200, 0), (300, 300, 50)): FALLS,
+        ((745, 200, 0), (100, 300, 400)): OPEN,
+        ((850, 200, 0), (100, 300, 400)): FALLS,
+        ((340, 200, 0), (95, 300, 400)): FALLS,
+        ((440, 500, 0), (300, 200, 400)): OPEN,
+    }
+    for other, verdict in expected.items():
+        pallets = pile(support) if other is None else pile(support, other)
+        assert said(pallets, **hanging) == verdict, other
+        if verdict != OPEN:
+            results = pallets.try_all(size_mm=hanging["size"], corner_mm=hanging["corner"], mass_kg=6)
+            assert bool(results.stable[0]) == (verdict == STANDS)
+
+
+def test_loads_on_boxes_below_count() -> None:
+    """A long box hangs over by as much as its weight allows. What is put onto its free end tips it; on the other end it
+    does not."""
+    long = ((300, 200, 200), (600, 300, 100), 6.0)
+    pallets = pile(((300, 200, 0), (400, 300, 200)), long)
+    end, middle = (750, 250, 300), (350, 250, 300)
+    small = (150, 150, 150)
+    assert said(pallets, end, small, 20.0) == OPEN
+    assert said(pallets, end, small, 1.0) == STANDS
+    assert said(pallets, middle, small, 20.0) == STANDS
+    stable = pallets.try_all(size_mm=small, corner_mm=[end, end, middle], mass_kg=[20.0, 1.0, 20.0]).stable
+    assert stable.tolist() == [False, True, True]
+
+
+def test_nothing_is_decided_on_a_pallet_that_does_not_rest_where_its_plan_is() -> None:
+    pallets = pile(((400, 200, 0),))
+    pallets.place(size_mm=BOX, corner_mm=(0, 0, 0), mass_kg=6, error=[3], error_strength=1e-3)
+    assert said(pallets, (800, 200, 0)) == OPEN  # however small the error
+    pallets.take_back()
+    assert said(pallets, (800, 200, 0)) == OPEN, "how it rests is not known until something is placed"
+    pallets.reset()
+    assert said(pallets, (800, 200, 0)) == STANDS
+    for options in ({"carrier": "epal-1"}, {"physics": "reference"}, {"thresholds": {"shift_m": 0.001}}):
+        assert said(pile(**options), (0, 0, 0)) == OPEN, options
+
+
+def test_pallets_that_are_copied_or_lose_boxes_are_decided_by_their_boxes() -> None:
+    pallets = petmjx.Pallets(3, **MUJOCO)
+    box = {"size_mm": BOX, "mass_kg": 6.0}
+    pallets.place(corner_mm=[(0, 0, 0)] * 3, **box)
+    top = {"corner_mm": [(0, 0, 200)] * 3, **box}
+    assert pallets.decided(**top).tolist() == [STANDS] * 3
+    pallets.reset(1)
+    pallets.place(corner_mm=(190, 0, 0), pallet=1, **box)
+    pallets.fork([1], [2])
+    assert pallets.decided(**top).tolist() == [STANDS, OPEN, OPEN]  # 10 mm inside the edge
+
+
+def test_edges_of_hulls() -> None:
+    """Distances of random places are those of the hull's half-planes, by SciPy."""
+    spatial = pytest.importorskip("scipy.spatial")
+    rng = np.random.default_rng(0)
+    corners = rng.integers(0, 400, (30, 8, 2)).astype(float)
+    places = rng.uniform(-100, 500, (30, 2))
+    margins = _margin(_hull_edges(corners), places)
+    for points, place, margin in zip(corners, places, margins.tolist(), strict=True):
+        equations = spatial.ConvexHull(points).equations  # n · p + d ≤ 0 inside
+        assert margin == pytest.approx(-(equations[:, :2] @ place + equations[:, 2]).max(), abs=1e-6)
+    square = np.array([[[0, 0], [0, 100], [100, 100], [100, 0]]], float)
+    assert _margin(_hull_edges(square), np.array([[30.0, 50.0]])) == 30
+
+
+def test_simulations_agree_with_the_bounds() -> None:
+    """Some of the placements that ``python -m benchmarks loop bounds`` simulates by the ten thousand."""
+    summary = bounds(make_engine("mujoco", threads=1), 200, seed=1)
+    assert summary["faults"] == []
+    assert summary["simulated"] == 200
+    assert min(summary["stand"], summary["fall"]) > 20
+
+
+def test_stands_is_what_trials_say() -> None:
+    """Also of what no bound decides, where a trial ends as soon as a box is tilted too far."""
+    pallets = pile(((0, 0, 0),), ((400, 0, 0), (400, 300, 185)), ((0, 300, 0), (300, 300, 300)))
+    x, y = np.meshgrid(np.arange(0, 700, 90), (0, 150))
+    places = pallets.places(size_mm=BOX, grid_mm=np.column_stack([x.ravel(), y.ravel()]).astype(float), hulls=False)
+    candidates = {"size_mm": BOX, "corner_mm": places.corner_mm, "mass_kg": 6.0}
+    decided, results = pallets.decided(**candidates), pallets.try_all(**candidates)
+    stands, margin = pallets.stands(**candidates)
+    np.testing.assert_array_equal(stands, results.stable)
+    undecided = decided == OPEN
+    assert 0 < results.stable[undecided].sum() < undecided.sum()
+    np.testing.assert_array_equal(margin[undecided & stands], results.margin[undecided & stands])
+    np.testing.assert_array_equal(margin[~undecided], decided[~undecided])
