@@ -16,6 +16,7 @@ from petmjx.common.checked_records import CheckedRecord, complaint, similar, wit
 from petmjx.common.errors import InputError
 from petmjx.common.units import seconds_to_steps
 from petmjx.engines.verdict import Outcome, Verdict
+from petmjx.options.walls import Side
 from petmjx.runs.sweep_axes import Direction, Range, Strengths, Turn, degrees
 from petmjx.world.history import History
 from petmjx.world.job import ACCELERATION, Drive, Excitation
@@ -60,7 +61,7 @@ class Event(CheckedRecord):
 
 
 class Leg(CheckedRecord):
-    """One table ``[[legs]]``. A leg without events only puts film around the pallet, or takes it off."""
+    """One table ``[[legs]]``. A leg without events only changes the film around the pallet, or opens doors."""
 
     name: Name = Field(description="name of the leg in the results")
     events: tuple[Event, ...] = Field((), max_length=MOST_LEGS, description="profiles, one after the other")
@@ -68,6 +69,9 @@ class Leg(CheckedRecord):
         1.0, description="time between the end of an event and the beginning of the next one, s"
     )
     wrap_turns: Turn | None = Field(None, description="turns of stretch film around the pallet from here on")
+    open_walls: tuple[Side, ...] | None = Field(
+        None, description="walls of the carrier that are open from here on, as doors: left, right, front, back"
+    )
 
 
 class Remedy(CheckedRecord):
@@ -104,7 +108,7 @@ def check_chain(legs: Sequence[Leg], remedies: Sequence[Remedy], defined: Mappin
         if name == PLACING or name in names[:number]:
             why = "the part before the first leg" if name == PLACING else "another leg"
             raise complaint(f": {name!r} is already {why}", "legs", number, "name")
-    if legs and not any(leg.events for leg in legs):
+    if legs and not any(leg.events or leg.open_walls for leg in legs):
         raise complaint("have no events: nothing shakes the pallet", "legs")
     for number, leg in enumerate(legs):
         for place, event in enumerate(leg.events):
@@ -159,8 +163,10 @@ def legs_with(legs: Sequence[Leg], remedy: Remedy | None, defined: Mapping[str, 
 
 def _specs(legs: Sequence[Leg], remedy: Remedy | None, defined: Mapping[str, Profile]) -> Iterator[LegSpec]:
     turns: float | None = None
+    open_walls: tuple[Side, ...] = ()
     for leg in legs:
         turns, factor = (turns if leg.wrap_turns is None else leg.wrap_turns), 1.0
+        opens, open_walls = leg.open_walls, open_walls if leg.open_walls is None else leg.open_walls
         if remedy is not None and remedy.leg == leg.name:
             turns = turns if remedy.wrap_turns is None else remedy.wrap_turns
             factor = 1.0 if remedy.factor is None else remedy.factor
@@ -170,13 +176,17 @@ def _specs(legs: Sequence[Leg], remedy: Remedy | None, defined: Mapping[str, Pro
             for profile in resolve(event.profile, defined):
                 by = 1.0 if profile.strength is Strength.ANGLE else factor
                 drives.append(DriveSpec(profile.name, by * low, event.direction, None if high is None else by * high))
-        if drives:
-            yield LegSpec(leg.name, tuple(drives), leg.pause_s if len(drives) > 1 else 0.0, turns)
+        if drives or opens:
+            pause_s = 0.0 if len(drives) == 1 else leg.pause_s
+            yield LegSpec(leg.name, tuple(drives), pause_s, turns, open_walls)
 
 
 def in_a_row(name: str, drives: Sequence[Drive], pause_s: float, timestep_s: float) -> Excitation:
-    """Drives of accelerations one after the other, with pauses between them, as one excitation."""
+    """Drives of accelerations one after the other, with pauses between them, as one excitation; without drives one
+    pause."""
     pause = np.zeros((seconds_to_steps(pause_s, timestep_s), 3))
+    if not drives:
+        return Excitation(name, ACCELERATION, pause if len(pause) else np.zeros((1, 3)))
     # the total mass is the unit of forces alone
     parts = [part for drive in drives for part in (drive.rows(total_mass=0.0), pause)]
     return Excitation(name, ACCELERATION, np.concatenate(parts[:-1]))

@@ -102,7 +102,7 @@ def _error_sweep_fault(sweep: Sweep) -> str:
     """A line on the first thing that a file of errors may not have; empty if there is none."""
     if sweep.search is not None:
         return "[search] contradicts confidence, which asks for a share: use petmjx sweep"
-    if sweep.profiles:
+    if sweep.has_drives:
         return "axes.profile contradicts confidence, which is about pallets at rest: use petmjx sweep"
     if sweep.sample is not None:
         return 'mode = "sample" contradicts confidence, which draws every world from the same errors'

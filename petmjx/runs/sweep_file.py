@@ -32,6 +32,7 @@ from petmjx.common.checked_records import LIST, VALUE, CheckedRecord, complaint,
 from petmjx.common.errors import InputError
 from petmjx.common.text import printable
 from petmjx.common.units import FloatArray, seconds_to_steps
+from petmjx.options.carriers import walls_of
 from petmjx.options.simulation import Simulation
 from petmjx.runs.chain_legs import MOST_LEGS, Leg, Remedy, check_chain, profiles_of_legs
 from petmjx.runs.sweep_axes import AXIS_KINDS, MAX_STRENGTH, Axis, read_axes
@@ -191,6 +192,11 @@ class Sweep(CheckedRecord):
         return {name: resolve(name, self.own_profiles)[0] for name in names}
 
     @property
+    def has_drives(self) -> bool:
+        """Whether something follows a placement: profiles, or the legs of a chain."""
+        return bool(self.profiles or self.legs)
+
+    @property
     def strength(self) -> Strength:
         """The quantity that a search looks for: a level, or a scale. Its value is the name of the axis."""
         levels = any(profile.strength is Strength.LEVEL for profile in self.profiles.values())
@@ -269,6 +275,13 @@ class Sweep(CheckedRecord):
         check_chain(self.legs, self.remedies, self.own_profiles)
         if not self.legs:
             return self
+        sides = walls_of(self.simulation.carrier, self.simulation.walls).sides or ()
+        for place, leg in enumerate(self.legs):
+            if missing := [side for side in leg.open_walls or () if side not in sides]:
+                text = (
+                    f": the carrier has no wall {missing[0].value!r}; simulation.walls or another carrier gives it one"
+                )
+                raise complaint(text, "legs", place, "open_walls")
         if self.search is not None:
             raise ValueError("[search] contradicts legs: a chain is the same way for every pallet")
         if self.sample is not None:

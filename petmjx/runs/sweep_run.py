@@ -22,6 +22,7 @@ from petmjx.engines.subprocess.check_pool import CheckPool
 from petmjx.engines.verdict import Attempt, Flag, Outcome, Verdict, judge
 from petmjx.engines.world_results import AnyWorld, World, WorldResult
 from petmjx.options.simulation import Simulation, Thresholds
+from petmjx.options.walls import Side
 from petmjx.plans.plan import Plan
 from petmjx.results.history_tables import NO_RECORDING, Recording
 from petmjx.results.resume import CompletedWorlds
@@ -75,7 +76,8 @@ class SettledPlacement:
     scene: Scene
     outcome: Outcome
     attempts: tuple[Attempt, ...]
-    _filmed: dict[float, Scene] = field(default_factory=dict, init=False)
+    _of_legs: dict[tuple[float | None, tuple[Side, ...]], Scene] = field(default_factory=dict, init=False)
+    """Turns of film and open walls → the scene with these."""
 
     @cached_property
     def load_height_m(self) -> float:
@@ -106,13 +108,19 @@ class SettledPlacement:
         end = LegEnd(PLACING, 0.0) if variant.legs else None
         return FinishedWorld(self.group.plan, variant, self.scene, outcome, self.attempts, self.outcome, ended_in=end)
 
-    def with_film(self, turns: float | None) -> Scene:
-        """The scene with so many turns of film around the pallet; None: as it was placed."""
-        if turns is None:
+    def scene_of(self, leg: LegSpec) -> Scene:
+        """The scene on a leg: with its film around the pallet, and its walls open."""
+        key = leg.wrap_turns, leg.open_walls
+        if key == (None, ()):
             return self.scene
-        if turns not in self._filmed:
-            self._filmed[turns] = replace(self.scene, wrap=self.scene.wrap.changed(turns=turns))
-        return self._filmed[turns]
+        if key not in self._of_legs:
+            scene = self.scene
+            if leg.wrap_turns is not None:
+                scene = replace(scene, wrap=scene.wrap.changed(turns=leg.wrap_turns))
+            # walls that are open by the options are not among those of the carrier
+            closed = [side for side in leg.open_walls if side in scene.carrier.walls]
+            self._of_legs[key] = scene.with_open_walls(closed) if closed else scene
+        return self._of_legs[key]
 
 
 @dataclass(frozen=True, eq=False)
@@ -219,10 +227,10 @@ class SweepRun:
                 self._check_pool.close()
 
     def _all_worlds(self) -> Iterator[FinishedWorld]:
-        profiles = bool(self.plan.sweep.profiles)
-        if self.plan.sweep.nominal or not profiles:
+        has_drives = self.plan.sweep.has_drives
+        if self.plan.sweep.nominal or not has_drives:
             yield from self._run_placements(group for group in self._groups() if not group.driven)
-        if not profiles:
+        if not has_drives:
             return
         for chunk in self._chunks():
             if self.plan.sweep.legs:
@@ -429,7 +437,7 @@ class SweepRun:
         for (leg, _), same in alike.items():
             drive = self.plan.leg_drive(plan, same[0], leg, start.load_height_m)
             poses = None if before is None else np.concatenate([before.boxes.pos, before.boxes.quat], axis=1)
-            scene = start.with_film(leg.wrap_turns)
+            scene = start.scene_of(leg)
             job = Job(scene, drive=drive, start=start.outcome.state, poses=poses, record=record)
             yield _LegWorld(plan, same[0].index, job, start, tuple(same), number, before)
 

@@ -47,7 +47,7 @@ class SweepColumns:
             for name, unit in plan.parameter_columns.items()
         ]
         self.strength = AXIS_KINDS[sweep.strength].column
-        self.has_drives = bool(sweep.profiles)
+        self.has_drives = sweep.has_drives
         self.has_tilt = not sweep.legs and any(isinstance(profile, Tilt) for profile in sweep.profiles.values())
         self.has_eumos = EUMOS_PROFILE in sweep.profiles and not sweep.legs
         self.has_legs = bool(sweep.legs)

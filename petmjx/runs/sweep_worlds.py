@@ -222,23 +222,26 @@ class SweepPlan(Design):
         return Drive(unit.excitation, spec.scale, yaw_rad, unit.rest_s, allowed_m)
 
     def leg_drive(self, plan: Plan, variant: Variant, leg: LegSpec, load_height_m: float = 0.0) -> Drive:
-        """All drives of a leg of one world, as one drive. Worlds with the same samples share the array."""
+        """All drives of a leg of one world, as one drive; without any, the pallet is left alone. Worlds with the same
+        samples share the array."""
+        sim = self.sweep.simulation
         made = (
             self.drive(plan, replace(variant, drive=self._with_strength(plan, variant, leg, place)), load_height_m)
             for place in range(len(leg.drives))
         )
-        first, *more = drives = [drive for drive in made if drive is not None]
-        if not more:
-            return first
+        drives = [drive for drive in made if drive is not None]
+        if len(drives) == 1:
+            return drives[0]
         random = any(map(self._is_drawn, leg.drives))
         key = (leg, plan.plan_id, variant.replicate) if random else (leg, "", 0)
         if key not in self._rows:
             if random:
                 self._rows = {k: row for k, row in self._rows.items() if k[1] in ("", plan.plan_id)}
-            timestep_s = self.sweep.simulation.physics.timestep_s
-            self._rows[key] = in_a_row(leg.name, drives, leg.pause_s, timestep_s)
-        allowed_m = max(drive.allowed_sway_m for drive in drives)
-        return Drive(self._rows[key], rest_s=first.rest_s, allowed_sway_m=allowed_m)
+            self._rows[key] = in_a_row(leg.name, drives, leg.pause_s, sim.physics.timestep_s)
+        rest_s, allowed_m = (
+            (drives[0].rest_s, max(drive.allowed_sway_m for drive in drives)) if drives else (sim.rest_s, 0)
+        )
+        return Drive(self._rows[key], rest_s=rest_s, allowed_sway_m=allowed_m)
 
     def _with_strength(self, plan: Plan, variant: Variant, leg: LegSpec, place: int) -> DriveSpec:
         """A drive of a leg with the strength that it has in one world. Remedies share the random number."""
@@ -298,7 +301,7 @@ class SweepPlan(Design):
             placements=self._all_placements,
             displaced=self._displaced,
             carried=self._carried,
-            drives=round((self.n_variants - nominal) * n_legs) if profiles else 0,
+            drives=round((self.n_variants - nominal) * n_legs) if self.sweep.has_drives else 0,
             drive_steps=sum(drives) / len(drives) if drives else 0.0,
             filmed=sim.wrap.holds or "wrap_turns" in self.sweep.axes or any(leg.wrap_turns for leg in self.sweep.legs),
             placed_share=placed_shares(self.plans),
@@ -307,7 +310,7 @@ class SweepPlan(Design):
     def _leg_steps(self, leg: LegSpec) -> float:
         """Expected steps of a leg, if the pallet stands until its end."""
         sim = self.sweep.simulation
-        pauses = (len(leg.drives) - 1) * seconds_to_steps(leg.pause_s, sim.physics.timestep_s)
+        pauses = (len(leg.drives) - 1 if leg.drives else 1) * seconds_to_steps(leg.pause_s, sim.physics.timestep_s)
         steps = sum(self.sweep.profiles[drive.profile].n_steps(sim.physics.timestep_s) for drive in leg.drives)
         return steps + pauses + rest_steps(sim, sim.rest_s)
 

@@ -23,6 +23,7 @@ from numpy.typing import NDArray
 
 from petmjx.common.units import MM_PER_M, FloatArray, mm_to_m
 from petmjx.options.placing import Placing, Way
+from petmjx.options.walls import Side
 from petmjx.world.body_shapes import Body
 from petmjx.world.friction_pairs import scaled_pairs
 from petmjx.world.random_streams import WorldKey, rngs
@@ -171,14 +172,17 @@ class LegSpec:
     """A leg of a chain: what shakes the pallet on a part of its way.
 
     Attributes:
-        drives: one after the other, each ``pause_s`` after the end of the one before.
+        drives: one after the other, each ``pause_s`` after the end of the one before. Without any, the pallet is left
+            alone for ``pause_s``.
         wrap_turns: turns of film around the pallet meanwhile; None: those of the options.
+        open_walls: walls of the carrier that are open meanwhile, beside those of the options.
     """
 
     name: str
     drives: tuple[DriveSpec, ...]
     pause_s: float = 0.0
     wrap_turns: float | None = None
+    open_walls: tuple[Side, ...] = ()
 
 
 @dataclass(frozen=True)

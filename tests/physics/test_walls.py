@@ -4,11 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from operator import attrgetter
+from pathlib import Path
 
 import jax
 import numpy as np
 import pytest
 from support.plans import Box, make_plan, make_scene, stack
+from support.sweeps import write_sweep
 
 import petmjx
 from petmjx.common.errors import InputError
@@ -18,6 +20,7 @@ from petmjx.engines.verdict import Outcome, Verdict
 from petmjx.options.simulation import Check, Schedule, Simulation
 from petmjx.options.walls import Side
 from petmjx.repairs.drafts import Draft, Rules
+from petmjx.runs.sweep_file import load_sweep
 from petmjx.world.approach_paths import ApproachPath, approach_path_of, approach_paths_of, reach
 from petmjx.world.edge_distances import building_edges, edges_of
 from petmjx.world.history import Record
@@ -346,3 +349,35 @@ def test_boxes_with_errors_begin_between_the_walls(placing: str) -> None:
         assert (begin - reaches >= room.face[0] - TOUCH_M).all()
         assert (begin + reaches <= room.face[1] + TOUCH_M).all()
     assert (outside > 10) == (placing == "hand")  # so far their errors took them
+
+
+DOORS = """
+[simulation]
+carrier = "rollcontainer-4"
+settle_s = 0.4
+rest_s = 0.5
+[axes]
+friction_factor = 1.0
+[[legs]]
+name = "yard"
+open_walls = ["back"]
+pause_s = 0.5
+[[legs]]
+name = "dock"
+open_walls = ["front"]
+"""
+
+
+@pytest.mark.parametrize("engine", ["mujoco", "mjx-warp-cpu"])
+def test_a_leg_opens_a_door_and_what_leans_on_it_falls_out(engine: str, tmp_path: Path) -> None:
+    """A door that is closed again holds as before."""
+    plans = [make_plan(side, leaning(side)) for side in (Side.LEFT, Side.FRONT, Side.BACK)]
+    worlds = petmjx.sweep(write_sweep(tmp_path, DOORS), plans, engine=engine).worlds.set_index("plan_id")
+    assert worlds["leg"].to_dict() == {"left": "", "front": "dock", "back": "yard"}
+    assert worlds["verdict"].to_dict() == {"left": "stable", "front": "unstable", "back": "unstable"}
+
+
+def test_a_leg_opens_only_walls_that_there_are(tmp_path: Path) -> None:
+    text = DOORS.replace("rollcontainer-4", "rollcontainer-2")
+    with pytest.raises(InputError, match=r"legs\[0\]\.open_walls: the carrier has no wall 'back'"):
+        load_sweep(write_sweep(tmp_path, text))
