@@ -25,7 +25,8 @@ a box shares its load among its supports:
 Both rules are linear in the load. So the weight of each box is passed down alone, and the load on a box after any
 placement is a sum over the boxes placed so far. Supports cannot pull, however. Where an even bedding would pull, the
 supports push with the least energy of their springs (petmjx.world.load_sharing). Where a resultant of the bedding lies
-beyond an edge, a linear programme says whether other forces keep all resultants inside (petmjx.world.load_balance).
+beyond an edge, a linear programme says whether other forces keep all resultants inside
+(petmjx.world.balance_programme).
 """
 
 from __future__ import annotations

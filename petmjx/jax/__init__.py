@@ -12,9 +12,9 @@ environment of pure functions. More in docs/loop.md.
 import warnings
 from typing import Any
 
-from petmjx.jax.palletizing import Observation, Palletizing
+from petmjx.jax.pallet_functions import empty, place, try_all
+from petmjx.jax.palletizing_environment import Observation, Palletizing
 from petmjx.jax.placement_arrays import REASONS, PlacementArrays
-from petmjx.jax.pure_functions import empty, place, try_all
 from petmjx.jax.timestep import Spec, StepType, TimeStep
 
 __all__ = [

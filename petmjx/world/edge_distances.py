@@ -1,8 +1,8 @@
 """Distances of loads from the edges of the boxes' supports, by the plan: when it is complete, and while it is built.
 
 The load of a box is its own weight and all that rests on it. By springs, the shared loads may put a load beyond an edge
-although another balance has it inside. So such a balance is searched for (petmjx.world.load_balance): a load is beyond
-an edge only if vertical forces cannot balance the boxes.
+although another balance has it inside. So such a balance is searched for (petmjx.world.balance_programme): a load is
+beyond an edge only if vertical forces cannot balance the boxes.
 
 While the plan is built: a counterweight that comes too late holds nothing. All loads of a plan may be inside when it is
 complete, and yet it may fall while it is built. So the load of every box is checked after each placement that changes
@@ -23,8 +23,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from petmjx.common.units import FloatArray
+from petmjx.world.balance_programme import BEYOND_M, balanced_loads
 from petmjx.world.history import CARRIER
-from petmjx.world.load_balance import BEYOND_M, balanced_loads
 from petmjx.world.load_sharing import IntArray, pulls
 from petmjx.world.scene import Scene
 from petmjx.world.supports import Bearing, bearing_of, joined_bearing

@@ -15,9 +15,9 @@ from petmjx.common.checked_records import hint
 from petmjx.common.errors import InputError
 from petmjx.common.units import MM_PER_M, STANDARD_GRAVITY
 from petmjx.jax.free_cells import Cells
+from petmjx.jax.pallet_functions import State as Pallet
+from petmjx.jax.pallet_functions import empty, place
 from petmjx.jax.placement_arrays import PlacementArrays
-from petmjx.jax.pure_functions import State as Pallet
-from petmjx.jax.pure_functions import empty, place
 from petmjx.jax.timestep import Spec, StepType, TimeStep
 from petmjx.loop.height_maps import cells_of
 from petmjx.loop.order_sources import ENDLESS, Boxes, Orders, order_reading
