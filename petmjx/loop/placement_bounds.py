@@ -25,7 +25,7 @@ from petmjx.loop.box_tables import BoxTable
 from petmjx.loop.growing_tables import widened_table
 from petmjx.loop.placement_results import PlacementResults
 from petmjx.loop.placements import Placements
-from petmjx.options.carriers import Carrier
+from petmjx.options.carriers import Carrier, walls_of
 from petmjx.options.physics import Cone
 from petmjx.options.simulation import Simulation
 from petmjx.packers.pile_balance import MARGIN_M, MARGIN_SHARE, TOUCH_MM, pressure_moments
@@ -82,11 +82,12 @@ _USUAL: Final = frozenset({Carrier.EURO_PALLET, Carrier.ROLLCONTAINER})
 
 
 def decidable(sim: Simulation) -> bool:
-    """Whether the bounds hold in this simulation: rigid boxes that appear at their places, on a carrier of one piece,
-    contacts of the preset ``pallet`` or stiffer, and thresholds that are about the usual ones."""
+    """Whether the bounds hold in this simulation: rigid boxes that appear at their places, on a carrier of one piece
+    without walls, contacts of the preset ``pallet`` or stiffer, and thresholds that are about the usual ones."""
     limits, physics = sim.thresholds, sim.physics
     return (
         sim.carrier in _USUAL
+        and not walls_of(sim.carrier, sim.walls).sides
         and sim.placing.appears
         and not physics.falls_into_place
         and physics.cone is Cone.ELLIPTIC

@@ -67,6 +67,11 @@ def test_what_may_catch_a_box_leaves_it_open() -> None:
             assert bool(results.stable[0]) == (verdict == STANDS)
 
 
+def test_nothing_is_decided_between_walls_which_may_catch_a_box() -> None:
+    walled = pile(((400, 200, 0),), carrier="euro-pallet", walls=["right"])
+    assert [said(walled, (x, 200, 200)) for x in (400, 620)] == [OPEN, OPEN]
+
+
 def test_loads_on_boxes_below_count() -> None:
     """A long box hangs over by as much as its weight allows. What is put onto its free end tips it; on the other end it
     does not."""
