@@ -37,7 +37,8 @@ class BlockPools:
 
     def of(self, table: WorldTable) -> tuple[BlockPool, ...]:
         """The block pools of a table. The pools for the last worlds and for small worlds come first, if they are
-        worthwhile. The pools by size follow, the one for the largest worlds first."""
+        worthwhile. The pools by size follow, the one for the largest worlds first. ``Programs._advance`` makes their
+        queues in the same order."""
         run = table.run
         pools = tuple(self._of_size(run, size, table.boards) for size in run.needs.sizes)
         usual = self._growth_of(run, run.needs.sizes[-1]) == 1
