@@ -100,7 +100,7 @@ def engine_warmup(options: RunOptions, plans: object) -> Iterator[WorkerStartup 
 
 def _may_be_gpu(options: RunOptions, plans: object) -> bool:
     """Whether the engine of this process will be ``mjx-warp`` if there is a GPU."""
-    if options.engine not in (AUTO, "mjx-warp"):
+    if not isinstance(options.engine, str) or options.engine not in (AUTO, "mjx-warp"):
         return False
     return options.engine != AUTO or _bytes_of(plans) >= WORTH_A_GPU
 

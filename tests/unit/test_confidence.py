@@ -206,7 +206,7 @@ def test_files_that_hold_more_than_errors_are_refused(text: str, expected: str, 
         ({"confidence": 3}, "confidence must be from 4 to 100000, got 3"),
         ({"confidence": "many"}, "confidence must be a whole number, got 'many'"),
         ({"errors": "x.toml"}, "errors needs confidence, the number of worlds"),
-        ({"confidence": 4, "errors": "x.toml"}, "x.toml: no such sweep file; ready-made sweeps are confidence, "),
+        ({"confidence": 4, "errors": "x.toml"}, "x.toml: no such sweep file; ready-made sweeps are chain-film-road, "),
     ],
 )
 def test_options_that_are_refused(options: dict[str, Any], expected: str) -> None:

@@ -101,7 +101,7 @@ def run_of(plans: Mapping[str, Plan], verdicts: Mapping[str, str], with_orders: 
     columns = {"plan_id": ids, "volume_m3": 0.1, "height_m": 1.0, "extent_x_m": 1.0, "extent_y_m": 0.5}
     if with_orders:
         columns |= {"ordered_boxes": 10_000, "left_out": 0, "not_ordered": 0, "resized": 0}
-    return SimpleNamespace(worlds=pd.DataFrame(worlds), plans=pd.DataFrame(columns), carrier=Carrier.FOOTPRINT)
+    return SimpleNamespace(worlds=pd.DataFrame(worlds), plans=pd.DataFrame(columns), carrier=Carrier.FOOTPRINT, info={})
 
 
 def test_a_thousand_entries_are_rated_from_0_to_1_and_honest_ones_do_not_move() -> None:

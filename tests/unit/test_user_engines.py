@@ -70,7 +70,7 @@ def test_a_lent_engine_keeps_what_it_has() -> None:
 
 def test_what_it_leaves_out_is_as_of_any_engine() -> None:
     engine = lent(Bare())
-    assert engine.capabilities == Capability.FLOAT64 | Capability.CG | Capability.SHEETS
+    assert engine.capabilities == Capability.FLOAT64 | Capability.CG | Capability.SHEETS | Capability.KINETIC_PAIRS
     assert engine.devices == 1
     assert not engine.tells
     with pytest.raises(InputError, match="engine bare has no worlds that stay open"):
