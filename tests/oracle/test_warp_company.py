@@ -130,7 +130,7 @@ def test_rows_of_ended_worlds_are_given_to_further_jobs(
     monkeypatch.setattr(WorldTable, "add", watched)
     monkeypatch.setattr(MjxWarpEngine, "_load", lambda *args: tables.append(load(*args)) or tables[-1])
     monkeypatch.setattr(table_jobs, "JOIN_ROWS", 2)
-    run = engine(most_rows=8, slice_ns=STEP_NS).run(LateStream(jobs * 2, jobs * 3), SHORT)
+    run = engine(most_rows=8, slice_ns=SOME_NS).run(LateStream(jobs * 2, jobs * 3), SHORT)
     outcome_by_job = {outcome.job: outcome for outcome in run}
     for first in range(0, 15, 3):
         assert_equal_worlds({name: outcome_by_job.pop(first + k) for k, name in enumerate(scenes)}, crowd)
@@ -157,7 +157,7 @@ def test_a_job_without_room_in_the_table_has_another_one(
         some.slice_ns = SOME_NS
 
     monkeypatch.setattr(WorldTable, "put_running", watched)
-    some = engine(slice_ns=STEP_NS)
+    some = engine(slice_ns=SOME_NS if blocks == 1 else STEP_NS)
     monkeypatch.setattr(table_jobs, "_roomy", lambda needs: needs)
     needs_another = TableJobs.needs_another
     monkeypatch.setattr(TableJobs, "needs_another", lambda self, table, _: needs_another(self, table, blocks))
@@ -196,7 +196,7 @@ def test_memory_that_runs_out_for_outcomes_loses_no_world(
     monkeypatch.setattr(slice_result, "outcomes", late)
     monkeypatch.setattr(slice_result, "MOST_AHEAD", 1 << 20)
     scenes = tiny_scenes()
-    outcomes = run_all(engine(most_rows=4, slice_ns=STEP_NS), [Job(scene) for scene in scenes.values()] * 2, SHORT)
+    outcomes = run_all(engine(most_rows=4, slice_ns=SOME_NS), [Job(scene) for scene in scenes.values()] * 2, SHORT)
     assert failed == [True]
     for first in (0, len(scenes)):
         assert_equal_worlds(dict(zip(scenes, outcomes[first : first + len(scenes)], strict=True)), crowd)
