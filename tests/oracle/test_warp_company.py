@@ -157,7 +157,7 @@ def test_a_job_without_room_in_the_table_has_another_one(
         some.slice_ns = SOME_NS
 
     monkeypatch.setattr(WorldTable, "put_running", watched)
-    some = engine(slice_ns=SOME_NS if blocks == 1 else STEP_NS)
+    some = engine(slice_ns=STEP_NS)
     monkeypatch.setattr(table_jobs, "_roomy", lambda needs: needs)
     needs_another = TableJobs.needs_another
     monkeypatch.setattr(TableJobs, "needs_another", lambda self, table, _: needs_another(self, table, blocks))
