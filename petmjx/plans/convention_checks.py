@@ -211,7 +211,7 @@ class _Search:
             self._add(unit[0], plan, unit[1])
             if unit[0].read is not None:
                 corner, size = unit[0].read(plan.corner_mm, plan.size_mm)
-                plan = replace(plan, corner_mm=corner, size_mm=size)
+                plan = replace(plan, corner_mm=corner, size_mm=size, kinds=())  # pallets have fixed sizes
                 odd = check_layout(plan.plan_id, plan.source, corner, size, self.extent_mm)
         if odd is None:
             return

@@ -32,6 +32,7 @@ from petmjx.plans.plan_fields import (
     SMALLEST_MM,
     com_fault,
     kind_fault,
+    pallet_fault,
     sparse_fault,
 )
 
@@ -239,7 +240,8 @@ def _item(raw: object, where: str) -> Item:
         for field, size in zip(COM_FIELDS_JSON, sizes.values(), strict=True)
     ]
     com_mm = None if offsets == [None] * 3 else (offsets[0] or 0.0, offsets[1] or 0.0, offsets[2] or 0.0)
-    if (fault := kind_fault(raw.get("kind"))) is not None:
+    fault = kind_fault(raw.get("kind")) or pallet_fault(raw.get("kind"), [*sizes.values()])
+    if fault is not None:
         raise InputError(f"{where}: {fault}")
     return Item(
         article=_text(raw, "article", where),

@@ -28,6 +28,7 @@ from petmjx.plans.input_conventions import USUAL, InputConventions, Limits
 from petmjx.plans.plan_fields import (
     COM_FIELDS,
     LONGEST_NAME,
+    PALLETS,
     SPARSE,
     com_along_axes,
     com_fault,
@@ -38,6 +39,7 @@ from petmjx.plans.plan_fields import (
     missing_fault,
     number_fault,
     orientation_fault,
+    pallet_fault,
     positive_fault,
     sparse_fault,
     text_fault,
@@ -435,7 +437,10 @@ class _TableReader:
         for name, sparse in self._sparse.items():
             bad |= np.isnan(sparse) & ~self._missing[name]
         if "kind" in self._texts:
-            bad |= np.array([kind_fault(name) is not None for name in self._texts["kind"][0]], bool)
+            names = self._texts["kind"][0]
+            bad |= np.array([kind_fault(name) is not None for name in names], bool)
+            for row in np.flatnonzero([name in PALLETS for name in names]):
+                bad[row] |= pallet_fault(names[row], self._size_mm(row)) is not None
         return bad
 
     @cached_property
@@ -576,8 +581,12 @@ class _TableReader:
             *(coordinate_fault(name, raw[name], *self._limits[name]) for name in _CORNER),
             *(sparse_fault(name, raw.get(name)) for name in SPARSE),
             kind_fault(raw.get("kind")),
+            pallet_fault(raw.get("kind"), self._size_mm(row)),
         )
         return next(filter(None, faults), None)
+
+    def _size_mm(self, row: np.int64) -> list[float]:
+        return [float(self._numbers[name][row]) for name in _SIZE]
 
     def _raw(self, name: str, row: np.int64) -> Any:
         return self.table.columns[name].raw(int(row), number=name not in NAMES)

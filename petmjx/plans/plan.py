@@ -15,7 +15,7 @@ from petmjx.common.text import count_text, printable_name
 from petmjx.common.units import PLAN_UNITS
 from petmjx.options.run_options import Anchor
 from petmjx.plans.input_conventions import InputConventions
-from petmjx.plans.plan_fields import KINDS, KINDS_IN_WORDS, PALLETS, SHEET, SPARSE
+from petmjx.plans.plan_fields import KINDS, KINDS_IN_WORDS, PALLETS, SHEET, SPARSE, pallet_fault
 
 
 @dataclass(frozen=True, eq=False, repr=False, slots=True)
@@ -114,6 +114,9 @@ class Plan:
                 raise InputError(f"{name} must be > 0, got {fields[name].min():g}")
         if self.mass_center_mm is not None and not (2 * np.abs(self.mass_center_mm) < self.size_mm).all():
             raise InputError("mass_center_mm must be inside the boxes, less than half of size_mm from their middles")
+        for box, name in enumerate(kinds):
+            if (fault := pallet_fault(name, self.size_mm[box])) is not None:
+                raise InputError(f"box {box}: {fault}")
         object.__setattr__(self, "product_groups", groups)
         object.__setattr__(self, "materials", materials)
         object.__setattr__(self, "kinds", kinds if set(kinds) - {"", KINDS[0]} else ())

@@ -66,6 +66,8 @@ PALLETS: Final[Mapping[str, tuple[float, float, float]]] = {
     Carrier.GMA_48X40.value: (1219.0, 1016.0, 121.0),
 }
 """Kinds of items that are pallets, which bear other boxes → their extents, mm. Carriers have the same names."""
+PALLET_SIZE_MM: Final = 1.0
+"""How far an item's sizes may be from those of its pallet, mm: the last digit of plans."""
 KINDS: Final = ("box", SHEET, *PALLETS)
 """Kinds of items; the default is a box."""
 KINDS_IN_WORDS: Final = f"{', '.join(KINDS[:-1])} or {KINDS[-1]}"
@@ -188,6 +190,23 @@ def kind_fault(value: object) -> str | None:
     if value is None or value == "" or (isinstance(value, str) and value in KINDS):
         return None
     return f"kind must be {KINDS_IN_WORDS}, got {kind(value)}"
+
+
+def pallet_fault(name: str | None, size_mm: Sequence[float]) -> str | None:
+    """The error text for an item whose kind is a pallet of other sizes; None if it is fine.
+
+    Args:
+        name: the item's kind.
+        size_mm: its length, width and height, mm, or its extents as placed.
+    """
+    if name not in PALLETS:
+        return None
+    length, width, height = PALLETS[name]
+    for pallet in (length, width, height), (width, length, height):
+        if all(abs(side - extent) <= PALLET_SIZE_MM for side, extent in zip(size_mm, pallet, strict=True)):
+            return None
+    sizes = " × ".join(f"{side:g}" for side in size_mm)
+    return f"kind {name} must be {length:g} × {width:g} × {height:g} mm, or turned by 90°, got {sizes}"
 
 
 def missing_fault(fields: Sequence[str]) -> str:

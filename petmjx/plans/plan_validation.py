@@ -31,6 +31,7 @@ from petmjx.plans.plan_fields import (
     missing_anywhere,
     missing_fault,
     orientation_fault,
+    pallet_fault,
     plan_id_fault,
     positive_fault,
     sparse_fault,
@@ -174,6 +175,7 @@ def _parse_columns(
         and (com is None or (2 * np.abs(com) < size).all())
         and all(sparse_fault(name, value) is None for name in numbers_of for value in sparse[name])
         and all(kind_fault(name) is None for name in kinds)
+        and all(pallet_fault(name, sides) is None for name, sides in zip(kinds, size.tolist(), strict=False))
     )
     if not in_range:
         return None
@@ -241,6 +243,7 @@ def find_fault(placement: object, given: InputConventions = USUAL) -> str | None
         or sparse_fault("approach_deg", placement.get("approach_deg"))
         or next(filter(None, (sparse_fault(field, item.get(field)) for field in _SPARSE_OF_ITEM)), None)
         or kind_fault(item.get("kind"))
+        or pallet_fault(item.get("kind"), [item[field] * given.length_mm for field in _SIZES])
     )
 
 

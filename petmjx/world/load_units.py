@@ -8,38 +8,15 @@ shared by volume.
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import Final
 
 import numpy as np
 
-from petmjx.common.errors import InputError
-from petmjx.common.text import printable_name
 from petmjx.common.units import MM_PER_M, FloatArray, mm_to_m
 from petmjx.options.carriers import Carrier
 from petmjx.plans.plan import Plan
-from petmjx.plans.plan_fields import PALLETS
+from petmjx.plans.plan_fields import PALLET_SIZE_MM, PALLETS
 from petmjx.world.body_shapes import Body, Pieces
 from petmjx.world.carrier_boards import pallet
-
-SIZE_MM: Final = 1.0
-"""How far an item's sizes may be from those of its pallet, mm: the last digit of plans."""
-
-
-def check_pallets(plan: Plan) -> None:
-    """Check that items that are pallets have the sizes of their kinds.
-
-    Raises:
-        InputError: one line with the plan, the box and the sizes.
-    """
-    for box, kind in plan.pallets.items():
-        x, y, height = PALLETS[kind]
-        size = plan.size_mm[box]
-        if not any(np.abs(size - extent).max() <= SIZE_MM for extent in ((x, y, height), (y, x, height))):
-            sizes = " × ".join(f"{side:g}" for side in size)
-            raise InputError(
-                f"plan {printable_name(plan.plan_id)}: box {box} of kind {kind} must be {x:g} × {y:g} × {height:g} mm, "
-                f"or turned by 90°, got {sizes}"
-            )
 
 
 def with_pallets(
@@ -58,7 +35,7 @@ def with_pallets(
     for box, kind in plan.pallets.items():
         extent = np.array(PALLETS[kind])
         boards = _boards(kind, half_size[box])
-        turned = abs(plan.size_mm[box, 0] - extent[0]) > SIZE_MM
+        turned = abs(plan.size_mm[box, 0] - extent[0]) > PALLET_SIZE_MM
         if turned:
             order = [1, 0, 2]
             boards = replace(

@@ -18,7 +18,6 @@ from petmjx.plans.plan import Plan
 from petmjx.plans.plan_warnings import DEFAULT_TOLERANCE_MM, MOST_NAMED
 from petmjx.world.carrier_boards import carrier_notes, has_walls, pallet
 from petmjx.world.friction_pairs import check_surfaces
-from petmjx.world.load_units import check_pallets
 from petmjx.world.scene import build_scene, carrier_of
 from petmjx.world.supports import bearing_of
 
@@ -51,11 +50,8 @@ def notes_about(
         driven: whether worlds are shaken.
 
     Raises:
-        InputError: as ``check_surfaces`` and ``check_pallets``; soft boxes that MuJoCo cannot have; or film around
-            pallets among the boxes.
+        InputError: as ``check_surfaces``; soft boxes that MuJoCo cannot have; or film around pallets among the boxes.
     """
-    for plan in plans:
-        check_pallets(plan)
     return [
         *carrier_notes(sim),
         *check_surfaces(plans, sim),

@@ -21,6 +21,7 @@ from petmjx.options.simulation import Check, Schedule, Simulation
 from petmjx.plans.plan import Plan
 from petmjx.plans.plan_fields import PALLETS
 from petmjx.runs.transport_limits import slide_m
+from petmjx.show.file_info import file_infos
 from petmjx.world.carrier_boards import pallet
 from petmjx.world.job import ACCELERATION, Drive, Excitation, Job
 from petmjx.world.option_lint import notes_about
@@ -158,20 +159,29 @@ def test_two_loaded_pallets_on_each_other_topple_as_one(name: str) -> None:
     assert above.boxes.max_tilt_deg[2] > 20.0
 
 
-@pytest.mark.parametrize(
-    ("change", "line"),
-    [
-        (
-            {"size_mm": np.array([(1200.0, 800.0, 150.0), (1200.0, 800.0, 400.0)])},
-            "box 0 of kind epal-1 must be 1200 × 800 × 144 mm, or turned by 90°, got 1200 × 800 × 150",
-        ),
-        ({}, "wrap.turns: film holds boxes to the carrier, and this plan has pallets among its boxes; leave film out"),
-    ],
-)
-def test_what_pallets_cannot_be_is_said(change: dict[str, np.ndarray], line: str) -> None:
-    plan = replace(unit((0.0, 0.0, 0.0), 400.0, 200.0), **change)
-    with pytest.raises(InputError, match=f"^plan units: {line}$"):
-        notes_about(Simulation(carrier="trailer", wrap={"turns": 0 if change else 3}), [plan])
+def test_film_around_pallets_is_refused() -> None:
+    why = "wrap.turns: film holds boxes to the carrier, and this plan has pallets among its boxes; leave film out"
+    with pytest.raises(InputError, match=f"^plan units: {why}$"):
+        notes_about(Simulation(carrier="trailer", wrap={"turns": 3}), [unit((0.0, 0.0, 0.0), 400.0, 200.0)])
+
+
+@pytest.mark.parametrize("name", ["plans.json", "plans.csv", "plans.parquet"])
+def test_a_plan_with_a_pallet_of_another_size_is_skipped(name: str, tmp_path: Path) -> None:
+    line = "kind epal-1 must be 1200 × 800 × 144 mm, or turned by 90°, got 1100 × 800 × 144"
+    plan = unit((0.0, 0.0, 0.0), 400.0, 200.0)
+    size_mm = plan.size_mm - [[100.0, 0.0, 0.0], [0.0, 0.0, 0.0]]
+    with pytest.raises(InputError, match=f"^box 0: {line}$"):
+        replace(plan, size_mm=size_mm)
+    columns = {"size_mm": size_mm, "corner_mm": plan.corner_mm, "mass_kg": plan.mass_kg}
+    with pytest.raises(InputError, match=f"^plan wrong, box 0: {line}$"):
+        Plan.from_boxes("wrong", **columns, kind=list(plan.kinds))
+    wrong = replace(plan, plan_id="wrong")
+    object.__setattr__(wrong, "size_mm", size_mm)  # as another program may write it
+    petmjx.save_plans([wrong, plan], tmp_path / name)
+    (info,), _ = file_infos([tmp_path / name], {})
+    (skipped,) = info["skipped"]
+    assert (info["plan_ids"], skipped.endswith(line)) == (["units"], True)
+    assert f"{tmp_path / name}: plan wrong, " in skipped
 
 
 def test_a_pair_that_slides_better_at_rest_is_refused() -> None:
