@@ -3,7 +3,7 @@
 A draft keeps the numbers that boxes have in the plan, whatever their order is now. Sheets that are added have the next
 numbers. A draft is allowed if no fault of its layout is worse than in the plan: boxes that overlap, that float when
 they are placed, that reach beyond the carrier, or that come under a box that already stands above their place. So an
-odd plan can be repaired step by step, but never becomes odder.
+odd plan can be repaired step by step, but never becomes odder. A box that is moved aside or turned ends outside walls.
 """
 
 from __future__ import annotations
@@ -290,11 +290,19 @@ class Rules:
         worse |= _worse(now.gap_mm, self._before.gap_mm, n).any(axis=1)
         worse |= now.outside_mm.max(axis=1) > TOLERANCE_MM
         worse |= _worse(now.through_mm, self._before.through_mm, n).any(axis=1)
+        worse |= (self._shifted(drafts) & (now.through_mm[:, :n] > TOLERANCE_MM)).any(axis=1)
         blocked = now.blocked.copy()
         blocked[:, :n, :n] &= ~self._before.blocked
         worse |= blocked.any(axis=(1, 2))
         allowed: BoolArray = ~worse & np.array([self._keeps_built(draft) for draft in drafts])
         return allowed
+
+    def _shifted(self, drafts: Sequence[Draft]) -> BoolArray:
+        """(c, n) which boxes of the plan are moved along x or y, or turned."""
+        n = self.plan.n_boxes
+        aside = np.stack([draft.corner_mm[:n, :2] for draft in drafts]) != self.plan.corner_mm[:, :2]
+        turned = np.stack([draft.turned[:n] for draft in drafts])
+        return np.asarray(aside.any(axis=2) | turned)
 
     def _keeps_built(self, draft: Draft) -> bool:
         """Whether the boxes that stand already stand as in the plan."""
@@ -330,8 +338,8 @@ class Rules:
         if self._room is None:
             return np.zeros(low.shape[:2])
         middle_m, half_m = (low + high) / 2 / MM_PER_M, (high - low) / 2 / MM_PER_M
-        gap_mm = MM_PER_M * self._room.gaps(middle_m, half_m, TOLERANCE_MM / MM_PER_M)
-        return np.asarray(np.maximum(-gap_mm.min(axis=(2, 3)), 0.0))
+        depth_mm = MM_PER_M * self._room.depths(middle_m, half_m, TOLERANCE_MM / MM_PER_M)
+        return np.asarray(depth_mm.max(axis=(2, 3)))
 
 
 AT_ONCE: Final = 256

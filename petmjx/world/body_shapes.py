@@ -168,10 +168,25 @@ class Room:
             place, half: (…, n, 3) middles and half extents of the boxes along the axes, m.
             least_m: a box is beside a wall if it reaches below its top by more than this.
         """
-        inwards = (place[..., None, :2] - self.face[..., None, :, :]) * np.array([[1.0], [-1.0]])
-        beside = (inwards > 0) & ((place - half)[..., None, None, 2] < self.top[..., None, :, :] - least_m)
-        gap: FloatArray = np.where(beside, inwards - half[..., None, :2], np.inf)
+        inwards, beside = self._inwards(place, half, least_m)
+        gap: FloatArray = np.where(beside & (inwards > 0), inwards - half[..., None, :2], np.inf)
         return gap
+
+    def depths(self, place: FloatArray, half: FloatArray, least_m: float) -> FloatArray:
+        """(…, n, 2, 2) how far boxes reach beyond the inner faces of walls, m; 0 where they do not. Unlike those of
+        ``gaps``, boxes count wherever their middles are, also those that stand wholly behind a wall.
+
+        Args:
+            place, half, least_m: as of ``gaps``.
+        """
+        inwards, beside = self._inwards(place, half, least_m)
+        depth: FloatArray = np.where(beside, np.maximum(half[..., None, :2] - inwards, 0.0), 0.0)
+        return depth
+
+    def _inwards(self, place: FloatArray, half: FloatArray, least_m: float) -> tuple[FloatArray, NDArray[np.bool_]]:
+        """(…, n, 2, 2) how far the middles of boxes are inside the faces, m, and which boxes reach below the tops."""
+        inwards = (place[..., None, :2] - self.face[..., None, :, :]) * np.array([[1.0], [-1.0]])
+        return inwards, (place - half)[..., None, None, 2] < self.top[..., None, :, :] - least_m
 
 
 @dataclass(frozen=True, eq=False)
