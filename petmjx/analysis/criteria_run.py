@@ -29,7 +29,7 @@ from petmjx.options.run_options import Anchor, RunOptions
 from petmjx.options.simulation import Simulation
 from petmjx.plans.convention_checks import warn
 from petmjx.plans.plan import Plan
-from petmjx.plans.plan_sources import PlanSource, gather_plans
+from petmjx.plans.plan_sources import PlanSource, gather_plans, without_narrow_walls
 from petmjx.results.documented_tables import Described, check_tables_free, has_keys, write_documented_tables
 from petmjx.results.plan_lookup import how_read, plans_in_place, plans_of
 from petmjx.results.read_files import source_files
@@ -291,6 +291,7 @@ def criteria(
         plans, read = plans_of(physics, strict), read.changed(articles=None)
     plan_set = gather_plans(plans_in_place(plans, strict), Simulation(), read)
     warn(plan_set.conventions)
+    plan_set = without_narrow_walls(plan_set, chosen.carrier, chosen.walls, strict)
     if not plan_set.plans:
         first = f"; the first: {plan_set.skipped[0].message}" if plan_set.skipped else ""
         raise InputError(f"no usable plan ({len(plan_set.skipped)} skipped){first}")

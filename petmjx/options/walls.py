@@ -5,7 +5,7 @@ Defaults, units, checks and descriptions are written only here. docs/carriers.md
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from enum import StrEnum
 from typing import Annotated, Any, Final, Self
 
@@ -103,6 +103,21 @@ class Walls(CheckedRecord):
     def standing(self) -> tuple[Side, ...]:
         """The sides whose walls bear: those that are not open."""
         return tuple(side for side in self.sides or () if side not in self.open)
+
+    def room_fault(self, extent_mm: Sequence[float]) -> str | None:
+        """The error text for walls that leave no room on a carrier's top; None if they do.
+
+        A wall narrows the room by the gap. Along the other axis, walls end at the gaps of both sides.
+
+        Args:
+            extent_mm: extents of the carrier's top along x and y, mm.
+        """
+        gap_mm, axes = self.gap_mm or 0.0, [side.axis for side in self.sides or ()]
+        for axis, name in enumerate("xy"):
+            gaps = 2 if 1 - axis in axes else axes.count(axis)
+            if gaps and extent_mm[axis] + gaps * gap_mm <= 0:
+                return f"walls.gap_mm of {gap_mm:g} leaves no room on a carrier of {extent_mm[axis]:g} mm along {name}"
+        return None
 
 
 USUAL: Final = Walls(

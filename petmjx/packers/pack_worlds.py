@@ -11,7 +11,7 @@ from petmjx.options.run_options import Confidence, RunOptions, sorted_options
 from petmjx.options.simulation import Simulation
 from petmjx.plans.plan import Plan
 from petmjx.plans.plan_set import PlanSet
-from petmjx.plans.plan_sources import without_vanishing_boxes
+from petmjx.plans.plan_sources import without_narrow_walls, without_vanishing_boxes
 from petmjx.runs.confidence import confidence_sweep
 from petmjx.runs.sweep_worlds import PlacementGroup, SweepPlan
 from petmjx.world.job import Job
@@ -50,9 +50,10 @@ class WorldsOfPlans:
         """The worlds of some variants of a plan.
 
         Raises:
-            InputError: a box has no extent left after the size reduction.
+            InputError: a box has no extent left after the size reduction, or walls leave no room.
         """
         without_vanishing_boxes(PlanSet([plan]), self.sim.size_reduction_mm, strict=True)
+        without_narrow_walls(PlanSet([plan]), self.sim.carrier, self.sim.walls, strict=True)
         if self._sweep is None:
             yield from (World(plan, number, Job(build_scene(plan, self.sim))) for number in variants)
             return

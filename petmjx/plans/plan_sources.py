@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from itertools import count
 from os import PathLike
@@ -17,9 +17,10 @@ from petmjx.common.checked_records import similar
 from petmjx.common.errors import InputError
 from petmjx.common.text import count_text, first_names, printable, printable_name
 from petmjx.common.units import MM_PER_M
-from petmjx.options.carriers import extent_m
+from petmjx.options.carriers import Carrier, OwnCarrier, extent_m, walls_of
 from petmjx.options.run_options import RunOptions
 from petmjx.options.simulation import Simulation
+from petmjx.options.walls import Walls
 from petmjx.plans.bundled import bundled_path
 from petmjx.plans.convention_checks import warn, with_conventions
 from petmjx.plans.file_formats import SupportsArrow
@@ -59,6 +60,7 @@ def usable_plans(plans: PlanSource | None, sim: Simulation, options: RunOptions)
     earlier_lines = plans.conventions if isinstance(plans, PlanSet) else ()
     warn([line for line in gathered.conventions if line not in earlier_lines])
     plan_set = without_vanishing_boxes(gathered, sim.size_reduction_mm, options.strict)
+    plan_set = without_narrow_walls(plan_set, sim.carrier, sim.walls, options.strict)
     if not plan_set.plans:
         first = f"; the first: {plan_set.skipped[0].message}" if plan_set.skipped else ""
         raise InputError(f"no usable plan ({len(plan_set.skipped)} skipped){first}")
@@ -192,15 +194,46 @@ def without_vanishing_boxes(plan_set: PlanSet, size_reduction_mm: float, strict:
     Raises:
         InputError: with ``strict``, a plan would be skipped.
     """
-    kept, skipped = [], list(plan_set.skipped)
-    for plan in plan_set.plans:
+
+    def fault(plan: Plan) -> str | None:
         thin = np.flatnonzero((plan.size_mm <= size_reduction_mm).any(axis=1))
         if not len(thin):
-            kept.append(plan)
-            continue
+            return None
         box = int(thin[0])
         side = f"a side of {plan.size_mm[box].min():g} mm vanishes under the size reduction of {size_reduction_mm:g} mm"
-        why = Skipped.plan(plan, f", placement {box}: {side}", strict)
+        return f", placement {box}: {side}"
+
+    return _without_faults(plan_set, fault, strict)
+
+
+def without_narrow_walls(
+    plan_set: PlanSet, carrier: Carrier | OwnCarrier, walls: Walls, strict: bool = False
+) -> PlanSet:
+    """Skip plans on whose carrier the walls leave no room. A carrier ``footprint`` is as large as the plan.
+
+    Raises:
+        InputError: with ``strict``, a plan would be skipped.
+    """
+    walls, extent = walls_of(carrier, walls), extent_m(carrier)
+
+    def fault(plan: Plan) -> str | None:
+        corner, size = plan.corner_mm[:, :2], plan.size_mm[:, :2]
+        footprint_mm = (corner + size).max(axis=0) - corner.min(axis=0)
+        room_fault = walls.room_fault(footprint_mm if extent is None else [side * MM_PER_M for side in extent])
+        return None if room_fault is None else f": {room_fault}"
+
+    return _without_faults(plan_set, fault, strict) if walls.sides else plan_set
+
+
+def _without_faults(plan_set: PlanSet, fault_of: Callable[[Plan], str | None], strict: bool) -> PlanSet:
+    """Skip plans with a fault. ``fault_of`` has the message after the plan's id, or None."""
+    kept, skipped = [], list(plan_set.skipped)
+    for plan in plan_set.plans:
+        fault = fault_of(plan)
+        if fault is None:
+            kept.append(plan)
+            continue
+        why = Skipped.plan(plan, fault, strict)
         skipped.append(replace(why, number=plan_set.numbers.get(plan.plan_id)))
     return replace(plan_set, plans=kept, skipped=skipped)
 

@@ -13,6 +13,7 @@ from typing import Final
 
 import numpy as np
 
+from petmjx.common.errors import InputError
 from petmjx.common.text import printable_name
 from petmjx.common.units import MM_PER_M, FloatArray, mm_to_m
 from petmjx.options.carriers import TOUCH_MM, Carrier, OwnCarrier, walls_of
@@ -202,10 +203,15 @@ def with_walls(carrier: Body, sim: Simulation) -> Body:
 
     Args:
         carrier: its boards, with its top at z = 0.
+
+    Raises:
+        InputError: the walls leave no room.
     """
     walls = walls_of(sim.carrier, sim.walls)
     if not walls.sides:
         return carrier
+    if (fault := walls.room_fault(((carrier.high - carrier.low) * MM_PER_M).tolist())) is not None:
+        raise InputError(fault)
     gap, thick, height = ((value or 0.0) / MM_PER_M for value in (walls.gap_mm, walls.thickness_mm, walls.height_mm))
     low, high = carrier.low[:2] - gap, carrier.high[:2] + gap
     below = min(WALL_DEPTH_M, -carrier.low[2] / 2)

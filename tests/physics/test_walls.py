@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from contextlib import nullcontext
 from operator import attrgetter
 from pathlib import Path
 
@@ -17,8 +18,10 @@ from petmjx.common.errors import InputError
 from petmjx.engines.engine_choice import make_engine
 from petmjx.engines.mujoco.engine import MujocoEngine
 from petmjx.engines.verdict import Outcome, Verdict
+from petmjx.options.run_options import RunOptions
 from petmjx.options.simulation import Check, Schedule, Simulation
 from petmjx.options.walls import Side
+from petmjx.plans.plan_sources import usable_plans
 from petmjx.repairs.drafts import Draft, Rules
 from petmjx.runs.sweep_file import load_sweep
 from petmjx.world.approach_paths import ApproachPath, approach_path_of, approach_paths_of, reach
@@ -261,6 +264,28 @@ def test_a_box_that_is_planned_through_a_wall_gets_a_line(corner_x_mm: float, li
     plans = [make_plan("a", [((300.0, 300.0, 300.0), (corner_x_mm, 0.0, 0.0), 5.0)])]
     notes = notes_about(Simulation(carrier="rollcontainer-4"), plans)
     assert [note for note in notes if "wall" in note] == ([line] if line else [])
+
+
+@pytest.mark.parametrize(
+    ("sides", "size_mm", "line"),
+    [
+        (["left", "right"], (300.0, 500.0), "walls.gap_mm of -200 leaves no room on a carrier of 300 mm along x"),
+        (["left"], (500.0, 400.0), "walls.gap_mm of -200 leaves no room on a carrier of 400 mm along y"),
+        (["left"], (300.0, 500.0), None),
+    ],
+)
+def test_a_plan_on_which_walls_leave_no_room_is_skipped(
+    sides: list[str], size_mm: tuple[float, float], line: str | None
+) -> None:
+    footprints_mm = {"a": size_mm, "b": (600.0, 600.0)}
+    plans = [make_plan(name, [((*size, 300.0), (0.0, 0.0, 0.0), 5.0)]) for name, size in footprints_mm.items()]
+    walls = {"sides": sides, "gap_mm": -200.0}
+    usable = usable_plans(plans, Simulation(walls=walls), RunOptions())
+    judged = petmjx.criteria(plans, walls=walls)
+    lines = [] if line is None else [f"{plans[0].source}: plan a: {line}"]
+    assert [str(skipped) for skipped in usable.skipped] == judged.info["skipped"] == lines
+    with nullcontext() if line is None else pytest.raises(InputError, match=f"^{line}$"):
+        build_scene(plans[0], Simulation(walls=walls))
 
 
 def test_options_of_walls_that_mean_nothing_are_named() -> None:
