@@ -179,6 +179,11 @@ class OwnCarrier(CheckedRecord):
         return tuple(board.material or self.material for board in self.boards)
 
     @model_validator(mode="after")
+    def _opens_its_walls(self) -> Self:
+        self.walls.check_open()  # here, too, so that the line names the carrier's file
+        return self
+
+    @model_validator(mode="after")
     def _can_be_a_carrier(self) -> Self:
         for check in (_check_sizes, _check_masses, _check_origin, _check_one_piece, _check_top, _check_stand):
             check(self)

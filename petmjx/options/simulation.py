@@ -283,10 +283,7 @@ class Simulation(CheckedRecord):
 
     @model_validator(mode="after")
     def _opens_walls(self) -> Self:
-        walls = walls_of(self.carrier, self.walls)
-        for at, side in enumerate(walls.open):
-            if side not in (walls.sides or ()):
-                raise complaint(f"is {side}, where the carrier has no wall", "walls", "open", at)
+        walls_of(self.carrier, self.walls).check_open()
         return self
 
     @model_validator(mode="after")

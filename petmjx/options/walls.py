@@ -42,34 +42,34 @@ class Walls(CheckedRecord):
 
     sides: Annotated[tuple[Side, ...] | None, CliFlag("--walls", "SIDE,…")] = Field(
         None,
-        description="sides of the carrier that have a wall: left (at x = 0), right, front (at y = 0), back; none: "
-        "those of the carrier, of which rollcontainer-2, -3 and -4, gitterbox and container-20ft have some",
+        description="sides of the carrier that have a wall: left (at x = 0), right, front (at y = 0), back; by "
+        "default those of the carrier, of which rollcontainer-2, -3 and -4, gitterbox and container-20ft have some",
     )
     open: Annotated[tuple[Side, ...], CliFlag("--open-walls", "SIDE,…")] = Field(
         (),
         description="walls that are open, as a door is: nothing leans on them, but their mass stays",
     )
     height_mm: Annotated[float | None, within(1, 4000)] = Field(
-        None, description="height of the walls above the carrier's top, mm; none: the carrier's, else 1500"
+        None, description="height of the walls above the carrier's top, mm; by default the carrier's, else 1500"
     )
     gap_mm: Annotated[float | None, within(-200, 500)] = Field(
         None,
         description="distance of the walls from the sides of the carrier's top, mm; negative: they stand on it, as "
-        "collars do; none: the carrier's, else 0",
+        "collars do; by default the carrier's, else 0",
     )
     thickness_mm: Annotated[float | None, within(1, 500)] = Field(
-        None, description="thickness of the walls, mm; none: the carrier's, else 30"
+        None, description="thickness of the walls, mm; by default the carrier's, else 30"
     )
     mass_kg_m2: Annotated[float | None, within(0, 1000)] = Field(
-        None, description="mass of the walls by area, kg/m²; none: the carrier's, else 6"
+        None, description="mass of the walls by area, kg/m²; by default the carrier's, else 6"
     )
     friction: Annotated[StrictFloat, Field(ge=0, le=100)] | None = Field(
         None,
-        description="coefficient of sliding friction between walls and boxes; none: as for boards that have none, by "
-        "materials or physics.carrier_friction",
+        description="coefficient of sliding friction between walls and boxes; by default as for boards that have "
+        "none, by materials or physics.carrier_friction",
     )
     material: Annotated[str, Field(max_length=100)] | None = Field(
-        None, description="what the walls are made of, for friction by materials; none: the carrier's, else wood"
+        None, description="what the walls are made of, for friction by materials; by default the carrier's, else wood"
     )
 
     @model_validator(mode="before")
@@ -103,6 +103,12 @@ class Walls(CheckedRecord):
     def standing(self) -> tuple[Side, ...]:
         """The sides whose walls bear: those that are not open."""
         return tuple(side for side in self.sides or () if side not in self.open)
+
+    def check_open(self) -> None:
+        """Complain of an open wall where there is none, as the record that has these ``walls`` does."""
+        for at, side in enumerate(self.open):
+            if side not in (self.sides or ()):
+                raise complaint(f"is {side}, where the carrier has no wall", "walls", "open", at)
 
     def room_fault(self, extent_mm: Sequence[float]) -> str | None:
         """The error text for walls that leave no room on a carrier's top; None if they do.

@@ -191,6 +191,7 @@ class Plan:
         """
         from petmjx.plans.plan_builder import fields_of_units  # not at the top of the module: it loads Arrow
 
+        loads = list_of(loads, "loads", Plan, "Plan objects")
         return cls(**fields_of_units(plan_id, loads, corner_mm, pallet, pallet_kg, material))
 
     @property

@@ -38,8 +38,7 @@ def fields_from_boxes(
     Raises:
         InputError: a field is missing, unknown or unusable, or fields have different lengths.
     """
-    text_of(plan_id, "plan_id")
-    if fault := plan_id_fault(plan_id):
+    if fault := plan_id_fault(text_of(plan_id, "plan_id")):
         raise InputError(fault)
     where = f"plan {printable_name(plan_id)}"
     columns = {**_columns_of(boxes, where), **_columns_of_arrays(arrays, where), **more}
@@ -80,7 +79,8 @@ def fields_of_units(
     Raises:
         InputError: an argument is unusable.
     """
-    text_of(plan_id, "plan_id")
+    if fault := plan_id_fault(text_of(plan_id, "plan_id")):
+        raise InputError(fault)
     if pallet not in PALLETS:
         raise InputError(f"pallet must be {' or '.join(PALLETS)}, {shown_value(pallet)}")
     size, corners = np.array(PALLETS[pallet]), array_of(corner_mm, "corner_mm", (3,))

@@ -88,6 +88,11 @@ def test_units_are_joined_pallet_after_pallet() -> None:
     np.testing.assert_array_equal(plan.mass_kg, [20, 5, 5, 20, 5])
     with pytest.raises(InputError, match="corner_mm must have a corner for each of 2 loads, got 1"):
         Plan.of_units("two", loads, [(0, 0, 0)])
+    for not_plans, why in (["load"], r"loads\[0\] must be"), (loads[0], "loads must be a list of"):
+        with pytest.raises(InputError, match=why):
+            Plan.of_units("two", not_plans, [(0, 0, 0)])
+    with pytest.raises(InputError, match="the plan id must be text and not empty"):
+        Plan.of_units("", loads, [(0, 0, 0)] * 2)
     with pytest.raises(InputError, match="pallet must be epal-1 or gma-48x40, got 'skid'"):
         Plan.of_units("two", loads, [(0, 0, 0)] * 2, pallet="skid")
 

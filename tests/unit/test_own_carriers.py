@@ -94,6 +94,9 @@ def test_a_file_may_have_walls_and_options_change_them() -> None:
         InputError, match=r"mine.toml: walls.sides\[0\] must be 'left', 'right', 'front' or 'back', got"
     ):
         read_carrier(FILE)
+    write(FILE, SOUND + '\n[walls]\nsides = ["left"]\nopen = ["back"]\n')
+    with pytest.raises(InputError, match=r"^mine.toml: walls.open\[0\] is back, where the carrier has no wall$"):
+        read_carrier(FILE)
 
 
 @pytest.mark.parametrize(
