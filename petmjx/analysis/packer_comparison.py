@@ -284,10 +284,11 @@ def _pair_row(size: str, a: str, b: str, rows: pd.DataFrame, confidence: float) 
 
 def _mean_interval(values: pd.Series, confidence: float) -> tuple[float, float, float]:
     """The mean of values of orders, and Student's interval of it. Orders differ more than chance moves each of their
-    values, and the spread between them has both. NaN for fewer than two orders."""
+    values, and the spread between them has both. NaN for fewer than two orders, and for orders that are all alike: then
+    the spread tells nothing."""
     known = values.dropna()
     mean, n = float(known.mean()), len(known)
-    if n < 2:
+    if n < 2 or known.std() == 0:
         return mean, float("nan"), float("nan")
     from scipy.stats import t
 

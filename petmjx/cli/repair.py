@@ -53,6 +53,7 @@ def repair(
     sheets, turns of film (with --profile) and, as the last resort, boxes that are left out. Boxes have their numbers in
     the plan, from 0; left is −x, front −y.
     """
+    from petmjx.plans.plan_writer import check_plan_file
     from petmjx.repairs.repair import repair as repaired
     from petmjx.results.plan_lookup import plans_in_place
     from petmjx.results.read_files import source_files
@@ -61,6 +62,8 @@ def repair(
     from petmjx.show.repair_tables import repair_tables
     from petmjx.show.table_layout import print_renderables
 
+    if out is not None:
+        check_plan_file(out)
     if html is not None and html.suffix.lower() != ".html":
         raise InputError(f"--html {printable(str(html))}: the file's name must end in .html")
     files = [file for file in (out, html) if file is not None]

@@ -74,5 +74,32 @@ class Curriculum:
         return np.asarray(low + level * (high - low), np.float64)
 
 
+def level_of(options: object, n: int, *others: str) -> FloatArray | None:
+    """(n,) the level that the options of ``reset`` ask for; None: as before.
+
+    Args:
+        others: names of other options that the environment has.
+
+    Raises:
+        InputError: no dict, an option that the environment does not have, or not one level or n.
+    """
+    if options is None:
+        return None
+    if not isinstance(options, Mapping):
+        raise InputError(f"options must be a dict, {shown_value(options)}")
+    known = ("level", *others)
+    if unknown := [name for name in options if name not in known]:
+        raise InputError(f"options: there is no {unknown[0]!r}; there is {' and '.join(known)}")
+    if options.get("level") is None:
+        return None
+    try:
+        return np.broadcast_to(np.asarray(options["level"], np.float64), (n,))
+    except (TypeError, ValueError):
+        each = "" if n == 1 else f", or {n} of them"
+        raise InputError(
+            f"options: level must be a number from 0 to 1{each}, {shown_value(options['level'])}"
+        ) from None
+
+
 def _between(ends: Range, level: float) -> float:
     return ends[0] + level * (ends[1] - ends[0])

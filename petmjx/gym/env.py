@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from petmjx.common.checked_records import shown_value
 from petmjx.common.errors import InputError
+from petmjx.gym.curriculum import level_of
 from petmjx.gym.episodes import Episodes
 from petmjx.gym.observation_spaces import Observation
 from petmjx.show.picture_window import PictureWindow
@@ -65,8 +66,8 @@ class PalletizingEnv(gym.Env[Observation, np.int64]):
             options: ``level``, from 0 to 1: the level of the curriculum from this episode on.
         """
         super().reset(seed=seed)
-        if options and "level" in options:
-            self.episodes.set_level(_FIRST, options["level"])
+        if (level := level_of(options, 1)) is not None:
+            self.episodes.set_level(_FIRST, level)
         self.episodes.begin(_FIRST, [self.np_random])
         self._ended = False
         self._show()

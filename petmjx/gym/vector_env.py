@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -11,7 +12,9 @@ from gymnasium.vector.utils import batch_space
 from numpy.typing import NDArray
 
 from petmjx.common.argument_checks import integer_of
+from petmjx.common.checked_records import shown_value
 from petmjx.common.errors import InputError
+from petmjx.gym.curriculum import level_of
 from petmjx.gym.env import PalletizingEnv, check_render_mode, spaces_of
 from petmjx.gym.episodes import Episodes
 from petmjx.gym.observation_spaces import Observation
@@ -73,17 +76,19 @@ class PalletizingVectorEnv(VectorEnv[Observation, NDArray[np.int64], NDArray[Any
             seed: seed of the first environment, while the other environments have the following numbers; or a list with
                 one for each.
         """
+        level = level_of(options, self.num_envs, "reset_mask")
         mask = None if options is None else options.get("reset_mask")
         rows = self._all if mask is None else np.flatnonzero(self._checked_mask(mask))
         seeds = [seed + row for row in range(self.num_envs)] if isinstance(seed, int | np.integer) else seed
+        if (seeds is not None and not isinstance(seeds, Sequence | np.ndarray)) or isinstance(seeds, str):
+            raise InputError(f"seed must be a whole number or a list of them, {shown_value(seeds)}")
         if seeds is not None and len(seeds) != self.num_envs:
             raise InputError(f"seed must have {self.num_envs} of them, got {len(seeds)}")
         for row in rows.tolist():
             if seeds is not None and seeds[row] is not None:
                 self._rngs[row], _ = seeding.np_random(seeds[row])
-        if options is not None and options.get("level") is not None:
-            level = np.asarray(options["level"], object)
-            self.episodes.set_level(rows, level[rows] if level.ndim else level)
+        if level is not None:
+            self.episodes.set_level(rows, level[rows])
         self._begin(rows)
         return self.episodes.observed(self._all), self._info(rows)
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 import json
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import ExitStack
+from contextlib import ExitStack, suppress
 from itertools import islice
 from pathlib import Path
 from typing import Any, Final
@@ -69,12 +69,15 @@ def write_labels(
     files = label_files(folder)
     inputs = [source] if isinstance(source, Path) else []
     check_outputs([*files.values(), folder / CARD, folder / README], overwrite=overwrite, inputs=inputs, folder=folder)
+    is_new = not folder.exists()
     with write_errors(folder):
         folder.mkdir(parents=True, exist_ok=True)
     tally = {split: _Tally() for split in SPLITS}
     judged: list[Label] = []
     last = list(SPLITS)[-1]
     with ExitStack() as stack:
+        if is_new:
+            stack.callback(_remove_if_empty, folder)
         writers = {
             split: stack.enter_context(pq.ParquetWriter(stack.enter_context(atomic_write(file)), SCHEMA))
             for split, file in files.items()
@@ -95,6 +98,11 @@ def write_labels(
         with atomic_write(folder / name) as path:
             path.write_text(text, encoding="utf-8")
     return card
+
+
+def _remove_if_empty(folder: Path) -> None:
+    with suppress(OSError):  # it has files, as usual
+        folder.rmdir()
 
 
 def _watched(labels: Iterator[Label], progress: Callable[[int], object]) -> Iterator[Label]:

@@ -16,7 +16,7 @@ from petmjx.common.argument_checks import list_of, path_of
 from petmjx.common.arrow_files import parquet_table
 from petmjx.common.checked_records import reason
 from petmjx.common.errors import InputError
-from petmjx.common.text import printable
+from petmjx.common.text import printable, printable_name
 from petmjx.common.units import FloatArray
 from petmjx.options.run_options import RunOptions
 from petmjx.plans.articles import Articles, read_articles
@@ -186,6 +186,7 @@ def _own_csv(path: Path) -> pd.DataFrame | None:
 
 
 def _of_table(table: pd.DataFrame, name: str) -> list[Boxes]:
+    table = _with_numbers(table, name)
     groups = [group for _, group in table.groupby("order_id", sort=False)] if "order_id" in table else [table]
     if _STRENGTH in table and not (table[_STRENGTH].dropna() > 0).all():
         raise InputError(f"{name}: {_STRENGTH} must be above 0, or empty")
@@ -204,11 +205,29 @@ def _of_table(table: pd.DataFrame, name: str) -> list[Boxes]:
     )
 
 
+def _with_numbers(table: pd.DataFrame, name: str) -> pd.DataFrame:
+    """The table with numbers in the columns that have numbers.
+
+    Raises:
+        InputError: a cell has something else; the line names its row, from 1 on.
+    """
+    numbers = {}
+    for column in (*_COLUMNS, _STRENGTH):
+        if column not in table:
+            continue
+        numbers[column] = pd.to_numeric(table[column], errors="coerce")
+        wrong = np.flatnonzero(numbers[column].isna() & table[column].notna())
+        if len(wrong):
+            cell = printable_name(str(table[column].iloc[wrong[0]]))
+            raise InputError(f"{name}: row {wrong[0] + 1}: {column} must be a number, got {cell!r}")
+    return table.assign(**numbers)
+
+
 def _upright(table: pd.DataFrame, name: str) -> NDArray[np.bool_] | None:
     """(k, 3) which sizes of boxes may be vertical; None: the table does not say it."""
     if _UPRIGHT not in table:
         return None
-    marks = table[_UPRIGHT].fillna("h").astype(str).str.lower()
+    marks = table[_UPRIGHT].fillna("").astype(str).str.lower().replace("", "h")
     if not (wrong := marks[~marks.str.fullmatch(f"[{_SIZES}]+")]).empty:
         raise InputError(f"{name}: {_UPRIGHT} must be letters of l, w and h, or empty, got {wrong.iloc[0]!r}")
     return np.column_stack([marks.str.contains(letter) for letter in _SIZES])

@@ -146,8 +146,9 @@ class Labeller:
         waiting: deque[Episode] = deque()  # in their order, of which the first ones are given away when they are over
         begun = made = given = barren = 0
         while running or (made < count and barren < 2 * self.orders.count):
+            goes_on = made < count and barren < 2 * self.orders.count
             for row in range(len(self.pallets)):
-                if row not in running and made < count:
+                if row not in running and goes_on:
                     running[row] = self._begun(begun)
                     waiting.append(running[row])
                     begun += 1

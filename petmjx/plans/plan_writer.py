@@ -62,6 +62,11 @@ def save_plans(plans: Plan | Iterable[Plan], path: str | os.PathLike[str]) -> No
     write(chosen, file)
 
 
+def check_plan_file(file: Path) -> None:
+    """Raise InputError if plans cannot be written into a file of this name."""
+    _writer_for(file)
+
+
 def _writer_for(file: Path) -> Callable[[Sequence[Plan], Path], None]:
     name = file.name.lower()
     for endings, write in ((_JSON, _write_json), (_CSV, _write_csv), (_PARQUET, _write_parquet)):

@@ -14,6 +14,7 @@ from pydantic import Field, StrictFloat, model_validator
 
 from petmjx.common.checked_records import CheckedRecord, complaint, similar, within
 from petmjx.common.errors import InputError
+from petmjx.common.text import printable_name
 from petmjx.common.units import seconds_to_steps
 from petmjx.engines.verdict import Outcome, Verdict
 from petmjx.options.walls import Side
@@ -32,7 +33,7 @@ AS_IS: Final = ""
 
 MOST_LEGS: Final = 100
 
-Name = Annotated[str, Field(min_length=1, max_length=100)]
+Name = Annotated[str, Field(max_length=100)]
 Factor = Annotated[StrictFloat, Field(gt=0), within(0, 100)]
 
 
@@ -69,8 +70,8 @@ class Leg(CheckedRecord):
         1.0, description="time between the end of an event and the beginning of the next one, s"
     )
     wrap_turns: Turn | None = Field(None, description="turns of stretch film around the pallet from here on")
-    open_walls: tuple[Side, ...] | None = Field(
-        None, description="walls of the carrier that are open from here on, as doors: left, right, front, back"
+    open_walls: tuple[Side, ...] = Field(
+        (), description="walls of the carrier that are opened, as doors, and stay open: left, right, front, back"
     )
 
 
@@ -94,6 +95,12 @@ def _ends(strength: float | Range[Any]) -> tuple[float, float | None]:
     return (strength.low, strength.high) if isinstance(strength, Range) else (strength, None)
 
 
+def check_name(name: str, *path: str | int) -> None:
+    """Raise a ValidationError if a name would not be seen, or would break lines and tables."""
+    if not name.strip() or not name.isprintable():
+        raise complaint(f": '{printable_name(name)}' must have visible characters, and no others", *path, "name")
+
+
 def check_chain(legs: Sequence[Leg], remedies: Sequence[Remedy], defined: Mapping[str, Profile]) -> None:
     """Check the tables of a chain against each other. Called by a validator.
 
@@ -105,6 +112,7 @@ def check_chain(legs: Sequence[Leg], remedies: Sequence[Remedy], defined: Mappin
     """
     names = [leg.name for leg in legs]
     for number, name in enumerate(names):
+        check_name(name, "legs", number)
         if name == PLACING or name in names[:number]:
             why = "the part before the first leg" if name == PLACING else "another leg"
             raise complaint(f": {name!r} is already {why}", "legs", number, "name")
@@ -116,6 +124,7 @@ def check_chain(legs: Sequence[Leg], remedies: Sequence[Remedy], defined: Mappin
     if remedies and not legs:
         raise complaint("need [[legs]], of which they change one", "remedies")
     for number, remedy in enumerate(remedies):
+        check_name(remedy.name, "remedies", number)
         if remedy.name in [other.name for other in remedies[:number]]:
             raise complaint(f": {remedy.name!r} is already another remedy", "remedies", number, "name")
         if remedy.leg not in names:
@@ -166,7 +175,7 @@ def _specs(legs: Sequence[Leg], remedy: Remedy | None, defined: Mapping[str, Pro
     open_walls: tuple[Side, ...] = ()
     for leg in legs:
         turns, factor = (turns if leg.wrap_turns is None else leg.wrap_turns), 1.0
-        opens, open_walls = leg.open_walls, open_walls if leg.open_walls is None else leg.open_walls
+        open_walls = tuple(dict.fromkeys([*open_walls, *leg.open_walls]))
         if remedy is not None and remedy.leg == leg.name:
             turns = turns if remedy.wrap_turns is None else remedy.wrap_turns
             factor = 1.0 if remedy.factor is None else remedy.factor
@@ -176,7 +185,7 @@ def _specs(legs: Sequence[Leg], remedy: Remedy | None, defined: Mapping[str, Pro
             for profile in resolve(event.profile, defined):
                 by = 1.0 if profile.strength is Strength.ANGLE else factor
                 drives.append(DriveSpec(profile.name, by * low, event.direction, None if high is None else by * high))
-        if drives or opens:
+        if drives or leg.open_walls:
             pause_s = 0.0 if len(drives) == 1 else leg.pause_s
             yield LegSpec(leg.name, tuple(drives), pause_s, turns, open_walls)
 

@@ -10,6 +10,7 @@ import itertools
 import json
 import math
 from collections.abc import Mapping
+from contextlib import suppress
 from functools import cached_property
 from pathlib import Path
 from typing import Annotated, Any, Final, Literal, Self
@@ -30,9 +31,8 @@ from pydantic import (
 
 from petmjx.common.checked_records import LIST, VALUE, CheckedRecord, complaint, read_toml, shape
 from petmjx.common.errors import InputError
-from petmjx.common.text import printable
+from petmjx.common.text import printable, printable_name
 from petmjx.common.units import FloatArray, seconds_to_steps
-from petmjx.options.carriers import walls_of
 from petmjx.options.simulation import Simulation
 from petmjx.runs.chain_legs import MOST_LEGS, Leg, Remedy, check_chain, profiles_of_legs
 from petmjx.runs.sweep_axes import AXIS_KINDS, MAX_STRENGTH, Axis, read_axes
@@ -58,12 +58,14 @@ def find_sweep(name_or_path: str | Path) -> Path:
         InputError: there is no such file or name; the line lists the ready-made names.
     """
     path = Path(name_or_path)
-    if path.is_file():
-        return path
+    with suppress(OSError, ValueError):  # a name that is too long, for instance, or holds a zero
+        if path.is_file():
+            return path
     ready = ready_sweeps()
     if str(name_or_path) in ready:
         return ready[str(name_or_path)]
-    raise InputError(f"{name_or_path}: no such sweep file; ready-made sweeps are {', '.join(ready) or 'not installed'}")
+    ready_names = ", ".join(ready) or "not installed"
+    raise InputError(f"{printable_name(str(name_or_path))}: no such sweep file; ready-made sweeps are {ready_names}")
 
 
 SAMPLES: Final = "samples"
@@ -192,6 +194,13 @@ class Sweep(CheckedRecord):
         return {name: resolve(name, self.own_profiles)[0] for name in names}
 
     @property
+    def is_random(self) -> bool:
+        """Whether worlds with the same changes may differ."""
+        axes, profiles = self.axes.values(), self.profiles.values()
+        drawn = any(event.drawn for leg in self.legs for event in leg.events)
+        return drawn or any(axis.random for axis in axes) or any(profile.random for profile in profiles)
+
+    @property
     def has_drives(self) -> bool:
         """Whether something follows a placement: profiles, or the legs of a chain."""
         return bool(self.profiles or self.legs)
@@ -275,13 +284,6 @@ class Sweep(CheckedRecord):
         check_chain(self.legs, self.remedies, self.own_profiles)
         if not self.legs:
             return self
-        sides = walls_of(self.simulation.carrier, self.simulation.walls).sides or ()
-        for place, leg in enumerate(self.legs):
-            if missing := [side for side in leg.open_walls or () if side not in sides]:
-                text = (
-                    f": the carrier has no wall {missing[0].value!r}; simulation.walls or another carrier gives it one"
-                )
-                raise complaint(text, "legs", place, "open_walls")
         if self.search is not None:
             raise ValueError("[search] contradicts legs: a chain is the same way for every pallet")
         if self.sample is not None:
@@ -352,9 +354,7 @@ class Sweep(CheckedRecord):
         if not self.axes and not self.nominal and not self.legs:
             text = "is empty: nothing is varied (nominal = true simulates the unchanged plans)"
             raise complaint(text, "axes")
-        varies = [axis.random for axis in self.axes.values()] + [profile.random for profile in self.profiles.values()]
-        varies += [event.drawn for leg in self.legs for event in leg.events]
-        if self.replicates > 1 and not any(varies):
+        if self.replicates > 1 and not self.is_random:
             raise ValueError(f"replicates = {self.replicates} needs something random: no axis and no profile is")
         return self
 
@@ -445,4 +445,6 @@ def chain_sweep(file: str | Path, n_worlds: int | None, simulation: Mapping[str,
     sweep = load_sweep(find_sweep(file), plans_given=True, simulation=simulation)
     if not sweep.legs:
         raise InputError(f"{sweep.file}: has no [[legs]], which a chain needs; for other sweeps use petmjx sweep")
+    if (n_worlds or 1) > 1 and not sweep.is_random:
+        raise InputError(f"{sweep.file}: confidence = {n_worlds} needs something random: no axis and no profile is")
     return sweep.model_copy(update={"nominal": True, "replicates": n_worlds or sweep.replicates})

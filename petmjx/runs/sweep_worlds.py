@@ -12,6 +12,7 @@ from petmjx.common.errors import InputError
 from petmjx.common.text import count_text, printable_name
 from petmjx.common.units import STANDARD_GRAVITY, deg_to_rad, seconds_to_steps
 from petmjx.engines.cost_model import Work, rest_steps
+from petmjx.options.carriers import walls_of
 from petmjx.options.placing import Way
 from petmjx.options.simulation import Check, Schedule
 from petmjx.plans.loose_boxes import placed_shares
@@ -109,6 +110,11 @@ class SweepPlan(Design):
                 raise InputError(f"{file}: legs contradict total_time_factor, which ends a world before they do")
             if sim.has_soft:
                 raise InputError(f"{file}: legs contradict soft boxes: no leg can begin where another one left them")
+            sides = walls_of(sim.carrier, sim.walls).sides or ()
+            for place, leg in enumerate(self.sweep.legs):
+                if missing := [side.value for side in leg.open_walls if side not in sides]:
+                    why = f"the carrier has no wall {missing[0]!r}; simulation.walls or another carrier gives it one"
+                    raise InputError(f"{file}: legs[{place}].open_walls: {why}")
         # made once before the run, because this raises if a profile's frequencies are too high for the timestep
         for profile in self.sweep.profiles.values():
             try:

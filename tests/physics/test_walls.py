@@ -23,7 +23,6 @@ from petmjx.options.simulation import Check, Schedule, Simulation
 from petmjx.options.walls import Side
 from petmjx.plans.plan_sources import usable_plans
 from petmjx.repairs.drafts import Draft, Rules
-from petmjx.runs.sweep_file import load_sweep
 from petmjx.world.approach_paths import ApproachPath, approach_path_of, approach_paths_of, reach
 from petmjx.world.edge_distances import building_edges, edges_of
 from petmjx.world.history import Record
@@ -411,7 +410,6 @@ open_walls = ["front"]
 
 @pytest.mark.parametrize("engine", ["mujoco", "mjx-warp-cpu"])
 def test_a_leg_opens_a_door_and_what_leans_on_it_falls_out(engine: str, tmp_path: Path) -> None:
-    """A door that is closed again holds as before."""
     plans = [make_plan(side, leaning(side)) for side in (Side.LEFT, Side.FRONT, Side.BACK)]
     worlds = petmjx.sweep(write_sweep(tmp_path, DOORS), plans, engine=engine).worlds.set_index("plan_id")
     assert worlds["leg"].to_dict() == {"left": "", "front": "dock", "back": "yard"}
@@ -420,5 +418,8 @@ def test_a_leg_opens_a_door_and_what_leans_on_it_falls_out(engine: str, tmp_path
 
 def test_a_leg_opens_only_walls_that_there_are(tmp_path: Path) -> None:
     text = DOORS.replace("rollcontainer-4", "rollcontainer-2")
+    file = write_sweep(tmp_path, text)
     with pytest.raises(InputError, match=r"legs\[0\]\.open_walls: the carrier has no wall 'back'"):
-        load_sweep(write_sweep(tmp_path, text))
+        petmjx.sweep(file, [make_plan("one", stack(1))], engine="mujoco")
+    run = petmjx.score([make_plan("one", stack(1))], chain=file, engine="mujoco", carrier="rollcontainer-4")
+    assert run.worlds["leg"].tolist()[-1] == ""

@@ -250,6 +250,8 @@ def test_resumed_and_merged_runs_have_the_same_answers(tmp_path: Path) -> None:
         ),
         (legs(a=PUSH, placing=PUSH), "legs[1].name: 'placing' is already the part before the first leg"),
         ('[[legs]]\nname = "film"\nwrap_turns = 3', "legs have no events"),
+        ('[[legs]]\nname = "a\\u001b[31m"', "legs[0].name: 'a\\u001b[31m' must have visible characters"),
+        (legs(a=PUSH) + '\n[[remedies]]\nname = " "\nleg = "a"\nfactor = 0.5', "remedies[0].name: ' ' must have"),
         (legs(a=PUSH) + '\n[[remedies]]\nname = "x"\nleg = "b"\nfactor = 0.5', "remedies[0].leg: no leg 'b'"),
         (legs(a=PUSH) + '\n[[remedies]]\nname = "x"\nleg = "a"', "remedies[0] changes nothing"),
         (
@@ -272,7 +274,11 @@ def test_a_chain_needs_legs_and_time_and_rigid_boxes(tmp_path: Path) -> None:
         petmjx.score([make_plan()], chain="friction")
     with pytest.raises(InputError, match="errors contradicts chain"):
         petmjx.score([make_plan()], chain="friction", confidence=8, errors="confidence")
+    with pytest.raises(InputError, match="a…: no such sweep file"):
+        petmjx.score([make_plan()], chain="a" * 5000)
     file = write_sweep(tmp_path, legs(a=PUSH))
+    with pytest.raises(InputError, match="confidence = 8 needs something random"):
+        petmjx.score([make_plan()], chain=file, confidence=8)
     with pytest.raises(InputError, match="legs contradict total_time_factor"):
         petmjx.sweep(file, [make_plan()], schedule="fixed", total_time_factor=2.0)
 

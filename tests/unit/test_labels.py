@@ -150,9 +150,10 @@ def test_baselines_are_judged_by_what_they_find() -> None:
 
 
 def test_what_is_wrong_with_labels_is_one_line(tmp_path: Path) -> None:
-    too_long = pd.DataFrame({"length_mm": [2000], "width_mm": [2000], "height_mm": [100], "weight_kg": [1]})
+    sizes = {"length_mm": 2000, "width_mm": 2000, "height_mm": 100, "weight_kg": 1}
+    too_long = pd.DataFrame([{"order_id": order, **sizes} for order in "abb"])
     with pytest.raises(InputError, match="orders: no box has a place on the empty carrier"):
-        write_labels(Labeller(Orders(too_long), pallets=1, **MUJOCO), 5, tmp_path / "none", source="endless")
+        write_labels(Labeller(Orders(too_long), pallets=4, **MUJOCO), 5, tmp_path / "none", source="endless")
     assert not list((tmp_path / "none").glob("*.parquet"))
     with pytest.raises(InputError, match="explore must be"):
         Labeller(Orders(too_long), explore=2, **MUJOCO)

@@ -96,6 +96,9 @@ def test_boxes_stand_on_the_sides_that_the_order_allows() -> None:
     assert len(np.flatnonzero(cubes.reset(seed=0)[0]["action_mask"])) == 1, "a cube has one side"
     with pytest.raises(InputError, match=r"orders: upright must be letters of l, w and h, or empty, got 'x'"):
         Orders(table((1, 1, 1), upright=["x"]))
+    assert Orders(table((1, 1, 1), upright=[""])).lie is False, "empty: the height"
+    with pytest.raises(InputError, match="orders: row 2: weight_kg must be a number, got 'much'"):
+        Orders(table((1, 1, 1), (1, 1, 1)).assign(weight_kg=["1", "much"]))
 
 
 @pytest.mark.parametrize("actions", ["candidates", "cells"])
@@ -328,3 +331,22 @@ def test_without_stable_baselines3_the_line_names_the_extra(monkeypatch: pytest.
     program = "import sys; sys.modules['stable_baselines3'] = None; import petmjx.gym; petmjx.gym.PalletizingVecEnv"
     done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=False)
     assert "needs stable_baselines3, not installed: pip install 'petmjx[sb3]'" in done.stderr
+
+
+@pytest.mark.parametrize(
+    ("options", "line"),
+    [
+        (5, "options must be a dict"),
+        ({"levels": 1}, "options: there is no 'levels'; there is level"),
+        ({"level": [0.1, 0.2]}, "options: level must be a number from 0 to 1, or 3 of them"),
+        ({"level": 2}, "level must be at most 1"),
+    ],
+)
+def test_options_of_a_reset_are_refused_in_a_line(options: Any, line: str) -> None:
+    orders = table((200, 200, 200))
+    vector = PalletizingVectorEnv(3, orders=orders, **THREADS)
+    for environment in (PalletizingEnv(orders=orders, **THREADS), vector):
+        with pytest.raises(InputError, match=line.replace(", or 3 of them", "")):
+            environment.reset(options=options)
+    with pytest.raises(InputError, match="seed must be a whole number or a list of them"):
+        vector.reset(seed=1.5)
