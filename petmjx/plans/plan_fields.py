@@ -199,7 +199,7 @@ def pallet_fault(name: str | None, size_mm: Sequence[float]) -> str | None:
         name: the item's kind.
         size_mm: its length, width and height, mm, or its extents as placed.
     """
-    if name not in PALLETS:
+    if name is None or name not in PALLETS:
         return None
     length, width, height = PALLETS[name]
     for pallet in (length, width, height), (width, length, height):

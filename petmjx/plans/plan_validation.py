@@ -175,7 +175,7 @@ def _parse_columns(
         and (com is None or (2 * np.abs(com) < size).all())
         and all(sparse_fault(name, value) is None for name in numbers_of for value in sparse[name])
         and all(kind_fault(name) is None for name in kinds)
-        and all(pallet_fault(name, sides) is None for name, sides in zip(kinds, size.tolist(), strict=False))
+        and all(pallet_fault(name, sides) is None for name, sides in zip(kinds, size, strict=False))
     )
     if not in_range:
         return None
