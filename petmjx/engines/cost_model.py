@@ -16,8 +16,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from petmjx.common.units import FloatArray, seconds_to_steps
-from petmjx.options.carriers import Carrier, walls_of
+from petmjx.options.carriers import Carrier
 from petmjx.options.simulation import SOFT_START_STEPS, Check, Schedule, Simulation
+from petmjx.world.carrier_boards import has_walls
 from petmjx.world.job import Drive, Job
 
 STEP_SHARE = {Schedule.FIXED: 1.0, Schedule.ADAPTIVE: 0.072}
@@ -172,7 +173,7 @@ class Work:
     def on_boards(self) -> bool:
         """Whether the carrier has boards, or walls."""
         slabs = (Carrier.FOOTPRINT, Carrier.EURO_PALLET, Carrier.ROLLCONTAINER)
-        return self.sim.carrier not in slabs or bool(walls_of(self.sim.carrier, self.sim.walls).sides)
+        return self.sim.carrier not in slabs or has_walls(self.sim)
 
     @property
     def fixed_steps(self) -> FloatArray:

@@ -25,10 +25,11 @@ from petmjx.loop.box_tables import BoxTable
 from petmjx.loop.growing_tables import widened_table
 from petmjx.loop.placement_results import PlacementResults
 from petmjx.loop.placements import Placements
-from petmjx.options.carriers import Carrier, walls_of
+from petmjx.options.carriers import Carrier
 from petmjx.options.physics import Cone
 from petmjx.options.simulation import Simulation
 from petmjx.packers.pile_balance import MARGIN_M, MARGIN_SHARE, TOUCH_MM, pressure_moments
+from petmjx.world.carrier_boards import has_walls
 from petmjx.world.release_places import NOTHING
 
 OPEN: Final = 0
@@ -87,7 +88,7 @@ def decidable(sim: Simulation) -> bool:
     limits, physics = sim.thresholds, sim.physics
     return (
         sim.carrier in _USUAL
-        and not walls_of(sim.carrier, sim.walls).sides
+        and not has_walls(sim)
         and sim.placing.appears
         and not physics.falls_into_place
         and physics.cone is Cone.ELLIPTIC

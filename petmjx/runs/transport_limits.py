@@ -14,12 +14,11 @@ import numpy as np
 
 from petmjx.common.units import STANDARD_GRAVITY, FloatArray
 from petmjx.engines.metrics import DIMENSIONLESS, TEXT, BoxMetrics
-from petmjx.options.carriers import walls_of
 from petmjx.options.simulation import Simulation
 from petmjx.results.schema import Param
 from petmjx.runs.chain_legs import legs_with
 from petmjx.runs.sweep_file import Sweep
-from petmjx.world.carrier_boards import carrier_friction
+from petmjx.world.carrier_boards import carrier_friction, has_walls
 from petmjx.world.contact_laws import friction_share, kinetic_share
 from petmjx.world.job import ACCELERATION
 from petmjx.world.profiles.accelerations import Tilt
@@ -148,7 +147,7 @@ def hopeless_profiles(sweep: Sweep) -> list[str]:
     sim, axes = sweep.simulation, sweep.axes
     if sweep.search is not None or sim.total_time_factor is not None:
         return []
-    if walls_of(sim.carrier, sim.walls).sides:
+    if has_walls(sim):
         return []  # walls may hold every load
     turns = sweep.axes.get("wrap_turns")
     least = sim.wrap.turns if turns is None else min(float(str(value)) for value in turns.values or (turns.low,))
