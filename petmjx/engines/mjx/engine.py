@@ -15,7 +15,7 @@ import numpy as np
 from petmjx.common.units import FloatArray
 from petmjx.engines.mjx.batch_step import PaddedModel
 from petmjx.engines.mjx.free_bodies import paths
-from petmjx.engines.mjx.host_to_device import GRANULE, Batch, is_out_of_memory, load, round_up
+from petmjx.engines.mjx.host_to_device import GRANULE, Batch, is_out_of_memory, load, padded_rows, round_up
 from petmjx.engines.mjx.jax_setup import set_up_jax
 from petmjx.engines.mjx.outcomes import outcomes
 from petmjx.engines.mjx.readback import read_back
@@ -119,7 +119,7 @@ class MjxJaxEngine(Engine):
                 while alike:
                     # batches of equal size, so that one program serves all
                     some = alike[: math.ceil(len(alike) / math.ceil(len(alike) / most))]
-                    room = min(max(1 << (len(some) - 1).bit_length(), FEWEST_WORLDS), most)
+                    room = min(max(padded_rows(len(some)), FEWEST_WORLDS), most)
                     rows, batch = np.arange(len(some)), _load(jobs, some, room, capacity, sim)
                     if not self._simulate(batch, sim, progress):
                         if most > 1:

@@ -12,6 +12,7 @@ import numpy as np
 from petmjx.common.units import FloatArray
 from petmjx.engines.mjx.batch_step import PaddedModel
 from petmjx.engines.mjx.free_body_states import let_go
+from petmjx.engines.mjx.host_to_device import padded_rows
 from petmjx.engines.mjx.jax_setup import compiler_options
 from petmjx.engines.mjx.rollout import BatchRollout
 from petmjx.engines.mjx.rules import Rules
@@ -31,7 +32,7 @@ def paths(bodies: FreeBodies, sim: Simulation, most: int) -> FloatArray:
 def _paths_of_batch(bodies: FreeBodies, sim: Simulation) -> FloatArray:
     n, k, steps = len(bodies.scenes), bodies.n_boxes, bodies.steps
     poses = np.full((n, len(steps), k, 7), np.nan)
-    rows, boards = 1 << (n - 1).bit_length(), len(bodies.scenes[0].carrier.half_size)
+    rows, boards = padded_rows(n), len(bodies.scenes[0].carrier.half_size)
     worlds, state = let_go(bodies, sim, rows, k)
     if bodies.on_plane:
         worlds, boards = _without_carrier(worlds, boards), 0

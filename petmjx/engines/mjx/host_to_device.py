@@ -100,6 +100,11 @@ def round_up(n: int, granule: int = GRANULE) -> int:
     return -(-n // granule) * granule
 
 
+def padded_rows(count: int) -> int:
+    """Rows for ``count`` worlds: a power of two, so that few programs are compiled."""
+    return 1 << (count - 1).bit_length()
+
+
 def is_out_of_memory(error: Exception) -> bool:
     """Whether an error of JAX, XLA or Warp says that device memory ran out, or an error of Python that the host's
     did."""

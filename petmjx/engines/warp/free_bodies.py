@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from petmjx.common.units import FloatArray
 from petmjx.engines.mjx.free_body_states import let_go
-from petmjx.engines.mjx.host_to_device import round_up
+from petmjx.engines.mjx.host_to_device import padded_rows, round_up
 from petmjx.engines.mjx.timetable import build_timetable
 from petmjx.engines.mjx.world_constants import Worlds
 from petmjx.engines.mjx.world_state import NEVER, State, Status, of_flat
@@ -68,7 +68,7 @@ def _paths_of_group(bodies: FreeBodies, sim: Simulation, blocks: Callable[[Launc
         poses[:, 0] = bodies.pose
     if steps[-1] == 0:
         return poses
-    rows, width = 1 << (n - 1).bit_length(), round_up(k)
+    rows, width = padded_rows(n), round_up(k)
     boards = len(bodies.scenes[0].carrier.half_size)
     worlds, state = let_go(bodies, sim, rows, width)
     order = jnp.where(jnp.arange(rows) < n, jnp.arange(rows), -1).astype(jnp.int32)[None]

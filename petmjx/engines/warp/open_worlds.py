@@ -14,7 +14,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
-from petmjx.engines.mjx.host_to_device import Batch, load, round_up
+from petmjx.engines.mjx.host_to_device import Batch, load, padded_rows, round_up
 from petmjx.engines.mjx.outcomes import outcomes
 from petmjx.engines.mjx.readback import read_back
 from petmjx.engines.mjx.timetable import build_timetable
@@ -70,7 +70,7 @@ class WarpWorlds(OpenWorlds):
         self._room, self._traits = 1, Traits.of(self._blank.scene)
         self._most_rows = 1
         self._make_simulator()
-        worlds = self._constants(scenes, _padded_rows(len(scenes)))
+        worlds = self._constants(scenes, padded_rows(len(scenes)))
         self.open = OpenState(worlds, _without_padding(self.simulator.begin(worlds), len(scenes)))
 
     def go_on(self) -> None:
@@ -133,7 +133,7 @@ class WarpWorlds(OpenWorlds):
     ) -> list[Outcome]:
         count = len(worlds)
         jobs = [Job(scene, drive) for scene, drive in zip(scenes, drives, strict=True)]
-        padded = _padded_rows(count)
+        padded = padded_rows(count)
         batch = load(jobs, padded, self.width, self._sim, self._timetable)
         forks = _take(self.open, self._rows(worlds, padded), count)
         more = self._constants(scenes, padded)  # without drives: they begin when the boxes rest
@@ -180,8 +180,8 @@ class WarpWorlds(OpenWorlds):
     def _finish(self, worlds: Sequence[int], drives: Sequence[Drive | None]) -> list[Outcome]:
         self.go_on()
         jobs = [Job(self._scenes[world], drive) for world, drive in zip(worlds, drives, strict=True)]
-        batch = load(jobs, _padded_rows(len(jobs)), self.width, self._sim, self._timetable)
-        state = _without_padding(take_rows(self.open.state, self._rows(worlds, _padded_rows(len(jobs)))), len(jobs))
+        batch = load(jobs, padded_rows(len(jobs)), self.width, self._sim, self._timetable)
+        state = _without_padding(take_rows(self.open.state, self._rows(worlds, padded_rows(len(jobs)))), len(jobs))
         return self._ended_outcomes(state, jobs, batch)
 
     def _ended_outcomes(self, state: State, jobs: Sequence[Job], batch: Batch) -> list[Outcome]:
@@ -259,7 +259,7 @@ class WarpWorlds(OpenWorlds):
                 nothing, although pallets end and begin anew, and their number changes with every step.
         """
         if length is None:
-            length = self._most_rows = max(self._most_rows, _padded_rows(len(worlds)))
+            length = self._most_rows = max(self._most_rows, padded_rows(len(worlds)))
         rows = np.full(length, len(self.open.state.status), np.int32)
         rows[: len(worlds)] = worlds
         return device_array(rows)
@@ -277,11 +277,6 @@ def _take(open_: OpenState, rows: Int[Array, " row"], count: Int[Array, ""]) -> 
         take_rows(open_.worlds, rows),
         state._replace(status=jnp.where(padding, Status.FINISHED, state.status)),
     )
-
-
-def _padded_rows(count: int) -> int:
-    """Rows for ``count`` worlds: a power of two, so that few programs are compiled."""
-    return 1 << (count - 1).bit_length()
 
 
 def _coarsely_padded(count: int) -> int:

@@ -7,7 +7,7 @@ from itertools import takewhile
 from typing import Any, Final
 
 from petmjx.engines.job_stream import JobStream
-from petmjx.engines.mjx.host_to_device import round_up
+from petmjx.engines.mjx.host_to_device import padded_rows, round_up
 from petmjx.engines.warp.block_launch import SIZES
 from petmjx.engines.warp.kernel_features import KernelFeatures
 from petmjx.engines.warp.world_arrays import MAX_BOXES
@@ -88,7 +88,7 @@ class TableJobs:
         self.needs, self._begun = needs, True
         taken = self._take(len(further))
         rows = min(max(SPARE_ROWS * len(every), self._least_rows), self._size) if grows else 0
-        return every, [*numbers, *taken], 1 << (max(len(every), rows) - 1).bit_length()
+        return every, [*numbers, *taken], padded_rows(max(len(every), rows))
 
     def join(self, table: WorldTable, *, wait: bool = False) -> list[int]:
         """Put waiting jobs into free rows of a table, in order, until one does not fit. Returns their rows.

@@ -10,7 +10,7 @@ import jax
 import numpy as np
 from numpy.typing import NDArray
 
-from petmjx.engines.mjx.host_to_device import Batch, tables
+from petmjx.engines.mjx.host_to_device import Batch, padded_rows, tables
 from petmjx.engines.mjx.timetable import Timetable, build_timetable
 from petmjx.engines.mjx.world_constants import Worlds, device_array
 from petmjx.engines.mjx.world_state import State, Status, put_resized, put_rows, take_rows
@@ -177,8 +177,7 @@ class WorldTable(Batch):
             padded[: len(excitation.samples)] = excitation.samples
             samples.append(padded)
         if rows:
-            # as many as a power of two, so that few programs are compiled
-            repeated = np.resize(np.arange(len(rows)), 1 << (len(rows) - 1).bit_length())
+            repeated = np.resize(np.arange(len(rows)), padded_rows(len(rows)))
             self.profiles = self.profiles.at[np.array(rows)[repeated]].set(np.stack(samples)[repeated])
         return fitting
 
@@ -192,8 +191,7 @@ class WorldTable(Batch):
         if not len(rows):
             return None
         jobs, numbers = [self.jobs[row] for row in rows], [self.numbers[row] for row in rows]
-        # as many rows as a power of two, so that few programs are compiled
-        padded = np.resize(rows, 1 << (len(rows) - 1).bit_length()).astype(np.int32)
+        padded = np.resize(rows, padded_rows(len(rows))).astype(np.int32)
         return RunningWorlds(jobs, numbers, _take(self.table, device_array(padded)))
 
     def put_running(self, running: RunningWorlds) -> None:
