@@ -28,7 +28,7 @@ class FlatWithMask(gymnasium.ObservationWrapper[Any, Any, Any]):
         assert isinstance(shown, spaces.Dict)
         self._names = [name for name in shown if name != "action_mask"]
         width = sum(int(np.prod(shown[name].shape or ())) for name in self._names)
-        actions = int(shown["action_mask"].shape[0])  # type: ignore[index]
+        actions = int(shown["action_mask"].shape[0])  # type: ignore[index]  # a mask has a shape
         self.observation_space = spaces.Dict(
             {
                 "action_mask": spaces.Box(0.0, 1.0, (actions,), np.float32),

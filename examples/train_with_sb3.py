@@ -16,7 +16,7 @@ from stable_baselines3.common.callbacks import BaseCallback
 import petmjx.gym
 
 
-class Harder(BaseCallback):  # type: ignore[misc]
+class Harder(BaseCallback):  # type: ignore[misc]  # Any where Stable-Baselines3 is not installed
     """Raises the level of all environments with the steps, from 0 to 1 at half of them."""
 
     def __init__(self, steps: int) -> None:
