@@ -25,7 +25,8 @@ from petmjx.plans.plan import Plan
 from petmjx.repairs.balance import balances
 from petmjx.repairs.changes import Change, Film, Kind, LeaveOut, applied, cost_of, with_change
 from petmjx.repairs.drafts import Draft, Rules
-from petmjx.repairs.proposals import Limits, Proposal, Target, lifted_with, proposals, relocation, targets
+from petmjx.repairs.proposals import Limits, Proposal, lifted_with, proposals, targets
+from petmjx.repairs.rebuilds import rebuilds
 from petmjx.repairs.repair_options import RepairOptions
 from petmjx.repairs.trials import Asked, Trial
 
@@ -37,6 +38,12 @@ BEAM: Final = 4
 AT_ONCE: Final = (24, 48, 96)
 """Changed plans that are judged at once in a step: the best ranked ones, then more as long as none of these has more
 standing boxes. Where one stands as many as at first are judged besides, for the choice by errors."""
+
+STEPS_ALONE: Final = 4
+"""Steps in which single changes are tried first. A plan that falls even then has faults all over: it is built anew."""
+
+MOST_ANEW: Final = 2
+"""Changed plans of a step that are built anew, each in up to sixteen ways, which take a tenth of a second each."""
 
 CONFIRMED_AT_ONCE: Final = 6
 """Plans that stand when judged, and are scored at once."""
@@ -137,10 +144,12 @@ class Search:
             standing = yield from self._wrapped(start)
         beam, whole = [start], kinds - {Kind.FILM, Kind.LEAVE_OUT}
         most = self.options.trials if self.options.profile is None else self.options.trials // PER_DRIVE
+        if not standing and self.options.profile is None:
+            (judged,) = yield from self._simulated([self._start], judged=True)
+            if not judged.stands:
+                beam = [State(self._start, (), judged)]
         if not standing and whole:
             standing, beam = yield from self._changed(beam, whole, most)
-        if not standing and Kind.PLACE in whole:
-            standing, beam = yield from self._changed(beam, whole, most // 4, rebuilds=True)
         if not standing and Kind.LEAVE_OUT in kinds:
             self._seen.clear()
             standing, beam = yield from self._changed(beam, kinds - {Kind.FILM}, most // 2)
@@ -181,22 +190,19 @@ class Search:
     # ------------------------------------------------------------------ changes
 
     def _changed(
-        self, beam: list[State], kinds: frozenset[Kind], most_trials: int, *, rebuilds: bool = False
+        self, beam: list[State], kinds: frozenset[Kind], most_trials: int
     ) -> Generator[list[Asked], list[Trial], tuple[list[State], list[State]]]:
-        """Plans that stand after changes of these kinds, and the plans with the most standing boxes if none does.
-
-        Args:
-            rebuilds: whether piles may be put elsewhere box by box, with a change for each.
-        """
+        """Plans that stand after changes of these kinds, and the plans that stood furthest if none does."""
         options = self.options
         limits = Limits(kinds, options.most_move_mm, options.sheet_mm, options.sheet_kg_m2)
         last = self.n_trials + most_trials
         best = beam
-        while beam and self.n_trials < last:
-            queues = [self._ranked(state, limits, rebuilds) for state in beam]
+        for step in itertools.count():
+            if not beam or self.n_trials >= last:
+                break
             tried: list[tuple[State, _Candidate]] = []
-            progress = max(state.trial.n_standing for state in beam)
-            for count in AT_ONCE:
+            progress = max(state.trial.progress for state in beam)
+            for count, queues in self._queues(beam, limits, step):
                 batch = _batch(queues, min(count, last - self.n_trials))
                 states = yield from self._judged(batch)
                 if any(state.trial.stands for state in states):  # further ones may stand more often with errors
@@ -205,16 +211,25 @@ class Search:
                     standing = yield from self._confirmed(states)
                     if standing:
                         return standing, best
-                if not batch:
-                    break
                 tried += zip(states, batch, strict=True)
-                if any(state.trial.n_standing > progress for state, _ in tried):
+                if any(state.trial.progress > progress for state, _ in tried):
                     break
-            tried.sort(key=lambda p: (-p[0].trial.n_standing, p[1].trouble, p[0].cost))
+            tried.sort(key=lambda p: (tuple(-n for n in p[0].trial.progress), p[1].trouble, p[0].cost))
             beam = _different([state for state, _ in tried if self._is_short(state)], BEAM)
-            if beam and beam[0].trial.n_standing > best[0].trial.n_standing:
+            if beam and beam[0].trial.progress > best[0].trial.progress:
                 best = beam
         return [], best
+
+    def _queues(self, beam: Sequence[State], limits: Limits, step: int) -> Iterator[tuple[int, list[list[_Candidate]]]]:
+        """Numbers of changed plans to judge, and queues from which to take them: single changes, and plans that are
+        built anew; these first where some single changes have not helped."""
+        for anew in (True, False) if step >= STEPS_ALONE else (False, True):
+            if not anew:
+                queues = [self._ranked(state, limits) for state in beam]
+                yield from ((count, queues) for count in AT_ONCE)
+            elif Kind.PLACE in limits.kinds:
+                queues = [self._ranked(state, limits, anew=True) for state in beam[:MOST_ANEW]]
+                yield AT_ONCE[-1], queues
 
     def _judged(self, batch: Sequence[_Candidate]) -> Generator[list[Asked], list[Trial], list[State]]:
         """The states of candidates that are only judged."""
@@ -269,25 +284,28 @@ class Search:
         counted = [change for change in state.changes if change.kind is not Kind.LEAVE_OUT]
         return len(counted) < self.options.most_changes
 
-    def _ranked(self, state: State, limits: Limits, rebuilds: bool) -> list[_Candidate]:
-        """Allowed changes of a plan, the most promising first."""
+    def _ranked(self, state: State, limits: Limits, *, anew: bool = False) -> list[_Candidate]:
+        """Allowed changes of a plan, or ways to build it anew, the most promising first."""
         (balance,) = balances([state.draft], self.sim)
         trial = state.trial
         causes = targets(state.draft, self.rules, balance, trial.culprit, trial.fallen, trial.n_placed)
         first = next((cause for cause in causes if cause.depth_mm > 0), causes[0]) if causes else None
+        if anew:
+            leaves_out = Kind.LEAVE_OUT in limits.kinds
+            some = rebuilds(state.draft, self.rules, self.sim, causes, trial.n_held, leaves_out=leaves_out)
+        else:
+            some = (p for cause in causes for p in proposals(state.draft, self.rules, cause, limits))
         drafts: list[Draft] = []
         origins: list[Proposal] = []
-        for cause in causes:
-            some = proposals(state.draft, self.rules, cause, limits)
-            for proposal in itertools.chain(some, self._relocations(state.draft, cause)) if rebuilds else some:
-                draft = applied(state.draft, proposal)
-                if draft is None:
-                    continue
-                key = _key(draft)
-                if key not in self._seen:
-                    self._seen.add(key)
-                    drafts.append(draft)
-                    origins.append(proposal)
+        for proposal in some:
+            draft = applied(state.draft, proposal)
+            if draft is None:
+                continue
+            key = _key(draft)
+            if key not in self._seen:
+                self._seen.add(key)
+                drafts.append(draft)
+                origins.append(proposal)
         allowed = np.flatnonzero(self.rules.allow(drafts)).tolist() if drafts else []
         ranked = []
         for number, after in zip(allowed, balances([drafts[k] for k in allowed], self.sim), strict=True):
@@ -306,14 +324,6 @@ class Search:
         ranked.sort(key=lambda candidate: candidate.key)
         self._seen.difference_update(_key(candidate.draft) for candidate in ranked[sum(AT_ONCE) :])
         return ranked
-
-    def _relocations(self, draft: Draft, cause: Target) -> Iterator[Proposal]:
-        """Piles put elsewhere box by box: that of the box that does not hold, and that of the box that is too much."""
-        for box in dict.fromkeys((cause.box, cause.cause)):
-            if box in draft.order and draft.on_top[box].any():
-                relocated = relocation(draft, self.rules, self.sim, box)
-                if relocated is not None:
-                    yield relocated
 
     # ------------------------------------------------------------------ the end
 

@@ -294,13 +294,16 @@ def test_a_search_asks_for_the_same_worlds_again() -> None:
 
 
 def test_a_draft_is_judged_as_it_is_scored() -> None:
-    """A judged world ends when a box is lost: its verdict and its first box are those of the whole simulation."""
+    """A judged world ends when a box tilts: whether it stands is as in the whole simulation, and so is the first box,
+    but for the counterweight, whose support tilts by 5° first."""
     question = Question({"engine": "mujoco", "threads": 1}, RepairOptions(worlds=0))
     drafts = [Draft.of(make_plan(boxes=boxes)) for boxes in (COUNTERWEIGHT, TOWER, LATE_SUPPORT, stack(2))]
     judged = question.trials([(draft, True) for draft in drafts])
     scored = question.trials([(draft, False) for draft in drafts])
-    assert [(t.stands, t.culprit) for t in judged] == [(t.stands, t.culprit) for t in scored]
-    assert [trial.stands for trial in judged] == [False, False, False, True]
+    assert [trial.stands for trial in judged] == [trial.stands for trial in scored] == [False, False, False, True]
+    assert [t.culprit for t in judged[1:]] == [t.culprit for t in scored[1:]]
+    assert (judged[0].culprit, scored[0].culprit) == (1, 2)
+    assert judged[0].n_held == 3 <= judged[0].n_placed, "the third box is too much for the second one"
 
 
 def answered(steps: Generator[list[Asked], list[Trial], Any], stands: Callable[[Draft], bool]) -> tuple[Any, int]:
@@ -311,7 +314,7 @@ def answered(steps: Generator[list[Asked], list[Trial], Any], stands: Callable[[
         while True:
             count += len(asked)
             good = [stands(draft) for draft, _ in asked]
-            asked = steps.send([Trial("stable" if g else "unstable", "", None, (), 1, 0.0) for g in good])
+            asked = steps.send([Trial("stable" if g else "unstable", "", None, (), 1, 1, 0.0) for g in good])
     except StopIteration as end:
         return end.value, count
 
@@ -327,7 +330,7 @@ def test_only_changes_that_are_needed_are_left() -> None:
     def stands(draft: Draft) -> bool:
         return bool((draft.corner_mm[[3, 12], 0] == plan.corner_mm[[3, 12], 0] + 20).all())
 
-    _, count = answered(search._finished([State(draft, changes, Trial("stable", "", None, (), 16, 0.0))]), stands)
+    _, count = answered(search._finished([State(draft, changes, Trial("stable", "", None, (), 16, 16, 0.0))]), stands)
     (repair,) = search.repairs
     assert [change.boxes for change in repair.changes] == [(12,), (3,)]
     assert count < 50, "one by one it is up to 16 + 15 + … + 3 = 133"
