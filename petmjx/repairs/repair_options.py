@@ -62,6 +62,11 @@ class RepairOptions(CheckedRecord):
         description="changed plans that are judged at most, with a profile a sixth of them; half as many more if boxes "
         "must be left out",
     )
+    seconds: Annotated[float | None, within(0.1, 10_000_000), CliFlag("--seconds", "S", default="no limit")] = Field(
+        None,
+        description="time for the search of all plans, s: then what is known counts, and results say so; without a "
+        "limit they depend on plans and options alone",
+    )
     worlds: Annotated[int, AfterValidator(_worlds), CliFlag("--worlds", "N")] = Field(
         8,
         description="worlds with errors of placement, size, mass and friction in which the plan and its repair are "

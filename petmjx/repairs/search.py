@@ -114,6 +114,7 @@ class Search:
         repairs: the repairs with the fewest changes, the best first; empty: there is none. Undoing any one change of a
             repair gives a plan that falls, or that is not allowed.
         n_trials: simulated plans.
+        complete: whether the search came to its end. Before, changes of a repair may not be needed.
     """
 
     plan: Plan
@@ -123,6 +124,7 @@ class Search:
     before: Trial | None = None
     repairs: tuple[State, ...] = ()
     n_trials: int = 0
+    complete: bool = False
 
     def __post_init__(self) -> None:
         """Prepare the rules of the plan."""
@@ -131,13 +133,28 @@ class Search:
         self._start = Draft.of(self.plan, self.film_turns)
         self._seen: set[bytes] = set()
 
+    def take(self, other: Search) -> None:
+        """Take over what the same search has come to in another process."""
+        self.before, self.repairs, self.n_trials = other.before, other.repairs, other.n_trials
+        self.complete = other.complete
+
+    def begin(self, before: Trial) -> None:
+        """Note the simulation of the plan as it is."""
+        self.before = before
+        if before.stands:
+            self.repairs, self.complete = (State(self._start, (), before),), True
+
     def run(self) -> Asking:
         """Yields drafts to be simulated, and is sent their trials."""
-        (self.before,) = yield from self._simulated([self._start])
-        start = State(self._start, (), self.before)
-        if start.trial.stands:
-            self.repairs = (start,)
-            return
+        (before,) = yield from self._simulated([self._start])
+        self.begin(before)
+        if not before.stands:
+            yield from self._mended(State(self._start, (), before))
+            self._seen.clear()
+            self.complete = True
+
+    def _mended(self, start: State) -> Asking:
+        """Search for repairs of a plan that falls."""
         kinds = self.options.kinds
         standing: list[State] = []
         if Kind.FILM in kinds:
@@ -156,6 +173,7 @@ class Search:
             if not standing:
                 standing = yield from self._stripped(beam[0])
         if standing:
+            self.repairs = tuple(standing)
             yield from self._finished(standing)
 
     def _simulated(

@@ -11,7 +11,7 @@ import numpy as np
 import pandas as pd
 
 from petmjx.common.errors import InputError
-from petmjx.common.machine import why_no_warp, why_no_warp_on_cpu
+from petmjx.common.machine import cpu_threads, why_no_warp, why_no_warp_on_cpu
 from petmjx.common.text import printable_name
 from petmjx.engines.attempts import Engines
 from petmjx.engines.engine_choice import make_engine, options_of
@@ -120,6 +120,7 @@ class Question:
         self.n_simulated = 0
         self._engine, self._second = _engines(self._run)
         self._owns = isinstance(self._run.engine, str)
+        self._threads = self._run.threads or cpu_threads()
         self._run = RunOptions(engine=self._engine)
         self._engines = Engines(self._engine, Progress())
         limits = self.sim.thresholds
@@ -130,6 +131,11 @@ class Question:
         self._drive_sweep(self.sim.wrap.turns)  # an unusable profile is refused before anything is simulated
         if options.worlds:
             confidence_sweep(options.worlds, self._errors, of_simulation)
+
+    @property
+    def threads(self) -> int:
+        """CPU threads of a run."""
+        return self._threads
 
     @property
     def film_turns(self) -> float:
