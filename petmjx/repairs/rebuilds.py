@@ -121,8 +121,8 @@ class _Pile:
         return True
 
     def _placed(self, box: int, later: Collection[int]) -> Place | None:
-        """Put a box at the place where statics objects least, boxes that come later are least in the way, and it lies
-        lowest; None: there is no place."""
+        """Put a box at the place where statics objects least, it is in the way of the fewest later boxes, loads are
+        safest, and it lies lowest; None: there is no place."""
         planned = self._draft.corner_mm[box]
         places = [
             Place(box, corner, bool(self._draft.turned[box]) != turn, differs=turn)
@@ -133,7 +133,7 @@ class _Pile:
         drafts = [placed for place in places if (placed := place.applied(waiting)) is not None]
         allowed = np.flatnonzero(self._rules.allow(drafts)).tolist() if drafts else []
         ranks = [
-            (balance.trouble, self._in_the_way(drafts[k], box, later), places[k].corner_mm[2], k)
+            (balance.trouble, self._in_the_way(drafts[k], box, later), balance.weakness, places[k].corner_mm[2], k)
             for k, balance in zip(allowed, balances([drafts[k] for k in allowed], self._sim), strict=True)
         ]
         if not ranks:

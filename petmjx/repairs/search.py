@@ -20,7 +20,6 @@ from typing import Final
 import numpy as np
 
 from petmjx.options.simulation import Simulation
-from petmjx.packers.robot_placement import placement_stability
 from petmjx.plans.plan import Plan
 from petmjx.repairs.balance import balances
 from petmjx.repairs.changes import Change, Film, Kind, LeaveOut, applied, cost_of, with_change
@@ -57,12 +56,18 @@ MOST_UNDONE: Final = 8
 PER_DRIVE: Final = 6
 """Trials as which a plan counts that is scored with a drive: such plans cannot be judged in less time."""
 
+PER_WEAKNESS: Final = 1.0
+"""Weight of what makes a plan fall with errors only in the ranking, against loads beyond edges."""
+
 PER_COST: Final = 0.3
 """Weight of a change's cost in the ranking, against loads beyond edges."""
 
 SAME_COST: Final = 0.1
 """Repairs whose costs differ by less count as equally cheap: 50 mm of a way. The one that is likelier to stand with
 errors is taken."""
+
+SAME_WEAKNESS: Final = 0.25
+"""Plans whose weakness differs by less count as equally weak: the cheaper one is better."""
 
 UNSOLVED: Final = 3.0
 """Weight of the first cause if it is still there."""
@@ -280,7 +285,8 @@ class Search:
         ways: Counter[tuple[object, ...]] = Counter()
         queue = []
         numbers = [k for k, state in enumerate(states) if state.trial.stands]
-        for k in sorted(numbers, key=lambda k: (len(states[k].changes), -self._chance(states[k]), states[k].cost)):
+        weakness = dict(zip(numbers, self._weakness([states[k] for k in numbers]), strict=True))
+        for k in sorted(numbers, key=lambda k: (len(states[k].changes), weakness[k], states[k].cost)):
             way = _way(states[k])
             queue.append((len(states[k].changes), ways[way], k))  # one of each way first
             ways[way] += 1
@@ -337,7 +343,8 @@ class Search:
                 if merged is None or _key(merged) != _key(draft):
                     changes = (*state.changes, *proposal)
             unsolved = first is not None and after.depth_of(first.box) > 0
-            rank = after.trouble + UNSOLVED * unsolved + PER_COST * cost_of(proposal)
+            risk = after.trouble + PER_WEAKNESS * after.weakness
+            rank = risk + UNSOLVED * unsolved + PER_COST * cost_of(proposal)
             ranked.append(_Candidate(draft, changes, proposal, after.trouble, rank))
         ranked.sort(key=lambda candidate: candidate.key)
         self._seen.difference_update(_key(candidate.draft) for candidate in ranked[sum(AT_ONCE) :])
@@ -354,8 +361,9 @@ class Search:
             reduced = yield from self._reduced(state)
             pruned.append((yield from self._pruned(reduced)))
         fewest = min(len(state.changes) for state in pruned)
-        different = {_key(state.draft): state for state in pruned if len(state.changes) == fewest}
-        self.repairs = tuple(sorted(different.values(), key=lambda state: math.floor(state.cost / SAME_COST)))
+        different = [*{_key(state.draft): state for state in pruned if len(state.changes) == fewest}.values()]
+        ranks = zip(self._weakness(different), (math.floor(state.cost / SAME_COST) for state in different), strict=True)
+        self.repairs = tuple(state for _, state in sorted(zip(ranks, different, strict=True), key=lambda p: p[0]))
 
     def _reduced(self, state: State) -> Generator[list[Asked], list[Trial], State]:
         """The state without groups of changes that are not needed: halves first, then smaller ones."""
@@ -396,9 +404,10 @@ class Search:
             state = min(standing, key=lambda shorter: shorter.cost)
         return state
 
-    def _chance(self, state: State) -> float:
-        """The estimated chance that the changed plan stands when a robot places the boxes, in tenths."""
-        return round(float(placement_stability(state.draft.as_plan()).prod()), 1)
+    def _weakness(self, states: Sequence[State]) -> list[int]:
+        """What makes each changed plan fall with errors only, in steps of ``SAME_WEAKNESS``."""
+        some = balances([state.draft for state in states], self.sim)
+        return [round((balance.weakness + balance.trouble) / SAME_WEAKNESS) for balance in some]
 
 
 def _way(state: State) -> tuple[object, ...]:
