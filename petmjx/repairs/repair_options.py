@@ -55,7 +55,7 @@ class RepairOptions(CheckedRecord):
         2000.0, description="highest top of a box that is placed elsewhere, mm; the plan's own height if that is more"
     )
     most_changes: Annotated[int, within(1, 100), CliFlag("--most-changes", "N")] = Field(
-        24, description="changes at most, boxes left out not counted"
+        60, description="changes at most, boxes left out not counted"
     )
     trials: Annotated[int, within(1, 1_000_000), CliFlag("--trials", "N")] = Field(
         600,

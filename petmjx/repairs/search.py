@@ -305,8 +305,7 @@ class Search:
 
     def _is_short(self, state: State) -> bool:
         """Whether a state may be changed further."""
-        counted = [change for change in state.changes if change.kind is not Kind.LEAVE_OUT]
-        return len(counted) < self.options.most_changes
+        return _n_counted(state.changes) < self.options.most_changes
 
     def _ranked(self, state: State, limits: Limits, *, anew: bool = False) -> list[_Candidate]:
         """Allowed changes of a plan, or ways to build it anew, the most promising first."""
@@ -342,6 +341,8 @@ class Search:
                 merged = applied(self._start, changes)
                 if merged is None or _key(merged) != _key(draft):
                     changes = (*state.changes, *proposal)
+            if _n_counted(changes) > self.options.most_changes:
+                continue
             unsolved = first is not None and after.depth_of(first.box) > 0
             risk = after.trouble + PER_WEAKNESS * after.weakness
             rank = risk + UNSOLVED * unsolved + PER_COST * cost_of(proposal)
@@ -408,6 +409,11 @@ class Search:
         """What makes each changed plan fall with errors only, in steps of ``SAME_WEAKNESS``."""
         some = balances([state.draft for state in states], self.sim)
         return [round((balance.weakness + balance.trouble) / SAME_WEAKNESS) for balance in some]
+
+
+def _n_counted(changes: Sequence[Change]) -> int:
+    """Number of changes but for boxes that are left out."""
+    return sum(change.kind is not Kind.LEAVE_OUT for change in changes)
 
 
 def _way(state: State) -> tuple[object, ...]:
