@@ -56,6 +56,7 @@ def generated(n: int, seed: int, boxes: tuple[int, int], **how: Any) -> tuple[li
 def share_of(plans: Sequence[Plan], worlds: int, **how: Any) -> str:
     """In how many worlds with errors plans stand."""
     summary = petmjx.score(list(plans), confidence=worlds, **how).summary
+    assert summary is not None
     standing, n = summary.n_standing.sum(), (summary.n_worlds - summary.n_invalid).sum()
     return (
         f"{standing} of {n} worlds with errors ({100 * standing / n:.1f} %) of {count_text(len(plans), 'plan')} stand"

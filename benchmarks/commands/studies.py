@@ -280,7 +280,8 @@ def repair(
     from benchmarks.repair_study import describe, disturbed, generated, repaired_rows, share_of
     from petmjx.options.run_options import RunOptions
 
-    begin, rows, neighbours = time.monotonic(), [], []
+    begin, rows = time.monotonic(), []
+    neighbours: list[Any] = []
     if plans:
         small = [plan for plan in usable(plans, RunOptions()) if plan.n_boxes <= most_boxes]
         chosen: Any = islice(disturbed(small, seed, **options), n)
