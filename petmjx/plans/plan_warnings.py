@@ -55,7 +55,9 @@ def overlap(low: FloatArray, high: FloatArray, tolerance: float = 0.0) -> NDArra
     return over & np.swapaxes(over, -1, -2)
 
 
-def meets(low: FloatArray, high: FloatArray, tolerance: float, most_gap: float | None = None) -> NDArray[np.bool_]:
+def meets(
+    low: FloatArray, high: FloatArray, tolerance: float, most_gap: float | FloatArray | None = None
+) -> NDArray[np.bool_]:
     """(…, n, n) whether the upper end of the row's box meets the lower end of the column's box.
 
     Args:
@@ -64,7 +66,9 @@ def meets(low: FloatArray, high: FloatArray, tolerance: float, most_gap: float |
         most_gap: the upper end may be below the lower end by at most this; None: ``tolerance``.
     """
     over = high[..., :, None] - low[..., None, :]
-    touching: NDArray[np.bool_] = (over <= tolerance) & (over >= -(tolerance if most_gap is None else most_gap))
+    touching: NDArray[np.bool_] = (over <= tolerance) & (
+        over >= np.negative(tolerance if most_gap is None else most_gap)
+    )
     return touching
 
 
