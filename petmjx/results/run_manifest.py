@@ -103,6 +103,20 @@ def records_of(plans: Sequence[Plan], numbers: Mapping[str, int] | None = None) 
     }
 
 
+def _arrow_column(values: Sequence[Any], kind: pa.DataType) -> pa.Array:
+    """``pyarrow.array`` of texts or numbers, which would first load pandas: a run has no time for it before its first
+    world."""
+    if None in values:
+        return pa.array(values, kind)
+    if kind != pa.string():
+        return pa.Array.from_buffers(kind, len(values), [None, pa.py_buffer(np.array(values, kind.to_pandas_dtype()))])
+    texts = [text.encode() for text in values]
+    ends = np.cumsum([0, *(len(text) for text in texts)])
+    if ends[-1] > np.iinfo(np.int32).max:
+        return pa.array(values, kind)
+    return pa.StringArray.from_buffers(len(texts), pa.py_buffer(ends.astype(np.int32)), pa.py_buffer(b"".join(texts)))
+
+
 @dataclass(frozen=True, eq=False)
 class Manifest:
     """The identity of a run. Two runs of one identity have the same results.
@@ -138,7 +152,7 @@ class Manifest:
             rows = [ordered.get(plan_id) for plan_id in self.plans]
             columns |= {name: [row and getattr(row, name) for row in rows] for name in PlanOrderCounts._fields}
         schema = plans_schema(ordered is not None)
-        arrays = [pa.array(columns[column.name], column.type) for column in schema]
+        arrays = [_arrow_column(columns[column.name], column.type) for column in schema]
         return pa.Table.from_arrays(arrays, schema=schema)
 
     @classmethod
