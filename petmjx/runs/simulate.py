@@ -221,7 +221,7 @@ class _Run:
             ends_s = array("d")
             for world in study.worlds(self.engine, writer.recorded, self.recording, self.progress):
                 if not ends_s:  # results need it when the run ends; the engine works by now
-                    threading.Thread(target=import_module, args=("pandas",), name="petmjx-tables", daemon=True).start()
+                    threading.Thread(target=import_module, args=("pandas",), name="petmjx-tables").start()
                 self._write(writer, world)
                 ends_s.append(time.monotonic())
                 if watcher is not None:
