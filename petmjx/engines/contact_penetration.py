@@ -256,8 +256,9 @@ _PLACES: Final = (("target", np.inf), ("half_size", 0.0))
 
 
 def _deepest_m(outcomes: Sequence[Outcome], scenes: Sequence[Scene], physics: Physics) -> FloatArray:
-    """(m,) how far the box that comes down most does so in each world, m: the largest ``contact_penetration_m``, but
-    for rounding. Arrays have as many columns as the largest world has boxes."""
+    """(m,) an upper bound of ``contact_penetration_m`` in each world, m: as it is, but for rounding, if the largest
+    force on each box's top rests there. Impacts that are larger than all that is above a box are rare. Arrays have as
+    many columns as the largest world has boxes."""
     counts = np.array([scene.n_boxes for scene in scenes], np.intp)
     is_box = np.arange(counts.max()) < counts[:, None]
 
@@ -279,10 +280,9 @@ def _deepest_m(outcomes: Sequence[Outcome], scenes: Sequence[Scene], physics: Ph
     total, gravity = np.array([scene.total_mass for scene in scenes]), physics.gravity_m_s2
     low, high = place - half, place + half
     over = overlap(low[..., 0], high[..., 0]) & overlap(low[..., 1], high[..., 1])
-    at_rest_n = np.minimum(top_n, gravity * (_transitive_closure(over).astype(float) @ mass[..., None])[..., 0])
     inverse = 1 / mass + np.where(low[..., 2] < ON_CARRIER_M, 1 / carrier[:, None], 0.0)
-    above = at_rest_n / mass / CONTACTS_PER_FACE
-    below = inverse * (at_rest_n + mass * gravity) / CONTACTS_PER_FACE
+    above = top_n / mass / CONTACTS_PER_FACE
+    below = inverse * (top_n + mass * gravity) / CONTACTS_PER_FACE
     world, upper, lower = np.nonzero(np.tril(over, -1))
     through = np.full(over.shape, -np.inf)
     through[world, upper, lower] = depth_m(physics, below[world, upper] + above[world, lower])

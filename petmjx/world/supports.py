@@ -218,8 +218,11 @@ class Bearing:
         distance_m = np.full(len(box), np.nan)
         alone = np.flatnonzero(self.n_supports[box] == 1)
         contact, held = self.ends[box[alone]], self.boxes.held[box[alone]]
-        low, high = self.low[contact] - held[:, 0], self.high[contact] + held[:, 1]
-        distance_m[alone] = np.minimum(point[alone] - low, high - point[alone]).min(axis=1)
+        low, high = self.low[contact], self.high[contact]
+        if held.any():
+            low, high = low - held[:, 0], high + held[:, 1]
+        nearer = np.minimum(point[alone] - low, high - point[alone])
+        distance_m[alone] = np.minimum(nearer[:, 0], nearer[:, 1])  # ``min(axis=1)`` of two columns takes long
         several = np.flatnonzero(self.n_supports[box] > 1)
         if len(several):
             hull, held = self.number_of_hull[box[several]], self.boxes.held[box[several]]
