@@ -35,8 +35,8 @@ LOWER_M: Final = 0.005
 (``petmjx.engines.contact_tilt.BOUND_SHARE``)."""
 
 MOST_TOGETHER: Final = 256
-"""Largest number of outcomes that are checked at once; 256 take a tenth of a second. One by one, checks took longer
-than the simulation on a GPU."""
+"""Largest number of outcomes that are checked at once; 256 take one or two tenths of a second. One by one, checks took
+longer than the simulation on a GPU."""
 
 
 def outcome_checks(outcomes: Sequence[Outcome], jobs: Sequence[Job], sim: Simulation) -> list[Outcome]:

@@ -228,11 +228,13 @@ def _margins(worlds: Sequence[tuple[Verdict, BoxMetrics, int]], thresholds: Thre
     valid = [k for k, (verdict, _, placed) in enumerate(worlds) if placed and verdict is not Verdict.INVALID]
     if not valid:
         return margins
-    placed = [worlds[k][2] for k in valid]
-    shift, tilt, dropped = (
-        np.concatenate([getattr(worlds[k][1], name)[: worlds[k][2]] for k in valid], dtype=dtype)
-        for name, dtype in (("shift_m", np.float64), ("max_tilt_deg", np.float64), ("dropped", np.bool_))
+    some = [worlds[k] for k in valid]
+    placed = np.array([count for _, _, count in some], np.intp)
+    shift, tilt = (
+        np.concatenate([getattr(boxes, name)[:count] for _, boxes, count in some]).astype(np.float64)
+        for name in ("shift_m", "max_tilt_deg")
     )
+    dropped = np.concatenate([boxes.dropped[:count] for _, boxes, count in some])
     largest = np.maximum(excess(shift, tilt, dropped, thresholds), DROPPED_EXCESS * dropped)
     begins = np.cumsum(placed) - placed
     for k, margin in zip(valid, (1.0 - np.maximum.reduceat(largest, begins)).tolist(), strict=True):
