@@ -53,8 +53,8 @@ def _takes_options(*records: type[CheckedRecord]) -> Callable[[Function], Functi
 
 @contextmanager
 def _watching(watcher: Watcher | None, progress: bool) -> Iterator[Watcher | None]:
-    """The watcher of a run: the given one; else a progress bar in a notebook; elsewhere, with ``progress``, lines on
-    standard error.
+    """The watcher of a run: the argument if it is one; else a progress bar in a notebook; elsewhere, with ``progress``,
+    lines on standard error.
 
     Raises:
         InputError: the given object cannot follow a run.
@@ -156,7 +156,7 @@ def sweep(
 
     Args:
         file: a sweep file, or the name of a ready-made sweep such as ``eumos``.
-        plans: as for :func:`score`; they replace the plans that the file names. None: the plans of the file.
+        plans: as for :func:`score`; they replace the plans that the file names. None: all plans of the file.
         watcher: follows the run. Without one, notebooks show a progress bar.
         progress: in a script, print the progress of the run on standard error every few seconds.
         batching: how many states and worlds are held in memory; it changes no result.

@@ -19,7 +19,7 @@ def check_writable(file: Path) -> None:
     """Check that a file can be written, as far as this shows without writing.
 
     Raises:
-        InputError: it is a folder, or its parent is not a folder or is not writable.
+        InputError: the path is a folder, or its parent is not a folder or is not writable.
     """
     folder = file.parent
     if file.is_dir():
@@ -70,5 +70,6 @@ def atomic_write(file: Path) -> Iterator[Path]:
 
 
 def gzip_stream(stream: IO[bytes]) -> gzip.GzipFile:
-    """A gzip stream into another stream. It has no file name and no time, so its bytes depend only on the content."""
+    """A gzip stream into another stream. The stream has no file name and no time, so the bytes depend only on the
+    content."""
     return gzip.GzipFile(filename="", mode="wb", compresslevel=6, fileobj=stream, mtime=0)

@@ -1,6 +1,6 @@
 """Folders for compiled programs of JAX and Warp, under ``$PETMJX_CACHE_DIR`` (default: ``~/.cache/petmjx``).
 
-If the folder cannot be written, as in a read-only home, petmjx goes on with a temporary folder of the user.
+If the folder cannot be written, as in a read-only home, petmjx uses a temporary folder of the user instead.
 """
 
 from __future__ import annotations
@@ -22,11 +22,12 @@ from petmjx.common.text import printable
 Kind = Literal["jax", "warp"]
 
 VARIABLES: Final[dict[Kind, str]] = {"jax": "JAX_COMPILATION_CACHE_DIR", "warp": "WARP_CACHE_PATH"}
-"""Environment variable in which JAX or Warp itself looks for its folder. It takes precedence over petmjx's."""
+"""Environment variable in which JAX or Warp itself looks for its folder. This variable takes precedence over
+petmjx's."""
 
 
 def wanted_folder(kind: Kind) -> Path:
-    """The folder for compiled programs that the environment asks for. It is not checked whether it can be written.
+    """The folder for compiled programs that the environment asks for. Whether the folder can be written is not checked.
 
     Raises:
         RuntimeError: there is no home folder, and no variable names a folder.
@@ -38,7 +39,7 @@ def wanted_folder(kind: Kind) -> Path:
 
 
 def why_not_written(kind: Kind) -> str:
-    """Why the wanted folder cannot be used; "" if it can."""
+    """The reason why the wanted folder cannot be used; "" if it can."""
     try:
         folder = wanted_folder(kind)
     except RuntimeError as error:
@@ -90,7 +91,8 @@ def _why_unusable(folder: Path) -> str:
 def temporary_folder() -> Path:
     """A temporary folder that only this user can write. Raises OSError.
 
-    All processes of the user share it. If its name is taken by somebody else, this process gets a folder of its own.
+    All processes of the user share it. If another user owns a folder of this name, this process gets a folder of its
+    own.
     """
     folder = Path(tempfile.gettempdir()) / f"petmjx-cache-{os.getuid()}"
     with suppress(FileExistsError):

@@ -11,7 +11,8 @@ from typing import Final, Generic, Self, TypeVar
 from petmjx.common.processes import process_pool, stop
 
 ALONE: Final = 256
-"""Fewer tasks than this run in this process: at milliseconds a task, other processes would take longer to start."""
+"""With fewer tasks than this, all run in this process: at milliseconds a task, other processes would take longer to
+start."""
 
 _CHUNK: Final = 16
 _CHUNKS_AHEAD: Final = 4
@@ -39,7 +40,7 @@ def ordered_results(
         function: a function of a module (or ``functools.partial`` of one), since other processes import it.
         tasks: iterated in this process, only as far ahead as is needed.
         workers: number of processes; 1: this one. Scripts with more than 1 need ``if __name__ == "__main__":``.
-        alone: fewer tasks than this run in this process; None: ``ALONE``.
+        alone: with fewer tasks than this, all run in this process; None: ``ALONE``.
         chunk: number of tasks that another process gets at a time.
     """
     tasks, alone = iter(tasks), ALONE if alone is None else alone

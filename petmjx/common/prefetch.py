@@ -21,9 +21,9 @@ class _End:
 def prefetch(items: Generator[Item], most: int) -> Generator[Item]:
     """The items of a generator, in order, made ahead in a thread.
 
-    The thread starts when the first item is requested. It makes items until ``most`` of them wait in the queue, and one
-    more. An error of ``items`` is raised after all items before it have been taken. Closing the result closes ``items``
-    in its thread, and returns when the thread has ended.
+    The thread starts when the first item is requested. The thread makes items until ``most`` of them wait in the queue,
+    and one more. An error of ``items`` is raised after all items before it have been taken. Closing the result closes
+    ``items`` in its thread, and returns when the thread has ended.
 
     Args:
         most: number of items that may wait before the thread pauses.
@@ -39,7 +39,7 @@ def prefetch(items: Generator[Item], most: int) -> Generator[Item]:
                     room.acquire()
                     if closed.is_set():
                         break
-        except BaseException as error:  # kept in no other local: its traceback holds this frame, and thus the items
+        except BaseException as error:  # in no other local: its traceback holds this frame, and thus the items
             queue.put(_End(error))
         else:
             queue.put(_End(None))

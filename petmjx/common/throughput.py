@@ -9,7 +9,7 @@ from collections.abc import Callable
 from petmjx.common.text import count_text, three_digits, time_left
 
 MARK_S = 0.1
-"""Least time between two marks, s. It keeps them few even for a million worlds."""
+"""Least time between two marks, s. This bounds the number of kept times, even for a million worlds."""
 
 
 class Throughput:
@@ -17,7 +17,7 @@ class Throughput:
 
     Args:
         total: number of worlds; None if it is not known.
-        what: the user's word for a world: ``plan``, or ``world`` in sweeps.
+        what: the noun for a world in messages: ``plan``, or ``world`` in sweeps.
         clock: the time now, s.
     """
 
@@ -59,7 +59,8 @@ class Throughput:
 
     @property
     def left(self) -> str:
-        """How long the remaining worlds will take: "1 min 20 s left". Empty if that is not known, and at the end.
+        """How long the remaining worlds will take: "1 min 20 s left". Empty if the remaining time is not known, and at
+        the end.
 
         If n worlds remain, the estimate is the time that the last n finished worlds took. The rate of the whole run
         would be wrong at the end: the last worlds of a run are few and long.

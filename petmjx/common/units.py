@@ -15,7 +15,7 @@ MM_PER_M = 1000.0
 MICROMETRES_PER_M = 1_000_000.0
 
 STANDARD_GRAVITY = 9.81
-"""In m/s²: the value of the reference implementation. Levels given in g are multiples of it."""
+"""In m/s²: the value of the reference implementation. Levels in g are multiples of this value."""
 
 LENGTHS_MM: Final[Mapping[str, tuple[float, str]]] = {
     "mm": (1.0, "millimetres"),
@@ -29,7 +29,7 @@ MASSES_KG: Final[Mapping[str, tuple[float, str]]] = {
     "lb": (0.45359237, "pounds"),
     "t": (1000.0, "tonnes"),
 }
-"""Units in which plans may be given → their size in millimetres or kilograms, and their name."""
+"""Units that users can name → their size in millimetres or kilograms, and their name."""
 
 PLAN_UNITS: Final = "mm,kg"
 """The default units of plans."""

@@ -67,8 +67,8 @@ FRICTION_OF_PAIRS: Final[Mapping[tuple[str, str], float]] = {
     **_ON_FLOORS,
     **{pair: static for pair, (static, _) in _PALLETS.items()},
 }
-"""Pair of materials in alphabetical order → coefficient of static friction between them. For cargo that slides the CTU
-Code takes 75 % of it: ``physics.kinetic_friction_share``."""
+"""Pair of materials in alphabetical order → coefficient of static friction between them. For cargo that slides, the CTU
+Code takes 75 % of this coefficient: ``physics.kinetic_friction_share``."""
 
 KINETIC_OF_PAIRS: Final[Mapping[tuple[str, str], float]] = {pair: kinetic for pair, (_, kinetic) in _PALLETS.items()}
 """Pair of materials in alphabetical order → coefficient of friction between them while they slide, if it is known."""
@@ -86,7 +86,7 @@ Name = Annotated[str, Field(min_length=1, max_length=100)]
 
 
 class FrictionPair(CheckedRecord):
-    """The coefficient of sliding friction between two materials, or of one with itself."""
+    """The coefficient of sliding friction between two materials, or of a material with itself."""
 
     between: tuple[Name, Name] = Field(description="the two materials")
     friction: Annotated[StrictFloat, Field(ge=0, le=100)] = Field(description="coefficient of sliding friction")
@@ -130,7 +130,8 @@ def landing_between(one: str, other: str, user_pairs: Sequence[LandingPair]) -> 
     """The restitution of a pair of materials, and the time in which a landing stops, s; None: the value of ``Physics``.
 
     Args:
-        user_pairs: pairs of the user. They take precedence over petmjx's values, and later ones over earlier ones.
+        user_pairs: pairs of the user. A user's pairs take precedence over petmjx's values, and later pairs over earlier
+            ones.
     """
     pair = _pair(one, other)
     user_pair = next((entry for entry in reversed(user_pairs) if entry.key == pair), None)
@@ -180,7 +181,7 @@ def check_pairs(boxes: Sequence[str], boards: Iterable[str], user_pairs: Sequenc
         user_pairs: pairs of the user.
 
     Raises:
-        InputError: it names the pairs whose friction is not known.
+        InputError: the friction of some pairs is not known; the message names them.
     """
     count = Counter(boxes)
     pairs = {*itertools.combinations(sorted(count), 2), *((name, name) for name, number in count.items() if number > 1)}
