@@ -188,8 +188,8 @@ def within(low: float, high: float) -> AfterValidator:
 
 
 def _fields_with(record: CheckedRecord, values: Mapping[str, Any]) -> dict[str, Any]:
-    """A record's fields with some replaced. The new values are not checked here but together later, so that an error has the
-    whole path.
+    """A record's fields with some replaced. The new values are not checked here but together later, so that an error
+    has the whole path.
     """
     fields = {name: getattr(record, name) for name in type(record).model_fields}
     for name, value in values.items():

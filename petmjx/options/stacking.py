@@ -47,7 +47,7 @@ class Stacking(CheckedRecord):
     )
     soft_deck_loss: Annotated[float, within(0, 1)] = Field(
         0.0,
-        description="share that boxes on the deck lose by boards that bend: 0 for stiff boards, 0.21 to 0.27 for soft ones",
+        description="share that boxes on the deck lose by boards that bend: stiff boards 0, soft ones 0.21 to 0.27",
     )
     wall_tolerance_mm: Annotated[float, within(0, 1000)] = Field(
         10.0, description="walls stand on each other, and on edges of what is below, if no further apart, mm"

@@ -117,8 +117,8 @@ def _pet_eur() -> Pallet:
 def _rollcontainer_grid() -> Pallet:
     """The base of a roll container: 14 bars of 8 mm with gaps of 53 mm, on four tubes of 30 mm; 200 mm high, 25 kg.
 
-    A typical base, not that of a certain maker: no source was found for the bars of one. Its extents are those of the
-    target ``rollcontainer``. Its castors are blocks, which roll no more than the feet of a pallet.
+    A typical base of no certain maker: no source was found for the bars. The extents are those of the target
+    ``rollcontainer``. Castors are modelled as blocks, and roll no more than the feet of a pallet.
     """
     length, width, bar, tube, castor, top = 800.0, 700.0, 8.0, 30.0, 60.0, 200.0
     under = top - bar - tube
@@ -188,7 +188,7 @@ def body_of(board_pallet: Pallet, physics: Physics) -> Body:
 
 
 WALL_DEPTH_M: Final = 0.02
-"""How far walls reach below the carrier's top at most, so that no box gets under them."""
+"""Largest depth of walls below the carrier's top, so that no box gets under them."""
 
 
 def has_walls(sim: Simulation) -> bool:

@@ -1,16 +1,17 @@
 """Distances of loads from the edges of the boxes' supports, by the plan: when it is complete, and while it is built.
 
-The load of a box is its own weight and all that rests on it. By springs, the shared loads may put a load beyond an edge
-although another balance has it inside. So such a balance is searched for (petmjx.world.balance_programme): a load is
-beyond an edge only if vertical forces cannot balance the boxes.
+The load of a box is its own weight plus the weight that rests on it. By springs, the shared loads may put a load beyond
+an edge although another balance has it inside. So the balance with all loads inside is searched for
+(petmjx.world.balance_programme): a load is beyond an edge only if vertical forces cannot balance the boxes.
 
-While the plan is built: a counterweight that comes too late holds nothing. All loads of a plan may be inside when it is
+While the plan is built, a counterweight that comes too late holds nothing. All loads of a plan may be inside when it is
 complete, and yet it may fall while it is built. So the load of every box is checked after each placement that changes
 it.
 
 The part of an upper box's weight that a box bears does not depend on other boxes, as long as no support pulls. So the
-own weight of each box is passed down once. The load of a box after a placement is the sum of the parts of the boxes
-that are placed. Only boxes with a support that pulls, and the boxes below them, are computed placement by placement.
+weight of each box is passed down once, on its own. The load of a box after a placement is the sum of the parts of the
+boxes that are placed. Only boxes with a support that pulls, and the boxes below them, are computed placement by
+placement.
 """
 
 from __future__ import annotations
@@ -36,7 +37,7 @@ ROUNDING_M: Final = 1e-9
 class Edges(NamedTuple):
     """Distances of n boxes' loads from the nearest edge of their supports, m: positive inside, negative beyond.
 
-    NaN: nothing bears the box, or it is not placed.
+    NaN: the box has no support, or is not placed.
 
     Attributes:
         by_weight: (n,) distances of their own weights alone.
@@ -59,9 +60,9 @@ def edges_of(bearings: Sequence[Bearing], placed: Sequence[int], joined: Bearing
     """The edges of the boxes of each scene, once its first ``placed`` boxes are placed.
 
     Args:
-        bearings: one for each scene.
+        bearings: the bearing of each scene.
         placed: number of placed boxes of each scene.
-        joined: all bearings joined, if the caller has that; None: it is computed.
+        joined: all bearings joined, if the caller has them; None: computed here.
     """
     if not bearings:
         return []
@@ -138,9 +139,9 @@ def below_several(bearing: Bearing, among: NDArray[np.bool_]) -> NDArray[np.bool
 
 
 MOST_PROGRAMMES: Final = 2
-"""Largest number of placements of a plan for which a linear programme is solved. One takes a few milliseconds, and more
-for a hundred boxes on several supports. Loads that seem to be beyond edges after further placements are left out:
-nothing shows that they are beyond."""
+"""Largest number of placements of a plan for which a linear programme is solved. One programme takes a few
+milliseconds, and more for a hundred boxes on several supports. Loads that seem to be beyond edges after further
+placements are left out: without a programme this stays unproven."""
 
 
 class BuildingLoads(NamedTuple):
@@ -148,7 +149,7 @@ class BuildingLoads(NamedTuple):
 
     Attributes:
         box: (p,) the box that has the load.
-        step: (p,) the box after whose placement it has this load.
+        step: (p,) number of the box after whose placement this load acts.
         load: (p, 3) as in ``Bearing.loads``, without the height.
         edge_m: (p,) distance of the load from the nearest edge, positive inside; NaN if nothing bears the box.
     """
@@ -165,10 +166,10 @@ class LeastBuildingEdge(NamedTuple):
     Attributes:
         edge_m: distance from the edge, positive inside; NaN: there is no load.
         box: the box that has the load; -1: there is no load.
-        step: the box after whose placement it has this load; -1: there is no load.
+        step: number of the box after whose placement this load acts; -1: no load.
         nearest_m: distance of the load that is nearest to an edge, on either side.
-        nearest_box: the box that has that load.
-        nearest_step: the box after whose placement it has that load.
+        nearest_box: the box with the load nearest to an edge.
+        nearest_step: number of the box after whose placement this load acts.
     """
 
     edge_m: float
@@ -187,7 +188,7 @@ def building_edges(
     Args:
         bearings: one for each scene.
         placed: number of placed boxes of each scene.
-        joined: all bearings joined, perhaps with further ones after them; None: it is computed.
+        joined: all bearings joined, perhaps with further bearings after them; None: computed here.
     """
     if not bearings:
         return []
@@ -213,8 +214,8 @@ def building_edges(
 
 
 def steps_beyond(scene: Scene, box: int) -> tuple[int, int]:
-    """The placement after which the load of a box is beyond an edge while a plan is built, and the one after which it
-    is inside again: numbers of the placed boxes, -1 for none."""
+    """The placement after which the load of a box is beyond an edge while a plan is built, and the placement after
+    which the load is inside again: numbers of the placed boxes, -1 for none."""
     built = building_loads_of(bearing_in_order(bearing_of(scene)), [scene.n_boxes])
     steps, edge = built.step[built.box == box], built.edge_m[built.box == box]
     beyond = np.flatnonzero(edge < 0)
@@ -225,7 +226,7 @@ def steps_beyond(scene: Scene, box: int) -> tuple[int, int]:
 
 
 def bearing_in_order(bearing: Bearing) -> Bearing:
-    """The bearing of a scene, without supports that are placed after the box that they bear: until then that box has
+    """The bearing of a scene, without supports that are placed later than the box on them: by then the box has
     fallen."""
     before = bearing.lower < bearing.upper
     if before.all():
@@ -255,7 +256,8 @@ def building_loads_of(bearing: Bearing, placed: Sequence[int]) -> BuildingLoads:
 
 
 def _parts(bearing: Bearing, among: NDArray[np.bool_]) -> tuple[IntArray, IntArray, FloatArray]:
-    """(p,) and (p,) sorted pairs of a box and a box of which it bears a part, itself included, and (p, 3) the parts."""
+    """(p,) and (p,) sorted pairs of a box and a box whose weight it bears in part, itself included, and (p, 3) the
+    parts."""
     n, boxes = len(among), np.flatnonzero(among)
     between = np.flatnonzero(bearing.lower != CARRIER)
     count = np.bincount(bearing.upper[between], minlength=n)
@@ -320,7 +322,7 @@ def _without_pulls(bearing: Bearing, begins: IntArray, step: IntArray, load: Flo
     n_above = np.bincount(bearing.lower[bearing.lower != CARRIER], minlength=n)
     above = above[np.count_nonzero(bearing.lower == CARRIER) :]
     key = np.repeat(np.arange(n), count) * n + step  # in order
-    # forces at the contacts of corrected boxes, one for each load of the box
+    # forces at the contacts of corrected boxes: one force for each load of the box
     size = np.where(pulled[bearing.upper], count[bearing.upper], 0)
     first, forces = np.cumsum(size) - size, np.zeros((size.sum(), 3))
     weights, boxes = bearing.weights[:, :3], np.flatnonzero(pulled)
@@ -375,9 +377,9 @@ def _spans(count: IntArray, chosen: IntArray) -> IntArray:
 
 
 def _exact_least_edge(bearing: Bearing, built: BuildingLoads) -> LeastBuildingEdge:
-    """The least edge of one scene in which all loads that seem to be beyond edges depend on how boxes share loads.
+    """The least edge of one scene, if every load that seems to be beyond an edge depends on the sharing of loads.
 
-    A linear programme decides whether the furthest of them are.
+    A linear programme decides whether the furthest loads are beyond.
     """
     edge = built.edge_m.copy()
     for _ in range(MOST_PROGRAMMES):
@@ -406,7 +408,7 @@ def balanced_after(bearing: Bearing, built: BuildingLoads, step: int) -> tuple[I
 
 
 def _least(built: BuildingLoads) -> LeastBuildingEdge:
-    """The least of one scene's edges."""
+    """The least edge of one scene."""
     known = np.where(np.isnan(built.edge_m), np.inf, built.edge_m)
     if not (known < np.inf).any():
         return LeastBuildingEdge(np.nan, -1, -1, np.nan, -1, -1)

@@ -1,10 +1,10 @@
-"""Load sharing: the forces by which supports that can only push bear a box.
+"""Load sharing: the forces with which supports bear a box, if supports can only push.
 
 The pressure of a box on a bed of equal springs is a plane (petmjx.world.supports). If a load is far from the middle of
 the supports, the plane pulls: springs on the opposite side would be stretched. Real supports only push. So the solution
 is the forces that push, each within its own contact area, and balance the load with the least energy of the springs
 (Menabrea 1858, "Nouveau principe sur la distribution des tensions dans les systèmes élastiques"). If the plane pulls
-nowhere, it is the solution.
+nowhere, the plane is the solution.
 
 A contact's force F and its moments about the middle of its area A, of half lengths a and b, have the energy
 
@@ -33,15 +33,15 @@ PULL: Final = 1e-9
 Less is rounding."""
 
 ON_EDGE_M: Final = 1e-6
-"""A load nearer to the hull's edge than this rests on the edge: the planes get steep without limit there."""
+"""A load nearer to the hull's edge than this rests on the edge: the planes become infinitely steep there."""
 
 _ROOT: Final = math.sqrt(3.0)
 _MOST_STEPS: Final = 60
 _MOST_HALVINGS: Final = 30
 _EXACT: Final = 1e-11
 _ENOUGH: Final = 1e-8
-"""Tolerances of force and moments, as shares of the load and its extent. Newton's steps end at ``_EXACT``. They end at
-``_ENOUGH`` if they come no nearer: with loads very near an edge, rounding prevents it."""
+"""Tolerances of force and moments, as shares of the load and its extent. Newton's steps end at ``_EXACT``. Iterations
+end at ``_ENOUGH`` if loads come no nearer: very near an edge, rounding prevents it."""
 
 _RIDGE: Final = 1e-13
 """Share that is added to the diagonal of second derivatives: they are singular if a single corner bears."""

@@ -1,6 +1,6 @@
 """Stackable scenes: groups of scenes whose arrays can be stacked.
 
-Then many worlds are computed at once, identical to the last bit with each world alone.
+Stacked worlds are computed at once, identical to the last bit with each world alone.
 """
 
 from __future__ import annotations
@@ -42,5 +42,5 @@ def is_plain(scene: Scene) -> bool:
 
 
 def stacked_values(scenes: Sequence[Scene], name: str) -> NDArray[Any]:
-    """(m, …) a value of each scene, by its name, such as ``carrier.mass``."""
+    """(m, …) one field of each scene, by the field's name, such as ``carrier.mass``."""
     return np.array([*map(attrgetter(name), scenes)])

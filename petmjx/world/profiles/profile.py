@@ -20,7 +20,7 @@ class Strength(StrEnum):
     """The axis of a sweep that makes a profile weaker or stronger."""
 
     SCALE = "scale"
-    """A factor on the profile as it is. Forces: in units of total mass × 9.81 m/s²."""
+    """A factor on the unscaled profile. Forces: in units of total mass × 9.81 m/s²."""
     LEVEL = "level"
     """The profile has a peak of 1 g; the factor is the level in g."""
     ANGLE = "angle"
@@ -33,8 +33,8 @@ class Profile(Protocol):
     Attributes:
         name: as in sweep files and results.
         kind: "force" or "acceleration".
-        strength: the axis by which it is made weaker or stronger.
-        source: where its numbers come from.
+        strength: the axis that scales the profile.
+        source: origin of its numbers.
         random: whether each replicate has other samples.
     """
 
@@ -74,8 +74,8 @@ def allowed_sway_m(profile: Profile) -> float:
 def step_averages(antiderivative_at_edges: FloatArray, timestep_s: float) -> FloatArray:
     """(n,) mean over each step of a function whose antiderivative is given at the n + 1 step edges.
 
-    A step applies one constant value. With the mean as this value, the integral (the change of velocity) is exact for
-    any timestep.
+    A step applies one constant value. With the mean as the step's value, the integral (the change of velocity) is exact
+    for any timestep.
     """
     return np.diff(antiderivative_at_edges) / timestep_s
 
