@@ -66,7 +66,7 @@ class _NoRules(Rules):
         return state
 
     def after_step(self, state: State, *args: Any, **named: Any) -> State:
-        """Leave everything as it is."""
+        """Leave worlds and states as they are."""
         return state
 
 

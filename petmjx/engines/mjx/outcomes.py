@@ -98,7 +98,7 @@ def started_states(jobs: Sequence[Job], fresh: State) -> State:
     only if a job needs them. Padding rows never run, and may have any state.
 
     Args:
-        fresh: shapes and types are enough if all jobs start from kept states.
+        fresh: arrays without values, only shapes and types, are enough if all jobs start from kept states.
     """
     # a drive that follows a placement at once begins on the device, where boxes cannot be put elsewhere
     assert all(job.poses is None or isinstance(job.start, State) for job in jobs)

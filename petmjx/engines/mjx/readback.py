@@ -18,12 +18,12 @@ from petmjx.engines.mjx.world_state import State, take_rows
 from petmjx.options.simulation import Simulation
 
 READ_BACK_ROWS: Final = 256
-"""Rows that are read back at a time; a smaller table has fewer. XLA compiles a program for each number."""
+"""Rows that are read back at a time; a smaller table has fewer. XLA compiles a program for each number of rows."""
 
 
 class Readback(NamedTuple):
     """States and metrics of rows of a table, as bits of one array. The host waits for each array that it fetches from a
-    GPU, so one is best.
+    GPU, so a single array is best.
 
     Attributes:
         rows: rows of the table; ``bits`` may have more rows, as padding.
@@ -66,7 +66,7 @@ def _readback_words(table: State, worlds: Worlds, rows: Int[Array, " row"], sim:
 
 
 def prepare_readback(table: State, worlds: Worlds, sim: Simulation) -> None:
-    """Compile the programs of ``read_back`` while the device is busy, so that no one waits for them later."""
+    """Compile the programs of ``read_back`` while the device is busy, so that later readbacks need no compilation."""
     read_back(np.zeros(1, np.int64), table, worlds, sim)
 
 

@@ -99,8 +99,8 @@ class BatchRollout:
         gravity, push = self._excitation(state, worlds, profiles)
         shown = rules.park(state)
         # Boxes in the air fall freely during the step. If the solver starts from free fall, it has nothing to solve for
-        # them. From zero, each of these boxes would add ½·m·g² to the cost, and float32 would lose the contacts in that
-        # sum.
+        # them. From zero acceleration, each of these boxes would add ½·m·g² to the cost, and float32 would lose the
+        # contacts in that sum.
         standing = rules.standing(state)[..., None]
         start = shown.qacc.at[..., :3].set(jnp.where(standing, shown.qacc[..., :3], gravity[:, None]))
         inputs = {
@@ -134,7 +134,7 @@ class BatchRollout:
         def moved(
             row: Float[Array, "world coordinate"], carrier: Float[Array, "world k"], boxes: Float[Array, "world box k"]
         ) -> tuple[Float[Array, "world k"], Float[Array, "world box k"]]:
-            """Changes of a step, for running worlds and boxes in play. Everything else stays as it was."""
+            """Changes of a step, for running worlds and boxes in play. All other values stay."""
             new_carrier, new_boxes = self._split(row, carrier)
             return jnp.where(running, new_carrier, carrier), jnp.where(standing, new_boxes, boxes)
 
@@ -159,8 +159,8 @@ class BatchRollout:
         return after, done.forces, done.top_force
 
     def _presses(self, before: State, worlds: Worlds, rising: Float[Array, " world"]) -> Bool[Array, " world"]:
-        """Whether the forces of the step after ``before`` count although no sample is due. While a drive acts they
-        always count. Else a box must be fast, and a box must rise or a look for quiet must be due. ``rising``: the
+        """Whether the forces of the step after ``before`` count although no sample is due. While a drive acts, forces
+        always count. Otherwise a box must be fast, and a box must rise or a look for quiet must be due. ``rising``: the
         largest upward acceleration, m/s²."""
         rules, step = self.rules, before.step + 1
         if not rules.sim.waits_for_rest:

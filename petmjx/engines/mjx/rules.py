@@ -40,7 +40,7 @@ class _SampleInputs(NamedTuple):
 
 
 def _drive_end(state: State, worlds: Worlds) -> Int[Array, " world"]:
-    """The last step of each drive, unless its world rests earlier."""
+    """Last step of each drive if its world does not rest earlier."""
     return state.driven_from + worlds.drive_steps
 
 
@@ -174,10 +174,10 @@ class Rules:
 
         Args:
             state: poses, velocities and step counters after the step.
-            seen_qpos: poses at the beginning of the step, to which contacts and accelerations belong.
+            seen_qpos: poses at the beginning of the step, to which the step's contacts and accelerations belong.
             qacc: linear (m/s²) and angular (rad/s²) accelerations of each box in that step.
             top_force: force on each box's top, N.
-            presses: whether ``top_force`` counts, also in a step without a sample.
+            presses: worlds whose ``top_force`` counts, also in a step without a sample.
         """
         before, in_hand = state.running, hand.carried_worlds(state)
         moving = (state.qpos, state.qvel, state.carrier_qpos, state.carrier_qvel)
@@ -272,8 +272,8 @@ class Rules:
         """In worlds with ``poll``, count the steps for which all boxes were quiet. The count starts again if a box
         creeps.
 
-        A pallet is quiet after ``quiet.steps`` steps if no box creeps. Trembling boxes do not count; if there are any,
-        the count is set to 0 then. Looks for trembling happen where waits adapt.
+        A pallet is quiet after ``quiet.steps`` steps if no box creeps. Trembling boxes are ignored; the count restarts
+        at 0 when boxes are found to tremble. Looks for trembling happen where waits adapt.
 
         Returns:
             The states, and which pallets are quiet.
@@ -332,8 +332,8 @@ class Rules:
         return self.place_next(state, worlds, go & more)
 
     def rest_from(self, state: State) -> Int[Array, " world"]:
-        """The step after which the rest window of a quiet world begins. By then its last box has landed; before a drive
-        it has landed already."""
+        """The step after which the rest window of a quiet world begins. By then the last box of the world has landed;
+        before a drive it has landed already."""
         if self.driven:
             return state.step
         return jnp.maximum(state.step, state.last_placed_at + self.sim.quiet.landing_steps)
@@ -344,7 +344,7 @@ class Rules:
 
     @property
     def _rests_first(self) -> bool:
-        """Whether a rest window, and a check at its end, come before a drive."""
+        """Whether a drive follows a rest window and a check at the window's end."""
         return self._adaptive and self.sim.waits_for_rest
 
     def _rests_in_drive(self, state: State) -> Bool[Array, " world"]:
@@ -357,7 +357,7 @@ class Rules:
         self, state: State, worlds: Worlds, more: Bool[Array, " world"], adapts: Bool[Array, " world"]
     ) -> Int[Array, " world"]:
         """The latest step for the next event. The long wait ends early once a box has failed, counted from the first
-        sign. It also ends early before a further box if an earlier wait was in vain."""
+        sign. The wait before a further box also ends early if an earlier wait was in vain."""
         sim, table = self.sim, self.timetable
         hopeful = ~state.metrics.has_failed(sim.thresholds)
         plain_static = ~worlds.settles if sim.check == "static" and not self.driven else jnp.zeros_like(more)

@@ -1,4 +1,4 @@
-"""Rows of tables from scenes. Similar scenes are filled in together: one by one, this took longer than a GPU's
+"""Rows of tables from scenes. Similar scenes are filled in together: one by one, filling took longer than a GPU's
 simulation of small worlds."""
 
 from __future__ import annotations
@@ -109,7 +109,7 @@ def _empty(n: int, width: int, boards: int) -> Rows:
 
 
 def _scene_values(scenes: Sequence[Scene]) -> Rows:
-    """Fields with one value a scene."""
+    """Fields with one value for each scene."""
     return {
         "n_boxes": stacked_values(scenes, "n_boxes").astype(np.int32),
         "carrier_pos": stacked_values(scenes, "carrier.pos").astype(np.float32),

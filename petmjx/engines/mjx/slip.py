@@ -17,7 +17,7 @@ from petmjx.world.contact_laws import ENOUGH_M_S2, MOST_ROUNDS, RELAXATION, STIC
 
 
 class SlipLaw:
-    """The law of sliding contacts, for elliptic cones. Open contacts have rows of zeros, and stay as they are.
+    """The law of sliding contacts, for elliptic cones. Rows of open contacts are zeros, and stay zeros.
 
     Args:
         model_of: gives a world's model for its fields.
@@ -61,8 +61,8 @@ class SlipLaw:
         excess: Float[Array, " contact"],
         slides: Bool[Array, " contact"],
     ) -> tuple[Float[Array, " velocity"], Float[Array, " constraint"], Float[Array, " contact"], Bool[Array, ""]]:
-        """Accelerations and forces of one world at this excess; the change of the excess that follows from them, m/s²;
-        and whether this change needs another round."""
+        """Accelerations and forces of one world at this excess; the resulting change of the excess, m/s²; and whether
+        another round is needed."""
         normal, friction, aref = self._normal(data), data._impl.contact.friction[:, 0], data._impl.efc_aref
         lowered = {"_impl.efc_aref": aref.at[normal].add(-friction * excess)}
         done = solve(self._model_of(fields), data.replace(qacc_warmstart=start).tree_replace(lowered))

@@ -1,4 +1,4 @@
-"""Time budget of a world on C MuJoCo: steps may take any time if boxes are in one place, or collapse."""
+"""Time budget of a world on C MuJoCo: a step may take any time if many boxes overlap, or collapse."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ LONG_S: Final = 5.0
 """Wall-clock time after which the progress of a world is shown, s."""
 
 SLOW_S: Final = 0.05
-"""Time between two checks of the budget from which on it is checked after each step, s."""
+"""If checks of the budget are further apart than this, each step checks it, s."""
 
 
 class Budget:

@@ -55,11 +55,11 @@ class MujocoEngine(Engine):
         self.world_timeout_s = world_timeout_s
 
     def open(self, scenes: Sequence[Scene], sim: Simulation, most_boxes: int = MOST_BOXES) -> MujocoWorlds:
-        """As in the protocol, on this engine's threads, with room for any number of boxes."""
+        """Like ``Engine.open``, on this engine's threads, with room for any number of boxes."""
         return MujocoWorlds(scenes, sim, self.threads)
 
     def paths(self, bodies: FreeBodies, sim: Simulation) -> FloatArray:
-        """As in the protocol, on this engine's threads."""
+        """Like the method of the protocol, on this engine's threads."""
         return paths(bodies, sim, self.threads)
 
     @property
@@ -73,8 +73,9 @@ class MujocoEngine(Engine):
     ) -> Iterator[Outcome]:
         """Simulate each job once; outcomes come as they finish.
 
-        If the generator is closed, or an exception such as KeyboardInterrupt comes, the threads stop within a few dozen
-        steps. At most two jobs per thread are submitted at a time, so memory does not grow with the number of jobs.
+        If the generator is closed, or an exception such as KeyboardInterrupt is raised, the threads stop within a few
+        dozen steps. At most two jobs per thread are submitted at a time, so memory does not grow with the number of
+        jobs.
         """
         stop = threading.Event()
         progress = progress if progress is not None else Progress()

@@ -1,4 +1,4 @@
-"""Boxes that are let go, on C MuJoCo: one world per thread, with the steps of ``LiveWorld``."""
+"""Released boxes on C MuJoCo: one world per thread, with the steps of ``LiveWorld``."""
 
 from __future__ import annotations
 
