@@ -31,22 +31,22 @@ from petmjx.options.simulation import Simulation, Solver
 from petmjx.world.job import Job
 
 MOST_PENDING: Final = 13 * GROUP_WORLDS["mjx-warp"] // 8
-"""Largest number of worlds of a list for an engine that takes no stream, and of worlds that wait for another attempt or
-engine before the source waits."""
+"""Largest number of worlds of a list for an engine that takes no stream, and of waiting further attempts from which on
+the source waits."""
 
 PENDING_BOXES: Final = 1 << 20
 """Number of boxes of pending jobs from which on the source waits: 130 MB of scenes."""
 
 FIRST_WORLDS: Final = 1600
-"""Number of worlds with which a GPU begins. They are enough for its blocks for few boxes (``small_world_blocks``); the
-others join them."""
+"""Number of worlds with which a GPU begins. Its blocks for worlds of few boxes (``small_world_blocks``) are then busy;
+the other worlds join them."""
 
 PAUSE_S: Final = 0.02
 """Time between two looks of a source that waits for other attempts, s."""
 
 
 def check_pool_for(engine: Engine, worlds: int) -> CheckPool[Any] | None:
-    """A pool that checks outcomes beside an engine with this many worlds; None if it is not worthwhile."""
+    """A pool that checks the outcomes of this many worlds beside an engine; None if not worthwhile."""
     return (
         CheckPool.here()
         if engine.name in BESIDE and Capability.CHECKS not in engine.capabilities and worlds >= LARGE
@@ -73,11 +73,11 @@ def score_worlds(
     ``most_pending`` wait or at the end. So memory does not grow with the number of worlds. Attempts that CPU threads
     make beside a GPU (petmjx/engines/attempts.py) begin at once.
 
-    ``following`` gives worlds that follow from the results so far, each world once. It is asked after each outcome. An
-    engine that takes a stream simulates them beside the worlds that still run, any other engine after these have
-    ended.
+    ``following`` gives worlds that follow from the results so far, each world once. ``follow`` is called after each
+    outcome. An engine that takes a stream simulates these worlds beside the running ones, any other engine after these
+    have ended.
 
-    ``begin_with``: number of worlds for which a GPU waits at first.
+    ``begin_with``: number of worlds with which a GPU begins.
 
     ``check_pool``: a pool that several calls use one after the other; None: a call with many worlds starts its own.
 
@@ -118,7 +118,8 @@ def score_worlds(
             deliver(world, bounded=False)
 
     def finish_or_retry(attempt: AttemptRecipe, pending: Pending[AnyWorld]) -> Iterator[WorldResult[AnyWorld]]:
-        """After an attempt: yield the result if it is final; else the world waits for its next attempt, or begins it.
+        """After an attempt: yield the result if it is final; otherwise the world waits for its next attempt, or begins
+        this attempt.
 
         Args:
             pending: with the attempt's outcome.
@@ -167,7 +168,7 @@ def score_worlds(
         source.start()
         while True:
             put_following()
-            closed = stream.closed  # before the looks at what it has delivered
+            closed = stream.closed  # before the checks of its outcomes
             ready = stream.wait_for(LARGE if engine.name in BESIDE else 1)
             if ready or aside:
                 side_tasks.prepare(stream.peek(LARGE), retries)
@@ -192,7 +193,7 @@ def score_worlds(
             yield from finish_or_retry(first, answered)
         raise
     finally:
-        with defer_signals(afterwards=True), ExitStack() as closing:  # a second ctrl-C skips nothing of it
+        with defer_signals(afterwards=True), ExitStack() as closing:  # a second Ctrl-C skips none of these steps
             closing.callback(source.close)
             closing.callback(side_tasks.close)
 
@@ -202,7 +203,7 @@ class WorldSource(Generic[AnyWorld]):
 
     Args:
         deliver: puts a world's job into the stream, and waits while that is full. False: the stream is closed.
-        has_room: whether few enough worlds wait for other attempts or engines. Else the source pauses.
+        has_room: whether few enough worlds wait for other attempts or engines. Otherwise the source pauses.
     """
 
     def __init__(
@@ -226,7 +227,7 @@ class WorldSource(Generic[AnyWorld]):
             raise self._error
 
     def close(self) -> None:
-        """Make no more worlds, and wait for the one that is being made."""
+        """Make no more worlds, and wait until the last one is made."""
         self._stop.set()
         self._stream.close()
         if self._thread.ident is not None:
@@ -255,7 +256,7 @@ class _SideTasks(Generic[AnyWorld]):
     sim: Simulation
     engines: Engines
     lent: CheckPool[Pending[AnyWorld]] | None = None
-    """A pool that is kept after this run."""
+    """A pool of processes that stays for later runs."""
     check_pool: CheckPool[Pending[AnyWorld]] | None = None
     first: AttemptRunner[AnyWorld] | None = None
     """The attempt whose outcomes the pool checks."""
@@ -269,8 +270,8 @@ class _SideTasks(Generic[AnyWorld]):
         return len(self._in_flight)
 
     def prepare(self, jobs: Sequence[Job], retries: Sequence[AttemptRecipe]) -> None:
-        """At the beginning of a large run: start the pool, and the process for attempts that few worlds need. That
-        process simulates one box first: it may have to compile a kernel, which takes as long as many worlds."""
+        """At the beginning of a large run: start the pool, and the process for attempts that few worlds need. The
+        process simulates one box first: a kernel may have to be compiled, which takes as long as many worlds."""
         self.check_pool = self.check_pool or self.lent or check_pool_for(self.engines.primary, len(jobs))
         name = BESIDE.get(self.engines.primary.name)
         if name is None or len(jobs) < LARGE:
@@ -284,7 +285,7 @@ class _SideTasks(Generic[AnyWorld]):
                 self.engines.helper.begin(Task(READY, name, job, sim))
 
     def begin(self, attempt: AttemptRecipe, pending: Pending[AnyWorld]) -> bool:
-        """Begin an attempt at a world. False if it is not made beside the engine of the run."""
+        """Begin an attempt at a world. False if the engine of the run makes the attempt itself."""
         runner = AttemptRunner[AnyWorld](attempt, attempt.apply_to_sim(self.sim), self.engines)
         world, before, _ = pending
         # if boxes of a plan may sink, they do in all its worlds with errors
@@ -310,7 +311,7 @@ class _SideTasks(Generic[AnyWorld]):
         """
         if self._in_flight:
             for answer in self.engines.helper.ended(wait=wait):
-                if answer.number not in self._in_flight:  # READY, of this run or the one before
+                if answer.number not in self._in_flight:  # READY, from this run or the run before
                     continue
                 runner, pending, engine = self._in_flight.pop(answer.number)
                 for answered in self._answered(runner, pending, engine, answer):
@@ -320,8 +321,8 @@ class _SideTasks(Generic[AnyWorld]):
     def _answered(
         self, runner: AttemptRunner[AnyWorld], pending: Pending[AnyWorld], engine: str, answer: Answer
     ) -> Iterator[AttemptResult[AnyWorld] | None]:
-        """The world with the outcome of an answer. Without an outcome the fallback is asked beside the run. If it has
-        no outcome either, it simulates the world in this process."""
+        """The world with the outcome of an answer. For a world without an outcome, the fallback is tried beside the
+        run. If the fallback has no outcome either, it simulates the world in this process."""
         fallback = self.engines.fallback
         if answer.outcome is not None:
             self.engines.progress.world_steps += answer.outcome.n_steps

@@ -10,8 +10,8 @@ from the edge if nothing gave way. h is the height of its centre, and x the dept
 (``petmjx.world.contact_laws``). So a load tips over if it acts nearer to the edge than the least of e(r), the *loss*.
 If boxes below lean, their angle times h is added to the loss.
 
-A column of slender boxes, or a light box under a heavy one, may lose millimetres. No carton does. So a world in which
-this may have decided is simulated again in stiffer contacts (petmjx/engines/attempts.py).
+A column of slender boxes, or a light box under a heavy one, may lose millimetres. No carton does. If this lean may have
+decided a world, the world is simulated again in stiffer contacts (petmjx/engines/attempts.py).
 """
 
 from __future__ import annotations
@@ -42,32 +42,33 @@ one is placed on them. Among stacks that stand by statics and fall because of so
 the loss."""
 
 STIFF_SAFETY: Final = 40.0
-"""The multiple in stiffer contacts, in which the loss is a fortieth: the farthest stack was at 28 times the loss."""
+"""The multiple in stiffer contacts, in which the loss is a fortieth: of stacks that fell, the load furthest inside was
+at 28 times the loss."""
 
 SURE: Final = 1.0
 """The multiple if the plan has a load of the pile beyond the edge. Hard contacts do not hold this pile either, so soft
-ones count only if they alone tip a load over."""
+contacts count only if no load tips over without them."""
 
 KNIFE_EDGE_M: Final = 0.0004
 """From this distance on a load is surely beyond an edge: half a millimetre of the plan, less the size reduction of
 boxes."""
 
 NEAR_M: Final = 0.001
-"""A load that is inside by less than this may have tipped over in soft contacts, whatever the loss: soft contacts let
-boxes rock by some tenths of a millimetre when the next one comes."""
+"""A load less far inside than this may have tipped over in soft contacts, whatever the loss: boxes rock by some tenths
+of a millimetre when the next box is placed."""
 
 BOUND_SHARE: Final = 0.25
-"""A box may lean by this share of the threshold of tilt, and sink or move sideways by this share of that of shift: 5 mm
-of 20 mm. Ten equal boxes on top of each other sink by 1 mm, thirty by 9 mm."""
+"""A box may lean by this share of the threshold of tilt, and sink or move sideways by this share of the threshold of
+shift: 5 mm of 20 mm. Ten equal boxes on top of each other sink by 1 mm, thirty by 9 mm."""
 
 
 class ContactTilt(NamedTuple):
     """Effects of soft contacts on n boxes.
 
     Attributes:
-        loss_m: (n,) the loss of each box (see above).
+        loss_m: (n,) the loss of each box (see the module's text).
         angle_rad: (n,) angle by which each box leans.
-        shift_m: (n,) distance by which its centre moves sideways.
+        shift_m: (n,) distance by which each box's centre moves sideways.
     """
 
     loss_m: FloatArray
@@ -102,8 +103,8 @@ def contact_tilt_of(bearing: Bearing, load: FloatArray, edge_m: FloatArray, phys
 
 
 def _tilt_from_below(bearing: Bearing, own_lean: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """(n,) each: the angle by which boxes lean because the boxes below them lean, and how far their centres move
-    sideways."""
+    """(n,) each: the angle by which boxes lean because the boxes below them lean, and the distance by which their
+    centres move sideways."""
     bottom, angle = bearing.boxes.bottom.tolist(), own_lean.tolist()
     half, middle = bearing.boxes.half_size[:, 2].tolist(), bearing.boxes.target[:, 2].tolist()
     below, shift, under = [0.0] * len(angle), [0.0] * len(angle), _supports(bearing)
@@ -149,9 +150,10 @@ def _bearings(jobs: Sequence[Job], most_gap_m: float) -> list[Bearing]:
     """The bearing of each world.
 
     With errors of placement or size, a box often overlaps a neighbour that is millimetres higher, and is released on
-    the strip that they share. It does not stand there: it tips, and leans on the bodies beside the strip. So boxes of
-    these worlds count at their place of release, and lie on all bodies that are no further below than they may shift.
-    With the strip alone, 75 of 167 unstable worlds with errors would be simulated again; with this rule few are.
+    the strip that they share. A box does not stand on such a strip: it tips, and leans on the bodies beside the strip.
+    So boxes of these worlds count at their place of release, and lie on all bodies with a gap below them of at most the
+    threshold of shift. With the strip alone, 75 of 167 unstable worlds with errors would be simulated again; with this
+    rule only a few.
     """
     with_errors = [job.scene for job in jobs if job.has_errors]
     released = [np.c_[scene.start_pos[:, :2], scene.target[:, 2]] for scene in with_errors]
@@ -170,7 +172,7 @@ def _supports(bearing: Bearing) -> list[list[int]]:
 
 
 def _pile_of(under: Sequence[Sequence[int]], box: int) -> list[int]:
-    """A box and all boxes below it that bear it, directly or through others."""
+    """Whether a box is another box, or bears it directly or through others."""
     pile, new = {box}, [box]
     while new:
         below = [lower for lower in under[new.pop()] if lower not in pile]

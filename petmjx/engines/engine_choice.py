@@ -20,7 +20,7 @@ ENGINES: dict[str, tuple[str, str, tuple[str, ...]]] = {
     "mjx-warp": ("petmjx.engines.warp.engine", "MjxWarpEngine", ("lanes",)),
     "mjx-warp-cpu": ("petmjx.engines.warp.cpu_engine", "MjxWarpCpuEngine", ("threads",)),
 }
-"""Engine name → module, class, and the options of a run that it has, in the order of its arguments. A module is
+"""Engine name → module, class, and names of its arguments among the options of a run, in order. A module is
 imported only when its engine is used."""
 
 
@@ -31,7 +31,7 @@ def has_option(engine: str, option: str) -> bool:
 
 @dataclass(frozen=True)
 class Choice:
-    """An engine's name, why it was chosen (one line), and the expected time in s (None: not known)."""
+    """An engine's name, the reason for its choice (one line), and the expected time in s (None: not known)."""
 
     name: str
     reason: str
@@ -94,8 +94,8 @@ def make_engine(
         world_timeout_s: longest wall-clock time of an attempt at a world, ``mujoco``; None: no limit.
 
     Raises:
-        InputError: no such engine, or it does not have this option.
-        EngineUnavailable: it cannot run here; the line says why.
+        InputError: no such engine, or the engine does not have this option.
+        EngineUnavailable: the engine cannot run here; the line says why.
     """
     options = {"threads": threads, "lanes": lanes, "world_timeout_s": world_timeout_s}
     check_options(name, **options)
@@ -112,7 +112,7 @@ def make_engine(
 
 
 def check_options(name: str, **options: Any) -> None:
-    """Raises InputError if there is no such engine, or it does not have one of these options."""
+    """Raises InputError if there is no such engine, or the engine lacks one of these options."""
     if name not in ENGINES:
         raise InputError(f"unknown engine {name!r}; there are {', '.join(ENGINES)} and {AUTO}")
     for option, value in options.items():

@@ -1,4 +1,5 @@
-"""The code of a worker's process: it runs chunks on an engine and reports their outcomes. It also works without Ray."""
+"""The code of a worker's process: it runs chunks on an engine and reports their outcomes. The dealer also works without
+Ray."""
 
 from __future__ import annotations
 
@@ -64,8 +65,8 @@ class Worker:
     Args:
         threads: threads of its engine; None: the engine's default.
             check_pool: processes that check the outcomes of large chunks; one large chunk runs at a time.
-            thorough: whether the worker is ready only when its engine is built. Else, for ``mjx-warp`` alone, a thread
-                builds the engine, which takes seconds, while the first jobs are made and sent.
+            thorough: whether the worker is ready only when its engine is built. Otherwise, for ``mjx-warp`` alone, a
+                thread builds the engine, which takes seconds, while the first jobs are made and sent.
 
         All data are pickled bytes. Objects from Ray's object store would be read-only, and would hold the store's
         memory.
@@ -100,7 +101,7 @@ class Worker:
         return pickle.dumps(WorkerReady(os.getpid(), platform.node(), device, package_versions(), error))
 
     def _build(self) -> None:
-        """Build the engine, and start what a GPU needs beside it. No fallback takes over if this fails."""
+        """Build the engine, and the other parts of a start on a GPU. No fallback takes over if this fails."""
         name = self._recipe.name
         try:
             if name == "mjx-warp":
@@ -112,7 +113,8 @@ class Worker:
             self._built.set_exception(EngineUnavailable(f"engine {name} cannot run here: {one_line(error)}"))
 
     def simulate(self, chunk: bytes) -> Iterator[bytes]:
-        """Run pickled (jobs, sim), and yield pickled reports. Outcomes are checked, and count jobs from 0."""
+        """Run pickled (jobs, sim), and yield pickled reports. Outcomes are checked here, and their jobs count from
+        0."""
         jobs, sim = pickle.loads(chunk)
         check_pool = self._lookers_for(jobs)
         news: queue.SimpleQueue[Outcome | None] = queue.SimpleQueue()
@@ -174,7 +176,7 @@ def _gather(news: queue.SimpleQueue[Outcome | None]) -> tuple[list[Outcome], boo
 def _checked_outcomes(
     outcomes: Sequence[Outcome], jobs: Sequence[Job], sim: Simulation, check_pool: CheckPool[None], *, wait: bool
 ) -> list[Outcome]:
-    """Hand outcomes to the check pool, some at a time, and take checked ones.
+    """Hand outcomes to the check pool, some at a time, and take checked outcomes.
 
     Args:
         wait: whether to wait for all outcomes.

@@ -28,7 +28,8 @@ from petmjx.engines.remote.worker_resources import Node
 from petmjx.options.run_options import AUTO
 
 LONGEST_TEMPORARY = 24
-"""Longest path of a folder for temporary files, bytes. Ray makes sockets in it, whose paths may have 107 bytes."""
+"""Longest path of a folder for temporary files, bytes. Ray makes sockets in this folder, and a socket's path may have
+107 bytes."""
 
 REACH_S = 10.0
 """Longest time to reach the head of a cluster, s."""
@@ -50,12 +51,12 @@ _SIGACTION_BYTES = 1024
 """At least the size of C's ``struct sigaction`` on any system."""
 
 _SKIPPED_LINES = "RAY_DEDUP_LOGS_SKIP_REGEX"
-"""Ray's variable for lines that it does not print. Ray reads it when the package is imported."""
+"""Ray's environment variable that silences its lines. Ray reads it when the package is imported."""
 
 
 def import_ray() -> Any:
-    """The package Ray. If it is first imported here, it does not report dead workers on standard output, which is only
-    for results.
+    """The package Ray. On a first import here, Ray reports no dead workers on standard output, which is only for
+    results.
 
     Raises:
         EngineUnavailable: Ray is not installed, or cannot be imported.
@@ -72,7 +73,7 @@ def import_ray() -> Any:
 
 @contextmanager
 def _restored_process() -> Iterator[None]:
-    """Restores what Ray changes in the process: environment variables, ``sys.excepthook``, the level of its logger."""
+    """Restores what Ray changes in this process: environment variables, ``sys.excepthook``, the level of its logger."""
     environment = {name: value for name, value in os.environ.items() if name.startswith(_OF_RAY)}
     hook, logger = sys.excepthook, logging.getLogger("ray")
     level = logger.level
@@ -164,7 +165,7 @@ class _LocalRay:
         with suppress(KeyboardInterrupt):
             self._thread.join(END_S)
         if self._thread.is_alive():  # Ray's processes die with this one
-            atexit.unregister(self._ray.shutdown)  # this would wait, too
+            atexit.unregister(self._ray.shutdown)  # a wait here would block, too
             self._remove_folder()
 
     def _start(self) -> None:
@@ -203,7 +204,7 @@ def _end_monitor() -> None:
 
 def _check_reachable(address: str) -> None:
     """Raises InputError if no head listens at the address. Ray itself would retry for ever, and no signal would stop
-    it. A head speaks HTTP/2 (RFC 9113): it answers an empty frame of settings with its own settings."""
+    it. A head speaks HTTP/2 (RFC 9113): such a server answers an empty frame of settings with its own settings."""
     host, _, port = address.rpartition(":")
     if address == AUTO:
         return
@@ -222,13 +223,13 @@ def _check_reachable(address: str) -> None:
 
 
 class Cluster:
-    """A user of this process's cluster. Ray allows one cluster a process. The last user to close it ends it.
+    """One user of this process's cluster. Ray allows one cluster a process. The last user to close it ends it.
 
     Where the caller's own program has started Ray, that cluster is used and stays.
 
     Args:
-        address: of the cluster's head (HOST:PORT, or ``auto`` for the one on this machine); None: a new one of this
-            machine alone.
+        address: address of the cluster's head (HOST:PORT, or ``auto`` for the one on this machine); None: a new cluster
+            of this machine alone.
 
     Raises:
         EngineUnavailable: Ray is not installed or does not start.
@@ -237,7 +238,7 @@ class Cluster:
 
     _lock = threading.Lock()
     _latest: _LocalRay | None = None
-    """The Ray that this process has started or joined last. Without users it is ending."""
+    """The Ray that this process has started or joined last. A cluster without users is ending."""
 
     def __init__(self, address: str | None = None) -> None:
         cls = Cluster
@@ -245,8 +246,8 @@ class Cluster:
             if cls._latest is not None and not cls._latest.users:
                 cls._latest.wait_until_ended()
                 cls._latest = None
-            # one thread at a time: else settings of another thread's import would be restored as if they were the
-            # process's own
+            # one thread at a time: otherwise the settings of another thread's import would be restored as the process's
+            # own
             self.ray = import_ray()
             if not self.ray.is_initialized():
                 cls._latest = _LocalRay(self.ray, address)
@@ -265,7 +266,7 @@ class Cluster:
 
     def check(self) -> None:
         """Raises PetmjxError if the Ray that this process has started is dead, since nothing restarts it. Machines of a
-        cluster may come back."""
+        cluster may return."""
         if self._uses and self._ours is not None and self._ours.address is None and not self.nodes:
             raise PetmjxError(
                 "Ray died on this machine (out of memory?); finished work is kept, continue with "
