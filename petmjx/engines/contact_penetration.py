@@ -1,8 +1,8 @@
 """Contact penetration: how far boxes sink into their supports because simulated contacts are softer than any carton.
 
 ``petmjx.world.contact_laws`` has the depth of a contact at rest. The inputs of the check are on the host for every
-engine: plans, masses and the largest force on each box. The depth is not read from final poses: after the fall of a
-column its depth is gone.
+engine: plans, masses and the largest force on each box. The depth is not read from final poses: a column may
+have fallen because its support gave way.
 """
 
 from __future__ import annotations

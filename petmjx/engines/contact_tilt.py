@@ -172,7 +172,7 @@ def _supports(bearing: Bearing) -> list[list[int]]:
 
 
 def _pile_of(under: Sequence[Sequence[int]], box: int) -> list[int]:
-    """Whether a box is another box, or bears it directly or through others."""
+    """A box and all boxes that bear it, directly or through others."""
     pile, new = {box}, [box]
     while new:
         below = [lower for lower in under[new.pop()] if lower not in pile]

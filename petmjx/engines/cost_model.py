@@ -33,9 +33,9 @@ QUIET_STEPS = 220
 890 with 45 to 241 boxes), and after a profile (216 after EUMOS's, for pallets that stand)."""
 
 COST_SHARE = {Schedule.FIXED: 1.0, Schedule.ADAPTIVE: 0.36}
-"""The cost of a schedule on a device as a share of the fixed schedule's: 10,003 plans in 17 s, 4,000 with it fixed in
-21 s on the same machine. The adaptive schedule saves cheap steps: in the remaining ones boxes move and pallets
-collapse."""
+"""The cost of a schedule on a device as a share of the fixed schedule's: 10,003 plans in 17 s, 4,000 with the fixed
+schedule in 21 s on the same machine. The adaptive schedule saves cheap steps: in the remaining ones boxes move and
+pallets collapse."""
 
 JAX_POWER, WARP_POWER = 2.0, 1.0
 """The cost of a step of ``mjx-jax`` and ``mjx-warp`` grows with this power of the number of boxes, over whole runs: in

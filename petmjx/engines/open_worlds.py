@@ -133,7 +133,7 @@ def _check_worlds(worlds: Sequence[int], count: int, *, distinct: bool = True) -
     Raises:
         ValueError: a world does not exist, or occurs twice although worlds must be ``distinct``.
     """
-    numbers = np.asarray(worlds)  # thousands of worlds in each call: a loop would only help to name the wrong one
+    numbers = np.asarray(worlds)  # NumPy checks thousands of worlds; the loop runs only to name a wrong one
     if numbers.ndim != 1 or numbers.dtype.kind not in "iu" or ((numbers < 0) | (numbers >= count)).any():
         for world in worlds:
             if not isinstance(world, int | np.integer) or not 0 <= world < count:

@@ -43,7 +43,7 @@ from petmjx.plans.plan import Plan
 from petmjx.plans.plan_fields import COM_FIELDS, LARGEST_MM, SPARSE, com_along_axes, joined_names, kind
 
 MCKEE: Final = 5.87
-"""Factor of McKee's formula in its simple form; it has no unit."""
+"""Factor of McKee's formula in its simple form, without a unit."""
 
 _KEYS: Final = ("article", "product_group")
 _STIFFNESS: Final = "stiffness_n_mm"
@@ -64,7 +64,7 @@ _FIELDS: Final = (*_KEYS, _MATERIAL, *_NUMBERS)
 _LONGEST_MATERIAL: Final = 100
 
 MOST_ARTICLES: Final = 1_000_000
-"""Largest number of articles of a table: more than any warehouse has. They take some 400 MB."""
+"""Largest number of articles of a table: more than any warehouse has. A table of this size takes some 400 MB."""
 
 _COMMA_NUMBER: Final = re.compile(COMMA_NUMBER)
 _TOML_TABLES: Final = {"articles": "article", "product_groups": "product_group", "materials": _MATERIAL}
@@ -78,7 +78,7 @@ class Strength:
         strength_n: strength, N; None: by McKee's formula from the board.
         ect_kn_m: edge crush strength of the board, kN/m.
         thickness_mm: thickness of the board, mm.
-        safety_factor: the strength is divided by it; None: 1.
+        safety_factor: divisor of the strength; None: 1.
     """
 
     strength_n: float | None = None
@@ -87,7 +87,7 @@ class Strength:
     safety_factor: float | None = None
 
     def of_box(self, length_mm: float, width_mm: float) -> float:
-        """The load that a box with this base bears, N."""
+        """The largest load of a box with this base, N."""
         strength = self.strength_n
         if strength is None:
             perimeter_mm = 2 * (length_mm + width_mm)
@@ -101,10 +101,10 @@ class Article:
     """The properties of an article, a product group or a material.
 
     Attributes:
-        strength: strength of its boxes; None: not given.
-        material: material of its boxes, for friction (petmjx.options.materials); None: not given.
-        com_mm: centre of mass relative to the box's middle, along length, width and height, mm; None: not given.
-        stiffness_n_mm: as in ``Plan``; None: not given.
+        strength: strength of the boxes; None: not in the table.
+        material: material of the boxes, for friction (petmjx.options.materials); None: not in the table.
+        com_mm: centre of mass relative to the box's middle, along length, width and height, mm; None: not in the table.
+        stiffness_n_mm: as in ``Plan``; None: not in the table.
     """
 
     strength: Strength | None = None
@@ -122,7 +122,8 @@ class Article:
 class Articles:
     """Properties by article, by product group and by material.
 
-    For each property the article's value counts; if it has none, the product group's; else the material's.
+    For each property the value of the article counts, otherwise the value of the product group, otherwise that of the
+    material.
     """
 
     by_article: Mapping[str, Article]
@@ -144,7 +145,7 @@ _NOTHING: Final = Article()
 
 
 def material_key(name: str) -> str:
-    """A material's name in the form in which names are compared: without case and white space around it."""
+    """A material's name in a form for comparisons: without case and white space around it."""
     return name.strip().lower()
 
 

@@ -1,7 +1,7 @@
-"""Columns of other tools' tables by what they hold (``BoxColumns``): sizes, places, turns, weights and names of boxes.
+"""Meanings of the columns of other tools' tables (``BoxColumns``): sizes, places, turns, weights and names of boxes.
 
-Here cells become numbers, and each bad cell a line that names its row and column. What the numbers mean – units, axes,
-anchors – is decided later (``petmjx.plans.readings``).
+Here cells become numbers, and each bad cell becomes a line that names row and column. What the numbers mean – units,
+axes, anchors – is decided later (``petmjx.plans.readings``).
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ ROLES: Final = (
     "length", "width", "height", "depth", "x size", "y size", "z size", "x", "y", "z", "sizes", "position", "weight",
     "rotation", "plan", "sequence", "article", "item_id",
 )  # fmt: skip
-"""What a column may be said to hold, by the option ``columns``. ``sizes`` and ``position`` are three numbers in one
+"""Roles that the option ``columns`` can give to a column. ``sizes`` and ``position`` are three numbers in one
 column."""
 IGNORED: Final = "-"
 """Instead of a column's name: no column holds this."""
@@ -47,12 +47,12 @@ def role_of(axis: str) -> str:
 
 @dataclass(frozen=True, eq=False)
 class Geometry:
-    """Sizes and places of boxes, in the file's units, as one choice of columns gives them.
+    """Sizes and places of boxes, in the file's units, by one choice of columns.
 
     Attributes:
         size: (n, 3) sizes in the order of ``axes``; NaN where a cell is bad.
         place: (n, 3) coordinates along the file's first, second and third axis; NaN where a cell is bad.
-        axes: names of the sizes' axes: words, or x, y, z, or "0", "1", "2" if they have no names.
+        axes: names of the sizes' axes: words, or x, y, z, or "0", "1", "2" without names.
         size_unit, place_unit: unit that names or cells give; "": none.
         anchor: the point that names give; "": none.
         placed: whether sizes are surely those as placed.
@@ -82,7 +82,7 @@ class Turns:
     Attributes:
         column: its name.
         rules: names of the rules that its values allow (``readings.ROTATION_RULES``).
-        codes: (n,) number of each turn: 0 to 5 as in py3dbp, or quarter turns; −1: not known.
+        codes: (n,) number of each turn: 0 to 5 as in py3dbp, or quarter turns; −1: unknown.
         letters: (n, 3) which size lies along each axis, of turns that are letters; None: there are none.
     """
 
@@ -97,17 +97,17 @@ class BoxColumns:
     """The boxes of a source by column.
 
     Attributes:
-        source: where they come from.
+        source: origin of the turns.
         geometries: choices of columns for sizes and places.
         turns: rotations; None: no column has any.
         weight: (n,) weights in the file's unit; None: no column has any.
         weight_unit: unit that the name or the cells give; "": none.
         weight_is_density: whether ``weight`` is a density, in units of water's or kg/m³.
         plan, article, item_id, group: (n,) names; None: no column.
-        sequence: (n,) packing order; None: no column. A running number is none: it may count in any order.
+        sequence: (n,) packing order; None: no column. A running number is no packing order: it may count in any order.
         counters: name → (n,) whole numbers, of columns whose name may be that of a packing order ("Nr", "Pick"); NaN
             where a cell is none.
-        columns: role → name of its column, for what is not geometry.
+        columns: role → name of its column, for all roles except geometry.
         faults: row → (column, text) of its first bad cell.
         unread: names of columns that mean nothing here.
     """
@@ -134,7 +134,7 @@ class BoxColumns:
 
 
 class Extraction:
-    """The columns of one source while they are taken apart."""
+    """The columns of one source while their meanings are sought."""
 
     def __init__(self, source: BoxSource, chosen: Mapping[str, str]) -> None:
         self.source = source
@@ -146,7 +146,7 @@ class Extraction:
             self.meanings[upper["ID"]] = ColumnMeaning("article")
             self.meanings[upper["TYPE"]] = None
             self.meanings[upper.get("COPIES", upper["TYPE"])] = None
-        if source.form == BED_BPP:  # its item.sequence counts the order's items; the list is in packing order
+        if source.form == BED_BPP:  # in this form item.sequence counts the order's items; the list is in packing order
             self.meanings = [
                 None if meaning is not None and meaning.kind == "sequence" else meaning for meaning in self.meanings
             ]
@@ -232,7 +232,7 @@ class Extraction:
     # Geometry.
 
     def columns_of(self, *kinds: str) -> dict[str, list[int]]:
-        """Axis → columns of these kinds that are about boxes."""
+        """Axis → columns of these kinds that describe boxes."""
         by_axis: dict[str, list[int]] = {}
         for index, meaning in enumerate(self.meanings):
             if meaning is not None and meaning.kind in kinds and not meaning.of_container:
@@ -470,7 +470,7 @@ class Extraction:
     # The rest.
 
     def texts(self, *kinds: str, role: str = "") -> tuple[list[str] | None, str]:
-        """(n,) names of the first column of these kinds, and its name."""
+        """(n,) names of the first column of these kinds, and the column's name."""
         index = self.fixed.get(role)
         if index is None:
             index = next(
@@ -499,7 +499,7 @@ class Extraction:
         )
 
     def counters(self, used: Collection[str]) -> dict[str, FloatArray]:
-        """Columns of whole numbers whose names may be those of a packing order, but for those that are used."""
+        """Unused columns of whole numbers whose names may stand for a packing order."""
         columns: dict[str, FloatArray] = {}
         for index, name in enumerate(self.table.header):
             if name in used or not may_count(name):
@@ -566,13 +566,13 @@ class Extraction:
 
 
 _DENSEST: Final = 1.5
-"""Largest density in a column without a name, in that of water; denser than any carton."""
+"""Largest density in a column without a name, relative to water; denser than any carton."""
 _LEVEL: Final = 2e-3
 """Largest difference of a rotation matrix from right angles: 3.6°. Poses are written with three digits."""
 
 
 _MOST_SOUND: Final = 0.9
-"""Least share of rows without a header that must be what a column is taken for; the others have bad cells."""
+"""Least share of rows without a header that must fit the guessed meaning of a column; all other rows have bad cells."""
 
 
 def _mostly(rows: NDArray[np.bool_]) -> bool:
@@ -593,7 +593,8 @@ def _role_of(meaning: ColumnMeaning) -> str:
 
 
 def _same_prefix(header: Sequence[str], picked: Sequence[Sequence[int]]) -> list[tuple[int, ...]]:
-    """Three columns of one object, such as ``dimensions.width`` … If none share an object, the first of each."""
+    """Three columns of one object, such as ``dimensions.width`` … If no three share an object, the first column of each
+    size."""
     by_prefix: dict[str, list[int]] = {}
     for number, columns in enumerate(picked):
         for index in columns:
@@ -641,7 +642,7 @@ def _rotations_of(quaternion: FloatArray) -> FloatArray:
 
 
 def _letters_of(cell: Any) -> tuple[int, int, int] | None:
-    """Which size lies along x, y and z, of three letters such as "YXZ" or "WLH"; None: they are no turn."""
+    """Which size lies along x, y and z, of three letters such as "YXZ" or "WLH"; None: the letters are no turn."""
     text = cell_text(cell).upper().removeprefix("ROTATIONTYPE.").removeprefix("RT_").removeprefix("ORIENTATION.")
     for letters in ("XYZ", "LWH", "WHD", "LBH", "LHD", "WDH", "ABC"):
         if sorted(text) == sorted(letters):
@@ -670,7 +671,7 @@ def _shown_turn(cell: Any, kind: str) -> str:
 
 
 def box_columns(source: BoxSource, chosen: Mapping[str, str] | None = None) -> BoxColumns:
-    """The columns of a source by what they hold.
+    """The columns of a source by their meanings.
 
     Args:
         chosen: role (``ROLES``) → name of the column that holds it, or "-".

@@ -1,5 +1,5 @@
-"""Forms of other tools (``BoxSource``): a file's bytes, an array or a Python object becomes lists of boxes, with what
-is known of the form.
+"""Forms of other tools (``BoxSource``): a file's bytes, an array or a Python object becomes lists of boxes, with the
+known facts about the form.
 
 Sources of the forms: py3dbp (``Item.string``, ``get_dimension``; github.com/enzoruiz/3dbinpacking) and its fork with a
 web API (github.com/jerry800416/3D-bin-packing), packingsolver's certificates, 3d-bin-container-packing's placements,
@@ -36,14 +36,14 @@ from petmjx.plans.workbooks import RawFile, check_archive, read_raw_tables
 
 @dataclass(frozen=True, slots=True)
 class KnownForm:
-    """What is known of a form. Empty values are not known, and found by plausibility.
+    """Known facts about a form. Empty values are unknown, and chosen by plausibility.
 
     Attributes:
         name: the form in words.
         units: name of the unit of lengths; masses: of masses (``column_names``).
         anchor: point of a box to which coordinates refer.
         up: the vertical axis, "y" or "z".
-        sizes: "placed": sizes are those of the box as placed; "item": before it is turned.
+        sizes: "placed": of the box as placed; "item": before turning.
         rule: how a column of rotations turns a box (``readings.ROTATION_RULES``).
     """
 
@@ -58,11 +58,11 @@ class KnownForm:
 
 @dataclass(frozen=True, eq=False)
 class BoxSource:
-    """The boxes of a file, before they are understood.
+    """The boxes of a file, before their columns are understood.
 
     Attributes:
         boxes: list of boxes with places.
-        form: what is known of it.
+        form: known facts about the form.
         notes: lines about how the file was taken apart.
     """
 
@@ -115,7 +115,7 @@ def sources_of_bytes(data: bytes | bytearray, path: Path) -> list[BoxSource]:
         try:
             value = decoded_json(start)
         except InputError as error:
-            if start.startswith("{") or "nested" in str(error):  # of which another reader says more
+            if start.startswith("{") or "nested" in str(error):  # another reader's error says more about it
                 raise NoBoxes(str(error)) from None
             raise
         sources = [_with_known_form(boxes) for boxes in box_lists(value)]
@@ -179,7 +179,7 @@ def _containers_above(table: RawTable) -> Mapping[str, Mapping[str, float]]:
 
 
 def _with_known_form(boxes: BoxList, kind: str = "JSON") -> BoxSource:
-    """A list of boxes with what is known of its form, by the names of its fields. Rows of totals are left out."""
+    """A list of boxes with the facts that the names of its fields reveal. Rows of totals are left out."""
     boxes = _without_totals(boxes)
     names = {name.lower() for name in boxes.table.header}
     plain = {re.sub(r"[^a-z0-9]", "", name) for name in names}
@@ -274,7 +274,8 @@ def _certificate(boxes: BoxList) -> BoxSource:
 
 
 def _of_d_wave(boxes: BoxList) -> BoxSource:
-    """The solution of D-Wave's example. Its bins stand one behind the other along x: each is moved to x = 0."""
+    """The solution of D-Wave's example. Its bins stand one behind the other along x: the boxes of each bin are moved to
+    x = 0."""
     dashes = re.compile(r"^[-=]{2,}$")
     kept = [
         index
@@ -317,7 +318,7 @@ _PRINTED: Final = ("name", "width", "height", "depth", "weight", "pos x", "pos y
 
 
 def _printed(text: str) -> BoxSource | None:
-    """The boxes in text that py3dbp or its fork printed; None: it is no such text."""
+    """The boxes in text that py3dbp or its fork printed; None: another text."""
     if "pos(" not in text and "W*H*D" not in text:
         return None
     rows: list[tuple[Any, ...]] = []
@@ -403,7 +404,7 @@ _MOST_HEADER: Final = 10_000
 
 
 def _loaded_array(data: bytes | bytearray, name: str = "") -> Any:
-    """The array of .npy bytes. Its header is compared with the bytes before memory is taken for what it says.
+    """The array of .npy bytes. The header is compared with the number of bytes before memory is reserved.
 
     Args:
         name: name of the member of an archive, for errors; "": the file itself.
@@ -526,7 +527,7 @@ def _sources_of_arrays(arrays: Mapping[str, Any]) -> list[BoxSource]:
 
 
 def _as_plans(sources: Sequence[BoxSource]) -> list[BoxSource]:
-    """Lists of boxes, those with the same columns as one list of several plans; the longest first."""
+    """Lists of boxes, the longest first; lists with the same columns are joined to one list of several plans."""
     groups: dict[tuple[str, ...], list[BoxSource]] = {}
     for source in sources:
         groups.setdefault(source.boxes.table.header, []).append(source)
@@ -674,7 +675,7 @@ def _plain(cell: Any) -> Any:
 
 
 def _bins_of(value: Any) -> list[Any]:
-    """The bins of py3dbp's objects; empty: the object is none of them."""
+    """The bins of py3dbp's objects; empty: another object."""
     if isinstance(value, Mapping | str | bytes | np.ndarray) or value is None:
         return []
     if isinstance(value, list | tuple):

@@ -144,7 +144,7 @@ def _array_of_sizes(data: bytes | bytearray) -> BoxSource | None:
     try:
         array = np.load(io.BytesIO(data), allow_pickle=False)
     except (ValueError, OSError, EOFError):
-        return None  # the next reader's error says so
+        return None  # the next reader reports the error
     if array.ndim not in (2, 3) or array.shape[-1] != 3 or array.dtype.kind not in "fiu":
         return None
     rows: list[tuple[float, ...]] = []
@@ -159,7 +159,7 @@ def _array_of_sizes(data: bytes | bytearray) -> BoxSource | None:
 
 
 def _sheet_of_deli(data: bytes | bytearray) -> BoxSource | None:
-    """The articles of RoboBPP's ``deli.xlsx``, whose columns have Chinese names; None: it is another file."""
+    """The articles of RoboBPP's ``deli.xlsx``, whose columns have Chinese names; None: another file."""
     if bytes(data[:2]) != b"PK":
         return None
     from openpyxl import load_workbook
@@ -170,7 +170,7 @@ def _sheet_of_deli(data: bytes | bytearray) -> BoxSource | None:
     try:
         book = load_workbook(io.BytesIO(data), read_only=True, data_only=True)
         rows = list(book.worksheets[0].iter_rows(values_only=True))
-    except Exception:  # whatever a damaged workbook raises; the first reader's error says so
+    except Exception:  # a damaged workbook may raise anything; the first reader reports the error
         return None
     head = next((number for number, row in enumerate(rows[:60]) if set(_DELI) <= set(row)), None)
     if head is None:

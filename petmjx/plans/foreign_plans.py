@@ -41,11 +41,11 @@ from petmjx.plans.reading_choice import TIE, choose_reading, container_of
 from petmjx.plans.readings import AmbiguousFile, Reading, Wishes
 
 USUAL_KG_M3: Final = 300.0
-"""Density of boxes if a file has no weights, that of cartons in BED-BPP's orders. Verdicts hardly depend on it, where
-all boxes have the same."""
+"""Density of boxes if a file has no weights, that of cartons in BED-BPP's orders. Verdicts hardly depend on a density
+that is the same for all boxes."""
 _WATER_KG_M3: Final = 1000.0
 _RELATIVE: Final = 1.5
-"""Densities up to this are in those of water."""
+"""Densities up to this are relative to water."""
 _LIGHTEST, _HEAVIEST = 2.0, 5000.0
 """Median densities beyond which weights or lengths are hardly right, kg/m³: below foam, above iron parts."""
 _DECK: Final = re.compile(
@@ -59,16 +59,16 @@ _HIGHEST_DECK_MM: Final = 250.0
 _NUMBERS_OF_A_BOX: Final = 6
 """Least number of numbers in a row of a box: three sizes, three coordinates."""
 _MANY_OVERLAP: Final = 0.3
-"""Least share of boxes that overlap if two pallets are read as one."""
+"""Least share of boxes that overlap that shows two pallets read as one."""
 _LEAST_OF_PALLETS: Final = 4
-"""Least number of boxes of several pallets whose column is found out."""
+"""Least number of boxes of several pallets for a guess of the column of pallets."""
 _OF_PALLETS: Final = word_set(
     "pallet pallets palette paletten palet paleta pale palety bancale bancali pal palno palnr palletno palletid palid "
     "lu hu su sscc lpn uld stop unit nosnik ladungstrager ladetrager ladeeinheit carrier container bin"
 )
 """Words for pallets in names of columns that are none of ``column_names``."""
 _MATCHED: Final = 0.9
-"""Least share of boxes whose item is in a table of items that belongs to them."""
+"""Least share of boxes with an item in a table, if the table belongs to the boxes."""
 PACK: Final = "pack them first: petmjx samples --orders {file} -o plans.json"
 
 
@@ -80,7 +80,7 @@ class ForeignPlans:
         table: the good plans, as a table of placements in millimetres and kilograms; None: there are none.
         refused: plans and rows that cannot be used.
         reading: how the file was read.
-        containers: plan id → x, y and z size of its container, mm; NaN where not known.
+        containers: plan id → x, y and z size of its container, mm; NaN where unknown.
     """
 
     table: Table | None
@@ -96,7 +96,8 @@ def read_foreign(
 
     Args:
         source: name of the file in messages.
-        items: file with the sizes and weights of items, for files of places alone; None: none, or the one beside.
+        items: file with the sizes and weights of items, for files of places alone; None: no file, or the file beside
+            it.
 
     Raises:
         AmbiguousFile: the file can be read in two ways.
@@ -184,7 +185,7 @@ _MOST_BESIDE: Final = 20
 
 
 def _with_articles_beside(best: BoxSource, path: Path) -> BoxSource:
-    """Boxes with the sizes of the items in a file beside theirs, if exactly one such file has them."""
+    """Boxes with the sizes of the items in a file beside it, if exactly one file fits."""
     try:
         beside = sorted(file for file in path.parent.iterdir() if file != path and _OF_ITEMS.search(file.name))
     except OSError:
@@ -211,7 +212,7 @@ def bytes_of(path: Path) -> bytearray:
 
 
 def _with_items_beside(best: BoxSource, path: Path) -> BoxSource:
-    """packingsolver's certificate with the weights of the items file beside it, if their sizes agree."""
+    """packingsolver's certificate with the weights of the items file beside it, if the sizes in both files agree."""
     stem = re.sub(r"_?(solution|certificate|output|result)s?$", "", path.stem, flags=re.IGNORECASE)
     for name in dict.fromkeys((f"{path.stem}_items.csv", f"{stem}_items.csv", "items.csv")):
         beside = path.with_name(name)
@@ -266,7 +267,7 @@ def _rows_by_number(table: RawTable, other: RawTable) -> list[int | None] | None
 
 
 def _rows_by_name(table: RawTable, other: RawTable) -> list[int | None] | None:
-    """The row of each box's item, by the pair of columns whose values agree most."""
+    """The row of each box's item, by the pair of columns with the best agreement of values."""
     best, most = None, _MATCHED * max(len(table.rows), 1)
     for theirs in range(len(other.header)):
         names: dict[str, int] = {}
@@ -285,7 +286,7 @@ def _rows_by_name(table: RawTable, other: RawTable) -> list[int | None] | None:
 
 
 def _no_geometry(columns: BoxColumns, sources: Sequence[BoxSource], path: Path | None, source: str) -> InputError:
-    """Why a file has no places or sizes, and what to do. ``NoBoxes``: it seems to be no file of boxes at all."""
+    """The reason why a file has no places or sizes, and advice. ``NoBoxes``: it seems to be no file of boxes at all."""
     boxes = columns.source.boxes
     kinds = set().union(*(other.boxes.kinds for other in sources))
     file = source if path is None else printable(str(path))
@@ -348,7 +349,7 @@ class _Builder:
         except AmbiguousFile:
             if not self.boxes.table.lost:
                 raise
-            place, fault = self.boxes.table.lost[0]  # what is missing makes the rest implausible
+            place, fault = self.boxes.table.lost[0]  # missing rows make the other boxes implausible
             raise InputError(f"{place}: {fault}") from None
         self.faults = {row: f"{column} {text}" for row, (column, text) in self.columns.faults.items()}
         size, low, containers = self._geometry(reading, candidate, plans)
@@ -394,10 +395,10 @@ class _Builder:
         return ForeignPlans(table, tuple(refused), reading, containers)
 
     def _find_pallets(self) -> None:
-        """Take a column as that of the plans if it alone separates pallets that are on top of each other else.
+        """Take a column for that of the plans if no other column separates pallets that would otherwise overlap.
 
         Raises:
-            InputError: a column does so whose name is no word for pallets, or several do.
+            InputError: such a column has a name that is no word for pallets, or there are several such columns.
         """
         columns = self.columns
         rows = np.arange(columns.n_boxes)
@@ -423,7 +424,7 @@ class _Builder:
         sure = [names[0] for names in named if names]
         if len(sure) != 1:
             names = [names[0] for names in separating.values()]
-            why = "numbers of the packing order are there twice" if again else "boxes overlap"
+            why = "numbers of the packing order occur twice" if again else "boxes overlap"
             raise InputError(
                 f"{why}, but not if {' or '.join(map(printable_name, names))} separates pallets; say which with "
                 f"{' or '.join(f'--columns plan={printable_name(name)}' for name in (*names, IGNORED))} (one pallet)"
@@ -433,7 +434,7 @@ class _Builder:
         self.notes.append(f"several pallets, by {printable_name(sure[0])}")
 
     def _overlaps(self, plans: Mapping[str, NDArray[np.int64]], share: float) -> bool:
-        """Whether more than a share of the boxes overlap others in the most plausible reading, or some float."""
+        """Whether more than a share of the boxes overlap other boxes in the most plausible reading, or some float."""
         try:
             choice = choose_reading(self.columns, plans, self.wishes)
             evidence = choice[0].evidence
@@ -453,7 +454,7 @@ class _Builder:
     def _plans_with_lost(self, names: Sequence[str]) -> dict[str, tuple[str, str]]:
         """Name of a plan that lacks a row → (place, fault) of the first such row.
 
-        A row that cannot be read may belong to the plan before it or after it; both are refused.
+        An unreadable row may belong to the plan before it or after it; both plans are refused.
         """
         numbers = [_number_of(place, row) for row, place in enumerate(self.places)]
         lost: dict[str, tuple[str, str]] = {}
@@ -466,8 +467,8 @@ class _Builder:
         return lost
 
     def _plan_names(self) -> list[str]:
-        """(n,) the name of each row's plan. Numbers of containers follow the file's name, so that files do not share
-        them.
+        """(n,) the name of the plan of each row. Numbers of containers follow the file's name, so that files do not
+        share them.
         """
         parts = self.boxes.parts or ("",) * self.columns.n_boxes
         column = self.columns.plan
@@ -488,7 +489,7 @@ class _Builder:
         return [f"{stem}/{name}" if name.isdigit() else name or stem for name in names]
 
     def _decks(self, plans: Mapping[str, NDArray[np.int64]], size: FloatArray, low: FloatArray) -> set[int]:
-        """Rows that are the pallet of a plan: named so, as large as one, and below all other boxes."""
+        """Rows of pallets instead of boxes: named so, as large as a pallet, and below all other boxes."""
         decks = set()
         for rows in plans.values():
             if len(rows) < 2 or np.isnan(low[rows]).any():
@@ -602,7 +603,7 @@ class _Builder:
             return np.asarray(volume * density)
         if columns.weight_is_density:
             relative = np.nanmax(columns.weight) <= _RELATIVE
-            self.notes.append(f"weights by density, {'in that of water' if relative else 'kg/m³'}")
+            self.notes.append(f"weights by density, {'relative to water' if relative else 'kg/m³'}")
             return np.asarray(volume * columns.weight * (_WATER_KG_M3 if relative else 1.0))
         name = columns.columns["weight"]
         mass = columns.weight * MASS_UNITS[reading.masses]
@@ -638,7 +639,7 @@ class _Builder:
         return (f"{line}: weights or lengths in another unit? (--units)",)
 
     def _sequence(self, rows: NDArray[np.int64], low: FloatArray, size: FloatArray) -> tuple[NDArray[np.int64], str]:
-        """(n,) packing order of a plan's rows, from 1, and where it is from."""
+        """(n,) packing order of a plan's rows, from 1, and the origin of this order."""
         if self.columns.sequence is not None:
             return self.columns.sequence[rows].astype(np.int64), "sequence"
         order = np.arange(1, len(rows) + 1)
@@ -650,7 +651,7 @@ class _Builder:
             if not _can_be_placed(counted, low, size):
                 continue
             if not possible:
-                self.notes.append(f"packing order by {printable_name(name)}: rows are not in one")
+                self.notes.append(f"packing order by {printable_name(name)}: rows are not in packing order")
                 self.counters.add(name)
                 return counted.astype(np.int64), "sequence"
             self.notes.append(
@@ -662,7 +663,7 @@ class _Builder:
         return order, "rows"
 
     def _repeated(self, rows: NDArray[np.int64]) -> str | None:
-        """The fault of a plan whose packing order has a number twice, or one that is not whole; None: it has none."""
+        """The fault of a plan whose packing order has a number twice, or a fraction; None: no fault."""
         sequence = self.columns.sequence
         if sequence is None:
             return None
@@ -678,7 +679,7 @@ class _Builder:
         return None
 
     def _order_note(self, orders: Sequence[str], names: Sequence[str]) -> str:
-        """Where the packing order is from, with a note if it is not the column of one."""
+        """Origin of the packing order, with a note if no column is named so."""
         sorted_plans = [name for name, order in zip(names, orders, strict=False) if order == "height"]
         if sorted_plans:
             some = "" if len(orders) == 1 else f" in {first_names(sorted_plans, 3)}"
@@ -734,7 +735,7 @@ def _counts_all(values: FloatArray) -> bool:
 
 
 def _can_be_placed(order: NDArray[Any], low: FloatArray, size: FloatArray) -> bool:
-    """Whether in an order each box that lies on another one comes after one that it lies on."""
+    """Whether in this order each box on other boxes is placed after at least one of them."""
     by_order = np.argsort(order, kind="stable")
     low, size = low[by_order], size[by_order]
     in_order = gaps_mm(low, size) > DEFAULT_TOLERANCE_MM

@@ -34,7 +34,7 @@ class Limits(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class InputConventions:
-    """The units of plans, and the point of a box to which their coordinates refer.
+    """The units of plans, and the point of a box to which coordinates refer.
 
     Attributes:
         units: units of lengths and masses, such as "cm,g".
@@ -63,12 +63,12 @@ class InputConventions:
 
     @property
     def length_mm(self) -> float:
-        """One unit of length, mm."""
+        """A unit of length, mm."""
         return LENGTHS_MM[plan_units(self.units)[0]][0]
 
     @property
     def mass_kg(self) -> float:
-        """One unit of mass, kg."""
+        """A unit of mass, kg."""
         return MASSES_KG[plan_units(self.units)[1]][0]
 
     @property

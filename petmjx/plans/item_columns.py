@@ -25,8 +25,8 @@ from petmjx.plans.order_generator import MOST_ITEMS
 from petmjx.plans.raw_cells import cell_number, cell_text
 
 ITEM_ROLES: Final = ("quantity", "layers", "per layer", "total weight")
-"""Roles of columns that only orders have, beside ``ROLES``. ``quantity`` counts all boxes of a row, ``per layer`` those
-of one of its ``layers``; ``weight`` is of a box, ``total weight`` of all boxes of a row."""
+"""Roles of columns that only orders have, beside ``ROLES``. ``quantity`` counts all boxes of a row, ``per layer`` the
+boxes of one of its ``layers``; ``weight`` means one box, ``total weight`` all boxes of a row."""
 TWO_WAYS: Final = "can be read in two ways:"
 _KINDS: Final[dict[str, Kind]] = {
     "quantity": "quantity", "layers": "layers", "per layer": "quantity", "total weight": "weight",
@@ -88,22 +88,23 @@ class ItemColumns:
     """The items of a source by column.
 
     Attributes:
-        source: where they come from.
+        source: origin of the items.
         size: (n, 3) length, width and height in the file's unit; NaN where a cell is bad.
         size_unit: unit that names or cells give; "": none.
-        size_names: columns of the three sizes; one, if they are in one column.
+        size_names: columns of the three sizes; or of the one column with all three.
         weight: (n,) weights in the file's unit; None: no column has any.
         weight_unit: unit that the name or the cells give; "": none.
-        weight_is: what ``weight`` is of: "box", "row", or "density"; "": the name does not say whether of a box or row.
+        weight_is: meaning of ``weight``: of a "box", of a "row", or a "density"; "": box or row, the name leaves it
+            open.
         quantity: (n,) whole numbers of boxes; NaN where a cell is bad; None: one box a row.
         layers: (n,) whole numbers of layers; None: no column.
-        per_layer: whether ``quantity`` counts the boxes of a layer; None: the name does not say.
+        per_layer: whether ``quantity`` counts the boxes of a layer; None: the name leaves it open.
         order, article, item_id, group: (n,) names; None: no column.
         sequence: (n,) order of arrival; None: no column.
         columns: role → name of its column.
         faults: row → (column, text) of its first bad cell.
         unread: names of columns that are not used, though they hold something.
-        maybe_quantity: the unknown column that may hold quantities, if none is known; "": there is none.
+        maybe_quantity: the unknown column that may hold quantities, if no column is known; "": no such column.
     """
 
     source: BoxSource
@@ -148,14 +149,14 @@ def _is_of_packingsolver(header: Sequence[str]) -> bool:
 
 
 class _ItemExtraction(Extraction):
-    """The columns of one source while they are taken apart, with those that only orders have."""
+    """The columns of one source while their meanings are sought, with the columns of orders alone."""
 
     def __init__(self, source: BoxSource, chosen: Mapping[str, str]) -> None:
         header = source.boxes.table.header
         for role, name in chosen.items():
             if role not in ROLES and role not in ITEM_ROLES:
                 known = ", ".join((*ROLES, *ITEM_ROLES))
-                raise InputError(f"columns: unknown {printable_name(role)}; there are {known}")
+                raise InputError(f"columns: unknown {printable_name(role)}; known are {known}")
             if role in ITEM_ROLES and name not in (*header, IGNORED):
                 names = ", ".join(map(printable_name, header[:20]))
                 raise InputError(f"has no column {printable_name(name)} ({role}); there are {names}")
@@ -213,7 +214,7 @@ class _ItemExtraction(Extraction):
         return joined in _QUANTITY | _PIECES or bool(words & _PIECES and words <= _COUNTED)
 
     def _is_whole(self, index: int) -> bool:
-        """Whether most cells of a column are whole numbers which are no names: these count up, or are all large."""
+        """Whether most cells of a column are whole numbers, but no names: names count up, or are all large."""
         numbers = [cell_number(cell, self.table.decimal) for cell in self.cells(index)]
         whole = [number.value for number in numbers if number is not None and number.value.is_integer()]
         if len(whole) * 2 <= len(numbers):
@@ -222,9 +223,9 @@ class _ItemExtraction(Extraction):
         return not (len(whole) > 2 and bool((steps > 0).all())) and min(whole) <= MOST_ITEMS
 
     def maybe_quantity(self) -> str:
-        """The column without a known name whose cells may be quantities: small whole numbers; "": there is none.
+        """The column without a known name whose cells may be quantities: small whole numbers; "": no such column.
 
-        Rows of boxes repeat their articles: there such a column is none.
+        Rows of boxes repeat their articles: among them such a column holds no quantities.
         """
         articles = next((texts for kind in ("article", "item_id") if (texts := self.texts(kind)[0])), None)
         if (
@@ -268,7 +269,7 @@ class _ItemExtraction(Extraction):
         """(n,) whole numbers of a column; NaN where a cell is bad.
 
         Args:
-            otherwise: the number of empty cells; None: they are bad.
+            otherwise: the number for empty cells; None: empty cells are bad.
         """
         values = np.full(len(self.table.rows), np.nan)
         for row, cell in enumerate(self.cells(index)):
@@ -285,13 +286,13 @@ class _ItemExtraction(Extraction):
         return values
 
     def _check_single(self, columns: Mapping[str, str]) -> None:
-        """Refuse tables with two different columns of a size, such as those of a carton and of what is in it.
+        """Refuse tables with two different columns of a size, such as the sizes of a carton and of its content.
 
         Args:
             columns: role → name of the chosen column.
 
         Raises:
-            InputError: there are two, and no option says which is right.
+            InputError: two columns are possible, and no option says which is right.
         """
         for role, name in columns.items():
             index = self.table.header.index(name)
@@ -326,7 +327,7 @@ class _ItemExtraction(Extraction):
 
 
 def item_columns(source: BoxSource, chosen: Mapping[str, str] | None = None) -> ItemColumns | None:
-    """The columns of a source of items; None: it has no sizes.
+    """The columns of a source of items; None: a source without sizes.
 
     Args:
         chosen: role (``ROLES``, ``ITEM_ROLES``) → name of the column that holds it, or "-".
@@ -391,7 +392,7 @@ def item_columns(source: BoxSource, chosen: Mapping[str, str] | None = None) -> 
 
 
 def _weight(work: _ItemExtraction, columns: dict[str, str]) -> tuple[FloatArray | None, str, str]:
-    """(n,) weights or densities, their unit, and of what they are (``ItemColumns.weight_is``)."""
+    """(n,) weights or densities, their unit, and their meaning (``ItemColumns.weight_is``)."""
     header = work.table.header
     row_index = work.role("total weight", "weight", within=work.totals)
     index = work.fixed.get("weight")
@@ -419,8 +420,8 @@ def _weight(work: _ItemExtraction, columns: dict[str, str]) -> tuple[FloatArray 
 
 
 def _orders_in(work: _ItemExtraction, index: int) -> list[str] | None:
-    """(n,) customers' orders in a column called "order", whose values are no packing order: some are there twice, or
-    are no numbers; None: it is a packing order."""
+    """(n,) customers' orders in a column called "order", if its values are no packing order: some occur twice, or are
+    no numbers; None: a packing order."""
     if not _ORDER.intersection(words_of(work.table.header[index])) or "sequence" in work.fixed:
         return None
     cells = [cell_text(cell) for cell in work.cells(index)]
@@ -434,7 +435,7 @@ def with_rows(source: BoxSource, kept: NDArray[np.bool_], notes: tuple[str, ...]
     """A source with some of its rows, and more notes.
 
     Args:
-        kept: (n,) whether a row is kept.
+        kept: (n,) True: the row stays.
     """
     table = source.boxes.table
 

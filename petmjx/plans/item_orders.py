@@ -1,7 +1,7 @@
-"""Items by column become orders (``orders_of_items``): units, masses, quantities and targets are found out.
+"""Items by column become orders (``orders_of_items``): units, masses, quantities and targets are chosen.
 
-Where names leave the unit open, sizes and densities decide, and what can be read in two ways is refused. Items without
-weights get a density.
+Where names leave the unit open, sizes and densities decide, and files with two possible readings are refused. Items
+without weights get a density.
 """
 
 from __future__ import annotations
@@ -36,12 +36,12 @@ SET_KG_M3: Final = 200.0
 """Density of boxes of RoboBPP's sets, which have no masses: an assumption, about the mean of BED-BPP's boxes."""
 EURO: Final = "euro-pallet"
 _PALLET_MM: Final = (300.0, 1700.0)
-"""Sides of what may be a pallet: a container of a file outside of this is none, and its boxes go on a Euro pallet."""
+"""Sides of what may be a pallet: a larger or smaller container is no pallet, and its boxes go on a Euro pallet."""
 
 _LENGTH_PRIOR: Final = {"mm": 0.0, "cm": 0.0, "m": 0.0, "in": 0.7, "ft": 3.0}
 _MASS_PRIOR: Final = {"kg": 0.0, "g": 0.0, "lb": 0.7, "t": 3.0}
 _MIXED: Final = 1.5
-"""Cost of inches with kilograms, or of pounds with metric lengths, where names do not say so."""
+"""Cost of inches with kilograms, or of pounds with metric lengths, without names of units."""
 _DENSEST_KG_M3: Final = 1e6
 """Densities above this are no evidence of a unit, but damaged weights."""
 _BIN_PRIOR: Final = {"mm": 0.0, "cm": 0.0, "dm": 0.0}
@@ -49,11 +49,11 @@ _BIN_PRIOR: Final = {"mm": 0.0, "cm": 0.0, "dm": 0.0}
 _LIST_PRIOR: Final = {"cm": -1.5, "mm": 0.0, "m": 0.0}
 """Units of lists of lengths, which are those of RoboBPP, in cm, unless the sizes say otherwise."""
 ROW_LEAD: Final = 0.75
-"""Cost by which densities are more plausible if weights are of rows than if they are of boxes, from which on both are
-possible: boxes of 1,500 kg/m³, of which ten make up a row. Weights of boxes are usual."""
+"""If weights of rows are more plausible than weights of boxes by this cost, both readings are possible: boxes of 1,500
+kg/m³, of which ten make up a row. Weights of boxes are usual."""
 _WATER_KG_M3: Final = 1000.0
 _RELATIVE: Final = 1.5
-"""Densities up to this are in those of water."""
+"""Densities up to this are relative to water."""
 _FULL: Final = 1.02
 """Largest share of a target that a layer may cover."""
 
@@ -63,17 +63,17 @@ SIZES: Final = KnownForm("an array of sizes")
 _WITHOUT_MASSES: Final = (LENGTHS.name, DELI.name)
 """Forms with ``SET_KG_M3``."""
 _NUMBERED: Final = (THPACK.name, MPV.name, LENGTHS.name, DELI.name, SIZES.name)
-"""Forms whose orders have numbers for names, before which the file's name is put."""
+"""Forms whose orders are named by numbers; the file's name is put before these."""
 
 
 @dataclass(frozen=True)
 class OrderReading:
-    """What a caller says about a file of orders. BED-BPP's own form needs none of it.
+    """Options of a caller about a file of orders. BED-BPP's own form needs no options.
 
     Attributes:
-        wishes: columns, units and density; empty values are found out.
-        target: what orders are packed on that do not say it themselves: "euro-pallet", "rollcontainer", or sizes in
-            millimetres, "1200x1000"; "": the file's container if it is a pallet, else a Euro pallet.
+        wishes: columns, units and density; empty values are chosen by plausibility.
+        target: carrier of orders that name no carrier: "euro-pallet", "rollcontainer", or sizes in millimetres,
+            "1200x1000"; "": the file's container if it is a pallet, else a Euro pallet.
         most_items: largest number of items of an order.
         items: file with the sizes and weights of articles, for orders that name articles alone; None: none.
     """
@@ -85,7 +85,7 @@ class OrderReading:
 
     @classmethod
     def of(cls, options: RunOptions, target: str | None = None) -> OrderReading:
-        """What options of a run say about files of orders: units, columns, density, items and a written reading.
+        """The options of a run about files of orders: units, columns, density, items and a written reading.
 
         Raises:
             InputError: the target is unknown, or the written reading cannot be read.
@@ -98,8 +98,8 @@ class ForeignOrders:
     """The orders of a file.
 
     Attributes:
-        orders: (id, order) of the good ones, in the order of the file.
-        refused: (id, line) of the others.
+        orders: (id, order) of each good order, in the order of the file.
+        refused: (id, line) of each refused order.
         line: how the file was read.
     """
 
@@ -169,7 +169,7 @@ class _OrderBuilder:
     # Names and rows.
 
     def _names(self) -> list[str]:
-        """(n,) the id of each row's order."""
+        """(n,) the id of the order of each row."""
         parts = self.columns.boxes.parts or ("",) * self.columns.n_rows
         column = self.columns.order
         stem = Path(self.source).name.split(".")[0] or "order"
@@ -194,7 +194,7 @@ class _OrderBuilder:
         return lost
 
     def _fault(self, rows: Sequence[int], lost: str | None, counts: NDArray[np.int64]) -> str | None:
-        """Why an order is refused; None: it is good."""
+        """The reason for the refusal of an order; None: a good order."""
         if lost is not None:
             return lost
         bad = [row for row in rows if row in self.faults]
@@ -329,7 +329,7 @@ class _OrderBuilder:
         return np.array([*level, math.nan if upright is None else sizes[upright]])
 
     def _target(self, name: str, row: int, unit: str) -> str:
-        """What an order is packed on."""
+        """The carrier of an order."""
         if self.reading.target:
             return target_named(self.reading.target)
         parts = self.columns.boxes.parts
@@ -398,7 +398,7 @@ class _OrderBuilder:
             return by_density
         if columns.weight_is == "density":
             relative = float(np.nanmax(columns.weight)) <= _RELATIVE
-            self._note(f"weights by density, {'in that of water' if relative else 'kg/m³'}")
+            self._note(f"weights by density, {'relative to water' if relative else 'kg/m³'}")
             of_columns: FloatArray = volume * columns.weight * (_WATER_KG_M3 if relative else 1.0)
             return of_columns
         name = columns.columns["total weight" if "total weight" in columns.columns else "weight"]
@@ -457,7 +457,7 @@ class _OrderBuilder:
 
 
 _SHOWN: Final = ("weight", "total weight", "density", "quantity", "per layer", "layers", "plan")
-"""Roles whose columns the line names after those of sizes."""
+"""Roles whose columns the message names after the sizes."""
 
 
 def _number_of(place: str) -> int:

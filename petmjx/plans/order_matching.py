@@ -1,13 +1,14 @@
 """Matching of plans with their orders (``match``, ``check_orders``).
 
-``match`` finds the item of each box. Boxes are matched by ``id`` and ``article`` together, by the one of them that is
-present, or, if a box has neither, by size, mass and properties. An item matches one box at most: if an item is packed
-twice, the second box was not ordered. ``sequence`` is ignored, since packers renumber boxes. Sizes are compared in any
+``match`` finds the item of each box. Boxes are matched by ``id`` and ``article`` together, by the single name that is
+present, or without names by size, mass and properties. An item matches one box at most: if an item is packed twice, the
+second box was not ordered. ``sequence`` is ignored, since packers renumber boxes. Sizes are compared in any
 orientation.
 
 Properties of goods are the order's, and no matter of a packer: a box whose centre of mass, stiffness or kind is another
-one than its item's differs like a box of another size. An item has the properties that the order gives, else those of
-the user's table of articles (:func:`with_properties`), else none: its centre of mass is in its middle, and it is rigid.
+one than its item's differs like a box of another size. The properties of an item are those of the order, else those of
+the user's table of articles (:func:`with_properties`). Without both the item's centre of mass is in its middle, and the
+item is rigid.
 
 ``check_orders`` compares plans with a file of orders: which items were left out, which boxes were not ordered, and
 which have another size or mass than ordered.
@@ -47,7 +48,7 @@ MASS_TOLERANCE_KG: Final = 0.0005
 """Tolerance of equal masses that also holds for small masses: half a gram, since small masses are rounded."""
 
 _ROUNDING: Final = 1e-9
-"""Allowance for float64: a difference that is exactly a tolerance may come out slightly larger."""
+"""Allowance for float64: a difference that is exactly a tolerance may become slightly larger."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -87,7 +88,7 @@ class Matching:
 
 
 class _Names(NamedTuple):
-    """The names of a box or an item; "" where it has no such name."""
+    """The names of a box or an item; "" for a missing name."""
 
     item_id: str
     article: str
@@ -101,7 +102,7 @@ class _MatchKey(NamedTuple):
     """One way to match: boxes and items with the same key match.
 
     Attributes:
-        key: the key of a box or an item; None: it has none, and does not match.
+        key: the key of a box or an item; None: no key, and no match.
         boxes, items: whether a box or an item takes part.
         named: whether the key alone identifies the item, whatever the box's size.
     """
@@ -165,7 +166,7 @@ def match(plan: Plan, order: Order) -> Matching:
 def _match_equal(
     boxes: list[_Names], of_boxes: FloatArray, items: list[_Names], of_items: FloatArray, matched: NDArray[np.int64]
 ) -> None:
-    """Match boxes whose names, size and mass are exactly those of an item. This is fast, and matches most boxes."""
+    """Match boxes whose names, size and mass are exactly those of an item. This way is fast, and matches most boxes."""
     free: dict[Hashable, list[int]] = defaultdict(list)
     for number in reversed(range(len(items))):
         free[items[number], *of_items[number].tolist()].append(number)
@@ -185,7 +186,7 @@ def _groups(numbers: list[int], names: list[_Names], takes: _Takes, key: _Key) -
 def _equal_pairs(
     boxes: list[int], items: list[int], of_boxes: FloatArray, of_items: FloatArray
 ) -> list[tuple[int, int]]:
-    """Pairs (box, item) of equal size and mass. A box and an item are in one pair at most."""
+    """Pairs (box, item) of equal size and mass. A box and an item belong to at most one pair."""
     if not items:
         return []
     same = _equal_measures(of_boxes[boxes][:, None], of_items[items][None])
@@ -200,7 +201,7 @@ def _equal_pairs(
 
 
 def _equal_measures(box: FloatArray, item: FloatArray) -> NDArray[np.bool_]:
-    """Whether sizes and masses, and properties if they are there, are equal within the tolerances."""
+    """Whether sizes and masses, and properties if present, are equal within the tolerances."""
     apart = np.abs(box - item)
     sizes = (apart[..., :3] <= SIZE_TOLERANCE_MM + _ROUNDING).all(axis=-1)
     masses = apart[..., 3] <= np.maximum(MASS_TOLERANCE * item[..., 3], MASS_TOLERANCE_KG) + _ROUNDING
@@ -236,7 +237,7 @@ _ROTATIONS: Final = tuple(
     for signs in product((1, -1), repeat=3)
     if _parity(axes) * signs[0] * signs[1] * signs[2] == 1
 )
-"""The 24 ways to turn a box: its axes in another order, and their signs. None of them is a mirror image."""
+"""The 24 ways to turn a box: its axes in another order, and their signs. No rotation is a mirror image."""
 
 _N_PLAIN: Final = 4
 """Number of columns of :func:`_measures`."""
@@ -329,11 +330,11 @@ class OrderCounts:
         orders: usable orders of the file.
         ordered_boxes, left_out, not_ordered, resized: boxes (see :class:`PlanOrderCounts`) of all plans that have an
         order.
-        matched_by_size: boxes of these plans without id and article, which were matched by size and mass.
+        matched_by_size: boxes of these plans without id and article, which are matched by size and mass.
         plans_leaving_out: plans that leave out at least one box.
         plans_without_order: plans without a usable order in the file.
-        orders_without_plan, boxes_without_plan: orders without a usable plan, and their boxes; None: not known, since
-            not all plans were read.
+        orders_without_plan, boxes_without_plan: orders without a usable plan, and their boxes; None: unknown, since not
+            all plans were read.
         unusable_orders: orders of the file that were not compared.
     """
 
@@ -387,8 +388,8 @@ def check_orders(
     Args:
         path: the file, gzipped or not.
         plans: all plans of the run, with distinct ids.
-        takes: whether the plan or order with an id is in this shard.
-        all_plans: whether ``plans`` has all plans. If not, orders without a plan are not counted.
+        takes: returns whether the plan or order with an id is in this shard.
+        all_plans: whether ``plans`` has all plans. False: orders without a plan are not counted.
         strict: raise at the first unusable order, instead of leaving it out of the comparison.
         articles: the user's table of articles, for properties that orders do not give.
 
@@ -481,8 +482,8 @@ def difference_in_words(plan: Plan, order: Order, matching: Matching) -> str:
 def on_target(plan: Plan, order: Order) -> NDArray[np.bool_]:
     """(n,) whether a box of a plan is on the order's target.
 
-    If the plan's bounding box fits on the target, also turned, all boxes are on it, wherever the plan has its origin.
-    Else a box is on it if its middle is over the target with its corner at the origin.
+    If the plan's bounding box fits on the target, also turned, all boxes count as on the target, for any origin of the
+    plan. Otherwise a box is on the target if its middle is over the target with its corner at the origin.
     """
     extent = np.array(target_extent_mm(order.target), float)
     low, high = plan.corner_mm[:, :2], plan.corner_mm[:, :2] + plan.size_mm[:, :2]
@@ -495,7 +496,8 @@ def on_target(plan: Plan, order: Order) -> NDArray[np.bool_]:
 
 @dataclass(eq=False)
 class OddBoxes:
-    """Differences between many plans and their orders: the number of boxes of each kind, and the first in words."""
+    """Differences between many plans and their orders: the number of boxes of each kind, and the first boxes in
+    words."""
 
     counts: Counter[str] = field(default_factory=Counter)
     first: dict[str, str] = field(default_factory=dict)
@@ -520,7 +522,7 @@ class OddBoxes:
                 self.first[kind] = words
 
     def lines(self, whose: str = "") -> Iterator[str]:
-        """A line for each kind that has boxes.
+        """A line for each kind with at least one box.
 
         Args:
             whose: "of NAME", the name of a packer; may be empty.

@@ -31,7 +31,7 @@ _LINES_BEFORE: Final = 5
 
 @dataclass
 class _Rows:
-    """Boxes while they are gathered."""
+    """Boxes gathered so far."""
 
     header: tuple[str, ...]
     rows: list[tuple[Any, ...]] = field(default_factory=list)
@@ -95,7 +95,7 @@ class _Line:
 
 
 def order_source(data: bytes | bytearray) -> BoxSource | None:
-    """The boxes of a text of numbers; None: it is none of the known forms.
+    """The boxes of a text of numbers; None: an unknown form.
 
     Raises:
         InputError: a text of a known form is damaged. The error names the line, and not the file.
@@ -125,7 +125,7 @@ def order_source(data: bytes | bytearray) -> BoxSource | None:
 
 
 def _flags_at(line: _Line) -> int | None:
-    """Where the box type's length is in its line, by the marks 0 and 1 behind the sizes; None: it is no such line."""
+    """Position of a box type's length in its line, by the marks 0 and 1 behind the sizes; None: another line."""
     for begin in (1, 0):  # with the number of the type, or without
         marks = line.words[begin + 1 : begin + 6 : 2]
         if len(line) >= begin + 7 and len(marks) == 3 and sum(mark in ("0", "1") for mark in marks) >= 2:
@@ -150,7 +150,8 @@ def _thpack(lines: Sequence[_Line]) -> BoxSource:
 
     The line of a type is its number, length, mark, width, mark, height, mark, quantity, and in ``wtpack`` (which has no
     numbers of types) the weight, kg, and load bearing strengths. The marks say whether a size may be upright. petmjx
-    turns boxes about the vertical alone: the height is upright if it may, else the first size that may.
+    turns boxes about the vertical alone: the height is upright if its mark allows it, else the first size with such a
+    mark.
     """
     weighted = any(len(line) - (_flags_at(line) or 0) >= 8 and _flags_at(line) == 0 for line in lines)
     rows = _Rows(("type", "length", "width", "height", "quantity", *(("weight per box",) if weighted else ())))
@@ -219,7 +220,7 @@ def _problem_head(lines: Sequence[_Line], position: int) -> tuple[dict[str, floa
     """The container and the number of types of a problem, and the position of the first type.
 
     Raises:
-        InputError: the lines are none of them.
+        InputError: the lines have another form.
     """
     if position + 1 >= len(lines):
         raise InputError(f"{lines[-1].place}: ends within a problem")

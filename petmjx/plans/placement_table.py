@@ -60,7 +60,7 @@ class InputColumn:
     Attributes:
         values: an Arrow array; or Python objects, if they are of several types.
         is_text: whether numbers are texts, as in CSV. Empty text is then a missing value.
-        decimal: the decimal mark of numbers that are texts. If it is a comma, they have no point.
+        decimal: the decimal mark of numbers that are texts. Numbers with a decimal comma have no point.
     """
 
     values: pa.Array | Sequence[Any]
@@ -68,7 +68,7 @@ class InputColumn:
     decimal: str = "."
 
     def raw(self, row: int, number: bool = False) -> Any:
-        """The value of a row as messages show it; None: it is missing.
+        """The value of a row in messages; None: a missing value.
 
         Args:
             number: whether the column should have numbers. A number that is text is then shown as a number.
@@ -162,7 +162,7 @@ def _is_number(kind: pa.DataType) -> bool:
 
 
 def _trimmed_text(array: pa.Array) -> pa.Array:
-    """Text without white space around it; null where it is empty."""
+    """Text without white space around it; null for empty text."""
     text = pc.ascii_trim_whitespace(array)
     return pc.if_else(pc.equal(text, ""), None, text)
 
@@ -191,7 +191,7 @@ def _numeric_text(array: pa.Array, decimal: str) -> pa.Array:
 
 
 def _as_number(text: str, decimal: str) -> Any:
-    """The number in a text. A text that is no number is returned unchanged; None: it is empty."""
+    """The number in a text. A text that is no number is returned unchanged; None: an empty text."""
     if not text:
         return None
     if _WHOLE.fullmatch(text) and len(text) < 300:
@@ -276,7 +276,7 @@ class RefusedPlan(NamedTuple):
 
 
 class LostRow(NamedTuple):
-    """A row that cannot be read. ``plan_id`` is None if it is not known."""
+    """A row that cannot be read. ``plan_id`` is None if unknown."""
 
     number: int
     plan_id: str | None
@@ -290,7 +290,7 @@ class Table:
     Attributes:
         columns: name, of `NEEDED` or `OPTIONAL` → column of n rows.
         unread: names of columns that are not read.
-        numbers: (n,) the number of each row in messages.
+        numbers: (n,) the number of each row for messages.
         lost: rows that could not be read, and are not in the columns.
         cut_off: whether the table ends too early, so that the last plan may lack rows.
     """
@@ -308,7 +308,7 @@ def sorted_columns(names: Sequence[str]) -> tuple[dict[str, int], list[str]]:
     Case, and white space around a name, are ignored.
 
     Raises:
-        TableError: a column is there twice, or is missing. The error does not name the file.
+        TableError: a column occurs twice, or is missing. The error does not name the file.
     """
     positions: dict[str, int] = {}
     unread = []
@@ -338,7 +338,7 @@ def table_plans(
         source: name of the file in messages.
         max_boxes: plans with more boxes are refused.
         notes: gets a line about plans whose ``sequence`` has gaps.
-        given: units and anchor of the table's numbers.
+        given: the user's units and anchor of the table's numbers.
     """
     return _TableReader(table, source, max_boxes, notes, given).plans()
 
@@ -398,7 +398,7 @@ class _TableReader:
 
     @cached_property
     def _com(self) -> dict[str, FloatArray]:
-        """Centres of mass along the items' sides, mm; 0 where not given, NaN where a value cannot be used."""
+        """Centres of mass along the items' sides, mm; 0 without a value, NaN for an unusable value."""
         columns = {}
         for name, of in zip(COM_FIELDS, _SIZE, strict=True):
             if name in self.table.columns:
@@ -455,13 +455,13 @@ class _TableReader:
 
     @cached_property
     def _missing(self) -> dict[str, NDArray[np.bool_]]:
-        """Name of a column → (n,) whether a row has no value in it."""
+        """Name of a column → (n,) whether the row lacks a value."""
         names = [name for name in (*NEEDED, *OPTIONAL) if name in self.table.columns]
         return {name: self.table.columns[name].missing(number=name not in NAMES) for name in names}
 
     @cached_property
     def _coded(self) -> tuple[NDArray[np.int64], list[str]]:
-        """(n,) the number of each row's plan, −1 if the plan id cannot be used; and the ids of the plans.
+        """(n,) the number of each row's plan, −1 for an unusable plan id; and the ids of the plans.
 
         Plans are numbered in order of appearance.
         """
@@ -534,7 +534,7 @@ class _TableReader:
         }
 
     def _fault(self, begin: int, end: int, bad: bool) -> str | None:
-        """Why a plan is refused; None: it is fine. Begins with ", row" if the fault is in a row."""
+        """The reason for the refusal of a plan; None: a good plan. Begins with ", row" if the fault is in a row."""
         if end - begin > self.max_boxes:
             return too_many_boxes(end - begin, self.max_boxes)
         rows = np.sort(self._order[begin:end])
@@ -559,7 +559,7 @@ class _TableReader:
         return next(faults, "is unusable")
 
     def _fault_of(self, row: np.int64) -> str | None:
-        """The first fault of a row, in the order of the columns; None: it has none."""
+        """The first fault of a row, in the order of the columns; None: no fault."""
         missing = [name for name, empty in self._missing.items() if empty[row] and name not in _MAY_LACK]
         if missing:
             return missing_fault(missing)

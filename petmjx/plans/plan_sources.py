@@ -78,14 +78,15 @@ def are_files(plans: PlanSource | None) -> bool:
 def gather_plans(plans: PlanSource | None, sim: Simulation, options: RunOptions) -> PlanSet:
     """All plans of a source, with the properties of their boxes from the table of articles.
 
-    Files are read and checked. Plan objects are taken as they are; if an id is repeated, the plan gets a new id.
+    Files are read and checked. Plan objects are used unchanged; a plan with a repeated id gets a new id.
     """
     plan_set = _gather_plans(plans, sim, options)
     return plan_set if options.articles is None else _with_articles(plan_set, options.articles, options.strict)
 
 
 def _with_articles(plan_set: PlanSet, file: Path, strict: bool) -> PlanSet:
-    """Plans with the properties of their boxes from a table of articles. Plans that contradict it are skipped."""
+    """Plans with the properties of their boxes from a table of articles. Plans that contradict the table are
+    skipped."""
     from petmjx.plans.articles import read_articles, with_articles
 
     articles = read_articles(file)
@@ -164,8 +165,8 @@ def _extent_mm(sim: Simulation) -> tuple[float, float] | None:
 def _distinct_plan_ids(plan_set: PlanSet, options: RunOptions) -> PlanSet:
     """The same plans with distinct ids, since ids are keys of tables. The second plan with the id ID is renamed "ID#2".
 
-    In files an id names one plan, and a plan that repeats it is skipped (petmjx.plans.plan_reader). But a caller who
-    passes plan objects expects a result for each of them.
+    In files an id names one plan, and a second plan with this id is skipped (petmjx.plans.plan_reader). But a caller
+    with plan objects expects a result for each of them.
     """
     given = plan_set.plans[: options.limit]
     plan_ids = {plan.plan_id for plan in given}
@@ -242,7 +243,7 @@ def find_plan(plan_set: PlanSet, plan_id: str) -> Plan:
     """The plan with an id.
 
     Raises:
-        InputError: no plan has this id. If it was skipped, the line says why.
+        InputError: no plan has this id. If the plan was skipped, the line has the reason.
     """
     for plan in plan_set.plans:
         if plan.plan_id == plan_id:

@@ -72,11 +72,12 @@ def parse_plan(
         max_boxes: a plan with more boxes is refused, never cut.
         names: names read so far (item ids, articles, groups, materials), so that equal names share one string. BED-BPP
             repeats each about 20 times.
-        unread: gets the counts of fields of a good plan that petmjx does not read.
-        given: units and anchor of the plan's numbers.
+        unread: receives the counts of a good plan's fields that petmjx ignores.
+        given: the user's units and anchor of the plan's numbers.
 
     Raises:
-        PlanError: the plan is refused. The line names file, plan, placement (counted from 0, like all boxes) and field.
+        PlanError: the plan is refused. The message names file, plan, placement (counted from 0, like all boxes) and
+            field.
     """
     where = f"{source}: plan {printable_name(plan_id)}"
     fault = plan_id_fault(plan_id)
@@ -207,7 +208,7 @@ def _value_or_default(item: dict[str, Any], field: str, otherwise: Any) -> Any:
 
 
 def find_fault(placement: object, given: InputConventions = USUAL) -> str | None:
-    """The error text for the first bad field of a placement; None if it is fine."""
+    """The error text for the first bad field of a placement; None for a good placement."""
     if not isinstance(placement, dict):
         return f"must be an object, got {kind(placement)}"
     for record, of in ((placement, ""), (placement.get("item"), "item.")):
@@ -256,7 +257,7 @@ def _missing(placement: dict[str, Any]) -> list[str]:
 
 
 def _all_missing(placements: list[Any]) -> str | None:
-    """The error text for missing fields, if more than one placement lacks some; else None."""
+    """The error text for missing fields, if several placements lack fields; else None."""
     missing: dict[str, list[int]] = {}
     for index, placement in enumerate(placements):
         for field in _missing(placement) if isinstance(placement, dict) else ():

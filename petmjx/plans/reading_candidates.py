@@ -1,4 +1,4 @@
-"""Candidates of readings: all ways in which names of columns, the form and the caller let numbers be read."""
+"""Candidates of readings: all ways to read numbers that names of columns, the form and the caller allow."""
 
 from __future__ import annotations
 
@@ -21,13 +21,13 @@ _SIX: Final = np.array([(0, 1, 2), (1, 0, 2), (1, 2, 0), (2, 1, 0), (2, 0, 1), (
 
 _ANCHOR_PRIOR: Final = {"corner": 0.0, "centre": 1.0, "base-centre": 1.8, "far-corner": 2.5}
 _FIRM: Final = 3.0
-"""Cost of going against what is known of a form."""
+"""Cost of a contradiction to known facts about a form."""
 _WORDS: Final = ("length", "width", "height", "depth")
 
 
 @dataclass(frozen=True, eq=False)
 class Candidate:
-    """One way to read a geometry, before units."""
+    """One way to read a geometry, without units."""
 
     geometry: Geometry
     pair: tuple[int, int, int]
@@ -36,7 +36,7 @@ class Candidate:
     rule: str
     prior: float
     scale: float = 1.0
-    """One unit of sizes in units of coordinates."""
+    """Unit of sizes divided by the unit of coordinates."""
 
     @property
     def along(self) -> tuple[str, str, str]:
@@ -81,7 +81,7 @@ def layout_of(columns: BoxColumns, candidate: Candidate, container: Mapping[str,
 
 
 def _container_along(candidate: Candidate, container: Mapping[str, float], order: Sequence[int]) -> FloatArray:
-    """Sizes of a container along the plan's axes; NaN where it is not known."""
+    """Sizes of a container along the plan's axes; NaN where unknown."""
     axes = candidate.geometry.axes
     if all(axis in container for axis in axes):
         along = np.array([container[axis] for axis in axes], float)[list(candidate.pair)]
@@ -198,7 +198,7 @@ def _rules(geometry: Geometry, columns: BoxColumns, wishes: Wishes) -> list[tupl
 
 
 def _sizes_by_article(columns: BoxColumns, geometry: Geometry) -> str:
-    """Whether sizes are as placed or of the item, by boxes of one article that are turned differently; "": unknown."""
+    """Whether sizes are as placed or of the item, by boxes of one article in different turns; "": unknown."""
     turns, names = columns.turns, columns.article
     if turns is None or names is None:
         return ""

@@ -30,14 +30,15 @@ from petmjx.plans.readings import AmbiguousFile, Evidence, Reading, Wishes, tie_
 TIE: Final = 1.5
 """Readings whose costs differ by less are a tie. Costs are like negative log likelihoods: 1.5 is odds of 4 to 1."""
 _FEW_BOXES, _FEW_MORE = 6, 0.8
-"""In files of fewer boxes a tie is wider by this: a wrong reading of three boxes is often as plausible by chance."""
+"""The range of a tie is wider by this in files of few boxes: a wrong reading of three boxes is often as plausible by
+chance."""
 WEAK: Final = 5.0
 """Cost of a layout above which a reading is weak: a fifth of the boxes overlap, or a quarter float."""
 WEAK_LEAD: Final = 3.0
 """Least lead of a weak reading over all others. A plan that really has odd boxes is odder in every other reading."""
 _MOST_BOXES: Final = 400
 _MOST_PLANS: Final = 12
-"""Boxes and plans by which readings are judged. All others are read in the same way."""
+"""Boxes and plans by which readings are judged. All other boxes are read in the same way."""
 
 _LOWEST_UNIT_COST: Final = -2.5
 """Least cost of units: boxes of usual sizes and densities on a usual carrier."""
@@ -58,7 +59,7 @@ class _Judged:
     rows: NDArray[np.int64]
     """The rows of the boxes of all layouts."""
     unit_cost: float = 0.0
-    """Cost of the most plausible units: it differs by which sides lie on the deck."""
+    """Cost of the most plausible units, which depends on the sides that lie on the deck."""
 
     @property
     def cost(self) -> float:
@@ -101,7 +102,7 @@ def _sample_of(columns: BoxColumns, plans: Mapping[str, NDArray[np.int64]], dama
 
 
 def container_of(containers: Mapping[str, Mapping[str, float]], name: str) -> Mapping[str, float]:
-    """The container of a plan: its own, the one of the file, or none."""
+    """The container of a plan: its own, that of the file, or None."""
     return (
         containers.get(name) or containers.get("") or (next(iter(containers.values())) if len(containers) == 1 else {})
     )
@@ -171,7 +172,7 @@ def _unit_costs(judged: _Judged, columns: BoxColumns, wishes: Wishes) -> list[tu
 
 
 def _deck_of(judged: _Judged, wishes: Wishes) -> tuple[FloatArray, bool]:
-    """x–y size of the container if it is known, else of the load, in the file's unit; and whether it is known."""
+    """x–y size of the container if known, else of the load, in the file's unit; and whether the container is known."""
     layout = judged.layouts[0]
     if not np.isnan(layout.container[:2]).any():
         return layout.container[:2], True
@@ -229,7 +230,7 @@ def choose_reading(
 
 
 def _judged_candidates(columns: BoxColumns, wishes: Wishes, sample: _Sample) -> list[_Judged]:
-    """Candidates with their costs, cheapest first. Those that cannot win by their priors are left out."""
+    """Candidates with their costs, cheapest first. Candidates that cannot win by their priors are left out."""
     ranked = sorted(candidates(columns, wishes), key=lambda candidate: candidate.prior)
     judged: list[_Judged] = []
     lowest = math.inf
@@ -254,10 +255,10 @@ def _with_units(judged: _Judged, columns: BoxColumns, wishes: Wishes) -> _Judged
 
 
 def _units_of(best: _Judged, columns: BoxColumns, wishes: Wishes) -> list[tuple[float, str, str, float, float]]:
-    """The units of a reading; two if they are a tie.
+    """The units of a reading; two units of a tie.
 
-    Lengths are a tie if boxes and load fit a carrier equally well in two units, whatever the masses say; or if costs
-    are about equal. Beside inches pounds and kilograms are one. Other masses change no verdict, and are no tie.
+    Lengths are a tie if boxes and load fit a carrier equally well in two units, whatever the masses; or if costs are
+    about equal. Beside inches pounds and kilograms are one. Other masses change no verdict, and are no tie.
     """
     costs = _unit_costs(best, columns, wishes)
     first = costs[0]
@@ -273,7 +274,7 @@ def _units_of(best: _Judged, columns: BoxColumns, wishes: Wishes) -> list[tuple[
             others = [cheapest[unit] for unit in equal if unit != first[1]]
             rivals = others if not _are_converted(best, first[1], [entry[1] for entry in others]) else []
         elif most > 1:
-            rivals = []  # the load fills a pallet in this unit alone
+            rivals = []  # only in this unit the load fills a pallet
     if not rivals and LENGTH_UNITS[first[1]] == LENGTH_UNITS["in"]:
         rivals = [entry for entry in costs[1:] if entry[1] == first[1] and {first[2], entry[2]} == {"kg", "lb"}]
         rivals = [entry for entry in rivals if _THIN < entry[3] < _DENSE]
@@ -285,7 +286,7 @@ _TRIED: Final = ("mm", "cm", "m", "in")
 _THIN, _DENSE = 20.0, 2000.0
 """Densities between which a unit of masses is plausible, kg/m³: crisps, and bricks."""
 _CONVERTED, _NOT_CONVERTED = 0.95, 0.6
-"""Least share of lengths that are whole millimetres in a unit if they were converted to it, and most in another one."""
+"""Least share of lengths in whole millimetres for a conversion from this unit, and largest share in another unit."""
 
 
 def _fit(best: _Judged, unit: str, wishes: Wishes) -> int:
@@ -299,9 +300,9 @@ def _fit(best: _Judged, unit: str, wishes: Wishes) -> int:
 
 
 def _are_converted(best: _Judged, unit: str, others: Collection[str]) -> bool:
-    """Whether sizes are whole millimetres in inches alone: they were converted to inches.
+    """Whether sizes are whole millimetres in inches alone: such sizes were converted to inches.
 
-    Whole centimetres are whole millimetres, too, and say nothing: boxes have whole inches as well.
+    Whole centimetres are whole millimetres, too, and no evidence: boxes have whole inches as well.
     """
     if unit != "in":
         return False
@@ -312,9 +313,9 @@ def _are_converted(best: _Judged, unit: str, others: Collection[str]) -> bool:
 
 
 def _other_mass(best: _Judged, columns: BoxColumns, wishes: Wishes) -> str | None:
-    """Another unit of masses that no name excludes and that is plausible; None: there is none.
+    """Another unit of masses that is plausible and that no name excludes; None: no other unit.
 
-    It is only said: a verdict hardly depends on it, since all boxes have it.
+    The other unit is only mentioned: a verdict hardly depends on a factor of all masses.
     """
     costs = _unit_costs(best, columns, wishes)
     first = costs[0]

@@ -31,7 +31,7 @@ _FIELDS: Final = ("form", "units", "along", "density", "columns", *_TEXTS)
 
 
 def wishes_of_reading(reading: Reading) -> Wishes:
-    """A reading as what a caller says: nothing is left open."""
+    """A reading as the options of a caller: nothing is left open."""
     return Wishes(
         columns=_choosable(reading.columns),
         exact=dict(reading.columns),
@@ -51,7 +51,7 @@ def reading_toml(reading: Reading, source: str) -> str:
     """A reading as text for :func:`read_reading`.
 
     Args:
-        source: the file that it is of, for a comment.
+        source: name of the file, for a comment.
     """
     lines = [
         f"# How petmjx reads {printable(source)}",
@@ -72,7 +72,7 @@ def _quoted(text: str) -> str:
 
 
 def read_reading(path: Path) -> Wishes:
-    """What a written reading says.
+    """Content of a written reading.
 
     Raises:
         InputError: the file cannot be read, or has an unknown field or value; the line names file and field.
@@ -112,10 +112,10 @@ def _choosable(columns: Mapping[str, str]) -> dict[str, str]:
 def wishes_of(
     options: RunOptions, deck_mm: tuple[float, float] | None = None, reading: Reading | None = None
 ) -> Wishes:
-    """What options say about files of other tools. Single options change a written reading.
+    """Options about files of other tools. Single options change a written reading.
 
     Args:
-        deck_mm: x–y size of the carrier; None: not known.
+        deck_mm: x–y size of the carrier; None: unknown.
         reading: instead of the written reading of the options.
 
     Raises:
