@@ -1,4 +1,4 @@
-"""Tables as short HTML for notebooks. They have no styles, so that they follow the notebook's theme."""
+"""Tables as short HTML for notebooks. The tables have no styles, so that they follow the notebook's theme."""
 
 from __future__ import annotations
 

@@ -27,13 +27,13 @@ from petmjx.results.run_reader import RunResults, load_run
 
 @dataclass(frozen=True, eq=False)
 class PlanLookup:
-    """The plans of a run, as far as they were found.
+    """The plans of a run, if they could be found.
 
     Attributes:
-        plans: plans that equal those that the run simulated, by id.
+        plans: by id, the plans that equal the simulated ones.
         missing: ids of plans that were not read, sorted.
         changed: ids of plans that were read but have changed since, sorted.
-        gone: files that the run names but that no longer exist.
+        gone: files in the run that no longer exist.
     """
 
     plans: Mapping[str, Plan]
@@ -48,13 +48,13 @@ def find_plans(
     wanted: Collection[str],
     given: PlanSource | None = None,
 ) -> PlanLookup:
-    """Find the plans of a run. Only plans that equal the simulated ones are taken.
+    """Find the plans of a run. Only plans that equal the simulated ones count.
 
     Args:
         records: the run's records of its plans, by id. A plan without a record is taken in any version.
         wanted: ids of the plans to find.
-        given: where the plans are now; None: the plans that the run was given or keeps, and for the rest the files that
-            it names.
+        given: the present place of the plans; None: the plan objects of the run, else the plans in its table, else the
+            files that it names.
 
     Raises:
         InputError: ``given`` cannot be used.
@@ -84,11 +84,11 @@ def find_plans(
 
 
 def plans_in_place(plans: PlanSource | None, strict: bool = False) -> PlanSource | None:
-    """The plans of a source; if that is the folder of a run, or several, the plans that the runs simulated.
+    """The plans of a source; of the folders of runs, the plans that they simulated.
 
     Raises:
-        InputError: a run cannot be read, or none of its plans is kept or in a file any more; with ``strict``, a plan is
-            not.
+        InputError: a run cannot be read, or none of its plans is in its tables or in a file any more; with ``strict``,
+            one plan is missing.
     """
     several: Any = [plans] if isinstance(plans, str | PathLike) else plans
     if not isinstance(several, list | tuple) or not several or not all(map(is_run, several)):
@@ -110,7 +110,7 @@ def is_run(source: object) -> bool:
 
 
 def plans_of(run: RunResults, strict: bool = False) -> PlanSet:
-    """The plans that a run simulated. Those that are neither kept nor in a file any more are skipped.
+    """The plans that a run simulated. Missing plans are skipped.
 
     Raises:
         InputError: the run lists no plans, or keeps none; with ``strict``, a plan would be skipped.
@@ -135,7 +135,7 @@ def plans_of(run: RunResults, strict: bool = False) -> PlanSet:
 
 
 def how_read(info: Mapping[str, Any]) -> RunOptions:
-    """The options with which a run read its plans: units, anchor, articles …
+    """The options by which a run read its plans: units, anchor, articles …
 
     Raises:
         InputError: the options are damaged.

@@ -1,7 +1,7 @@
 """The table ``placements``: all fields of a run's plans, with one row per box.
 
 With this table a run can be shown and reported from its folder alone, even if the files of its plans are gone or the
-folder was moved. Null means that a value was not given. NaN is a value of its own.
+folder was moved. Null means that the plan has no such value. NaN is another value than null.
 """
 
 from __future__ import annotations

@@ -161,7 +161,7 @@ _CONTACT_COLUMNS = (
 
 
 _NUMBER = _counts(number="number of the plan among those given, from 0, counting skipped ones")
-"""Column of ``plans``, whose rows are in that order."""
+"""Column of ``plans``, which has its rows in this order."""
 
 _EXTENT_COLUMNS = (
     _column("volume_m3", pa.float64(), "m^3", "sum of its boxes' volumes"),
@@ -207,7 +207,7 @@ def schemas(params: Iterable[Param] = (), dynamic: bool = False, force_intervals
     one), and for the tables of recorded worlds: ``histories``, ``frames``, ``contacts``.
 
     Args:
-        params: parameters of a sweep's variants; they are the last columns of ``worlds``.
+        params: parameters of a sweep's variants; the last columns of ``worlds``.
         dynamic: whether the run has profiles; ``boxes`` then has additional metrics.
         force_intervals: whether ``boxes`` has intervals of the forces at rest.
 

@@ -1,4 +1,4 @@
-"""The answers of a chain: how likely a pallet arrives, which leg is the weakest, and what a remedy gains.
+"""The answers of a chain: how likely a pallet arrives, the weakest leg, and the gain by a remedy.
 
 Users read about the columns in docs/chains.md.
 """
@@ -25,7 +25,7 @@ WHOLE_WAY: Final = ""
 """``leg`` of the rows about the whole way."""
 
 OF_WORLDS: Final = ("plan_id", "variant", "verdict", "culprit", "leg", "remedy")
-"""Columns of ``worlds`` from which the summary is made."""
+"""Columns of ``worlds`` for the summary."""
 
 _KEYS: Final = ["scope", "plan_id", "remedy", "leg"]
 _COUNTS: Final = ["n_worlds", "n_standing", "n_invalid"]
@@ -55,7 +55,7 @@ _TEXTS: Final = frozenset({"scope", "plan_id", "remedy", "leg", "weakest_leg"})
 
 @dataclass(frozen=True)
 class ChainColumns:
-    """What the summary of a chain needs to know. ``run.json`` has it, so that shards can be joined.
+    """Facts about a chain that its summary needs. ``run.json`` has it, so that shards can be joined.
 
     Attributes:
         legs: names of the legs that shake the pallet, in order.
@@ -131,8 +131,8 @@ def _leg_counts(worlds: pd.DataFrame, legs: Sequence[str]) -> pd.DataFrame:
 
 
 def _weakest_legs(summary: pd.DataFrame, worlds: pd.DataFrame) -> pd.DataFrame:
-    """The leg in which most worlds failed, for each row about the whole way, and the box that failed there most often.
-    Of equal ones the first counts."""
+    """The leg in which most worlds failed, for each row about the whole way, and the box that failed most often in that
+    leg. Of equal numbers the first counts."""
     way = _KEYS[:3]
     failed = summary.assign(n=summary["n_worlds"] - summary["n_standing"] - summary["n_invalid"])
     failed = failed[(failed["leg"] != WHOLE_WAY) & (failed["n"] > 0)]
@@ -146,7 +146,7 @@ def _weakest_legs(summary: pd.DataFrame, worlds: pd.DataFrame) -> pd.DataFrame:
 
 
 def _gains(worlds: pd.DataFrame, *, random: bool) -> pd.DataFrame:
-    """What each remedy gains, for rows about the whole way."""
+    """The gain by each remedy, for rows about the whole way."""
     judged = worlds[worlds["verdict"] != Verdict.INVALID.value]
     pairs = ["scope", "plan_id", "pair", "draw"]
     without = judged.loc[judged["remedy"] == AS_IS, [*pairs, "verdict"]]
@@ -191,7 +191,8 @@ def arrivals(summary: pd.DataFrame, remedy: str = AS_IS) -> pd.DataFrame:
 
 
 def shares_by_leg(summary: pd.DataFrame) -> pd.DataFrame:
-    """P(stands after a leg, if it was reached) of each plan without remedies: a row a plan, a column a leg in order."""
+    """P(stands after a leg, given that it was reached) of each plan without remedies: one row per plan, one column per
+    leg in order."""
     chosen = summary[(summary["scope"] == ONE_PLAN) & (summary["remedy"] == AS_IS) & (summary["leg"] != WHOLE_WAY)]
     return chosen.pivot(index="plan_id", columns="leg", values="share")[chosen["leg"].unique().tolist()]
 

@@ -29,7 +29,7 @@ from petmjx.runs.confidence import write_confidence
 from petmjx.runs.sweep_summary import ShareColumns, summarise_shares
 
 _ANSWER: Final = ("plan_id", "placement", "profile", "direction_deg")
-"""Columns that identify a row of a search's summary, and by which rows are sorted."""
+"""Columns that identify a row of a search's summary, and sort its rows."""
 
 
 def merge_runs(shards: Iterable[str | Path], out: str | Path, *, overwrite: bool = False) -> RunResults:
@@ -153,7 +153,7 @@ def _variants(runs: Sequence[RunResults]) -> range:
 
 
 def _placements(runs: Sequence[RunResults]) -> pa.Table | None:
-    """The table ``placements`` of all plans; None if a shard has not kept it."""
+    """The table ``placements`` of all plans; None if a shard lacks it."""
     tables = [run.parts.table(PLACEMENTS) for run in runs]
     return pa.concat_tables(itertools.chain.from_iterable(tables)) if all(tables) else None
 
@@ -216,8 +216,8 @@ def _other_versions(runs: Sequence[RunResults]) -> Iterator[str]:
 
 
 def _write_summary(writer: RunWriter, runs: Sequence[RunResults]) -> None:
-    """Write the table ``summary``. Shares are computed again from all worlds. Answers of searches are joined, since
-    each belongs to one plan."""
+    """Write the table ``summary``. Shares are computed again from all worlds. Answers of searches are concatenated,
+    since each belongs to one plan."""
     tables = [table for run in runs for table in run.parts.table("summary")]
     shares = runs[0].info["config"].get("shares")
     if shares is None:

@@ -29,7 +29,7 @@ def plan_of_run(run: RunResults, plan_id: str, plans: PlanSource | None = None) 
     """A plan as the run simulated it.
 
     Args:
-        plans: where to look for the plan; None: the plan that the run was given or keeps, or the file that it read.
+        plans: source of the plan; None: the plan object of the run, its table of plans, or the file that it read.
 
     Raises:
         InputError: the run has no such plan, or the plan's file is gone or has changed.

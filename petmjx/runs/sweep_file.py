@@ -1,6 +1,6 @@
 """Reads and checks sweep files (``sweeps/*.toml``), and finds ready-made ones by name.
 
-Ready-made files are in ``sweeps/`` of a checkout, or copied into an installed package. What sweep files may contain:
+Ready-made files are in ``sweeps/`` of a checkout, or copied into an installed package. Allowed content of sweep files:
 docs/sweeps.md.
 """
 
@@ -42,7 +42,8 @@ from petmjx.world.profiles.profile_tables import MAX_NAME, FileName, define_prof
 
 _PACKAGE = Path(__file__).resolve().parents[1]
 _FOLDERS = (_PACKAGE / "ready_sweeps", _PACKAGE.parent / "sweeps")
-"""The wheel has ``sweeps/`` as ``petmjx/ready_sweeps`` (pyproject.toml). In a checkout it is beside the package."""
+"""The wheel has ``sweeps/`` as ``petmjx/ready_sweeps`` (pyproject.toml). In a checkout this folder is beside the
+package."""
 
 
 def ready_sweeps() -> dict[str, Path]:
@@ -52,7 +53,7 @@ def ready_sweeps() -> dict[str, Path]:
 
 
 def find_sweep(name_or_path: str | Path) -> Path:
-    """The file of a sweep: a path to one, or the name of a ready-made one such as ``eumos``.
+    """The file of a sweep: its path, or the name of a ready-made one such as ``eumos``.
 
     Raises:
         InputError: there is no such file or name; the line lists the ready-made names.
@@ -207,7 +208,8 @@ class Sweep(CheckedRecord):
 
     @property
     def strength(self) -> Strength:
-        """The quantity that a search looks for: a level, or a scale. Its value is the name of the axis."""
+        """The quantity that a search looks for: a level, or a scale. The value of this field is the name of the
+        axis."""
         levels = any(profile.strength is Strength.LEVEL for profile in self.profiles.values())
         return Strength.LEVEL if levels else Strength.SCALE
 
@@ -436,7 +438,7 @@ def chain_sweep(file: str | Path, n_worlds: int | None, simulation: Mapping[str,
 
     Args:
         file: a sweep file with legs, or the name of a ready-made one.
-        n_worlds: worlds with errors for each plan; None: as many as the file says.
+        n_worlds: worlds with errors for each plan; None: the number in the file.
         simulation: fields of ``Simulation`` that replace those of the file.
 
     Raises:

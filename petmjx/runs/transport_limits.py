@@ -56,8 +56,8 @@ def eumos_assessment(boxes: BoxMetrics, settled_pos: FloatArray, half_size: Floa
     of it, and at most 4 cm in the lowest 20 cm, after it. Displacements are those of box centres from their settled
     places. The load's height counts from the carrier's top, z = 0. The elastic deformation includes the permanent one,
     since on film the two cannot be distinguished before the end. A world in which a box fell never passes, however
-    small the shares, nor does a world with a NaN, because its profile never ran to the end. Source: EUMOS 40509:2020,
-    criteria as published by ESTL, the laboratory behind the standard.
+    small the shares, nor does a world with a NaN: its profile never ran to its end. Source: EUMOS 40509:2020, criteria
+    as published by ESTL, the laboratory behind the standard.
 
     Args:
         settled_pos: (n, 3) centres before the profile, m.
@@ -102,8 +102,8 @@ def slide_m(
     steps in which the block stops or its friction changes.
 
     A whole load slides about as far, if not farther: on a load that touches nothing but the carrier's top, the
-    horizontal force is at most friction × the vertical one, as on the block. So its centre of mass, and with it at
-    least one box, moves as far.
+    horizontal force is at most friction × the vertical one, as on the block. So the centre of mass of a load, and with
+    it at least one box, moves at least this far.
 
     Args:
         acceleration: (n_steps, 3) acceleration of the carrier, m/s².
@@ -141,8 +141,8 @@ def slide_m(
 def hopeless_profiles(sweep: Sweep) -> list[str]:
     """A line for each profile that slides every unsecured load farther than the shift threshold, from some strength on.
 
-    It is about accelerations only, which are the same for every plan. Searches find such a strength themselves. Runs
-    that end at a multiple of their placement time may end before the load slides that far, and are left out.
+    The line is about accelerations only, which are the same for every plan. Searches find this strength themselves.
+    Runs that end at a multiple of their placement time may end before the load slides that far, and are left out.
     """
     sim, axes = sweep.simulation, sweep.axes
     if sweep.search is not None or sim.total_time_factor is not None:
@@ -203,7 +203,7 @@ def _largest(error: Distribution) -> float:
 def _first_hopeless(unit: FloatArray, strengths: Sequence[float], friction: float, sim: Simulation) -> int:
     """Index of the first of rising strengths that slides a block too far; the number of strengths if none does.
 
-    Every strength above one that slides the block also slides it.
+    If one strength slides the block, every larger strength does so, too.
     """
     physics, limit_m = sim.physics, sim.thresholds.shift_m
 
