@@ -15,7 +15,7 @@ from petmjx.plans.plan_warnings import DEFAULT_TOLERANCE_MM
 
 
 class CriteriaOptions(CheckedRecord):
-    """The options of the criteria: inputs that the answers depend on, and how they are computed."""
+    """The options of the criteria: the inputs and parameters of the answers."""
 
     friction: Annotated[float, within(0, 10), CliFlag("--friction", "MU")] = Field(
         PHYSICS["pallet"].box_friction[0], description="coefficient of friction where boxes lie, for force balance"
@@ -44,7 +44,7 @@ class CriteriaOptions(CheckedRecord):
 
     @property
     def criteria(self) -> tuple[Criterion, ...]:
-        """The criteria asked for."""
+        """The criteria to evaluate."""
         return chosen_criteria(self.only)
 
     @model_validator(mode="after")

@@ -40,8 +40,8 @@ def judge(plans: pd.DataFrame, worlds: pd.DataFrame, criteria: Sequence[Criterio
 
     Returns:
         One row per criterion: ``criterion``, ``n_plans``, the counts ``CELLS``, each of ``SCORES`` with ``_low`` and
-            ``_high`` (95 % bootstrap over plans), and ``same_first_box``: for how many of the falling plans that it
-            refuses its first failing box is the one that physics names.
+            ``_high`` (95 % bootstrap over plans), and ``same_first_box``: number of refused falling plans with the same
+            first box by criterion and physics.
     """
     both = with_physics(plans, worlds)
     stands = both["stands"].to_numpy(dtype=bool)
@@ -67,7 +67,7 @@ def with_physics(plans: pd.DataFrame, worlds: pd.DataFrame) -> pd.DataFrame:
 def score_columns(accepted: NDArray[np.bool_], stands: NDArray[np.bool_], seed: int) -> dict[str, float]:
     """Counts, and scores with their intervals.
 
-    The bootstrap draws plans with replacement. Only the four counts matter, so they are drawn from a multinomial
+    The bootstrap draws plans with replacement. Only the four counts matter, so samples are drawn from a multinomial
     distribution.
     """
     cells = confusion(accepted, stands)
@@ -108,15 +108,15 @@ def scores(cells: NDArray[np.int64]) -> tuple[FloatArray, FloatArray, FloatArray
 def best_thresholds(
     plans: pd.DataFrame, worlds: pd.DataFrame, criteria: Sequence[Criterion], seed: int = 0
 ) -> pd.DataFrame:
-    """For each criterion with a number, the threshold that agrees best with physics. It is found on one half of the
-    plans and tested on the other half.
+    """For each criterion with a number, the threshold that agrees best with physics. The threshold is fitted on one
+    half of the plans and tested on the other half.
 
     The half of a plan depends only on its id and the seed.
 
     Returns:
         One row per criterion: ``criterion``, ``number``, ``unit``, ``threshold`` (at least), ``published`` (the
-            criterion's own), ``n_found_on`` and ``mcc_found_on``. The other columns are as in ``judge``, on the other
-            half, with ``mcc_published``.
+            published threshold), ``n_found_on`` and ``mcc_found_on``. The other columns are as in ``judge``, on the
+            tested half, with ``mcc_published``.
     """
     both = with_physics(plans, worlds)
     stands = both["stands"].to_numpy(dtype=bool)
@@ -150,8 +150,8 @@ def best_threshold(number: FloatArray, stands: NDArray[np.bool_]) -> tuple[float
     """The threshold t for which ``number >= t`` has the largest MCC, and that MCC. NaN numbers are never accepted.
 
     The threshold is halfway between the two numbers that it separates. If several thresholds are equally good, the
-    middle one is taken. It is NaN if no threshold has MCC > 0: all numbers are equal, all plans stand, all plans fall,
-    or plans with larger numbers fall.
+    middle one is taken. The threshold is NaN if no threshold has MCC > 0: all numbers are equal, all plans stand, all
+    plans fall, or plans with larger numbers fall.
     """
     known = ~np.isnan(number)
     values, owner = np.unique(number[known], return_inverse=True)

@@ -2,7 +2,7 @@
 
 Orders are paired, since each order is packed by every packer. The comparison takes the orders that have a valid verdict
 from every packer. Orders without a plan and invalid worlds are counted separately. ``share_at_worst`` is the share if
-they counted as plans that do not stand.
+such orders counted as plans that fall.
 """
 
 from __future__ import annotations
@@ -118,7 +118,8 @@ class PackerComparison:
             sizes are for inspection, not for tests, and have null); of chains also
             ``p_gain``, the mean over orders of ``p_arrives`` of b − that of a, with its interval ``p_gain_low``,
             ``p_gain_high``.
-        reasons: for each two packers, the number ``n`` of orders that ``lost_by`` loses for a ``reason`` why its plan
+        reasons: for each two packers, the number ``n`` of orders that ``lost_by`` loses for each ``reason`` for which
+            its plan
             does not stand: ``a``, ``b``, ``lost_by``, ``reason``, ``n``.
         decided: orders that stand with only one of two packers: ``plan_id``, ``a``, ``b``, ``won_by``, ``lost_by``,
             ``reason``, ``order_boxes``.
@@ -173,8 +174,8 @@ def compare_packers(
     Args:
         runs: two or more runs or their folders, or packer → run. Without names, packers are named after the folders.
         confidence: confidence of the intervals.
-        orders: file of the plans' orders, in any form. The plans are then read again, boxes are counted against them,
-            KPIs are added, and an order that nobody packed counts as missing for all packers.
+        orders: file of the plans' orders, in any form. The plans are then read again, boxes are compared with the
+            orders, KPIs are added, and an order without any plan counts as missing for all packers.
 
     Raises:
         InputError: fewer than two runs, a folder without a run, a sweep, two runs with one name, unreadable orders; or
@@ -191,7 +192,7 @@ def comparison_of(
     """The comparison of packers by open runs. A single packer has no pairs.
 
     Args:
-        articles: a table of articles, for properties that the orders do not give; None: the one that all runs name.
+        articles: a table of articles, for properties without a value in the orders; None: the table that all runs name.
 
     Raises:
         InputError: unreadable orders, or SciPy is missing.
@@ -225,7 +226,7 @@ def comparison_of(
 
 
 def _with_kpis(plans: pd.DataFrame, kpis: pd.DataFrame) -> pd.DataFrame:
-    """The plans with the columns ``KPIS``. kpi_2 is relative to the order's target, if that is known."""
+    """The plans with the columns ``KPIS``. kpi_2 is relative to the order's target, if known."""
     kpis = kpis[["plan_id", "packer", *KPIS]]
     merged = plans.drop(columns="kpi_2").merge(kpis, on=["plan_id", "packer"], how="left", validate="one_to_one")
     return merged.assign(kpi_2=merged["kpi_2"].combine_first(plans["kpi_2"]))
@@ -283,8 +284,8 @@ def _pair_row(size: str, a: str, b: str, rows: pd.DataFrame, confidence: float) 
 
 
 def _mean_interval(values: pd.Series, confidence: float) -> tuple[float, float, float]:
-    """The mean of values of orders, and Student's interval of it. Orders differ more than chance moves each of their
-    values, and the spread between them has both. NaN for fewer than two orders, and for orders that are all alike: then
+    """The mean of values of orders, and its Student interval. The spread between orders contains both the differences
+    between orders and the chance in each value. NaN for fewer than two orders, and for orders that are all alike: then
     the spread tells nothing."""
     known = values.dropna()
     mean, n = float(known.mean()), len(known)

@@ -22,7 +22,7 @@ LONGEST_NAME: Final = 200
 """Most bytes of a packer's name. File systems allow 255 for the name of a folder."""
 
 MISSING: Final = "missing"
-"""``verdict`` of an order for which a packer has no plan."""
+"""``verdict`` for an order without a plan of a packer."""
 
 MEASURES: Final[Mapping[str, str]] = {
     "boxes": "boxes placed",
@@ -31,11 +31,11 @@ MEASURES: Final[Mapping[str, str]] = {
     "height_m": "height, m",
     "kpi_2": "kpi_2, volume over area × height",
 }
-"""Column of a plan → its heading. The means of these columns are shown next to the shares. To add a column, add a line
+"""Column of a plan → its heading. The means of these columns stand next to the shares. To add a column, add a line
 here and a column in :func:`plans_of`."""
 
 ARRIVES: Final = "p_arrives"
-"""Column of plans that were taken through a chain: the share of their worlds that arrive."""
+"""Column of plans in chains: the share of their worlds that arrive."""
 
 Run = RunResults | str | Path
 
@@ -90,12 +90,11 @@ def check_names(names: Iterable[str]) -> None:
 
 
 def plans_of(runs: Mapping[str, RunResults], against: OrderComparison | None = None) -> pd.DataFrame:
-    """A row for each order and packer, sorted. The orders are those given, and those for which any packer has a plan.
+    """A row for each order and packer, sorted. The orders are those of the caller, and all with a plan of any packer.
 
     Args:
-        against: the comparison of the plans with the orders given. None: no orders are given; the orders that the runs
-            were compared with are taken. If no run was compared with orders, an order has as many boxes as its largest
-            plan.
+        against: the comparison of the plans with the caller's orders. None: without the caller's orders, the orders of
+            the runs count. If no run was compared with orders, an order has as many boxes as its largest plan.
 
     Returns:
         ``plan_id``, ``packer``, ``order_boxes`` of the order, ``verdict`` (also ``missing``), ``reason``, ``margin``,
@@ -134,7 +133,7 @@ def plans_of(runs: Mapping[str, RunResults], against: OrderComparison | None = N
 
 
 _OF_PLAN: Final = ("volume_m3", "extent_x_m", "extent_y_m", "height_m", "ordered_boxes", "left_out", "resized")
-"""Columns of the table ``plans`` of a run. Older runs and runs without orders lack some of them."""
+"""Columns of the table ``plans`` of a run. Older runs and runs without orders lack some of these columns."""
 
 
 def _worlds_of(runs: Mapping[str, RunResults]) -> pd.DataFrame:
@@ -161,10 +160,10 @@ def _carrier(runs: Mapping[str, RunResults]) -> Carrier | OwnCarrier:
 
 
 def _target_area_m2(by_order: Any, carrier: Carrier | OwnCarrier) -> FloatArray:
-    """The area of each row's target, the same for all packers of an order.
+    """The area of the target of each row, the same for all packers of an order.
 
-    It is the area of the carrier. With ``footprint`` it is the smallest of BED-BPP's targets on which the plans of all
-    packers fit; if none is large enough, it is the common extent of the plans.
+    This area is that of the carrier. With ``footprint`` it is the smallest of BED-BPP's targets on which the plans of
+    all packers fit; if none is large enough, it is the common extent of the plans.
     """
     x, y = (by_order[f"extent_{axis}_m"].transform("max").to_numpy(np.float64) for axis in "xy")
     area: FloatArray = x * y

@@ -71,8 +71,8 @@ class Comparison:
         worlds, boxes: differences |b - a|, one row per metric and group: ``metric``, ``unit``, ``group``, ``n``,
             ``mean`` of b - a with its sign (null for ``SIGNLESS`` metrics), ``median``, ``p95``, ``largest`` of |b -
             a|; and the place of the largest difference: ``plan_id``, ``variant`` (``box``), with the two values ``a``
-            and ``b``. Null if a group has no value of the metric. Only plans that are the same in both runs count.
-        other_plans: ids of common plans that are not the same in both runs.
+            and ``b``. Null if a group has no value of the metric. Only plans that are equal in both runs count.
+        other_plans: ids of common plans that differ between the runs.
         only_a, only_b: plan_id and variant of worlds that only one run has.
         same_reason, same_culprit: how many of the ``n_not_stable`` worlds that are stable in neither run have the same
             reason, and the same first box.
@@ -114,7 +114,7 @@ class Comparison:
 
     @property
     def flips_within(self) -> float | None:
-        """The smallest x for which each flip has a ``margin`` within ±x in one of the runs; None if no flip has a
+        """The smallest x so that each flip has a ``margin`` within ±x in one of the runs; None if no flip has a
         margin."""
         nearer = self.flips[["margin_a", "margin_b"]].abs().min(axis=1).max()
         return None if pd.isna(nearer) else float(nearer)
@@ -252,7 +252,7 @@ def _differences(joined: pd.DataFrame, columns: Sequence[Column], key: Sequence[
 
 
 def _other_plans(run_a: RunResults, run_b: RunResults, both: pd.DataFrame, boxes: pd.DataFrame) -> list[str]:
-    """Ids of common plans that are not the same in both runs, sorted.
+    """Ids of common plans that differ between the runs, sorted.
 
     Plans are compared by digest. Runs that were written without plans have no digests; then the number of boxes and the
     items are compared.

@@ -1,8 +1,8 @@
-"""Changes that may help where a plan fails (``proposals``): the cause says which boxes are changed, and how.
+"""Changes that may repair a plan (``proposals``): the cause of its failure determines boxes and changes.
 
-A load that goes beyond an edge has a box that bears it, the box with whose placement it goes beyond, the supports, and
-the boxes on top. These are moved, turned, exchanged, placed elsewhere or at another time; other boxes are put under an
-overhang. Statics and simulation judge the proposals, so a proposal need only be possible, not good.
+To a load beyond an edge belong its box, the box whose placement moves it beyond, the supports, and the boxes on top.
+These boxes are moved, turned, exchanged, placed elsewhere or at another time; other boxes are put under an overhang.
+Statics and simulation judge the proposals, so a proposal need only be possible, not good.
 """
 
 from __future__ import annotations
@@ -33,10 +33,10 @@ SPARE_MM: Final = (2.0, 6.0, 12.0, 25.0)
 """How far inside the edge a load is moved. A robot's places have an error of 2 mm (docs/confidence.md)."""
 
 STEPS_MM: Final = (10.0, 20.0, 30.0, 45.0, 60.0, 80.0, 100.0, 130.0, 160.0, 200.0)
-"""Further ways by which boxes are moved."""
+"""Further ways for moves of boxes."""
 
 MOST_PLACES: Final = 12
-"""Other places for one box: the lowest ones, and among these those with the largest support."""
+"""Other places for one box: the lowest places, and of equal heights those with the largest support."""
 
 LEAST_SUPPORT: Final = 0.5
 """Smallest supported share of a base at another place."""
@@ -61,11 +61,11 @@ class Target(NamedTuple):
 
 @dataclass(frozen=True)
 class Limits:
-    """What proposals may use.
+    """Limits and inputs of proposals.
 
     Attributes:
         kinds: kinds of changes that are allowed.
-        most_move_mm: the longest way along x or y by which a box is moved.
+        most_move_mm: the longest move of a box along x or y.
         sheet_mm, sheet_kg_m2: thickness and mass of a tie sheet.
     """
 
@@ -80,12 +80,12 @@ def targets(
 ) -> list[Target]:
     """The causes of a failure, the likeliest first.
 
-    Loads that went beyond an edge before the world ended count if the culprit or another box that fell lies on their
-    box, or is it. Boxes that float or overlap in the plan count, too. If there is nothing of the kind, the culprit and
-    its supports count.
+    Loads that went beyond an edge before the world ended count if their box is, or bears, the culprit or another fallen
+    box. Boxes that float or overlap in the plan count, too. Without such loads or boxes, the culprit and its supports
+    count.
 
     Args:
-        culprit: number of the first box over a limit; None: not known.
+        culprit: number of the first box over a limit; None: unknown.
         fallen: numbers of all boxes over a limit.
         n_placed: boxes that were placed in the simulation.
     """
@@ -132,7 +132,7 @@ def proposals(draft: Draft, rules: Rules, target: Target, limits: Limits) -> Ite
 
 
 def _near(draft: Draft, rules: Rules, target: Target) -> list[int]:
-    """Boxes to change for a cause: its box, the box that comes too much, its supports, and the boxes on it."""
+    """Boxes to change for a cause: its box, the box that is too much, its supports, and the boxes on it."""
     box = target.box
     supports = np.flatnonzero(draft.on_top[:, box]).tolist()
     riders = sorted(np.flatnonzero(draft.on_top[box]).tolist(), key=lambda rider: draft.rank[rider])
@@ -161,7 +161,7 @@ def _orders(draft: Draft, target: Target) -> Iterator[Proposal]:
 
 
 def _neighbours(draft: Draft, box: int) -> list[int]:
-    """Boxes that stand beside a box, on supports of it or on the carrier."""
+    """Boxes that stand beside a box, on the same supports or on the carrier."""
     low, high = draft.corner_mm, draft.corner_mm + draft.size_mm
     gap = np.maximum(low[box] - high, low - high[box])
     beside = (gap.max(axis=1) <= 5 * TOLERANCE_MM) & np.isfinite(draft.rank)
@@ -170,7 +170,7 @@ def _neighbours(draft: Draft, box: int) -> list[int]:
 
 
 def _moves(draft: Draft, near: Sequence[int], target: Target, most_mm: float) -> Iterator[Proposal]:
-    """Boxes alone, and with what stands on them, along x and y, and along both at once."""
+    """Moves of boxes alone, and with the boxes on them, along x and y, and along both at once."""
     needed = [math.ceil(target.depth_mm + spare) for spare in SPARE_MM] if target.depth_mm > 0 else []
     for box in near:
         riders = tuple(sorted(rider for rider in draft.above(box) if rider < draft.plan.n_boxes))
@@ -194,7 +194,7 @@ def _moves(draft: Draft, near: Sequence[int], target: Target, most_mm: float) ->
 
 
 def _pushes(draft: Draft, rules: Rules, target: Target, most_mm: float) -> Iterator[Proposal]:
-    """Boxes with what stands on them and with all that is in their way."""
+    """Moves of boxes with the boxes on them and with all boxes in their way."""
     depth = target.depth_mm
     lengths = [length for length in (*(math.ceil(depth + spare) for spare in SPARE_MM[:3]), 45.0) if length <= most_mm]
     supports = np.flatnonzero(draft.on_top[:, target.box]).tolist()
@@ -211,8 +211,8 @@ def _pushes(draft: Draft, rules: Rules, target: Target, most_mm: float) -> Itera
 
 
 def _pushed(draft: Draft, box: int, dx_mm: float, dy_mm: float, *, alone: bool) -> set[int]:
-    """Numbers of the boxes that move if a box does: what stands on it (unless it is moved ``alone``), and what is in
-    the way, with what stands on that."""
+    """Numbers of the boxes that move if a box does: the boxes on it (unless it is moved ``alone``), and the boxes in
+    the way, with all boxes on those."""
     low, high = draft.corner_mm, draft.corner_mm + draft.size_mm
     way = np.array([dx_mm, dy_mm, 0.0])
     present = np.isfinite(draft.rank)
@@ -250,7 +250,7 @@ def _free_ways_mm(draft: Draft, box: int, riders: Sequence[int]) -> tuple[float,
 
 
 def _turns(draft: Draft, near: Sequence[int]) -> Iterator[Proposal]:
-    """Boxes turned about their middles, and with one of their corners kept."""
+    """Boxes turned about their middles, and about one of their corners."""
     for box in near:
         x, y = draft.corner_mm[box, :2].tolist()
         length, width = draft.size_mm[box, :2].tolist()
@@ -263,13 +263,14 @@ def _turns(draft: Draft, near: Sequence[int]) -> Iterator[Proposal]:
 
 
 def _exchanges(draft: Draft, rules: Rules, near: Sequence[int]) -> Iterator[Proposal]:
-    """Boxes exchanged with any other one, each as it lies or turned, at the left or the right of the other's place."""
+    """Boxes exchanged with any other box, both with or without a turn, at the left or the right of the other's
+    place."""
     for box, other in itertools.product(near, draft.order):
         if other == box or other < rules.built or other >= draft.plan.n_boxes or (other in near and other < box):
             continue
         uneven = abs(draft.size_mm[box, 2] - draft.size_mm[other, 2]) > TOLERANCE_MM
         if _alike(draft, box, other) or (uneven and not (draft.is_bare[box] and draft.is_bare[other])):
-            continue  # what lies on one of two boxes of different heights would float, or overlap
+            continue  # a box on one of two boxes of different heights would float, or overlap
         for turn, other_turn in itertools.product((False, True), repeat=2):
             size, other_size = _size(draft, box, turn), _size(draft, other, other_turn)
             if (turn and size[0] == size[1]) or (other_turn and other_size[0] == other_size[1]):
@@ -311,8 +312,8 @@ def _triple(values: FloatArray) -> tuple[float, float, float]:
 
 
 def _places(draft: Draft, rules: Rules, near: Sequence[int]) -> Iterator[Proposal]:
-    """Boxes on which nothing stands, at other places, placed when they were or as the last ones; and boxes that hang in
-    the air, where they would come to lie."""
+    """Boxes with free tops, at other places, placed at the same time as before or last; and floating boxes, at the
+    place where they would come to lie."""
     free = draft.is_bare
     for box in near:
         if not free[box]:
@@ -329,7 +330,7 @@ def _places(draft: Draft, rules: Rules, near: Sequence[int]) -> Iterator[Proposa
 
 
 def _pile_places(draft: Draft, rules: Rules, box: int) -> Iterator[Proposal]:
-    """A box with all that stands on it alone at other places."""
+    """A box with all boxes that stand on it alone, at other places."""
     pile = lifted_with(draft, box)
     rest = [number for number in draft.order if number not in pile]
     if len(pile) > MOST_TOGETHER or not rest or min(pile) < rules.built or max(pile) >= draft.plan.n_boxes:
@@ -344,10 +345,10 @@ def _pile_places(draft: Draft, rules: Rules, box: int) -> Iterator[Proposal]:
 def _resting_corners(
     draft: Draft, rules: Rules, box: int, below: int | None = None
 ) -> Iterator[tuple[bool, tuple[float, float, float]]]:
-    """Places where a box would rest on the carrier or on other boxes: whether it is turned there, and its corner.
+    """Places of rest for a box on the carrier or on other boxes: whether it is turned, and its corner.
 
     Args:
-        below: a box under which it must fit; None: it comes to lie on top.
+        below: the box above the place; None: the place is on top.
     """
     others = np.array([number for number in draft.order if number not in (box, below)], int)
     low, high = draft.corner_mm[others], (draft.corner_mm + draft.size_mm)[others]
@@ -408,7 +409,7 @@ def _shared_mm2(x: FloatArray, y: FloatArray, size: FloatArray, corner: FloatArr
 
 
 def _props(draft: Draft, rules: Rules, target: Target) -> Iterator[Proposal]:
-    """Boxes on which nothing stands, put under a box that hangs over, before it is placed."""
+    """Boxes with free tops, put under a box that hangs over, before it is placed."""
     free = draft.is_bare
     sizes = dict.fromkeys((*map(float, draft.size_mm[box]), float(draft.mass_kg[box])) for box in draft.order)
     for size in sizes:
@@ -442,7 +443,7 @@ def _sheets(draft: Draft, thick_mm: float, kg_m2: float) -> Iterator[Proposal]:
 
 
 def lifted_with(draft: Draft, box: int) -> list[int]:
-    """A box and all that would have nothing under it without it, the supports first."""
+    """A box and all boxes that would lose their support without it, the supports first."""
     lifted = [box]
     kept = [number for number in draft.order if number != box]
     while True:
@@ -460,7 +461,7 @@ def lifted_with(draft: Draft, box: int) -> list[int]:
 
 
 def _omissions(draft: Draft, rules: Rules, near: Sequence[int]) -> Iterator[Proposal]:
-    """Boxes left out, with all that would then have nothing under it."""
+    """Boxes left out, with all boxes that would lose their support."""
     for box in near:
         left = lifted_with(draft, box)
         if len(left) < len(draft.order) and min(left) >= rules.built:
@@ -468,8 +469,8 @@ def _omissions(draft: Draft, rules: Rules, near: Sequence[int]) -> Iterator[Prop
 
 
 def relocation(draft: Draft, rules: Rules, sim: Simulation, box: int) -> Proposal | None:
-    """A box and all that stands on it alone, lifted off and put elsewhere one after the other, each at the lowest place
-    at which by statics nothing goes beyond an edge; None: there is no such place for one of them."""
+    """A box and all boxes that stand on it alone, put elsewhere one by one, each at the lowest place at which statics
+    finds no load beyond an edge; None: a box without such a place."""
     lifted = lifted_with(draft, box)
     if len(lifted) > MOST_TOGETHER or min(lifted) < rules.built or max(lifted) >= draft.plan.n_boxes:
         return None

@@ -1,4 +1,4 @@
-"""``petmjx.repair``: what to change in plans so that they stand."""
+"""``petmjx.repair``: changes that make plans stand."""
 
 from __future__ import annotations
 
@@ -28,13 +28,14 @@ from petmjx.results.plan_lookup import plans_in_place
 from petmjx.results.share_intervals import wilson_interval
 
 OF_READING: Final = (*READING, "articles", "limit", "strict")
-"""Fields of ``RunOptions`` that say how plans are read."""
+"""Fields of ``RunOptions`` about the reading of plans."""
 
 AT_ONCE: Final = 64
 """Plans that are repaired at the same time: their trials share runs of the engine, which fills a GPU."""
 
 GOOD_SHARE: Final = 0.75
-"""A repair that stands in this share of worlds with errors is taken without comparing it with others as short."""
+"""A repair that stands in this share of worlds with errors is chosen without a comparison with equally short
+repairs."""
 
 SHOWN: Final = (
     ShownColumn("plan_id", "plan"),
@@ -55,12 +56,12 @@ class Repaired:
     """One plan and its repair.
 
     Attributes:
-        before: the plan as it was.
-        plan: the repaired plan; the plan as it was if it stands already, or if no repair is known.
-        changes: the changes, in the order in which they are made. Undoing any one of them gives a plan that falls, or
-            that is not allowed (boxes overlap, float, …).
+        before: the plan before the repair.
+        plan: the repaired plan; the plan itself if it stands already, or without a known repair.
+        changes: the changes, in order. Without any one of them the plan falls, or is not allowed (boxes overlap, float,
+            …).
         trial_before, trial_after: the simulation of both; after: None if no repair is known.
-        share_before, share_after: worlds with errors in which both stand; None: not simulated.
+        share_before, share_after: shares of worlds with errors in which the two plans stand; None: not simulated.
         n_trials: plans that were simulated.
     """
 
@@ -85,7 +86,7 @@ class Repaired:
 
     @property
     def left_out(self) -> tuple[int, ...]:
-        """Boxes that are left out: their numbers in the plan as it was."""
+        """Boxes that are left out: their numbers in the original plan."""
         return tuple(box for change in self.changes if change.kind is Kind.LEAVE_OUT for box in change.boxes)
 
     @property
@@ -94,7 +95,7 @@ class Repaired:
         return next((change.turns for change in reversed(self.changes) if hasattr(change, "turns")), None)
 
     def undone(self, number: int) -> Plan | None:
-        """The plan with all changes but one; None if the others cannot be made without it.
+        """The plan with all changes but one; None if the others are impossible without it.
 
         Raises:
             InputError: there is no such change.
@@ -152,8 +153,8 @@ class Repairs:
     """The result of ``petmjx.repair``.
 
     Attributes:
-        each: the result of each plan, in the order of the input.
-        skipped: a line for each plan that could not be read.
+        each: the result for each plan, in the order of the input.
+        skipped: a line for each unreadable plan.
         how: the options of the simulation, for pages and pictures.
     """
 
@@ -163,7 +164,7 @@ class Repairs:
 
     @property
     def plans(self) -> list[Plan]:
-        """All plans, repaired where a repair is known, for ``petmjx.score`` and ``petmjx.save_plans``."""
+        """All plans, repaired if a repair is known, for ``petmjx.score`` and ``petmjx.save_plans``."""
         return [repaired.plan for repaired in self.each]
 
     @property
@@ -315,11 +316,11 @@ def _with_shares(searches: Sequence[Search], question: Question, options: Repair
 
 
 def _likeliest(searches: Sequence[Search], question: Question) -> list[State | None]:
-    """The repair of each search that is chosen; None: there is none.
+    """The repair of each search chosen; None: no repair.
 
-    Of repairs with the same number of changes it is the cheapest one that stands often enough with errors; if none
-    does, the one that stands most often. What is chosen as the best of several looks better than it is. So these errors
-    are others than those of the shares that are reported: errors depend on the plan's id.
+    Of repairs with the same number of changes, the cheapest that stands often enough with errors is chosen; without
+    one, the repair that stands most often. The best of several looks better than it is. So the choice uses other random
+    errors than the reported shares: errors depend on the plan's id.
     """
     shares: list[list[Share]] = [[] for _ in searches]
     rows = [row for row, search in enumerate(searches) if len(search.repairs) > 1]

@@ -1,11 +1,11 @@
 """The search for the smallest change that makes a plan stand.
 
-A beam of changed plans is simulated, until one stands. Each step changes a plan where it fails: statics ranks what may
-help there, and the best ranked changes are judged at once, by one short simulation each. What stands is scored. Then
-changes that are not needed are taken back, so that without any one of those that are left the plan falls.
+A beam of changed plans is simulated, until one stands. Each step changes a plan at the place of its failure: statics
+ranks the possible changes, and the best ranked are judged at once, by one short simulation each. Standing plans are
+scored. Then needless changes are taken back, so that the plan falls without any one of the remaining changes.
 
 ``search`` is a generator: it yields drafts to be simulated and is sent their trials. So the searches of many plans can
-share runs of an engine. What is simulated depends on the plan and the options alone, not on the time that it takes.
+share runs of an engine. The simulated plans depend only on the plan and the options, not on time.
 """
 
 from __future__ import annotations
@@ -32,11 +32,11 @@ from petmjx.repairs.trials import Asked, Trial
 Asking = Generator[list[Asked], list[Trial], None]
 
 BEAM: Final = 4
-"""Changed plans that are changed further in each step."""
+"""Number of changed plans that are changed further in each step."""
 
 AT_ONCE: Final = (24, 48, 96)
-"""Changed plans that are judged at once in a step: the best ranked ones, then more as long as none of these has more
-standing boxes. Where one stands as many as at first are judged besides, for the choice by errors."""
+"""Number of changed plans that are judged at once in a step: the best ranked first, then more until one has more
+standing boxes. If one stands, this many more are judged for the choice by errors."""
 
 CONFIRMED_AT_ONCE: Final = 6
 """Plans that stand when judged, and are scored at once."""
@@ -45,20 +45,20 @@ MOST_FINALISTS: Final = 4
 """Repairs with the least number of changes that are compared with errors."""
 
 MOST_UNDONE: Final = 8
-"""Changes of all these repairs together, each of which is undone and scored: of long repairs fewer are compared."""
+"""Limit of changes in all compared repairs, each of which is undone and scored: of long repairs fewer are compared."""
 
 PER_DRIVE: Final = 6
-"""Trials as which a plan counts that is scored with a drive: such plans cannot be judged in less time."""
+"""A plan that is scored with a drive counts as this many trials: no short simulation can judge it."""
 
 PER_COST: Final = 0.3
 """Weight of a change's cost in the ranking, against loads beyond edges."""
 
 SAME_COST: Final = 0.1
-"""Repairs whose costs differ by less count as equally cheap: 50 mm of a way. The one that is likelier to stand with
+"""Repairs whose costs differ by less count as equally cheap: 50 mm of a move. The one that is likelier to stand with
 errors is taken."""
 
 UNSOLVED: Final = 3.0
-"""Weight of the first cause if it is still there."""
+"""Weight of the first cause if it remains."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -103,9 +103,9 @@ class Search:
 
     Attributes:
         plan: the plan.
-        before: its simulation; None: not known yet.
-        repairs: the repairs with the fewest changes, the best first; empty: there is none. Undoing any one change of a
-            repair gives a plan that falls, or that is not allowed.
+        before: the simulation of the plan; None: unknown yet.
+        repairs: the repairs with the fewest changes, the best first; empty: there is none. Without any one change of a
+            repair the plan falls, or is not allowed.
         n_trials: simulated plans.
     """
 
@@ -158,7 +158,7 @@ class Search:
     # ------------------------------------------------------------------ film
 
     def _wrapped(self, start: State) -> Generator[list[Asked], list[Trial], list[State]]:
-        """The fewest turns of film with which the plan survives the profile; empty: there is no such number."""
+        """The fewest turns of film with which the plan survives the profile; empty: no such number."""
         low, high = math.floor(self.film_turns), self.options.most_turns
         if high <= low:
             return []
@@ -183,10 +183,10 @@ class Search:
     def _changed(
         self, beam: list[State], kinds: frozenset[Kind], most_trials: int, *, rebuilds: bool = False
     ) -> Generator[list[Asked], list[Trial], tuple[list[State], list[State]]]:
-        """Plans that stand after changes of these kinds, and the plans with the most standing boxes if none does.
+        """Plans that stand after changes of these kinds, and without such plans those with the most standing boxes.
 
         Args:
-            rebuilds: whether piles may be put elsewhere box by box, with a change for each.
+            rebuilds: whether piles may be put elsewhere box by box, with one change per box.
         """
         options = self.options
         limits = Limits(kinds, options.most_move_mm, options.sheet_mm, options.sheet_kg_m2)
@@ -199,7 +199,7 @@ class Search:
             for count in AT_ONCE:
                 batch = _batch(queues, min(count, last - self.n_trials))
                 states = yield from self._judged(batch)
-                if any(state.trial.stands for state in states):  # further ones may stand more often with errors
+                if any(state.trial.stands for state in states):  # further plans may stand more often with errors
                     more = _batch(queues, min(AT_ONCE[0], last - self.n_trials))
                     batch, states = batch + more, states + (yield from self._judged(more))
                     standing = yield from self._confirmed(states)
@@ -222,8 +222,8 @@ class Search:
         return [State(c.draft, c.changes, trial) for c, trial in zip(batch, trials, strict=True)]
 
     def _stripped(self, state: State) -> Generator[list[Asked], list[Trial], list[State]]:
-        """The state without the boxes that fall, left out one after the other with all that stands on them, until the
-        rest stands; empty: boxes that stand already fall. It always ends, since each step leaves out a box."""
+        """The state without the boxes that fall, left out one by one with all boxes on them, until the remaining boxes
+        stand; empty: boxes that stand already fall. The loop always ends, since each step leaves out a box."""
         while not state.trial.stands:
             box = state.trial.culprit
             if box is None:
@@ -242,14 +242,14 @@ class Search:
         return [state]
 
     def _confirmed(self, states: list[State]) -> Generator[list[Asked], list[Trial], list[State]]:
-        """Score states that stand when judged, those with few changes first, until some are confirmed. Returns those;
-        the others that were scored get the trial of the score. With a drive all were scored."""
+        """Score states that stand when judged, those with few changes first, until some are confirmed. Returns the
+        standing ones; other scored states get the trial of the score. With a drive all were scored."""
         ways: Counter[tuple[object, ...]] = Counter()
         queue = []
         numbers = [k for k, state in enumerate(states) if state.trial.stands]
         for k in sorted(numbers, key=lambda k: (len(states[k].changes), -self._chance(states[k]), states[k].cost)):
             way = _way(states[k])
-            queue.append((len(states[k].changes), ways[way], k))  # one of each way first
+            queue.append((len(states[k].changes), ways[way], k))  # one change of each way first
             ways[way] += 1
         queue.sort(key=lambda place: place[:2])
         if self.options.profile is not None:
@@ -296,7 +296,7 @@ class Search:
             for change in proposal:
                 changes = with_change(changes, change)
             draft = drafts[number]
-            if len(changes) < len(state.changes) + len(proposal):  # some became one: the whole list says the same
+            if len(changes) < len(state.changes) + len(proposal):  # some changes became one
                 merged = applied(self._start, changes)
                 if merged is None or _key(merged) != _key(draft):
                     changes = (*state.changes, *proposal)
@@ -308,7 +308,8 @@ class Search:
         return ranked
 
     def _relocations(self, draft: Draft, cause: Target) -> Iterator[Proposal]:
-        """Piles put elsewhere box by box: that of the box that does not hold, and that of the box that is too much."""
+        """Piles put elsewhere box by box: the pile of the box that does not hold, and the pile of the box that is too
+        much."""
         for box in dict.fromkeys((cause.box, cause.cause)):
             if box in draft.order and draft.on_top[box].any():
                 relocated = relocation(draft, self.rules, self.sim, box)
@@ -318,7 +319,7 @@ class Search:
     # ------------------------------------------------------------------ the end
 
     def _finished(self, standing: Sequence[State]) -> Asking:
-        """Take back what is not needed, and keep the repairs with the fewest changes."""
+        """Take back needless changes, and keep the repairs with the fewest changes."""
         fewest = min(len(state.changes) for state in standing)
         short = [state for state in standing if len(state.changes) == fewest]
         pruned = []
@@ -330,7 +331,7 @@ class Search:
         self.repairs = tuple(sorted(different.values(), key=lambda state: math.floor(state.cost / SAME_COST)))
 
     def _reduced(self, state: State) -> Generator[list[Asked], list[Trial], State]:
-        """The state without groups of changes that are not needed: halves first, then smaller ones."""
+        """The state without groups of needless changes: halves first, then smaller groups."""
         size = len(state.changes) // 2
         shorter = state
         while size > 1:
@@ -349,7 +350,7 @@ class Search:
     def _trials_of(
         self, lists: Sequence[tuple[Change, ...]], *, judged: bool = False
     ) -> Generator[list[Asked], list[Trial], list[State]]:
-        """The states with these lists of changes, of which some cannot be made and others are not allowed."""
+        """The states with these lists of changes, without impossible and forbidden ones."""
         made = [(draft, changes) for changes in lists if (draft := applied(self._start, changes)) is not None]
         allowed = self.rules.allow([draft for draft, _ in made])
         made = [pair for pair, good in zip(made, allowed, strict=True) if good]
@@ -359,7 +360,7 @@ class Search:
         return [State(draft, changes, trial) for (draft, changes), trial in zip(made, trials, strict=True)]
 
     def _pruned(self, state: State) -> Generator[list[Asked], list[Trial], State]:
-        """The state without changes that are not needed, one by one."""
+        """The state without needless changes, tried one by one."""
         while len(state.changes) > 1:
             some = [(*state.changes[:k], *state.changes[k + 1 :]) for k in range(len(state.changes))]
             standing = [shorter for shorter in (yield from self._trials_of(some)) if shorter.trial.stands]
@@ -379,8 +380,8 @@ def _way(state: State) -> tuple[object, ...]:
 
 
 def _batch(queues: Sequence[list[_Candidate]], count: int) -> list[_Candidate]:
-    """Take candidates off ranked queues, as many off each: the first one of each way to change a box, then the second
-    one of each. What statics ranks first are often many amounts of one move."""
+    """Take equally many candidates off each ranked queue: the first of each way to change a box, then the second of
+    each. The first candidates by statics are often one move by many amounts."""
     batch = []
     for queue in queues:
         ways: Counter[tuple[object, ...]] = Counter()
@@ -398,7 +399,7 @@ def _batch(queues: Sequence[list[_Candidate]], count: int) -> list[_Candidate]:
 
 
 def _different(states: Sequence[State], count: int) -> list[State]:
-    """The first states, of those with the same changes by other amounts only the first one."""
+    """The first states; of states with the same changes by different amounts only one."""
     return [*{_way(state): state for state in reversed(states)}.values()][::-1][:count]
 
 

@@ -1,7 +1,7 @@
-"""The options of ``petmjx.score`` and ``petmjx.sweep`` for type checkers: their names and types.
+"""The options of ``petmjx.score`` and ``petmjx.sweep`` for type checkers: their names, and what each takes.
 
-Written by ``make options`` (tools/option_types.py) from the records in petmjx/options, which check and describe the
-values. Do not edit.
+Written by ``make options`` (tools/option_types.py) from the records in petmjx/options, which check the values and
+say what they mean. Do not edit.
 """
 
 from __future__ import annotations
