@@ -1,7 +1,7 @@
 """Compiled filling of packings: :meth:`petmjx.packers.packing_state.Packing.fill` in C++ (fill.cpp).
 
-Warp compiles the code, once for a machine. It puts the same boxes into the same places as Python, to the last bit. If
-that is not certain, Python fills up the packing.
+Warp compiles the code, once for a machine. The compiled code puts the same boxes into the same places as Python, to the
+last bit. If that is not certain, Python fills up the packing.
 """
 
 from __future__ import annotations

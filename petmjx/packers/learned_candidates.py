@@ -1,8 +1,8 @@
 """Candidates of the packer ``learned``: extreme points seen from all four corners of the target.
 
-At an extreme point (Crainic, Perboli, Tadei 2008) a box touches its neighbours on the sides that face the origin. So a
-pile grows from one corner, and leaves its free space in slivers along the opposite edges. Here the pile is also
-mirrored, so that points are found from the three other corners as well.
+At an extreme point (Crainic, Perboli, Tadei 2008) a box touches its neighbours on the sides that face the origin. With
+points of one kind a pile grows from one corner, and leaves its free space in slivers along the opposite edges. Here the
+pile is also mirrored, so that points are found from the three other corners as well.
 """
 
 from __future__ import annotations
@@ -23,8 +23,8 @@ from petmjx.packers.pile_balance import SHARE_SLACK, TOUCH_MM
 from petmjx.plans.order_generator import Item
 
 LEAST_SUPPORT: Final = 0.2
-"""Least supported share of a base. It may be low, since two other rules decide: the balance, and the chance to stand by
-the stability head."""
+"""Least supported share of a base. The least support may be low, since two other rules decide: the balance, and the
+chance to stand by the stability head."""
 
 COARSE_MM: Final = 50.0
 
@@ -159,7 +159,7 @@ class FourSidedStream(ItemStream):
         )
 
     def keeps_balance(self, places: Places, row: int) -> NextCandidate | None:
-        """The candidate in a row, if the pile keeps its balance with it; None: a box would lose its balance."""
+        """The candidate in a row, if the pile keeps its balance with this box; None: a box would lose its balance."""
         point, shape = int(places.point[row]), int(places.shape[row])
         x, y, z = places.corner_mm[row].tolist()
         length, width = self._base[shape].tolist()

@@ -1,4 +1,5 @@
-"""The packer ``learned``: learned weights rank the candidates, and a small network predicts which of them stand.
+"""The packer ``learned``: learned weights rank the candidates, and a small network predicts the chance of each to
+stand.
 
 It was trained on generated orders only (examples/train_packer), with physics in the loop. In use it runs no simulation
 and is deterministic: an order has one plan.
@@ -42,7 +43,8 @@ SURE: Final = 0.98
 """The best candidate whose chance to stand is at least this is taken."""
 
 LEAST_SURE: Final = 0.5
-"""If no candidate reaches ``SURE``, the one with the largest chance is taken, if its chance is at least this."""
+"""If no candidate reaches ``SURE``, the candidate with the largest chance is taken if this chance is at least
+``LEAST_SURE``."""
 
 MOST_TRIED: Final = 16
 """Largest number of candidates whose chance is computed, if none reaches ``SURE``."""
@@ -66,7 +68,7 @@ class ChosenCandidate(NamedTuple):
 
 
 class Decision(NamedTuple):
-    """One step: the rated candidates, their features, and the candidate that is taken."""
+    """One step: the rated candidates, their features, and the chosen candidate."""
 
     places: Places
     rows: FloatArray
@@ -97,7 +99,7 @@ class Policy:
     def take(self, stream: FourSidedStream, places: Places, scores: FloatArray) -> ChosenCandidate | None:
         """The best candidate that keeps the balance and has at least the chance ``SURE``.
 
-        If there is none among the first ``MOST_TRIED``, the one with the largest chance. None: no chance reaches
+        Without one among the first ``MOST_TRIED``, the candidate with the largest chance. None: no chance reaches
         ``LEAST_SURE``.
         """
         surest: ChosenCandidate | None = None
@@ -128,7 +130,7 @@ class Policy:
         return None
 
     def choose(self, stream: FourSidedStream) -> NextCandidate | None:
-        """The candidate that is taken in one step; None: no visible box has a place."""
+        """The chosen candidate of one step; None: no visible box has a place."""
         decision = self.decide(stream)
         return None if decision is None else decision.chosen.next
 
@@ -177,7 +179,7 @@ def pack_learned(
     """Place the items on a target of ``extent_mm``, in order of arrival. Items without a place are left out.
 
     Args:
-        look_ahead: number of next boxes that the packer sees. Any of them may be placed next.
+        look_ahead: number of next boxes that the packer sees. Any visible box may be placed next.
         policy: a policy; None: the published one.
     """
     return pack_stream(

@@ -134,11 +134,11 @@ def pack(
         n, seed: number and seed of the generated orders.
         packer: ``physical`` or ``learned``.
         look_ahead: number of next boxes that ``learned`` sees; None: 1.
-        workers: number of processes for the search. It changes no plan. Scripts with more than one need
+        workers: number of processes for the search. The option changes no plan. Scripts with more than one process need
             ``if __name__ == "__main__":``.
         on_bad_order: called with the error of an unusable order, which is then skipped; None: the error is raised.
-        target: what orders are packed on whose file does not say it: ``euro-pallet``, ``rollcontainer``, or sizes in mm
-            such as ``1200x1000``; None: the file's container if it is a pallet, else a Euro pallet.
+        target: carrier of orders whose file names none: ``euro-pallet``, ``rollcontainer``, or sizes in mm such as
+            ``1200x1000``; None: the file's container if it is a pallet, else a Euro pallet.
         options: ``width``, ``branch``, ``clearances_mm``, ``worlds``, ``least_share``, ``maximise`` (docs/packers.md);
             ``errors``, a sweep file; fields of ``petmjx.Simulation``; ``engine``, ``threads``, ``lanes``; how a
             file of orders is read: ``units``, ``columns``, ``density``, ``items``, ``reading``
@@ -167,11 +167,11 @@ def pack_each(
     workers: int = 1,
     **options: Any,
 ) -> Iterator[PackedOrder]:
-    """The results of ``pack``, each as soon as it is known.
+    """The results of ``pack``, each as soon as known.
 
     Args:
         orders: pairs of an id and an order.
-        options: as in ``pack``. They are checked before the first order is taken.
+        options: as in ``pack``. The options are checked before the first order is read.
     """
     packer_options, how = _split_options(options)
     if packer not in (PHYSICAL, LEARNED):
@@ -193,7 +193,7 @@ def orders_of(
     """The orders of a file, or generated orders.
 
     Args:
-        reading: how a file is read that is not in BED-BPP's form; None: what is most plausible.
+        reading: the reading of a file that is not in BED-BPP's form; None: the most plausible reading.
     """
     integer_of(seed, "seed", 0)
     if orders is not None:
@@ -212,7 +212,7 @@ def reading_of(
     """How a file of orders is read, and the options that are left.
 
     Args:
-        are_read: whether there is a file; without one, none of these options may be given.
+        are_read: whether there is a file; False: these options must be missing.
 
     Raises:
         InputError: an option is unusable.

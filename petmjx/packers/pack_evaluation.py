@@ -17,7 +17,8 @@ SOURCE = "pack"
 """Source of the plans in messages, instead of a file's name."""
 
 FIRST_WORLDS: Final = 4
-"""Number of worlds with errors that are simulated first. They suffice to refuse most packings that fall too often."""
+"""Number of worlds with errors that are simulated first. These worlds suffice to refuse most packings that fall too
+often."""
 
 
 @dataclass(frozen=True)
@@ -29,7 +30,7 @@ class Evaluation:
         plan: the packing as a plan.
         verdict: the verdict of the nominal world, in which all boxes are placed exactly.
         n_worlds: number of worlds with errors that have a verdict.
-        n_standing: number of these worlds in which the plan stands.
+        n_standing: number of worlds with errors in which the plan stands.
         n_simulated: number of simulated worlds, including the nominal one and invalid ones.
     """
 
@@ -112,13 +113,13 @@ def order_evaluation(
     """Evaluate the packings of an order: yields requests for worlds, and returns the evaluations.
 
     The caller resumes the generator when all requested worlds have verdicts. Packings are evaluated one after the other
-    until one is good. Each begins with a few worlds, and gets the others only if it can still be good. If no packing is
-    good, all worlds of all packings are requested, since the packing that stands most often is then taken.
+    until one is good. Each begins with a few worlds, and gets the remaining worlds only if it can still be good. If no
+    packing is good, all worlds of all packings are requested, since the packing that stands most often is then taken.
 
     Args:
         finalists: packings of the order, the best first.
-        spare: whether the engine has spare capacity. Then worlds are requested before it is known whether they are
-            needed.
+        spare: whether the engine has spare capacity. With spare capacity, worlds are requested before they are
+            certainly needed.
     """
     tried: list[Trial] = []
     by_share = options.maximise == "share"
@@ -140,9 +141,11 @@ def order_evaluation(
 
 
 def decisive_evaluations(judged: Sequence[Evaluation], options: PhysicalOptions) -> Sequence[Evaluation]:
-    """The evaluations among which ``choose`` chooses. They do not depend on how many more packings were simulated.
+    """The evaluations among which ``choose`` chooses. The results do not depend on how many further packings were
+    simulated.
 
-    They end with the first good packing, since later ones are less dense. If the share is maximised, all count.
+    The evaluations end with the first good packing, since later ones are less dense. If the share is maximised, all
+    evaluations count.
     """
     good = next((number for number, packing in enumerate(judged) if packing.is_good(options)), None)
     return judged if good is None or options.maximise == "share" else judged[: good + 1]
@@ -157,8 +160,8 @@ def plan_of(plan_id: str, finalist: Finalist) -> Plan:
 def choose(judged: Sequence[Evaluation], options: PhysicalOptions) -> Evaluation:
     """The packing that is taken.
 
-    Among good packings it is the one with the largest volume, then with the largest value of ``options.maximise``. If
-    none is good, it is the one that stands most often.
+    Among good packings the choice is the largest volume, then the largest value of ``options.maximise``. Without a good
+    packing, the choice is the packing that stands most often.
 
     Args:
         judged: evaluations, at least one.

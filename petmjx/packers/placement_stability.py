@@ -23,7 +23,7 @@ NAMES: Final = (
 )
 
 MOST_GAP_MM: Final = 15.0
-"""Largest gap that counts. The errors of a robot are some millimetres, so neighbours further away have no effect."""
+"""Largest gap of a contact. The errors of a robot are some millimetres, so neighbours further away have no effect."""
 
 _MARGIN_M: Final = 0.05
 
