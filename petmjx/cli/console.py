@@ -70,7 +70,7 @@ def as_notes() -> Iterator[None]:
 
 @contextmanager
 def asking() -> Iterator[None]:
-    """Let a person at a terminal say which of two readings of a file is right."""
+    """Let a person at a terminal choose between two readings of a file."""
     if not (sys.stdin is not None and sys.stdin.isatty() and sys.stderr.isatty()):
         yield
         return

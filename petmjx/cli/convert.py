@@ -39,7 +39,7 @@ def convert(
     """Write packing plans in another form: BED-BPP's JSON, or a table with a row a box as CSV or Parquet.
 
     Plans that are read from the new file are the same to the last bit. Unusable plans are skipped, and the first ones
-    get a line each. The folder of a run stands for the plans that it simulated.
+    are listed, one line each. The folder of a run stands for the plans that it simulated.
 
     With --orders it writes a file of orders of any form as BED-BPP's, which all commands read without a guess.
     """

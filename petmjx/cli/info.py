@@ -41,11 +41,11 @@ def info(
     as_json: opt.JsonOption = False,
     **options: Any,
 ) -> None:
-    """Say what files of packing plans are, how they are read, and what is odd. Nothing is simulated.
+    """Explain files of packing plans: their kind, their reading, and their oddities. Nothing is simulated.
 
-    For files of other tools it names the columns, units, axes, anchor and turns, what was filled in, and the reading
-    that was next best. A file that can be read in two ways is refused, with both. Of a file of orders it says how
-    petmjx samples --orders reads it.
+    For files of other tools: the columns, units, axes, anchor and turns, the assumed values, and the next best reading.
+    A file with two possible readings is refused, and both are named. For a file of orders: how petmjx samples --orders
+    reads it.
     """
     from petmjx.plans.reading_files import reading_toml
     from petmjx.results.read_files import source_files

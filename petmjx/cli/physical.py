@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from petmjx.plans.item_orders import OrderReading
 
 MOST_NAMED: Final = 10
-"""Most orders of a kind that get a line each, or that one line names."""
+"""Largest number of orders with a line each, or in one line."""
 
 
 def write_physical(
@@ -47,7 +47,7 @@ def write_physical(
     try:
         with progress(n if orders is None else None) as bar:
             write_plans(out, plans())
-    finally:  # the errors say why there may be no plan to write
+    finally:  # the errors explain missing plans
         for error in bad:
             typer.echo(f"skipped: {printable(str(error))}", err=True)
     packed = Packed(tuple(packings))

@@ -47,7 +47,7 @@ def repair(
     as_json: opt.JsonOption = False,
     **options: Any,
 ) -> None:
-    """Say what to change in plans so that they stand: the smallest change that helps.
+    """Find the smallest changes that make plans stand.
 
     Changes are another order, another place or turn for a box, moves by some millimetres, exchanges of two boxes, tie
     sheets, turns of film (with --profile) and, as the last resort, boxes that are left out. Boxes have their numbers in

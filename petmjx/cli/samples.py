@@ -99,14 +99,14 @@ def samples(
 ) -> None:
     """Write packing plans with BED-BPP's statistics: drawn orders (43±14 boxes), packed by a packer.
 
-    Without --packer it is a mixed set: about half of it is packed too loosely on purpose, so that some plans stand and
-    some fall. Name the packer to compare it with others: then none is.
+    Without --packer the set is mixed: about half of the plans are packed too loosely on purpose, so that some plans
+    stand and some fall. Name the packer to compare it with others: then no plan is packed loosely.
 
-    The packer physical simulates several packings of each order and takes the densest that stands often enough; it
-    takes seconds an order on CPUs.
+    The packer physical simulates several packings of each order and picks the densest that stands often enough; this
+    takes seconds per order on CPUs.
 
-    The packer learned takes boxes in the sequence of the order, and sees --lookahead of them; the others see the whole
-    order.
+    The packer learned takes boxes in the sequence of the order, and sees --lookahead of them; the other packers see the
+    whole order.
 
     With --orders it packs the orders of a file instead. Boxes that find no
     place below 2 m are left out: a line for each such order says which (of drawn orders for the first 10).
@@ -159,7 +159,7 @@ def samples(
                 write_samples(out, n, loose_share=loose_share, progress=count, **how)
             else:
                 write_plans(out, pack_orders(orders, on_bad_order=bad.append, reading=reading, **how), progress=count)
-    finally:  # the errors say why there may be no plan to write
+    finally:  # the errors explain missing plans
         for error in bad:
             typer.echo(f"skipped: {printable(str(error))}", err=True)
     shown = left_out if orders is not None else left_out[:MOST_SHOWN]

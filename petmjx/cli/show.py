@@ -61,8 +61,8 @@ def show(
 ) -> None:
     """Show what happens to one plan: in words, as a page, in pictures, as a film.
 
-    The world is simulated as the run in DIR did, to the last bit, or with the options given here. Without an option of
-    what is drawn, its story is printed in the terminal.
+    The world is simulated as in the run in DIR, to the last bit, or with these options. Without an option for a
+    drawing, its story is printed in the terminal.
     """
     from petmjx.results.read_files import source_files
     from petmjx.show.pictures.picture_files import check_drawing
@@ -97,7 +97,7 @@ def _show_repair(
     """Repair a plan, and write the page with both sides.
 
     Args:
-        has_more: whether options were given that such a page does not have.
+        has_more: whether options are set that such a page lacks.
     """
     from petmjx.options.run_options import RunOptions, sorted_options
     from petmjx.options.simulation import Simulation
@@ -163,7 +163,7 @@ def _draw(story: Story, files: list[Path], look: dict[str, Any]) -> None:
             bars: list[ProgressSink] = []
 
             def count(done: int, total: int, shown: ExitStack = shown, bars: list[ProgressSink] = bars) -> None:
-                if not bars:  # films alone say how long they are, once they begin
+                if not bars:  # only films know their length, once they begin
                     bars.append(shown.enter_context(progress(total, "frame")))
                 bars[0].update(done)
 

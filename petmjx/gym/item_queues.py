@@ -12,17 +12,17 @@ from petmjx.common.units import FloatArray
 from petmjx.loop.order_sources import Boxes
 
 _MORE: Final = 32
-"""Number of boxes in the table beyond the visible ones. A row is refilled after this many boxes were taken."""
+"""Number of boxes in the table beyond the visible boxes. A row is refilled after the removal of this many boxes."""
 
 
 class Queues:
     """The boxes that n episodes have still to place.
 
     Args:
-        seen: how many boxes of each episode are visible.
+        seen: number of visible boxes of each episode.
 
     Attributes:
-        counts: (n,) number of boxes that are left.
+        counts: (n,) number of remaining boxes.
         left_out: (n,) number of boxes that had no legal place.
     """
 
@@ -43,7 +43,7 @@ class Queues:
         self._fill(row)
 
     def take(self, rows: NDArray[np.int64], places: NDArray[np.int64]) -> FloatArray:
-        """Remove the boxes at these places of queues. Returns their strengths, (m,) N; NaN: not given."""
+        """Remove the boxes at these places of queues. Returns their strengths, (m,) N; NaN: unknown."""
         first = self._first[rows]
         strength: FloatArray = self._next[rows, first + places, 4]
         for place in range(int(places.max(initial=0)), 0, -1):  # boxes before the taken one move up by a place
@@ -85,7 +85,7 @@ class Queues:
             self._fill(row)
 
     def _fill(self, row: int) -> None:
-        """Move the boxes of a row to its first column, and append as many boxes as have room."""
+        """Move the boxes of a row to its first column, and append as many boxes as there is room for."""
         boxes, table, behind = self._boxes[row], self._next[row], int(self._behind[row])
         here, first = int(self.counts[row]) - behind, int(self._first[row])
         table[:here] = table[first : first + here].copy()

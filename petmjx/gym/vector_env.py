@@ -1,4 +1,4 @@
-"""``petmjx/Palletizing-v0`` as a vector environment: n pallets a step, on one engine."""
+"""``petmjx/Palletizing-v0`` as a vector environment: n pallets per step, on one engine."""
 
 from __future__ import annotations
 
@@ -24,12 +24,12 @@ Info = dict[str, Any]
 
 
 class PalletizingVectorEnv(VectorEnv[Observation, NDArray[np.int64], NDArray[Any]]):
-    """The same as n ``PalletizingEnv``, to the last bit, with all pallets in one call.
+    """Equal to n ``PalletizingEnv``, to the last bit, with all pallets in one call.
 
     Args:
         num_envs: n.
-        autoreset_mode: when an ended episode begins anew: in the next step, which then does nothing else; in the same
-            step, with the last observation and information in ``info``; or when ``reset`` is called for it.
+        autoreset_mode: begin of the next episode: in the next step, which then does nothing else; in the same step,
+            with the last observation and information in ``info``; or on a call of ``reset``.
         render_mode: None or "rgb_array"; ``options``: as in ``PalletizingEnv``; the engine is ``auto`` unless one is
             named.
 
@@ -83,7 +83,7 @@ class PalletizingVectorEnv(VectorEnv[Observation, NDArray[np.int64], NDArray[Any
         if (seeds is not None and not isinstance(seeds, Sequence | np.ndarray)) or isinstance(seeds, str):
             raise InputError(f"seed must be a whole number or a list of them, {shown_value(seeds)}")
         if seeds is not None and len(seeds) != self.num_envs:
-            raise InputError(f"seed must have {self.num_envs} of them, got {len(seeds)}")
+            raise InputError(f"seed must have {self.num_envs} numbers, got {len(seeds)}")
         for row in rows.tolist():
             if seeds is not None and seeds[row] is not None:
                 self._rngs[row], _ = seeding.np_random(seeds[row])

@@ -60,8 +60,8 @@ class Host:
         return self._of_all(arguments, keeps=False)
 
     def _of_all(self, arguments: tuple[Any, ...], *, keeps: bool) -> list[NDArray[Any]]:
-        """All rows in one call. Under ``jax.vmap`` arrays have leading axes, of length 1 if all entries are the
-        same."""
+        """All rows are placed in one call. Under ``jax.vmap`` arrays have leading axes, of length 1 if all entries are
+        the same."""
         arrays = [(np.asarray(argument), beyond) for argument, beyond in zip(arguments, _BEYOND, strict=True)]
         shape = np.broadcast_shapes(*(values.shape[: values.ndim - beyond] for values, beyond in arrays))
         rows = []
@@ -120,7 +120,7 @@ class Host:
                 pinned.add(into[-1])
             if fresh:
                 self._placed(replace(request, pallet=np.array(into)).take(np.array(fresh)), np.array(slots)[fresh])
-            self._slots.update(world_of_key)  # only now, since they have their boxes
+            self._slots.update(world_of_key)  # only now, since the pallets have their boxes
             write_results(columns, rows, self._pallets.results(np.array(into)))
         return columns
 
@@ -134,7 +134,7 @@ class Host:
             raise
 
     def _slot(self, size: NDArray[Any], corner: NDArray[Any], mass: NDArray[Any], count: int, pinned: set[int]) -> int:
-        """The pallet that has these boxes. It joins ``pinned``, so that it is not reused."""
+        """The pallet that has these boxes. The world joins ``pinned``, so that it is not reused."""
         keys = [_key(size[:k], corner[:k], mass[:k]) for k in range(count + 1)]
         known = next((k for k in range(count, -1, -1) if keys[k] in self._slots), -1)
         slot = self._slots[keys[known]] if known >= 0 else -1

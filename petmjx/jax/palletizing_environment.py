@@ -31,7 +31,7 @@ MASKS: Final = {GEOMETRY: None, **{f"support_{100 * share:.0f}": share for share
 """Mask → smallest supported share of a base; None: any."""
 
 _DRAWN: Final = 256
-"""Number of orders that stand for endless ones, since a program has arrays of fixed sizes."""
+"""Number of orders instead of endless ones, since a program has arrays of fixed sizes."""
 
 _EDGE: Final = 1e-4
 """Share of a cell. A box that ends this near to a cell's edge counts as ending there, in single precision."""
@@ -185,7 +185,7 @@ class Palletizing:
         return state, TimeStep(first, jnp.float32(0.0), jnp.float32(1.0), self._observed(state), extras)
 
     def step(self, state: State, action: Int[Array, ""] | int) -> tuple[State, TimeStep[Observation]]:
-        """Put the next box onto the pallet. An action that the mask excludes, or that comes after the end, changes
+        """Put the next box onto the pallet. An action that the mask excludes, or after the end of the episode, changes
         nothing."""
         chosen = jnp.asarray(action)
         if chosen.shape != () or not jnp.issubdtype(chosen.dtype, jnp.integer):

@@ -25,8 +25,8 @@ class TimeStep(NamedTuple, Generic[ObservationT]):
 
     Attributes:
         step_type: a value of ``StepType``.
-        reward: reward of this step; 0 for the first one.
-        discount: 0 if the episode has terminated, else 1, also if it was truncated.
+        reward: reward of this step; 0 for the first step.
+        discount: 0 if the episode has terminated, else 1, also if truncated.
         observation: the observation after the step.
         extras: further values by name.
     """

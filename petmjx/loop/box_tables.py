@@ -1,4 +1,4 @@
-"""Tables of the boxes on many pallets, as they were requested."""
+"""Tables of the boxes on many pallets, as requested."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from petmjx.loop.placements import Placements
 from petmjx.plans.plan import Plan
 
 _AT_ONCE: Final = 512
-"""Number of pallets whose points are found at a time."""
+"""Number of pallets in one call for points."""
 
 
 class BoxTable:
@@ -61,7 +61,7 @@ class BoxTable:
         self._points.copy(sources, into)
 
     def find_points(self, pallets: NDArray[np.int64]) -> Points:
-        """The extreme points, up to date for all boxes of these pallets."""
+        """The up-to-date extreme points, for all boxes of these pallets."""
         points, rows = self._points, np.unique(pallets)
         rows = rows[np.argsort(self.count[rows], kind="stable")]  # together, pallets with few boxes have few points
         while len(rows := rows[points.boxes[rows] < self.count[rows]]):

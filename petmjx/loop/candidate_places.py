@@ -26,7 +26,7 @@ _Lowered = tuple[NDArray[np.intp], FloatArray, FloatArray, NDArray[np.bool_]]
 
 
 class Places(NamedTuple):
-    """c places, box after box, each box's lowest ones first, then those nearest to the origin.
+    """c places, box after box; for each box the lowest first, of equal ones the nearest to the origin.
 
     Attributes:
         row: (c,) index among the m requested boxes; ``pallet``: (c,) its pallet.
@@ -66,7 +66,7 @@ def free_places(
         of_each = points.count(placements.pallet)
     else:
         of_each = np.full(len(placements), len(grid))
-    order = np.argsort(count, kind="stable")  # pallets with few boxes are cheap if they come together
+    order = np.argsort(count, kind="stable")  # pallets with few boxes are cheap if computed together
     done = np.cumsum((of_each * (count + 1))[order])
     share = int(done[-1] // (2 * MOST_THREADS)) if len(order) else 0
     at_once = min(max(share, _WORTH_A_THREAD), _AT_ONCE)
@@ -141,8 +141,8 @@ def _lowered_boxes(
 
 
 def _over_hull(point: FloatArray, at: NDArray[np.intp], low: FloatArray, high: FloatArray) -> NDArray[np.bool_]:
-    """(c,) whether points lie over the convex hulls of rectangles. A point does if the corners, seen from it, leave no
-    gap of more than 180°.
+    """(c,) whether points lie over the convex hulls of rectangles. A centre lies over the hull if the corners, seen
+    from it, leave no gap of more than 180°.
 
     Args:
         point: (c, 2); ``at``: (q,) the point that each rectangle belongs to; ``low``, ``high``: (q, 2) ends of

@@ -63,7 +63,7 @@ class Errors:
 
 class PlacingErrors:
     """The errors of ``petmjx score --confidence`` for boxes that are put onto pallets for good: of place, rotation,
-    size and mass. The friction of a pallet stays as it is."""
+    size and mass. The friction of a pallet stays unchanged."""
 
     def __init__(self, sim: Simulation) -> None:
         self._sweep = confidence_sweep(1, None, dict(sim))
@@ -71,7 +71,8 @@ class PlacingErrors:
         self._change = replace(variant.placement, friction_rel=ZERO)
 
     def scene(self, scene: Scene, number: int, strength: float) -> Scene:
-        """A scene whose last box has the error of this number, times a strength. With strength 0 it has none."""
+        """A scene whose last box has the error of this number, times a strength. With strength 0 the box has no
+        error."""
         if strength == 0:
             return scene
         errors: dict[str, Any] = {
@@ -118,7 +119,7 @@ def drive_of(drive: Any, level: Any, direction_deg: Any, sim: Simulation) -> Dri
 
     Args:
         drive: the name of a built-in profile, a ``Drive``, or None.
-        level: its strength, in the unit given in docs/profiles.md, such as g for ``eumos-40509``.
+        level: strength of the drive, in the unit of docs/profiles.md, such as g for ``eumos-40509``.
 
     Raises:
         InputError: an unknown profile, a family, or a value that is not a number.

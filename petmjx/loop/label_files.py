@@ -1,4 +1,4 @@
-"""Files of labels: a Parquet table for each split, and a card that says what is in them, and how good rules are."""
+"""Files of labels: a Parquet table for each split, and a card with their content, and the accuracy of rules."""
 
 from __future__ import annotations
 
@@ -34,10 +34,11 @@ _REPORTED: Final = 50
 """Labels between two reports of progress."""
 
 MOST_JUDGED: Final = 1_000
-"""Most labels of the last split on which baselines are judged."""
+"""Largest number of labels of the last split for judging baselines."""
 
 RULES: Final = ("support_50", "support_75", "support_100", "centre", "equilibrium")
-"""Criteria (docs/criteria.md) that are baselines. ``equilibrium`` is asked of all boxes, the others of the new one."""
+"""Criteria (docs/criteria.md) that are baselines. ``equilibrium`` is evaluated for all boxes, all other criteria for
+the new box."""
 
 
 def label_files(folder: Path) -> dict[str, Path]:
@@ -101,7 +102,7 @@ def write_labels(
 
 
 def _remove_if_empty(folder: Path) -> None:
-    with suppress(OSError):  # it has files, as usual
+    with suppress(OSError):  # the folder has files
         folder.rmdir()
 
 
@@ -138,7 +139,7 @@ def _lists(values: Sequence[NDArray[Any] | None], kind: pa.DataType) -> pa.Array
 
 
 class _Tally:
-    """What is in a split."""
+    """Content of a split."""
 
     def __init__(self) -> None:
         self.labels, self.stand, self.fall = 0, 0, 0
@@ -175,8 +176,8 @@ def _card(labeller: Labeller, source: str | Path, tally: dict[str, _Tally], judg
 
 
 def baselines(labels: Sequence[Label]) -> dict[str, dict[str, float | int]]:
-    """How well rules and ``petmjx.placement_stability`` say which placements stand: name → number of labels, and shares
-    of standing and of falling ones that are found, and their mean. Empty if no label stands, or none falls.
+    """Accuracy of rules and of ``petmjx.placement_stability`` for placements: name → number of labels, and shares of
+    standing and of falling placements that are found, and their mean. Empty if no label stands, or none falls.
 
     ``placement_stability`` was trained for boxes that a robot places inexactly; above 0.5 the new box stands for it.
     """

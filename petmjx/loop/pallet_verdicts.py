@@ -22,10 +22,10 @@ class SettledEngine(Engine):
     other attempts.
 
     On ``mjx-warp`` a world does not depend on how its boxes were put in. On ``mujoco`` waiting boxes are in a world's
-    model, and affect the last digits. So nothing is taken from open worlds there if digits count.
+    model, and affect the last digits. So for exact digits no attempt comes from open worlds there.
 
     Args:
-        plans: open world → the plan whose boxes it has.
+        plans: open world → the plan with the same boxes.
         to_the_bit: whether outcomes must have the digits of a score.
     """
 

@@ -24,7 +24,7 @@ class PalletWorlds:
 
     Attributes:
         worlds: world i is pallet i, and world n + i is pallet i before its last box; the last world stays empty.
-        boxes: the boxes of the pallets, as they were requested.
+        boxes: the boxes of the pallets, as requested.
         bounds: bounds on placements.
         dead: (n,) whether a pallet has fallen.
         calm: (n,) whether a pallet rests where its plan is.
@@ -39,9 +39,9 @@ class PalletWorlds:
         self.dead: NDArray[np.bool_] = np.zeros(n, bool)
         self.calm: NDArray[np.bool_] = np.full(n, self._decidable)
         self.placing = False
-        self._error: NDArray[np.int64] = np.zeros((n, most_boxes), np.int64)  # of each box, as in ``place``
+        self._error: NDArray[np.int64] = np.zeros((n, most_boxes), np.int64)  # values of each box, as in ``place``
         self._strength: FloatArray = np.zeros((n, most_boxes))
-        self._before: NDArray[np.int64] = np.full(n, -1, np.int64)  # boxes in world n + i; -1: it is unused
+        self._before: NDArray[np.int64] = np.full(n, -1, np.int64)  # boxes in world n + i; -1: unused
         self.worlds = engine.open([EmptyCarrier(sim).scene] * (2 * n + 1), sim, most_boxes)
         self.worlds.go_on()
 
@@ -107,7 +107,7 @@ class PalletWorlds:
         return outcomes
 
     def decided(self, placements: Placements) -> NDArray[np.int8]:
-        """(m,) what the bounds say of placements."""
+        """(m,) bounds of placements."""
         return self.bounds.of(placements, self.calm[placements.pallet])
 
     def has_errors(self, pallet: int) -> bool:
@@ -115,7 +115,7 @@ class PalletWorlds:
         return bool(self._strength[pallet, : self.boxes.count[pallet]].any())
 
     def take_back(self, rows: NDArray[np.int64]) -> None:
-        """Take the last box off each of these pallets, which must have one."""
+        """Take the last box off each of these pallets, each of which must have a box."""
         left = self.boxes.count[rows] - 1
         kept = self._before[rows] == left
         if kept.any():

@@ -16,7 +16,7 @@ from petmjx.show.table_layout import FittedTable, TableColumn, line, number
 
 
 def comparison_tables(comparison: Comparison, max_rows: int = 40) -> Iterator[RenderableType]:
-    """All tables and lines. At most ``max_rows`` worlds are listed as flipped, or as being in one run only."""
+    """All tables and lines. At most ``max_rows`` worlds are listed as flipped, or as present in one run only."""
     yield line(f"a  {comparison.a}")
     yield line(f"b  {comparison.b}")
     for note in comparison.notes:

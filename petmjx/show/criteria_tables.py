@@ -14,14 +14,14 @@ from petmjx.engines.metrics import DIMENSIONLESS
 from petmjx.show.table_layout import FittedTable, TableColumn, line, number, percent
 
 SHOWN_SKIPPED = 10
-"""Most skipped plans that are shown; ``criteria.json`` has all of them."""
+"""Largest number of skipped plans shown; ``criteria.json`` has all of them."""
 
 
 def criteria_tables(results: CriteriaResults, out: str | None = None) -> Iterator[RenderableType]:
     """All tables and lines: the answers of the criteria, and with a run their comparison with physics.
 
     Args:
-        out: the folder with the tables, if they were written.
+        out: the folder with the tables, if written.
     """
     skipped = results.info["skipped"]
     for message in skipped[:SHOWN_SKIPPED]:
@@ -54,7 +54,7 @@ def _says_table(results: CriteriaResults) -> FittedTable:
         TableColumn("least\nslack"),
         TableColumn("", "left"),
         TableColumn("in plan", "left", least=12, middle=True, spare=1),
-        title="what the criteria say: a plan is accepted if all its boxes are stable at their placement",
+        title="answers of the criteria: a plan is accepted if all its boxes are stable at their placement",
     )
     for criterion in results.criteria:
         accepted = results.plans[criterion.name]

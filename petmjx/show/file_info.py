@@ -1,4 +1,4 @@
-"""What files of packing plans are, how they are read and what is odd: records and lines of ``petmjx info``."""
+"""The kind of files of packing plans, their reading and their oddities: records and lines of ``petmjx info``."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ def file_infos(paths: Sequence[Path], options: Mapping[str, Any]) -> tuple[list[
 
 
 def _orders_line(path: Path, options: Mapping[str, Any]) -> str:
-    """How a file without plans is read as orders, or in which two ways; "": it holds no orders."""
+    """The reading of a file without plans as orders, or its two possible readings; "": no orders."""
     bad: list[InputError] = []
     try:
         reading = OrderReading.of(RunOptions(**{name: options[name] for name in OF_ORDERS if name in options}))
@@ -110,9 +110,10 @@ def _info(plan_set: PlanSet, source: str) -> dict[str, Any]:
 
 
 def _why_worse(reading: Reading, other: Reading) -> str:
-    """Why another reading is less plausible than the one that was chosen: what its names, units or boxes cost more."""
+    """The reason why another reading is less plausible than the chosen one: its larger costs of names, units or
+    boxes."""
     more, of_layout = other.cost - reading.cost, other.layout_cost - reading.layout_cost
-    what = "by its boxes" if of_layout > more / 2 else "by names, units and what is usual"
+    what = "by its boxes" if of_layout > more / 2 else "by names, units and usual values"
     return f"less plausible {what} (cost {reading.cost:.1f} against {other.cost:.1f})" if more > 0 else "as plausible"
 
 

@@ -16,7 +16,7 @@ from petmjx.show.table_layout import FittedTable, TableColumn, line, number, per
 
 
 def load_tables(loads: Loads, out: str | None = None) -> Iterator[RenderableType]:
-    """The worlds with the largest loads relative to the strength of a box, and a line with the counts.
+    """The worlds with the largest ratios of load to strength of a box, and a line with the counts.
 
     Args:
         out: folder of the files, if any were written.

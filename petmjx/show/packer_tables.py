@@ -24,7 +24,7 @@ def packer_tables(comparison: PackerComparison, max_rows: int = 40) -> Iterator[
         yield line(f"note: {note}", style="yellow")
     yield from _not_compared(comparison)
     if not comparison.packers["n"].any():
-        return  # a note says why
+        return  # a note has the reason
     yield ""
     yield _packers_table(comparison)
     if KPIS[0] in comparison.packers:
@@ -130,7 +130,7 @@ def _pairs_table(comparison: PackerComparison) -> FittedTable:
 
 
 def _arrival_tables(comparison: PackerComparison) -> Iterator[RenderableType]:
-    """How likely plans arrive, if they were taken through a chain: by packer, and differences of each two."""
+    """The chance of plans in a chain to arrive: by packer, and differences of pairs."""
     table = FittedTable(
         TableColumn("packer", "left", least=8, middle=True),
         TableColumn("P"),

@@ -19,10 +19,10 @@ from petmjx.runs.sweep_axes import AXIS_KINDS
 from petmjx.show.table_layout import FittedTable, TableColumn, number, percent
 
 FEW_ROWS: Final = 40
-"""Most worlds or searches for which a table with one row each is shown."""
+"""Largest number of worlds or searches for a table with one row each."""
 
 MAX_VALUES: Final = 50
-"""Most axis values that are shown; ``summary`` has all of them."""
+"""Largest number of axis values shown; ``summary`` has all of them."""
 
 _QUANTILES: Final = {"min": 0.0, "25 %": 0.25, "median": 0.5, "75 %": 0.75, "max": 1.0}
 
@@ -73,8 +73,7 @@ def _headers(names: Sequence[str]) -> list[TableColumn]:
 def shares_table(summary: pd.DataFrame) -> FittedTable:
     """The share that stands, for each value of each axis with several values, over all plans.
 
-    A share refers to the worlds in the column before it: worlds with a verdict, or worlds that EUMOS's limits were
-    applied to.
+    A share refers to the worlds in the column before it: worlds with a verdict, or worlds checked by EUMOS's limits.
     """
     overall = summary[summary["scope"] == ALL_PLANS]
     several = overall.groupby("axis")["value"].transform("size") > 1
@@ -147,8 +146,8 @@ def confidence_table(summary: pd.DataFrame) -> FittedTable:
 
 
 def chain_tables(summary: pd.DataFrame) -> Iterator[FittedTable]:
-    """The tables of a chain: a row for each plan, if there are few; then all plans leg by leg, and what remedies
-    gain."""
+    """The tables of a chain: a row for each plan, if these are few; then all plans leg by leg, and the gains by
+    remedies."""
     of_plans = arrivals(summary)
     if len(of_plans) <= FEW_ROWS:
         yield arrivals_table(summary, of_plans)
@@ -161,8 +160,8 @@ def chain_tables(summary: pd.DataFrame) -> Iterator[FittedTable]:
 
 
 def arrivals_table(summary: pd.DataFrame, of_plans: pd.DataFrame) -> FittedTable:
-    """One row per plan: how likely it arrives, its share of worlds that stand after each leg that they reached, and
-    where most of them fail."""
+    """One row per plan: its chance to arrive, the share that stands after each leg among the worlds that reached it,
+    and the leg of most failures."""
     shares = shares_by_leg(summary)
     drawn = bool(of_plans["low"].notna().any())
     table = FittedTable(
@@ -210,7 +209,7 @@ def legs_table(legs: pd.DataFrame) -> FittedTable:
 
 
 def remedies_table(remedies: pd.DataFrame) -> FittedTable:
-    """One row per remedy over all plans, the one that gains most first."""
+    """One row per remedy over all plans, the largest gain first."""
     table = FittedTable(
         TableColumn("remedy", "left", least=16),
         TableColumn("P"),
@@ -270,7 +269,7 @@ def _cell(value: object) -> str:
 
 
 def _quantile(levels: FloatArray, q: float) -> str:
-    """A quantile of rising levels. NaN levels come first and count as below all others."""
+    """A quantile of rising levels. NaN levels stand first and count as below all other levels."""
     if not len(levels):
         return "-"
     place = q * (len(levels) - 1)
@@ -307,7 +306,7 @@ def answers_table(summary: pd.DataFrame) -> FittedTable:
 
 
 def laboratory_table(summary: pd.DataFrame) -> FittedTable:
-    """One row per search with EUMOS's test: what a laboratory reports of the largest level survived."""
+    """One row per search with EUMOS's test: the values that a laboratory reports at the largest level survived."""
     varied = _varied_columns(summary)
     table = FittedTable(
         TableColumn("plan", "left", least=20, middle=True),
@@ -339,8 +338,8 @@ LABORATORY_LEVELS_G: Final = (0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8)
 
 
 def turns_table(summary: pd.DataFrame) -> FittedTable:
-    """How many turns of film each plan needs: the fewest of those tried with which it survives a level in every
-    direction. "none": it does not with any."""
+    """The turns of film that each plan needs: the smallest tested number with which it survives a level in every
+    direction. "none": the plan survives with no tested number."""
     least = summary.fillna({"largest_level_g": 0.0}).groupby(["plan_id", "wrap_turns"], sort=False)["largest_level_g"]
     survived = least.min().unstack("wrap_turns")
     tested = np.fmax(summary["largest_level_g"].max(), summary["first_failed_level_g"].max())

@@ -23,7 +23,7 @@ class TableColumn:
     Attributes:
         header: heading, which may have several lines.
         justify: alignment of its cells.
-        least: shortest length to which its texts may be cut, in characters; None: its cells are never cut.
+        least: shortest length of cut texts, in characters; None: cells are never cut.
         middle: whether texts are cut in the middle, for names that differ at the end. Otherwise they are cut at the
             end.
         spare: 0: the column always stays. Otherwise it may be left out; columns with the largest value go first.
@@ -39,8 +39,8 @@ class TableColumn:
 class FittedTable:
     """A table without lines that is never wider than the terminal.
 
-    If the terminal is too narrow, texts are cut first. Then spare columns are left out, and a line below the table
-    names them. Numbers are cut only if even the remaining columns do not fit.
+    If the terminal is too narrow, texts are cut first. If cells are still too wide, spare columns are left out, and a
+    line below the table names them. Numbers are cut only if even the remaining columns do not fit.
     """
 
     def __init__(self, *columns: TableColumn, title: str = "", caption: str = "") -> None:
@@ -117,7 +117,7 @@ def _fits(text: Iterable[str], width: int) -> int:
 
 
 def line(text: str, style: str = "") -> Text:
-    """A line, or a long text in a cell. It is wrapped if it does not fit."""
+    """A line, or a long text in a cell. The line is wrapped if too long."""
     return Text(printable(text), style=style, overflow="fold")
 
 

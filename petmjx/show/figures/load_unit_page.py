@@ -1,6 +1,6 @@
-"""A page to send about each load unit of a chain, as PDF: its four sides, how likely it arrives, and what is assumed.
+"""A page to send about each load unit of a chain, as PDF: its four sides, its chance to arrive, and the assumptions.
 
-``petmjx report DIR --pdf FILE`` writes it, with matplotlib. docs/chains.md shows what stands on it.
+``petmjx report DIR --pdf FILE`` writes it, with matplotlib. docs/chains.md shows an example.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ from petmjx.world.profiles.accelerations import EN_12195_FORWARD_G, EN_12195_SID
 A4_IN: Final = (8.27, 11.69)
 
 MOST_PAGES: Final = 50
-"""Most plans of one file, a page each."""
+"""Largest number of plans in one file, one page each."""
 
 LETTERS: Final = 100
 """Letters of a line of text."""
@@ -53,7 +53,7 @@ def write_load_unit_pages(run: RunResults, plans: Mapping[str, Plan], path: Path
         plans: the plans of the run, by id.
 
     Raises:
-        InputError: the run is no chain, has too many plans, or none that was found.
+        InputError: the run is no chain, has too many plans, or none was found.
     """
     if not is_chain(run.info) or run.summary is None:
         raise InputError(f"{run.path}: a page to send is about a chain: petmjx score PLANS --chain NAME")
@@ -195,7 +195,7 @@ def _remedies(run: RunResults, plan: Plan) -> list[str]:
 
 
 def _assumed(run: RunResults) -> list[str]:
-    """The chain in words: errors, legs, and what the model leaves out."""
+    """The chain in words: errors, legs, and the limits of the model."""
     sweep = run.info["config"]["sweep"]
     errors = ", ".join(f"{name} {_value(value)}" for name, value in sweep["axes"].items())
     lines = [f"Chain {printable_name(str(sweep['name']))}; {PLACING} with {errors or 'no errors'}."]

@@ -1,4 +1,4 @@
-"""A figure of packers: the share of each that stands, and the difference of each two, with intervals."""
+"""A figure of packers: the share of standing plans of each packer, and the differences of pairs, with intervals."""
 
 from __future__ import annotations
 

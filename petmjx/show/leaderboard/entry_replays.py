@@ -82,7 +82,7 @@ class Sample:
     fault: str = ""
 
     def with_replays(self, more: Collection[Replay]) -> Sample:
-        """The sample with further replays. A plan that it already has counts once."""
+        """The sample with further replays. A plan that is already in the sample counts once."""
         known = {replay.plan_id for replay in self.replays}
         return replace(self, replays=(*self.replays, *(replay for replay in more if replay.plan_id not in known)))
 
@@ -90,9 +90,9 @@ class Sample:
     def refusal(self) -> str:
         """Why the entry is not rated, in one line; "" if it is rated.
 
-        One different verdict that is not near a threshold refutes the run if the sample is ``exact``. Otherwise it
-        takes several of them. Several different verdicts near a threshold refute it if more than half of all replays
-        differ.
+        One different verdict that is not near a threshold refutes the run if the sample is ``exact``. Otherwise several
+        different verdicts refute it. Several different verdicts near a threshold refute it if more than half of all
+        replays differ.
         """
         differing = [replay for replay in self.replays if replay.differs]
         firm = [replay for replay in differing if not replay.near]
@@ -140,9 +140,9 @@ def sample_entry(
     Args:
         most: number of plans. As many more are simulated if a verdict differs on an engine other than the run's.
         sim: simulation options of the board.
-        options: run options of the board. If they name no engine, the run's engine is used if it can run here, else
-            ``mujoco``.
-        wanted: ids of the plans that count; None: all.
+        options: run options of the board. If the options name no engine, the run's engine is used if it can run here,
+            else ``mujoco``.
+        wanted: ids of the plans to sample; None: all.
     """
     config = entry.run.info.get("config", {})
     engine = options.engine if "engine" in options.model_fields_set else str(config.get("engine"))

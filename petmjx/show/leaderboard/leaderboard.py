@@ -44,7 +44,7 @@ from petmjx.show.leaderboard.leaderboard_page import Board, StoryEntry, board_pa
 from petmjx.show.pages.story_page import story_page
 
 MOST_STORIES: Final = 100
-"""Most stories of each packer. A story is a page of 0.1 to 1 MB."""
+"""Largest number of stories of each packer. A story is a page of 0.1 to 1 MB."""
 
 
 def leaderboard(
@@ -64,25 +64,24 @@ def leaderboard(
 
     ``petmjx.leaderboard({"mine": "mine.json"}, "board", orders="orders.json", baselines=True)``
 
-    The folder has ``index.html``, ``leaderboard.json`` with the same numbers, and the pages of stories. It also has
-    everything that is needed to make it again: ``plans/``, ``orders.json``, and the command in the page.
+    The folder has ``index.html``, ``leaderboard.json`` with the same numbers, and the pages of stories. The folder also
+    has everything for making the board again: ``plans/``, ``orders.json``, and the command in the page.
 
     Plans are scored into ``runs/`` in this folder. Runs that exist already are taken over, but ``replays`` of their
-    plans are simulated again. An entry whose run these contradict is not rated, and a ``PlanWarning`` says so.
+    plans are simulated again. An entry whose run the replays contradict is not rated, and a ``PlanWarning`` says so.
 
     Args:
         packers: name → folder of a run, or plans. Without names, packers are named after their folders and files.
         out: folder of the site.
-        orders: file of the plans' orders, in any form. The rating is about them, and KPIs are added. Without them, the
-            rating is about the orders for which any packer has a plan, so a packer's rating depends on the other
-            packers.
+        orders: file of the plans' orders, in any form. The rating is about them, and KPIs are added. Without orders,
+            the rating counts the orders with a plan of any packer, so a packer's rating depends on the other packers.
         baselines: also pack the orders with each of petmjx's packers.
         repairs: names of packers whose plans are also repaired (docs/repair.md) and rated, as the entry
             ``NAME-repaired``.
-        stories: how many plans of each packer get a page. Plans that fall while another packer's plan of the order
+        stories: number of plans of each packer with a page. Plans that fall while another packer's plan of the order
             stands come first.
-        replays: how many plans of each entry are simulated again, unless the board has just scored the entry. They are
-            drawn at random. The options are those given, or those that all runs have.
+        replays: number of plans of each entry that are simulated again, unless the board has just scored the entry.
+            The plans are drawn at random. The options are those of the call, or those of all runs.
         watch: packer → a context manager with the watcher of its run.
         overwrite: replace an existing leaderboard.
         options: options of ``petmjx.score``, for plans that are scored.
@@ -195,7 +194,7 @@ def _rated_entries(
 
 
 def _options_of(of_simulation: Mapping[str, Any], entries: Sequence[Entry]) -> Simulation:
-    """The simulation options of the board: those given, else those of its runs if all runs have the same."""
+    """The simulation options of the board: those of the call, else those of its runs if all runs agree."""
     settings = [entry.run.info.get("config", {}).get("simulation") for entry in entries]
     if of_simulation or not isinstance(settings[0], Mapping) or any(setting != settings[0] for setting in settings):
         return Simulation(**of_simulation)
@@ -219,7 +218,7 @@ def _entries(
 
 
 def _is_same(source: Path, target: Path) -> bool:
-    """Whether the given file of orders is the board's own file."""
+    """Whether a file of orders is the board's own file."""
     return source.exists() and target.is_file() and not target.is_symlink() and source.samefile(target)
 
 
@@ -251,7 +250,7 @@ def _stories(
 def worth_telling(comparison: PackerComparison, packer: str, plans: Mapping[str, Any]) -> list[str]:
     """Plans of a packer in the order in which they get stories. First come plans that do not stand while another
     packer's plan does, then other plans that do not stand, then plans that stand while another packer's plan does not,
-    then the rest. In each group the largest plans come first."""
+    then all other plans. In each group the largest plans come first."""
     mine = comparison.plans[(comparison.plans["packer"] == packer) & comparison.plans["plan_id"].isin(list(plans))]
     lost = set(comparison.decided.loc[comparison.decided["lost_by"] == packer, "plan_id"])
     falls = mine["verdict"] == Verdict.UNSTABLE.value

@@ -29,7 +29,7 @@ UNFINISHED: Final = "unfinished"
 
 _MOST_BYTES: Final = 1 << 30
 _NO_FILE: Final = ".none"
-"""A name in a run's folder that no file has. It is used to check the path to the folder."""
+"""A name in a run's folder that no file has. The parent is used to check the path to the folder."""
 
 
 def names_of(packers: Collection[str], stories: int, orders: bool) -> list[str]:

@@ -117,7 +117,7 @@ class Board:
 
     @property
     def command(self) -> str:
-        """The command that makes the board again in another folder. It is to be run in the board's folder."""
+        """The command that makes the board again in another folder. The command runs in the board's folder."""
         theirs = [entry.name for entry in self.entries if entry.name in self.digests and not entry.ours]
         words = ["petmjx", "leaderboard", *(f"{name}={PLANS}/{name}.json" for name in theirs)]
         words += ["--orders", ORDERS] if self.orders else []

@@ -1,4 +1,4 @@
-"""The page of how files were read: a picture of a plan, columns, units and axes, and the other readings."""
+"""The page about the reading of files: a picture of a plan, columns, units and axes, and the other readings."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ _WORDS: Final = {
 
 
 def reading_page(plan_set: PlanSet, infos: Sequence[Mapping[str, Any]]) -> str:
-    """One offline HTML file that shows how files were read.
+    """One offline HTML file that shows the reading of files.
 
     Args:
         infos: the records of ``petmjx.show.file_info.file_infos``.

@@ -100,7 +100,7 @@ def framed_corners(story: Story) -> tuple[FloatArray, FloatArray]:
 
 
 def story_blocks(story: Story) -> dict[str, str]:
-    """The blocks that the script reads by ``readBlock``: ``frames``, and ``contacts`` if they were recorded."""
+    """The blocks that the script reads by ``readBlock``: ``frames``, and ``contacts`` if recorded."""
     blocks = {"frames": block(_frames(story, thresholds_of(story)))}
     if story.history.contacts is not None:
         blocks["contacts"] = block(_contacts(story.history.contacts))

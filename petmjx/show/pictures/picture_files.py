@@ -50,8 +50,8 @@ def draw(story: Story, *files: str | os.PathLike[str], progress: Progress | None
         The paths of the files.
 
     Raises:
-        InputError: an unknown ending or option, a moment that the story does not have, a file that cannot be written,
-            or a missing library.
+        InputError: an unknown ending or option, a moment beyond the story, a file that cannot be written, or a missing
+            library.
     """
     look = PictureOptions(**options)
     paths = [path_of(file, "files") for file in files]
@@ -91,7 +91,7 @@ def check_files(paths: Sequence[Path]) -> None:
 
 
 def why_nothing_is_drawn() -> str:
-    """Why this machine cannot draw pictures and films; "" if it can."""
+    """The reason why this machine cannot draw pictures and films; "" if it can."""
     if missing := _missing("png"):
         return missing
     try:

@@ -45,7 +45,7 @@ class BoxBlocks:
 
     Attributes:
         blocks: name → block. The k-th drawn world is world k % ``WORLDS_PER_BLOCK`` of block "boxes-N".
-        drawn: (rows of the table,) number of the row's world among the drawn worlds; −1 if it is not drawn.
+        drawn: (rows of the table,) number of the row's world among the drawn worlds; −1: not drawn.
         without_boxes: number of worlds that were left out because there are too many.
     """
 
@@ -55,7 +55,7 @@ class BoxBlocks:
 
 
 def box_blocks(runs: Sequence[ReportRun], table: pd.DataFrame, most: int = MOST_BOXES) -> BoxBlocks:
-    """Pack the boxes of those worlds in a table whose plans were found.
+    """Pack the boxes of the worlds in a table, if their plans were found.
 
     Args:
         table: the second result of :func:`petmjx.show.report.plan_rows.table_rows`.
@@ -72,7 +72,7 @@ def box_blocks(runs: Sequence[ReportRun], table: pd.DataFrame, most: int = MOST_
 
 
 def _drawn_rows(runs: Sequence[ReportRun], table: pd.DataFrame, most: int) -> tuple[NDArray[np.int64], int]:
-    """Rows of the table that are drawn, and the number of worlds that were left out because there are too many."""
+    """Rows of the table that are drawn, and the number of worlds left out because of their number."""
     known = np.zeros(len(table), dtype=bool)
     for at, run in enumerate(runs):
         if not run.results.keeps_boxes:

@@ -1,4 +1,4 @@
-"""The kinds of charts in a report. Other modules decide what they show."""
+"""The kinds of charts in a report. Other modules choose their content."""
 
 from __future__ import annotations
 
@@ -61,7 +61,7 @@ def histogram(
     """Bars of the number of worlds by value, with the classes stacked. Sets the frame's y scale.
 
     Args:
-        classes: class of each world, such as its verdict. It is also the class of the bar in the style sheet.
+        classes: class of each world, such as its verdict. The class of a bar also exists in the style sheet.
         order: classes from the lowest bar upwards.
     """
     edges = frame.x.edges(BINS)
@@ -149,7 +149,7 @@ class Bar:
 
 
 def bars(title: str, rows: Sequence[Bar], *, width: int = WIDTH, names: int = 130) -> Markup:
-    """A bar chart with names on the left. Long names are cut; pointing at a name shows all of it.
+    """A bar chart with names on the left. Long names are cut; pointing at a name shows the whole name.
 
     Args:
         names: width for names, pixels.
@@ -220,7 +220,7 @@ def stacked_bars(title: str, rows: Sequence[tuple[str, Sequence[tuple[str, int, 
 
 
 def _row_name(name: str, y: float) -> Markup:
-    """The name of a row. Pointing at it shows all of it."""
+    """The name of a row. Pointing at a part shows its whole text."""
     letters = MOST_LETTERS
     short = name if len(name) <= letters else name[: letters - 1] + "…"
     return element("text", element("title", name), short, x=0, y=y, class_="halo")

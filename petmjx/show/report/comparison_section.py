@@ -19,14 +19,14 @@ from petmjx.show.report.svg_charts import figure
 from petmjx.show.report.verdict_shares import plan_link
 
 MOST_FLIPS: Final = 50
-"""Most flipped verdicts that are listed. The table of plans has all of them."""
+"""Most flipped verdicts that are listed. The table of plans has all boxes of the articles."""
 
 MOST_PAIRS: Final = 28
 """Most pairs of runs that are drawn: the pairs of eight runs."""
 
 
 def comparison_section(runs: Sequence[ReportRun]) -> Markup:
-    """The section that compares several runs by the plans that all of them have."""
+    """The section that compares several runs by their common plans."""
     if len(runs) < 2:
         return NOTHING
     common = common_verdicts(runs)
@@ -176,7 +176,7 @@ def _flips(runs: Sequence[ReportRun], pair: Comparison) -> Markup:
     a, b = (run.name for run in runs)
     caption = f"Flipped verdicts ({len(flips):,})"
     caption += f": the first {MOST_FLIPS}" if len(flips) > MOST_FLIPS else ""
-    within = None if pair.other_plans else pair.flips_within  # it measures how similar two simulations of one plan are
+    within = None if pair.other_plans else pair.flips_within  # measures how similar two simulations of one plan are
     note = (
         "" if within is None else f"Each has a margin within ±{three_digits(within)} of a threshold in one of the runs."
     )

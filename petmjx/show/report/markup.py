@@ -29,7 +29,7 @@ def escaped_markup(text: str) -> Markup:
 
 
 def joined_markup(*parts: Content) -> Markup:
-    """Parts one after the other."""
+    """Parts in order."""
     return Markup("".join(escaped_markup(part) for part in parts if part is not None))
 
 

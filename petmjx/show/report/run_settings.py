@@ -12,7 +12,7 @@ from petmjx.show.report.markup import NOTHING, Content, Markup, element, joined_
 from petmjx.show.report.report_runs import Kind, ReportRun
 
 MOST_LINES: Final = 20
-"""Most skipped plans, warnings or files that are listed. Further ones are only counted."""
+"""Most skipped plans, warnings or files that are listed. Further options are only counted."""
 
 
 def about(run: ReportRun) -> Markup:

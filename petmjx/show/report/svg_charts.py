@@ -74,8 +74,8 @@ class Scale:
         return np.asarray((clipped - self.low) / (self.high - self.low))
 
     def edges(self, bins: int) -> FloatArray:
-        """(bins + 1,) edges of bins that look equally wide. For counts there may be fewer bins, each with the same
-        number of counts.
+        """(bins + 1,) edges of bins that look equally wide. Counts may have fewer bins, each with the same number of
+        counts.
 
         A scale of counts begins half a unit below a count, so that each count lies within a bin. The last bin may end
         beyond the scale.
@@ -118,7 +118,7 @@ def _label(value: float, step: float) -> str:
 
 @dataclass
 class Frame:
-    """A chart that is being drawn: two axes and marks between them.
+    """A chart under construction: two axes and marks between them.
 
     Attributes:
         title: title of the chart, and its name for screen readers.
@@ -150,7 +150,7 @@ class Frame:
         self.marks += marks
 
     def line(self, x: ArrayLike, y: ArrayLike, class_: str) -> None:
-        """A line through points; it is broken where a value is missing."""
+        """A line through points; a missing value breaks the line."""
         self.add(element("path", d=path(*self.at(x, y)), class_=class_))
 
     def band(self, x: ArrayLike, low: ArrayLike, high: ArrayLike, class_: str) -> None:

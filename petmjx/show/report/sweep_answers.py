@@ -95,7 +95,7 @@ def _has_numeric_values(summary: pd.DataFrame, axis: str) -> bool:
 
 
 def _curve(axis: str, summary: pd.DataFrame, over_plans: pd.DataFrame, run: ReportRun) -> Markup:
-    """Shares along a numeric axis, with the run's interval over random draws if it has one, else with an interval over
+    """Shares along a numeric axis, with the run's interval over random draws if any, else with an interval over
     plans."""
     draws, plans = (_rows(frame, axis) for frame in (summary, over_plans))
     drawn = bool(draws["low"].notna().all())
@@ -142,7 +142,8 @@ def _with_unit(axis: str, unit: str) -> str:
 
 
 def importance(worlds: pd.DataFrame, axes: Sequence[str], summary: pd.DataFrame) -> pd.DataFrame:
-    """How much each axis, and the choice of the plan, affects whether a world stands. The most important comes first.
+    """How much each axis, and the choice of the plan, affects whether a world stands. The most important axis stands
+    first.
 
     Returns:
         ``axis``, ``spread`` (largest minus smallest share of its values) and ``correlation_ratio``: the correlation
@@ -315,7 +316,7 @@ def _levels_table(levels: pd.DataFrame, name: str, unit: str) -> Markup:
 
 
 def _chain(summary: pd.DataFrame) -> Markup:
-    """How likely plans arrive: all of them, leg by leg; each of them; and what remedies gain."""
+    """The chance of plans to arrive: all together, leg by leg, each plan; and the gain by remedies."""
     overall, of_plans = summary[summary["scope"] == ALL_PLANS], arrivals(summary)
     legs = overall[overall["remedy"] == AS_IS]
     named = [(str(row["leg"]) or "whole way", row) for row in legs.to_dict("records")]
