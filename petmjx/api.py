@@ -37,15 +37,15 @@ def _takes_options(*records: type[CheckedRecord]) -> Callable[[Function], Functi
 
     def decorate(function: Function) -> Function:
         signature = inspect.signature(function)
-        named = [p for p in signature.parameters.values() if p.kind is not inspect.Parameter.VAR_KEYWORD]
+        parameters = [p for p in signature.parameters.values() if p.kind is not inspect.Parameter.VAR_KEYWORD]
         fields = {name: info for record in records for name, info in record.model_fields.items()}
-        named += [
+        parameters += [
             inspect.Parameter(name, inspect.Parameter.KEYWORD_ONLY, default=info.default, annotation=info.annotation)
             for name, info in fields.items()
         ]
         lines = [f"    {name}: {info.description}." for name, info in fields.items()]
         function.__doc__ = f"{inspect.cleandoc(function.__doc__ or '')}\n\nOptions:\n" + "\n".join(lines) + "\n"
-        function.__signature__ = signature.replace(parameters=named)  # type: ignore[attr-defined]  # what inspect reads
+        function.__signature__ = signature.replace(parameters=parameters)  # type: ignore[attr-defined]  # what inspect reads
         return function
 
     return decorate

@@ -144,8 +144,8 @@ def _walls(low: FloatArray, high: FloatArray) -> Iterator[_Wall]:
 
 def _met_length(wall: _Wall, others: list[_Wall], tolerance_mm: float) -> float:
     """The length of a wall on which parallel walls stand, mm."""
-    near = [other.span for other in others if other.axis == wall.axis and abs(other.at - wall.at) <= tolerance_mm]
-    return _covered_length(wall.span, near)
+    near_spans = [other.span for other in others if other.axis == wall.axis and abs(other.at - wall.at) <= tolerance_mm]
+    return _covered_length(wall.span, near_spans)
 
 
 def _over(wall: _Wall, areas: list[tuple[FloatArray, FloatArray]], tolerance_mm: float) -> float:
@@ -325,7 +325,9 @@ def loads(
         **{share: boxes[force] / (boxes["strength_n"] * of_time[force]) for force, share in shares.items()}
     )
     spread = losses.loss_spread
-    boxes = with_crush_shares(boxes, (_kept(losses.time_loss, 1 + spread), _kept(losses.time_loss, 1 - spread)))
+    boxes = with_crush_shares(
+        boxes, (_remaining_share(losses.time_loss, 1 + spread), _remaining_share(losses.time_loss, 1 - spread))
+    )
     boxes = boxes[[name for name in _BOX_UNITS if name in boxes]]
     notes = (*results.doubts("the run"), *_notes(missing), *_film_notes(results))
     plan_loads = _of_worlds(results, boxes)
@@ -342,8 +344,8 @@ def _plans_of(results: RunResults, plans: PlanSource | None) -> Mapping[str, Pla
     records = Manifest.read(results.parts, results.info).plans
     plans_again = find_plans(results, records, set(results.worlds["plan_id"]), plans)
     if plans is None and plans_again.gone and plans_again.missing:
-        gone = printable(plans_again.gone[0])
-        raise InputError(f"{results.path}: needs the plans of the run, and {gone} is not there: name them")
+        missing_file = printable(plans_again.gone[0])
+        raise InputError(f"{results.path}: needs the plans of the run, and {missing_file} is not there: name them")
     for plan_ids, fault in (
         (plans_again.missing, "is not among the plans that were read"),
         (plans_again.changed, "differs from the simulated one"),
@@ -379,7 +381,7 @@ def _strengths(
         borne = (strength_n * np.prod(each, axis=0) for each in (factors, low, high))
         columns = {"press_strength_n": strength_n, **dict(zip(_FACTORS, factors, strict=True))}
         columns |= dict(zip(("strength_n", "strength_low_n", "strength_high_n"), borne, strict=True))
-        columns["time_factor"] = np.full(plan.n_boxes, _kept(losses.time_loss))
+        columns["time_factor"] = np.full(plan.n_boxes, _remaining_share(losses.time_loss))
         table = pd.DataFrame({"plan_id": plan.plan_id, "box": np.arange(plan.n_boxes, dtype=np.int32), **columns})
         parts.append(table[~sheets])
     if not parts:
@@ -388,7 +390,7 @@ def _strengths(
     return pd.concat(parts, ignore_index=True), missing
 
 
-def _kept(loss: float, factor: float = 1.0) -> float:
+def _remaining_share(loss: float, factor: float = 1.0) -> float:
     """The share of a strength that is left after a loss times a factor."""
     return 1.0 - min(factor * loss, 1.0)
 
@@ -403,11 +405,18 @@ def _factors(plan: Plan, losses: Stacking, carrier: Carrier | OwnCarrier) -> tup
     gaps = walls.on_deck & (walls.over_gaps * perimeter_mm > losses.wall_tolerance_mm)
 
     def factors(spread: float) -> FloatArray:
-        some = losses.with_losses(spread)
-        deck = np.where(gaps, 1 - some.gap_loss, 1.0) * np.where(walls.on_deck, 1 - some.soft_deck_loss, 1.0)
-        moist = np.full(plan.n_boxes, _kept(losses.humidity_loss, spread))
+        scaled_losses = losses.with_losses(spread)
+        deck = np.where(gaps, 1 - scaled_losses.gap_loss, 1.0) * np.where(
+            walls.on_deck, 1 - scaled_losses.soft_deck_loss, 1.0
+        )
+        moist = np.full(plan.n_boxes, _remaining_share(losses.humidity_loss, spread))
         return np.stack(
-            [1 - some.interlocked_loss * (1 - walls.met), 1 - some.overhang_loss * walls.hanging, deck, moist]
+            [
+                1 - scaled_losses.interlocked_loss * (1 - walls.met),
+                1 - scaled_losses.overhang_loss * walls.hanging,
+                deck,
+                moist,
+            ]
         )
 
     return factors(1.0), factors(1.0 + losses.loss_spread), factors(1.0 - losses.loss_spread)
@@ -427,8 +436,8 @@ def _of_worlds(results: RunResults, boxes: pd.DataFrame) -> pd.DataFrame:
     table = table.fillna({"n_boxes": 0, **{name: 0 for name in counts if name not in key}})
     table = table.astype({"n_boxes": "int32", **{name: "int64" for name in counts if name not in key}})
     for share, names in (("load_share", ("box", "article")), ("peak_share", ("peak_box", "peak_article"))):
-        known = boxes.dropna(subset=share)
-        largest = known.loc[known.groupby(key, sort=False)[share].idxmax(), [*key, "box", "article", share]]
+        rated_boxes = boxes.dropna(subset=share)
+        largest = rated_boxes.loc[rated_boxes.groupby(key, sort=False)[share].idxmax(), [*key, "box", "article", share]]
         largest.columns = pd.Index([*key, *names, f"max_{share}"])
         table = table.merge(largest, on=key, how="left")
     for name in shares:

@@ -160,11 +160,11 @@ def _with_overlaps(contacts: PlanContacts) -> IntArray:
     """Boxes of which two contact rectangles overlap."""
     if not (contacts.n_supports > 1).any():
         return np.zeros(0, dtype=np.int64)
-    same = np.equal.outer(contacts.upper, contacts.upper)
+    is_overlap = np.equal.outer(contacts.upper, contacts.upper)
     for axis in range(2):
         low, high = contacts.low_mm[:, axis], contacts.high_mm[:, axis]
-        same &= np.minimum.outer(high, high) > np.maximum.outer(low, low)
-    return np.unique(contacts.upper[np.triu(same, k=1).any(axis=1)])
+        is_overlap &= np.minimum.outer(high, high) > np.maximum.outer(low, low)
+    return np.unique(contacts.upper[np.triu(is_overlap, k=1).any(axis=1)])
 
 
 def _union_area(contacts: PlanContacts, box: int) -> float:

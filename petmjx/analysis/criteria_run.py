@@ -230,8 +230,8 @@ def check_criteria_free(folder: Path, overwrite: bool, *, judged: bool, inputs: 
         InputError: as ``petmjx.results.documented_tables.check_tables_free``.
     """
     tables = ("boxes", "plans", *(("judged", "thresholds") if judged else ()))
-    others = {INFO_FILE: lambda file: has_keys(file, ("criteria", "options", "n_plans"))}
-    check_tables_free(folder, tables, overwrite=overwrite, inputs=inputs, others=others)
+    extra_files = {INFO_FILE: lambda file: has_keys(file, ("criteria", "options", "n_plans"))}
+    check_tables_free(folder, tables, overwrite=overwrite, inputs=inputs, others=extra_files)
 
 
 CHUNK: Final = 16
@@ -326,11 +326,11 @@ def _other_carrier(carrier: Carrier | OwnCarrier, run: RunResults) -> list[str]:
     """A note if the criteria use another carrier than the run."""
     if carrier == run.carrier:
         return []
-    here, run_carrier = (
+    own_carrier, run_carrier = (
         printable_name(carrier_option if isinstance(carrier_option, Carrier) else carrier_option.name)
         for carrier_option in (carrier, run.carrier)
     )
-    return [f"the criteria are evaluated on the carrier {here}, but the run's boxes stood on {run_carrier}"]
+    return [f"the criteria are evaluated on the carrier {own_carrier}, but the run's boxes stood on {run_carrier}"]
 
 
 def _need_packers() -> None:
@@ -347,13 +347,13 @@ def _answers(
     """Answers in the order of the plans."""
     chunks = [plans[start : start + CHUNK] for start in range(0, len(plans), CHUNK)]
     ask = partial(_ask, options=options)
-    done = 0
+    n_done = 0
 
     def report_progress(answers: list[Answers]) -> list[Answers]:
-        nonlocal done
-        done += len(answers)
+        nonlocal n_done
+        n_done += len(answers)
         if progress is not None:
-            progress(done, len(plans))
+            progress(n_done, len(plans))
         return answers
 
     processes = min(options.processes, len(chunks))

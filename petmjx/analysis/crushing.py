@@ -82,8 +82,8 @@ def crushed_worlds(boxes: pd.DataFrame) -> pd.DataFrame:
     answers = [worlds["surely"], worlds["possibly"], ~worlds["unknown"]]
     worlds["crushed"] = np.select(answers, [SURELY, POSSIBLY, NOT], "")
     worlds["crushed"] = worlds["crushed"].astype(object).where(worlds["crushed"] != "", None)
-    known = boxes.dropna(subset="crush_share_high")
-    largest = known.loc[known.groupby(_KEY, sort=False)["crush_share_high"].idxmax(), [*_KEY, "box"]]
+    rated_boxes = boxes.dropna(subset="crush_share_high")
+    largest = rated_boxes.loc[rated_boxes.groupby(_KEY, sort=False)["crush_share_high"].idxmax(), [*_KEY, "box"]]
     worlds = worlds.merge(largest.rename(columns={"box": "crush_box"}), on=_KEY, how="left")
     return worlds[[*_KEY, *PLAN_UNITS]].astype({"crush_box": "Int32"})
 

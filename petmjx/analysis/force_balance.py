@@ -371,8 +371,8 @@ def _columns(entries: Entries, chosen: IntArray, n: int) -> Entries:
     position = np.full(n, -1)
     position[chosen] = np.arange(len(chosen))
     column = position[entries.column]
-    kept = column >= 0
-    return Entries(entries.value[kept], entries.row[kept], column[kept])
+    is_column = column >= 0
+    return Entries(entries.value[is_column], entries.row[is_column], column[is_column])
 
 
 def _hanging_together(

@@ -120,9 +120,9 @@ def write_submission(
         faults += [f"plan {printable_name(plan_id)}{fault}" for fault in plan_faults]
         written.append((plan_id, placements))
     if faults:
-        more = f"; {len(faults) - _MOST_FAULTS:,} more" if len(faults) > _MOST_FAULTS else ""
-        named = "; ".join(faults[:_MOST_FAULTS])
-        raise InputError(f"no submission, {count_text(len(faults), 'fault')}: {named}{more}")
+        more_text = f"; {len(faults) - _MOST_FAULTS:,} more" if len(faults) > _MOST_FAULTS else ""
+        fault_text = "; ".join(faults[:_MOST_FAULTS])
+        raise InputError(f"no submission, {count_text(len(faults), 'fault')}: {fault_text}{more_text}")
     in_order = {order_id: rank for rank, order_id in enumerate(orders)}
     written.sort(key=lambda pair: in_order[pair[0]])
     file = folder / submission.file_name
@@ -146,19 +146,19 @@ def _faults(plan: Plan, placements: Sequence[Placement], order: Order, choice: i
     indices = []
     for box, placement in enumerate(placements):
         item = placement["item"]
-        same = free.get((item["id"], item["article"]))
-        if not same:
-            again = "occurs more often than it was ordered" if same is not None else "was not ordered"
+        same_items = free.get((item["id"], item["article"]))
+        if not same_items:
+            fault = "occurs more often than it was ordered" if same_items is not None else "was not ordered"
             name = (
                 f" {printable_name(item['article'])} ({printable_name(item['id'])})"
                 if item["article"] or item["id"]
                 else ""
             )
-            yield f", box {box}: item{name} {again}"
+            yield f", box {box}: item{name} {fault}"
             continue
-        by_number = [index for index in same if order.numbers[index] == item["sequence"]]
-        index = (by_number or same)[0]
-        same.remove(index)
+        by_number = [index for index in same_items if order.numbers[index] == item["sequence"]]
+        index = (by_number or same_items)[0]
+        same_items.remove(index)
         indices.append(index)
         ordered = order.items[index]
         measures = (item["length/mm"], item["width/mm"], item["height/mm"], item["weight/kg"])

@@ -62,12 +62,12 @@ def pair_in_words(row: Mapping[str, Any], confidence: float, pairs: int) -> str:
     if row["difference"] == 0:
         equal = f"Plans of {printable_name(row['a'])} and {printable_name(row['b'])} stand equally often on {orders}"
         return f"{equal}; a difference of {low} to {high} percentage points is possible ({level}; {test})."
-    more = f"lans of {printable_name(better)} stand more often than plans of {printable_name(worse)}"
+    comparison_text = f"lans of {printable_name(better)} stand more often than plans of {printable_name(worse)}"
     points = f"{100 * abs(row['difference']):.2f} percentage points"
     sure = f"({level} {low} to {high}; {test})"
     if row["p_holm"] <= 1 - confidence:
-        return f"P{more}: by {points} on {orders} {sure}."
-    return f"On these {orders} p{more}, by {points}, but that may be luck {sure}."
+        return f"P{comparison_text}: by {points} on {orders} {sure}."
+    return f"On these {orders} p{comparison_text}, by {points}, but that may be luck {sure}."
 
 
 SIZE_BINS: Final = (0, 20, 40, 60, 80)
@@ -143,8 +143,8 @@ class PackerComparison:
 
     @property
     def sentences(self) -> tuple[str, ...]:
-        """For each two packers, one sentence: who stands more often, by how much, and how sure that is. Empty if no
-        order is compared."""
+        """For each pair of packers, one sentence: whose plans stand more often, by how much, and with which confidence.
+        Empty if no order is compared."""
         rows = self.pairs[(self.pairs["size"] == ALL_SIZES) & (self.pairs["n"] > 0)]
         return tuple(pair_in_words(row, self.confidence, len(rows)) for row in rows.to_dict("records"))
 
@@ -287,13 +287,13 @@ def _mean_interval(values: pd.Series, confidence: float) -> tuple[float, float, 
     """The mean of values of orders, and its Student interval. The spread between orders contains both the differences
     between orders and the chance in each value. NaN for fewer than two orders, and for orders that are all alike: then
     the spread tells nothing."""
-    known = values.dropna()
-    mean, n = float(known.mean()), len(known)
-    if n < 2 or known.std() == 0:
+    valid_values = values.dropna()
+    mean, n = float(valid_values.mean()), len(valid_values)
+    if n < 2 or valid_values.std() == 0:
         return mean, float("nan"), float("nan")
     from scipy.stats import t
 
-    half = float(t.ppf(0.5 + confidence / 2, n - 1) * known.std() / np.sqrt(n))
+    half = float(t.ppf(0.5 + confidence / 2, n - 1) * valid_values.std() / np.sqrt(n))
     return mean, mean - half, mean + half
 
 

@@ -206,9 +206,9 @@ class PlanContacts:
         """
         base = self.corner_mm[:, :2]
         corners = rectangle_corners(base, base + self.size_mm[:, :2])[self.upper[chosen]]
-        near = self.under_low_mm[chosen] - self.tolerance_mm
-        far = self.under_high_mm[chosen] + self.tolerance_mm
-        inside = ((corners >= near[:, None]) & (corners <= far[:, None])).all(axis=-1)
+        low_mm = self.under_low_mm[chosen] - self.tolerance_mm
+        high_mm = self.under_high_mm[chosen] + self.tolerance_mm
+        inside = ((corners >= low_mm[:, None]) & (corners <= high_mm[:, None])).all(axis=-1)
         borne = np.zeros((self.n_boxes, N_CORNERS), dtype=bool)
         np.logical_or.at(borne, self.upper[chosen], inside)
         return borne
@@ -311,10 +311,10 @@ def find_sides(contacts: PlanContacts) -> Sides:
         first, second = np.nonzero(touching)
         pairs_by_axis.append((first, second, np.full(len(first), axis)))
     first, second, axes = (np.concatenate(parts) for parts in zip(*pairs_by_axis, strict=True))
-    near, far = np.maximum(low[first], low[second]), np.minimum(high[first], high[second])
+    low_ends, high_ends = np.maximum(low[first], low[second]), np.minimum(high[first], high[second])
     rows = np.arange(len(axes))
-    near[rows, axes] = far[rows, axes] = (near[rows, axes] + far[rows, axes]) / 2
-    sides = Sides(first, second, axes, near, far)
+    low_ends[rows, axes] = high_ends[rows, axes] = (low_ends[rows, axes] + high_ends[rows, axes]) / 2
+    sides = Sides(first, second, axes, low_ends, high_ends)
     return sides if contacts.room is None else _with_walls(sides, contacts, contacts.room)
 
 
@@ -324,13 +324,13 @@ def _with_walls(sides: Sides, contacts: PlanContacts, room: Room) -> Sides:
     middle_m, half_m = (low + high) / 2 / MM_PER_M, contacts.size_mm / 2 / MM_PER_M
     gap_mm = MM_PER_M * room.gaps(middle_m, half_m, contacts.tolerance_mm / MM_PER_M)
     box, end, axis = np.nonzero(gap_mm <= MM_PER_M * LEANS_M)
-    near, far, rows = low[box].copy(), high[box].copy(), np.arange(len(box))
-    near[rows, axis] = far[rows, axis] = np.where(end == 0, low[box, axis], high[box, axis])
-    far[:, 2] = np.minimum(far[:, 2], MM_PER_M * room.top[end, axis])
+    low_mm, high_mm, rows = low[box].copy(), high[box].copy(), np.arange(len(box))
+    low_mm[rows, axis] = high_mm[rows, axis] = np.where(end == 0, low[box, axis], high[box, axis])
+    high_mm[:, 2] = np.minimum(high_mm[:, 2], MM_PER_M * room.top[end, axis])
     wall = np.full(len(box), CARRIER)
-    ends = (np.where(end == 0, wall, box), np.where(end == 0, box, wall), axis, near, far)
-    both = zip((sides.first, sides.second, sides.axis, sides.low_mm, sides.high_mm), ends, strict=True)
-    return Sides(*(np.concatenate(parts) for parts in both))
+    ends = (np.where(end == 0, wall, box), np.where(end == 0, box, wall), axis, low_mm, high_mm)
+    field_pairs = zip((sides.first, sides.second, sides.axis, sides.low_mm, sides.high_mm), ends, strict=True)
+    return Sides(*(np.concatenate(parts) for parts in field_pairs))
 
 
 LYING_GAP_M: Final = TOUCH_M

@@ -95,12 +95,12 @@ def _placements(story: Story) -> Iterator[Event]:
     if not len(grown):
         return
     placed, first, last = int(history.n_placed[-1]), grown[0], grown[-1]
-    rest = "" if placed == story.plan.n_boxes else f" of {story.plan.n_boxes}"
+    of_total = "" if placed == story.plan.n_boxes else f" of {story.plan.n_boxes}"
     if len(grown) == 1:
-        yield Event(float(history.time_s[first]), f"{count_text(placed, 'box', 'boxes')}{rest} placed at once")
+        yield Event(float(history.time_s[first]), f"{count_text(placed, 'box', 'boxes')}{of_total} placed at once")
         return
     yield Event(float(history.time_s[first]), f"{_subject(story, 0)} is placed, the first of {story.plan.n_boxes}")
-    yield Event(float(history.time_s[last]), f"{_subject(story, placed - 1)} is placed, number {placed}{rest}")
+    yield Event(float(history.time_s[last]), f"{_subject(story, placed - 1)} is placed, number {placed}{of_total}")
 
 
 def _shaking_events(story: Story) -> Iterator[Event]:
@@ -305,8 +305,8 @@ def _story(worlds: SweepPlan, index: int, engine: Engine, record: Record) -> Sto
     recording = Recording(replace(record, details=record.details and engine.name == "mujoco"))
     world = SweepRun(worlds, engine, recording=recording).world(plan.plan_id, index)
     if world.outcome.history is None:
-        why = world.outcome.message or f"engine {engine.name} records no histories"
-        raise PetmjxError(f"plan {printable_name(plan.plan_id)}: there are no frames: {why}")
+        reason = world.outcome.message or f"engine {engine.name} records no histories"
+        raise PetmjxError(f"plan {printable_name(plan.plan_id)}: there are no frames: {reason}")
     sweep = worlds.sweep
     values = SweepColumns(worlds).of(world) if sweep.axes or sweep.legs else {}
     return Story(
@@ -327,10 +327,10 @@ def _difference(story: Story, run: RunResults) -> str:
     row = world_row(run, story.plan.plan_id, story.variant)
     if row is None:
         return ""
-    here, run_text = _outcome_text(vars(story.outcome)), _outcome_text(row)
-    if here == run_text:
-        return "" if story.engine == run.info["config"].get("engine") else f"as in the run: {here}"
-    return f"in the run: {run_text}; here: {here}"
+    story_text, run_text = _outcome_text(vars(story.outcome)), _outcome_text(row)
+    if story_text == run_text:
+        return "" if story.engine == run.info["config"].get("engine") else f"as in the run: {story_text}"
+    return f"in the run: {run_text}; here: {story_text}"
 
 
 def _outcome_text(world: Mapping[str, Any]) -> str:
@@ -407,20 +407,20 @@ def notes_in_words(story: Story) -> list[str]:
 def _knife_edge(story: Story) -> str:
     """A sentence on the load that is nearest to an edge, inside or outside: its box, distance and time."""
     outcome = story.outcome
-    kept = list(kept_edges(vars(outcome), outcome.boxes.plan_edge_m, outcome.boxes.rest_edge_m))
-    again = list(edges_again(story.scene, outcome))
-    nearest = nearest_edge(kept, outcome.verdict)
+    table_edges = list(kept_edges(vars(outcome), outcome.boxes.plan_edge_m, outcome.boxes.rest_edge_m))
+    recomputed_edges = list(edges_again(story.scene, outcome))
+    nearest = nearest_edge(table_edges, outcome.verdict)
     if nearest is None:  # of a box's own weight, or of a load while the plan is built that is not the least
-        nearest = nearest_edge(again, outcome.verdict) or nearest_edge([*kept, *again])
+        nearest = nearest_edge(recomputed_edges, outcome.verdict) or nearest_edge([*table_edges, *recomputed_edges])
     else:  # tables lack whether the load is the box's own weight
-        nearest = next((edge for edge in again if is_same_edge(edge, nearest)), nearest)
+        nearest = next((edge for edge in recomputed_edges if is_same_edge(edge, nearest)), nearest)
     if nearest is None:
         return "A load acts at the edge of its support: a tenth of a millimetre may change the verdict."
-    when = nearest.when + (f", once {box_name(story, nearest.step)} is placed" if nearest.step >= 0 else "")
+    time_text = nearest.when + (f", once {box_name(story, nearest.step)} is placed" if nearest.step >= 0 else "")
     load = "own weight" if nearest.own_weight else "load"
     of_box = f" (the {load} of {box_name(story, nearest.box)})" if nearest.box >= 0 else ""
     return (
-        f"A load acts at the edge of its support, within {MM_PER_M * abs(nearest.edge_m):.2g} mm, {when}: "
+        f"A load acts at the edge of its support, within {MM_PER_M * abs(nearest.edge_m):.2g} mm, {time_text}: "
         f"a tenth of a millimetre may change the verdict{of_box}."
     )
 
@@ -450,8 +450,8 @@ def _leans(story: Story) -> str:
         f"{_mm(max(lower_m[box], 0.0))} lower than planned"
         for box in sorted(leaning, key=lambda box: -tilt[box])[:MOST_LEANING]
     ]
-    more = f", and {len(leaning) - len(listed)} more" if len(leaning) > len(listed) else ""
-    return f"It stands, but leans: {'; '.join(listed)}{more}."
+    more_text = f", and {len(leaning) - len(listed)} more" if len(leaning) > len(listed) else ""
+    return f"It stands, but leans: {'; '.join(listed)}{more_text}."
 
 
 def first_box_in_words(story: Story) -> str:
@@ -459,12 +459,12 @@ def first_box_in_words(story: Story) -> str:
     box = story.outcome.culprit
     if box < 0:
         return ""
-    when = "" if math.isnan(story.outcome.first_sign_s) else f" at {story.outcome.first_sign_s:.2f} s"
+    time_text = "" if math.isnan(story.outcome.first_sign_s) else f" at {story.outcome.first_sign_s:.2f} s"
     name = "B" + box_in_words(box, story.plan.articles[box] or story.plan.item_ids[box])[1:]
     gap_mm = _gap_mm(story, box)
     planned = f"was planned {_mm(gap_mm / MM_PER_M)} in the air and " if gap_mm > DEFAULT_TOLERANCE_MM else ""
     signs = " and ".join(_signs(story, box)) or "crossed a limit"
-    return f"{name} {planned}failed first:{when} it {signs}."
+    return f"{name} {planned}failed first:{time_text} it {signs}."
 
 
 def _gap_mm(story: Story, box: int) -> float:

@@ -144,16 +144,18 @@ def takes(
         more: further records with their headings. The fields of these records replace fields of ``Simulation`` with the
             same name.
     """
-    theirs = {name for record, _ in more for name in record.model_fields}
+    record_fields = {name for record, _ in more for name in record.model_fields}
     records: list[tuple[type[CheckedRecord], str]] = [(Simulation, simulated), *more, (RunOptions, HOW_IT_RUNS)]
     options = [
         option
         for record, section in records
         for option in _options_of(record, section)
         if option.path[0] not in without and (not fields or option.path[0] in fields)
-        if record is not Simulation or option.path[0] not in theirs
+        if record is not Simulation or option.path[0] not in record_fields
     ]
-    settable = [name for name in Simulation.model_fields if (not fields or name in fields) and name not in theirs]
+    settable = [
+        name for name in Simulation.model_fields if (not fields or name in fields) and name not in record_fields
+    ]
 
     def decorate(command: Command) -> Command:
         def with_options(**arguments: Any) -> None:
@@ -250,7 +252,7 @@ def _as_typed(line: str, typed: Mapping[str, str]) -> str:
     """The line of an error with the option as typed instead of the field at its beginning. A line that names a file is
     about the content of that file and stays unchanged."""
     for path, option in typed.items():
-        named = re.match(rf"(?:simulation\.)?{re.escape(path)}(?=[ :])", line)
-        if named:
-            return option + line[named.end() :]
+        path_match = re.match(rf"(?:simulation\.)?{re.escape(path)}(?=[ :])", line)
+        if path_match:
+            return option + line[path_match.end() :]
     return line

@@ -95,10 +95,10 @@ def _compare_packers(
     from petmjx.show.packer_tables import packer_tables
     from petmjx.show.table_layout import line, print_renderables
 
-    named = named_paths(runs, "compare --packers") or runs
+    paths = named_paths(runs, "compare --packers") or runs
     if out is not None:
-        check_comparison_free(out, overwrite, source_files(named, orders))
-    comparison = compare_packers(named, orders=orders)
+        check_comparison_free(out, overwrite, source_files(paths, orders))
+    comparison = compare_packers(paths, orders=orders)
     if out is not None:
         write_comparison(comparison, out, overwrite)
     if files:

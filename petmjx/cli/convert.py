@@ -86,12 +86,12 @@ def _convert_orders(files: list[Path], out: Path, target: str | None, options: d
         raise InputError("--orders: name one file")
     if idle := next((name for name in options if name not in OF_ORDERS), None):
         raise InputError(f"{idle} is for plans, and --orders says that the file holds orders")
-    bad: list[str] = []
+    fault_lines: list[str] = []
     reading = OrderReading.of(RunOptions(**options), target)
-    read = list(read_orders(files[0], lambda error: bad.append(str(error)), reading))
-    print_skipped(bad)
+    read = list(read_orders(files[0], lambda error: fault_lines.append(str(error)), reading))
+    print_skipped(fault_lines)
     if not read:
-        raise InputError(f"no usable order ({len(bad):,} skipped)")
+        raise InputError(f"no usable order ({len(fault_lines):,} skipped)")
     write_orders(out, read)
     boxes = count_text(sum(len(order.items) for _, order in read), "box", "boxes")
     print(f"{count_text(len(read), 'order')} ({boxes}) in {printable(str(out))}")

@@ -63,8 +63,8 @@ def info(
             print(printable(line))
     if write_as is not None:
         if len(readings) != 1:
-            what = "no file was guessed" if not readings else f"{len(readings)} files were read in ways of their own"
-            raise InputError(f"--write-as: {what}; name one file of another tool")
+            summary = "no file was guessed" if not readings else f"{len(readings)} files were read in ways of their own"
+            raise InputError(f"--write-as: {summary}; name one file of another tool")
         ((source, reading),) = readings.items()
         with atomic_write(write_as) as hidden:
             hidden.write_text(reading_toml(reading, source), encoding="utf-8")

@@ -15,8 +15,8 @@ def named_paths(texts: Sequence[str], option: str) -> dict[str, str]:
     Raises:
         InputError: only some texts have a name, or two texts have the same name.
     """
-    named = [text.partition("=") for text in texts if not Path(text).exists()]
-    pairs = [(name, path) for name, _, path in named if name and path]
+    name_parts = [text.partition("=") for text in texts if not Path(text).exists()]
+    pairs = [(name, path) for name, _, path in name_parts if name and path]
     if pairs and len(pairs) < len(texts):
         raise InputError(f"{option}: give each a name (NAME=PATH), or none")
     names = [name for name, _ in pairs]

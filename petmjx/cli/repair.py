@@ -68,20 +68,20 @@ def repair(
         raise InputError(f"--html {printable(str(html))}: the file's name must end in .html")
     files = [file for file in (out, html) if file is not None]
     check_outputs(files, overwrite=overwrite, inputs=source_files(plans))
-    done = 0
+    n_done = 0
     with stoppable():
         try:
             with progress(None) as bar:
 
                 def count(number: int, total: int) -> None:
-                    nonlocal done
-                    done = number
+                    nonlocal n_done
+                    n_done = number
                     bar.update(number)
 
                 result = repaired(plans_in_place(plans, bool(options.get("strict"))), watch=count, **options)
         except KeyboardInterrupt as stop:
-            far = f"{count_text(done, 'plan')} were done; nothing was written"
-            raise RunInterrupted(far, getattr(stop, "number", 2)) from None
+            progress_text = f"{count_text(n_done, 'plan')} were done; nothing was written"
+            raise RunInterrupted(progress_text, getattr(stop, "number", 2)) from None
     for line in result.skipped:
         typer.echo(f"skipped: {printable(line)}", err=True)
     if out is not None:

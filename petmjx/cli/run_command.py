@@ -170,15 +170,15 @@ def _how_far(folder: Path, watcher: Any) -> str:
     from petmjx.results.run_reader import load_run
 
     try:
-        done = load_run(folder).info["counts"]["worlds"]
+        n_done = load_run(folder).info["counts"]["worlds"]
     except InputError:
         return f"before the first {watcher.what} was finished; nothing was written"
     of = (
-        count_text(done, watcher.what)
+        count_text(n_done, watcher.what)
         if watcher.total is None
-        else f"{done:,} of {count_text(watcher.total, watcher.what)}"
+        else f"{n_done:,} of {count_text(watcher.total, watcher.what)}"
     )
-    return f"{of} {'is' if done == 1 else 'are'} done and in {folder}"
+    return f"{of} {'is' if n_done == 1 else 'are'} done and in {folder}"
 
 
 def brief(results: RunResults) -> dict[str, Any]:

@@ -137,7 +137,7 @@ def samples(
         return
     if options:
         raise InputError(f"{next(iter(options))} needs the packer {PHYSICAL}")
-    bad: list[InputError] = []
+    errors: list[InputError] = []
     left_out: list[LeftOutItems] = []
     written = 0
 
@@ -146,7 +146,7 @@ def samples(
         written = done
         bar.update(done)
 
-    how: dict[str, Any] = {
+    pack_options: dict[str, Any] = {
         "seed": seed,
         "packer": packer,
         "look_ahead": look_ahead,
@@ -156,11 +156,15 @@ def samples(
     try:
         with progress(n if orders is None else None) as bar:
             if orders is None:
-                write_samples(out, n, loose_share=loose_share, progress=count, **how)
+                write_samples(out, n, loose_share=loose_share, progress=count, **pack_options)
             else:
-                write_plans(out, pack_orders(orders, on_bad_order=bad.append, reading=reading, **how), progress=count)
+                write_plans(
+                    out,
+                    pack_orders(orders, on_bad_order=errors.append, reading=reading, **pack_options),
+                    progress=count,
+                )
     finally:  # the errors explain missing plans
-        for error in bad:
+        for error in errors:
             typer.echo(f"skipped: {printable(str(error))}", err=True)
     shown = left_out if orders is not None else left_out[:MOST_SHOWN]
     for order in shown:

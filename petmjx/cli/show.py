@@ -113,10 +113,10 @@ def _show_repair(
     of_simulation, of_run = sorted_options(options)
     reading = RunOptions(**{name: value for name, value in of_run.items() if name in OF_READING})
     plan_set = usable_plans(plans_in_place(source or None, reading.strict), Simulation(**of_simulation), reading)
-    how = {name: value for name, value in options.items() if name not in OF_READING}
+    repair_options = {name: value for name, value in options.items() if name not in OF_READING}
     with stoppable():
         try:
-            result = repair(find_plan(plan_set, plan_id), **how)
+            result = repair(find_plan(plan_set, plan_id), **repair_options)
         except KeyboardInterrupt as stop:
             raise RunInterrupted("unfinished files were not written", getattr(stop, "number", 2)) from None
     write_repair_page(result, files["html"])

@@ -107,8 +107,8 @@ def read_within(
             if needed + long > allowed:
                 raise OversizedFile(f"its texts would take more than {size(allowed)}, too much for a file of this size")
             batches.append(_decoded_columns(batch, schema))
-        kept = pa.schema([schema.field(name) for name in names], metadata=schema.metadata)
-        return pa.Table.from_batches(batches, schema=kept)
+        selected_schema = pa.schema([schema.field(name) for name in names], metadata=schema.metadata)
+        return pa.Table.from_batches(batches, schema=selected_schema)
 
 
 def _columns_by_prefix(metadata: pq.FileMetaData) -> Iterator[str]:

@@ -23,13 +23,13 @@ def check_writable(file: Path) -> None:
     """
     folder = file.parent
     if file.is_dir():
-        why = "is a folder"
+        fault = "is a folder"
     elif not folder.is_dir():
-        why = f"{folder} is not a folder"
+        fault = f"{folder} is not a folder"
     else:
-        why = "" if os.access(folder, os.W_OK | os.X_OK) else f"{folder} is not writable"
-    if why:
-        raise InputError(f"{printable(str(file))}: cannot be written: {printable(why)}")
+        fault = "" if os.access(folder, os.W_OK | os.X_OK) else f"{folder} is not writable"
+    if fault:
+        raise InputError(f"{printable(str(file))}: cannot be written: {printable(fault)}")
 
 
 @contextmanager

@@ -292,14 +292,14 @@ def _error_text(kind: str, context: Mapping[str, Any], value: Any, message: str)
 def _no_member(context: Mapping[str, str], value: Any) -> str:
     """The text for a value that fits no member of a union."""
     key = context["discriminator"].removesuffix("()")
-    known = re.findall("<(.*?)>", context.get("expected_tags", ""))
+    tags = re.findall("<(.*?)>", context.get("expected_tags", ""))
     if key == shape.__name__:
-        return f"must be {' or '.join(known)}, {shown_value(value)}"
+        return f"must be {' or '.join(tags)}, {shown_value(value)}"
     if not isinstance(value, Mapping):
         return f"must be a table, {shown_value(value)}"
     if key not in value:
-        return f".{key} is missing: it must be one of {', '.join(known)}"
-    return f".{key} must be one of {', '.join(known)}, {shown_value(value[key])}"
+        return f".{key} is missing: it must be one of {', '.join(tags)}"
+    return f".{key} must be one of {', '.join(tags)}, {shown_value(value[key])}"
 
 
 def _path(location: tuple[int | str, ...]) -> str:

@@ -32,10 +32,10 @@ def wanted_folder(kind: Kind) -> Path:
     Raises:
         RuntimeError: there is no home folder, and no variable names a folder.
     """
-    if named := os.environ.get(VARIABLES[kind]):
-        return Path(named)
-    named = os.environ.get("PETMJX_CACHE_DIR")
-    return (Path(named) if named else Path.home() / ".cache" / "petmjx") / kind
+    if folder_text := os.environ.get(VARIABLES[kind]):
+        return Path(folder_text)
+    folder_text = os.environ.get("PETMJX_CACHE_DIR")
+    return (Path(folder_text) if folder_text else Path.home() / ".cache" / "petmjx") / kind
 
 
 def why_not_written(kind: Kind) -> str:
@@ -44,8 +44,8 @@ def why_not_written(kind: Kind) -> str:
         folder = wanted_folder(kind)
     except RuntimeError as error:
         return f"no home folder: {reason(error)}"
-    why = _why_unusable(folder)
-    return f"{printable(str(folder))} cannot be written: {why}" if why else ""
+    fault = _why_unusable(folder)
+    return f"{printable(str(folder))} cannot be written: {fault}" if fault else ""
 
 
 def cache_folder(kind: Kind) -> Path:

@@ -29,7 +29,7 @@ def prefetch(items: Generator[Item], most: int) -> Generator[Item]:
         most: number of items that may wait before the thread pauses.
     """
     queue: SimpleQueue[Any] = SimpleQueue()
-    room, closed, ended = threading.Semaphore(most), threading.Event(), threading.Event()
+    room, closed, end_event = threading.Semaphore(most), threading.Event(), threading.Event()
 
     def run() -> None:
         try:
@@ -44,7 +44,7 @@ def prefetch(items: Generator[Item], most: int) -> Generator[Item]:
         else:
             queue.put(_End(None))
         finally:
-            ended.set()
+            end_event.set()
 
     thread = threading.Thread(target=run, name="petmjx-ahead", daemon=True)
 
@@ -52,7 +52,7 @@ def prefetch(items: Generator[Item], most: int) -> Generator[Item]:
         closed.set()
         room.release()
         if thread.ident is not None:
-            _wait_for(ended)
+            _wait_for(end_event)
             thread.join()
 
     atexit.register(end)  # a thread that is inside JAX aborts the process when Python ends

@@ -40,8 +40,8 @@ def shortened_text(text: str) -> str:
 
 def first_names(names: Sequence[str], most: int = 5) -> str:
     """The first of many names from files, as messages show them: "a, b and 3 more"."""
-    more = f" and {len(names) - most:,} more" if len(names) > most else ""
-    return ", ".join(map(printable_name, names[:most])) + more
+    more_text = f" and {len(names) - most:,} more" if len(names) > most else ""
+    return ", ".join(map(printable_name, names[:most])) + more_text
 
 
 def is_text(text: str) -> bool:

@@ -39,8 +39,8 @@ class Throughput:
             self._marks[-1] = mark
         else:
             self._marks.append(mark)
-        others = (self._total or 0) - done
-        while others > 0 and len(self._marks) > 1 and self._marks[1][0] <= done - others:
+        n_left = (self._total or 0) - done
+        while n_left > 0 and len(self._marks) > 1 and self._marks[1][0] <= done - n_left:
             self._marks.popleft()
 
     @property
@@ -67,8 +67,8 @@ class Throughput:
         """
         if not self._done or self._total is None or self._done >= self._total:
             return ""
-        others = self._total - self._done
-        seconds = (self._clock() - self._marks[0][1]) * max(others / self._done, 1.0)
+        n_left = self._total - self._done
+        seconds = (self._clock() - self._marks[0][1]) * max(n_left / self._done, 1.0)
         return f"{time_left(max(seconds, 1.0))} left"
 
     @property

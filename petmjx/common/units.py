@@ -45,8 +45,8 @@ def plan_units(text: str) -> tuple[str, str]:
     lengths = [name for name in names if name in LENGTHS_MM]
     masses = [name for name in names if name in MASSES_KG]
     if len(lengths) > 1 or len(masses) > 1 or len(lengths) + len(masses) != len(names):
-        known = f"one of {', '.join(LENGTHS_MM)} and one of {', '.join(MASSES_KG)}"
-        raise ValueError(f"must be {known}, separated by a comma, such as cm or cm,g")
+        unit_names = f"one of {', '.join(LENGTHS_MM)} and one of {', '.join(MASSES_KG)}"
+        raise ValueError(f"must be {unit_names}, separated by a comma, such as cm or cm,g")
     usual_length, usual_mass = PLAN_UNITS.split(",")
     return (lengths or [usual_length])[0], (masses or [usual_mass])[0]
 

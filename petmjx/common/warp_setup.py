@@ -43,11 +43,11 @@ def _nothing_on_stderr() -> Iterator[None]:
     """Discard what native code writes to the terminal: Warp reports a missing CUDA driver; petmjx checks for the driver
     itself."""
     sys.stderr.flush()
-    kept = os.dup(2)
+    saved_descriptor = os.dup(2)
     try:
         with open(os.devnull, "w") as nowhere:
             os.dup2(nowhere.fileno(), 2)
         yield
     finally:
-        os.dup2(kept, 2)
-        os.close(kept)
+        os.dup2(saved_descriptor, 2)
+        os.close(saved_descriptor)

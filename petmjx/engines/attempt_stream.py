@@ -169,8 +169,8 @@ def score_worlds(
         while True:
             put_following()
             closed = stream.closed  # before the checks of its outcomes
-            ready = stream.wait_for(LARGE if engine.name in BESIDE else 1)
-            if ready or aside:
+            n_ready = stream.wait_for(LARGE if engine.name in BESIDE else 1)
+            if n_ready or aside:
                 side_tasks.prepare(stream.peek(LARGE), retries)
                 if following is None:
                     first_runner.check_pool, side_tasks.first = side_tasks.check_pool, first_runner
@@ -181,7 +181,7 @@ def score_worlds(
             elif not waiting and closed:
                 source.raise_error()
                 return
-            if len(waiting) >= most_pending or not ready:
+            if len(waiting) >= most_pending or not n_ready:
                 yield from retry()  # more worlds may follow from its results
     except GeneratorExit:
         raise

@@ -82,8 +82,8 @@ class AttemptRecipe:
     """All boxes are flex bodies (petmjx/world/soft_boxes.py), from the beginning."""
 
     doubles: bool = False
-    """Whether it wants double precision. A world may be invalid because of single precision. In contacts of a twentieth
-    of the time constant boxes sink by less than single precision resolves."""
+    """Whether the attempt needs double precision. A world may be invalid because of single precision. In contacts of a
+    twentieth of the time constant boxes sink by less than single precision resolves."""
 
     few: bool = False
     """Whether only few of many worlds need it, except for worlds with errors of a plan whose boxes may sink."""

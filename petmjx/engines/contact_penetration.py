@@ -216,9 +216,9 @@ def penetration_excluded(outcomes: Sequence[Outcome], scenes: Sequence[Scene], s
     at_a_time = max(_MOST_PAIRS // max(int(counts.max()), 1) ** 2, 1)
     mask: list[bool] = []
     for first in range(0, len(counts), at_a_time):
-        some = slice(first, first + at_a_time)
-        sinking_m = _deepest_m(outcomes[some], scenes[some], sim.physics)
-        of_other_reason = [_failed_otherwise(outcome, sim.thresholds.shift_m) for outcome in outcomes[some]]
+        rows = slice(first, first + at_a_time)
+        sinking_m = _deepest_m(outcomes[rows], scenes[rows], sim.physics)
+        of_other_reason = [_failed_otherwise(outcome, sim.thresholds.shift_m) for outcome in outcomes[rows]]
         mask += ((sinking_m <= enough_m) & of_other_reason).tolist()
     return mask
 

@@ -128,8 +128,8 @@ def contact_tilt_suspects(outcomes: Sequence[Outcome], jobs: Sequence[Job], sim:
     most_safety = STIFF_SAFETY if is_stiff(sim.physics) else SAFETY
 
     def leans(outcome: Outcome, has_errors: bool, first: int, end: int) -> bool:
-        far = lean.shift_m[first:end].max(initial=0.0) > BOUND_SHARE * limits.shift_m
-        if far or np.degrees(lean.angle_rad[first:end].max(initial=0.0)) > BOUND_SHARE * limits.tilt_deg:
+        shifts_far = lean.shift_m[first:end].max(initial=0.0) > BOUND_SHARE * limits.shift_m
+        if shifts_far or np.degrees(lean.angle_rad[first:end].max(initial=0.0)) > BOUND_SHARE * limits.tilt_deg:
             return True
         pile = _pile_of(under, first + outcome.culprit) if outcome.culprit >= 0 else [*range(first, end)]
         edges, losses = edge[pile], lean.loss_m[pile]

@@ -150,14 +150,14 @@ class Work:
     @property
     def share(self) -> FloatArray:
         """(n,) share of the boxes of each plan that are placed before the world ends."""
-        known = self._falls.any() and self.sim.check is Check.ONE_BY_ONE
-        return np.asarray(self.placed_share, dtype=float) if known else np.ones(len(self.boxes))
+        has_share = self._falls.any() and self.sim.check is Check.ONE_BY_ONE
+        return np.asarray(self.placed_share, dtype=float) if has_share else np.ones(len(self.boxes))
 
     @property
     def _falls(self) -> NDArray[np.bool_]:
         """(n,) whether a box of each plan tips over, which ends the world."""
-        known = len(self.placed_share) > 0 and self.sim.early_stop
-        return np.asarray(self.placed_share, dtype=float) < 1.0 if known else np.zeros(len(self.boxes), dtype=bool)
+        has_shares = len(self.placed_share) > 0 and self.sim.early_stop
+        return np.asarray(self.placed_share, dtype=float) < 1.0 if has_shares else np.zeros(len(self.boxes), dtype=bool)
 
     @property
     def fall_steps(self) -> FloatArray:
@@ -317,7 +317,8 @@ class Costs:
         )
 
     def seconds(self, work: Work, threads: int, gpus: int = 1) -> dict[str, float]:
-        """Engine → expected time, s, with the worlds shared out over threads or GPUs; for ``mjx-jax`` that on a CPU."""
+        """Engine → expected time, s, with the worlds shared out over threads or GPUs; for ``mjx-jax`` the time on a
+        CPU."""
         n_plans = len(work.boxes)
         if not n_plans:
             starts = {"mjx-warp": self.gpu_start_s, "mjx-warp-cpu": self.kernel_start_s}

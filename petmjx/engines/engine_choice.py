@@ -61,7 +61,7 @@ def choose(
         why_no_kernel: as ``why_no_gpu``, for ``mjx-warp-cpu``.
     """
     cpu, gpu = count_text(threads, "CPU thread"), "a GPU" if gpus <= 1 else f"{gpus} GPUs"
-    where = {"mujoco": cpu, "mjx-warp": gpu, "mjx-warp-cpu": cpu}
+    devices = {"mujoco": cpu, "mjx-warp": gpu, "mjx-warp-cpu": cpu}
     problem_of_gpu = functools.cache(why_no_gpu or why_no_warp)
     problem_of_kernel = why_no_kernel or why_no_warp_on_cpu
 
@@ -72,14 +72,14 @@ def choose(
             return problem_of_gpu()
         return problem_of_kernel() if problem_of_gpu() else "jax uses the GPU"
 
-    by_time = sorted(where, key=lambda name: seconds[name])
+    by_time = sorted(devices, key=lambda name: seconds[name])
     engine = next(name for name in by_time if problem(name) is None)
     faster = by_time[: by_time.index(engine)]
     if engine == "mujoco" and faster:
         return engine, f"{faster[0]} would be faster but cannot run: {problem(faster[0])}"
     other = "mjx-warp" if engine == "mujoco" else "mujoco"
     on = "" if engine == "mjx-warp" else f" on {cpu}"
-    its = other if engine == "mjx-warp-cpu" else where[other]
+    its = other if engine == "mjx-warp-cpu" else devices[other]
     return engine, f"about {seconds[engine]:.0f} s{on}, {its} would need about {seconds[other]:.0f} s"
 
 

@@ -178,8 +178,10 @@ class _Shared(Generic[Faster]):
     def _is_for_mujoco(self, job: Job) -> bool:
         stays = self._engine._faster is None or self._engine._stays
         # an engine that repeats the placement of another one cannot put boxes elsewhere afterwards
-        kept = job.poses is not None and isinstance(job.start, KeptState) and job.start.engine == self._engine.name
-        return stays or kept or job.scene.soft is not None or not self._first_attempt
+        starts_from_own_state = (
+            job.poses is not None and isinstance(job.start, KeptState) and job.start.engine == self._engine.name
+        )
+        return stays or starts_from_own_state or job.scene.soft is not None or not self._first_attempt
 
     def on_mujoco(self) -> Iterator[Outcome]:
         """Run jobs on C MuJoCo. C MuJoCo gets only the jobs that it begins, so that the remaining ones can be taken

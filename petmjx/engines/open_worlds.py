@@ -123,8 +123,8 @@ def widened_rows(values: NDArray[Any], width: int) -> NDArray[Any]:
     if values.ndim == 1 or values.shape[1] == width:
         return values
     fill = False if values.dtype == bool else np.nan
-    more = np.full((len(values), width - values.shape[1], *values.shape[2:]), fill)
-    return np.concatenate([values, more], axis=1)
+    padding = np.full((len(values), width - values.shape[1], *values.shape[2:]), fill)
+    return np.concatenate([values, padding], axis=1)
 
 
 def _check_worlds(worlds: Sequence[int], count: int, *, distinct: bool = True) -> None:
@@ -157,8 +157,8 @@ def _check_grown(before: Scene, after: Scene) -> None:
     n = before.n_boxes
     if after.n_boxes <= n:
         raise ValueError(f"the scene must have more than {n} boxes, and has {after.n_boxes}")
-    same = after.first(n)
-    if not all(np.array_equal(getattr(before, name), getattr(same, name)) for name in OF_BOXES):
+    earlier_part = after.first(n)
+    if not all(np.array_equal(getattr(before, name), getattr(earlier_part, name)) for name in OF_BOXES):
         raise ValueError(f"the first {n} boxes of the scene must be those that the world has")
     if any(not np.array_equal(value, getattr(after.carrier, name)) for name, value in vars(before.carrier).items()):
         raise ValueError("the scene must have the world's carrier")

@@ -92,14 +92,14 @@ def note_edges(outcomes: Sequence[Outcome], jobs: Sequence[Job], *, in_order: bo
         plan_edge_m, rest_edge_m = plan.least, outcome.boxes.rest_edge_m
         outcome.plan_edge_m, outcome.plan_edge_box = _least(plan_edge_m)
         outcome.build_edge_m, outcome.build_edge_box, outcome.build_edge_step = least_built[:3]
-        near = [np.array([least_built.nearest_m]), *plan]
+        edge_parts = [np.array([least_built.nearest_m]), *plan]
         edge_m = np.concatenate([[outcome.build_edge_m], *plan])
         if k in of_rest:
             rest_edge_m = of_rest[k].least
             outcome.rest_edge_m, outcome.rest_edge_box = _least(rest_edge_m)
-            near += of_rest[k]
+            edge_parts += of_rest[k]
         outcome.boxes = replace(outcome.boxes, plan_edge_m=plan_edge_m, rest_edge_m=rest_edge_m)
-        if sets_flag(np.concatenate(near), None).any() or sets_flag(edge_m, outcome.verdict).any():
+        if sets_flag(np.concatenate(edge_parts), None).any() or sets_flag(edge_m, outcome.verdict).any():
             outcome.flags |= Flag.KNIFE_EDGE
 
 
@@ -110,10 +110,10 @@ def edges_again(scene: Scene, outcome: Outcome) -> Iterator[KnifeEdge]:
     edges, (built,), resting = _all_edges(
         [(scene, outcome.n_placed, in_order)], [scene] * at_rest, [outcome.boxes.pos] * at_rest
     )
-    for when, of_boxes in ((BY_PLAN, edges), (AT_REST, resting)):
+    for moment, of_boxes in ((BY_PLAN, edges), (AT_REST, resting)):
         for by_weight, by_load in of_boxes:
-            yield from edges_when(by_load, when)
-            yield from edges_when(by_weight, when, own_weight=True)
+            yield from edges_when(by_load, moment)
+            yield from edges_when(by_weight, moment, own_weight=True)
     if in_order:
         yield KnifeEdge(built.edge_m, built.box, WHILE_BUILT, built.step)
         yield KnifeEdge(built.nearest_m, built.nearest_box, WHILE_BUILT, built.nearest_step)
@@ -136,16 +136,18 @@ def _all_edges(
     bearings = bearings_of(scenes, at_rest, pos)
     joined = joined_bearing(bearings)
     edges = edges_of(bearings, [*placed, *(scene.n_boxes for scene in at_rest)], joined)
-    some = [k for k, is_asked in enumerate(inputs) if is_asked]
-    counts = [scenes[k].n_boxes for k in some]
-    built = building_edges([bearings[k] for k in some], counts, joined if len(some) == len(planned) else None)
-    of_some = dict(zip(some, built, strict=True))
+    asked_rows = [k for k, is_asked in enumerate(inputs) if is_asked]
+    counts = [scenes[k].n_boxes for k in asked_rows]
+    built = building_edges(
+        [bearings[k] for k in asked_rows], counts, joined if len(asked_rows) == len(planned) else None
+    )
+    of_some = dict(zip(asked_rows, built, strict=True))
     number = len(planned)
     return edges[:number], [of_some.get(k, _NOT_BUILT) for k in range(number)], edges[number:]
 
 
 def _least(edge_m: FloatArray) -> tuple[float, int]:
     """The least of the distances and the number of its box; NaN and -1 if there is none."""
-    known = np.where(np.isnan(edge_m), np.inf, edge_m)
-    box = int(known.argmin()) if len(known) else -1
-    return (float(edge_m[box]), box) if box >= 0 and known[box] < np.inf else (np.nan, -1)
+    edge_or_inf = np.where(np.isnan(edge_m), np.inf, edge_m)
+    box = int(edge_or_inf.argmin()) if len(edge_or_inf) else -1
+    return (float(edge_m[box]), box) if box >= 0 and edge_or_inf[box] < np.inf else (np.nan, -1)

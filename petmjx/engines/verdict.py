@@ -196,9 +196,9 @@ def judge_all(
     """
     invalid = [(Verdict.INVALID, reason, (flags & int(bits)) != 0) for bits, reason in INVALID_FLAGS]
     unstable = [(Verdict.UNSTABLE, reason, failed.any(axis=1)) for reason, failed in failures(boxes, thresholds)]
-    verdicts, reasons, where = zip(*invalid, *unstable, strict=True)
-    verdict = np.select(where, [str(label) for label in verdicts], str(Verdict.STABLE))
-    return verdict, np.select(where, [str(reason) for reason in reasons], str(Reason.NONE))
+    verdicts, reasons, box_masks = zip(*invalid, *unstable, strict=True)
+    verdict = np.select(box_masks, [str(label) for label in verdicts], str(Verdict.STABLE))
+    return verdict, np.select(box_masks, [str(reason) for reason in reasons], str(Reason.NONE))
 
 
 DROPPED_EXCESS: Final = 2.0
@@ -244,5 +244,5 @@ class Attempt:
     @classmethod
     def of(cls, outcome: Outcome, timestep_s: float) -> Attempt:
         """The record of an outcome that was simulated with ``timestep_s`` (s)."""
-        kept = {name: getattr(outcome, name) for name in cls.__dataclass_fields__ if name != "timestep_s"}
-        return cls(timestep_s=timestep_s, **kept)
+        fields = {name: getattr(outcome, name) for name in cls.__dataclass_fields__ if name != "timestep_s"}
+        return cls(timestep_s=timestep_s, **fields)

@@ -75,22 +75,22 @@ class Table:
     def features(self, rows: NDArray[np.int64], names: Sequence[str]) -> NDArray[np.float32]:
         """(m, a, f) features of some episodes, ``FEATURES`` and perhaps more."""
         features = np.empty((len(rows), self.legal.shape[1], len(names)), np.float32)
-        more = {UPRIGHT: self.side // 2, PALLET: self.pallet}
+        extra_columns = {UPRIGHT: self.side // 2, PALLET: self.pallet}
         at = 0
         for values in (
             *(self.box, self.side % 2, self.corner_mm, self.size_mm, self.mass_kg, self.support, self.margin),
-            *(more[name] for name in names[len(FEATURES) :]),
+            *(extra_columns[name] for name in names[len(FEATURES) :]),
         ):
-            some = values[rows].reshape(*features.shape[:2], -1)
-            features[..., at : at + some.shape[2]] = some
-            at += some.shape[2]
+            feature_rows = values[rows].reshape(*features.shape[:2], -1)
+            features[..., at : at + feature_rows.shape[2]] = feature_rows
+            at += feature_rows.shape[2]
         return features
 
 
 def features_of(options: PalletizingOptions, orders: Orders) -> tuple[str, ...]:
     """The names of a candidate's features."""
-    more = ((UPRIGHT, options.sides == ALL or orders.lie), (PALLET, options.open_pallets > 1))
-    return (*FEATURES, *(name for name, is_on in more if is_on))
+    extra_features = ((UPRIGHT, options.sides == ALL or orders.lie), (PALLET, options.open_pallets > 1))
+    return (*FEATURES, *(name for name, is_on in extra_features if is_on))
 
 
 class Actions:
@@ -189,8 +189,8 @@ class Actions:
         if self._options.sides != ALL:
             may &= upright[:, self._sides[:, 2]]
         for side in range(1, len(self._sides)):
-            same = (sizes[:, :side] == sizes[:, side, None]).all(axis=2)
-            may[:, side] &= ~(same & may[:, :side]).any(axis=1)
+            is_same = (sizes[:, :side] == sizes[:, side, None]).all(axis=2)
+            may[:, side] &= ~(is_same & may[:, :side]).any(axis=1)
         return may
 
     def _overloads(self, pallets: NDArray[np.int64], force_n: FloatArray) -> NDArray[np.bool_]:
@@ -224,11 +224,11 @@ class Actions:
             way = (pallet[source] * self._options.buffer + box[source]) * len(self._sides) + side[source]
             return row, (way * nx + x) * ny + y
         corner = places.corner_mm[chosen]
-        seen = row * self._options.buffer + box[source]  # places of one box are already sorted along x
-        order = np.lexsort((corner[:, 1], corner[:, 0], corner[:, 2], seen))
+        box_number = row * self._options.buffer + box[source]  # places of one box are already sorted along x
+        order = np.lexsort((corner[:, 1], corner[:, 0], corner[:, 2], box_number))
         number = np.full(len(row), self.count)
-        kept = order[_in_turn(row[order], seen[order], self.count)]
-        number[kept] = _ranks(row[kept])
+        selected = order[_in_turn(row[order], box_number[order], self.count)]
+        number[selected] = _ranks(row[selected])
         return row, number
 
 

@@ -87,9 +87,9 @@ def level_of(options: object, n: int, *others: str) -> FloatArray | None:
         return None
     if not isinstance(options, Mapping):
         raise InputError(f"options must be a dict, {shown_value(options)}")
-    known = ("level", *others)
-    if unknown := [name for name in options if name not in known]:
-        raise InputError(f"options: there is no {unknown[0]!r}; there is {' and '.join(known)}")
+    names = ("level", *others)
+    if unknown := [name for name in options if name not in names]:
+        raise InputError(f"options: there is no {unknown[0]!r}; there is {' and '.join(names)}")
     if options.get("level") is None:
         return None
     try:

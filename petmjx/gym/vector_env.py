@@ -113,9 +113,9 @@ class PalletizingVectorEnv(VectorEnv[Observation, NDArray[np.int64], NDArray[Any
             info = self._spread(going, terms)
         over = terminated | truncated
         if self.autoreset_mode is AutoresetMode.SAME_STEP and over.any():
-            ended = np.flatnonzero(over)
-            info |= self._final(ended, info)
-            self._begin(ended)
+            ended_rows = np.flatnonzero(over)
+            info |= self._final(ended_rows, info)
+            self._begin(ended_rows)
             self._over[:] = False
         else:
             self._over = over
@@ -144,20 +144,20 @@ class PalletizingVectorEnv(VectorEnv[Observation, NDArray[np.int64], NDArray[Any
         info: Info = {}
         known = np.zeros(self.num_envs, bool)
         known[rows] = True
-        for name, some in values.items():
-            table = np.zeros(self.num_envs, some.dtype)
-            if some.dtype == object:
+        for name, row_values in values.items():
+            table = np.zeros(self.num_envs, row_values.dtype)
+            if row_values.dtype == object:
                 table[:] = None
-            table[rows] = some
+            table[rows] = row_values
             info[name], info[f"_{name}"] = table, known.copy()
         return info
 
     def _final(self, rows: NDArray[np.int64], so_far: Info) -> Info:
         """The last observations and information of episodes that ended in this step."""
-        seen = self.episodes.observed(rows)
+        observations = self.episodes.observed(rows)
         last = np.full(self.num_envs, None, object)
         for at, row in enumerate(rows.tolist()):
-            last[row] = {name: values[at] for name, values in seen.items()}
+            last[row] = {name: values[at] for name, values in observations.items()}
         known = np.zeros(self.num_envs, bool)
         known[rows] = True
         terms = {name: values[rows] for name, values in so_far.items() if name.startswith("reward_")}

@@ -84,16 +84,18 @@ class Host:
     ) -> list[NDArray[Any]]:
         new_size, new_corner, new_mass, gets, stands = (np.asarray(values) for values in box)
         columns = empty_results(len(count), self.most_boxes)
-        rows, others = np.flatnonzero(gets), np.flatnonzero(stands & ~gets)
+        rows, other_rows = np.flatnonzero(gets), np.flatnonzero(stands & ~gets)
         with self._lock:
             used = np.flatnonzero(gets | stands)
             many = len(used) if keeps else len({_key(size[row], corner[row], mass[row]) for row in used})
             if (needed := KEPT_PER_PALLET * many + MOST_ASKED) > len(self._pallets):
                 self._begin(needed)
             pinned: set[int] = set()
-            if len(others):
-                other_slots = [self._slot(size[row], corner[row], mass[row], int(count[row]), pinned) for row in others]
-                write_results(columns, others, self._pallets.results(np.array(other_slots)))
+            if len(other_rows):
+                other_slots = [
+                    self._slot(size[row], corner[row], mass[row], int(count[row]), pinned) for row in other_rows
+                ]
+                write_results(columns, other_rows, self._pallets.results(np.array(other_slots)))
             if not len(rows):
                 return columns
             slots = [self._slot(size[row], corner[row], mass[row], int(count[row]), pinned) for row in rows]
@@ -136,15 +138,15 @@ class Host:
     def _slot(self, size: NDArray[Any], corner: NDArray[Any], mass: NDArray[Any], count: int, pinned: set[int]) -> int:
         """The pallet that has these boxes. The world joins ``pinned``, so that it is not reused."""
         keys = [_key(size[:k], corner[:k], mass[:k]) for k in range(count + 1)]
-        known = next((k for k in range(count, -1, -1) if keys[k] in self._slots), -1)
-        slot = self._slots[keys[known]] if known >= 0 else -1
-        if known < count:
-            if known >= 0:
+        n_cached = next((k for k in range(count, -1, -1) if keys[k] in self._slots), -1)
+        slot = self._slots[keys[n_cached]] if n_cached >= 0 else -1
+        if n_cached < count:
+            if n_cached >= 0:
                 pinned.add(slot)
             base, slot = slot, self._spare(pinned)
             try:
-                self._pallets.reset(slot) if known < 0 else self._pallets.fork(base, slot)
-                for k in range(max(known, 0), count):
+                self._pallets.reset(slot) if n_cached < 0 else self._pallets.fork(base, slot)
+                for k in range(max(n_cached, 0), count):
                     self._pallets.place(size_mm=size[k], corner_mm=corner[k], mass_kg=mass[k], pallet=slot)
             except BaseException:
                 self._free.append(slot)

@@ -47,9 +47,9 @@ class BoxTable:
         beyond = np.arange(self.size_mm.shape[1]) >= count[:, None]
         for name in ("size_mm", "corner_mm", "mass_kg"):
             values = getattr(self, name)
-            some = values[pallets]
-            some[beyond] = np.nan
-            values[pallets] = some
+            pallet_rows = values[pallets]
+            pallet_rows[beyond] = np.nan
+            values[pallets] = pallet_rows
         self.count[pallets] = count
         self._points.cut(pallets, count)
 
@@ -65,9 +65,9 @@ class BoxTable:
         points, rows = self._points, np.unique(pallets)
         rows = rows[np.argsort(self.count[rows], kind="stable")]  # together, pallets with few boxes have few points
         while len(rows := rows[points.boxes[rows] < self.count[rows]]):
-            for some in np.array_split(rows, -(-len(rows) // _AT_ONCE)):
-                low = self.corner_mm[some, : int(points.boxes[some].max()) + 1]
-                points.add(some, low, low + self.size_mm[some, : low.shape[1]])
+            for chunk_rows in np.array_split(rows, -(-len(rows) // _AT_ONCE)):
+                low = self.corner_mm[chunk_rows, : int(points.boxes[chunk_rows].max()) + 1]
+                points.add(chunk_rows, low, low + self.size_mm[chunk_rows, : low.shape[1]])
         return points
 
     def box(self, pallets: NDArray[np.int64], number: int) -> Placements:

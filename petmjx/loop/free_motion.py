@@ -237,8 +237,8 @@ def _numbers(name: str, values: Any) -> FloatArray:
         raise InputError(f"{name} must be finite")
     beyond = (array < low) | (array > high)
     if beyond.any():
-        where = np.argwhere(beyond)[0].tolist()
-        raise InputError(f"{name} must be from {low:g} to {high:g}, got {array[tuple(where)]:g}")
+        position = np.argwhere(beyond)[0].tolist()
+        raise InputError(f"{name} must be from {low:g} to {high:g}, got {array[tuple(position)]:g}")
     if name == "quat_wxyz":
         length = np.linalg.norm(array, axis=-1, keepdims=True)
         if (abs(length - 1) > UNIT_WITHIN).any():

@@ -91,12 +91,12 @@ class PalletWorlds:
         exact = np.flatnonzero(strength == 0)
         if len(exact):
             self.worlds.put_next(worlds[exact].tolist(), boxes.take(exact))
-        if len(rest := np.flatnonzero(strength)):
+        if len(error_rows := np.flatnonzero(strength)):
             errors = placing_errors_of(self._sim)
-            scenes = self.worlds.with_next(worlds[rest].tolist(), boxes.take(rest))
-            numbers = self._error[worlds[rest], at[rest]].tolist()
-            drawn = [errors.scene(*of) for of in zip(scenes, numbers, strength[rest].tolist(), strict=True)]
-            self.worlds.put(worlds[rest].tolist(), drawn)
+            scenes = self.worlds.with_next(worlds[error_rows].tolist(), boxes.take(error_rows))
+            numbers = self._error[worlds[error_rows], at[error_rows]].tolist()
+            drawn = [errors.scene(*of) for of in zip(scenes, numbers, strength[error_rows].tolist(), strict=True)]
+            self.worlds.put(worlds[error_rows].tolist(), drawn)
 
     def _rested(self, rows: NDArray[np.int64]) -> PlacementResults:
         if len(rows):
@@ -117,13 +117,13 @@ class PalletWorlds:
     def take_back(self, rows: NDArray[np.int64]) -> None:
         """Take the last box off each of these pallets, each of which must have a box."""
         left = self.boxes.count[rows] - 1
-        kept = self._before[rows] == left
-        if kept.any():
-            self.worlds.fork((self._n + rows[kept]).tolist(), rows[kept].tolist())
+        has_before = self._before[rows] == left
+        if has_before.any():
+            self.worlds.fork((self._n + rows[has_before]).tolist(), rows[has_before].tolist())
         self._cut(rows, left)
         self.dead[rows], self.calm[rows], self._before[rows] = False, False, -1
-        if not kept.all():
-            self._build(rows[~kept])
+        if not has_before.all():
+            self._build(rows[~has_before])
 
     def fork(self, sources: NDArray[np.int64], into: NDArray[np.int64]) -> None:
         """Make pallets copies of other pallets."""
@@ -153,6 +153,6 @@ class PalletWorlds:
         """Place the boxes of some pallets anew, one after another."""
         self._empty_worlds(rows)
         for number in range(int(self.boxes.count[rows].max(initial=0))):
-            some = rows[self.boxes.count[rows] > number]
-            self._put(self.boxes.box(some, number), np.full(len(some), number))
+            grown_rows = rows[self.boxes.count[rows] > number]
+            self._put(self.boxes.box(grown_rows, number), np.full(len(grown_rows), number))
             self.worlds.go_on()

@@ -228,11 +228,11 @@ class Pallets(Closable):
             request = self._placements(size_mm, corner_mm, mass_kg, pallet)
             decided = self._standing.decided(request)
             margin = decided.astype(np.float64)
-            rest = request.take(np.flatnonzero(decided == OPEN))
-            if len(rest):
-                boxes = self._standing.next_boxes(rest)
-                readings = self._worlds.try_next(rest.pallet.tolist(), boxes, until_lost=True)
-                results = PlacementResults.of_readings(rest.pallet, readings, self.simulation.thresholds)
+            open_requests = request.take(np.flatnonzero(decided == OPEN))
+            if len(open_requests):
+                boxes = self._standing.next_boxes(open_requests)
+                readings = self._worlds.try_next(open_requests.pallet.tolist(), boxes, until_lost=True)
+                results = PlacementResults.of_readings(open_requests.pallet, readings, self.simulation.thresholds)
                 margin[decided == OPEN] = np.where(results.stable, results.margin, -1.0)
                 decided[decided == OPEN] = np.where(results.stable, STANDS, FALLS)
             return decided == STANDS, margin

@@ -188,17 +188,17 @@ class Bounds:
         least = _least_margin(request)
         stands = rests.rests & (_margin(rests.edges, middle) >= least)
         load = request.mass_kg[:, None] * np.concatenate([np.ones((m, 1)), middle], axis=1)
-        more: FloatArray = np.zeros((m, k, 3))
+        added_load: FloatArray = np.zeros((m, k, 3))
         row = np.flatnonzero(stands)
-        _pass_on(more, row, rests.bearers[row], rests.shares[row], load[row])
-        more = self._passed_down(pallets, more)
-        bears = more[..., 0] > 0
-        after = loads + more
-        here = np.arange(k) < self._stock.count[pallets, None]
+        _pass_on(added_load, row, rests.bearers[row], rests.shares[row], load[row])
+        added_load = self._passed_down(pallets, added_load)
+        bears = added_load[..., 0] > 0
+        after = loads + added_load
+        in_table = np.arange(k) < self._stock.count[pallets, None]
         with np.errstate(invalid="ignore", divide="ignore"):  # columns beyond a pallet's boxes
             margin = _margin(self._edges[pallets, :k], after[..., 1:] / after[..., :1])
         enough = np.where(bears, 1.0, KNIFE_SHARE) * self._least[pallets, :k]
-        stands = stands & (~here | (margin >= enough)).all(axis=1)
+        stands = stands & (~in_table | (margin >= enough)).all(axis=1)
         light = after[..., 0] > MOST_LOAD * np.nan_to_num(self._stock.mass_kg[pallets, :k], nan=1.0)
         stands &= ~(bears & light).any(axis=1)
         sides = self._stock.size_mm[pallets, :k, :2].min(axis=2)
@@ -233,7 +233,7 @@ class _Rests:
         rests: (m,) whether the box rests on bodies below, and overlaps no other.
         bearers, shares: (m, b) the boxes below, and (m, b, 3, 3) matrices from a load on the box to the share of each
             bearer, by the plane of pressures of ``petmjx.packers.pile_balance``.
-        edges: (m, e, 3) the edges of the bearing: (d, n_x, n_y) a point p is inside by d − n · p, mm; d is infinite on
+        edges: (m, e, 3) the edges of the bearing: (d, n_x, n_y); a point p is inside by d − n · p, mm; d is infinite on
             the carrier, and minus infinity without a body below.
     """
 
@@ -284,8 +284,10 @@ class _Rests:
             [first, np.stack([first[:, 0], last[:, 1]], 1), last, np.stack([last[:, 0], first[:, 1]], 1)], 1
         )
         for number in range(1, MOST_BEARERS + 1):
-            some = np.flatnonzero((bearing == number) & ~on_carrier)
-            edges[some] = _hull_edges(corners[np.isin(row, some)].reshape(len(some), 4 * number, 2))
+            same_bearing = np.flatnonzero((bearing == number) & ~on_carrier)
+            edges[same_bearing] = _hull_edges(
+                corners[np.isin(row, same_bearing)].reshape(len(same_bearing), 4 * number, 2)
+            )
         rests = (on_carrier | (bearing > 0)) & ~blocked
         return cls(low, high, here, start, end, under, on_carrier, rests, bearers, shares, edges)
 
@@ -318,8 +320,8 @@ class _Rests:
                 move of the middle, half the height times the sine, is not certain alone, since the edge may slide.
         """
         z, height = self.start[rows, 2], self.end[rows, 2] - self.start[rows, 2]
-        gone = np.maximum(GONE_MM / outside, 2 * GONE_MM / height)
-        sine = np.minimum(np.sin(np.radians(TURN_DEG)), gone)
+        lost_sine = np.maximum(GONE_MM / outside, 2 * GONE_MM / height)
+        sine = np.minimum(np.sin(np.radians(TURN_DEG)), lost_sine)
         slope = (sine / np.sqrt(1 - sine**2))[:, None]
         start, end = self.start[rows, None, :2], self.end[rows, None, :2]
         low, high = self.low[rows], self.high[rows]
@@ -336,8 +338,8 @@ class _Rests:
             swept_high = end + NEAR_MM + np.maximum(out, 0.0)
             beside = np.minimum(high[..., :2], swept_high) - np.maximum(low[..., :2], swept_low)
             wall = (rise > 0) & (beside > TOUCH_MM).all(axis=2)
-        far = (np.where(towards > 0, end[:, 0], start[:, 0]) * towards).sum(axis=1) - edge
-        caught: NDArray[np.bool_] = (z < slope[:, 0] * far) | (self.here[rows] & (bed | wall)).any(axis=1)
+        distance = (np.where(towards > 0, end[:, 0], start[:, 0]) * towards).sum(axis=1) - edge
+        caught: NDArray[np.bool_] = (z < slope[:, 0] * distance) | (self.here[rows] & (bed | wall)).any(axis=1)
         return caught
 
 
@@ -355,9 +357,9 @@ def _hull_edges(corners: FloatArray) -> FloatArray:
     along = corners[:, None] - corners[:, :, None]  # (m, from, to, 2)
     length = np.linalg.norm(along, axis=-1)
     left = along[..., None, 0] * along[:, :, None, :, 1] - along[..., None, 1] * along[:, :, None, :, 0]
-    whole = (left >= -ROUNDING_MM2).all(axis=-1) & (length > TOUCH_MM)
-    to = np.where(whole, length, -1.0).argmax(axis=-1)
-    row, start = np.nonzero(whole.any(axis=-1))
+    is_edge = (left >= -ROUNDING_MM2).all(axis=-1) & (length > TOUCH_MM)
+    to = np.where(is_edge, length, -1.0).argmax(axis=-1)
+    row, start = np.nonzero(is_edge.any(axis=-1))
     x, y = (along[row, start, to[row, start]] / length[row, start, to[row, start], None]).T
     edges = np.zeros((m, MOST_CORNERS, 3))
     edges[..., 0] = np.inf

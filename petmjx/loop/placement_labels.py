@@ -159,9 +159,9 @@ class Labeller:
                 barren = 0 if running[row].labels else barren + 1
                 del running[row]
             while waiting and waiting[0].is_over:
-                some = waiting.popleft().labels[: count - given]
-                given += len(some)
-                yield from some
+                new_labels = waiting.popleft().labels[: count - given]
+                given += len(new_labels)
+                yield from new_labels
 
     def _begun(self, number: int) -> Episode:
         order = number % self.orders.count
@@ -178,10 +178,10 @@ class Labeller:
         )
         of_row = np.split(np.arange(len(places.row)), np.searchsorted(places.row // 2, np.arange(1, len(rows))))
         chosen, careful, placed = [], [], []
-        for row, some in zip(rows.tolist(), of_row, strict=True):
+        for row, row_places in zip(rows.tolist(), of_row, strict=True):
             episode = running[row]
             explores = not episode.again and episode.rng.random() < self._explore
-            pick = _any_place(some, episode.rng) if explores else _careful_place(places, some, episode.rng)
+            pick = _any_place(row_places, episode.rng) if explores else _careful_place(places, row_places, episode.rng)
             if pick is None:
                 episode.next, episode.again = episode.next + 1, False
                 continue

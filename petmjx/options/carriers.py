@@ -216,11 +216,11 @@ def _check_sizes(carrier: OwnCarrier) -> None:
 
 def _check_masses(carrier: OwnCarrier) -> None:
     for number, board in enumerate(carrier.boards):
-        where = ("boards", number, "mass_kg")
+        location = ("boards", number, "mass_kg")
         if carrier.mass_kg is None and board.mass_kg is None:
-            raise complaint("is missing: the board's mass; or give the carrier's mass_kg", *where)
+            raise complaint("is missing: the board's mass; or give the carrier's mass_kg", *location)
         if carrier.mass_kg is not None and board.mass_kg is not None:
-            raise complaint("contradicts the carrier's mass_kg: drop one of them", *where)
+            raise complaint("contradicts the carrier's mass_kg: drop one of them", *location)
     for number, (board, mass_kg) in enumerate(zip(carrier.boards, carrier.masses_kg, strict=True)):
         density = mass_kg / (board.volume_mm3 / MM_PER_M**3)
         if not _LIGHTEST_KG_M3 <= density <= _HEAVIEST_KG_M3:
@@ -238,8 +238,10 @@ def _check_origin(carrier: OwnCarrier) -> None:
     for axis, name in enumerate("xyz"):
         least = min(board.corner_mm[axis] for board in carrier.boards)
         if least > _ROUNDING_MM:
-            why = "no board is on the floor, z = 0" if name == "z" else "the carrier's front-left corner is the origin"
-            raise complaint(f": the least {name} of all boards is {least:g} mm, and must be 0: {why}")
+            fault = (
+                "no board is on the floor, z = 0" if name == "z" else "the carrier's front-left corner is the origin"
+            )
+            raise complaint(f": the least {name} of all boards is {least:g} mm, and must be 0: {fault}")
 
 
 def _check_one_piece(carrier: OwnCarrier) -> None:
@@ -248,16 +250,16 @@ def _check_one_piece(carrier: OwnCarrier) -> None:
     for one, two in itertools.combinations(range(n), 2):
         shared = min(_shared_mm(carrier.boards[one], carrier.boards[two]))
         if shared > TOUCH_MM:
-            both = f"{_board_label(carrier, one)} and {_board_label(carrier, two)}"
-            raise complaint(f": {both} overlap by {shared:.3g} mm")
+            pair_text = f"{_board_label(carrier, one)} and {_board_label(carrier, two)}"
+            raise complaint(f": {pair_text} overlap by {shared:.3g} mm")
         if shared >= -TOUCH_MM:
             joined[one].add(two)
             joined[two].add(one)
-    piece, more = {0}, [0]
-    while more:
-        near = joined[more.pop()] - piece
-        piece |= near
-        more += near
+    piece, queue = {0}, [0]
+    while queue:
+        neighbours = joined[queue.pop()] - piece
+        piece |= neighbours
+        queue += neighbours
     apart = sorted(set(range(n)) - piece)
     if apart:
         raise complaint(
@@ -312,8 +314,8 @@ def _check_stand(carrier: OwnCarrier) -> None:
     angles = sorted(math.atan2(dy, dx) for dx, dy in corners)
     widest = max(b - a for a, b in itertools.pairwise([*angles, angles[0] + 2 * math.pi]))
     if widest >= math.pi:
-        where = f"its centre of mass, at x = {x:.4g} and y = {y:.4g} mm, is not over the boards on the floor"
-        raise complaint(f": the carrier tips over: {where}")
+        place_text = f"its centre of mass, at x = {x:.4g} and y = {y:.4g} mm, is not over the boards on the floor"
+        raise complaint(f": the carrier tips over: {place_text}")
 
 
 # Carriers as options name them, and as files have them.

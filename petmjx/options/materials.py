@@ -188,8 +188,10 @@ def check_pairs(boxes: Sequence[str], boards: Iterable[str], user_pairs: Sequenc
     pairs |= {(min(pair), max(pair)) for pair in itertools.product(count, {*boards})}
     missing = sorted(pair for pair in pairs if friction_between(*pair, user_pairs) is None)
     if missing:
-        named = ", ".join(f"{printable_name(one)} on {printable_name(other)}" for one, other in missing[:_MOST_NAMED])
-        more = f" and {count_text(len(missing) - _MOST_NAMED, 'more pair')}" if len(missing) > _MOST_NAMED else ""
+        pair_names = ", ".join(
+            f"{printable_name(one)} on {printable_name(other)}" for one, other in missing[:_MOST_NAMED]
+        )
+        more_text = f" and {count_text(len(missing) - _MOST_NAMED, 'more pair')}" if len(missing) > _MOST_NAMED else ""
         one, other = map(printable_name, missing[0])
         example = f'friction_pairs = [{{between = ["{one}", "{other}"], friction = 0.4}}]'
-        raise InputError(f"no friction is known of {named}{more}: give it, as in {example}")
+        raise InputError(f"no friction is known of {pair_names}{more_text}: give it, as in {example}")

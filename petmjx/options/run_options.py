@@ -331,13 +331,13 @@ def sorted_options(options: Mapping[str, Any], *more: type[CheckedRecord]) -> tu
         InputError: an option is unknown. The line suggests the most similar name.
     """
     records: tuple[type[CheckedRecord], ...] = (Simulation, RunOptions, *more)
-    ours: tuple[dict[str, Any], ...] = tuple({} for _ in records)
+    by_record: tuple[dict[str, Any], ...] = tuple({} for _ in records)
     for name, value in options.items():
         home = next((i for i, record in enumerate(records) if name in record.model_fields), None)
         if home is None:
             raise InputError(f"unknown option {name}; {_advice(name, records)}")
-        ours[home][name] = value
-    return ours
+        by_record[home][name] = value
+    return by_record
 
 
 def _advice(name: str, records: tuple[type[CheckedRecord], ...]) -> str:

@@ -117,10 +117,10 @@ class _Pile:
     def find(self, item: Item) -> tuple[int, tuple[float, float, float]] | None:
         """The best place for an item: orientation and front-left-bottom corner; None: the item has no place."""
         points = np.array(list(self._points))
-        both = (0, 1) if item.length_mm != item.width_mm else (0,)
-        corners = np.concatenate([points] * len(both))
-        orientations = np.repeat(both, len(points))
-        bases = np.array([_base(item, o) for o in both])[orientations]
+        allowed_orientations = (0, 1) if item.length_mm != item.width_mm else (0,)
+        corners = np.concatenate([points] * len(allowed_orientations))
+        orientations = np.repeat(allowed_orientations, len(points))
+        bases = np.array([_base(item, o) for o in allowed_orientations])[orientations]
         inside = (corners + bases <= np.array(self.extent_mm) + TOUCH_MM).all(axis=1)
         corners, bases, orientations = corners[inside], bases[inside], orientations[inside]
 

@@ -144,7 +144,7 @@ def _search(
 def _step(ways: Sequence[_SearchNode], width: int, branch: int, stride: int, fills: Fills) -> list[_SearchNode]:
     """The best packings with ``stride`` more boxes, the best first; empty if no more box can be placed."""
     best: list[_SearchBranch] = []
-    known: set[frozenset[PlacedBox]] = set()
+    seen_packings: set[frozenset[PlacedBox]] = set()
     for way in ways:
         before = frozenset(way.packing.placed)
         for number, candidate in enumerate(way.packing.next(branch)):
@@ -156,9 +156,9 @@ def _step(ways: Sequence[_SearchNode], width: int, branch: int, stride: int, fil
                 packing.put(candidate)
                 packing.fill(most=stride - 1)
                 boxes = frozenset(packing.placed)
-            if boxes in known:  # the same boxes at the same places, in another order
+            if boxes in seen_packings:  # the same boxes at the same places, in another order
                 continue
-            known.add(boxes)
+            seen_packings.add(boxes)
             if number == 0:  # the known full packing was filled up from this candidate
                 filled: RankedPacking | None = way.filled
             else:

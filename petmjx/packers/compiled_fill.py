@@ -74,7 +74,7 @@ def _kernel() -> Any:
 
 
 class FillKernel:
-    """Fills up packings of one order with one taste and one clearance. Not thread-safe.
+    """Fills up packings of one order with one set of weights and one clearance. Not thread-safe.
 
     Args:
         start: a packing of the order.

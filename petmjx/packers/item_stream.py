@@ -45,8 +45,8 @@ class Places(NamedTuple):
 
     def take(self, rows: NDArray[np.intp]) -> Places:
         """The candidates in some rows."""
-        some: list[Any] = [values[rows] for values in self]
-        return Places(*some)
+        row_values: list[Any] = [values[rows] for values in self]
+        return Places(*row_values)
 
 
 class ItemStream(Packing):

@@ -80,8 +80,8 @@ class MirroredCandidates(Candidates):
             area = overlap(corner, base[None], low[:, :2], high[:, :2])[:, 0]
             z, carried = let_down(area, high[:, 2])
             parts.append((np.full(len(z), shape), corner, z, np.where(z > 0, carried / self.area[shape], 1.0)))
-        some: list[Any] = [np.concatenate(arrays) for arrays in zip(*parts, strict=True)]
-        shape, self.corners, self.rests, support = some
+        arrays_of_parts: list[Any] = [np.concatenate(arrays) for arrays in zip(*parts, strict=True)]
+        shape, self.corners, self.rests, support = arrays_of_parts
         return shape, self.corners, self.rests, support
 
     def keep_shapes(self, kept: NDArray[np.bool_]) -> None:
@@ -141,8 +141,10 @@ class FourSidedStream(ItemStream):
             least_support: least supported share of a base.
         """
         table, kinds = self._table, set(self.seen)
-        seen = np.array([column for column, kind in enumerate(self._kind_of.tolist()) if kind in kinds], np.intp)
-        shape, corner, z, support = table.candidates(seen)
+        visible_columns = np.array(
+            [column for column, kind in enumerate(self._kind_of.tolist()) if kind in kinds], np.intp
+        )
+        shape, corner, z, support = table.candidates(visible_columns)
         fits = (z + table.height[shape] <= MAX_HEIGHT_MM + TOUCH_MM) & (support >= least_support - SHARE_SLACK)
         fits[list(self._refused)] = False
         rows = np.flatnonzero(fits)

@@ -145,8 +145,8 @@ class Policy:
     def load(cls, file: Path | IO[bytes]) -> Policy:
         """A policy with the weights of a file."""
         with np.load(file, allow_pickle=False) as arrays:
-            named = dict(arrays)
-        return cls(Network.of_arrays("taste", named), Network.of_arrays("head", named))
+            weights = dict(arrays)
+        return cls(Network.of_arrays("taste", weights), Network.of_arrays("head", weights))
 
 
 def placing_of(stream: FourSidedStream, places: Places, row: int, rest: Rest | None = None) -> PlacementState:
@@ -162,8 +162,8 @@ def lowest(stream: FourSidedStream, places: Places) -> Places:
     kinds = np.unique(places.kind)
     most = max(MOST_PLACES // max(len(kinds), 1), LEAST_PLACES)
     order: NDArray[np.intp] = np.argsort(cost, kind="stable")
-    kept = [order[places.kind[order] == kind][:most] for kind in kinds.tolist()]
-    return places.take(np.concatenate(kept)) if kept else places
+    lowest_rows = [order[places.kind[order] == kind][:most] for kind in kinds.tolist()]
+    return places.take(np.concatenate(lowest_rows)) if lowest_rows else places
 
 
 @functools.cache

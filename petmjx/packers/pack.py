@@ -173,14 +173,16 @@ def pack_each(
         orders: pairs of an id and an order.
         options: as in ``pack``. The options are checked before the first order is read.
     """
-    packer_options, how = _split_options(options)
+    packer_options, simulation_options = _split_options(options)
     if packer not in (PHYSICAL, LEARNED):
         raise InputError(f"packer must be {PHYSICAL} or {LEARNED}, {shown_value(packer)}")
     if packer == PHYSICAL and look_ahead is not None:
         raise InputError(f"look_ahead needs the packer {LEARNED}")
     ahead = integer_of(1 if look_ahead is None else look_ahead, "look_ahead", 1, MOST_LOOK_AHEAD)
     sees = ahead if packer == LEARNED else None
-    return pack_physical(orders, packer_options, how, integer_of(workers, "workers", 1, MOST_WORKERS), sees)
+    return pack_physical(
+        orders, packer_options, simulation_options, integer_of(workers, "workers", 1, MOST_WORKERS), sees
+    )
 
 
 def orders_of(

@@ -130,13 +130,13 @@ def order_evaluation(
         now = [Trial(plan_id, finalist) for finalist in (left if hurries or by_share else left[:1])]
         tried += now
         yield [(trial, trial.ask(first)) for trial in now]
-        if rest := [trial for trial in now if first < options.worlds and not trial.is_hopeless(options)]:
-            yield [(trial, trial.ask(options.worlds)) for trial in rest]
+        if open_trials := [trial for trial in now if first < options.worlds and not trial.is_hopeless(options)]:
+            yield [(trial, trial.ask(options.worlds)) for trial in open_trials]
         if any(trial.is_whole(options) and trial.judged.is_good(options) for trial in tried):
             break
     else:
-        if rest := [trial for trial in tried if not trial.is_whole(options)]:
-            yield [(trial, trial.ask(options.worlds)) for trial in rest]
+        if open_trials := [trial for trial in tried if not trial.is_whole(options)]:
+            yield [(trial, trial.ask(options.worlds)) for trial in open_trials]
     return [trial.judged for trial in tried]
 
 
@@ -166,12 +166,12 @@ def choose(judged: Sequence[Evaluation], options: PhysicalOptions) -> Evaluation
     Args:
         judged: evaluations, at least one.
     """
-    good = [packing for packing in judged if packing.is_good(options)]
-    if not good:
+    good_packings = [packing for packing in judged if packing.is_good(options)]
+    if not good_packings:
         return max(judged, key=lambda packing: (packing.stands, packing.share, packing.finalist.volume_m3))
     by_share = options.maximise == "share"
     return max(
-        good,
+        good_packings,
         key=lambda packing: (
             packing.finalist.volume_m3,
             packing.share if by_share else 0.0,

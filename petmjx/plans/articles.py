@@ -157,8 +157,8 @@ def read_articles(path: str | Path) -> Articles:
     """
     file, name = Path(path), printable(str(path))
     try:
-        named = is_csv(file) or file.suffix.lower() == ".toml"  # their readers name other kinds themselves
-        if not named and (foreign := foreign_kind_of(file)) is not None:
+        has_own_reader = is_csv(file) or file.suffix.lower() == ".toml"  # their readers name other kinds themselves
+        if not has_own_reader and (foreign := foreign_kind_of(file)) is not None:
             raise InputError(f"{name}: {foreign}")
         if file.suffix.lower() == ".toml":
             rows = _toml_rows(read_toml(file), name)
@@ -187,18 +187,18 @@ def read_articles(path: str | Path) -> Articles:
 
 def _article(where: str, row: Mapping[str, Any]) -> tuple[str, str, Article]:
     """One checked row: the kind of its name (article, product_group or material), the name, and the properties."""
-    known = {name.strip().lower(): value for name, value in row.items() if value not in (None, "")}
-    unknown = [name for name in known if name not in _FIELDS]
+    values = {name.strip().lower(): value for name, value in row.items() if value not in (None, "")}
+    unknown = [name for name in values if name not in _FIELDS]
     if unknown:
         raise InputError(f"{where}: unknown field {printable_name(unknown[0])}; there are {', '.join(_FIELDS)}")
-    keys = [key for key in _KEYS if key in known]
-    if len(keys) == 2 or (not keys and _MATERIAL not in known):
+    keys = [key for key in _KEYS if key in values]
+    if len(keys) == 2 or (not keys and _MATERIAL not in values):
         raise InputError(f"{where}: must name either an article, a product_group, or a material alone")
-    numbers = {field: _number(where, field, known[field]) for field in _NUMBERS if field in known}
+    numbers = {field: _number(where, field, values[field]) for field in _NUMBERS if field in values}
     stiffness = numbers.pop(_STIFFNESS, None)
     com = [numbers.pop(field) if field in numbers else None for field in COM_FIELDS]
     com_mm = None if com == [None] * 3 else (com[0] or 0.0, com[1] or 0.0, com[2] or 0.0)
-    material = known.get(_MATERIAL)
+    material = values.get(_MATERIAL)
     if material is not None and not (isinstance(material, str) and len(material) <= _LONGEST_MATERIAL):
         raise InputError(
             f"{where}: {_MATERIAL} must be text of at most {_LONGEST_MATERIAL} characters, got {_shown_cell(material)}"
@@ -207,7 +207,7 @@ def _article(where: str, row: Mapping[str, Any]) -> tuple[str, str, Article]:
     bears = None if not numbers and has_other_values else _strength(where, numbers)
     if not keys and material is not None:
         return _MATERIAL, material_key(material), Article(bears, None, com_mm, stiffness)
-    return keys[0], str(known[keys[0]]), Article(bears, material, com_mm, stiffness)
+    return keys[0], str(values[keys[0]]), Article(bears, material, com_mm, stiffness)
 
 
 def _strength(where: str, numbers: Mapping[str, float]) -> Strength:
@@ -253,10 +253,10 @@ def _toml_rows(tables: Mapping[str, Any], name: str) -> Iterator[tuple[str, dict
                 f"{printable_name(table)}"
             )
         for value, row in rows.items():
-            where = f"{table}.{printable_name(value)}"
+            location = f"{table}.{printable_name(value)}"
             if not isinstance(row, Mapping):
-                raise InputError(f"{name}: {where} must be a table with {_SIMPLE}, or with {joined_names(_BOARD)}")
-            yield where, {**row, _TOML_TABLES[table]: value}
+                raise InputError(f"{name}: {location} must be a table with {_SIMPLE}, or with {joined_names(_BOARD)}")
+            yield location, {**row, _TOML_TABLES[table]: value}
 
 
 def _csv_rows(file: Path, name: str) -> Iterator[tuple[str, dict[str, Any]]]:
@@ -286,8 +286,8 @@ def _csv_rows(file: Path, name: str) -> Iterator[tuple[str, dict[str, Any]]]:
                 yield f"row {number}", _cells(name, number, names, row, commas)
     except csv.Error as error:
         unclosed = "unexpected end of data" in str(error)
-        why = "has an unclosed quotation mark" if unclosed else f"not CSV: {reason(error)}"
-        raise InputError(f"{name}: row {number + 1}: {why}") from None
+        quote_fault = "has an unclosed quotation mark" if unclosed else f"not CSV: {reason(error)}"
+        raise InputError(f"{name}: row {number + 1}: {quote_fault}") from None
 
 
 def _is_utf8(data: bytes | bytearray) -> bool:
@@ -302,8 +302,8 @@ def _cells(name: str, number: int, names: Sequence[str], row: Sequence[str], com
     if len(row) != len(names):
         raise InputError(f"{name}: row {number}: has {len(row)} fields instead of {len(names)}")
     values = dict(zip(names, row, strict=True))
-    known = [field.strip().lower() for field in names]
-    if twice := next((field for field in known if known.count(field) > 1), None):
+    field_names = [field.strip().lower() for field in names]
+    if twice := next((field for field in field_names if field_names.count(field) > 1), None):
         raise InputError(f"{name}: row 1: the column {printable_name(twice)} is repeated")
     if commas:
         for field, value in values.items():

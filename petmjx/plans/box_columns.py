@@ -175,7 +175,7 @@ class Extraction:
     def numbers(self, index: int, units: Mapping[str, float]) -> tuple[FloatArray, str]:
         """(n,) numbers of a column, NaN where a cell is bad; and the unit of its name or cells ("": none)."""
         meaning = self.meanings[index]
-        named = meaning.unit if meaning is not None and meaning.unit in units else ""
+        unit_name = meaning.unit if meaning is not None and meaning.unit in units else ""
         values = np.full(len(self.table.rows), np.nan)
         of_cells: list[str] = []
         numbers = [cell_number(cell, self.table.decimal) for cell in self.cells(index)]
@@ -191,11 +191,11 @@ class Extraction:
             of_cells.append(number.unit)
         written = {unit for unit in of_cells if unit}
         if not written:
-            return values, named
+            return values, unit_name
         target = "mm" if "mm" in units else "kg"
         for row, number in enumerate(numbers):
             if number is not None and not np.isnan(values[row]):
-                unit = number.unit or named or (written.copy().pop() if len(written) == 1 else "")
+                unit = number.unit or unit_name or (written.copy().pop() if len(written) == 1 else "")
                 if not unit:
                     self.bad(row, index, f"has no unit, unlike other rows, got {number.value:g}")
                 values[row] *= units.get(unit, 1.0)
@@ -204,9 +204,9 @@ class Extraction:
     def triples(self, index: int) -> tuple[FloatArray, str]:
         """(n, 3) numbers of a column with three in a cell; and the unit."""
         meaning = self.meanings[index]
-        named = meaning.unit if meaning is not None and meaning.unit in LENGTH_UNITS else ""
+        unit_name = meaning.unit if meaning is not None and meaning.unit in LENGTH_UNITS else ""
         values = np.full((len(self.table.rows), 3), np.nan)
-        unit = named
+        unit = unit_name
         for row, cell in enumerate(self.cells(index)):
             triple = cell_triple(cell, self.table.decimal)
             if triple is None:
@@ -333,18 +333,18 @@ class Extraction:
             lows = [begin[axis][0] for axis in _XYZ]
             highs = [finish[axis][0] for axis in _XYZ]
             corner, unit = self.joined(lows)
-            far, far_unit = self.joined(highs)
+            far_corner, far_unit = self.joined(highs)
             if unit != far_unit:
-                corner, far = (
-                    values * LENGTH_UNITS.get(name, 1.0) for values, name in ((corner, unit), (far, far_unit))
+                corner, far_corner = (
+                    values * LENGTH_UNITS.get(name, 1.0) for values, name in ((corner, unit), (far_corner, far_unit))
                 )
                 unit = "mm"
             columns = {axis: header[index] for axis, index in zip(_XYZ, lows, strict=True)}
             columns |= {f"{axis} (far)": header[index] for axis, index in zip(_XYZ, highs, strict=True)}
-            size = far - corner
+            size = far_corner - corner
             for row in np.flatnonzero((size <= 0).any(axis=1)):
                 axis = int(np.flatnonzero(size[row] <= 0)[0])
-                self.bad(int(row), highs[axis], f"must be beyond {header[lows[axis]]}, got {far[row, axis]:g}")
+                self.bad(int(row), highs[axis], f"must be beyond {header[lows[axis]]}, got {far_corner[row, axis]:g}")
                 size[row] = np.nan
             return [Geometry(size, corner, _XYZ, unit, unit, "corner", True, columns)]
         return []
@@ -373,16 +373,22 @@ class Extraction:
         places_of = self.place_choices() if quaternions else []
         if not places_of:
             return []
-        named = [quaternions.get(axis, [None])[0] for axis in ("w", "x", "y", "z")]
+        components = [quaternions.get(axis, [None])[0] for axis in ("w", "x", "y", "z")]
         listed = [quaternions.get(str(axis), [None])[0] for axis in range(4)]
-        orders = [named] if None not in named else [listed, [listed[3], *listed[:3]]] if None not in listed else []
-        place, place_unit, anchor, more, _ = places_of[0]
+        orders = (
+            [components] if None not in components else [listed, [listed[3], *listed[:3]]] if None not in listed else []
+        )
+        place, place_unit, anchor, place_columns, _ = places_of[0]
         geometries: list[Geometry] = []
         poses: list[tuple[int, FloatArray, dict[str, str], int, float]] = []
         for number, order in enumerate(orders):
             indices = [index for index in order if index is not None]
             values = np.stack([self.numbers(index, LENGTH_UNITS)[0] for index in indices], axis=1)
-            all_columns = {**columns, **more, "quaternion": header[indices[0]].rpartition("[")[0] or header[indices[0]]}
+            all_columns = {
+                **columns,
+                **place_columns,
+                "quaternion": header[indices[0]].rpartition("[")[0] or header[indices[0]],
+            }
             if number == 1:
                 all_columns["order of quaternions"] = "x, y, z, w"
             rotation = _rotations_of(values)
@@ -452,8 +458,8 @@ class Extraction:
         turns, weight, is_density = None, None, False
         for index in range(max(used, default=-1) + 1, len(header)):
             values = self._quiet(index)
-            whole = bool((values == np.rint(values)).all())
-            if whole and values.min() >= 0 and values.max() <= 5:
+            is_integer = bool((values == np.rint(values)).all())
+            if is_integer and values.min() >= 0 and values.max() <= 5:
                 if values.max() > 0 and turns is None:
                     rules = ("swap", "py3dbp") if values.max() <= 1 else ("py3dbp",)
                     turns = Turns(header[index], rules, values.astype(np.int64))
@@ -516,12 +522,12 @@ class Extraction:
         if index is None:
             return None
         cells, name = self.cells(index), self.table.header[index]
-        known = [cell for cell in cells if cell not in (None, "")]
-        if not known:
+        filled_cells = [cell for cell in cells if cell not in (None, "")]
+        if not filled_cells:
             return None
         letters = [_letters_of(cell) for cell in cells]
         codes = np.full(len(cells), -1, np.int64)
-        if sum(turn is not None for turn in letters) * 2 > len(known):
+        if sum(turn is not None for turn in letters) * 2 > len(filled_cells):
             array = np.zeros((len(cells), 3), np.int64)
             for row, turn in enumerate(letters):
                 if turn is None:
@@ -531,7 +537,7 @@ class Extraction:
             return Turns(name, ("letters",), codes, array)
         values = [_turn_number(cell, self.table.decimal) for cell in cells]
         used = {value for value in values if value is not None}
-        whole = {value for value in used if float(value).is_integer()}
+        integers = {value for value in used if float(value).is_integer()}
         in_degrees = sum(value is not None and value % 90 == 0 and abs(value) > 5 for value in values)
         if in_degrees or name.lower() in ("yaw", "angle", "winkel"):
             rules: tuple[str, ...] = ("degrees",)
@@ -543,11 +549,11 @@ class Extraction:
                 ]
             )
             kind = "a multiple of 90"
-        elif max(whole, default=0) <= 1:
+        elif max(integers, default=0) <= 1:
             rules, kind = ("swap", "py3dbp"), "0 or 1"
             allowed = [value in (0, 1) for value in values]
-        elif 0 in whole or max(whole) <= 5:
-            rules, kind = ("py3dbp",) if 0 in whole else ("py3dbp", "py3dbp from 1"), "0 to 5"
+        elif 0 in integers or max(integers) <= 5:
+            rules, kind = ("py3dbp",) if 0 in integers else ("py3dbp", "py3dbp from 1"), "0 to 5"
             allowed = [value is not None and value in range(6) for value in values]
         else:
             rules, kind = ("py3dbp from 1",), "1 to 6"
@@ -557,7 +563,7 @@ class Extraction:
                 [int(value) if ok and value is not None else -1 for value, ok in zip(values, allowed, strict=True)],
                 np.int64,
             )
-        if sum(allowed) * 2 <= len(known):
+        if sum(allowed) * 2 <= len(filled_cells):
             return None  # words of another kind; sizes are then taken as placed
         for row, ok in enumerate(allowed):
             if not ok:
@@ -601,8 +607,8 @@ def _same_prefix(header: Sequence[str], picked: Sequence[Sequence[int]]) -> list
             by_prefix.setdefault(header[index].rpartition(".")[0], [-1] * len(picked))
             slots = by_prefix[header[index].rpartition(".")[0]]
             slots[number] = index if slots[number] < 0 else slots[number]
-    whole = [tuple(slots) for slots in by_prefix.values() if -1 not in slots]
-    return whole[:1] or [tuple(columns[0] for columns in picked)]
+    full_triples = [tuple(slots) for slots in by_prefix.values() if -1 not in slots]
+    return full_triples[:1] or [tuple(columns[0] for columns in picked)]
 
 
 def _is_matrix(cell: Any) -> bool:

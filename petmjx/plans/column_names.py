@@ -379,10 +379,10 @@ def _orders(words: set[str]) -> tuple[str, ...]:
 
 def _letters_order(letters: str) -> tuple[str, ...]:
     """The sizes that three letters name, as "WHD" does; empty: they name none."""
-    for known, axes in _LETTERS:
-        if sorted(known) == sorted(letters):
-            return tuple(axes[known.index(letter)] for letter in letters)
-        plain = [letter.lower() for letter in known]
+    for initials, axes in _LETTERS:
+        if sorted(initials) == sorted(letters):
+            return tuple(axes[initials.index(letter)] for letter in letters)
+        plain = [letter.lower() for letter in initials]
         if sorted(plain) == sorted(letters.lower()) and len(set(plain)) == 3:
             return tuple(axes[plain.index(letter)] for letter in letters.lower())
     return ()

@@ -363,8 +363,8 @@ def _is_wall_lying(plan: Plan, odd: PlanWarnings, extent_mm: tuple[float, float]
     if odd.n_floating or odd.n_overlapping_pairs or plan.corner_mm[:, 2].max() > DEFAULT_TOLERANCE_MM:
         return False
     length, width = np.array(extent_mm) + DEFAULT_TOLERANCE_MM
-    far = (plan.corner_mm + plan.size_mm).max(axis=0)
-    if plan.corner_mm[:, 1].max() < width or (far[0] <= width and far[1] <= length):
+    high_mm = (plan.corner_mm + plan.size_mm).max(axis=0)
+    if plan.corner_mm[:, 1].max() < width or (high_mm[0] <= width and high_mm[1] <= length):
         return False
     corner, size = _WALL.layout_of(plan)
     bounds = (corner + size).max(axis=0) - corner.min(axis=0)
@@ -397,8 +397,8 @@ def _odd_densities(plans: Sequence[Plan]) -> dict[str, tuple[Convention, str]]:
         plan, light = plans[index], density[index] < LIGHTEST_KG_M3
         of_boxes = plan.mass_kg / (plan.size_mm.prod(axis=1) / _MM3_PER_M3)
         box = int(of_boxes.argmin() if light else of_boxes.argmax())
-        why = TONNES if light else _why_dense(density[index], volume[index] / plan.n_boxes)
-        reasons[plan.plan_id] = why, f"{_box(plan, box)} has {three_digits(of_boxes[box])} kg/m³"
+        reason = TONNES if light else _why_dense(density[index], volume[index] / plan.n_boxes)
+        reasons[plan.plan_id] = reason, f"{_box(plan, box)} has {three_digits(of_boxes[box])} kg/m³"
     return reasons
 
 

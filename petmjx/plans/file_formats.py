@@ -167,12 +167,12 @@ def point_fault(field: str, value: object) -> str | None:
     plain = value.strip()
     with_comma = plain.replace(".", ",")
     if _POINTS.fullmatch(plain):
-        whole = plain.replace(".", "")
+        joined_digits = plain.replace(".", "")
         if plain.count(".") > 1:
-            return f'{field} must be a number, got "{plain}": it has marks between its thousands; write {whole}'
+            return f'{field} must be a number, got "{plain}": it has marks between its thousands; write {joined_digits}'
         return (
             f'{field} must be a number, got "{plain}": other numbers of this file have decimal commas; '
-            f"write {whole} or {with_comma}, whichever it is"
+            f"write {joined_digits} or {with_comma}, whichever it is"
         )
     if number_in(plain) is None:
         return None

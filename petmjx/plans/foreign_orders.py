@@ -129,12 +129,12 @@ def _best_source(sources: Sequence[BoxSource], items: Path | None = None) -> Box
 def _without_gaps(source: BoxSource, columns: Sequence[str]) -> BoxSource:
     """A source without rows that lack a value."""
     cells = [source.boxes.table.column(name) for name in columns]
-    whole = np.array([all(cell not in (None, "") for cell in row) for row in zip(*cells, strict=True)], bool)
-    left = int((~whole).sum())
+    is_full = np.array([all(cell not in (None, "") for cell in row) for row in zip(*cells, strict=True)], bool)
+    left = int((~is_full).sum())
     if not left:
         return source
     verb = "lacks" if left == 1 else "lack"
-    return with_rows(source, whole, (f"{count_text(left, 'row')} that {verb} a value left out",))
+    return with_rows(source, is_full, (f"{count_text(left, 'row')} that {verb} a value left out",))
 
 
 def _array_of_sizes(data: bytes | bytearray) -> BoxSource | None:
@@ -177,11 +177,11 @@ def _sheet_of_deli(data: bytes | bytearray) -> BoxSource | None:
         return None
     picked = [rows[head].index(name) for name in _DELI]
     cells = [(number, tuple(row[index] for index in picked)) for number, row in enumerate(rows) if number > head]
-    good = [(number, row) for number, row in cells if all(cell_number(cell) is not None for cell in row)]
-    table = RawTable(_LENGTHS, [row for _, row in good], [f"row {number + 1}" for number, _ in good])
-    parts = tuple(str(number // SET_ITEMS + 1) for number in range(len(good)))
+    good_rows = [(number, row) for number, row in cells if all(cell_number(cell) is not None for cell in row)]
+    table = RawTable(_LENGTHS, [row for _, row in good_rows], [f"row {number + 1}" for number, _ in good_rows])
+    parts = tuple(str(number // SET_ITEMS + 1) for number in range(len(good_rows)))
     notes = [f"in orders of {SET_ITEMS} boxes"]
-    if left := len(cells) - len(good):
+    if left := len(cells) - len(good_rows):
         notes.append(f"{count_text(left, 'row')} without three sizes left out")
     return BoxSource(BoxList(table, "", parts), DELI, tuple(notes))
 
@@ -221,9 +221,10 @@ def _orders_of_plans(path: Path, source: str, reading: OrderReading) -> ForeignO
     refused = tuple((skip.plan_id or "", str(skip)) for skip in plan_set.skipped)
     if not orders and refused:
         raise InputError(refused[0][1].removeprefix(f"{source}: "))
-    how = next((text.line() for text in plan_set.readings.values()), "read as petmjx's plans")
+    reading_line = next((text.line() for text in plan_set.readings.values()), "read as petmjx's plans")
     line = (
-        f"{source}: holds plans: the boxes of each are an order, their places are not used; {how}; packed on {target}"
+        f"{source}: holds plans: the boxes of each are an order, their places are not used; {reading_line}; "
+        f"packed on {target}"
     )
     return ForeignOrders(tuple(orders), refused, line)
 

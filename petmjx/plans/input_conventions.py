@@ -53,11 +53,11 @@ class InputConventions:
         """
         units, anchor = PLAN_UNITS if units is None else units, "corner" if anchor is None else anchor
         text_of(units, "units")
-        known = next((name for name in ANCHORS if isinstance(anchor, str) and name == anchor), None)
-        if known is None:
+        known_anchor = next((name for name in ANCHORS if isinstance(anchor, str) and name == anchor), None)
+        if known_anchor is None:
             raise InputError(f"anchor must be one of {', '.join(ANCHORS)}, {shown_value(anchor)}")
         try:
-            return cls(",".join(plan_units(units)), known)
+            return cls(",".join(plan_units(units)), known_anchor)
         except ValueError as error:
             raise InputError(f"units {error}, {shown_value(units)}") from None
 

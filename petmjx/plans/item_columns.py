@@ -183,7 +183,7 @@ class _ItemExtraction(Extraction):
 
     def _take_names_of_orders(self) -> None:
         """The meanings of names that only orders have."""
-        known = {meaning.kind for meaning in self.meanings if meaning is not None}
+        kinds = {meaning.kind for meaning in self.meanings if meaning is not None}
         for index, name in enumerate(self.table.header):
             base, unit = split_unit(name)
             words = set(words_of(base))
@@ -198,9 +198,9 @@ class _ItemExtraction(Extraction):
             elif words & _LAYER and words & _PER:
                 self.meanings[index] = ColumnMeaning("quantity")
                 self.of_layer.add(index)
-            elif "quantity" not in known and self._is_quantity(words, joined) and self._is_whole(index):
+            elif "quantity" not in kinds and self._is_quantity(words, joined) and self._is_whole(index):
                 self.meanings[index] = ColumnMeaning("quantity")
-            elif ("plan" not in known and words & _ORDERS and words & _NUMBERED and words <= _ORDERS | _NUMBERED) or (
+            elif ("plan" not in kinds and words & _ORDERS and words & _NUMBERED and words <= _ORDERS | _NUMBERED) or (
                 meaning is None and joined in _ORDERS
             ):
                 self.meanings[index] = ColumnMeaning("plan")
@@ -216,11 +216,11 @@ class _ItemExtraction(Extraction):
     def _is_whole(self, index: int) -> bool:
         """Whether most cells of a column are whole numbers, but no names: names count up, or are all large."""
         numbers = [cell_number(cell, self.table.decimal) for cell in self.cells(index)]
-        whole = [number.value for number in numbers if number is not None and number.value.is_integer()]
-        if len(whole) * 2 <= len(numbers):
+        integers = [number.value for number in numbers if number is not None and number.value.is_integer()]
+        if len(integers) * 2 <= len(numbers):
             return False
-        steps = np.diff(whole)
-        return not (len(whole) > 2 and bool((steps > 0).all())) and min(whole) <= MOST_ITEMS
+        steps = np.diff(integers)
+        return not (len(integers) > 2 and bool((steps > 0).all())) and min(integers) <= MOST_ITEMS
 
     def maybe_quantity(self) -> str:
         """The column without a known name whose cells may be quantities: small whole numbers; "": no such column.
@@ -239,8 +239,8 @@ class _ItemExtraction(Extraction):
                 continue
             numbers = [cell_number(cell, self.table.decimal) for cell in self.cells(index)]
             values = [number.value for number in numbers if number is not None and not number.unit]
-            whole = len(values) == len(numbers) and all(value.is_integer() for value in values)
-            if whole and self._is_whole(index) and 1 < max(values) <= MOST_ITEMS and min(values) >= 0:
+            all_integers = len(values) == len(numbers) and all(value.is_integer() for value in values)
+            if all_integers and self._is_whole(index) and 1 < max(values) <= MOST_ITEMS and min(values) >= 0:
                 return name
         return ""
 
@@ -322,8 +322,8 @@ class _ItemExtraction(Extraction):
         self._check_single(columns)
         upright = next((axis for axis in ("height", "z", "2", "depth") if axis in axes), axes[2])
         order = [index for index, axis in enumerate(axes) if axis != upright] + [axes.index(upright)]
-        named = tuple(columns.values())
-        return values[:, order], unit, tuple(named[index] for index in order) if len(named) == 3 else named
+        names = tuple(columns.values())
+        return values[:, order], unit, tuple(names[index] for index in order) if len(names) == 3 else names
 
 
 def item_columns(source: BoxSource, chosen: Mapping[str, str] | None = None) -> ItemColumns | None:

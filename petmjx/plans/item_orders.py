@@ -156,15 +156,15 @@ class _OrderBuilder:
         counts = self._counts(size, targets, names)
         mass = self._masses(units, size, counts)
         lost = self._lost(names)
-        good: list[tuple[str, Order]] = []
+        good_orders: list[tuple[str, Order]] = []
         refused: list[tuple[str, str]] = []
         for name, rows in rows_of.items():
-            where = f"{self.source}: order {printable_name(name)}"
+            location = f"{self.source}: order {printable_name(name)}"
             if (fault := self._fault(rows, lost.get(name), counts)) is not None:
-                refused.append((name, f"{where}{fault}"))
+                refused.append((name, f"{location}{fault}"))
                 continue
-            good.append((name, self._order(targets[name], self._sorted(rows), counts, size, mass)))
-        return ForeignOrders(tuple(good), tuple(refused), self._line(units, targets, good))
+            good_orders.append((name, self._order(targets[name], self._sorted(rows), counts, size, mass)))
+        return ForeignOrders(tuple(good_orders), tuple(refused), self._line(units, targets, good_orders))
 
     # Names and rows.
 
@@ -197,10 +197,10 @@ class _OrderBuilder:
         """The reason for the refusal of an order; None: a good order."""
         if lost is not None:
             return lost
-        bad = [row for row in rows if row in self.faults]
-        if bad:
-            more = f" (and {count_text(len(bad) - 1, 'more row')})" if len(bad) > 1 else ""
-            return f", {self.table.places[bad[0]]}: {self.faults[bad[0]]}{more}"
+        bad_rows = [row for row in rows if row in self.faults]
+        if bad_rows:
+            more_text = f" (and {count_text(len(bad_rows) - 1, 'more row')})" if len(bad_rows) > 1 else ""
+            return f", {self.table.places[bad_rows[0]]}: {self.faults[bad_rows[0]]}{more_text}"
         n_items = int(counts[list(rows)].sum())
         if not n_items:
             return ": must have at least one item: all quantities are 0"
@@ -240,32 +240,32 @@ class _OrderBuilder:
             InputError: two units of lengths, or weights of boxes and of rows, are possible; or no row is good.
         """
         columns, wishes = self.columns, self.reading.wishes
-        good = np.array([row not in self.faults for row in range(columns.n_rows)])
+        is_good = np.array([row not in self.faults for row in range(columns.n_rows)])
         with np.errstate(invalid="ignore"):
-            good &= (columns.size > 0).all(axis=1)
-        if not good.any():
+            is_good &= (columns.size > 0).all(axis=1)
+        if not is_good.any():
             row = min(self.faults, default=0)
             names = columns.size_names
             axis = int(np.argmin(np.nan_to_num(columns.size[row], nan=1.0)))
             value = columns.size[row, axis]
             fault = self.faults.get(row, f"{names[axis if len(names) == 3 else 0]} must be > 0, got {value:g}")
             raise InputError(f"{self.table.places[row]}: {fault}")
-        named = wishes.units or columns.size_unit or self.form.units
+        unit_text = wishes.units or columns.size_unit or self.form.units
         prior = _BIN_PRIOR if self.form in (MPV, SIZES) else _LIST_PRIOR if self.form is LENGTHS else _LENGTH_PRIOR
-        lengths = {named: 0.0} if named else dict(prior)
+        lengths = {unit_text: 0.0} if unit_text else dict(prior)
         masses: dict[str, float] = {"kg": 0.0}
         weighed = columns.weight is not None and columns.weight_is != "density"
         if weighed:
-            known = wishes.masses or columns.weight_unit or self.form.masses
-            masses = {known: 0.0} if known else dict(_MASS_PRIOR)
+            mass_unit = wishes.masses or columns.weight_unit or self.form.masses
+            masses = {mass_unit: 0.0} if mass_unit else dict(_MASS_PRIOR)
         of_rows = [False]
         if weighed and columns.weight_is == "row":
             of_rows = [True]
-        elif weighed and columns.weight_is == "" and self._has_quantities(good):
+        elif weighed and columns.weight_is == "" and self._has_quantities(is_good):
             of_rows = [False, True]
         costs = sorted(
-            (self._unit_cost(length, mass, rows, good) + more + extra, length, mass, rows)
-            for length, more in lengths.items()
+            (self._unit_cost(length, mass, rows, is_good) + prior_cost + extra, length, mass, rows)
+            for length, prior_cost in lengths.items()
             for mass, extra in masses.items()
             for rows in of_rows
         )
@@ -280,7 +280,8 @@ class _OrderBuilder:
         close = [entry for entry in costs if entry[3] == best[3] and entry[0] < best[0] + TIE]
         if (other := next((entry for entry in close if entry[1] != best[1]), None)) is not None:
             ways = (
-                f"lengths in {_UNIT_NAMES.get(unit, unit)} ({self._shown(unit, good)})" for unit in (best[1], other[1])
+                f"lengths in {_UNIT_NAMES.get(unit, unit)} ({self._shown(unit, is_good)})"
+                for unit in (best[1], other[1])
             )
             raise InputError(f"{TWO_WAYS} {', or '.join(ways)}; say which with --units")
         return _Units(best[1], best[2], best[3])
@@ -337,9 +338,9 @@ class _OrderBuilder:
         if container is None:
             return EURO
         level = container[:2] * LENGTH_UNITS[unit]
-        for known, extent in TARGET_EXTENT_MM.items():
+        for target_name, extent in TARGET_EXTENT_MM.items():
             if np.allclose(sorted(level), sorted(extent), rtol=0.005):
-                return known
+                return target_name
         low, high = _PALLET_MM
         if ((level >= low) & (level <= high)).all():
             return target_named(f"{level[0]:g}x{level[1]:g}")
@@ -415,8 +416,8 @@ class _OrderBuilder:
             return np.where(empty, volume * density, mass)
         limits = _limits(SMALLEST_KG, LARGEST_KG, units.mass, MASS_UNITS)
         with np.errstate(invalid="ignore"):
-            bad = (mass < SMALLEST_KG) | (mass > LARGEST_KG)
-        for row in np.flatnonzero(bad).tolist():
+            is_bad = (mass < SMALLEST_KG) | (mass > LARGEST_KG)
+        for row in np.flatnonzero(is_bad).tolist():
             fault = positive_fault(name, float(columns.weight[row]), *limits)
             self.faults.setdefault(row, fault or f"{name} must be the weight of {counts[row]:,} boxes")
         return mass
@@ -426,9 +427,9 @@ class _OrderBuilder:
         limits = _limits(SMALLEST_MM, LARGEST_MM, unit, LENGTH_UNITS)
         size, names = self.columns.size, self.columns.size_names
         with np.errstate(invalid="ignore"):
-            bad = (size < limits[0]) | (size > limits[1])
-        for row in np.flatnonzero(bad.any(axis=1)).tolist():
-            axis = int(np.flatnonzero(bad[row])[0])
+            is_bad = (size < limits[0]) | (size > limits[1])
+        for row in np.flatnonzero(is_bad.any(axis=1)).tolist():
+            axis = int(np.flatnonzero(is_bad[row])[0])
             fault = positive_fault(names[axis if len(names) == 3 else 0], float(size[row, axis]), *limits)
             if fault is not None:
                 self.faults.setdefault(row, fault)

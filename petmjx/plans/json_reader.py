@@ -159,8 +159,8 @@ def scan_plans(data: bytes | bytearray, of: str = "plan id → placements", noun
         raise _not_json(data, at, "expected {")
     at = _after_space(data, at + 1)
     window = _FIRST_WINDOW
-    more = data[at : at + 1] != b"}"
-    while more:
+    has_more = data[at : at + 1] != b"}"
+    while has_more:
         key = _KEY.match(data, at)
         if key is None:
             cut_off = _CUT_KEY.match(data, at) is not None
@@ -172,8 +172,8 @@ def scan_plans(data: bytes | bytearray, of: str = "plan id → placements", noun
         yield Entry(plan_id, value)
         del value
         at = _after_space(data, end)
-        more = data[at : at + 1] == b","
-        if more:
+        has_more = data[at : at + 1] == b","
+        if has_more:
             at = _after_space(data, at + 1)
         elif data[at : at + 1] != b"}":
             cut_off = at == len(data)

@@ -33,8 +33,8 @@ def first_loose(plan: Plan) -> int:
     under = (along[0] > _BESIDE_MM) & (along[1] > _BESIDE_MM) & (numbers[None, :] < numbers[:, None])
     under &= high[None, :, 2] <= low[:, None, 2] + _LEVEL_MM
     tops = np.where(under, high[None, :, 2], 0.0)
-    rest = tops.max(axis=1, initial=0.0)
-    bears = under & (tops >= rest[:, None] - _LEVEL_MM)
+    rest_mm = tops.max(axis=1, initial=0.0)
+    bears = under & (tops >= rest_mm[:, None] - _LEVEL_MM)
     centre = (low + high) / 2 if plan.mass_center_mm is None else (low + high) / 2 + plan.mass_center_mm
     over = np.ones(plan.n_boxes, bool)
     for axis in (0, 1):
@@ -43,7 +43,7 @@ def first_loose(plan: Plan) -> int:
             axis=1, initial=-np.inf
         )
         over &= (centre[:, axis] >= begins) & (centre[:, axis] <= ends)
-    loose = np.flatnonzero(~over & (rest > 0))
+    loose = np.flatnonzero(~over & (rest_mm > 0))
     return int(loose[0]) if len(loose) else plan.n_boxes
 
 

@@ -285,8 +285,8 @@ def _columnar(value: Mapping[str, Any]) -> list[dict[str, Any]] | None:
         return None
     lists = {name: list(inner) for name, inner in value.items() if isinstance(inner, list | tuple | np.ndarray)}
     lengths = {len(inner) for inner in lists.values()}
-    known = sum(meaning is not None for meaning in column_meanings(list(lists)))
-    if len(lengths) != 1 or 0 in lengths or known < 2:
+    n_known = sum(meaning is not None for meaning in column_meanings(list(lists)))
+    if len(lengths) != 1 or 0 in lengths or n_known < 2:
         return None
     if any(isinstance(inner[0], Mapping) for inner in lists.values()):
         return None
@@ -367,19 +367,19 @@ def _box_list(path: str, members: Sequence[_Member]) -> BoxList | None:
     triples = sum(kind in ("sizes", "positions") for kind in kinds)
     if not (geometric >= 3 or triples or matrices or numbered):
         return None
-    kept, left = [], 0
+    box_members, left = [], 0
     for number, row in enumerate(flat):
         flags = [value for name, value in row.items() if name.lower() in _PLACED_FLAGS and isinstance(value, bool)]
         if flags and not all(flags):
             left += 1
         else:
-            kept.append(number)
-    rows = [tuple(_cell(flat[number].get(name)) for name in header) for number in kept]
-    places = [members[number].place or f"[{number}]" for number in kept]
+            box_members.append(number)
+    rows = [tuple(_cell(flat[number].get(name)) for name in header) for number in box_members]
+    places = [members[number].place or f"[{number}]" for number in box_members]
     table = RawTable(header, rows, places, decimal_of(rows) or "", title=path, has_header=not numbered)
-    parts = _parts([members[number] for number in kept])
+    parts = _parts([members[number] for number in box_members])
     containers: dict[str, Mapping[str, float]] = {}
-    for number, part in zip(kept, parts, strict=True):
+    for number, part in zip(box_members, parts, strict=True):
         if part not in containers:
             containers[part] = _container_of(members[number])
     lines = (f"{count_text(left, 'box is', 'boxes are')} not placed, and left out",) if left else ()

@@ -150,10 +150,12 @@ def match(plan: Plan, order: Order) -> Matching:
             if not left or not free:
                 break
             items_by_key = _groups(free, items, way.items, way.key)
-            for key, some in _groups(left, boxes, way.boxes, way.key).items():
+            for key, group_boxes in _groups(left, boxes, way.boxes, way.key).items():
                 same_items = items_by_key.get(key, [])
                 pairs = (
-                    _equal_pairs(some, same_items, of_boxes, of_items) if alike else zip(some, same_items, strict=False)
+                    _equal_pairs(group_boxes, same_items, of_boxes, of_items)
+                    if alike
+                    else zip(group_boxes, same_items, strict=False)
                 )
                 for box, item in pairs:
                     matched[box], resized[box], by_size[box] = item, not alike, not way.named
@@ -171,8 +173,8 @@ def _match_equal(
     for number in reversed(range(len(items))):
         free[items[number], *of_items[number].tolist()].append(number)
     for box, (names, measures) in enumerate(zip(boxes, of_boxes.tolist(), strict=True)):
-        if any(names) and (same := free.get((names, *measures))):
-            matched[box] = same.pop()
+        if any(names) and (same_items := free.get((names, *measures))):
+            matched[box] = same_items.pop()
 
 
 def _groups(numbers: list[int], names: list[_Names], takes: _Takes, key: _Key) -> dict[Hashable, list[int]]:
@@ -189,11 +191,11 @@ def _equal_pairs(
     """Pairs (box, item) of equal size and mass. A box and an item belong to at most one pair."""
     if not items:
         return []
-    same = _equal_measures(of_boxes[boxes][:, None], of_items[items][None])
+    is_equal = _equal_measures(of_boxes[boxes][:, None], of_items[items][None])
     free = np.ones(len(items), bool)
     pairs = []
     for row, box in enumerate(boxes):
-        if (fits := same[row] & free).any():
+        if (fits := is_equal[row] & free).any():
             column = int(fits.argmax())
             free[column] = False
             pairs.append((box, items[column]))
@@ -282,9 +284,9 @@ def with_properties(order: Order, articles: Articles | None) -> Order:
 
 
 def _filled_up(item: Item, articles: Articles) -> Item:
-    known = articles.find(item.article, item.product_group)
-    com_mm = known.com_mm if item.com_mm is None else item.com_mm
-    stiffness = known.stiffness_n_mm if item.stiffness_n_mm is None else item.stiffness_n_mm
+    article = articles.find(item.article, item.product_group)
+    com_mm = article.com_mm if item.com_mm is None else item.com_mm
+    stiffness = article.stiffness_n_mm if item.stiffness_n_mm is None else item.stiffness_n_mm
     return replace(item, com_mm=com_mm, stiffness_n_mm=stiffness)
 
 
@@ -468,11 +470,11 @@ def difference_in_words(plan: Plan, order: Order, matching: Matching) -> str:
         verb = "was" if ordered.not_ordered == 1 else "were"
         names = [_name_of_box(plan, box) for box in np.flatnonzero(matching.not_ordered).tolist()]
         parts.append(f"{count_text(ordered.not_ordered, 'box', 'boxes')} {verb} not ordered ({_in_words(names)})")
-    for some, one, many in (
+    for counts, one, many in (
         (matching.resized & ~matching.same_size, *_RESIZED),
         (matching.same_size, *_ALTERED),
     ):
-        if numbers := np.flatnonzero(some).tolist():
+        if numbers := np.flatnonzero(counts).tolist():
             names = [f"{_name_of_box(plan, box)}: {_pair(plan, order, matching, box)}" for box in numbers]
             verb = one if len(numbers) == 1 else many
             parts.append(f"{count_text(len(numbers), 'box', 'boxes')} {verb} ({_in_words(names, '; ')})")
@@ -512,13 +514,13 @@ class OddBoxes:
             "off_target": ~on_target(plan, order) & (matching.item >= 0),
         }
         for kind, boxes in kinds.items():
-            if not (some := np.flatnonzero(boxes).tolist()):
+            if not (box_numbers := np.flatnonzero(boxes).tolist()):
                 continue
-            self.counts[kind] += len(some)
+            self.counts[kind] += len(box_numbers)
             if kind not in self.first:
-                words = f"plan {printable_name(plan.plan_id)}, {_name_of_box(plan, some[0])}"
+                words = f"plan {printable_name(plan.plan_id)}, {_name_of_box(plan, box_numbers[0])}"
                 if kind in ("resized", "altered"):
-                    words += f": {_pair(plan, order, matching, some[0])}"
+                    words += f": {_pair(plan, order, matching, box_numbers[0])}"
                 self.first[kind] = words
 
     def lines(self, whose: str = "") -> Iterator[str]:
@@ -597,8 +599,8 @@ def _measures_in_words(sizes_mm: Iterable[float], kg: float) -> str:
 def _in_words(names: Iterable[str], between: str = ", ") -> str:
     """Names with their counts: "2 × bread-00105329, 1 × carton (77)"."""
     counts = [f"{number:,} × {name}" for name, number in Counter(names).items()]
-    more = [count_text(len(counts) - MOST_ARTICLES, "more article")] if len(counts) > MOST_ARTICLES else []
-    return between.join([*counts[:MOST_ARTICLES], *more])
+    more_words = [count_text(len(counts) - MOST_ARTICLES, "more article")] if len(counts) > MOST_ARTICLES else []
+    return between.join([*counts[:MOST_ARTICLES], *more_words])
 
 
 def _list(lines: list[str], line: str) -> None:

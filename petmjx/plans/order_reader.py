@@ -76,11 +76,11 @@ def read_orders(
             yield from _good_orders(orders, on_bad_order)
             return
         data = _own_bytes(path, name, is_own=True)
-    seen: set[str] = set()
+    order_ids: set[str] = set()
     for entry in scan_plans(data):
         where = f"{name}: order {printable_name(entry.plan_id)}"
         try:
-            if entry.plan_id in seen:
+            if entry.plan_id in order_ids:
                 raise InputError(f"{where}: repeated order id")
             order = _order(entry, where)
         except InputError as error:
@@ -88,7 +88,7 @@ def read_orders(
                 raise
             on_bad_order(error)
         else:
-            seen.add(entry.plan_id)
+            order_ids.add(entry.plan_id)
             yield entry.plan_id, order
 
 
@@ -145,8 +145,8 @@ def _own_bytes(path: Path, name: str, is_own: bool = False) -> bytearray | None:
     try:
         data, fault = read_text_bytes(path)
         if fault is not None and not data:
-            whole, packing_fault = unpacked_bytes(path)
-            if packing_fault is None and is_of_other_tools(whole):
+            content, packing_fault = unpacked_bytes(path)
+            if packing_fault is None and is_of_other_tools(content):
                 return None
     except (OSError, ValueError) as error:
         raise InputError(f"{name}: cannot be read: {reason(error)}") from error
@@ -196,10 +196,10 @@ def _good_orders(
 ) -> Iterator[tuple[str, Order]]:
     """The good orders of a file. Errors are those of :func:`read_orders`."""
     for _, line in orders.refused:
-        bad = InputError(line)
+        error = InputError(line)
         if on_bad_order is None:
-            raise bad
-        on_bad_order(bad)
+            raise error
+        on_bad_order(error)
     yield from orders.orders
 
 

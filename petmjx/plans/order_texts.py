@@ -176,8 +176,8 @@ def _thpack(lines: Sequence[_Line]) -> BoxSource:
             at = (1 if len(line) in (8, 9) else 0) if at is None else at
             marks = line.words[at + 1 : at + 6 : 2]
             if not set(marks) <= {"0", "1"}:
-                bad = next(mark for mark in marks if mark not in ("0", "1"))
-                rows.lost.append((line.place, f"marks of upright sizes must be 0 or 1, got {printable_name(bad)}"))
+                bad_mark = next(mark for mark in marks if mark not in ("0", "1"))
+                rows.lost.append((line.place, f"marks of upright sizes must be 0 or 1, got {printable_name(bad_mark)}"))
                 continue
             sizes = list(line.words[at : at + 6 : 2])
             upright = next((axis for axis in (2, 1, 0) if marks[axis] == "1"), 2)
@@ -185,8 +185,10 @@ def _thpack(lines: Sequence[_Line]) -> BoxSource:
             free += sum(mark == "1" for mark in marks) > 1
             sizes = [size for axis, size in enumerate(sizes) if axis != upright] + [sizes[upright]]
             quantity = line.words[at + 6]
-            more = (line.words[at + 7] if len(line) > at + 7 else None,) if weighted else ()
-            rows.add((f"{part}/{line.words[0] if at else position - begin}", *sizes, quantity, *more), line, part)
+            extra_words = (line.words[at + 7] if len(line) > at + 7 else None,) if weighted else ()
+            rows.add(
+                (f"{part}/{line.words[0] if at else position - begin}", *sizes, quantity, *extra_words), line, part
+            )
         if position - begin < n_types:
             where = lines[position].place if position < len(lines) else "the end"
             raise InputError(
@@ -279,20 +281,20 @@ def _bin_packing(lines: Sequence[_Line]) -> BoxSource | None:
 
 def _bin_head(lines: Sequence[_Line], position: int) -> tuple[int, list[float], int] | None:
     """Number of boxes, bin and position of the first box; None: there is no head."""
-    here = lines[position]
+    head_line = lines[position]
     after = lines[position + 1] if position + 1 < len(lines) else _Line(0, ())
-    if len(here) == 4 and here.is_numeric:
-        rest = lines[position + 1 :]
-        count, *sizes = here.values
+    if len(head_line) == 4 and head_line.is_numeric:
+        later_lines = lines[position + 1 :]
+        count, *sizes = head_line.values
         if count is None or not (count.is_integer() and 0 < count <= MOST_ROWS):
             return None
         n_boxes = int(count)
-        widths = {len(line) for line in rest[:n_boxes]}
-        fits = len(rest) >= n_boxes and widths == {4} and _counts_up(rest[:n_boxes])
+        widths = {len(line) for line in later_lines[:n_boxes]}
+        fits = len(later_lines) >= n_boxes and widths == {4} and _counts_up(later_lines[:n_boxes])
         if fits or 3 in widths:
             return n_boxes, [size for size in sizes if size is not None], position + 1
         return None
-    for number, size in ((here, after), (after, here)):
+    for number, size in ((head_line, after), (after, head_line)):
         if len(number) == 1 and len(size) == 3 and number.is_numeric and size.is_numeric:
             n_boxes = number.whole(0, "the number of boxes")
             return n_boxes, [value for value in size.values if value is not None], position + 2

@@ -370,8 +370,8 @@ class _TableReader:
         begins = np.flatnonzero(np.diff(self._codes[self._order], prepend=-2))
         known = begins[self._codes[self._order][begins] >= 0]
         ends = np.append(known[1:], len(self._order))
-        bad = np.logical_or.reduceat(bad_rows, known).tolist()
-        for plan_id, begin, end, is_bad in zip(self._plan_ids, known.tolist(), ends.tolist(), bad, strict=True):
+        has_bad_row = np.logical_or.reduceat(bad_rows, known).tolist()
+        for plan_id, begin, end, is_bad in zip(self._plan_ids, known.tolist(), ends.tolist(), has_bad_row, strict=True):
             fault = refused.get(plan_id) or self._fault(begin, end, is_bad)
             if fault is None:
                 yield self._plan(plan_id, begin, end)
@@ -428,20 +428,20 @@ class _TableReader:
 
     @cached_property
     def _bad(self) -> NDArray[np.bool_]:
-        bad = np.zeros(len(self.table.numbers), dtype=bool)
+        is_bad = np.zeros(len(self.table.numbers), dtype=bool)
         for name, (_, usable) in (*self._texts.items(), *self._whole.items()):
             if name != "plan_id":
-                bad |= ~usable & ~self._missing[name] if name in _MAY_LACK else ~usable
+                is_bad |= ~usable & ~self._missing[name] if name in _MAY_LACK else ~usable
         for numbers in (*self._numbers.values(), *self._com.values()):
-            bad |= np.isnan(numbers)
+            is_bad |= np.isnan(numbers)
         for name, sparse in self._sparse.items():
-            bad |= np.isnan(sparse) & ~self._missing[name]
+            is_bad |= np.isnan(sparse) & ~self._missing[name]
         if "kind" in self._texts:
             names = self._texts["kind"][0]
-            bad |= np.array([kind_fault(name) is not None for name in names], bool)
+            is_bad |= np.array([kind_fault(name) is not None for name in names], bool)
             for row in np.flatnonzero([name in PALLETS for name in names]):
-                bad[row] |= pallet_fault(names[row], self._size_mm(row)) is not None
-        return bad
+                is_bad[row] |= pallet_fault(names[row], self._size_mm(row)) is not None
+        return is_bad
 
     @cached_property
     def _sparse(self) -> dict[str, FloatArray]:

@@ -113,8 +113,8 @@ def decode_entries(data: bytes | bytearray, options: DecoderOptions) -> list[Rea
     plan_ids = list(values)
     try:
         for first in range(0, len(texts), _MOST_PLANS):
-            some = slice(first, first + _MOST_PLANS)
-            entries += _decode(plan_ids[some], texts[some], colons[some], options)
+            chunk = slice(first, first + _MOST_PLANS)
+            entries += _decode(plan_ids[chunk], texts[chunk], colons[chunk], options)
     except MalformedPlans:
         return None
     return entries

@@ -174,8 +174,8 @@ def integer_fault(field: str, value: object) -> str | None:
 
 def orientation_fault(value: object) -> str | None:
     """The error text for an orientation; None for a good value."""
-    known = type(value) is int and value in (0, 1)
-    return None if known else f"orientation must be 0 or 1, got {kind(value)}"
+    is_valid = type(value) is int and value in (0, 1)
+    return None if is_valid else f"orientation must be 0 or 1, got {kind(value)}"
 
 
 def sparse_fault(field: str, value: object) -> str | None:
@@ -222,11 +222,11 @@ def missing_anywhere(missing: Mapping[str, Sequence[int]], noun: str) -> str | N
     """
     if len({index for indices in missing.values() for index in indices}) < 2:
         return None
-    named = [
+    field_names = [
         f"{field} in {noun} {indices[0]}" + (f" and {len(indices) - 1:,} more" if len(indices) > 1 else "")
         for field, indices in missing.items()
     ]
-    return f"fields are missing: {', '.join(named)}"
+    return f"fields are missing: {', '.join(field_names)}"
 
 
 def too_many_boxes(n_boxes: int, most: int) -> str:
@@ -259,13 +259,13 @@ class UnreadFields(Counter[str]):
         """A list with one line that names the fields; empty if there are none."""
         if not self:
             return []
-        named = [
+        field_names = [
             f"{printable_name(name)} ({count_text(number, 'placement')})"
             for name, number in self.most_common(_MOST_NAMED)
         ]
         if len(self) > _MOST_NAMED:
-            named.append(f"{len(self) - _MOST_NAMED:,} more")
-        return [f"fields of plans that petmjx does not read: {joined_names(named)}"]
+            field_names.append(f"{len(self) - _MOST_NAMED:,} more")
+        return [f"fields of plans that petmjx does not read: {joined_names(field_names)}"]
 
     def add(self, names: Iterable[str], known: frozenset[str], prefix: str = "") -> None:
         """Count the unknown fields of one placement."""

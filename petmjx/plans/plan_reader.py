@@ -124,12 +124,14 @@ def load_plans(
             raise InputError(f"carrier_extent_mm must be two numbers, {shown_value(carrier_extent_mm)}")
         for length in carrier_extent_mm:
             number_of(length, "carrier_extent_mm", 0)
-    written, known = (reading, None) if reading is None or isinstance(reading, str | PathLike) else (None, reading)
+    reading_file, chosen_reading = (
+        (reading, None) if reading is None or isinstance(reading, str | PathLike) else (None, reading)
+    )
     options = RunOptions(
         limit=limit, strict=strict, units=units, anchor=anchor, up=up, sizes=sizes, columns=columns, density=density,
-        items=items, reading=written,
+        items=items, reading=reading_file,
     )  # fmt: skip
-    plan_set = read_plans(paths, options, max_boxes=max_boxes, extent_mm=carrier_extent_mm, reading=known)
+    plan_set = read_plans(paths, options, max_boxes=max_boxes, extent_mm=carrier_extent_mm, reading=chosen_reading)
     warn(plan_set.conventions)
     return plan_set
 
@@ -365,9 +367,9 @@ class _PlanLoader:
     def _read_text(self, source: str, path: Path) -> None:
         data, fault = read_text_bytes(path)
         if fault is not None and not data:
-            whole, packing_fault = unpacked_bytes(path)
-            if packing_fault is None and is_of_other_tools(whole):
-                error = self._read_foreign(source, path, whole)
+            content, packing_fault = unpacked_bytes(path)
+            if packing_fault is None and is_of_other_tools(content):
+                error = self._read_foreign(source, path, content)
                 fault = None if error is None else str(error)
             if fault is not None:
                 self._skip(source, None, f"{source}: {fault}")
@@ -431,7 +433,7 @@ class _PlanLoader:
         """
         if not damaged and not looks_like_own_json(data) and not self._is_left_to_own(source, path, data):
             return
-        kept, skipped = len(self.found.plans), len(self.found.skipped)
+        n_good, skipped = len(self.found.plans), len(self.found.skipped)
         n_plans, unread = self.n_plans, self.unread.copy()
         n_entries = n_orders = 0
         first_order = ""
@@ -442,8 +444,8 @@ class _PlanLoader:
                 self._take_all(source, entries)
                 return
             self.unread = unread.copy()
-        named = source.lower().endswith((".json", ".json.gz"))
-        if not damaged and (kind := _kind_of_text(data, named)) is not None:
+        has_json_name = source.lower().endswith((".json", ".json.gz"))
+        if not damaged and (kind := _kind_of_text(data, has_json_name)) is not None:
             self._skip(source, None, f"{source}: {kind}")
             return
         try:
@@ -458,9 +460,9 @@ class _PlanLoader:
                     break
         except MalformedPlans as error:
             if not damaged:
-                for plan in self.found.plans[kept:]:
+                for plan in self.found.plans[n_good:]:
                     del self.source_of[plan.plan_id], self.found.numbers[plan.plan_id]
-                del self.found.plans[kept:], self.found.skipped[skipped:]
+                del self.found.plans[n_good:], self.found.skipped[skipped:]
                 self.n_plans, self.unread, self.unlisted = n_plans, unread, 0
                 self._skip(source, None, f"{source}: {error}", error)
                 return
@@ -483,8 +485,8 @@ class _PlanLoader:
 
     def _count_unlisted(self, source: str) -> None:
         if self.unlisted:
-            more = count_text(self.unlisted, "more entry is", "more entries are")
-            self.found.skipped.append(Skipped(source, None, f"{source}: {more} unusable"))
+            count_words = count_text(self.unlisted, "more entry is", "more entries are")
+            self.found.skipped.append(Skipped(source, None, f"{source}: {count_words} unusable"))
 
     def _take(self, source: str, plan_id: str, value: object) -> None:
         try:
@@ -510,9 +512,9 @@ class _PlanLoader:
         source, plan_id = plan.source, plan.plan_id
         first_source = self.source_of.get(plan_id)
         if first_source is not None:
-            where = "in this file" if first_source == source else f"in {first_source}"
+            place_text = "in this file" if first_source == source else f"in {first_source}"
             self._skip(
-                source, plan_id, f"{source}: plan {printable_name(plan_id)}: repeated plan id, first used {where}"
+                source, plan_id, f"{source}: plan {printable_name(plan_id)}: repeated plan id, first used {place_text}"
             )
             return
         self.source_of[plan_id] = source

@@ -131,11 +131,13 @@ def _parse_columns(
         groups = ["" if (group := item.get("product_group")) is None else group for item in items]
         approaches = [placement.get("approach_deg") for placement in value]
         corner_lengths = set(map(len, corners))
-        more = not all(map(_MORE.isdisjoint, items))
-        materials = [_value_or_default(item, "material", "") for item in items] if more else []
-        kinds = [_value_or_default(item, "kind", "") for item in items] if more else []
-        offsets = [[_value_or_default(item, field, 0.0) for field in COM_FIELDS_JSON] for item in items] if more else []
-        sparse = {name: [item.get(name) for item in items] for name in _SPARSE_OF_ITEM} if more else {}
+        has_extra = not all(map(_MORE.isdisjoint, items))
+        materials = [_value_or_default(item, "material", "") for item in items] if has_extra else []
+        kinds = [_value_or_default(item, "kind", "") for item in items] if has_extra else []
+        offsets = (
+            [[_value_or_default(item, field, 0.0) for field in COM_FIELDS_JSON] for item in items] if has_extra else []
+        )
+        sparse = {name: [item.get(name) for item in items] for name in _SPARSE_OF_ITEM} if has_extra else {}
         sparse["approach_deg"] = approaches
     except (AttributeError, KeyError, TypeError, IndexError):
         return None
@@ -158,7 +160,7 @@ def _parse_columns(
         numbers = np.array(columns, dtype=np.float64)
         point = np.array(coordinates, dtype=np.float64).reshape(-1, 3) * given.length_mm
         sequence = np.array(sequences, dtype=np.int64)
-        com = np.array(offsets, dtype=np.float64) * given.length_mm if more else None
+        com = np.array(offsets, dtype=np.float64) * given.length_mm if has_extra else None
         numbers_of = {
             name: np.array([np.nan if value is None else value for value in values], dtype=np.float64)
             for name, values in sparse.items()

@@ -55,7 +55,7 @@ last digit separates rounding from intent."""
 
 
 _MOST_PAIRS: Final = 1 << 17
-"""Pairs of boxes that are looked at together: a matrix of numbers takes 1 MB then, which caches hold."""
+"""Pairs of boxes that are compared together: a matrix of numbers takes 1 MB then, which caches hold."""
 
 MOST_NAMED: Final = 3
 """Largest number of boxes, or of pairs, that a warning names."""
@@ -144,11 +144,11 @@ def odd_layouts(plans: Sequence[Plan], carrier_extent_mm: tuple[float, float] | 
     for n_boxes, alike in numbers.items():
         most = max(_MOST_PAIRS // n_boxes**2, 1)
         for first in range(0, len(alike), most):
-            some = alike[first : first + most]
-            corner = np.stack([plans[number].corner_mm for number in some])
-            size = np.stack([plans[number].size_mm for number in some])
+            group_plans = alike[first : first + most]
+            corner = np.stack([plans[number].corner_mm for number in group_plans])
+            size = np.stack([plans[number].size_mm for number in group_plans])
             is_odd = _are_odd(corner, size, carrier_extent_mm)
-            odd += [number for number, flag in zip(some, is_odd.tolist(), strict=True) if flag]
+            odd += [number for number, flag in zip(group_plans, is_odd.tolist(), strict=True) if flag]
     return [
         check_layout(plan.plan_id, plan.source, plan.corner_mm, plan.size_mm, carrier_extent_mm)
         for plan in (plans[number] for number in sorted(odd))

@@ -139,7 +139,7 @@ def decimal_of(rows: Sequence[Sequence[Any]]) -> str:
     maybe = {",": False, ".": False}
     long_whole = beside_whole = False
     for column in zip(*rows, strict=False):
-        whole = grouped = False
+        has_groups = grouped = False
         for cell in column:
             if not isinstance(cell, str) or len(cell) >= 40:
                 continue
@@ -150,8 +150,8 @@ def decimal_of(rows: Sequence[Sequence[Any]]) -> str:
                 grouped |= match[1] == "."
             elif cell.isdigit():
                 long_whole |= len(cell) > 3
-                whole |= len(cell) > 2
-        beside_whole |= whole and grouped
+                has_groups |= len(cell) > 2
+        beside_whole |= has_groups and grouped
     if commas or points:
         return "," if commas > points else "."
     if maybe[","]:

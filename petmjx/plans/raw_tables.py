@@ -212,8 +212,8 @@ def _delimiter_of(text: str) -> str:
         counts = Counter(len(row) for row in rows)
         width, most = max(counts.items(), key=lambda entry: (entry[1], entry[0]), default=(0, 0))
         even = most / max(len(rows), 1) if width > 1 else 0.0
-        known = max((_n_known(row) for row in rows[:_SEARCHED_ROWS]), default=0)
-        return (known if known >= _LEAST_KNOWN else 0), even
+        n_known = max((_n_known(row) for row in rows[:_SEARCHED_ROWS]), default=0)
+        return (n_known if n_known >= _LEAST_KNOWN else 0), even
 
     lines = [line for line in sample.splitlines()[:_SEARCHED_ROWS] if line.strip()]
     marked = any(sum(mark in line for line in lines) * 2 > len(lines) for mark in (";", "\t", "|"))
@@ -286,12 +286,12 @@ def _line(row: Sequence[Any]) -> str:
 
 def _header_rows(rows: Sequence[tuple[Any, ...]]) -> list[int]:
     """Indices of the rows that are headers: the first row with the most known names, and its repetitions."""
-    known = [_n_known(row) for row in rows[:_SEARCHED_ROWS]]
-    most = max(known, default=0)
+    counts = [_n_known(row) for row in rows[:_SEARCHED_ROWS]]
+    most = max(counts, default=0)
     if most < _LEAST_KNOWN:
         first = next((index for index, row in enumerate(rows) if any(cell is not None for cell in row)), None)
         return [] if first is None or not _heads_numbers(rows, first) else [first]
-    head = known.index(most)
+    head = counts.index(most)
     header = rows[head]
     return [index for index in range(head, len(rows)) if index == head or rows[index] == header]
 
@@ -490,8 +490,8 @@ def _with_groups(names: list[str], group: Sequence[Any]) -> list[str]:
         cell = group[index] if index < len(group) else None
         heading = cell_text(cell) if cell is not None else heading
         joined.append(f"{heading} {name}".strip() if heading and name else name)
-    known = sum(meaning is not None for meaning in column_meanings(joined))
-    return joined if known >= sum(meaning is not None for meaning in column_meanings(names)) else names
+    n_known = sum(meaning is not None for meaning in column_meanings(joined))
+    return joined if n_known >= sum(meaning is not None for meaning in column_meanings(names)) else names
 
 
 def _is_unit_cell(cell: Any) -> bool:
@@ -509,14 +509,14 @@ def _distinct(names: Sequence[str]) -> list[str]:
     Raises:
         InputError: a known name occurs twice.
     """
-    seen: Counter[str] = Counter()
+    name_counts: Counter[str] = Counter()
     distinct = []
     for number, name in enumerate(names, start=1):
         name = name or f"column {number}"
-        seen[name] += 1
-        if seen[name] == 2 and column_meanings([name])[0] is not None:
+        name_counts[name] += 1
+        if name_counts[name] == 2 and column_meanings([name])[0] is not None:
             raise InputError(f"column {printable_name(name)} is there twice")
-        distinct.append(name if seen[name] == 1 else f"{name} again")
+        distinct.append(name if name_counts[name] == 1 else f"{name} again")
     return distinct
 
 
@@ -549,28 +549,28 @@ def _without_header(
     used = [(index, row) for index, row in enumerate(rows) if any(cell is not None for cell in row)]
     widths = Counter(len(row) for _, row in used)
     width = widths.most_common(1)[0][0] if widths else 0
-    good = [(index, row) for index, row in used if len(row) == width]
-    numeric = sum(_mostly_numbers(row) for _, row in good)
+    good_rows = [(index, row) for index, row in used if len(row) == width]
+    numeric = sum(_mostly_numbers(row) for _, row in good_rows)
     if [len(row) for _, row in used[:4]] == [1, 2, 3, 1]:
         raise InputError(
             "looks like Bischoff and Ratcliff's orders (thpack): types of boxes with quantities, and no places: "
             "pack them first with petmjx samples --orders"
         )
-    if width < 6 or numeric < 0.8 * max(len(good), 1):
+    if width < 6 or numeric < 0.8 * max(len(good_rows), 1):
         raise NoBoxes("has no header with known names of columns")
-    bad = [
+    bad_rows = [
         (f"row {index + begin}", f"has {len(row)} fields instead of {width}")
         for index, row in used
         if len(row) != width
     ]
-    body = [row for _, row in good]
+    body = [row for _, row in good_rows]
     return RawTable(
         tuple(f"column {number}" for number in range(1, width + 1)),
         body,
-        [f"row {index + begin}" for index, _ in good],
+        [f"row {index + begin}" for index, _ in good_rows],
         decimal_of(body),
         title,
-        lost=(*lost, *bad),
+        lost=(*lost, *bad_rows),
         notes=("there is no header",),
         has_header=False,
     )

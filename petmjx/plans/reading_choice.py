@@ -80,23 +80,23 @@ def _sample_of(columns: BoxColumns, plans: Mapping[str, NDArray[np.int64]], dama
     Args:
         damaged: names of plans that lack rows.
     """
-    good = np.ones(columns.n_boxes, bool)
+    is_good = np.ones(columns.n_boxes, bool)
     for row in columns.faults:
-        good[row] = False
+        is_good[row] = False
     for geometry in columns.geometries:
         with np.errstate(invalid="ignore"):
-            good &= (geometry.size > 0).all(axis=1) & ~np.isnan(geometry.place).any(axis=1)
+            is_good &= (geometry.size > 0).all(axis=1) & ~np.isnan(geometry.place).any(axis=1)
     chosen: list[NDArray[np.int64]] = []
     containers: list[Mapping[str, float]] = []
     taken = 0
-    known = columns.source.boxes.containers
-    whole = {name: rows for name, rows in plans.items() if name not in damaged and good[rows].all()}
-    for name, rows in (whole or plans).items():
-        used = rows[good[rows]]
+    containers_by_plan = columns.source.boxes.containers
+    good_plans = {name: rows for name, rows in plans.items() if name not in damaged and is_good[rows].all()}
+    for name, rows in (good_plans or plans).items():
+        used = rows[is_good[rows]]
         if not len(used) or len(chosen) >= _MOST_PLANS or taken >= _MOST_BOXES:
             continue
         chosen.append(used)
-        containers.append(container_of(known, name))
+        containers.append(container_of(containers_by_plan, name))
         taken += len(used)
     return _Sample(tuple(chosen), tuple(containers))
 
@@ -114,8 +114,8 @@ def _judge(columns: BoxColumns, candidate: Candidate, sample: _Sample) -> _Judge
     sums = np.zeros(5)
     origins: list[str] = []
     for rows, container in zip(sample.rows, sample.containers, strict=True):
-        whole = layout_of(columns, candidate, container)
-        layout = Layout(whole.low[rows], whole.size[rows], whole.container)
+        whole_layout = layout_of(columns, candidate, container)
+        layout = Layout(whole_layout.low[rows], whole_layout.size[rows], whole_layout.container)
         layouts.append(layout)
         cost, origin, counts = layout_cost(layout)
         costs.append(cost * len(rows))
@@ -137,14 +137,14 @@ def _unit_costs(judged: _Judged, columns: BoxColumns, wishes: Wishes) -> list[tu
     size = np.concatenate([layout.size for layout in judged.layouts])
     side = float(np.exp(np.log(size).mean(axis=1)).mean())
     volume = size.prod(axis=1)
-    named = wishes.units or geometry.place_unit or geometry.size_unit or form.units
-    lengths = {named: 0.0} if named else dict(_UNIT_PRIOR)
-    if not named and not columns.source.boxes.table.has_header:
+    size_unit = wishes.units or geometry.place_unit or geometry.size_unit or form.units
+    lengths = {size_unit: 0.0} if size_unit else dict(_UNIT_PRIOR)
+    if not size_unit and not columns.source.boxes.table.has_header:
         lengths["dm"] = 0.3
     masses: dict[str, float] = {"kg": 0.0}
     if columns.weight is not None and not columns.weight_is_density:
-        known = wishes.masses or columns.weight_unit or form.masses
-        masses = {known: 0.0} if known else dict(_MASS_PRIOR)
+        mass_unit = wishes.masses or columns.weight_unit or form.masses
+        masses = {mass_unit: 0.0} if mass_unit else dict(_MASS_PRIOR)
     costs = []
     deck = _deck_of(judged, wishes)
     for length, length_prior in lengths.items():
@@ -213,7 +213,7 @@ def choose_reading(
     units = _units_of(best, columns, wishes)
     if len(units) > 1:
         first, second = units[0], units[1]
-        others = [
+        other_readings = [
             replace(
                 reading,
                 units=_unit_text(best, columns, entry[1]),
@@ -222,7 +222,7 @@ def choose_reading(
             )
             for entry in (first, second)
         ]
-        raise AmbiguousFile(tie_text(others, weak=False), others)
+        raise AmbiguousFile(tie_text(other_readings, weak=False), other_readings)
     if (rival := _other_mass(best, columns, wishes)) is not None:
         reading = replace(reading, notes=(f"weights may be in {rival}, too (--units)",))
     alternatives = tuple(_reading(one, columns, wishes) for one in judged[1:4])
@@ -271,8 +271,8 @@ def _units_of(best: _Judged, columns: BoxColumns, wishes: Wishes) -> list[tuple[
         most = max(fits.values())
         equal = [unit for unit, fit in fits.items() if fit == most]
         if most and equal != [first[1]]:
-            others = [cheapest[unit] for unit in equal if unit != first[1]]
-            rivals = others if not _are_converted(best, first[1], [entry[1] for entry in others]) else []
+            other_units = [cheapest[unit] for unit in equal if unit != first[1]]
+            rivals = other_units if not _are_converted(best, first[1], [entry[1] for entry in other_units]) else []
         elif most > 1:
             rivals = []  # only in this unit the load fills a pallet
     if not rivals and LENGTH_UNITS[first[1]] == LENGTH_UNITS["in"]:
@@ -294,9 +294,9 @@ def _fit(best: _Judged, unit: str, wishes: Wishes) -> int:
     factor = LENGTH_UNITS[unit]
     size = np.concatenate([layout.size for layout in best.layouts])
     load = np.max([(one.low + one.size).max(axis=0) - one.low.min(axis=0) for one in best.layouts], axis=0)
-    deck, known = _deck_of(best, wishes)
+    deck, is_deck = _deck_of(best, wishes)
     side = float(np.exp(np.log(size).mean(axis=1)).mean())
-    return load_fit(side * factor, load * factor, deck * factor, known)
+    return load_fit(side * factor, load * factor, deck * factor, is_deck)
 
 
 def _are_converted(best: _Judged, unit: str, others: Collection[str]) -> bool:

@@ -85,9 +85,9 @@ def read_reading(path: Path) -> Wishes:
     for field in table:
         if field not in _FIELDS:
             raise InputError(f"{name}: unknown field {printable_name(field)}; there are {', '.join(_FIELDS)}")
-    for field, known in _TEXTS.items():
-        if field in table and table[field] not in known:
-            raise InputError(f"{name}: {field} must be one of {', '.join(known)}, {shown_value(table[field])}")
+    for field, allowed_values in _TEXTS.items():
+        if field in table and table[field] not in allowed_values:
+            raise InputError(f"{name}: {field} must be one of {', '.join(allowed_values)}, {shown_value(table[field])}")
     units = table.get("units", "")
     if not isinstance(units, str) or not set(filter(None, units.split("/"))) <= LENGTH_UNITS.keys():
         raise InputError(f"{name}: units must be a unit of length, such as mm, {shown_value(units)}")

@@ -234,11 +234,11 @@ def tie_text(readings: Sequence[Reading], weak: bool) -> str:
     parts = parts_of(_DIFFERENCES) or parts_of(_OF_COLUMNS)
     first, second = (", ".join(part[index] for part in parts) for index in (1, 2))
     options = " or ".join(dict.fromkeys(part[0] for part in parts))
-    why = "no reading is plausible; the best are" if weak else "can be read in two ways:"
+    reason = "no reading is plausible; the best are" if weak else "can be read in two ways:"
     boxes = one.units != two.units or one.masses != two.masses
     evidence = [reading.evidence.of_units() if boxes else str(reading.evidence) for reading in (one, two)]
     ways = f"{first} ({evidence[0]}), or {second} ({evidence[1]})"
-    return f"{why} {ways}; say which with {options}, or with --as FILE.toml"
+    return f"{reason} {ways}; say which with {options}, or with --as FILE.toml"
 
 
 CHOOSER: ContextVar[Callable[[str, AmbiguousFile], Reading | None] | None] = ContextVar("CHOOSER", default=None)

@@ -110,9 +110,9 @@ class _CsvReader:
         lost = np.array(self._lost_numbers, dtype=np.int64)
         numbers = np.setdiff1d(np.arange(2, rows.num_rows + len(lost) + 2), lost, assume_unique=True)
         if len(damaged):  # row numbers also count the removed lines
-            kept = np.setdiff1d(np.arange(1, rows.num_rows + len(lost) + len(damaged) + 2), damaged)
-            numbers = kept[numbers - 1]
-            self.lost[before:] = [row._replace(number=int(kept[row.number - 1])) for row in self.lost[before:]]
+            row_numbers = np.setdiff1d(np.arange(1, rows.num_rows + len(lost) + len(damaged) + 2), damaged)
+            numbers = row_numbers[numbers - 1]
+            self.lost[before:] = [row._replace(number=int(row_numbers[row.number - 1])) for row in self.lost[before:]]
         return rows, numbers
 
     def _parse(self, data: bytearray) -> pa.Table:
@@ -148,15 +148,15 @@ class _CsvReader:
         Damaged lines are not UTF-8, or have a quotation mark that is not closed in the line. The lost rows are added to
         ``lost``.
         """
-        kept, damaged = [], []
+        good_lines, damaged = [], []
         for number, line in enumerate(data.split(b"\n"), start=1):
             fault = None if number == 1 else self._line_fault(line)
             if fault is None:
-                kept.append(line)
+                good_lines.append(line)
                 continue
             damaged.append(number)
             self._add_lost(number, line.decode("utf-8", "surrogateescape"), fault)
-        return bytearray(b"\n").join(kept), np.array(damaged, dtype=np.int64)
+        return bytearray(b"\n").join(good_lines), np.array(damaged, dtype=np.int64)
 
     def _line_fault(self, line: bytearray) -> str | None:
         """The reason why a line cannot be a whole row; None: it can be one."""

@@ -139,8 +139,8 @@ class Move(Change):
         """Both moves as one; None if the moves are of different boxes, or cancel out."""
         if self.boxes != other.boxes:
             return None
-        both = replace(self, dx_mm=self.dx_mm + other.dx_mm, dy_mm=self.dy_mm + other.dy_mm)
-        return both if both.length_mm > 0 else None
+        sum_of_moves = replace(self, dx_mm=self.dx_mm + other.dx_mm, dy_mm=self.dy_mm + other.dy_mm)
+        return sum_of_moves if sum_of_moves.length_mm > 0 else None
 
 
 @dataclass(frozen=True)
@@ -191,9 +191,9 @@ class Place(Change):
             return draft
         if self.neighbour not in draft.order:
             return None
-        rest = [box for box in draft.order if box not in moved]
-        at = rest.index(self.neighbour) + int(self.after)
-        return replace(draft, order=(*rest[:at], *moved, *rest[at:]))
+        other_boxes = [box for box in draft.order if box not in moved]
+        at = other_boxes.index(self.neighbour) + int(self.after)
+        return replace(draft, order=(*other_boxes[:at], *moved, *other_boxes[at:]))
 
     @property
     def words(self) -> str:
@@ -201,8 +201,8 @@ class Place(Change):
         turn = ", turned by 90°" if self.differs else ""
         stand = "stands" if len(self.others) == 1 else "stand"
         on_it = f", with {_boxes(self.others)}, which {stand} on it," if self.others else ""
-        when = "" if self.neighbour is None else f", {'after' if self.after else 'before'} box {self.neighbour}"
-        return f"put box {self.box}{on_it} at x {x}, y {y}, z {z} mm{turn}{when}"
+        time_text = "" if self.neighbour is None else f", {'after' if self.after else 'before'} box {self.neighbour}"
+        return f"put box {self.box}{on_it} at x {x}, y {y}, z {z} mm{turn}{time_text}"
 
     @property
     def boxes(self) -> tuple[int, ...]:
@@ -348,9 +348,9 @@ def cost_of(changes: Sequence[Change]) -> float:
 def _ways(dx_mm: float, dy_mm: float) -> str:
     """A way in words: "22 mm to the left and 5 mm to the back"."""
     ways = []
-    for length, less, more in ((dx_mm, "left", "right"), (dy_mm, "front", "back")):
+    for length, negative_side, positive_side in ((dx_mm, "left", "right"), (dy_mm, "front", "back")):
         if abs(length) > 0:
-            ways.append(f"{_mm(abs(length))} mm to the {less if length < 0 else more}")
+            ways.append(f"{_mm(abs(length))} mm to the {negative_side if length < 0 else positive_side}")
     return " and ".join(ways)
 
 

@@ -119,9 +119,9 @@ class Draft:
         """The draft with a box that is placed directly before or after another one; None if one is left out."""
         if box == neighbour or box not in self.order or neighbour not in self.order:
             return None
-        rest = [number for number in self.order if number != box]
-        rest.insert(rest.index(neighbour) + int(after), box)
-        return replace(self, order=tuple(rest))
+        other_boxes = [number for number in self.order if number != box]
+        other_boxes.insert(other_boxes.index(neighbour) + int(after), box)
+        return replace(self, order=tuple(other_boxes))
 
     def without(self, box: int) -> Draft | None:
         """The draft without a box; None if the draft has no such box, or no other box."""
@@ -279,8 +279,8 @@ class Rules:
             sizes.setdefault(len(draft.size_mm), []).append(number)
         for numbers in sizes.values():
             for begin in range(0, len(numbers), AT_ONCE):
-                some = numbers[begin : begin + AT_ONCE]
-                allowed[some] = self._allow([drafts[number] for number in some])
+                chunk = numbers[begin : begin + AT_ONCE]
+                allowed[chunk] = self._allow([drafts[number] for number in chunk])
         return allowed
 
     def _allow(self, drafts: Sequence[Draft]) -> BoolArray:
@@ -298,7 +298,7 @@ class Rules:
         return allowed
 
     def _shifted(self, drafts: Sequence[Draft]) -> BoolArray:
-        """(c, n) which boxes of the plan are moved along x or y, or turned."""
+        """(c, n) whether each box of the plan is moved along x or y, or turned."""
         n = self.plan.n_boxes
         aside = np.stack([draft.corner_mm[:n, :2] for draft in drafts]) != self.plan.corner_mm[:, :2]
         turned = np.stack([draft.turned[:n] for draft in drafts])
@@ -316,12 +316,12 @@ class Rules:
         high = low + np.stack([draft.size_mm for draft in drafts])
         rank = np.stack([draft.rank for draft in drafts])
         present = np.isfinite(rank)
-        both = present[:, :, None] & present[:, None, :]
+        is_pair = present[:, :, None] & present[:, None, :]
         shared = [shared_length(low[..., axis], high[..., axis]) for axis in range(3)]
-        depth = np.where(both, np.maximum(np.minimum.reduce(shared), 0.0), 0.0)
+        depth = np.where(is_pair, np.maximum(np.minimum.reduce(shared), 0.0), 0.0)
         m = low.shape[1]
         depth[:, np.arange(m), np.arange(m)] = 0.0
-        beside = both & (shared[0] > TOLERANCE_MM) & (shared[1] > TOLERANCE_MM)
+        beside = is_pair & (shared[0] > TOLERANCE_MM) & (shared[1] > TOLERANCE_MM)
         beside[:, np.arange(m), np.arange(m)] = False
         earlier = rank[:, :, None] < rank[:, None, :]
         lower = low[:, :, None, 2] < low[:, None, :, 2]

@@ -91,10 +91,10 @@ def targets(
     """
     losers = [*([] if culprit is None else [culprit]), *(box for box in fallen if box != culprit)]
     first = losers[:1]
-    near = set(itertools.chain(first, *(draft.below(box) for box in first if box in draft.order)))
+    nearby_boxes = set(itertools.chain(first, *(draft.below(box) for box in first if box in draft.order)))
     wide = set(itertools.chain(losers, *(draft.below(box) for box in losers if box in draft.order)))
     rows = [
-        (box not in near, box not in wide, int(step), Target(int(box), int(cause), float(depth)))
+        (box not in nearby_boxes, box not in wide, int(step), Target(int(box), int(cause), float(depth)))
         for box, step, cause, depth in zip(balance.box, balance.step, balance.cause, balance.depth_mm, strict=True)
         if step < n_placed
     ]
@@ -115,16 +115,16 @@ def targets(
 
 def proposals(draft: Draft, rules: Rules, target: Target, limits: Limits) -> Iterator[Proposal]:
     """Changes that may help with a cause. Some cannot be made; ``Rules.allow`` finds out."""
-    near = _near(draft, rules, target)
+    nearby_boxes = _near(draft, rules, target)
     makers: tuple[tuple[Kind, Callable[[], Iterator[Proposal]]], ...] = (
         (Kind.ORDER, lambda: _orders(draft, target)),
-        (Kind.MOVE, lambda: _moves(draft, near, target, limits.most_move_mm)),
+        (Kind.MOVE, lambda: _moves(draft, nearby_boxes, target, limits.most_move_mm)),
         (Kind.MOVE, lambda: _pushes(draft, rules, target, limits.most_move_mm)),
-        (Kind.TURN, lambda: _turns(draft, near)),
-        (Kind.EXCHANGE, lambda: _exchanges(draft, rules, near)),
-        (Kind.PLACE, lambda: itertools.chain(_places(draft, rules, near), _props(draft, rules, target))),
+        (Kind.TURN, lambda: _turns(draft, nearby_boxes)),
+        (Kind.EXCHANGE, lambda: _exchanges(draft, rules, nearby_boxes)),
+        (Kind.PLACE, lambda: itertools.chain(_places(draft, rules, nearby_boxes), _props(draft, rules, target))),
         (Kind.SHEET, lambda: _sheets(draft, limits.sheet_mm, limits.sheet_kg_m2)),
-        (Kind.LEAVE_OUT, lambda: _omissions(draft, rules, near)),
+        (Kind.LEAVE_OUT, lambda: _omissions(draft, rules, nearby_boxes)),
     )
     for kind, make in makers:
         if kind in limits.kinds:
@@ -150,9 +150,9 @@ def _orders(draft: Draft, target: Target) -> Iterator[Proposal]:
         if len(needed) <= 2:
             yield (*(Order(low, cause) for low in needed), Order(number, cause))
         yield (Order(cause, number, after=True),)
-        late = [high for high in draft.above(cause) if draft.rank[high] < draft.rank[number]]
-        if 0 < len(late) <= 2:
-            after = [number, cause, *late]
+        late_supports = [high for high in draft.above(cause) if draft.rank[high] < draft.rank[number]]
+        if 0 < len(late_supports) <= 2:
+            after = [number, cause, *late_supports]
             yield tuple(Order(moved, last, after=True) for last, moved in itertools.pairwise(after))
     for support in np.flatnonzero(draft.on_top[:, box]).tolist():
         if draft.rank[support] > draft.rank[box]:
@@ -221,11 +221,11 @@ def _pushed(draft: Draft, box: int, dx_mm: float, dy_mm: float, *, alone: bool) 
     while front and len(moved) <= MOST_TOGETHER:
         deep = np.minimum(high[front, None] + way, high) - np.maximum(low[front, None] + way, low)
         hit = (deep > TOLERANCE_MM).all(axis=2).any(axis=0) & present
-        more = {int(number) for number in np.flatnonzero(hit)} - moved
+        pushed_boxes = {int(number) for number in np.flatnonzero(hit)} - moved
         if not alone:
-            more |= {rider for number in more for rider in draft.above(number)} - moved
-        moved |= more
-        front = sorted(more)
+            pushed_boxes |= {rider for number in pushed_boxes for rider in draft.above(number)} - moved
+        moved |= pushed_boxes
+        front = sorted(pushed_boxes)
     return moved
 
 
@@ -233,12 +233,12 @@ def _free_ways_mm(draft: Draft, box: int, riders: Sequence[int]) -> tuple[float,
     """How far a box can be moved to the left, right, front and back until it meets another one; infinite: nothing is in
     the way."""
     low, high = draft.corner_mm, draft.corner_mm + draft.size_mm
-    others = np.isfinite(draft.rank)
-    others[[box, *riders]] = False
+    is_placed = np.isfinite(draft.rank)
+    is_placed[[box, *riders]] = False
     ways = []
     for axis in (0, 1):
         across = [2, 1 - axis]
-        beside = others & (
+        beside = is_placed & (
             (low[:, across] < high[box, across] - TOLERANCE_MM) & (high[:, across] > low[box, across] + TOLERANCE_MM)
         ).all(axis=1)
         before = (low[box, axis] - high[:, axis])[beside]
@@ -332,14 +332,14 @@ def _places(draft: Draft, rules: Rules, near: Sequence[int]) -> Iterator[Proposa
 def _pile_places(draft: Draft, rules: Rules, box: int) -> Iterator[Proposal]:
     """A box with all boxes that stand on it alone, at other places."""
     pile = lifted_with(draft, box)
-    rest = [number for number in draft.order if number not in pile]
-    if len(pile) > MOST_TOGETHER or not rest or min(pile) < rules.built or max(pile) >= draft.plan.n_boxes:
+    other_boxes = [number for number in draft.order if number not in pile]
+    if len(pile) > MOST_TOGETHER or not other_boxes or min(pile) < rules.built or max(pile) >= draft.plan.n_boxes:
         return
-    others = tuple(sorted(pile[1:]))
-    for turn, corner in _resting_corners(replace(draft, order=tuple(rest)), rules, box):
+    riders = tuple(sorted(pile[1:]))
+    for turn, corner in _resting_corners(replace(draft, order=tuple(other_boxes)), rules, box):
         if not turn:
-            for last in (None, rest[-1]):
-                yield (Place(box, corner, bool(draft.turned[box]), last, others=others),)
+            for last in (None, other_boxes[-1]):
+                yield (Place(box, corner, bool(draft.turned[box]), last, others=riders),)
 
 
 def _resting_corners(
@@ -350,8 +350,8 @@ def _resting_corners(
     Args:
         below: the box above the place; None: the place is on top.
     """
-    others = np.array([number for number in draft.order if number not in (box, below)], int)
-    low, high = draft.corner_mm[others], (draft.corner_mm + draft.size_mm)[others]
+    other_boxes = np.array([number for number in draft.order if number not in (box, below)], int)
+    low, high = draft.corner_mm[other_boxes], (draft.corner_mm + draft.size_mm)[other_boxes]
     ceiling = math.inf if below is None else float(draft.corner_mm[below, 2])
     lower = low[:, 2] < ceiling - TOLERANCE_MM
     low, high = low[lower], high[lower]
@@ -376,11 +376,11 @@ def _resting_corners(
         x, y = (grid.ravel() for grid in np.meshgrid(*axes, indexing="ij"))
         z, share = _rest(x, y, size, low, high)
         if below is None:
-            good = (share >= LEAST_SUPPORT) & (z + size[2] <= rules.high_mm[2] + TOLERANCE_MM)
+            is_good = (share >= LEAST_SUPPORT) & (z + size[2] <= rules.high_mm[2] + TOLERANCE_MM)
         else:
-            good = (share >= LEAST_SUPPORT) & (np.abs(z + size[2] - ceiling) <= TOLERANCE_MM)
-            good &= _shared_mm2(x, y, size, draft.corner_mm[below], draft.size_mm[below]) > 0
-        chosen = np.flatnonzero(good)
+            is_good = (share >= LEAST_SUPPORT) & (np.abs(z + size[2] - ceiling) <= TOLERANCE_MM)
+            is_good &= _shared_mm2(x, y, size, draft.corner_mm[below], draft.size_mm[below]) > 0
+        chosen = np.flatnonzero(is_good)
         chosen = chosen[np.lexsort((-share[chosen], z[chosen]))][:MOST_PLACES]
         for k in chosen.tolist():
             yield turn, (float(x[k]), float(y[k]), float(z[k]))
@@ -445,19 +445,19 @@ def _sheets(draft: Draft, thick_mm: float, kg_m2: float) -> Iterator[Proposal]:
 def lifted_with(draft: Draft, box: int) -> list[int]:
     """A box and all boxes that would lose their support without it, the supports first."""
     lifted = [box]
-    kept = [number for number in draft.order if number != box]
+    remaining = [number for number in draft.order if number != box]
     while True:
         bare = [
             number
-            for number in kept
+            for number in remaining
             if draft.corner_mm[number, 2] > TOLERANCE_MM
             and draft.on_top[:, number].any()
-            and not draft.on_top[kept, number].any()
+            and not draft.on_top[remaining, number].any()
         ]
         if not bare:
             return lifted
         lifted += bare
-        kept = [number for number in kept if number not in bare]
+        remaining = [number for number in remaining if number not in bare]
 
 
 def _omissions(draft: Draft, rules: Rules, near: Sequence[int]) -> Iterator[Proposal]:
@@ -489,10 +489,10 @@ def relocation(draft: Draft, rules: Rules, sim: Simulation, box: int) -> Proposa
         drafts = [placed for place in places if (placed := place.applied(waiting)) is not None]
         allowed = np.flatnonzero(rules.allow(drafts)).tolist() if drafts else []
         after = balances([drafts[k] for k in allowed], sim)
-        good = [(b.trouble, places[k].corner_mm[2], k) for k, b in zip(allowed, after, strict=True)]
-        if not good or min(good)[0] > balance.trouble:
+        balanced_places = [(b.trouble, places[k].corner_mm[2], k) for k, b in zip(allowed, after, strict=True)]
+        if not balanced_places or min(balanced_places)[0] > balance.trouble:
             return None
-        chosen = min(good)[2]
+        chosen = min(balanced_places)[2]
         balance, pile = after[allowed.index(chosen)], drafts[chosen]
         changes.append(places[chosen])
     return tuple(changes)

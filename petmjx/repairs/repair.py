@@ -187,13 +187,15 @@ class Repairs:
     def summary(self) -> str:
         """The result in one line."""
         fell = [repaired for repaired in self.each if not repaired.trial_before.stands]
-        good = [repaired for repaired in fell if repaired.stands]
+        mended = [repaired for repaired in fell if repaired.stands]
         if not fell:
             return f"{count_text(len(self.each), 'plan')}: all stand as they are"
-        left = sum(bool(repaired.left_out) for repaired in good)
-        changes = sorted(len(repaired.changes) for repaired in good)
+        left = sum(bool(repaired.left_out) for repaired in mended)
+        changes = sorted(len(repaired.changes) for repaired in mended)
         verb = "does" if len(fell) == 1 else "do"
-        text = f"{count_text(len(fell), 'plan')} of {len(self.each):,} {verb} not stand; {len(good):,} can be repaired"
+        text = (
+            f"{count_text(len(fell), 'plan')} of {len(self.each):,} {verb} not stand; {len(mended):,} can be repaired"
+        )
         if left:
             text += f", {left:,} of them only without some boxes"
         return text + (f"; changes: {changes[len(changes) // 2]} in the median" if len(changes) > 1 else "")
@@ -243,8 +245,8 @@ def repair(
         )
     repair_options = RepairOptions(**of_repair)
     reading = RunOptions(**{name: value for name, value in of_run.items() if name in OF_READING})
-    how = {**of_simulation, **sure, **{name: value for name, value in of_run.items() if name in OF_RUN}}
-    question = Question(how, repair_options)
+    score_options = {**of_simulation, **sure, **{name: value for name, value in of_run.items() if name in OF_RUN}}
+    question = Question(score_options, repair_options)
     plan_set = usable_plans(plans_in_place(plans, reading.strict), question.sim, reading)
     for plan in plan_set:
         if repair_options.built >= plan.n_boxes:
@@ -260,7 +262,7 @@ def repair(
                 watch(len(results), len(plan_set.plans))
     finally:
         question.close()
-    shown = {name: value for name, value in how.items() if name in Simulation.model_fields or name in OF_RUN}
+    shown = {name: value for name, value in score_options.items() if name in Simulation.model_fields or name in OF_RUN}
     return Repairs(tuple(results), tuple(str(line) for line in plan_set.skipped), shown)
 
 
@@ -330,7 +332,10 @@ def _likeliest(searches: Sequence[Search], question: Question) -> list[State | N
         for row, share in zip(rows, question.shares(plans), strict=True):
             shares[row].append(share)
         rows = [row for row in rows if len(shares[row]) < len(searches[row].repairs) and not _is_good(shares[row][-1])]
-    best = [max(range(len(some)), key=lambda k: (some[k].n_standing, -k)) if some else 0 for some in shares]
+    best = [
+        max(range(len(plan_shares)), key=lambda k: (plan_shares[k].n_standing, -k)) if plan_shares else 0
+        for plan_shares in shares
+    ]
     return [search.repairs[k] if search.repairs else None for search, k in zip(searches, best, strict=True)]
 
 

@@ -135,12 +135,12 @@ class Search:
         standing: list[State] = []
         if Kind.FILM in kinds:
             standing = yield from self._wrapped(start)
-        beam, whole = [start], kinds - {Kind.FILM, Kind.LEAVE_OUT}
+        beam, kinds_with_all_boxes = [start], kinds - {Kind.FILM, Kind.LEAVE_OUT}
         most = self.options.trials if self.options.profile is None else self.options.trials // PER_DRIVE
-        if not standing and whole:
-            standing, beam = yield from self._changed(beam, whole, most)
-        if not standing and Kind.PLACE in whole:
-            standing, beam = yield from self._changed(beam, whole, most // 4, rebuilds=True)
+        if not standing and kinds_with_all_boxes:
+            standing, beam = yield from self._changed(beam, kinds_with_all_boxes, most)
+        if not standing and Kind.PLACE in kinds_with_all_boxes:
+            standing, beam = yield from self._changed(beam, kinds_with_all_boxes, most // 4, rebuilds=True)
         if not standing and Kind.LEAVE_OUT in kinds:
             self._seen.clear()
             standing, beam = yield from self._changed(beam, kinds - {Kind.FILM}, most // 2)
@@ -162,21 +162,21 @@ class Search:
         low, high = math.floor(self.film_turns), self.options.most_turns
         if high <= low:
             return []
-        kept: State | None = None
+        best: State | None = None
         tried = [high]
         while tried:
             films = [Film(float(turns)) for turns in tried]
             drafts = [draft for film in films if (draft := film.applied(start.draft)) is not None]
             trials = yield from self._simulated(drafts)
             for film, draft, trial in zip(films, drafts, trials, strict=True):
-                if trial.stands and (kept is None or film.turns < high or kept is None):
-                    kept, high = State(draft, (film,), trial), int(film.turns)
+                if trial.stands and (best is None or film.turns < high or best is None):
+                    best, high = State(draft, (film,), trial), int(film.turns)
                 elif not trial.stands:
                     low = max(low, int(film.turns))
-            if kept is None or high - low <= 1:
+            if best is None or high - low <= 1:
                 break
             tried = [(low + high) // 2]
-        return [] if kept is None else [kept]
+        return [] if best is None else [best]
 
     # ------------------------------------------------------------------ changes
 
@@ -200,8 +200,8 @@ class Search:
                 batch = _batch(queues, min(count, last - self.n_trials))
                 states = yield from self._judged(batch)
                 if any(state.trial.stands for state in states):  # further plans may stand more often with errors
-                    more = _batch(queues, min(AT_ONCE[0], last - self.n_trials))
-                    batch, states = batch + more, states + (yield from self._judged(more))
+                    next_candidates = _batch(queues, min(AT_ONCE[0], last - self.n_trials))
+                    batch, states = batch + next_candidates, states + (yield from self._judged(next_candidates))
                     standing = yield from self._confirmed(states)
                     if standing:
                         return standing, best
@@ -278,8 +278,10 @@ class Search:
         drafts: list[Draft] = []
         origins: list[Proposal] = []
         for cause in causes:
-            some = proposals(state.draft, self.rules, cause, limits)
-            for proposal in itertools.chain(some, self._relocations(state.draft, cause)) if rebuilds else some:
+            candidates = proposals(state.draft, self.rules, cause, limits)
+            for proposal in (
+                itertools.chain(candidates, self._relocations(state.draft, cause)) if rebuilds else candidates
+            ):
                 draft = applied(state.draft, proposal)
                 if draft is None:
                     continue
@@ -336,8 +338,8 @@ class Search:
         shorter = state
         while size > 1:
             changes = shorter.changes
-            some = [(*changes[:k], *changes[k + size :]) for k in range(0, len(changes), size)]
-            standing = [one for one in (yield from self._trials_of(some, judged=True)) if one.trial.stands]
+            change_lists = [(*changes[:k], *changes[k + size :]) for k in range(0, len(changes), size)]
+            standing = [one for one in (yield from self._trials_of(change_lists, judged=True)) if one.trial.stands]
             if standing:
                 shorter = min(standing, key=lambda one: one.cost)
             size = min(size if standing else size // 2, len(shorter.changes) // 2)
@@ -353,7 +355,7 @@ class Search:
         """The states with these lists of changes, without impossible and forbidden ones."""
         made = [(draft, changes) for changes in lists if (draft := applied(self._start, changes)) is not None]
         allowed = self.rules.allow([draft for draft, _ in made])
-        made = [pair for pair, good in zip(made, allowed, strict=True) if good]
+        made = [pair for pair, is_allowed in zip(made, allowed, strict=True) if is_allowed]
         if not made:
             return []
         trials = yield from self._simulated([draft for draft, _ in made], judged=judged)
@@ -362,8 +364,8 @@ class Search:
     def _pruned(self, state: State) -> Generator[list[Asked], list[Trial], State]:
         """The state without needless changes, tried one by one."""
         while len(state.changes) > 1:
-            some = [(*state.changes[:k], *state.changes[k + 1 :]) for k in range(len(state.changes))]
-            standing = [shorter for shorter in (yield from self._trials_of(some)) if shorter.trial.stands]
+            change_lists = [(*state.changes[:k], *state.changes[k + 1 :]) for k in range(len(state.changes))]
+            standing = [shorter for shorter in (yield from self._trials_of(change_lists)) if shorter.trial.stands]
             if not standing:
                 break
             state = min(standing, key=lambda shorter: shorter.cost)

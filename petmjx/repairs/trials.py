@@ -256,11 +256,11 @@ def _trial_of(outcome: Outcome, order: tuple[int, ...], sim: Simulation) -> Tria
 def _trial(world: Any, fallen: Sequence[int], order: tuple[int, ...]) -> Trial:
     """A trial from a row of ``worlds``. Rows of boxes become numbers of the plan."""
     culprit = world["culprit"]
-    known = not pd.isna(culprit)
+    has_culprit = not pd.isna(culprit)
     return Trial(
         str(world["verdict"]),
         str(world["reason"] or ""),
-        order[int(culprit)] if known else None,
+        order[int(culprit)] if has_culprit else None,
         tuple(order[row] for row in fallen),
         int(world["n_placed"]),
         float(world["margin"]),

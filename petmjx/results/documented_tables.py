@@ -45,7 +45,7 @@ def write_documented_tables(
     The folder is made if missing. Existing files are replaced, so call :func:`check_tables_free` first.
 
     Args:
-        others: file name → content of further files.
+        others: name of each further file → its content.
 
     Raises:
         OSError: a file cannot be written.

@@ -90,9 +90,9 @@ def _take(descriptor: int, folder: Path) -> bool:
             raise _in_use(descriptor, folder) from None
         if _is_in(descriptor, folder):
             return True
-        again = _lock_descriptor(folder)
-        os.dup2(again, descriptor, inheritable=False)
-        os.close(again)
+        second_descriptor = _lock_descriptor(folder)
+        os.dup2(second_descriptor, descriptor, inheritable=False)
+        os.close(second_descriptor)
 
 
 def _is_in(descriptor: int, folder: Path) -> bool:

@@ -92,11 +92,13 @@ def recording_of(options: RunOptions, engine: str, plans: Sequence[Plan]) -> Rec
     record = Record(options.record_interval_s, options.record_details)
     if choice in (ALL, FAILED):
         return Recording(record, failed_only=choice == FAILED)
-    known = {plan.plan_id for plan in plans}
-    ids = frozenset(choice if not isinstance(choice, str) else [choice] if choice in known else _split(choice))
-    unknown = sorted(ids - known)
+    plan_ids = {plan.plan_id for plan in plans}
+    ids = frozenset(choice if not isinstance(choice, str) else [choice] if choice in plan_ids else _split(choice))
+    unknown = sorted(ids - plan_ids)
     if unknown:
-        raise InputError(f"record: {first_names(unknown)}: not among the {count_text(len(known), 'plan')} of the run")
+        raise InputError(
+            f"record: {first_names(unknown)}: not among the {count_text(len(plan_ids), 'plan')} of the run"
+        )
     return Recording(record, ids)
 
 

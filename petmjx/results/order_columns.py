@@ -77,5 +77,5 @@ def joined_check(checks: Sequence[OrderCheck]) -> OrderCheck:
 
 def _sum(values: Sequence[int | None]) -> Any:
     """The sum; None if one of the values is unknown."""
-    known = [value for value in values if value is not None]
-    return sum(known) if len(known) == len(values) else None
+    values_with_number = [value for value in values if value is not None]
+    return sum(values_with_number) if len(values_with_number) == len(values) else None

@@ -59,27 +59,27 @@ def find_plans(
     Raises:
         InputError: ``given`` cannot be used.
     """
-    gone: list[str] = []
-    kept: dict[str, Plan] = {}
+    missing_files: list[str] = []
+    found_plans: dict[str, Plan] = {}
     if given is None:
-        kept = {plan_id: run.held[plan_id] for plan_id in wanted if plan_id in run.held}
-        if len(kept) < len(wanted):
-            kept |= kept_plans(run.parts, records, [plan_id for plan_id in wanted if plan_id not in kept])
-        left = [records[plan_id] for plan_id in wanted if plan_id not in kept and plan_id in records]
+        found_plans = {plan_id: run.held[plan_id] for plan_id in wanted if plan_id in run.held}
+        if len(found_plans) < len(wanted):
+            found_plans |= kept_plans(run.parts, records, [plan_id for plan_id in wanted if plan_id not in found_plans])
+        left = [records[plan_id] for plan_id in wanted if plan_id not in found_plans and plan_id in records]
         files = {source: plan_file(source) for source in dict.fromkeys(record.source for record in left)}
-        gone = [source for source, file in files.items() if file is None]
+        missing_files = [source for source, file in files.items() if file is None]
         given = [file for file in files.values() if file is not None]
     read: dict[str, Plan] = {}
     if not isinstance(given, list) or given:
         read = {plan.plan_id: plan for plan in gather_plans(given, Simulation(), how_read(run.info))}
-    read |= kept
+    read |= found_plans
     plans = {plan_id: read[plan_id] for plan_id in wanted if plan_id in read}
     changed = {name for name, plan in plans.items() if name in records and records[name].digest != plan_digest(plan)}
     return PlanLookup(
         plans={plan_id: plan for plan_id, plan in plans.items() if plan_id not in changed},
         missing=tuple(sorted(set(wanted) - plans.keys())),
         changed=tuple(sorted(changed)),
-        gone=tuple(gone),
+        gone=tuple(missing_files),
     )
 
 
@@ -119,8 +119,8 @@ def plans_of(run: RunResults, strict: bool = False) -> PlanSet:
     simulated = set(run.worlds["plan_id"])
     lookup = find_plans(run, records, [plan_id for plan_id in records if plan_id in simulated])
     skipped = [
-        Skipped(records[plan_id].source, plan_id, f"{run.path}: plan {printable_name(plan_id)} {why}")
-        for plan_ids, why in (
+        Skipped(records[plan_id].source, plan_id, f"{run.path}: plan {printable_name(plan_id)} {reason}")
+        for plan_ids, reason in (
             (lookup.missing, "is neither in the run nor in a file any more"),
             (lookup.changed, "is no longer the one that the run simulated: its file changed"),
         )

@@ -143,8 +143,8 @@ def resume_state(
             )
         before = sum(len(table) for table in parts.table("worlds", ("variant",)))
         parts = parts.without_numbers(lacking)
-        again = before - sum(len(table) for table in parts.table("worlds", ("variant",)))
+        n_rerun = before - sum(len(table) for table in parts.table("worlds", ("variant",)))
         warnings.append(
-            f"{count_text(again, 'world')} had no boxes, and {'was' if again == 1 else 'were'} simulated again"
+            f"{count_text(n_rerun, 'world')} had no boxes, and {'was' if n_rerun == 1 else 'were'} simulated again"
         )
     return info, parts, warnings

@@ -263,8 +263,8 @@ def _hidden_path(path: Path) -> Path:
 def _write(path: Path, write: Write) -> str:
     """Write a new file and flush it to disk; returns its digest."""
     # the name is secret and an existing file is never opened, so nobody can plant a file or a link in its place
-    how = os.O_RDWR | os.O_CREAT | os.O_EXCL | os.O_NOFOLLOW | os.O_CLOEXEC
-    with open(os.open(path, how, 0o666), "w+b") as file:
+    open_flags = os.O_RDWR | os.O_CREAT | os.O_EXCL | os.O_NOFOLLOW | os.O_CLOEXEC
+    with open(os.open(path, open_flags, 0o666), "w+b") as file:
         write(file)
         file.flush()
         os.fsync(file.fileno())

@@ -156,19 +156,19 @@ class Manifest:
             *self._plan_differences(earlier),
         ]
         differences = [difference for difference in differences if difference.partition(" ")[0] not in without]
-        more = [f"{len(differences) - MOST_NAMED} more"] if len(differences) > MOST_NAMED else []
-        return "; ".join([*differences[:MOST_NAMED], *more])
+        more_words = [f"{len(differences) - MOST_NAMED} more"] if len(differences) > MOST_NAMED else []
+        return "; ".join([*differences[:MOST_NAMED], *more_words])
 
     def _plan_differences(self, earlier: Manifest) -> Iterator[str]:
         for plan_id, record in self.plans.items():
             if plan_id in earlier.plans and earlier.plans[plan_id].digest != record.digest:
                 yield f"plan {printable_name(plan_id)} differs"
         new = len(self.plans.keys() - earlier.plans.keys())
-        gone = len(earlier.plans.keys() - self.plans.keys())
+        n_removed = len(earlier.plans.keys() - self.plans.keys())
         if new:
             yield f"{count_text(new, 'plan')} more"
-        if gone:
-            yield f"{count_text(gone, 'plan')} fewer"
+        if n_removed:
+            yield f"{count_text(n_removed, 'plan')} fewer"
 
 
 _NOTHING: Final = object()
@@ -184,8 +184,8 @@ def _settings_of_command(settings: Mapping[str, Any]) -> Mapping[str, Any]:
     if settings.get("command") != "score" or not isinstance(sweep, Mapping):
         return settings
     errors = {name: value for name, value in sweep.items() if name != "replicates"}
-    others = {name: value for name, value in settings.items() if name != "sweep"}
-    return {**others, "confidence": sweep.get("replicates"), "errors": errors}
+    other_settings = {name: value for name, value in settings.items() if name != "sweep"}
+    return {**other_settings, "confidence": sweep.get("replicates"), "errors": errors}
 
 
 def _with_later_fields(simulation: Mapping[str, Any]) -> dict[str, Any]:

@@ -28,8 +28,9 @@ not read."""
 
 
 FREE_BYTES: Final = 256 << 20
-"""Memory that the tables of a run may always take, bytes. Above it the general limit holds, relative to their size on
-disk. Boxes at rest and columns without values are packed to a hundredth, so small files may unpack to large tables."""
+"""Memory that the tables of a run may take in any case, bytes. Above it the general limit holds, relative to their size
+on disk. Boxes at rest and columns without values are packed to a hundredth, so small files may unpack to large
+tables."""
 
 MOST_TABLE_BYTES: Final = 1 << 40
 """Largest memory of a table, bytes. The bound is high because the real bound of large runs is the machine's memory."""
@@ -108,30 +109,34 @@ class Parts:
 
     def without(self, *tables: str) -> Parts:
         """The files without the files of these tables."""
-        kept = {table: dict(files) for table, files in self.digests.items() if table not in tables}
-        return Parts(self.folder, kept, set(self._checked))
+        remaining = {table: dict(files) for table, files in self.digests.items() if table not in tables}
+        return Parts(self.folder, remaining, set(self._checked))
 
     def without_numbers(self, numbers: Collection[int]) -> Parts:
         """The files without the parts of worlds with these numbers."""
-        gone = {part_name(number) for number in numbers}
-        kept = {
-            table: {name: digest for name, digest in files.items() if table not in OF_WORLDS or name not in gone}
+        removed_names = {part_name(number) for number in numbers}
+        remaining = {
+            table: {
+                name: digest for name, digest in files.items() if table not in OF_WORLDS or name not in removed_names
+            }
             for table, files in self.digests.items()
         }
-        return Parts(self.folder, kept, set(self._checked))
+        return Parts(self.folder, remaining, set(self._checked))
 
     def with_worlds(self) -> Parts:
         """The files without those whose part of ``worlds`` was deleted. A user deletes such a part to simulate its
         worlds again.
         """
-        gone = {file.name for file in self.files("worlds") if not file.exists()}
-        if not gone or self.files("frames"):  # the histories of these worlds are unknown
+        missing_names = {file.name for file in self.files("worlds") if not file.exists()}
+        if not missing_names or self.files("frames"):  # the histories of these worlds are unknown
             return self
-        kept = {
-            table: {name: digest for name, digest in files.items() if table not in OF_WORLDS or name not in gone}
+        remaining = {
+            table: {
+                name: digest for name, digest in files.items() if table not in OF_WORLDS or name not in missing_names
+            }
             for table, files in self.digests.items()
         }
-        return Parts(self.folder, kept)
+        return Parts(self.folder, remaining)
 
     def lacking_boxes(self) -> list[int]:
         """Numbers of parts that ``worlds`` has and ``boxes`` lacks."""

@@ -2,8 +2,8 @@
 
 Types, and why:
 
-- Texts are plain strings. Parquet encodes them with a dictionary on disk anyway. In memory they have the same type for
-  all readers; two pandas categoricals with different categories could not even be compared.
+- Texts are plain strings. On disk, Parquet encodes such texts with a dictionary anyway. In memory they have the same
+  type for all readers; two pandas categoricals with different categories could not even be compared.
 - ``worlds`` is float64: times are float64 sums of the timestep, and are compared to the step. ``boxes`` is forty times
   as long: measured values are float32, only times are float64.
 - A value that does not exist (no culprit, a box that was never placed, a world that never came to rest) is null. The

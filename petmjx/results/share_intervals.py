@@ -46,10 +46,10 @@ def wilson_interval(
     if np.any(k < 0) or np.any(k > total):
         raise ValueError("successes must be between 0 and n")
     z = NormalDist().inv_cdf(0.5 + confidence / 2)
-    known = np.maximum(total, 1.0)
-    share = k / known
-    centre = (share + z * z / (2 * known)) / (1 + z * z / known)
-    half = z / (1 + z * z / known) * np.sqrt(share * (1 - share) / known + z * z / (4 * known * known))
+    n_or_one = np.maximum(total, 1.0)
+    share = k / n_or_one
+    centre = (share + z * z / (2 * n_or_one)) / (1 + z * z / n_or_one)
+    half = z / (1 + z * z / n_or_one) * np.sqrt(share * (1 - share) / n_or_one + z * z / (4 * n_or_one * n_or_one))
     # At shares of 0 and 1 the bound is exactly that share; rounding must not move it.
     low = np.where((total == 0) | (k == 0), 0.0, centre - half)
     high = np.where((total == 0) | (k == total), 1.0, centre + half)
@@ -111,10 +111,10 @@ def share_standing(worlds: pd.DataFrame, axes: Sequence[str]) -> pd.DataFrame:
     n_worlds, n_standing, n_invalid, n_draws = (summary[name].to_numpy(np.int64) for name in [*counts][:4])
     n_draws = np.where(summary["drawn"].astype(bool), n_draws, 0)
     n_judged = n_worlds - n_invalid
-    known = np.where(n_judged > 0, n_judged, 1)
-    bounds = wilson_interval(n_standing * n_draws / known, n_draws)
+    n_or_one = np.where(n_judged > 0, n_judged, 1)
+    bounds = wilson_interval(n_standing * n_draws / n_or_one, n_draws)
     low, high = (np.where(n_draws > 0, bound, np.nan) for bound in bounds)
-    share = np.where(n_judged > 0, n_standing / known, np.nan)
+    share = np.where(n_judged > 0, n_standing / n_or_one, np.nan)
     world_counts = {"n_worlds": n_worlds, "n_standing": n_standing, "n_invalid": n_invalid}
     return summary[[*KEYS]].assign(**world_counts, share=share, n_draws=n_draws, low=low, high=high)
 

@@ -126,8 +126,8 @@ class Part:
             first += len(metric.columns)
             if metric.of_world is not None:
                 columns[metric.of_world.name] = reduce_boxes(metric.of_world.reduction, values, starts)
-        rest = [name for name in schema.names if name not in columns]
-        return _typed_table(columns | {name: [row.cells[name] for row in self.rows] for name in rest}, schema)
+        other_names = [name for name in schema.names if name not in columns]
+        return _typed_table(columns | {name: [row.cells[name] for row in self.rows] for name in other_names}, schema)
 
     def boxes(self, schema: pa.Schema) -> pa.Table:
         """The ``boxes`` table: world after world, boxes in packing order."""

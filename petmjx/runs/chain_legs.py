@@ -115,8 +115,8 @@ def check_chain(legs: Sequence[Leg], remedies: Sequence[Remedy], defined: Mappin
     for number, name in enumerate(names):
         check_name(name, "legs", number)
         if name == PLACING or name in names[:number]:
-            why = "the part before the first leg" if name == PLACING else "another leg"
-            raise complaint(f": {name!r} is already {why}", "legs", number, "name")
+            conflict = "the part before the first leg" if name == PLACING else "another leg"
+            raise complaint(f": {name!r} is already {conflict}", "legs", number, "name")
     if legs and not any(leg.events or leg.open_walls for leg in legs):
         raise complaint("have no events: nothing shakes the pallet", "legs")
     for number, leg in enumerate(legs):

@@ -86,26 +86,26 @@ def summarise_chain(worlds: pd.DataFrame, chain: ChainColumns) -> pd.DataFrame:
     ways, legs = [AS_IS, *chain.remedies], [WHOLE_WAY, PLACING, *chain.legs]
     worlds = worlds[worlds["variant"] > 0]
     worlds = worlds.assign(verdict=worlds["verdict"].astype(str), draw=(worlds["variant"] - 1) // len(ways))
-    both = pd.concat(
+    parts = pd.concat(
         [worlds.assign(scope=ALL_PLANS, plan_id="", pair=worlds["plan_id"]), worlds.assign(scope=ONE_PLAN, pair="")],
         ignore_index=True,
     )
     for name, order in (("plan_id", ["", *worlds["plan_id"].unique()]), ("remedy", ways), ("leg", legs)):
-        both[name] = pd.Categorical(both[name], categories=order)
-    summary = _leg_counts(both, legs)
+        parts[name] = pd.Categorical(parts[name], categories=order)
+    summary = _leg_counts(parts, legs)
     judged = (summary["n_worlds"] - summary["n_invalid"]).to_numpy()
     drawn = (judged > 0) & chain.random
     low, high = wilson_interval(summary["n_standing"], judged)
     summary["share"] = np.where(judged > 0, summary["n_standing"] / np.maximum(judged, 1), np.nan)
     summary["low"], summary["high"] = np.where(drawn, low, np.nan), np.where(drawn, high, np.nan)
-    summary = summary.merge(_weakest_legs(summary, both), on=_KEYS, how="left")
-    summary = summary.merge(_gains(both, random=chain.random), on=_KEYS, how="left")
+    summary = summary.merge(_weakest_legs(summary, parts), on=_KEYS, how="left")
+    summary = summary.merge(_gains(parts, random=chain.random), on=_KEYS, how="left")
     for name in ("plan_id", "remedy", "leg"):
         summary[name] = summary[name].astype(object)
     summary.loc[summary["scope"] == ALL_PLANS, "plan_id"] = None
-    whole = summary["leg"] == WHOLE_WAY
+    is_whole_way = summary["leg"] == WHOLE_WAY
     weakest = summary["weakest_leg"].astype(object)
-    summary["weakest_leg"] = weakest.where(weakest.notna(), "").where(whole, None)
+    summary["weakest_leg"] = weakest.where(weakest.notna(), "").where(is_whole_way, None)
     for name in ("box", "only_with", "only_without"):
         summary[name] = summary[name].astype("Int32")
     return summary[[*_DESCRIPTIONS]]
@@ -118,9 +118,9 @@ def _leg_counts(worlds: pd.DataFrame, legs: Sequence[str]) -> pd.DataFrame:
     end = worlds["leg"].cat.codes.where(~arrives, len(legs))
     parts = []
     for number, leg in enumerate(legs):
-        here = pd.Series(True, index=worlds.index) if leg == WHOLE_WAY else end >= number
+        reached = pd.Series(True, index=worlds.index) if leg == WHOLE_WAY else end >= number
         counted = {
-            "n_worlds": here,
+            "n_worlds": reached,
             "n_standing": arrives if leg == WHOLE_WAY else end > number,
             "n_invalid": invalid if leg == WHOLE_WAY else invalid & (end == number),
         }

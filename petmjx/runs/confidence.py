@@ -163,8 +163,8 @@ def _failures(drawn: pd.DataFrame) -> pd.DataFrame:
 def _paired_draws(carried: pd.DataFrame, exact: pd.DataFrame) -> pd.DataFrame:
     """For each plan, the draws that stand with only one way of placing, among draws with a verdict for both ways, and
     the test of these numbers."""
-    both = carried.merge(exact, on=["plan_id", "replicate"], suffixes=("_carried", "_exact"))
-    one, other = (both[f"verdict_{way}"].astype(str) for way in ("carried", "exact"))
+    pairs = carried.merge(exact, on=["plan_id", "replicate"], suffixes=("_carried", "_exact"))
+    one, other = (pairs[f"verdict_{way}"].astype(str) for way in ("carried", "exact"))
     stands, stands_exact = one == Verdict.STABLE.value, other == Verdict.STABLE.value
     judged = (one != Verdict.INVALID.value) & (other != Verdict.INVALID.value)
     outcomes = {
@@ -173,7 +173,7 @@ def _paired_draws(carried: pd.DataFrame, exact: pd.DataFrame) -> pd.DataFrame:
         "only_exact": ~stands & stands_exact,
         "neither": ~stands & ~stands_exact,
     }
-    counted = pd.DataFrame({"plan_id": both["plan_id"], **{name: judged & row for name, row in outcomes.items()}})
+    counted = pd.DataFrame({"plan_id": pairs["plan_id"], **{name: judged & row for name, row in outcomes.items()}})
     pair_counts = counted.groupby("plan_id", observed=True).sum().reset_index()
     trials = pair_counts[[*outcomes]].astype(int).itertuples(index=False, name=None)
     pair_counts["p_value"] = holm([mcnemar_p(PairedCounts(*counts)) for counts in trials])

@@ -111,13 +111,13 @@ def simulate(
                 strict=strict,
                 articles=_articles(options),
             )
-        late = (
+        later_inputs = (
             replace(skipped_plan, number=plan_set.numbers.get(skipped_plan.plan_id or ""))
             for skipped_plan in study.skipped
         )
         about = notes_about(sim, study.everything, axes=study.axes, errors=study.has_errors, driven=study.dynamic)
         notes = [*plan_set.notes, *about]
-        plan_set = replace(plan_set, skipped=[*plan_set.skipped, *late], notes=notes)
+        plan_set = replace(plan_set, skipped=[*plan_set.skipped, *later_inputs], notes=notes)
         records = records_of(study.everything, plan_set.numbers)
     earlier = engine_of_run(options.out) if options.resume and options.out is not None else None
     hands_over = not options.record_details  # only C MuJoCo records them

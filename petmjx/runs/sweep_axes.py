@@ -61,11 +61,11 @@ def _distinct_values(values: tuple[T, ...]) -> tuple[T, ...]:
         raise ValueError("is empty: give at least one value, or leave the axis out")
     if len(values) > MAX_AXIS_VALUES:
         raise ValueError(f"has {len(values):,} values, more than {MAX_AXIS_VALUES:,}")
-    seen = set()
+    distinct = set()
     for value in values:
-        if value in seen:
+        if value in distinct:
             raise ValueError(f"holds {_axis_text(value)} twice")
-        seen.add(value)
+        distinct.add(value)
     return values
 
 

@@ -82,8 +82,8 @@ class Design:
         total = 0
         for points, repeats in self._placement_counts():
             for profile in profiles:
-                again = sweep.replicates if repeats == 1 and profile is not None and profile.random else 1
-                total += points * repeats * again * per_profile
+                n_repeats = sweep.replicates if repeats == 1 and profile is not None and profile.random else 1
+                total += points * repeats * n_repeats * per_profile
         if sweep.search is not None:
             total *= sweep.search.tests(len(sweep.search_levels))
         return total + nominal
@@ -184,13 +184,13 @@ class Design:
                     yield placement, ()
                     continue
                 if sweep.legs:
-                    again = (replicate,) if change.random else range(self._chain_replicates)
-                    yield placement, tuple(self._ways_from(placement, again))
+                    drive_replicates = (replicate,) if change.random else range(self._chain_replicates)
+                    yield placement, tuple(self._ways_from(placement, drive_replicates))
                     continue
                 variants = tuple(
-                    self._variant(next(index), {**point, **drive_point}, again, change)
+                    self._variant(next(index), {**point, **drive_point}, drive_replicates, change)
                     for drive_point in _points(self._axes(placement=False))
-                    for again in self._drive_replicates(drive_point, replicate, change)
+                    for drive_replicates in self._drive_replicates(drive_point, replicate, change)
                 )
                 yield placement, variants
 

@@ -62,10 +62,10 @@ def find_sweep(name_or_path: str | Path) -> Path:
     with suppress(OSError, ValueError):  # a name that is too long, for instance, or holds a zero
         if path.is_file():
             return path
-    ready = ready_sweeps()
-    if str(name_or_path) in ready:
-        return ready[str(name_or_path)]
-    ready_names = ", ".join(ready) or "not installed"
+    files_by_name = ready_sweeps()
+    if str(name_or_path) in files_by_name:
+        return files_by_name[str(name_or_path)]
+    ready_names = ", ".join(files_by_name) or "not installed"
     raise InputError(f"{printable_name(str(name_or_path))}: no such sweep file; ready-made sweeps are {ready_names}")
 
 
@@ -316,12 +316,12 @@ class Sweep(CheckedRecord):
             wrong = next((other for other in ("scale", "level") if other in axes and other != profile.strength), None)
             if wrong is None:
                 continue
-            why = {
+            faults = {
                 Strength.ANGLE: "whose strength is its angle",
                 Strength.LEVEL: "whose strength is a level in g: use axes.level",
                 Strength.SCALE: "which has no level in g: use axes.scale",
             }
-            raise _contradiction(wrong, f"profile {name!r}, {why[profile.strength]}")
+            raise _contradiction(wrong, f"profile {name!r}, {faults[profile.strength]}")
         return self
 
     @model_validator(mode="after")

@@ -223,8 +223,8 @@ class SweepRun:
     def worlds(self) -> Iterator[FinishedWorld]:
         """Simulate all missing worlds; yield each world when it is final, in any order."""
         # many drives may end soon after they begin, so the check pool is started while boxes are placed
-        known = self.plan.sweep.search is None
-        self._check_pool = check_pool_for(self.engine, self.plan.n_worlds - len(self.recorded)) if known else None
+        is_counted = self.plan.sweep.search is None
+        self._check_pool = check_pool_for(self.engine, self.plan.n_worlds - len(self.recorded)) if is_counted else None
         try:
             yield from self._all_worlds()
         finally:
@@ -269,12 +269,12 @@ class SweepRun:
     def _groups(self) -> Iterator[PlacementGroup]:
         """Placements with missing worlds. For a search all placements count, since its worlds follow from each
         other."""
-        return (group for group in self.plan.groups(self._whole) if not group.variants or self._missing(group))
+        return (group for group in self.plan.groups(self._has_all_worlds) if not group.variants or self._missing(group))
 
-    def _whole(self, plan: Plan) -> bool:
+    def _has_all_worlds(self, plan: Plan) -> bool:
         """Whether a plan has no missing world, which saves the check of each world."""
-        known = self.plan.sweep.search is None
-        return known and self.recorded.n_of(plan.plan_id) == self.plan.n_variants
+        is_counted = self.plan.sweep.search is None
+        return is_counted and self.recorded.n_of(plan.plan_id) == self.plan.n_variants
 
     def _missing(self, group: PlacementGroup) -> list[Variant]:
         """The worlds of a placement that are not completed."""
@@ -291,14 +291,14 @@ class SweepRun:
         chunk: list[PlacementGroup] = []
         worlds = histories = 0
         for group in (group for group in self._groups() if group.driven):
-            more = len(group.variants) or per_search
+            n_forks = len(group.variants) or per_search
             more_histories = int(self.recording.of(group.plan) is not None)
-            full = worlds + more > most or len(chunk) >= self.batching.placements
+            full = worlds + n_forks > most or len(chunk) >= self.batching.placements
             if chunk and (full or histories + more_histories > self.batching.histories):
                 yield chunk
                 chunk, worlds, histories = [], 0, 0
             chunk.append(group)
-            worlds += more
+            worlds += n_forks
             histories += more_histories
         if chunk:
             yield chunk
@@ -386,9 +386,9 @@ class SweepRun:
                     yield start.undriven(variant)
                 continue
             of_start = self._drives_of(start)
-            ready = list(islice(of_start, self.batching.drives - n_ready))
-            drives[id(start.group)] = chain(ready, of_start)
-            n_ready += len(ready)
+            next_worlds = list(islice(of_start, self.batching.drives - n_ready))
+            drives[id(start.group)] = chain(next_worlds, of_start)
+            n_ready += len(next_worlds)
         in_order = (drive for group in groups for drive in drives.pop(id(group), ()))
         for _, world in self._drive(in_order):
             yield world
@@ -441,12 +441,12 @@ class SweepRun:
         alike: dict[tuple[LegSpec, int], list[Variant]] = {}
         for change in changes:
             alike.setdefault((change.legs[number], change.replicate), []).append(change)
-        for (leg, _), same in alike.items():
-            drive = self.plan.leg_drive(plan, same[0], leg, start.load_height_m)
+        for (leg, _), changes_of_leg in alike.items():
+            drive = self.plan.leg_drive(plan, changes_of_leg[0], leg, start.load_height_m)
             poses = None if before is None else np.concatenate([before.boxes.pos, before.boxes.quat], axis=1)
             scene = start.scene_of(leg)
             job = Job(scene, drive=drive, start=start.outcome.state, poses=poses, record=record)
-            yield _LegWorld(plan, same[0].index, job, start, tuple(same), number, before)
+            yield _LegWorld(plan, changes_of_leg[0].index, job, start, tuple(changes_of_leg), number, before)
 
     def _through_legs(self, first: Iterable[_LegWorld]) -> Iterator[FinishedWorld]:
         """Simulate legs, and those that follow them; yield each world at the end of its way."""
@@ -468,11 +468,11 @@ class SweepRun:
             else:
                 outcome = after(world.before, result.outcome, self.sim.physics.timestep_s)
             on = outcome.verdict is Verdict.STABLE
-            more = [change for change in world.changes if on and len(change.legs) > world.number + 1]
-            next_ones += self._legs_of(start, more, world.number + 1, outcome)
+            further_changes = [change for change in world.changes if on and len(change.legs) > world.number + 1]
+            next_ones += self._legs_of(start, further_changes, world.number + 1, outcome)
             end = None if on else self._end(world, outcome, result.outcome.n_steps)
             for change in world.changes:
-                if change not in more:
+                if change not in further_changes:
                     yield FinishedWorld(
                         world.plan, change, world.job.scene, outcome, result.attempts, start.outcome, True, end
                     )
@@ -514,9 +514,9 @@ class SweepRun:
         def next_drives(which: int) -> list[_DriveWorld]:
             """The drives that an item needs next; empty if the item is finished."""
             while tests := bisection.next_tests(which):
-                known = {test: probe for test in tests if (probe := tested.get(test) or recorded(*test)) is not None}
-                tested.update(known)
-                if missing_now := [test for test in tests if test not in known]:
+                probes = {test: probe for test in tests if (probe := tested.get(test) or recorded(*test)) is not None}
+                tested.update(probes)
+                if missing_now := [test for test in tests if test not in probes]:
                     missing[which] = set(missing_now)
                     return [self._driving(searches[which][0], variant(*test), test) for test in missing_now]
                 # only the worlds at the bounds of an item's search can still become its answer
@@ -579,11 +579,11 @@ class SweepRun:
         for which in range(len(bisection.items)):
             while tests := bisection.next_tests(which):
                 worlds = [self._recorded_test(group, *test) for test in tests]
-                known = [world for world in worlds if world is not None]
-                if len(known) < len(tests):
+                stored_worlds = [world for world in worlds if world is not None]
+                if len(stored_worlds) < len(tests):
                     return False
-                tested |= zip(tests, known, strict=True)
-                bisection.record(tests, known)
+                tested |= zip(tests, stored_worlds, strict=True)
+                bisection.record(tests, stored_worlds)
         self._answer([(group, number) for number in numbers], bisection, tested)
         return True
 

@@ -205,8 +205,8 @@ def _binned_values(values: pd.Series[float], lowest: float, highest: float) -> p
     edges = np.linspace(lowest, highest, RANGE_BINS + 1)
     labels = [f"{low:.4g} to {high:.4g}" for low, high in itertools.pairwise(edges)]
     place = np.clip(np.searchsorted(edges, values.to_numpy(), side="right") - 1, 0, RANGE_BINS - 1)
-    named = pd.Series(pd.Categorical.from_codes(place, labels, ordered=True), index=values.index)
-    return named.where(values.notna())
+    labelled = pd.Series(pd.Categorical.from_codes(place, labels, ordered=True), index=values.index)
+    return labelled.where(values.notna())
 
 
 # Searches.

@@ -113,8 +113,8 @@ class SweepPlan(Design):
             sides = walls_of(sim.carrier, sim.walls).sides or ()
             for place, leg in enumerate(self.sweep.legs):
                 if missing := [side.value for side in leg.open_walls if side not in sides]:
-                    why = f"the carrier has no wall {missing[0]!r}; simulation.walls or another carrier gives it one"
-                    raise InputError(f"{file}: legs[{place}].open_walls: {why}")
+                    reason = f"the carrier has no wall {missing[0]!r}; simulation.walls or another carrier gives it one"
+                    raise InputError(f"{file}: legs[{place}].open_walls: {reason}")
         # made once before the run, because this raises if a profile's frequencies are too high for the timestep
         for profile in self.sweep.profiles.values():
             try:
@@ -128,8 +128,8 @@ class SweepPlan(Design):
         if left is None or left > 0:
             return True
         at = f"at {self.sweep.simulation.total_time_factor:g} times the placement time (total_time_factor)"
-        why = f": the run ends before its profile begins, {at}"
-        self.skipped.append(Skipped.plan(plan, why, self.strict))
+        reason = f": the run ends before its profile begins, {at}"
+        self.skipped.append(Skipped.plan(plan, reason, self.strict))
         return False
 
     @property
@@ -182,9 +182,9 @@ class SweepPlan(Design):
 
     def scenes(self, groups: Iterable[PlacementGroup]) -> Iterator[tuple[PlacementGroup, Scene]]:
         """Groups with the scenes of their placements. Scenes of consecutive groups of one plan are made together."""
-        for plan, some in itertools.groupby(groups, key=lambda group: group.plan):
-            these, same = itertools.tee(some)
-            placements = (group.placement for group in same)
+        for plan, plan_groups in itertools.groupby(groups, key=lambda group: group.plan):
+            these, groups_again = itertools.tee(plan_groups)
+            placements = (group.placement for group in groups_again)
             nominal = build_scene(plan, self.sweep.simulation)
             yield from zip(these, apply_all(nominal, plan.plan_id, placements, self.sweep.seed), strict=True)
 

@@ -129,10 +129,10 @@ def slide_m(
         held = float(grip[step] * friction_share(np.array(math.hypot(vx, vy)), kinetic))
         pushed_x, pushed_y = (v - float(a) * timestep_s for v, a in zip((vx, vy), acceleration[step, :2], strict=True))
         speed = math.hypot(pushed_x, pushed_y)
-        kept = max(1.0 - held * timestep_s / speed, 0.0) if speed > 0 else 0.0
-        x += (vx + pushed_x * kept) / 2 * timestep_s
-        y += (vy + pushed_y * kept) / 2 * timestep_s
-        vx, vy = pushed_x * kept, pushed_y * kept
+        remaining_share = max(1.0 - held * timestep_s / speed, 0.0) if speed > 0 else 0.0
+        x += (vx + pushed_x * remaining_share) / 2 * timestep_s
+        y += (vy + pushed_y * remaining_share) / 2 * timestep_s
+        vx, vy = pushed_x * remaining_share, pushed_y * remaining_share
         farthest = max(farthest, math.hypot(x, y))
         step += 1
     return farthest
@@ -161,13 +161,15 @@ def hopeless_profiles(sweep: Sweep) -> list[str]:
         factors = axes[name].values or np.linspace(axes[name].low, axes[name].high, RANGE_POINTS).tolist()
         return sorted(value for value in factors if isinstance(value, float))
 
-    both = values("friction_factor")
+    common_factors = values("friction_factor")
     box, carrier = (values(f"{side}_friction_factor") for side in ("box", "carrier"))
     # MuJoCo takes the larger coefficient of two partners
-    friction = both[-1] * max(sim.physics.box_friction[0] * box[-1], carrier_friction(sim) * carrier[-1])
+    friction = common_factors[-1] * max(sim.physics.box_friction[0] * box[-1], carrier_friction(sim) * carrier[-1])
     errors = _friction_errors(sweep)
     friction *= max(1.0 + max(map(_largest, errors), default=0.0), MIN_FRICTION_FRACTION)
-    varies = any(len(factors) > 1 for factors in (both, box, carrier, errors)) or any(error.random for error in errors)
+    varies = any(len(factors) > 1 for factors in (common_factors, box, carrier, errors)) or any(
+        error.random for error in errors
+    )
     up_to = "up to " if varies else ""
     lines = []
     shaken = [(name, profile, values(profile.strength)) for name, profile in sweep.profiles.items()]
@@ -185,8 +187,8 @@ def hopeless_profiles(sweep: Sweep) -> list[str]:
         peak_g = strengths[first] * float(np.hypot(unit[:, 0], unit[:, 1]).max()) / STANDARD_GRAVITY
         peak = f"{profile.max_deg:g}°" if isinstance(profile, Tilt) else f"{peak_g:.3g} g"
         since = f" from {profile.strength} {strengths[first]:g} on" if len(strengths) > 1 else ""
-        why = f"with friction {up_to}{friction:.3g} no unsecured load stays in place"
-        lines.append(f"{name} reaches {peak}{since}: {why}")
+        reason = f"with friction {up_to}{friction:.3g} no unsecured load stays in place"
+        lines.append(f"{name} reaches {peak}{since}: {reason}")
     return lines
 
 

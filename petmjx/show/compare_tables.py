@@ -24,8 +24,8 @@ def comparison_tables(comparison: Comparison, max_rows: int = 40) -> Iterator[Re
     for name, frame in (("a", comparison.only_a), ("b", comparison.only_b)):
         if len(frame):
             shown = ", ".join(f"{row.plan_id}/{row.variant}" for row in frame.head(max_rows).itertuples())
-            more = ", …" if len(frame) > max_rows else ""
-            yield line(f"{count_text(len(frame), 'world')} only in {name}: {shown}{more}")
+            more_text = ", …" if len(frame) > max_rows else ""
+            yield line(f"{count_text(len(frame), 'world')} only in {name}: {shown}{more_text}")
     yield ""
     yield _confusion_table(comparison)
     if comparison.n_not_stable:

@@ -75,7 +75,7 @@ def _says_table(results: CriteriaResults) -> FittedTable:
 
 def _criteria_vs_physics_table(judged: pd.DataFrame) -> FittedTable:
     first = judged.iloc[0]
-    known = count_text(int(first["n_plans"]), "plan")
+    plan_count = count_text(int(first["n_plans"]), "plan")
     stand, fall = (first[f"accepted_{outcome}"] + first[f"refused_{outcome}"] for outcome in ("stands", "falls"))
     alike = (
         "" if stand and fall else "; all stand, so there is no MCC" if stand else "; none stands, so there is no MCC"
@@ -90,7 +90,7 @@ def _criteria_vs_physics_table(judged: pd.DataFrame) -> FittedTable:
         TableColumn("recall", "left", spare=4),
         TableColumn("MCC", "left"),
         TableColumn("same\nfirst box", spare=3),
-        title=f"judged by physics on {known}{alike}",
+        title=f"judged by physics on {plan_count}{alike}",
         caption="precision: share of the accepted that stand; recall: share of the standing that are accepted; "
         "95 % intervals",
     )

@@ -192,8 +192,8 @@ def _reasons_table(reasons: pd.DataFrame) -> FittedTable:
 def _decided_lines(decided: pd.DataFrame, max_rows: int) -> Iterator[RenderableType]:
     for (winner, loser), rows in decided.groupby(["won_by", "lost_by"], sort=False):
         ids = ", ".join(map(printable_name, rows["plan_id"].head(max_rows)))
-        more = f" and {len(rows) - max_rows:,} more (all with -o)" if len(rows) > max_rows else ""
-        yield line(f"{printable_name(winner)} stands, {printable_name(loser)} does not: {ids}{more}")
+        more_text = f" and {len(rows) - max_rows:,} more (all with -o)" if len(rows) > max_rows else ""
+        yield line(f"{printable_name(winner)} stands, {printable_name(loser)} does not: {ids}{more_text}")
 
 
 def _left_out(comparison: PackerComparison) -> list[TableColumn]:

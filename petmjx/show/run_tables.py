@@ -91,22 +91,22 @@ def _why_they_fail(summary: pd.DataFrame) -> Iterator[RenderableType]:
     """Lines on worlds in which a box could not be placed, and on plans whose share depends on the way of placing."""
     missed = summary["n_not_placed"] > summary["n_fell"]
     if missed.any():
-        named = _plan_id_list(summary.loc[missed, "plan_id"].tolist())
-        yield line(f"most worlds that do not stand have a box that could not be placed: {named}", style="yellow")
+        plan_names = _plan_id_list(summary.loc[missed, "plan_id"].tolist())
+        yield line(f"most worlds that do not stand have a box that could not be placed: {plan_names}", style="yellow")
     if "placing_matters" not in summary:
         return
     for placing, way in (("carried", ">"), ("exact", "<")):
-        more = summary.eval(f"only_carried {way} only_exact") & summary["placing_matters"]
-        if more.any():
+        is_significant = summary.eval(f"only_carried {way} only_exact") & summary["placing_matters"]
+        if is_significant.any():
             placing_text = "carried to their places" if placing == "carried" else "placed exactly"
-            named = _plan_id_list(summary.loc[more, "plan_id"].tolist())
-            yield line(f"stands more often, beyond chance, if boxes are {placing_text}: {named}", style="yellow")
+            plan_names = _plan_id_list(summary.loc[is_significant, "plan_id"].tolist())
+            yield line(f"stands more often, beyond chance, if boxes are {placing_text}: {plan_names}", style="yellow")
 
 
 def _plan_id_list(plan_ids: list[str]) -> str:
     """The first ``SHOWN_PLANS`` plans, and how many more there are."""
-    more = f" and {len(plan_ids) - SHOWN_PLANS:,} more, in summary" if len(plan_ids) > SHOWN_PLANS else ""
-    return ", ".join(map(printable_name, plan_ids[:SHOWN_PLANS])) + more
+    more_text = f" and {len(plan_ids) - SHOWN_PLANS:,} more, in summary" if len(plan_ids) > SHOWN_PLANS else ""
+    return ", ".join(map(printable_name, plan_ids[:SHOWN_PLANS])) + more_text
 
 
 def notes(info: Mapping[str, Any]) -> Iterator[RenderableType]:
@@ -246,11 +246,11 @@ def _edge_cells(row: Mapping[Any, Any], of_boxes: pd.DataFrame | None) -> tuple[
         else of_boxes.sort_values("box")[name].to_numpy(float, na_value=np.nan)
         for name in ("plan_edge_m", "rest_edge_m")
     )  # fmt: skip
-    kept = kept_edges(row, plan_edge_m, rest_edge_m)
+    table_edges = kept_edges(row, plan_edge_m, rest_edge_m)
     edge = (
-        nearest_edge(kept, Verdict(row["verdict"]))
+        nearest_edge(table_edges, Verdict(row["verdict"]))
         if flagged
-        else min(kept, key=lambda edge: edge.edge_m, default=None)
+        else min(table_edges, key=lambda edge: edge.edge_m, default=None)
     )
     if edge is None:
         return "", ""

@@ -62,8 +62,10 @@ def sweep_tables(summary: pd.DataFrame) -> Iterator[FittedTable]:
 
 def _varied_columns(summary: pd.DataFrame) -> list[str]:
     """The columns of placement axes, such as turns of film, that have several values in a search."""
-    known = (kind.column for kind in AXIS_KINDS.values())
-    return [name for name in known if name in summary and name not in _STANDARD_AXES and summary[name].nunique() > 1]
+    axis_columns = (kind.column for kind in AXIS_KINDS.values())
+    return [
+        name for name in axis_columns if name in summary and name not in _STANDARD_AXES and summary[name].nunique() > 1
+    ]
 
 
 def _headers(names: Sequence[str]) -> list[TableColumn]:
@@ -112,7 +114,7 @@ def confidence_table(summary: pd.DataFrame) -> FittedTable:
     """One row per plan of a score with confidence: its nominal verdict, and the share that stands with errors. If boxes
     could not be placed, also in how many worlds, and in how many other worlds boxes fell."""
     tosses = bool(summary["coin_toss"].any())
-    fails, both = bool(summary[["n_not_placed", "n_fell"]].any(axis=None)), "share_exact" in summary
+    fails, has_exact = bool(summary[["n_not_placed", "n_fell"]].any(axis=None)), "share_exact" in summary
     table = FittedTable(
         TableColumn("plan", "left", least=20, middle=True),
         TableColumn("nominal", "left"),
@@ -121,25 +123,25 @@ def confidence_table(summary: pd.DataFrame) -> FittedTable:
         TableColumn("share", spare=1),
         TableColumn("95 %"),
         *([TableColumn("could not\nbe placed"), TableColumn("fell")] if fails else []),
-        *([TableColumn("share,\nexact")] if both else []),
+        *([TableColumn("share,\nexact")] if has_exact else []),
         *([TableColumn("", "left")] if tosses else []),
         title="worlds with errors",
         caption="* differs beyond chance from boxes that are carried"
-        if both and summary["placing_matters"].any()
+        if has_exact and summary["placing_matters"].any()
         else "",
     )
     for row in summary.to_dict("records"):
         judged = row["n_worlds"] - row["n_invalid"]
-        known = judged > 0
+        is_judged = judged > 0
         table.add(
             str(row["plan_id"]),
             str(row["verdict"]),
             number(row["margin"], ".2f"),
             f"{row['n_standing']} of {judged}",
             percent(row["share"]),
-            f"{percent(row['low'])} to {percent(row['high'])}" if known else "",
+            f"{percent(row['low'])} to {percent(row['high'])}" if is_judged else "",
             *([f"{row[name] or ''}" for name in ("n_not_placed", "n_fell")] if fails else []),
-            *([percent(row["share_exact"]) + (" *" if row["placing_matters"] else "")] if both else []),
+            *([percent(row["share_exact"]) + (" *" if row["placing_matters"] else "")] if has_exact else []),
             *(["coin toss" if row["coin_toss"] else ""] if tosses else []),
         )
     return table

@@ -83,17 +83,17 @@ class FittedTable:
 def _column_widths(columns: Sequence[TableColumn], natural: Sequence[int], width: int) -> dict[int, int]:
     """Index of each shown column → its width. Remaining space goes to the narrowest cut columns."""
     least = [min(n, n if column.least is None else column.least) for column, n in zip(columns, natural, strict=True)]
-    kept = list(range(len(columns)))
+    shown_columns = list(range(len(columns)))
 
     def room() -> int:
-        return width - sum(least[number] for number in kept) - (len(kept) - 1)
+        return width - sum(least[number] for number in shown_columns) - (len(shown_columns) - 1)
 
-    for number in sorted(kept, key=lambda n: -columns[n].spare):
+    for number in sorted(shown_columns, key=lambda n: -columns[n].spare):
         if room() < 0 and columns[number].spare:
-            kept.remove(number)
-    widths = {number: least[number] for number in kept}
+            shown_columns.remove(number)
+    widths = {number: least[number] for number in shown_columns}
     for _ in range(room()):
-        short = [number for number in kept if widths[number] < natural[number]]
+        short = [number for number in shown_columns if widths[number] < natural[number]]
         if not short:
             break
         widths[min(short, key=lambda number: widths[number])] += 1

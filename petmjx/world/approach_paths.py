@@ -54,7 +54,7 @@ MOST_LOWERING_PER_STEP: Final = 0.8
 this speed a contact of ``pallet`` gives way by a quarter of a millimetre."""
 
 LOWERING_STEPS: Final = 5
-"""Fewest steps of setting down. After these a box without a support is faster than a quiet one."""
+"""Fewest steps of setting down. Beyond these a box without a support is faster than a quiet box."""
 
 FREE_M: Final = 0.0003
 """Boxes that overlap by no more than this are free of one another. This amount is twice the distance by which soft
@@ -170,9 +170,9 @@ def _between_walls(
     low, high = -gap[..., 0, :], gap[..., 1, :]
     narrow = low > high
     middle = (np.where(narrow, low, 0.0) + np.where(narrow, high, 0.0)) / 2
-    kept = np.where(narrow, middle, np.clip(offset, np.minimum(low, high), high))
-    free = np.maximum(np.stack([kept - low, high - kept], axis=-2), 0.0)
-    return kept, np.minimum(aside, free)
+    clipped = np.where(narrow, middle, np.clip(offset, np.minimum(low, high), high))
+    free = np.maximum(np.stack([clipped - low, high - clipped], axis=-2), 0.0)
+    return clipped, np.minimum(aside, free)
 
 
 def way_steps(

@@ -73,16 +73,16 @@ class Body:
     ) -> Body:
         """The body with walls, one for each side. Arguments as for ``of_boards``."""
         boards = self.pos + self.shape_pos
-        whole = Body.of_boards(
+        body = Body.of_boards(
             np.vstack([self.pos, center]),
             np.vstack([self.inertia_box, half_size]),
             np.append(self.mass, mass),
             np.vstack([self.friction[:1], friction]),
         )
         return replace(
-            whole,
+            body,
             half_size=np.vstack([self.half_size, half_size]),
-            shape_pos=np.vstack([boards, center]) - whole.pos,
+            shape_pos=np.vstack([boards, center]) - body.pos,
             friction=np.vstack([self.friction, friction]),
             walls=tuple(sides),
         )
@@ -106,9 +106,9 @@ class Body:
         """
         if missing := [side for side in sides if side not in self.walls]:
             raise ValueError(f"the carrier has no wall on the side {missing[0]}")
-        kept = np.array([True] * self.n_boards + [side not in sides for side in self.walls])
-        of_shapes = {name: getattr(self, name)[kept] for name in ("half_size", "shape_pos", "friction")}
-        surface = None if self.surface is None else self.surface[kept]
+        stays_closed = np.array([True] * self.n_boards + [side not in sides for side in self.walls])
+        of_shapes = {name: getattr(self, name)[stays_closed] for name in ("half_size", "shape_pos", "friction")}
+        surface = None if self.surface is None else self.surface[stays_closed]
         return replace(self, **of_shapes, surface=surface, walls=tuple(s for s in self.walls if s not in sides))
 
     @property

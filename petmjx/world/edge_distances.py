@@ -118,8 +118,8 @@ def rebalanced_loads(
         return load[:, :3], edge_m
     balancing, beyond = result
     # without a balance, a load that is inside keeps its distance
-    kept = (edge_m >= 0) if (beyond > BEYOND_M).any() else (balancing == load[:, :3]).all(axis=1)
-    edges = np.where(~placed | kept, edge_m, np.maximum(bearing.edges_m(balancing), 0.0))
+    is_unchanged = (edge_m >= 0) if (beyond > BEYOND_M).any() else (balancing == load[:, :3]).all(axis=1)
+    edges = np.where(~placed | is_unchanged, edge_m, np.maximum(bearing.edges_m(balancing), 0.0))
     edges = np.where(beyond > BEYOND_M, np.minimum(bearing.edges_m(balancing), -beyond), edges)
     return balancing, edges
 
@@ -193,12 +193,12 @@ def building_edges(
     if not bearings:
         return []
     bearing, in_order = joined or joined_bearing(bearings), list(bearings)
-    theirs = bearing.upper < bearing.boxes.first[len(bearings)]
-    if not (bearing.lower < bearing.upper)[theirs].all():
+    is_contact = bearing.upper < bearing.boxes.first[len(bearings)]
+    if not (bearing.lower < bearing.upper)[is_contact].all():
         in_order = [bearing_in_order(one) for one in bearings]
         bearing = joined_bearing(in_order)
-    others = len(bearing.boxes.first) - 1 - len(bearings)
-    built = building_loads_of(bearing, [*placed, *[0] * others])
+    n_extra = len(bearing.boxes.first) - 1 - len(bearings)
+    built = building_loads_of(bearing, [*placed, *[0] * n_extra])
     beyond, depends = built.edge_m < 0, depends_on_sharing(bearing, built)
     scene = np.searchsorted(bearing.boxes.first, built.box, side="right") - 1
     surely, perhaps = (np.bincount(scene[beyond & which], minlength=len(bearings)) > 0 for which in (~depends, depends))
@@ -268,18 +268,18 @@ def _parts(bearing: Bearing, among: NDArray[np.bool_]) -> tuple[IntArray, IntArr
     def wait(key: IntArray, part: FloatArray) -> None:
         level = bearing.level[key // n]
         for number in np.unique(level).tolist():
-            here = level == number
-            waiting[number].append((key[here], part[here]))
+            in_level = level == number
+            waiting[number].append((key[in_level], part[in_level]))
 
     wait(boxes * n + boxes, bearing.weights[boxes, :3])
-    done = []
+    finished_parts = []
     for level in waiting:
         if not level:
             continue
         keys, parts = (np.concatenate(arrays) for arrays in zip(*level, strict=True))
         key, place = np.unique(keys, return_inverse=True)
         part = np.stack([np.bincount(place, weights=column, minlength=len(key)) for column in parts.T], axis=1)
-        done.append((key, part))
+        finished_parts.append((key, part))
         upper = key // n
         times = count[upper]
         rows = np.repeat(np.arange(len(key)), times)
@@ -287,9 +287,9 @@ def _parts(bearing: Bearing, among: NDArray[np.bool_]) -> tuple[IntArray, IntArr
         if len(rows):
             passed = np.einsum("cij,cj->ci", bearing.shares[contact], part[rows])
             wait(bearing.lower[contact] * n + key[rows] % n, passed)
-    all_keys = np.concatenate([boxes[:0], *(key for key, _ in done)])
+    all_keys = np.concatenate([boxes[:0], *(key for key, _ in finished_parts)])
     order = np.argsort(all_keys)
-    sums: FloatArray = np.concatenate([np.zeros((0, 3)), *(part for _, part in done)])[order]
+    sums: FloatArray = np.concatenate([np.zeros((0, 3)), *(part for _, part in finished_parts)])[order]
     return all_keys[order] // n, all_keys[order] % n, sums
 
 
@@ -328,8 +328,8 @@ def _without_pulls(bearing: Bearing, begins: IntArray, step: IntArray, load: Flo
     weights, boxes = bearing.weights[:, :3], np.flatnonzero(pulled)
     level = bearing.level[boxes]
     for number in np.unique(level).tolist():
-        some = boxes[level == number]
-        pairs, owner = _spans(count, some), np.repeat(some, count[some])
+        level_boxes = boxes[level == number]
+        pairs, owner = _spans(count, level_boxes), np.repeat(level_boxes, count[level_boxes])
         rows, contact = np.repeat(np.arange(len(pairs)), n_above[owner]), above[_spans(n_above, owner)]
         upper = bearing.upper[contact]
         last = np.searchsorted(key, upper * n + step[pairs[rows]], side="right") - 1
@@ -363,9 +363,9 @@ def _contact_pushes(
     pulled = np.zeros(len(owner), bool)
     pulled[rows[several & pulls(force, low, high, under[:, 0])]] = True
     if pulled.any():
-        some = pulled[rows]
-        number = (np.cumsum(pulled) - 1)[rows[some]]
-        force[some] = bearing.pushed(load[pulled], owner[pulled], number, low[some], high[some])
+        pulled_rows = pulled[rows]
+        number = (np.cumsum(pulled) - 1)[rows[pulled_rows]]
+        force[pulled_rows] = bearing.pushed(load[pulled], owner[pulled], number, low[pulled_rows], high[pulled_rows])
     return force
 
 
@@ -386,11 +386,11 @@ def _exact_least_edge(bearing: Bearing, built: BuildingLoads) -> LeastBuildingEd
         if not (edge < 0).any():
             break
         step = int(built.step[np.nanargmin(edge)])
-        last, seen = balanced_after(bearing, built, step)
-        if (seen < 0).any():
-            box = int(np.nanargmin(seen))
-            return LeastBuildingEdge(float(seen[box]), box, step, *_nearest(built._replace(edge_m=edge)))
-        edge[last] = np.where(edge[last] < 0, seen[built.box[last]], edge[last])
+        last, edges = balanced_after(bearing, built, step)
+        if (edges < 0).any():
+            box = int(np.nanargmin(edges))
+            return LeastBuildingEdge(float(edges[box]), box, step, *_nearest(built._replace(edge_m=edge)))
+        edge[last] = np.where(edge[last] < 0, edges[built.box[last]], edge[last])
     edge[edge < 0] = np.nan
     return _least(built._replace(edge_m=edge))
 
@@ -403,16 +403,16 @@ def balanced_after(bearing: Bearing, built: BuildingLoads, step: int) -> tuple[I
     last = now[np.flatnonzero(np.diff(built.box[now], append=n))]
     load, edge = np.zeros((n, 3)), np.full(n, np.nan)
     load[built.box[last]], edge[built.box[last]] = built.load[last], built.edge_m[last]
-    _, seen = rebalanced_loads(bearing, load, edge, np.arange(n) <= step)
-    return last, seen
+    _, edges = rebalanced_loads(bearing, load, edge, np.arange(n) <= step)
+    return last, edges
 
 
 def _least(built: BuildingLoads) -> LeastBuildingEdge:
     """The least edge of one scene."""
-    known = np.where(np.isnan(built.edge_m), np.inf, built.edge_m)
-    if not (known < np.inf).any():
+    edge_or_inf = np.where(np.isnan(built.edge_m), np.inf, built.edge_m)
+    if not (edge_or_inf < np.inf).any():
         return LeastBuildingEdge(np.nan, -1, -1, np.nan, -1, -1)
-    place = int(known.argmin())
+    place = int(edge_or_inf.argmin())
     return LeastBuildingEdge(
         float(built.edge_m[place]), int(built.box[place]), int(built.step[place]), *_nearest(built)
     )

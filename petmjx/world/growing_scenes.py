@@ -45,9 +45,9 @@ class OpenScenes:
     def __getitem__(self, world: int) -> Scene:
         scene, n = self._scenes[world], int(self._count[world])
         if scene.n_boxes < n:
-            rest = NextBoxes(*(values[world, scene.n_boxes : n] for values in self._columns))
-            for row in range(len(rest)):
-                scene = self._blank.with_box(scene, rest, row)
+            added_boxes = NextBoxes(*(values[world, scene.n_boxes : n] for values in self._columns))
+            for row in range(len(added_boxes)):
+                scene = self._blank.with_box(scene, added_boxes, row)
             self._scenes[world] = scene
         return scene
 

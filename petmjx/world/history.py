@@ -59,8 +59,8 @@ class Contacts:
     def of_frames(self, kept: NDArray[np.bool_], shift: int) -> Contacts:
         """The contacts of the remaining frames, with ``shift`` added to the frame numbers."""
         rows = kept[self.frame]
-        some = {field.name: getattr(self, field.name)[rows] for field in fields(self)}
-        return Contacts(**some | {"frame": some["frame"] + np.int32(shift)})
+        field_rows = {field.name: getattr(self, field.name)[rows] for field in fields(self)}
+        return Contacts(**field_rows | {"frame": field_rows["frame"] + np.int32(shift)})
 
     def __repr__(self) -> str:
         return f"Contacts({count_text(len(self.frame), 'contact')})"
@@ -119,7 +119,7 @@ class History:
         Where both histories have a frame of the same moment, the frame of this one counts: the later world began there,
         and does not know the forces before.
         """
-        kept, after = self.time_s <= later.time_s[0], later.time_s > later.time_s[0]
+        is_before, is_after = self.time_s <= later.time_s[0], later.time_s > later.time_s[0]
         joined: dict[str, Any] = {}
         for field in fields(self):
             ours, theirs = getattr(self, field.name), getattr(later, field.name)
@@ -128,8 +128,8 @@ class History:
             elif ours is None or theirs is None:
                 joined[field.name] = None
             elif isinstance(ours, Contacts):
-                first = int(kept.sum()) - int((~after).sum())
-                joined[field.name] = ours.of_frames(kept, 0).then(theirs.of_frames(after, first))
+                first = int(is_before.sum()) - int((~is_after).sum())
+                joined[field.name] = ours.of_frames(is_before, 0).then(theirs.of_frames(is_after, first))
             else:
-                joined[field.name] = np.concatenate((ours[kept], theirs[after]))
+                joined[field.name] = np.concatenate((ours[is_before], theirs[is_after]))
         return History(**joined)

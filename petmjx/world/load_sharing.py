@@ -103,8 +103,8 @@ def _planes(to_cone: FloatArray, owner: IntArray, begins: IntArray, unit_loads: 
     value, projected, slope = energy(plane)
     before, goes_on = np.full(len(plane), np.inf), np.ones(len(plane), bool)
     for _ in range(_MOST_STEPS):
-        rest = np.add.reduceat(np.einsum("cji,cj->ci", to_cone, projected), begins) - unit_loads
-        off = np.abs(rest).max(axis=1)
+        residual = np.add.reduceat(np.einsum("cji,cj->ci", to_cone, projected), begins) - unit_loads
+        off = np.abs(residual).max(axis=1)
         # each box stops separately, so that its forces do not depend on other boxes
         goes_on &= ~((off <= _EXACT) | ((before / 2 <= off) & (off <= _ENOUGH)))
         if not goes_on.any():
@@ -112,8 +112,8 @@ def _planes(to_cone: FloatArray, owner: IntArray, begins: IntArray, unit_loads: 
         before = off
         second = np.add.reduceat(np.einsum("cki,ckl,clj->cij", to_cone, slope, to_cone), begins)
         second[:, [0, 1, 2], [0, 1, 2]] += _RIDGE * (1 + np.trace(second, axis1=1, axis2=2))[:, None]
-        step: FloatArray = np.asarray(-np.linalg.solve(second, rest[..., None])[..., 0], np.float64)
-        fall = (step * rest).sum(axis=1)
+        step: FloatArray = np.asarray(-np.linalg.solve(second, residual[..., None])[..., 0], np.float64)
+        fall = (step * residual).sum(axis=1)
         share = goes_on.astype(float)
         for _ in range(_MOST_HALVINGS):
             further = plane + share[:, None] * step

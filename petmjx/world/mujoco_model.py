@@ -118,15 +118,15 @@ def add_boxes(
         held: True: the carrier is clamped.
     """
     frames, of_body = scene.frames(scene.start_pos, scene.start_quat), _partners(scene, physics, held)
-    others = [shape for body in (FLOOR, CARRIER, *before) for shape in of_body[body]]
+    partner_shapes = [shape for body in (FLOOR, CARRIER, *before) for shape in of_body[body]]
     table = filled_up(scene.pair_friction)
     for box in boxes:
         body = spec.worldbody.add_body(name=box_name(box), pos=frames[box], quat=scene.start_quat[box])
         body.add_freejoint(name=box_name(box))
         _add_shapes(body, scene, physics, box, BOX_COLOURS[box % len(BOX_COLOURS)])
         _set_inertia(body, scene, physics, box)
-        _declare_pairs(spec, physics, table, others, of_body[box])
-        others += of_body[box]
+        _declare_pairs(spec, physics, table, partner_shapes, of_body[box])
+        partner_shapes += of_body[box]
 
 
 def geom_bodies(model: mujoco.MjModel, boxes: Sequence[int] | NDArray[np.integer]) -> NDArray[np.intp]:
@@ -327,10 +327,10 @@ def soft_spec(
     rigid: list[int] = []
     for box in range(count):
         if scene.soft is not None and scene.soft[box]:
-            sliding, *others = scene.friction[box].tolist()
+            sliding, *other_frictions = scene.friction[box].tolist()
             sliding = float(frictions.of_boxes[box])
             rgba = BOX_COLOURS[box % len(BOX_COLOURS)]
-            add_soft_box(spec, scene, physics, box, (sliding, others[0], others[1]), rgba)
+            add_soft_box(spec, scene, physics, box, (sliding, other_frictions[0], other_frictions[1]), rgba)
         else:
             add_boxes(spec, scene, physics, [box], before=rigid, held=held_carrier is not None)
             rigid.append(box)

@@ -104,16 +104,16 @@ def _gap_notes(sim: Simulation, plans: Sequence[Plan]) -> Iterator[str]:
     board_pallet = pallet(sim.carrier)
     if board_pallet is None:
         return
-    named: list[str] = []
+    box_names: list[str] = []
     count = 0
     for plan in plans:
         boxes = _over_gaps(plan, board_pallet.deck_mm)
         count += len(boxes)
-        named += [f"box {box} of {printable_name(plan.plan_id)}" for box in boxes[: MOST_NAMED - len(named)]]
+        box_names += [f"box {box} of {printable_name(plan.plan_id)}" for box in boxes[: MOST_NAMED - len(box_names)]]
     if count:
-        more = ", …" if count > len(named) else ""
+        tail = ", …" if count > len(box_names) else ""
         verb = "stands" if count == 1 else "stand"
-        first = f"{', '.join(named)}{more}"
+        first = f"{', '.join(box_names)}{tail}"
         yield f"{count_text(count, 'box', 'boxes')} on the carrier {verb} with the middle over a gap ({first})"
 
 
@@ -125,7 +125,7 @@ def _wall_notes(sim: Simulation, plans: Sequence[Plan]) -> Iterator[str]:
             verb = "has" if len(idle) == 1 else "have"
             yield f"{' and '.join(f'walls.{name}' for name in idle)} {verb} no effect: the carrier has no walls"
         return
-    named: list[str] = []
+    box_names: list[str] = []
     count = 0
     for plan in plans:
         of_plan = printable_name(plan.plan_id)
@@ -134,11 +134,11 @@ def _wall_notes(sim: Simulation, plans: Sequence[Plan]) -> Iterator[str]:
             for box, side, depth in _through_walls(plan, sim)
         ]
         count += len(boxes)
-        named += boxes[: MOST_NAMED - len(named)]
+        box_names += boxes[: MOST_NAMED - len(box_names)]
     if count:
-        more = ", …" if count > len(named) else ""
+        tail = ", …" if count > len(box_names) else ""
         verb = "reaches" if count == 1 else "reach"
-        yield f"{count_text(count, 'box', 'boxes')} {verb} through a wall of the carrier ({', '.join(named)}{more})"
+        yield f"{count_text(count, 'box', 'boxes')} {verb} through a wall of the carrier ({', '.join(box_names)}{tail})"
 
 
 def _through_walls(plan: Plan, sim: Simulation) -> Iterator[tuple[int, Side, float]]:
@@ -164,16 +164,16 @@ def _stiffness_notes(sim: Simulation, plans: Sequence[Plan], errors: bool) -> It
         _check_soft(sim, plans if sim.attempts is Attempts.SOFT else giving)
     if not sim.physics.has_own_friction:
         return
-    named: list[str] = []
+    box_names: list[str] = []
     count = 0
     for plan in giving:
         boxes = _pressed_through(plan, sim)
         count += len(boxes)
-        named += [f"box {box} of {printable_name(plan.plan_id)}" for box in boxes[: MOST_NAMED - len(named)]]
+        box_names += [f"box {box} of {printable_name(plan.plan_id)}" for box in boxes[: MOST_NAMED - len(box_names)]]
     if count:
-        more = ", …" if count > len(named) else ""
+        tail = ", …" if count > len(box_names) else ""
         verb = "is" if count == 1 else "are"
-        first = f"{', '.join(named)}{more}"
+        first = f"{', '.join(box_names)}{tail}"
         yield (
             f"{count_text(count, 'box', 'boxes')} {verb} compressed by more than half of the height by the plan's "
             "loads "

@@ -151,7 +151,8 @@ _KNOWN_TO_M: Final = 1e-6
 """Tolerance of that distance, m: a hundredth of the depth of contacts at rest."""
 
 _MOST_ROUNDS: Final = 500
-"""Largest number of rounds. A row of 12 boxes takes 200. An overlap that then remains is left to the contacts."""
+"""Largest number of rounds. A row of 12 boxes needs 200 rounds. An overlap that then remains is left to the
+contacts."""
 
 
 def make_room(
@@ -196,22 +197,22 @@ def make_room(
     pressure = np.zeros_like(missing)
     yields = movable.astype(float)
     resistance = yields[first] + yields[second]
-    some = _independent(first, second)
+    independent_groups = _independent(first, second)
     running = np.arange(len(open_worlds))
     for _ in range(_MOST_ROUNDS):
         worst = np.zeros(len(running))
-        for pairs in some:
+        for pairs in independent_groups:
             i, j = first[pairs], second[pairs]
             n = normal[running][:, pairs]
             away = moved[running][:, j] - moved[running][:, i]
             lacks = missing[running][:, pairs] - (n[..., 0] * away[..., 0] + n[..., 1] * away[..., 1])
             before = pressure[running][:, pairs]
-            more = np.maximum(before + lacks / resistance[pairs], 0.0) - before
+            added_force = np.maximum(before + lacks / resistance[pairs], 0.0) - before
             worst = np.maximum(worst, lacks.max(axis=1))
-            worst = np.maximum(worst, np.abs(more).max(axis=1))
-            pressure[running[:, None], pairs] = before + more
-            moved[running[:, None], i] -= (yields[i] * more)[..., None] * n
-            moved[running[:, None], j] += (yields[j] * more)[..., None] * n
+            worst = np.maximum(worst, np.abs(added_force).max(axis=1))
+            pressure[running[:, None], pairs] = before + added_force
+            moved[running[:, None], i] -= (yields[i] * added_force)[..., None] * n
+            moved[running[:, None], j] += (yields[j] * added_force)[..., None] * n
         running = running[worst > _KNOWN_TO_M]
         if not len(running):
             break
@@ -258,11 +259,13 @@ def _independent(first: NDArray[np.intp], second: NDArray[np.intp]) -> list[NDAr
     """Groups of pairs. No box occurs twice in a group, so that all pairs of a group can be computed at once."""
     groups: list[list[int]] = []
     boxes: list[set[int]] = []
-    for pair, both in enumerate(zip(first.tolist(), second.tolist(), strict=True)):
-        group = next((k for k, some in enumerate(boxes) if not some.intersection(both)), len(groups))
+    for pair, pair_boxes in enumerate(zip(first.tolist(), second.tolist(), strict=True)):
+        group = next(
+            (k for k, group_boxes in enumerate(boxes) if not group_boxes.intersection(pair_boxes)), len(groups)
+        )
         if group == len(groups):
             groups.append([])
             boxes.append(set())
         groups[group].append(pair)
-        boxes[group].update(both)
+        boxes[group].update(pair_boxes)
     return [np.array(group) for group in groups]

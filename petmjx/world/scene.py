@@ -242,10 +242,10 @@ def build_scenes(plans: Iterable[Plan], sim: Simulation) -> Iterator[Scene]:
     """The nominal scenes of plans, in order. The arrays of many plans are computed at once, identical to the last bit
     with those of ``build_scene``."""
     slabs, source = pallet(sim.carrier) is None and not has_walls(sim), iter(plans)
-    while some := list(islice(source, AT_A_TIME)):
-        alike = [plan for plan in some if slabs and _is_plain(plan)]
+    while batch := list(islice(source, AT_A_TIME)):
+        alike = [plan for plan in batch if slabs and _is_plain(plan)]
         together = iter(_stacked_scenes(alike, sim)) if alike else iter(())
-        for plan in some:
+        for plan in batch:
             yield next(together) if slabs and _is_plain(plan) else build_scene(plan, sim)
 
 

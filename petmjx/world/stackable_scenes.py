@@ -37,8 +37,15 @@ def stackable_groups(scenes: Sequence[Scene]) -> Iterator[tuple[list[int], bool]
 
 def is_plain(scene: Scene) -> bool:
     """Whether a scene's boxes differ only in places, sizes, masses and friction."""
-    more = scene.mass_center, scene.inertia_box, scene.surface, scene.stiffness, scene.soft, scene.carrier.surface
-    return not scene.pieces and all(array is None for array in more)
+    optional_fields = (
+        scene.mass_center,
+        scene.inertia_box,
+        scene.surface,
+        scene.stiffness,
+        scene.soft,
+        scene.carrier.surface,
+    )
+    return not scene.pieces and all(array is None for array in optional_fields)
 
 
 def stacked_values(scenes: Sequence[Scene], name: str) -> NDArray[Any]:

@@ -197,9 +197,9 @@ class Bearing:
         within = self.hulls.inside_m(hull, load[:, 1:] / load[:, :1]) > ON_EDGE_M
         for chosen in (within, ~within):
             if chosen.any():
-                some = chosen[owner]
-                contact_args = load[chosen], (np.cumsum(chosen) - 1)[owner[some]], low[some], high[some]
-                force[some] = (
+                is_chosen = chosen[owner]
+                contact_args = load[chosen], (np.cumsum(chosen) - 1)[owner[is_chosen]], low[is_chosen], high[is_chosen]
+                force[is_chosen] = (
                     pushes(*contact_args) if chosen is within else on_edges(*contact_args, self.hulls, hull[chosen])
                 )
         return force
@@ -351,10 +351,10 @@ def find_bearings(scenes: Sequence[Scene], targets: Sequence[FloatArray], most_g
         return [find_bearing(scene, most_gap_m) for scene in moved]
     bearing_by_number: dict[int, Bearing] = {}
     for numbers, plain in stackable_groups(scenes):
-        some = [scenes[k] for k in numbers]
-        if plain and some[0].n_boxes:
+        chosen_scenes = [scenes[k] for k in numbers]
+        if plain and chosen_scenes[0].n_boxes:
             target = np.array([targets[k] for k in numbers])
-            bearing_by_number.update(zip(numbers, _stacked_bearings(some, target, most_gap_m), strict=True))
+            bearing_by_number.update(zip(numbers, _stacked_bearings(chosen_scenes, target, most_gap_m), strict=True))
         else:
             bearing_by_number.update(
                 (k, find_bearing(replace(scenes[k], target=targets[k]), most_gap_m)) for k in numbers

@@ -263,18 +263,18 @@ def apply_all(
 ) -> Iterator[Scene]:
     """The scene of each variant, identical to the last bit with that of :func:`apply`, whatever the other variants."""
     for change, group in itertools.groupby(variants, key=lambda variant: variant.placement):
-        for some in _variant_batches(group):
+        for batch in _variant_batches(group):
             if change == UNCHANGED:
-                yield from (scene for _ in some)
+                yield from (scene for _ in batch)
             else:
-                keys = [WorldKey(seed, plan_id, variant.replicate) for variant in some]
+                keys = [WorldKey(seed, plan_id, variant.replicate) for variant in batch]
                 yield from _changed_scenes(scene, change, keys, standing)
 
 
 def _variant_batches(variants: Iterable[Variant]) -> Iterator[tuple[Variant, ...]]:
     source = iter(variants)
-    while some := tuple(itertools.islice(source, AT_A_TIME)):
-        yield some
+    while batch := tuple(itertools.islice(source, AT_A_TIME)):
+        yield batch
 
 
 def _changed_scenes(scene: Scene, change: PlacementChange, keys: Sequence[WorldKey], standing: int) -> Iterator[Scene]:
@@ -411,9 +411,9 @@ def _with_walls(
     walls, n, sides = slice(carrier.n_boards, None), len(target), carrier.walls
     middle, half = (carrier.pos + carrier.shape_pos)[walls], carrier.half_size[walls]
     gap = carrier.room.gaps(target, planned[1], 0.0)
-    near = np.array([np.isfinite(gap[:, int(side.is_far), side.axis]) for side in sides]).T
-    more = np.zeros((n + len(sides),) * 2, bool)
-    more[:n, :n], more[:n, n:], more[n:, :n] = beside, near, near.T
+    is_near = np.array([np.isfinite(gap[:, int(side.is_far), side.axis]) for side in sides]).T
+    is_neighbour = np.zeros((n + len(sides),) * 2, bool)
+    is_neighbour[:n, :n], is_neighbour[:n, n:], is_neighbour[n:, :n] = beside, is_near, is_near.T
 
     def joined(of_boxes: FloatArray, of_walls: FloatArray) -> FloatArray:
         repeated = np.broadcast_to(of_walls, (*of_boxes.shape[: of_boxes.ndim - of_walls.ndim], *of_walls.shape))
@@ -425,7 +425,7 @@ def _with_walls(
         joined(places[2], np.zeros(len(sides))),
         joined(planned[0], middle[:, :2]),
         joined(planned[1], half),
-        more,
+        is_neighbour,
         np.append(movable, [False] * len(sides)),
         reach_m,
     )

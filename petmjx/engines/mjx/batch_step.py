@@ -129,8 +129,8 @@ class PaddedModel:
             lost = ~jnp.isfinite(data.qacc).all()
             qacc = jnp.where(lost, data.qacc_warmstart, data.qacc)
             forces = jnp.where(lost, forces, data._impl.efc_force)
-            done = data.replace(qacc=qacc, qacc_warmstart=qacc).tree_replace({"_impl.efc_force": forces})
-            return mjx.euler(self._model_of(fields), done)
+            ended_data = data.replace(qacc=qacc, qacc_warmstart=qacc).tree_replace({"_impl.efc_force": forces})
+            return mjx.euler(self._model_of(fields), ended_data)
 
         data, landing = jax.vmap(ready)(fields, inputs, faces, landing)
         if self._slip is not None:

@@ -229,6 +229,6 @@ def _moments(
     second = (second + jnp.einsum("k,ki,kj->ij", share, both, both)) / 12.0 - jnp.outer(center, center)
     first = jnp.sqrt(jnp.maximum(second[0, 0], LEAST_MOMENT_M2))
     lean = second[0, 1] / first
-    rest = jnp.sqrt(jnp.maximum(second[1, 1] - lean**2, 0.0))
-    root = jnp.stack([jnp.stack([first, jnp.zeros_like(first)]), jnp.stack([lean, rest])])
+    remaining_root = jnp.sqrt(jnp.maximum(second[1, 1] - lean**2, 0.0))
+    root = jnp.stack([jnp.stack([first, jnp.zeros_like(first)]), jnp.stack([lean, remaining_root])])
     return area, corners[0] + center, root

@@ -118,22 +118,22 @@ class MjxJaxEngine(Engine):
                 capacity = round_up(max(jobs[index].scene.n_boxes for index in alike))
                 while alike:
                     # batches of equal size, so that one program serves all
-                    some = alike[: math.ceil(len(alike) / math.ceil(len(alike) / most))]
-                    room = min(max(padded_rows(len(some)), FEWEST_WORLDS), most)
-                    rows, batch = np.arange(len(some)), _load(jobs, some, room, capacity, sim)
+                    batch_jobs = alike[: math.ceil(len(alike) / math.ceil(len(alike) / most))]
+                    room = min(max(padded_rows(len(batch_jobs)), FEWEST_WORLDS), most)
+                    rows, batch = np.arange(len(batch_jobs)), _load(jobs, batch_jobs, room, capacity, sim)
                     if not self._simulate(batch, sim, progress):
                         if most > 1:
                             most = max(room // 2, 1)
                             progress.message = f"out of device memory, again with {most} worlds at once"
                             continue
-                        batch = _load(jobs, some, room, capacity, sim)
+                        batch = _load(jobs, batch_jobs, room, capacity, sim)
                         batch.give_up(rows, Flag.OUT_OF_MEMORY)
                     picked = read_back(rows, batch.table, batch.worlds, sim)
                     for count, outcome in enumerate(outcomes(picked, batch.jobs, sim, batch.recorder), start=1):
-                        progress.at_hand = len(some) - count
-                        outcome.job = some[outcome.job]
+                        progress.at_hand = len(batch_jobs) - count
+                        outcome.job = batch_jobs[outcome.job]
                         yield outcome
-                    alike = alike[len(some) :]
+                    alike = alike[len(batch_jobs) :]
 
     def _simulate(self, batch: Batch, sim: Simulation, progress: Progress) -> bool:
         """Run a batch of stackable worlds to its end: the placement, then the drive.

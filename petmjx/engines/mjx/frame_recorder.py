@@ -77,13 +77,13 @@ class Recorder:
         """Append the frames that are due in the steps of a chunk."""
         rows = list(self._recorded)
         columns: list[Any] = [np.asarray(values)[:, rows] for values in trail]
-        some = Trail(*columns)
-        regular = (some.number >= 0) & (some.number % self.every[rows] == 0) & (some.placed > 0)
-        due = np.asarray(some.ran & (regular | some.fresh | (some.status != Status.RUNNING)))
+        trail_part = Trail(*columns)
+        regular = (trail_part.number >= 0) & (trail_part.number % self.every[rows] == 0) & (trail_part.placed > 0)
+        due = np.asarray(trail_part.ran & (regular | trail_part.fresh | (trail_part.status != Status.RUNNING)))
         for column, row in enumerate(rows):
             (at,) = np.nonzero(due[:, column])
             if len(at):
-                passed: list[Any] = [values[at, column] for values in some]
+                passed: list[Any] = [values[at, column] for values in trail_part]
                 self.add(row, self._frames(Trail(*passed)))
 
     @staticmethod

@@ -57,20 +57,20 @@ def _outcomes(
         )
         flags = Flag(int(host.flags[i]) | (int(Flag.FORKED) if job.start is not None else 0))
         verdict, reason = judge(flags, boxes, int(host.placed[i]), sim.thresholds)
-        known = verdict is not Verdict.STABLE and m.culprit[i] >= 0
+        has_culprit = verdict is not Verdict.STABLE and m.culprit[i] >= 0
         yield Outcome(
             job=int(row),
             verdict=verdict,
             reason=reason,
-            culprit=int(m.culprit[i]) if known else -1,
-            first_sign_s=seconds(int(m.sign_step[i])) if known else float("nan"),
+            culprit=int(m.culprit[i]) if has_culprit else -1,
+            first_sign_s=seconds(int(m.sign_step[i])) if has_culprit else float("nan"),
             n_boxes=n,
             n_placed=int(host.placed[i]),
             sim_time_s=seconds(max(int(host.step[i]), 0)),
             n_steps=int(host.steps_done[i]),
             flags=flags,
             boxes=boxes,
-            n_at_sign=int(m.sign_placed[i]) if known else 0,
+            n_at_sign=int(m.sign_placed[i]) if has_culprit else 0,
             solver=sim.solver.value,
             # only the world's own columns: a world that starts from this state may be in a narrower table
             state=jax.tree.map(lambda a, i=i: np.array(a[i]), narrow(host, n)) if job.keep_state else None,

@@ -59,8 +59,8 @@ def reduce_metrics(state: State, worlds: Worlds, sim: Simulation) -> RunMetrics:
 
 @partial(jax.jit, static_argnames="sim")
 def _readback_words(table: State, worlds: Worlds, rows: Int[Array, " row"], sim: Simulation) -> Int[Array, "row word"]:
-    some = take_rows(table, rows)
-    arrays = jax.tree.leaves((some, reduce_metrics(some, take_rows(worlds, rows), sim)))
+    table_rows = take_rows(table, rows)
+    arrays = jax.tree.leaves((table_rows, reduce_metrics(table_rows, take_rows(worlds, rows), sim)))
     words = [jax.lax.bitcast_convert_type(array, jnp.int32).reshape(len(rows), -1) for array in arrays]
     return jnp.concatenate(words, axis=1)
 
@@ -83,7 +83,7 @@ def read_back(rows: NDArray[np.int64], table: State, worlds: Worlds, sim: Simula
     kinds = state, RunMetrics(shift=of_axes, max_tilt=number, max_top_force=number, rest_force=number)
     batches = []
     for first in range(0, len(rows), size):
-        some = rows[first : first + size]
-        padded = device_array(np.resize(some, size).astype(np.int32))
-        batches.append(Readback(some, _readback_words(table, worlds, padded, sim), kinds))
+        chunk_rows = rows[first : first + size]
+        padded = device_array(np.resize(chunk_rows, size).astype(np.int32))
+        batches.append(Readback(chunk_rows, _readback_words(table, worlds, padded, sim), kinds))
     return batches

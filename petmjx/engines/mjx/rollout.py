@@ -126,9 +126,9 @@ class BatchRollout:
             inputs["mocap_pos"] = state.carrier_qpos[:, None, :3]
             inputs["mocap_quat"] = state.carrier_qpos[:, None, 3:]
         landing = Landing.of(state, worlds) if rules.sim.physics.has_landings else None
-        done = self.model.step({**fields, "opt.gravity": gravity}, inputs, forces, faces, landing)
-        if done.landing is not None:
-            state = state._replace(landing_left=done.landing.left, landing_qvel=done.landing.before)
+        stepped = self.model.step({**fields, "opt.gravity": gravity}, inputs, forces, faces, landing)
+        if stepped.landing is not None:
+            state = state._replace(landing_left=stepped.landing.left, landing_qvel=stepped.landing.before)
         running = state.running[:, None]
 
         def moved(
@@ -139,10 +139,10 @@ class BatchRollout:
             return jnp.where(running, new_carrier, carrier), jnp.where(standing, new_boxes, boxes)
 
         seen_qpos, before = state.qpos, state
-        carrier_qpos, qpos = moved(done.qpos, state.carrier_qpos, state.qpos)
-        carrier_qvel, qvel = moved(done.qvel, state.carrier_qvel, state.qvel)
-        carrier_qacc, qacc = moved(done.qacc_warmstart, state.carrier_qacc, state.qacc)
-        _, seen_qacc = self._split(done.qacc, state.carrier_qvel)
+        carrier_qpos, qpos = moved(stepped.qpos, state.carrier_qpos, state.qpos)
+        carrier_qvel, qvel = moved(stepped.qvel, state.carrier_qvel, state.qvel)
+        carrier_qacc, qacc = moved(stepped.qacc_warmstart, state.carrier_qacc, state.qacc)
+        _, seen_qacc = self._split(stepped.qacc, state.carrier_qvel)
         state = state._replace(
             qpos=qpos,
             qvel=qvel,
@@ -155,8 +155,8 @@ class BatchRollout:
             step=state.step + state.running,
         )
         presses = self._presses(before, worlds, jnp.maximum(seen_qacc[..., 2].max(-1), carrier_qacc[:, 2]))
-        after = rules.after_step(state, worlds, seen_qpos, seen_qacc, done.top_force, presses)
-        return after, done.forces, done.top_force
+        after = rules.after_step(state, worlds, seen_qpos, seen_qacc, stepped.top_force, presses)
+        return after, stepped.forces, stepped.top_force
 
     def _presses(self, before: State, worlds: Worlds, rising: Float[Array, " world"]) -> Bool[Array, " world"]:
         """Whether the forces of the step after ``before`` count although no sample is due. While a drive acts, forces

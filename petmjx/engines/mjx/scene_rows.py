@@ -59,12 +59,12 @@ def _rows_of_distinct(scenes: Sequence[Scene], width: int, sim: Simulation, boar
 
     def put(group: tuple[list[int], bool]) -> None:
         numbers, plain = group
-        some = [scenes[number] for number in numbers]
+        group_scenes = [scenes[number] for number in numbers]
         if plain:
-            release, path = releases_of(some, sim), approach_paths_of(some, sim)
-            _put_plain(rows, np.array(numbers), some, release, path)
+            release, path = releases_of(group_scenes, sim), approach_paths_of(group_scenes, sim)
+            _put_plain(rows, np.array(numbers), group_scenes, release, path)
         else:
-            _put(rows, numbers[0], some[0], sim)
+            _put(rows, numbers[0], group_scenes[0], sim)
 
     on_threads(put, [*stackable_groups(scenes)], MOST_THREADS if n >= MANY else 1)
     for values in rows.values():

@@ -123,10 +123,10 @@ class Beds:
         if not ((length == POINTS_PER_BED) & flat & (area > 0)).all():
             beds = np.flatnonzero(flat & (area > 0))
             repeats = np.ones(count, np.intp)
-            for first, contacts, is_bed, some in zip(begin, length, flat, area > 0, strict=True):
+            for first, contacts, is_bed, has_area in zip(begin, length, flat, area > 0, strict=True):
                 if is_bed:
                     repeats[first : first + contacts] = 0
-                    repeats[first] = POINTS_PER_BED * some
+                    repeats[first] = POINTS_PER_BED * has_area
             if not _take(model, data, np.repeat(np.arange(count), repeats)):
                 return  # MuJoCo counts the full buffer as a warning, and the world overflows
             begin = (np.cumsum(repeats) - repeats)[begin[beds]]
@@ -201,13 +201,13 @@ def face_pressure(
     vectors[:, 0] = center[:count] - center[count:]
     vectors[:, 1:3], vectors[:, 3:5] = axes[:count, 1:], axes[count:, 1:]
     vectors[:, 5], vectors[:, 6] = out_a, out_b
-    seen = vectors @ plane.transpose(0, 2, 1)
+    seen_vectors = vectors @ plane.transpose(0, 2, 1)
     lines = np.empty((count, 9, 3))
-    _sides(seen[:, 1:5, :2].reshape(count, 2, 2, 2), seen[:, 0, :2], lines)
-    rise = -seen[:, 5:, :2] / seen[:, 5:, 2:]
+    _sides(seen_vectors[:, 1:5, :2].reshape(count, 2, 2, 2), seen_vectors[:, 0, :2], lines)
+    rise = -seen_vectors[:, 5:, :2] / seen_vectors[:, 5:, 2:]
     depth = np.empty((count, 3))
     depth[:, :2] = rise[:, 0] - rise[:, 1]
-    depth[:, 2] = seen[:, 0, 2] - (rise[:, 0] * seen[:, 0, :2]).sum(axis=1)
+    depth[:, 2] = seen_vectors[:, 0, 2] - (rise[:, 0] * seen_vectors[:, 0, :2]).sum(axis=1)
     steep = np.sqrt((depth[:, :2] ** 2).sum(axis=1))
     lines[:, 8] = depth / np.maximum(steep, _LEVEL)[:, None]
     level = steep < _LEVEL

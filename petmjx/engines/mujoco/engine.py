@@ -79,7 +79,7 @@ class MujocoEngine(Engine):
         """
         stop = threading.Event()
         progress = progress if progress is not None else Progress()
-        begun, last_line, most = 0, "", 2 * self.threads
+        n_begun, last_line, most = 0, "", 2 * self.threads
         stream = JobStream.of(jobs)
         running: dict[int, Budget] = {}
         pending: set[Future[tuple[Outcome, float]]] = set()
@@ -91,15 +91,15 @@ class MujocoEngine(Engine):
                         break
                     for job in new:
                         timeout_s = self.world_timeout_s
-                        pending.add(pool.submit(_simulate, begun, job, sim, stop, timeout_s, running))
-                        begun += 1
+                        pending.add(pool.submit(_simulate, n_begun, job, sim, stop, timeout_s, running))
+                        n_begun += 1
                     finished, pending = wait(pending, LOOK_S, FIRST_COMPLETED)
                     last_line = _say(progress, last_line, "" if finished else _oldest(running))
                     if not finished and progress.pauses:
                         yield None  # type: ignore[misc]  # only with ``Progress.pauses``
                     outcomes = [future.result() for future in finished]
-                    for more, (outcome, thread_s) in zip(reversed(range(len(outcomes))), outcomes, strict=True):
-                        progress.at_hand = more
+                    for n_more, (outcome, thread_s) in zip(reversed(range(len(outcomes))), outcomes, strict=True):
+                        progress.at_hand = n_more
                         progress.worlds_done += 1
                         progress.thread_s += thread_s
                         progress.world_steps += outcome.n_steps

@@ -188,10 +188,10 @@ class LiveWorld:
             add_boxes(self._spec, self.scene, self._sim.physics, range(count, capacity), before=range(count))
             self.order = np.arange(capacity)
             self._compile()
-        new, kept = self.data, self._row[:count]
+        new, earlier_rows = self.data, self._row[:count]
         for name, first in (("qpos", self._first_q), ("qvel", self._first_v), ("qacc_warmstart", self._first_v)):
             getattr(new, name)[:first] = getattr(old, name)[:first]
-        self._poses[kept], self._velocities[kept], self._warmstarts[kept] = boxes
+        self._poses[earlier_rows], self._velocities[earlier_rows], self._warmstarts[earlier_rows] = boxes
         new.time = old.time
         for box in range(count, self.capacity):
             self._poses[self._row[box], :3] = (_PARKING_M + _PARKING_PITCH_M * box, 0.0, _PARKING_M)
@@ -303,10 +303,10 @@ class LiveWorld:
         while count > 0:
             if self._looked == 0:
                 self._slides = self._slip.may_slide(self.data.qvel)
-            some = min(count, LOOK_STEPS - self._looked)
-            self._take_steps(some)
-            self._looked = (self._looked + some) % LOOK_STEPS
-            count -= some
+            n_steps = min(count, LOOK_STEPS - self._looked)
+            self._take_steps(n_steps)
+            self._looked = (self._looked + n_steps) % LOOK_STEPS
+            count -= n_steps
 
     def _take_steps(self, count: int) -> None:
         landings = self._landings if self.n_placed else None

@@ -208,15 +208,15 @@ class OracleMetrics:
         placed = slice(n_placed)
         with np.errstate(invalid="ignore"):  # the poses of a world with bad numbers
             np.fmax(self.max_tilt_deg[placed], tilt_deg(quat[placed]), out=self.max_tilt_deg[placed])
-        rest = self._rest_sum_n / self._rest_steps if came_to_end and self._rest_steps else np.full(n, np.nan)
+        rest_force_n = self._rest_sum_n / self._rest_steps if came_to_end and self._rest_steps else np.full(n, np.nan)
         return BoxMetrics.measured(
             n,
             shift_m=shift(pos, self._scene.target, self._thresholds.shift_floor_m, self._sinks_m),
             max_tilt_deg=self.max_tilt_deg,
             max_lin_acc=self.max_lin_acc,
             max_ang_acc=self.max_ang_acc,
-            max_top_force_n=np.fmax(self.max_top_force_n, rest),
-            rest_top_force_n=rest,
+            max_top_force_n=np.fmax(self.max_top_force_n, rest_force_n),
+            rest_top_force_n=rest_force_n,
             dropped=np.isfinite(self.drop_s),
             drop_s=self.drop_s,
             max_sway_m=self.max_sway_m,

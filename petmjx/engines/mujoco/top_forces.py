@@ -134,9 +134,9 @@ def largest_top_forces(steps: Sequence[TopForceInputs], n_boxes: int) -> FloatAr
     first_row = np.cumsum([0, *(len(step.force) for step in steps[:-1])])
     normal_z = frame[:, 2]
     # most contacts stand upright or are between neighbours, without effect on tops
-    kept = np.flatnonzero((address >= 0) & (np.abs(normal_z) >= VERTICAL_COSINE))
-    number, geom, frame_z = number.take(kept), geoms.take(kept, axis=0), frame.take(kept, axis=0)[:, 2::3]
-    row = address.take(kept) + first_row.take(number)
+    pressing = np.flatnonzero((address >= 0) & (np.abs(normal_z) >= VERTICAL_COSINE))
+    number, geom, frame_z = number.take(pressing), geoms.take(pressing, axis=0), frame.take(pressing, axis=0)[:, 2::3]
+    row = address.take(pressing) + first_row.take(number)
     n_geoms = len(steps[0].place)
     place_z = place[:, 2].copy()
     place_z[::n_geoms] = -np.inf

@@ -80,8 +80,8 @@ class WorldRun:
         """
         start = self._job.start
         if isinstance(start, SettledState):
-            if (ended := start.ended_as(self._index)) is not None:
-                return ended
+            if (end_outcome := start.ended_as(self._index)) is not None:
+                return end_outcome
             self._resume(start)
             begun = True
         else:
@@ -400,6 +400,6 @@ class WorldRun:
                 self._clock.time_s, self._drive.begin if self._drive is not None else None
             )
         if self._job.keep_state:
-            ended = SettledState(self._step, None, metrics, self._flags, replace(outcome))
-            outcome.state = self._kept if self._kept is not None else ended
+            end_state = SettledState(self._step, None, metrics, self._flags, replace(outcome))
+            outcome.state = self._kept if self._kept is not None else end_state
         return outcome

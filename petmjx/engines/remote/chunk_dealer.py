@@ -58,9 +58,9 @@ class Deal:
     ) -> None:
         self._costs, self._slots, self._group = costs, slots, group
         self._deaths: Counter[int] = Counter()
-        known = set(deadly)
-        self._suspects: deque[tuple[int, ...]] = deque((job,) for job in sorted(known))
-        self._pending = [int(job) for job in np.argsort(-costs, kind="stable") if job not in known]
+        deadly_jobs = set(deadly)
+        self._suspects: deque[tuple[int, ...]] = deque((job,) for job in sorted(deadly_jobs))
+        self._pending = [int(job) for job in np.argsort(-costs, kind="stable") if job not in deadly_jobs]
         self._cost_left = float(costs[self._pending].sum())
         self.unanswered = set(range(len(costs)))
         n = max(len(self._pending), 1)
@@ -111,20 +111,20 @@ class Deal:
         """Record that a worker has died with these chunks. The unanswered jobs of the chunks wait again; given-up jobs
         are returned."""
         given_up = []
-        again: list[int] = []
+        requeued: list[int] = []
         twice: list[int] = []
         for chunk in held:
             left = self._left(chunk)
             self._deaths.update(left)
             if not chunk.alone:
-                again += [job for job in left if self._deaths[job] < 2]
+                requeued += [job for job in left if self._deaths[job] < 2]
                 twice += [job for job in left if self._deaths[job] >= 2]
             elif len(chunk.jobs) == 1:
                 given_up += left
             else:
                 self._suspects += [(job,) for job in left]
         self.unanswered.difference_update(given_up)
-        self._wait_again(again)
+        self._wait_again(requeued)
         size = math.isqrt(max(len(twice) - 1, 0)) + 1
         self._suspects += [tuple(twice[first : first + size]) for first in range(0, len(twice), size)]
         return given_up

@@ -119,8 +119,8 @@ class Worker:
         check_pool = self._lookers_for(jobs)
         news: queue.SimpleQueue[Outcome | None] = queue.SimpleQueue()
         progress = Progress()
-        ended: list[BaseException] = []
-        runner = threading.Thread(target=self._run, args=(jobs, sim, progress, news, ended), daemon=True)
+        end_errors: list[BaseException] = []
+        runner = threading.Thread(target=self._run, args=(jobs, sim, progress, news, end_errors), daemon=True)
         runner.start()
         going, last_message = True, ""
         while going:
@@ -130,7 +130,7 @@ class Worker:
                 last_message = progress.message
                 # a copy, since the engine writes into ``extra`` meanwhile
                 so_far = replace(progress, extra=dict(progress.extra))
-                yield pickle.dumps(Report(outcomes, so_far, ended[0] if ended else None))
+                yield pickle.dumps(Report(outcomes, so_far, end_errors[0] if end_errors else None))
         runner.join()
 
     def _lookers_for(self, jobs: Sequence[Job]) -> CheckPool[None]:
@@ -183,9 +183,11 @@ def _checked_outcomes(
     """
     keyed_outcomes: list[tuple[None, Outcome]] = []
     for first in range(0, len(outcomes), MOST_TOGETHER):
-        some = outcomes[first : first + MOST_TOGETHER]
-        some_jobs = [jobs[outcome.job] for outcome in some]
-        keyed_outcomes += check_pool.exchanged([(None, outcome) for outcome in some], some_jobs, sim, wait=False)
+        chunk_outcomes = outcomes[first : first + MOST_TOGETHER]
+        some_jobs = [jobs[outcome.job] for outcome in chunk_outcomes]
+        keyed_outcomes += check_pool.exchanged(
+            [(None, outcome) for outcome in chunk_outcomes], some_jobs, sim, wait=False
+        )
     keyed_outcomes += check_pool.exchanged([], [], sim, wait=wait)
     return [outcome for _, outcome in keyed_outcomes]
 

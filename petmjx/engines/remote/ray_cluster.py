@@ -67,8 +67,8 @@ def import_ray() -> Any:
             return importlib.import_module("ray")
     except ImportError as error:
         missing = isinstance(error, ModuleNotFoundError) and error.name == "ray"
-        why = "Ray is not installed" if missing else one_line(error)
-        raise EngineUnavailable(f"workers cannot run here: {why}: pip install 'petmjx[ray]'") from error
+        reason = "Ray is not installed" if missing else one_line(error)
+        raise EngineUnavailable(f"workers cannot run here: {reason}: pip install 'petmjx[ray]'") from error
 
 
 @contextmanager
@@ -91,12 +91,12 @@ def _restored_process() -> Iterator[None]:
 def _restored_sigterm() -> Iterator[None]:
     """Restores the handling of SIGTERM. Ray's native handler ends the process with a list of addresses, or, once Ray
     has ended, silently. Python itself can set handlers only in the main thread, which may be busy reading plans."""
-    libc, kept = ctypes.CDLL(None), ctypes.create_string_buffer(_SIGACTION_BYTES)
-    libc.sigaction(int(signal.SIGTERM), None, kept)
+    libc, saved_action = ctypes.CDLL(None), ctypes.create_string_buffer(_SIGACTION_BYTES)
+    libc.sigaction(int(signal.SIGTERM), None, saved_action)
     try:
         yield
     finally:
-        libc.sigaction(int(signal.SIGTERM), kept, None)
+        libc.sigaction(int(signal.SIGTERM), saved_action, None)
 
 
 class _LocalRay:
@@ -169,23 +169,23 @@ class _LocalRay:
             self._remove_folder()
 
     def _start(self) -> None:
-        how: dict[str, Any] = {"log_to_driver": False, "configure_logging": False}
+        init_options: dict[str, Any] = {"log_to_driver": False, "configure_logging": False}
         if self.address is None:
             temporary = tempfile.gettempdir()
             short = len(os.fsencode(temporary)) <= LONGEST_TEMPORARY
             self._folder = Path(tempfile.mkdtemp(prefix="petmjx-ray-", dir=temporary if short else "/tmp"))
-            how |= {"address": "local", "num_cpus": cpu_threads(), "num_gpus": len(cuda_devices())}
-            how |= {"include_dashboard": False, "_temp_dir": str(self._folder)}
+            init_options |= {"address": "local", "num_cpus": cpu_threads(), "num_gpus": len(cuda_devices())}
+            init_options |= {"include_dashboard": False, "_temp_dir": str(self._folder)}
         else:
             _check_reachable(self.address)
-            how |= {"address": self.address}
+            init_options |= {"address": self.address}
         with _restored_process(), _restored_sigterm(), warnings.catch_warnings():
             # once started, JAX warns of every fork; Ray's forks are harmless, since an exec follows
             warnings.filterwarnings("ignore", r"os\.fork\(\) was called", RuntimeWarning)
             os.environ["RAY_USAGE_STATS_ENABLED"] = "0"
             logging.getLogger("ray").setLevel(logging.CRITICAL)
             try:
-                self._ray.init(**how)
+                self._ray.init(**init_options)
             except Exception as error:
                 if isinstance(error, ConnectionError) and self.address == AUTO:
                     raise InputError("ray: no cluster on this machine: name its head (HOST:PORT)") from error

@@ -259,12 +259,12 @@ class WorkerPool(Engine):
         if hello.error is not None:
             self._start_again(hand, hello.error, 1)
             return
-        ours = package_versions()
-        for package in sorted(ours.keys() & hello.versions.keys()):
-            if ours[package] != hello.versions[package]:
+        own_versions = package_versions()
+        for package in sorted(own_versions.keys() & hello.versions.keys()):
+            if own_versions[package] != hello.versions[package]:
                 raise EngineUnavailable(
                     f"the worker on {hello.host} has {package} {hello.versions[package]}, this process "
-                    f"{ours[package]}: install the same versions"
+                    f"{own_versions[package]}: install the same versions"
                 )
         self._false_starts = 0
         hand.hello, hand.pid = None, hello.pid

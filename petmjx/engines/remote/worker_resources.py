@@ -56,8 +56,8 @@ def places(engine: str, nodes: Sequence[Node], workers: int | str, threads: int 
     if engine == "mjx-warp" or (engine == "mjx-jax" and gpus):
         if not gpus:
             raise EngineUnavailable(f"engine {engine} cannot run here: {why_no_gpus(nodes, workers)}")
-        if why := why_no_gpus(nodes, workers):
-            raise InputError(f"workers: {why}")
+        if fault := why_no_gpus(nodes, workers):
+            raise InputError(f"workers: {fault}")
         number = gpus if workers == AUTO else int(workers)
         # In whole parts, rounded down: then exactly this number of workers fits into a GPU. All GPUs get full,
         # whichever Ray takes first.

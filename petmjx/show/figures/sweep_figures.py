@@ -94,9 +94,9 @@ def _levels(summary: pd.DataFrame) -> Any:
         axes.set_ylabel("plans that survive it, %")
         axes.set_ylim(0, 103)
         axes.set_xlim(left=0)
-        more = f" ({MOST_LINES} of {len(directions)})" if len(directions) > MOST_LINES else ""
+        shown_text = f" ({MOST_LINES} of {len(directions)})" if len(directions) > MOST_LINES else ""
         axes.set_title(f"{printable(str(profile))}, {count_text(rows['plan_id'].nunique(), 'plan')}")
-        axes.legend(title=f"direction{more}", frameon=False, title_fontsize=POINTS)
+        axes.legend(title=f"direction{shown_text}", frameon=False, title_fontsize=POINTS)
     return figure
 
 

@@ -127,13 +127,15 @@ def repair_entries(
     Raises:
         InputError: unusable plans, or a file cannot be written.
     """
-    how = {name: value for name, value in options.items() if name in Simulation.model_fields or name in OF_REPAIR}
+    repair_options = {
+        name: value for name, value in options.items() if name in Simulation.model_fields or name in OF_REPAIR
+    }
     files = {}
     for entry, name in names.items():
         file = folder / PLANS / f"{entry}.json"
         file.parent.mkdir(parents=True, exist_ok=True)
         source: Any = load_run(paths[name]).path if (paths[name] / RUN_FILE).is_file() else paths[name]
-        repair(source, worlds=0, **how).save(file)
+        repair(source, worlds=0, **repair_options).save(file)
         files[entry] = file
     return files
 

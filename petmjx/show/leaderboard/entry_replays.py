@@ -83,8 +83,10 @@ class Sample:
 
     def with_replays(self, more: Collection[Replay]) -> Sample:
         """The sample with further replays. A plan that is already in the sample counts once."""
-        known = {replay.plan_id for replay in self.replays}
-        return replace(self, replays=(*self.replays, *(replay for replay in more if replay.plan_id not in known)))
+        replayed_ids = {replay.plan_id for replay in self.replays}
+        return replace(
+            self, replays=(*self.replays, *(replay for replay in more if replay.plan_id not in replayed_ids))
+        )
 
     @property
     def refusal(self) -> str:
@@ -187,8 +189,8 @@ def _drawn(claimed: Mapping[str, str]) -> list[str]:
 
 def _simulate(plans: Sequence[Any], sim: Simulation, options: RunOptions, engine: Any) -> Any:
     """Score plans; on ``mujoco`` if the run's engine cannot run here."""
-    named = engine if not isinstance(engine, str) or engine in ENGINES or engine == options.engine else "mujoco"
-    for candidate in dict.fromkeys((named, "mujoco")):
+    engine_name = engine if not isinstance(engine, str) or engine in ENGINES or engine == options.engine else "mujoco"
+    for candidate in dict.fromkeys((engine_name, "mujoco")):
         try:
             return simulate(
                 partial(Nominal, sim), sim, list(plans), RunOptions(engine=candidate, threads=options.threads)

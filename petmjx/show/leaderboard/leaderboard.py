@@ -137,10 +137,10 @@ def leaderboard(
         )
         with atomic_write(folder / PAGE) as file:
             file.write_text(board_page(board), encoding="utf-8", errors="backslashreplace")
-        kept = [ORDERS] if ORDERS in files_of_board.board_files and source is not None else []
+        own_inputs = [ORDERS] if ORDERS in files_of_board.board_files and source is not None else []
         plan_files = [f"{PLANS}/{name}" for name in files.values() if name]
         files_of_board.finish(
-            board.to_dict(), [PAGE, *kept, *plan_files, *(story.file for story in rated.story_entries)]
+            board.to_dict(), [PAGE, *own_inputs, *plan_files, *(story.file for story in rated.story_entries)]
         )
     warn(sample.refusal for sample in rated.samples if sample.refusal)
     return folder / PAGE
@@ -184,12 +184,16 @@ def _rated_entries(
         comparison = comparison_of(
             {entry.name: entry.run for entry in left}, DEFAULT_CONFIDENCE, orders, run_options.articles
         )
-        board_stories, seen = _stories(left, comparison, folder / STORIES, stories)
-        samples |= {name: samples[name].with_replays(more) for name, more in seen.items()}
+        board_stories, replays_by_name = _stories(left, comparison, folder / STORIES, stories)
+        samples |= {name: samples[name].with_replays(more) for name, more in replays_by_name.items()}
         if not any(samples[entry.name].refusal for entry in left):
-            kept = [sample for name, sample in samples.items() if sample.replays or sample.fault]
+            replay_samples = [sample for name, sample in samples.items() if sample.replays or sample.fault]
             return _RatedEntries(
-                left, comparison, board_stories, sim, [sample for sample in kept if sample.engine or sample.refusal]
+                left,
+                comparison,
+                board_stories,
+                sim,
+                [sample for sample in replay_samples if sample.engine or sample.refusal],
             )
 
 
@@ -210,10 +214,10 @@ def _entries(
     options: Mapping[str, Any],
 ) -> list[Entry]:
     options = options if orders is None else {**options, "orders": orders}
-    ours: dict[str, Path] = {}
+    own_packings: dict[str, Path] = {}
     if baselines and orders is not None:
-        ours = pack_ours(orders, folder)
-    first = [enter(name, path, folder, watch, options, ours=True) for name, path in ours.items()]
+        own_packings = pack_ours(orders, folder)
+    first = [enter(name, path, folder, watch, options, ours=True) for name, path in own_packings.items()]
     return first + [enter(name, path, folder, watch, options) for name, path in paths.items()]
 
 
@@ -233,7 +237,7 @@ def _stories(
     packer."""
     folder.mkdir(exist_ok=True)
     stories: list[StoryEntry] = []
-    seen: dict[str, list[Replay]] = {}
+    replays_by_name: dict[str, list[Replay]] = {}
     claimed = comparison.plans.set_index(["packer", "plan_id"])["verdict"]
     for number, entry in enumerate(entries, start=1):
         for plan_id in worth_telling(comparison, entry.name, entry.plans)[:most]:
@@ -243,8 +247,8 @@ def _stories(
                 page.write_text(story_page(story), encoding="utf-8", errors="backslashreplace")
             stories.append(StoryEntry(entry.name, plan_id, story.outcome.verdict.value, f"{STORIES}/{file.name}"))
             replay = Replay.of(plan_id, str(claimed[entry.name, plan_id]), story.outcome)
-            seen.setdefault(entry.name, []).append(replay)
-    return stories, seen
+            replays_by_name.setdefault(entry.name, []).append(replay)
+    return stories, replays_by_name
 
 
 def worth_telling(comparison: PackerComparison, packer: str, plans: Mapping[str, Any]) -> list[str]:
@@ -255,8 +259,8 @@ def worth_telling(comparison: PackerComparison, packer: str, plans: Mapping[str,
     lost = set(comparison.decided.loc[comparison.decided["lost_by"] == packer, "plan_id"])
     falls = mine["verdict"] == Verdict.UNSTABLE.value
     won = set(comparison.decided.loc[comparison.decided["won_by"] == packer, "plan_id"])
-    rest = np.where(mine["plan_id"].isin(won), 2, 3)
-    group = np.where(mine["plan_id"].isin(lost), 0, np.where(falls, 1, rest))
+    other_rank = np.where(mine["plan_id"].isin(won), 2, 3)
+    group = np.where(mine["plan_id"].isin(lost), 0, np.where(falls, 1, other_rank))
     order = mine.assign(group=group, large=-mine["boxes"].fillna(0))
     return [str(name) for name in order.sort_values(["group", "large", "plan_id"])["plan_id"]]
 

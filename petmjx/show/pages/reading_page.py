@@ -65,8 +65,8 @@ def _section(record: Mapping[str, Any], plans: Sequence[Plan]) -> str:
     """One file."""
     counts = f"{count_text(record['plans'], 'plan')}, {count_text(record['boxes'], 'box', 'boxes')}"
     pictures = "".join(_picture(plan) for plan in plans[:_MOST_PICTURES])
-    more = len(plans) - _MOST_PICTURES
-    also = f'<p class="faint small">{count_text(more, "more plan")}</p>' if more > 0 else ""
+    n_more = len(plans) - _MOST_PICTURES
+    also = f'<p class="faint small">{count_text(n_more, "more plan")}</p>' if n_more > 0 else ""
     reading = record["reading"]
     return (
         f"<section><h2>{escaped_html(record['file'])}</h2><p>{escaped_html(record['form'])}; {counts}</p>"
@@ -128,8 +128,8 @@ def _lines(title: str, lines: Sequence[str]) -> str:
     if not lines:
         return ""
     items = "".join(f"<li>{escaped_html(line)}</li>" for line in lines[:_MOST_LINES])
-    more = f"<li>{len(lines) - _MOST_LINES:,} more</li>" if len(lines) > _MOST_LINES else ""
-    return f"<h3>{title}</h3><ul>{items}{more}</ul>"
+    more_item = f"<li>{len(lines) - _MOST_LINES:,} more</li>" if len(lines) > _MOST_LINES else ""
+    return f"<h3>{title}</h3><ul>{items}{more_item}</ul>"
 
 
 def _table(heads: Sequence[str], rows: Iterable[Sequence[object]]) -> str:

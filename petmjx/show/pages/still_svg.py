@@ -146,15 +146,15 @@ def _picture_fit(
         framed: lowest and highest corner of the scene; boxes far from the scene are cut off. None: the picture shows
             all boxes.
     """
-    seen = _projection(points).reshape(-1, 2)
+    projected = _projection(points).reshape(-1, 2)
     if framed is not None:
         ends = np.array(framed)
         room = _projection(
             np.array([[ends[x, 0], ends[y, 1], ends[z, 2]] for x in (0, 1) for y in (0, 1) for z in (0, 1)])
         )
         low, high = room.min(axis=0), room.max(axis=0)
-        seen = np.vstack([np.clip(seen, low - 0.2, high + 0.2), [low, high]])
-    low, high = seen.min(axis=0), seen.max(axis=0)
+        projected = np.vstack([np.clip(projected, low - 0.2, high + 0.2), [low, high]])
+    low, high = projected.min(axis=0), projected.max(axis=0)
     scale = (_WIDTH - 2 * _MARGIN) / max(high[0] - low[0], 1.25 * (high[1] - low[1]))
     low[0] -= ((_WIDTH - 2 * _MARGIN) / scale - (high[0] - low[0])) / 2
     return low, float(scale), float((high[1] - low[1]) * scale + 2 * _MARGIN)

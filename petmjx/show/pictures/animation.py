@@ -63,9 +63,9 @@ def spread_times(story: Story) -> list[float]:
 def film_frames(story: Story, look: PictureStyle, speed: float, times: list[float]) -> Iterator[Image]:
     """The pictures of a film at these times, s, by one camera that frames the whole story."""
     count = len(story.history.time_s)
-    some = {*range(0, count, math.ceil(count / MOST_FRAMED)), count - 1}
+    framed_numbers = {*range(0, count, math.ceil(count / MOST_FRAMED)), count - 1}
     overlay = Overlay(look.colours, look.size, speed, look.arrows)
-    camera = framing(framed_points(story, sorted(some)), look.view, look.size, overlay.margins)
+    camera = framing(framed_points(story, sorted(framed_numbers)), look.view, look.size, overlay.margins)
     with Painter(look.colours, look.size, look.line_px(), look.newtons_per_m) as painter:
         for time_s in times:
             poses = poses_at(story.history, time_s)
@@ -77,9 +77,9 @@ def palette_of(frames: Iterable[Image]) -> Image:
     not change."""
     from PIL import Image
 
-    some = list(frames)
-    sheet = Image.new("RGB", (some[0].width, sum(frame.height for frame in some)))
-    for number, frame in enumerate(some):
+    sample_frames = list(frames)
+    sheet = Image.new("RGB", (sample_frames[0].width, sum(frame.height for frame in sample_frames)))
+    for number, frame in enumerate(sample_frames):
         sheet.paste(frame, (0, number * frame.height))
     palette = sheet.quantize(GIF_COLOURS)
     colours = np.array(palette.getpalette()).reshape(-1, 3)

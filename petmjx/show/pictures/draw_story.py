@@ -179,9 +179,9 @@ def newtons_per_m(story: Story) -> float:
 def forces_of_pairs(contacts: Contacts, poses: Poses) -> list[tuple[FloatArray, FloatArray]]:
     """For each pair of bodies that press on each other in a frame: (3,) place, m, and (3,) force on the lower body,
     N."""
-    kept = np.zeros(int(contacts.frame.max(initial=0)) + 1, dtype=bool)
-    kept[poses.frame : poses.frame + 1] = True
-    forces = pushes(contacts.of_frames(kept, 0))
+    is_drawn = np.zeros(int(contacts.frame.max(initial=0)) + 1, dtype=bool)
+    is_drawn[poses.frame : poses.frame + 1] = True
+    forces = pushes(contacts.of_frames(is_drawn, 0))
     return list(zip(forces.point, forces.force, strict=True))
 
 
@@ -198,14 +198,14 @@ def framed_points(story: Story, frames: Iterable[int]) -> FloatArray:
         middle, longest = _above(story)
         load = np.concatenate((load, middle + longest / 2 * np.array([[1, 0, 0], [-1, 0, 0], [0, 1, 0], [0, -1, 0]])))
     reach = max(REACH * largest_extent_m(story), LEAST_REACH_M)
-    seen = [load]
+    point_parts = [load]
     for frame in frames:
         poses = poses_of_frame(story.history, frame)
         box_corners = corners(poses.pos, rotations(poses.quat), scene.half_size[: poses.n_placed])
-        near = ((poses.pos >= low - reach) & (poses.pos <= high + reach)).all(axis=1)
+        is_near = ((poses.pos >= low - reach) & (poses.pos <= high + reach)).all(axis=1)
         moved = corners(*scene.carrier.shapes_at(poses.carrier_pos, poses.carrier_quat))
-        seen += [box_corners[near].reshape(-1, 3), moved.reshape(-1, 3)]
-    return np.concatenate(seen)
+        point_parts += [box_corners[is_near].reshape(-1, 3), moved.reshape(-1, 3)]
+    return np.concatenate(point_parts)
 
 
 def _above(story: Story) -> tuple[FloatArray, float]:
@@ -235,5 +235,5 @@ def _far_to_near(poses: Poses, camera: Camera) -> list[int]:
 def _away(story: Story, poses: Poses) -> list[int]:
     """Boxes that are clearly away from their planned places."""
     limits = thresholds_of(story)
-    far = shift_mm(story, poses) > _AWAY * 1000 * limits.shift_m
-    return [int(box) for box in np.flatnonzero(far | (tilts_deg(poses) > _AWAY * limits.tilt_deg))]
+    is_far = shift_mm(story, poses) > _AWAY * 1000 * limits.shift_m
+    return [int(box) for box in np.flatnonzero(is_far | (tilts_deg(poses) > _AWAY * limits.tilt_deg))]

@@ -112,11 +112,11 @@ class Canvas:
     def pixels(self) -> NDArray[np.uint8]:
         """(height, width, 3) the picture, from the upper left corner."""
         view = mujoco.MjrRect(0, 0, self.width, self.height)
-        seen = np.empty((self.height, self.width, 3), dtype=np.uint8)
+        picture = np.empty((self.height, self.width, 3), dtype=np.uint8)
         self._gl.make_current()
         mujoco.mjr_render(view, self._scene, self._context)
-        mujoco.mjr_readPixels(seen, None, view, self._context)
-        return seen[::-1]
+        mujoco.mjr_readPixels(picture, None, view, self._context)
+        return picture[::-1]
 
     def _geom(
         self, kind: mujoco.mjtGeom, size: FloatArray, pos: FloatArray, turned: FloatArray, rgba: tuple[float, ...]

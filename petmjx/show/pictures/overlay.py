@@ -191,8 +191,8 @@ def fitted_text(text: str, face: Any, room_px: float) -> str:
     """The text, cut in the middle if too wide."""
     if face.getlength(text) <= room_px:
         return text
-    for kept in range(len(text) - 1, 0, -1):
-        short = f"{text[: (kept + 1) // 2]}…{text[len(text) - kept // 2 :]}"
+    for n_characters in range(len(text) - 1, 0, -1):
+        short = f"{text[: (n_characters + 1) // 2]}…{text[len(text) - n_characters // 2 :]}"
         if face.getlength(short) <= room_px:
             return short
     return "…"

@@ -116,8 +116,8 @@ def check_drawing(paths: Sequence[Path]) -> None:
     """
     check_files(paths)
     drawn = [path for path in paths if "OpenGL" in _NEEDS[kind_of(path)][1]]
-    if drawn and (why := why_nothing_is_drawn()):
-        raise InputError(f"{printable(str(drawn[0]))}: {why}")
+    if drawn and (reason := why_nothing_is_drawn()):
+        raise InputError(f"{printable(str(drawn[0]))}: {reason}")
 
 
 def _write_pictures(story: Story, path: Path, options: PictureOptions, progress: Progress | None) -> None:

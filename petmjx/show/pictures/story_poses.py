@@ -60,12 +60,12 @@ def poses_of_frame(history: History, frame: int) -> Poses:
     ``LOST_M``."""
     placed = slice(int(history.n_placed[frame]))
     pos, quat = history.pos[frame, placed], history.quat[frame, placed]
-    here = (np.abs(pos) < LOST_M).all(axis=1, keepdims=True) & np.isfinite(quat).all(axis=1, keepdims=True)
+    is_near = (np.abs(pos) < LOST_M).all(axis=1, keepdims=True) & np.isfinite(quat).all(axis=1, keepdims=True)
     return Poses(
         float(history.time_s[frame]),
         frame,
-        np.where(here, pos, np.nan),
-        np.where(here, quat, np.nan),
+        np.where(is_near, pos, np.nan),
+        np.where(is_near, quat, np.nan),
         history.carrier_pos[frame],
         history.carrier_quat[frame],
     )

@@ -72,8 +72,8 @@ def table(
     heads = [element("th", cell, scope="col", class_=_side(at, texts)) for at, cell in enumerate(head)]
     lines = []
     for row in rows:
-        first, *rest = row
-        cells = [element("td", cell, class_=_side(at, texts)) for at, cell in enumerate(rest, start=1)]
+        first, *other_cells = row
+        cells = [element("td", cell, class_=_side(at, texts)) for at, cell in enumerate(other_cells, start=1)]
         lines.append(element("tr", element("th", first, scope="row", class_="text"), *cells))
     inner = element(
         "table",

@@ -164,9 +164,9 @@ def _add_parameters(
 ) -> None:
     """Add the columns of sweeps that fulfil a condition: parameters of variants, or their outcomes."""
     units = {name: unit for run in runs for name, unit in run.results.units("worlds").items()}
-    known = {shown.column for shown in NUMBERS}
+    column_names = {shown.column for shown in NUMBERS}
     for name in dict.fromkeys(name for run in runs for name in run.parameters):
-        if not condition(name) or name not in frame or name in known or frame[name].nunique() == 0:
+        if not condition(name) or name not in frame or name in column_names or frame[name].nunique() == 0:
             continue
         unit = units.get(name, "")
         label = name.removesuffix(f"_{unit}").replace("_", " ")

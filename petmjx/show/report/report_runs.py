@@ -138,8 +138,8 @@ class ReportRun:
         summary = self.results.summary
         if self.kind is not Kind.GRID or summary is None or "scope" in summary:
             return summary if self.kind is Kind.GRID else None
-        known = [axis for axis in summary["axis"].unique() if axis in self.worlds]  # of petmjx 0.1: no scope
-        return share_standing(self.worlds, known)
+        axes = [axis for axis in summary["axis"].unique() if axis in self.worlds]  # of petmjx 0.1: no scope
+        return share_standing(self.worlds, axes)
 
     @property
     def parameters(self) -> list[str]:

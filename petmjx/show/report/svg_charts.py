@@ -56,11 +56,11 @@ class Scale:
             zero: whether a linear scale begins at 0.
         """
         numbers = np.asarray(values, dtype=np.float64)
-        known = numbers[np.isfinite(numbers)]
+        finite = numbers[np.isfinite(numbers)]
         if log_from is not None:
-            high = max(float(known.max(initial=log_from)), log_from * 10)
+            high = max(float(finite.max(initial=log_from)), log_from * 10)
             return cls(log_from, high, log=True, lowest=lowest)
-        low, high = (float(known.min()), float(known.max())) if len(known) else (0.0, 1.0)
+        low, high = (float(finite.min()), float(finite.max())) if len(finite) else (0.0, 1.0)
         low = min(low, 0.0) if zero else low
         if high - low <= 0:
             low, high = (low - 0.5, high + 0.5) if not zero else (low, low + 1.0)
@@ -156,11 +156,11 @@ class Frame:
     def band(self, x: ArrayLike, low: ArrayLike, high: ArrayLike, class_: str) -> None:
         """The area between two lines; points with a missing value are left out."""
         xs, lows, highs = (np.asarray(values, dtype=np.float64) for values in (x, low, high))
-        known = np.isfinite(lows) & np.isfinite(highs)
-        if not known.any():
+        has_ends = np.isfinite(lows) & np.isfinite(highs)
+        if not has_ends.any():
             return
-        px, below = self.at(xs[known], lows[known])
-        _, above = self.at(xs[known], highs[known])
+        px, below = self.at(xs[has_ends], lows[has_ends])
+        _, above = self.at(xs[has_ends], highs[has_ends])
         outline = path(np.concatenate([px, px[::-1]]), np.concatenate([below, above[::-1]])) + "Z"
         self.add(element("path", d=outline, class_=class_))
 
