@@ -88,7 +88,7 @@ class AttemptRunner(Generic[AnyWorld]):
         """Yield world, outcome, and its records with this attempt's record; None in pauses of the engine.
 
         Args:
-            batch: the worlds. The dictionary is emptied, since finished worlds would take memory.
+            batch: the worlds. The list is emptied, since finished worlds would take memory.
         """
         engine = self.engines.primary
         left, others = list[Pending[AnyWorld]](), list[Pending[AnyWorld]]()
