@@ -4,8 +4,9 @@ The strength of a box is its strength in a press, times factors for the way of s
 (petmjx.options.stacking). Which boxes are crushed, surely or possibly: petmjx/analysis/crushing.py. Verdicts do not
 depend on strengths.
 
-A carton bears by its walls, and most at its corners. So ``walls_of`` works out from the plan which share of a box's
-walls carries walls of other boxes, and which share hangs over an edge or over a gap of the deck. Interlayer sheets are
+A carton bears by its walls, and most at its corners. So ``walls_of`` computes from the plan two shares of a box's
+walls: the share that carries walls of other boxes, and the share over an edge or over a gap of the deck. Interlayer
+sheets are
 not boxes: a box on a sheet stands on the boxes under the sheet.
 """
 
@@ -241,8 +242,7 @@ class Loads:
         boxes: one row per box of each world: ``load_share`` and the values behind it.
         plans: one row per world: ``overloaded`` at rest and ``overloaded_at_peak``, and the boxes with the largest
             shares. If the run has intervals of forces, also ``surely_overloaded`` and ``possibly_overloaded``.
-        notes: a line on a run that is not finished, one on articles without strength, and one on forces at rest after a
-            drive with film.
+        notes: lines on an unfinished run, on articles without strength, and on forces at rest after a drive with film.
         stacking: losses of strength by the way of stacking.
         ways: of a chain: how likely each plan arrives, and arrives whole, with each remedy; None: a run without a
             chain.

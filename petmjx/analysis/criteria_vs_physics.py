@@ -1,4 +1,5 @@
-"""Compares criteria with a simulation: which plans both accept, and which threshold of a criterion agrees best.
+"""Compares criteria with a simulation: the plans that both accept, and the threshold of a criterion with the best
+agreement.
 
 A criterion accepts a plan if all its boxes are stable. *Precision* is the share of accepted plans that stand. *Recall*
 is the share of standing plans that are accepted. Matthews' correlation coefficient (MCC; Matthews 1975, Biochimica et

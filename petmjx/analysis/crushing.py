@@ -1,4 +1,4 @@
-"""Which boxes are crushed, at rest or at the peak: surely, possibly, or not; and how many pallets arrive whole.
+"""Crushed boxes, at rest or at the peak: surely, possibly, or not; and the share of pallets that arrive whole.
 
 Strengths are not exact: the losses by stacking, moisture and time have a spread. Nor are, for several supports, forces
 at rest. So a box is *surely* overloaded if the least force exceeds the largest possible strength, and *possibly* if the

@@ -1,9 +1,9 @@
-"""Force balance: whether forces exist that hold a stack, and how much slack is left.
+"""Force balance: existence of forces that hold a stack, and the slack of this condition.
 
 Sources: Liu, Deng, Wang, Liu, Liu (2024), "StableLego: stability analysis of block stacking assembly", arXiv
 2402.10711, and Whiting, Ochsendorf, Durand (2009), "Procedural modeling of structurally-sound masonry buildings", ACM
 Transactions on Graphics 28(5). At each corner of each contact area acts a pressing force, and friction of at most μ
-times that force. A stack is balanced if such forces exist whose sum and moment are zero on every box.
+times that force. A stack is balanced if forces exist with zero sum and zero moment on every box.
 
 The slack is a pure number. Each of the n corners under a box must carry at least s times the n-th part of the box's own
 weight. The slack is the largest s for which the stack is balanced. At 1 every box rests evenly on all its corners. At 0

@@ -224,9 +224,9 @@ def kpis(
     Args:
         plans: as for ``petmjx.score``.
         orders: file of orders, BED-BPP's or of any other form. An order belongs to the plan with its id.
-        run: folders of runs in which these plans were simulated. The verdicts are those of the first one; ``kpi_6`` is
-            BED-BPP's rule on the first one with check ``static``.
-        assume_stable: take all plans as stable: ``kpi_6`` is 1. Only without runs.
+        run: folders of runs in which these plans were simulated. The first run has the verdicts; ``kpi_6`` is BED-BPP's
+            rule on the first run with check ``static``.
+        assume_stable: all plans count as stable: ``kpi_6`` is 1. Only without runs.
         strict: raise at the first unusable plan or order, instead of leaving it out.
 
     Raises:

@@ -1,4 +1,4 @@
-"""Compares packers by runs of their plans: whose plans stand more often, by how much, and how sure that is.
+"""Compares packers by runs of their plans: whose plans stand more often, by how much, and with which confidence.
 
 Orders are paired, since each order is packed by every packer. The comparison takes the orders that have a valid verdict
 from every packer. Orders without a plan and invalid worlds are counted separately. ``share_at_worst`` is the share if
@@ -285,8 +285,8 @@ def _pair_row(size: str, a: str, b: str, rows: pd.DataFrame, confidence: float) 
 
 def _mean_interval(values: pd.Series, confidence: float) -> tuple[float, float, float]:
     """The mean of values of orders, and its Student interval. The spread between orders contains both the differences
-    between orders and the chance in each value. NaN for fewer than two orders, and for orders that are all alike: then
-    the spread tells nothing."""
+    between orders and the chance in each value. NaN for fewer than two orders, and for orders with equal values: these
+    have no spread."""
     valid_values = values.dropna()
     mean, n = float(valid_values.mean()), len(valid_values)
     if n < 2 or valid_values.std() == 0:

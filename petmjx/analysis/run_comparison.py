@@ -74,8 +74,8 @@ class Comparison:
             and ``b``. Null if a group has no value of the metric. Only plans that are equal in both runs count.
         other_plans: ids of common plans that differ between the runs.
         only_a, only_b: plan_id and variant of worlds that only one run has.
-        same_reason, same_culprit: how many of the ``n_not_stable`` worlds that are stable in neither run have the same
-            reason, and the same first box.
+        same_reason, same_culprit: among the ``n_not_stable`` worlds that are stable in neither run, the numbers with
+            equal reasons and with equal first boxes.
         notes: reasons to doubt the comparison, one line each.
     """
 

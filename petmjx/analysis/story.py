@@ -246,7 +246,7 @@ def tell(
 
 
 def _run_in(source: RunResults | PlanSource | None) -> RunResults | None:
-    """The run, if a source is one; else None."""
+    """The run of a source that is a run; else None."""
     if isinstance(source, RunResults):
         return source
     if isinstance(source, str | PathLike) and (Path(source) / RUN_FILE).is_file():
@@ -455,7 +455,7 @@ def _leans(story: Story) -> str:
 
 
 def first_box_in_words(story: Story) -> str:
-    """Which box failed first, when and why, as a sentence; "" if none did."""
+    """Which box failed first, when and why, as a sentence; "" without a failed box."""
     box = story.outcome.culprit
     if box < 0:
         return ""

@@ -60,7 +60,7 @@ def figure(
     A search: the share of plans that survive each level, by direction. Another sweep: the share of worlds that stand
     along each axis, with intervals. A score with --confidence: the share that stands of each plan.
 
-    compare --packers and criteria draw their own figures: with the same options.
+    compare --packers and criteria draw their own figures: they have the same options.
     """
     from petmjx.results.run_reader import load_run
     from petmjx.show.figures.figure_files import figure as draw

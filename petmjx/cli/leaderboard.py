@@ -95,7 +95,7 @@ def leaderboard(
 
 @contextmanager
 def _bar(name: str) -> Iterator[Watcher]:
-    """Say whose plans are scored, and show how far that is."""
+    """Say whose plans are scored, and show the progress."""
     from petmjx.show.progress import BarWatcher
 
     print(f"packer {printable_name(name)}", file=sys.stderr)

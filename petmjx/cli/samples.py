@@ -22,7 +22,7 @@ from petmjx.packers.sample_plans import DEFAULT_LOOSE_SHARE, LeftOutItems
 
 DEFAULT_SAMPLES: Final = 100
 MOST_SHOWN: Final = 10
-"""Most drawn orders with boxes left out that get a line each."""
+"""Largest number of drawn orders with left-out boxes that have a line each."""
 
 
 @opt.takes(

@@ -45,7 +45,7 @@ def option(flag: str, value: str = "", *, python: str = "") -> str:
 
     Args:
         flag: the flag as users type it, such as ``--out``.
-        value: the argument's value in Python, such as ``True``; the flag is shown without it.
+        value: the argument's value in Python, such as ``True``; a flag without a value is shown alone.
         python: name of the argument, where it differs from the flag's.
     """
     if _typed:

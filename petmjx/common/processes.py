@@ -23,7 +23,8 @@ def process_pool(processes: int, *, gpu: bool = True, nice: int = 0) -> ProcessP
     ever.
 
     Args:
-        gpu: whether the processes see GPUs. A process that sees a GPU takes some of its memory even without using it.
+        gpu: whether the processes see GPUs. A process that sees a GPU takes some of the GPU's memory even without using
+            it.
         nice: niceness that is added to the processes, so that this process has priority. Without effect on systems
             that have no niceness.
     """

@@ -73,9 +73,9 @@ def score_worlds(
     ``most_pending`` wait or at the end. So memory does not grow with the number of worlds. Attempts that CPU threads
     make beside a GPU (petmjx/engines/attempts.py) begin at once.
 
-    ``following`` gives worlds that follow from the results so far, each world once. ``follow`` is called after each
-    outcome. An engine that takes a stream simulates these worlds beside the running ones, any other engine after these
-    have ended.
+    ``following`` gives worlds that follow from the results so far, each world exactly once. ``follow`` is called after
+    each outcome. An engine that takes a stream simulates these worlds beside the running ones, any other engine after
+    these have ended.
 
     ``begin_with``: number of worlds with which a GPU begins.
 

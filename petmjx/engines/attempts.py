@@ -86,7 +86,8 @@ class AttemptRecipe:
     twentieth of the time constant boxes sink by less than single precision resolves."""
 
     few: bool = False
-    """Whether only few of many worlds need it, except for worlds with errors of a plan whose boxes may sink."""
+    """Whether only few of many worlds need the attempt, except for worlds with errors of a plan whose boxes may
+    sink."""
 
     def is_for(self, outcome: Outcome, sim: Simulation) -> bool:
         """Whether this attempt may give another result than the attempt before. No attempt gives a world more time."""
@@ -217,7 +218,7 @@ class Engines:
         """The engine that makes a further attempt at a job beside the engine of the run; None: no engine does.
 
         Args:
-            few: whether few worlds need that attempt. A job with a drive, or with a state from which other worlds
+            few: whether few worlds need the attempt. A job with a drive, or with a state from which other worlds
                 start, stays with the engine of the run: there may be many of these.
         """
         if self.primary.name not in (*BESIDE, BESIDE_ITSELF):
@@ -252,8 +253,8 @@ class Engines:
 
 
 def ready_for(engine: str, job: Job) -> Job:
-    """A job for an engine, with a start state of this engine. From another engine's state it cannot start: then it
-    simulates the placement again."""
+    """A job for an engine, with a start state of this engine. An engine cannot start from another engine's state: then
+    it simulates the placement again."""
     if not isinstance(job.start, KeptState):
         return job
     start = job.start.state if job.start.engine == engine else None

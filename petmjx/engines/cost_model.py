@@ -99,8 +99,8 @@ class Errors:
 
 
 ERROR_STEPS = Errors(displaced=1.1, carried=4.0)
-"""Relative steps. If boxes are moved apart before they appear, they take hardly more steps than as planned. By hand
-they take a share of 0.285 of the fixed schedule's instead of 0.072: 0.45 with few boxes, 0.24 with many."""
+"""Relative steps. If boxes are moved apart before they appear, they take hardly more steps than as planned. Boxes
+placed by hand take a share of 0.285 of the fixed schedule's instead of 0.072: 0.45 with few boxes, 0.24 with many."""
 
 ON_DEVICE = Errors(displaced=2.8, carried=4.5)
 """Relative cost on a device: 8,000 worlds of 500 plans in 35 s, 4,000 by hand of 250 plans in 30 s; 10,003 without
@@ -131,7 +131,7 @@ class Work:
         displaced: placements in which boxes appear at places with errors, or with other sizes.
         carried: placements in which boxes are carried to their places.
         drive_steps: steps of one drive, with ``rest_steps``; mean over profiles.
-        filmed: whether there is film around shaken pallets.
+        filmed: whether film is around shaken pallets.
         placed_share: for each plan the share of its boxes that are placed before the first box that tips over at once
             (petmjx.plans.loose_boxes); 1 without such a box. Empty: the share is unknown, and no box is expected to tip
             over.

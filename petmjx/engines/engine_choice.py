@@ -39,7 +39,8 @@ class Choice:
 
 
 def options_of(name: str, options: RunOptions) -> dict[str, Any]:
-    """The arguments of ``make_engine`` from the options of a run. With ``auto`` only those that the engine has."""
+    """The arguments of ``make_engine`` from the options of a run. With ``auto`` only the options that the engine
+    has."""
     of_engine = ENGINES[name][2] if options.engine == AUTO else ("threads", "world_timeout_s", "lanes")
     return {option: getattr(options, option) for option in of_engine}
 
@@ -51,7 +52,7 @@ def choose(
     why_no_gpu: Callable[[], str | None] | None = None,
     why_no_kernel: Callable[[], str | None] | None = None,
 ) -> tuple[str, str]:
-    """The engine ``auto`` stands for, and why.
+    """The engine that ``auto`` stands for, and the reason.
 
     Args:
         seconds: expected time of each engine, s.

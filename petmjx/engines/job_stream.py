@@ -92,10 +92,11 @@ class JobStream(Generic[Tag]):
 
         Args:
             least: wait until this many jobs are ready, the stream is full, or no job comes from the source.
-            wait: False: take no job instead of waiting.
+            wait: False: return without a job instead of waiting.
 
         Returns:
-            The jobs. With ``wait``, none means that none are left: an engine without jobs in flight ends its run.
+            The jobs. With ``wait``, an empty list means the end of all jobs: an engine without jobs in flight ends its
+            run.
         """
         with self._changed:
             if not self._ready(least, wait):

@@ -63,7 +63,7 @@ class Column:
         dtype: NumPy type of the column on disk.
         meaning: one line, written into the Parquet file.
         compared: whether a comparison of two runs shows |b - a|.
-        relative: whether it also shows |b - a| / a.
+        relative: whether comparisons also show |b - a| / a.
     """
 
     name: str
@@ -95,7 +95,8 @@ class BoxMetric:
             bool for yes or no.
         of_world: the column of ``worlds`` made from it, if there is one.
         driven_only: only runs with profiles have it.
-        compared, relative: as in :class:`Column`. Yes or no is compared only as the number of boxes of a world.
+        compared, relative: as in :class:`Column`. Values of yes or no are compared only as a world's number of boxes
+            with yes.
     """
 
     attribute: str

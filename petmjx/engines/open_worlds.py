@@ -308,8 +308,8 @@ class OpenWorlds(ABC):
         themselves do not change. ``Outcome.job`` is the index into ``worlds``.
 
         Each outcome is one simulation, as in ``Engine.run``: no world is simulated again with other settings, as a
-        score does (docs/rules.md, section 9). Before a drive a placement that has failed, but has dropped nothing, is
-        waited for as without one, which may be some steps shorter than in a run.
+        score does (docs/rules.md, section 9). Before a drive a placement that has failed, but has dropped nothing, has
+        a wait as without a drive, which may be some steps shorter than in a run.
 
         Raises:
             ValueError: a world has no boxes.

@@ -165,7 +165,7 @@ class Engine(MinimalEngine, Protocol):
 
     @property
     def capabilities(self) -> Capability:
-        """The capabilities of this engine. By default the physics of its name."""
+        """The capabilities of this engine. By default, the preset with the engine's name."""
         return PHYSICS.get(self.name, _PHYSICS)
 
     @property

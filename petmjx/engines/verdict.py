@@ -65,12 +65,12 @@ class Flag(IntFlag):
     TIMEOUT = 2048
     """The world took longer than ``RunOptions.world_timeout_s``."""
     MOVING = 4096
-    """Boxes still moved when the world ended, or when the next box came, because its time was up: the verdict may
+    """Boxes still moved when the world ended, or when the next box came, because the time was up: the verdict may
     depend on how long the world is simulated."""
     KNIFE_EDGE = 8192
     """The load of a box acts within half a millimetre of the edge of its supports (petmjx.engines.outcome_checks)."""
     TIMESTEP = 16384
-    """With half the timestep the verdict is another one (``Simulation.check_timestep``)."""
+    """With half the timestep the verdict differs (``Simulation.check_timestep``)."""
     LEANS = 32768
     """The world is stable, but not as planned: a box leans, or lies lower (petmjx.engines.outcome_checks)."""
     NOT_PLACED = 65536

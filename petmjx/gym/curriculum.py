@@ -36,7 +36,7 @@ class Curriculum:
 
     @classmethod
     def of(cls, options: PalletizingOptions) -> Self:
-        """The curriculum of an environment. Without one all levels are the same.
+        """The curriculum of an environment. Without a curriculum all levels are equal.
 
         Raises:
             InputError: an unknown entry, or one that is not two numbers in its range.

@@ -188,7 +188,7 @@ class Episodes:
         return full
 
     def _drawn_errors(self, rows: NDArray[np.int64]) -> dict[str, Any]:
-        """The errors of the next boxes of episodes, arguments of ``Pallets.place``; none where there are none."""
+        """The errors of the next boxes of episodes, arguments of ``Pallets.place``; none without errors."""
         if not self._errors[rows].any():
             return {}
         rngs = [self._rngs[row] for row in rows.tolist()]

@@ -1,7 +1,7 @@
 """Pallets on C MuJoCo for jitted programs. The pytree holds the boxes, and settled worlds are behind a callback.
 
-The state of a pallet depends only on its boxes, so the boxes are the state. The most recently used settled worlds are
-cached by their boxes. A world that is no longer cached is built again, to the last bit.
+The state of a pallet depends only on its boxes, so its boxes identify the state. The most recently used settled worlds
+are cached by their boxes. A world that is no longer cached is built again, to the last bit.
 """
 
 from __future__ import annotations

@@ -66,7 +66,8 @@ def place(
 
     Args:
         size_mm: extents as the boxes stand; ``corner_mm``: front-left-bottom corners.
-            active: mask of the pallets that get a box; None: all. Pallets that have fallen or are full never get one.
+            active: mask of the pallets that get a box; None: all. Pallets that have fallen or are full never get
+                another box.
 
         Returns:
             The pallets, and their results. Pallets that had fallen before have only the reason ``ended``.

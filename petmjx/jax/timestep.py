@@ -42,7 +42,7 @@ class TimeStep(NamedTuple, Generic[ObservationT]):
         return self.step_type == StepType.FIRST
 
     def mid(self) -> Bool[Array, ""]:
-        """Whether the step is neither the first one nor the last one."""
+        """Whether the step is neither the first nor the last."""
         return self.step_type == StepType.MID
 
     def last(self) -> Bool[Array, ""]:

@@ -3,8 +3,8 @@
 // Every number that decides comes from the same operations in the same order as in candidates.py and packing.py, so that
 // packings are the same to the last bit. Balances (balance.py) differ in their last bits, and some are so near to their
 // limits that these bits decide: often the balance of the new box itself, whose weight acts on the very edge. Then the
-// code asks Python, and continues from the answer. Of a box below, the end is UNSURE, and Packing.fill has to do it
-// all.
+// code asks Python, and continues from the answer. For a box below, the result is UNSURE, and Packing.fill packs from
+// the beginning.
 //
 // Names in capitals that are not defined here, and the tables, are those of tables.py.
 
@@ -339,8 +339,8 @@ struct Filling {
         return least < NONE;
     }
 
-    // Place boxes until an end. `how` and `own` are of the first one, which is at `point` unless how is WITH_BEST: whether it
-    // keeps its own balance. If the end is ASKS, `point` and `shape` are the candidate's.
+    // Place boxes until an end. `how` and `own` belong to the first box, which is at `point` unless how is WITH_BEST;
+    // `own`: whether it keeps its own balance. If the end is ASKS, `point` and `shape` are the candidate's.
     CUDA_CALLABLE int fill(int& point, int& shape, int how, int own) {
         if (how != WITH_ANSWER) begin();
         bool chosen = how != WITH_BEST;

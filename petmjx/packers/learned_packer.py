@@ -32,7 +32,7 @@ LEARNED: Final = "learned"
 """The packer's name."""
 
 CLEARANCE_MM: Final = 4.0
-"""Free space between neighbours. With it plans stand when a robot places the boxes (docs/packers.md)."""
+"""Free space between neighbours. The free space lets plans stand when a robot places the boxes (docs/packers.md)."""
 
 MOST_PLACES: Final = 32
 LEAST_PLACES: Final = 6

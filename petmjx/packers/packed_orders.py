@@ -32,8 +32,8 @@ class PackedOrder:
         tried: number of packings that were evaluated until one was good.
         n_simulated: number of simulated worlds. The choice may depend on other orders.
         good: whether the plan stands as often as requested.
-        left_out: items that the packing leaves out; None: it leaves out nothing.
-        why: the reason why items are left out; "": none are.
+        left_out: items that the packing leaves out; None: no item.
+        why: the reason why items are left out; "": no item is left out.
     """
 
     order_id: str

@@ -31,7 +31,7 @@ class Packer(Protocol):
     def __call__(
         self, items: Sequence[Item], extent_mm: tuple[float, float], rules: PackRules | None, rng: np.random.Generator
     ) -> list[PlacedBox]:
-        """Place items on a target of ``extent_mm`` (x, y). The placed boxes hold the same objects as ``items``.
+        """Place items on a target of ``extent_mm`` (x, y). Placed boxes hold the same objects as ``items``.
 
         Args:
             rules: rules of the packer ``baseline``; None: its defaults.

@@ -34,8 +34,8 @@ SHARE_SLACK: Final = 1e-9
 
 MARGIN_M: Final = 0.020
 MARGIN_SHARE: Final = 0.2
-"""Margin by which a resultant must act inside the hull: 20 mm, or for small boxes a share of the shorter side. With
-10 mm and a least support of 0.6 all of 60 plans stood as well; the larger margin is for the errors of a robot."""
+"""Margin by which a resultant must act inside the hull: 20 mm, or for small boxes a share of the shorter side. With 10
+mm and a least support of 0.6 also all of 60 plans stood; the larger margin is for the errors of a robot."""
 
 FAR_M: Final = 0.2
 """Upper limit of reported margins. A box on the carrier has this margin."""

@@ -55,7 +55,7 @@ class LeftOutItems:
         n_items: number of items of the order.
         numbers: keys of the left-out items in the order's ``item_sequence``, rising; in a generated order, which has no
             keys, their positions from 1.
-        why: the reason; "": there was no place below 2 m.
+        why: the reason; "": no place below 2 m.
     """
 
     order_id: str
@@ -233,7 +233,7 @@ def _pack(
 
 
 def left_out_of(order_id: str, order: Order, placed: Iterable[PlacedBox], why: str = "") -> LeftOutItems | None:
-    """The items of an order that a packing leaves out; None: it leaves out nothing."""
+    """The items of an order that a packing leaves out; None: no item."""
     counts = Counter(box.item for box in placed)
     missing = []
     # generated orders have no numbers: their items count from 1

@@ -83,7 +83,7 @@ class Turns:
         column: its name.
         rules: names of the rules that its values allow (``readings.ROTATION_RULES``).
         codes: (n,) number of each turn: 0 to 5 as in py3dbp, or quarter turns; −1: unknown.
-        letters: (n, 3) which size lies along each axis, of turns that are letters; None: there are none.
+        letters: (n, 3) which size lies along each axis, of turns that are letters; None: no such turns.
     """
 
     column: str
@@ -106,7 +106,7 @@ class BoxColumns:
         plan, article, item_id, group: (n,) names; None: no column.
         sequence: (n,) packing order; None: no column. A running number is no packing order: it may count in any order.
         counters: name → (n,) whole numbers, of columns whose name may be that of a packing order ("Nr", "Pick"); NaN
-            where a cell is none.
+            for other cells.
         columns: role → name of its column, for all roles except geometry.
         faults: row → (column, text) of its first bad cell.
         unread: names of columns that mean nothing here.

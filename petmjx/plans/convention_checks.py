@@ -69,7 +69,7 @@ class Convention:
     """A convention other than petmjx's, for a second reading of a plan.
 
     Attributes:
-        looks: how plans look that follow it, for messages.
+        looks: appearance of plans in this convention, for messages.
         advice: how to correct it, for messages. ``{lowest}`` stands for the z of the lowest box, ``{x}`` and ``{y}``
             for the middle of the carrier, mm.
         read: converts corners and sizes to petmjx's convention. None: reading the plan in this convention changes
@@ -303,7 +303,7 @@ def warn(lines: Iterable[str]) -> None:
 
 
 def _explains(way: Convention, plan: Plan, n_odd: int) -> bool:
-    """Whether at most a tenth of the odd boxes and pairs is left when a plan is read in another convention."""
+    """Whether at most a tenth of the odd boxes and pairs remains in another reading of a plan."""
     if n_odd < way.least_odd and plan.corner_mm[:, 2].min() <= DEFAULT_TOLERANCE_MM:
         return False
     if way.of_turned and not plan.turned.any():

@@ -97,7 +97,7 @@ _SCENE: Final = re.compile(rb"<mujoco[\s>/]")
 
 
 def looks_like_own_json(data: bytes | bytearray) -> bool:
-    """Whether a text has fields of BED-BPP's plans or orders, usually near its beginning, and not in other units."""
+    """Whether a text has fields of BED-BPP's plans or orders, usually near its beginning, and only in usual units."""
     if _OWN_JSON.search(data, 0, _LOOKED_AT_TEXT) is not None:
         return True
     if _OTHER_UNITS.search(data, 0, _LOOKED_AT_TEXT) is not None:

@@ -63,7 +63,7 @@ class BoxSource:
     Attributes:
         boxes: list of boxes with places.
         form: known facts about the form.
-        notes: lines about how the file was taken apart.
+        notes: lines about the reading of the file.
     """
 
     boxes: BoxList

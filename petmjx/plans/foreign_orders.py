@@ -87,8 +87,8 @@ def _has_three_places(source: BoxSource) -> bool:
 
 
 def _with_articles(sources: Sequence[BoxSource], items: Path | None) -> BoxSource | None:
-    """Lines of orders, with the sizes of their articles from another table of the file, or of a file of items; None:
-    there are no such lines.
+    """Lines of orders, with the sizes of their articles from another table of the file, or of a file of items; None: no
+    such lines.
 
     Raises:
         InputError: the file of items cannot be read, or its items are not those of the orders.

@@ -77,7 +77,7 @@ class ForeignPlans:
     """The plans of a file of another tool.
 
     Attributes:
-        table: the good plans, as a table of placements in millimetres and kilograms; None: there are none.
+        table: the good plans, as a table of placements in millimetres and kilograms; None: no good plan.
         refused: plans and rows that cannot be used.
         reading: how the file was read.
         containers: plan id → x, y and z size of its container, mm; NaN where unknown.
@@ -181,7 +181,7 @@ def _with_items(sources: Sequence[BoxSource], path: Path | None, items: Path | N
 
 _OF_ITEMS: Final = re.compile(r"item|article|artikel|sku|product|produkt", re.IGNORECASE)
 _MOST_BESIDE: Final = 20
-"""Most files of items that are looked at beside a file of places alone."""
+"""Largest number of files of items that are tried beside a file of places alone."""
 
 
 def _with_articles_beside(best: BoxSource, path: Path) -> BoxSource:

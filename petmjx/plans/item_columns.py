@@ -46,7 +46,7 @@ _WEIGHT: Final = word_set(
     "weight mass gewicht poids peso waga masa ciezar gesamtgewicht totalgewicht positionsgewicht zeilengewicht"
 )
 _GROSS: Final = word_set("gross brutto bruttogewicht bruto brut lordo")
-"""Words of weights with the packaging, which are taken where there are net weights beside."""
+"""Words of gross weights, which are preferred to net weights."""
 _PIECES: Final = word_set(
     "boxes cartons kartons kartonanzahl cases packages colli packstucke packstuecke stuck stueck cajas bultos colis "
     "scatole kartony kartonow paczki units unit einheiten items cs ctn ctns szt pz pzas st"
@@ -247,7 +247,7 @@ class _ItemExtraction(Extraction):
     def role(
         self, role: str, kind: str, *, within: set[int] | None = None, without: set[int] | None = None
     ) -> int | None:
-        """The column of a role: the chosen one, else the first of its kind; None: there is none."""
+        """The column of a role: the chosen one, else the first of its kind; None: no such column."""
         name = self.chosen.get(role)
         if name is not None:
             return None if name == IGNORED else self.table.header.index(name)

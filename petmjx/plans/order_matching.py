@@ -5,13 +5,13 @@ present, or without names by size, mass and properties. An item matches one box 
 second box was not ordered. ``sequence`` is ignored, since packers renumber boxes. Sizes are compared in any
 orientation.
 
-Properties of goods are the order's, and no matter of a packer: a box whose centre of mass, stiffness or kind is another
-one than its item's differs like a box of another size. The properties of an item are those of the order, else those of
-the user's table of articles (:func:`with_properties`). Without both the item's centre of mass is in its middle, and the
-item is rigid.
+Properties of goods belong to the order, not to the packer: a box with another centre of mass, stiffness or kind than
+its item differs like a box of another size. The properties of an item are those of the order, else those of the user's
+table of articles (:func:`with_properties`). Without both the item's centre of mass is in its middle, and the item is
+rigid.
 
-``check_orders`` compares plans with a file of orders: which items were left out, which boxes were not ordered, and
-which have another size or mass than ordered.
+``check_orders`` compares plans with a file of orders: items left out, boxes not ordered, and boxes with another size or
+mass than ordered.
 """
 
 from __future__ import annotations
@@ -126,8 +126,8 @@ _WAYS: Final = (
     _MatchKey(lambda names: (), lambda box: not any(box), _any, named=False),
     _MatchKey(lambda names: (), _any, lambda item: not any(item), named=False),
 )
-"""Ways to match, in order; each takes the boxes and items that the ways before have left. All ways are tried first with
-equal size and mass, then those with ``named`` without. A name that one side lacks is not compared."""
+"""Ways to match, in order; each with the boxes and items that earlier ways left unmatched. All ways are tried first
+with equal size and mass, then those with ``named`` without. A name that one side lacks is not compared."""
 
 
 def match(plan: Plan, order: Order) -> Matching:

@@ -96,7 +96,7 @@ class InputColumn:
         return np.asarray(array.is_null())
 
     def numbers(self) -> tuple[FloatArray, NDArray[np.bool_]]:
-        """(n,) numbers, NaN where there is none; and the mask of usable numbers. Ranges are not checked."""
+        """(n,) numbers, NaN for a missing number; and the mask of usable numbers. Ranges are not checked."""
         array = self.values
         if not isinstance(array, pa.Array):
             return _converted_objects(array, _float, np.nan, np.float64)
@@ -108,7 +108,7 @@ class InputColumn:
         return np.asarray(numbers.fill_null(np.nan)), np.asarray(numbers.is_valid())
 
     def whole(self) -> tuple[NDArray[np.int64], NDArray[np.bool_]]:
-        """(n,) whole numbers, 0 where there is none; and the mask of rows that have one."""
+        """(n,) whole numbers, 0 for a missing number; and the mask of rows with a number."""
         numbers, usable = self.numbers()
         usable &= (np.abs(numbers) <= _MOST_EXACT) & (numbers == np.rint(numbers))
         integers = np.where(usable, numbers, 0).astype(np.int64)
@@ -120,7 +120,7 @@ class InputColumn:
         return np.where(known, np.asarray(exact.fill_null(0)), integers), known | usable
 
     def texts(self) -> tuple[NDArray[np.object_], NDArray[np.bool_]]:
-        """(n,) names, "" where there is none; and the mask of usable names. Equal names share one string."""
+        """(n,) names, "" for a missing name; and the mask of usable names. Equal names share one string."""
         array = self.values
         if not isinstance(array, pa.Array):
             return _converted_objects(array, _name, "", np.object_)
@@ -168,7 +168,7 @@ def _trimmed_text(array: pa.Array) -> pa.Array:
 
 
 def _exact(array: pa.Array) -> pa.Array:
-    """Whole numbers as int64, since float64 would lose digits; null where there is none."""
+    """Whole numbers as int64, since float64 would lose digits; null for a missing number."""
     try:
         return pc.cast(array, pa.int64())
     except pa.ArrowInvalid:
@@ -180,7 +180,7 @@ def _exact(array: pa.Array) -> pa.Array:
 
 
 def _numeric_text(array: pa.Array, decimal: str) -> pa.Array:
-    """The numbers in texts, as float64; null where a text is no number."""
+    """The numbers in texts, as float64; null for other texts."""
     text = _trimmed_text(array)
     if decimal != ".":
         text = pc.if_else(pc.match_substring(text, "."), "", pc.replace_substring(text, decimal, "."))
@@ -207,7 +207,7 @@ def _converted_objects(
 
     Args:
         read: converts a value; None: it cannot be used.
-        otherwise: stands for values that cannot be used.
+        otherwise: value in place of unusable ones.
         kind: type of the array.
     """
     readings = [read(value.item() if isinstance(value, np.generic) else value) for value in values]
@@ -260,7 +260,7 @@ class TableError(InputError):
 
     Attributes:
         n_known: number of its columns that have petmjx's names.
-        is_own: whether it surely is one of petmjx's tables.
+        is_own: whether the table is surely one of petmjx's own.
     """
 
     def __init__(self, message: str, n_known: int = 0, is_own: bool = False) -> None:
@@ -548,7 +548,7 @@ class _TableReader:
         return f", rows {first} and {second}: sequence {numbers[twice[0]]} is there twice"
 
     def _fault_of_rows(self, rows: NDArray[np.int64]) -> str:
-        """The fault of bad rows: all missing values if several rows lack some, or else the first fault."""
+        """The fault of bad rows: all missing values if several rows lack some, otherwise the first fault."""
         numbers = self.table.numbers
         needed = {name: empty[rows] for name, empty in self._missing.items() if name not in _MAY_LACK}
         missing = {name: numbers[rows[empty]].tolist() for name, empty in needed.items() if empty.any()}

@@ -32,7 +32,7 @@ class Plan:
         sequence: (n,) number of each item in the customer's order.
         orientation: (n,) 0: the item's length lies along x; 1: along y. None: unknown, and the extents are taken as the
             item's length and width.
-        product_groups: n names, "" where an item has none; empty: no item has one.
+        product_groups: n names, "" for an item without a group; empty: no item has a group.
         materials: n names of materials, which determine friction (petmjx.options.materials); "": unknown for this box;
             empty: unknown for all boxes.
         mass_center_mm: (n, 3) centres of mass relative to the middles of the boxes, along x, y and z; None: all in the

@@ -113,7 +113,7 @@ def load_plans(
 
     Raises:
         InputError: a path does not exist, a folder has no plan files, a data frame lacks columns, or an argument is
-            invalid. With ``strict`` also if anything would be skipped.
+            invalid. With ``strict`` also if a plan would be skipped.
     """
     if limit is not None:
         integer_of(limit, "limit", 1)
@@ -536,7 +536,7 @@ class _PlanLoader:
 
 
 def _kind_of_text(data: bytearray, named: bool) -> str | None:
-    """The error text for a text that does not begin like JSON; None: it begins so, or is damaged JSON.
+    """The error text for a text that does not begin like JSON; None: JSON, or damaged JSON.
 
     Args:
         named: whether the file's name is that of JSON. Without such a name, only a table is told from damaged JSON.

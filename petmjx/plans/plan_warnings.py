@@ -173,7 +173,7 @@ def gaps_mm(corner_mm: FloatArray, size_mm: FloatArray, in_order: bool = True) -
     """(n,) gap between each box and its support, a box or the carrier's top, mm; 0 if the support reaches into it.
 
     Args:
-        in_order: whether only boxes placed earlier can be supports; else all can.
+        in_order: whether only boxes placed earlier can be supports; False: all boxes can.
     """
     low, high = corner_mm.T, (corner_mm + size_mm).T
     side_by_side, _ = _overlaps(low, high, DEFAULT_TOLERANCE_MM)

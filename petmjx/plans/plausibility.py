@@ -285,5 +285,6 @@ _WHOLE_MM: Final = 0.03
 
 
 def converted_share(lengths_mm: FloatArray) -> float:
-    """Share of lengths that are whole millimetres. Of whole inches few are; of "23.622" as inches, 600 mm, all."""
+    """Share of lengths that are whole millimetres. Few whole inches are whole millimetres; of sizes such as 23.622
+    inches, 600 mm, all are."""
     return float(np.mean(np.abs(lengths_mm - np.rint(lengths_mm)) <= _WHOLE_MM))

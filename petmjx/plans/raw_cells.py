@@ -15,7 +15,7 @@ from petmjx.plans.column_names import LENGTH_UNITS, MASS_UNITS, plain_text
 from petmjx.plans.file_formats import number_hint
 
 GROUPED: Final = "grouped"
-"""As a decimal sign: there is none, and points and commas stand between thousands."""
+"""Value instead of a decimal sign: no number has one, and points and commas stand between thousands."""
 
 
 class CellNumber(NamedTuple):

@@ -140,7 +140,7 @@ def wishes_of(
 
 
 def named_units(units: str | None) -> tuple[str, str]:
-    """The unit of lengths and the unit of masses in a text such as "cm" or "cm,g"; "": it names none."""
+    """The unit of lengths and the unit of masses in a text such as "cm" or "cm,g"; "": no unit in the text."""
     if not units:
         return "", ""
     plan_units(units)

@@ -221,7 +221,7 @@ _OF_COLUMNS: Final = (
 
 
 def tie_text(readings: Sequence[Reading], weak: bool) -> str:
-    """The line about a tie: the two readings, where they differ, and the options that decide."""
+    """The line about a tie: the two readings, their differences, and the options that decide."""
     one, two = readings[0], readings[1]
 
     def parts_of(differences: Sequence[Any]) -> list[tuple[str, str, str]]:
@@ -242,5 +242,5 @@ def tie_text(readings: Sequence[Reading], weak: bool) -> str:
 
 
 CHOOSER: ContextVar[Callable[[str, AmbiguousFile], Reading | None] | None] = ContextVar("CHOOSER", default=None)
-"""Asks which reading of a file is right: name of the file, its readings → the right one (None: nobody knows). None: the
+"""Asks which reading of a file is right: name of the file, its readings → the right reading (None: unknown). None: the
 file is refused without a question."""

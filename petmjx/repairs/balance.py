@@ -1,4 +1,4 @@
-"""Balance of drafts by statics: which loads are beyond edges while a plan is built, and how bad that is.
+"""Balance of drafts by statics: the loads beyond edges while a plan is built, and a measure of their harm.
 
 The balance takes half a millisecond per draft, a simulation a tenth of a second and more. So the balance tells which of
 many changes are worth a simulation. The balance never decides: a load beyond an edge may lean on a neighbour, and

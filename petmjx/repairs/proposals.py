@@ -50,8 +50,8 @@ class Target(NamedTuple):
 
     Attributes:
         box: number of the box that does not hold.
-        cause: number of the box with whose placement it no longer does; the same box if its own weight is enough.
-        depth_mm: how far its load is beyond the edge; 0: statics knows of none.
+        cause: number of the box whose placement moves the load beyond the edge; the same box for its own weight.
+        depth_mm: distance of the load beyond the edge; 0: no such load by statics.
     """
 
     box: int
@@ -230,8 +230,7 @@ def _pushed(draft: Draft, box: int, dx_mm: float, dy_mm: float, *, alone: bool) 
 
 
 def _free_ways_mm(draft: Draft, box: int, riders: Sequence[int]) -> tuple[float, float, float, float]:
-    """How far a box can be moved to the left, right, front and back until it meets another one; infinite: nothing is in
-    the way."""
+    """Free ways of a box to the left, right, front and back until it meets another box; infinite: no box in the way."""
     low, high = draft.corner_mm, draft.corner_mm + draft.size_mm
     is_placed = np.isfinite(draft.rank)
     is_placed[[box, *riders]] = False
@@ -294,7 +293,7 @@ def _exchanges(draft: Draft, rules: Rules, near: Sequence[int]) -> Iterator[Prop
 
 
 def _alike(draft: Draft, box: int, other: int) -> bool:
-    """Whether two boxes are the same but for their names, so that exchanging them changes nothing."""
+    """Whether two boxes are equal except for their names, so that their exchange has no effect."""
     same_size = (np.abs(draft.size_mm[box] - draft.size_mm[other]) <= TOLERANCE_MM).all()
     return bool(same_size and abs(draft.mass_kg[box] / draft.mass_kg[other] - 1) < 0.01)
 
@@ -421,7 +420,7 @@ def _props(draft: Draft, rules: Rules, target: Target) -> Iterator[Proposal]:
             and box != target.box
             and rules.built <= box < draft.plan.n_boxes
         ]
-        for box in alike[-1:]:  # the last one of boxes that are alike
+        for box in alike[-1:]:  # the last of several equal boxes
             for turn, corner in itertools.islice(_resting_corners(draft, rules, box, target.box), MOST_PLACES // 2):
                 turned = bool(draft.turned[box]) != turn
                 yield (Place(box, corner, turned, target.box, after=False, differs=turn),)

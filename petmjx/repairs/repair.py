@@ -91,14 +91,14 @@ class Repaired:
 
     @property
     def film_turns(self) -> float | None:
-        """Turns of film that the repair asks for; None: it asks for none. A plan does not hold them."""
+        """Turns of film that the repair needs; None: no film. A plan does not hold them."""
         return next((change.turns for change in reversed(self.changes) if hasattr(change, "turns")), None)
 
     def undone(self, number: int) -> Plan | None:
         """The plan with all changes but one; None if the others are impossible without it.
 
         Raises:
-            InputError: there is no such change.
+            InputError: no such change.
         """
         if not 0 <= number < len(self.changes):
             raise InputError(f"number must be from 0 to {len(self.changes) - 1}, {shown_value(number)}")
@@ -340,5 +340,5 @@ def _likeliest(searches: Sequence[Search], question: Question) -> list[State | N
 
 
 def _is_good(share: Share) -> bool:
-    """Whether a repair stands often enough with errors, so that no other one is tried."""
+    """Whether a repair stands often enough with errors, so that no other repair is tried."""
     return share.n_worlds > 0 and share.value >= GOOD_SHARE

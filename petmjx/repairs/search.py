@@ -54,8 +54,8 @@ PER_COST: Final = 0.3
 """Weight of a change's cost in the ranking, against loads beyond edges."""
 
 SAME_COST: Final = 0.1
-"""Repairs whose costs differ by less count as equally cheap: 50 mm of a move. The one that is likelier to stand with
-errors is taken."""
+"""Repairs whose costs differ by less count as equally cheap: 50 mm of a move. The state that is likelier to stand with
+errors is chosen."""
 
 UNSOLVED: Final = 3.0
 """Weight of the first cause if it remains."""
@@ -243,7 +243,7 @@ class Search:
 
     def _confirmed(self, states: list[State]) -> Generator[list[Asked], list[Trial], list[State]]:
         """Score states that stand when judged, those with few changes first, until some are confirmed. Returns the
-        standing ones; other scored states get the trial of the score. With a drive all were scored."""
+        standing ones; other scored states get the trial of the score. With a drive all trials are scores."""
         ways: Counter[tuple[object, ...]] = Counter()
         queue = []
         numbers = [k for k, state in enumerate(states) if state.trial.stands]
@@ -377,7 +377,7 @@ class Search:
 
 
 def _way(state: State) -> tuple[object, ...]:
-    """Equal for repairs that change the same boxes in the same ways, by other amounts."""
+    """Equal for repairs that change the same boxes in the same ways by different amounts."""
     return tuple((change.kind, change.boxes) for change in state.changes)
 
 

@@ -53,7 +53,7 @@ class Trial(NamedTuple):
         culprit: number of the box that first crossed a limit; None: none did.
         fallen: numbers of all boxes that crossed one.
         n_placed: boxes that were placed before the world ended.
-        margin: as in the table ``worlds``; NaN: there is none.
+        margin: as in the table ``worlds``; NaN: no margin.
     """
 
     verdict: str

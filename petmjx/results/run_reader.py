@@ -223,8 +223,8 @@ class RunResults:
         """One row per world, in the order of the input. ``culprit`` is a nullable integer; other missing
         numbers are NaN.
 
-        In a score without ``confidence`` the index is the number of the plan: ``worlds.verdict[k]`` is the verdict of
-        plan k. A KeyError is raised if plan k has no row: skipped, of another shard, or not reached.
+        In a score without ``confidence`` the index is the plan's number: ``worlds.verdict[k]`` is the verdict of plan
+        k. A KeyError is raised if plan k has no row: skipped, of another shard, or not reached.
         """
         frame = self._read("worlds")
         frame["culprit"] = frame["culprit"].astype("Int32")
@@ -253,7 +253,7 @@ class RunResults:
 
     @property
     def boxes_if_kept(self) -> pd.DataFrame:
-        """As ``boxes``, but without rows if the run did not keep the table."""
+        """As ``boxes``, but without rows if the run has no such table."""
         return self.boxes if self.keeps_boxes else self._read("boxes")
 
     @property

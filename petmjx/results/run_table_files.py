@@ -102,7 +102,7 @@ class MemoryParts(Parts):
         return self
 
     def without(self, *tables: str) -> Parts:
-        """The same tables: none replaces an earlier one."""
+        """The same tables: no table replaces an earlier one."""
         return self
 
     def write(self, folder: Path) -> dict[Path, str]:

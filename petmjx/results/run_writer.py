@@ -95,7 +95,7 @@ class RunWriter(RunInfo):
         device: name of the device on which the worlds ran.
         expected_worlds: number of worlds of the run, if known.
         manifest: settings and plans of the run; a run without it cannot be resumed.
-        orders: how its plans compare with their orders. A resumed run takes this check, not the earlier one.
+        orders: how its plans compare with their orders. A resumed run uses this check, not the earlier one.
         overwrite: replace a run in the folder.
         resume: continue the run in the folder, if it has the same manifest.
         worlds_per_part, seconds_per_part: a part is written when one of these limits is reached.
@@ -517,7 +517,7 @@ class RunWriter(RunInfo):
         else:
             self.status, self.error = "failed", one_line(cause)
         if error is not None and trouble is not None:
-            # the error that ended the body is raised; this one is only noted in run.json, until the run is resumed
+            # the error that ended the body is raised; this error is only noted in run.json, until the run is resumed
             also = f"the last part could not be written: {one_line(trouble)}"
             self.error = f"{self.error}; {also}" if self.error else also
         try:

@@ -209,7 +209,7 @@ def after(before: Outcome, leg: Outcome, timestep_s: float) -> Outcome:
 
     Args:
         before: the outcome after the earlier legs, which the world survived.
-        leg: the outcome of the leg alone, whose clock begins where the placement ended.
+        leg: the outcome of the leg alone, whose clock begins at the end of the placement.
     """
     since_s = before.n_steps * timestep_s
     boxes, old = leg.boxes, before.boxes

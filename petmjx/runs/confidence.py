@@ -32,7 +32,7 @@ READY_MADE: Final = "confidence"
 EVEN: Final = 0.5
 
 SIGNIFICANCE: Final = 0.05
-"""Chance of at least one false alarm in a run if no plan's share depends on how boxes are placed."""
+"""Chance of at least one false alarm in a run if no plan's share depends on the way of placing."""
 
 PLACING: Final = "placing"
 """The axis, and the column of worlds, for the way in which boxes with errors were placed."""

@@ -22,9 +22,9 @@ MODES: Mapping[Reason, str] = {Reason.SHIFT: "slide", Reason.TILT: "tilt", Reaso
 def failure_mode(outcome: Outcome, tilt_deg: float = DEFAULT_TILT_DEG) -> str:
     """How the first box failed: "slide", "tilt" or "drop".
 
-    "drop" if it dropped, else "tilt" if it tilted by more than ``tilt_deg``, else "slide". A search reads this at the
-    lowest level that fails. Just above the survived level the mode usually shows how the failure began; far above that
-    level, a box that slides also falls. For invalid worlds: the reason; for stable worlds: "".
+    "drop" if the box dropped, else "tilt" if it tilted by more than ``tilt_deg``, else "slide". A search reads this at
+    the lowest level that fails. Just above the survived level the mode usually shows how the failure began; far above
+    that level, a box that slides also falls. For invalid worlds: the reason; for stable worlds: "".
     """
     if outcome.verdict is not Verdict.UNSTABLE or outcome.culprit < 0:
         return MODES.get(outcome.reason, str(outcome.reason))
@@ -42,7 +42,7 @@ class Probe:
     Attributes:
         culprit: the box that failed first; −1 for none.
         mode: the mode of failure (`failure_mode`).
-        moving: whether boxes still moved when its time was up, so that longer waiting may change its verdict.
+        moving: whether boxes still moved when the world's time was up, so that longer waiting may change the verdict.
         values: columns that the sweep adds to ``worlds``.
     """
 

@@ -1,4 +1,4 @@
-"""``Study``: which worlds a run makes of its plans, and how it summarises them.
+"""``Study``: the worlds that a run makes of its plans, and their summary.
 
 The study of a score is here: one unchanged world per plan. Studies with variants build on it
 (petmjx.runs.sweep_study).

@@ -70,7 +70,8 @@ class Design:
 
     @property
     def n_variants(self) -> int:
-        """Variants per plan, with the nominal one. In a search: at most, if every item takes all its rounds."""
+        """Variants per plan, with the nominal one. In a search the number is an upper bound: every item takes all its
+        rounds."""
         sweep = self.sweep
         nominal = int(sweep.nominal)
         if sweep.sample is not None:

@@ -56,7 +56,7 @@ def find_sweep(name_or_path: str | Path) -> Path:
     """The file of a sweep: its path, or the name of a ready-made one such as ``eumos``.
 
     Raises:
-        InputError: there is no such file or name; the line lists the ready-made names.
+        InputError: no such file or name; the line lists the ready-made names.
     """
     path = Path(name_or_path)
     with suppress(OSError, ValueError):  # a name that is too long, for instance, or holds a zero
@@ -434,7 +434,7 @@ def nominal_sweep(sim: Simulation) -> Sweep:
 
 
 def chain_sweep(file: str | Path, n_worlds: int | None, simulation: Mapping[str, Any]) -> Sweep:
-    """The sweep of a score with a chain: its worlds, and the nominal one, which is placed alone.
+    """The sweep of a score with a chain: its worlds, and the nominal one, which is only placed.
 
     Args:
         file: a sweep file with legs, or the name of a ready-made one.

@@ -101,9 +101,9 @@ def slide_m(
     against the sliding. Exact for an acceleration along one line that is constant within each step, except for the
     steps in which the block stops or its friction changes.
 
-    A whole load slides about as far, if not farther: on a load that touches nothing but the carrier's top, the
-    horizontal force is at most friction × the vertical one, as on the block. So the centre of mass of a load, and with
-    it at least one box, moves at least this far.
+    A whole load slides about as far or farther: on a load that touches only the carrier's top, the horizontal force is
+    at most friction × the vertical one, as on the block. So the centre of mass of a load, and with it at least one box,
+    moves at least this far.
 
     Args:
         acceleration: (n_steps, 3) acceleration of the carrier, m/s².

@@ -17,7 +17,7 @@ from petmjx.show.table_layout import FittedTable, TableColumn, line, number, per
 
 
 def packer_tables(comparison: PackerComparison, max_rows: int = 40) -> Iterator[RenderableType]:
-    """All tables and lines. For each two packers at most ``max_rows`` orders are named as won or lost."""
+    """All tables and lines. For each pair of packers at most ``max_rows`` orders are named as won or lost."""
     for name, folder in comparison.runs.items():
         yield line(f"{printable_name(name)}  {folder}")
     for note in comparison.notes:

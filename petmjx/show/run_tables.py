@@ -104,7 +104,7 @@ def _why_they_fail(summary: pd.DataFrame) -> Iterator[RenderableType]:
 
 
 def _plan_id_list(plan_ids: list[str]) -> str:
-    """The first ``SHOWN_PLANS`` plans, and how many more there are."""
+    """The first ``SHOWN_PLANS`` plans, and the number of further plans."""
     more_text = f" and {len(plan_ids) - SHOWN_PLANS:,} more, in summary" if len(plan_ids) > SHOWN_PLANS else ""
     return ", ".join(map(printable_name, plan_ids[:SHOWN_PLANS])) + more_text
 

@@ -112,7 +112,7 @@ def shares_table(summary: pd.DataFrame) -> FittedTable:
 
 def confidence_table(summary: pd.DataFrame) -> FittedTable:
     """One row per plan of a score with confidence: its nominal verdict, and the share that stands with errors. If boxes
-    could not be placed, also in how many worlds, and in how many other worlds boxes fell."""
+    could not be placed, also the number of such worlds, and of other worlds in which boxes fell."""
     tosses = bool(summary["coin_toss"].any())
     fails, has_exact = bool(summary[["n_not_placed", "n_fell"]].any(axis=None)), "share_exact" in summary
     table = FittedTable(

@@ -29,7 +29,7 @@ contacts. The stiffness is m · 50² / s²: a box that lags 1 mm behind on its w
 MOST_RATE_PER_STEP: Final = 0.1
 """Largest natural frequency × timestep. The hand's forces are computed at the beginning of a step. With semi-implicit
 Euler, steps of the damped hand are stable below 2 (√2 − 1) = 0.83 (Jury's criterion on z² − (2 − 2h − h²) z + 1 − 2h).
-At 0.1 they follow the continuous forces to a tenth."""
+At 0.1 the steps follow the continuous forces to a tenth."""
 
 MOST_WAY_S: Final = 2.0
 """Longest time of a way. A box that begins so high that its way would take longer moves faster instead."""
@@ -90,7 +90,7 @@ class ApproachPath(NamedTuple):
         offset: (n, 3) from a box's release to the begin of its way, if the begin is free.
         steps: (n,) number of steps of its way; 0: the box is not carried, but falls.
         falls: (n,) True: the box is released at the end of its way and falls. False: the hand sets it down first.
-        aside: (n, 2, 2) how far a box may go aside from where it begins to the low and the high end of x and y, m.
+        aside: (n, 2, 2) free moves of a box from its begin towards the low and the high end of x and y, m.
     """
 
     lift: FloatArray

@@ -72,7 +72,8 @@ def balanced_loads(
 
 
 def _fixed_forces(bearing: Bearing, placed: NDArray[np.bool_]) -> tuple[NDArray[np.bool_], FloatArray]:
-    """(c, n) which loads always contain the force at a contact, and (n, 3) the part of loads that always is own weight.
+    """(c, n) whether each load always contains the force at a contact, and (n, 3) the part of loads that is always own
+    weight.
 
     A force at a contact is in the load of the box below and, as long as boxes have one support, in the loads of the
     boxes further below. Own weights are passed on in the same way.

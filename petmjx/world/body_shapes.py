@@ -174,8 +174,8 @@ class Room:
         return gap
 
     def depths(self, place: FloatArray, half: FloatArray, least_m: float) -> FloatArray:
-        """(…, n, 2, 2) how far boxes reach beyond the inner faces of walls, m; 0 for boxes that do not reach the faces.
-        Unlike in ``gaps``, every box counts wherever its middle is, also a box wholly behind a wall.
+        """(…, n, 2, 2) lengths by which boxes reach beyond the inner faces of walls, m; 0 for boxes that do not reach
+        the faces. Unlike in ``gaps``, every box counts wherever its middle is, also a box wholly behind a wall.
 
         Args:
             place, half, least_m: as of ``gaps``.
@@ -185,7 +185,7 @@ class Room:
         return depth
 
     def _inwards(self, place: FloatArray, half: FloatArray, least_m: float) -> tuple[FloatArray, NDArray[np.bool_]]:
-        """(…, n, 2, 2) how far the middles of boxes are inside the faces, m, and which boxes reach below the tops."""
+        """(…, n, 2, 2) distances of boxes' middles inside the faces, m, and whether boxes reach below the tops."""
         inwards = (place[..., None, :2] - self.face[..., None, :, :]) * np.array([[1.0], [-1.0]])
         return inwards, (place - half)[..., None, None, 2] < self.top[..., None, :, :] - least_m
 

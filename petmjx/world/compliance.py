@@ -45,8 +45,8 @@ middle. Up to 0.28 of the width from the middle, a load leans as on springs."""
 
 OUTWARD: Final = 0.6
 """If the pressed share is below ``EDGE_SHARE``, the pressure also moves outward: by this factor times ``EDGE_SHARE`` /
-share − 1 of the way to the deepest line. At a quarter of the face it reaches that line. The lean is then 12 F / (k·L),
-at which only the points at one edge, of Simpson's nine, bear."""
+share − 1 of the way to the deepest line. At a quarter of the face the pressure reaches the deepest line. The lean is
+then 12 F / (k·L), at which only the points at one edge, of Simpson's nine, bear."""
 
 FACE_COSINE: Final = 0.5
 """Two faces press on one another if the cosine between one normal and the reverse of the other is at least this.

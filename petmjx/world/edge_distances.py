@@ -40,7 +40,7 @@ class Edges(NamedTuple):
     NaN: the box has no support, or is not placed.
 
     Attributes:
-        by_weight: (n,) distances of their own weights alone.
+        by_weight: (n,) distances of the boxes' own weights alone.
         by_load: (n,) distances of their loads.
     """
 
@@ -125,7 +125,7 @@ def rebalanced_loads(
 
 
 def below_several(bearing: Bearing, among: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """(n,) which boxes bear part of a box with several supports, so that their loads depend on how it shares its load.
+    """(n,) whether a box bears part of a box with several supports, so that its load depends on the sharing.
 
     Args:
         among: (n,) the boxes that count.
@@ -425,7 +425,7 @@ def _nearest(built: BuildingLoads) -> tuple[float, int, int]:
 
 
 def depends_on_sharing(bearing: Bearing, built: BuildingLoads) -> NDArray[np.bool_]:
-    """(p,) which loads depend on how a box with several supports shares its load."""
+    """(p,) whether a load depends on the sharing of a box with several supports."""
     shares = (bearing.n_supports[built.step] > 1) & (built.step != built.box)
     first = np.full(len(bearing.boxes.mass), len(bearing.boxes.mass))
     np.minimum.at(first, built.box[shares], built.step[shares])

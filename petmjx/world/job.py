@@ -49,8 +49,8 @@ class Drive:
     rest_s: float = 1.0
     """Time to come to rest after the last sample of the excitation."""
     allowed_sway_m: float = 0.0
-    """A culprit that tilts too far counts as lost only after a sway of this distance. Until then a test that allows
-    this sway may still be passed."""
+    """A culprit that tilts too far counts as lost only after a sway of this distance. Until this sway the test may
+    still be passed."""
 
     def unit(self, total_mass: float) -> float:
         """The unit of the excitation's samples, in N for forces and in m/s² for accelerations (1).
@@ -99,7 +99,7 @@ class Job:
     ``start`` is the ``state`` of an earlier outcome: the world then skips soft start and placement, and begins with its
     drive. The engine gets its own state; outside the engine it is a ``KeptState``. ``keep_state`` asks for a state,
     taken when the placement has settled. A job with ``keep_state`` and no drive may end when the placement has settled,
-    without a rest window. ``record`` asks for the world's history; it changes nothing else. ``has_errors``: boxes are
+    without a rest window. ``record`` asks for the world's history; no other result changes. ``has_errors``: boxes are
     not exactly at their planned places, and may stand on a neighbour that is a little higher
     (``petmjx.engines.contact_tilt``).
 

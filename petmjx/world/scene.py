@@ -88,8 +88,8 @@ class Scene:
         stiffness: (n,) force on a box's top per compression, N/m; inf: a rigid box. None: all are.
         soft: (n,) which boxes are flex bodies (petmjx/world/soft_boxes.py); None: none is.
         wrap: film around the pallet when it is shaken (petmjx/world/film.py).
-        pieces: pieces of interlayer sheets, which bear only where something bears them (petmjx/world/sheets.py), and
-            boards of pallets among the boxes (petmjx/world/load_units.py).
+        pieces: pieces of interlayer sheets, which bear only above other bodies (petmjx/world/sheets.py), and boards of
+            pallets among the boxes (petmjx/world/load_units.py).
     """
 
     half_size: NDArray[np.float64]

@@ -39,8 +39,8 @@ POINTS: Final = np.array(list(product((-1.0, 0.0, 1.0), repeat=3)))
 """(27, 3) the points of a box of half sizes 1."""
 
 ROUNDING_M: Final = 0.001
-"""Radius of edges and corners, with which the points' faces are covered. Without it the collider would meet faces that
-reach into one another, where it finds no good normals."""
+"""Radius of edges and corners, with which the points' faces are covered. Without balls the collider would meet
+overlapping faces, for which it finds no good normals."""
 
 BALL_M: Final = 0.0002
 """How much deeper than balls elements must be to touch: more than contacts are deep. Elements and rigid shapes have
@@ -256,7 +256,9 @@ def set_for_soft(spec: mujoco.MjSpec, scene: Scene, physics: Physics, frictions:
             continue
         geom.conaffinity |= _ELEMENTS | _BALLS
         sliding = frictions.of_geom(geom.parent.name)
-        if physics.has_own_friction:  # rigid shapes touch one another in declared pairs, which have all of their own
+        if (
+            physics.has_own_friction
+        ):  # rigid shapes touch one another in declared pairs, whose pairs have values of their own
             geom.margin -= BALL_M / 2
             geom.friction[0] = geom.friction[0] if sliding is None else sliding
 

@@ -409,7 +409,7 @@ def find_bearing(scene: Scene, most_gap_m: float = TOUCH_M) -> Bearing:
     touching &= np.less.outer(low[:, 2], low[:, 2])
     below, above = np.nonzero(touching)
     cut_below, cut_low, cut_high = _cut(scene, low, high)
-    # each box above a sheet lies on its pieces, each box above another one on its whole top
+    # each box above a sheet lies on the sheet's pieces, each box above another box on its whole top
     row, pieces = np.nonzero(below[:, None] == cut_below)
     below, above, piece_low, piece_high = below[row], above[row], cut_low[pieces], cut_high[pieces]
     on_deck, board = (part.ravel() for part in np.indices((len(low), len(deck_low))))

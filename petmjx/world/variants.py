@@ -173,8 +173,8 @@ class LegSpec:
     """A leg of a chain: the drives that shake the pallet on a part of its way.
 
     Attributes:
-        drives: drives in order, with a pause of ``pause_s`` between two. Without any, the pallet is left
-            alone for ``pause_s``.
+        drives: drives in order, with a pause of ``pause_s`` between two. Without drives the pallet rests for
+            ``pause_s``.
         wrap_turns: turns of film around the pallet meanwhile; None: those of the options.
         open_walls: walls of the carrier that are open during the leg, in addition to those of the options.
     """
@@ -193,7 +193,7 @@ class Variant:
     Attributes:
         index: ``variant`` in the results; 0 is the nominal world.
         placement, drive: the two halves. Without a drive the world ends when the placement is at rest.
-        replicate: which repetition; random numbers depend on (seed, plan id, replicate) alone.
+        replicate: number of the repetition; random numbers depend on (seed, plan id, replicate) alone.
         parameters: result column → value.
         legs: legs of a chain, instead of a drive; each leg begins with the boxes where the leg before has left them.
     """
@@ -207,7 +207,7 @@ class Variant:
 
     @property
     def placement_key(self) -> PlacementKey:
-        """Equal for variants of one plan that share a placement. Replicates share it, unless something random acts
+        """Equal for variants of one plan that share a placement. Replicates share a placement, unless random values act
         while boxes are placed."""
         return (self.placement, self.replicate if self.placement.random else 0)
 

@@ -44,7 +44,7 @@ def rows_of(scenes: Sequence[Scene], width: int, sim: Simulation, boards: int = 
 
 
 def with_spare_rows(values: NDArray[Any], spare: int) -> NDArray[Any]:
-    """The rows, and then spare rows, which repeat the first."""
+    """The rows, followed by spare rows that repeat the first row."""
     return np.concatenate([values, np.repeat(values[:1], spare, axis=0)])
 
 

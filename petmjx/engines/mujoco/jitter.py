@@ -22,7 +22,7 @@ class Jitter:
     """State of the search for trembling boxes after a look; each look makes a new one.
 
     Attributes:
-        boxes: (n,) which of the boxes seen at looks since the last placement tremble.
+        boxes: (n,) whether each box seen at looks since the last placement trembles.
         looks: number of looks at this number of boxes.
         home: (n, 7) poses at the beginning of the measured period.
         path_m, away_m: (n,) length of each box's way since the first look, and its largest distance from ``home``, m.

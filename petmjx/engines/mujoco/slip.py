@@ -27,8 +27,8 @@ from petmjx.world.friction_pairs import USUAL
 
 LOOK_STEPS = 5
 """Number of steps between two checks for motion. A pallet at rest takes many steps in one call of C, without the
-interpreter's lock. A body that begins to slip between two checks has at most 0.1 m/s at the second one, which lifts no
-contact out of its soft onset."""
+interpreter's lock. A body that begins to slip between two checks has at most 0.1 m/s at the second check, which lifts
+no contact out of its soft onset."""
 
 SLOW_M_S = STICKS_M_S / 4
 """Norm of all velocities up to which no contact slides: a point of a body less than 1.7 m from its centre is then

@@ -53,7 +53,7 @@ class Stepper:
                 return number - first
             placed, self._placed = self._placed, live.n_placed
             if placed != live.n_placed or (number - 1) % self._poll_steps == 0:
-                # whatever the steps of a call: a recorded world, which stops at frames, is the same
+                # for any number of steps per call: a recorded world, which stops at frames, must be equal
                 self._restless = placed != live.n_placed or not _is_calm(live)
             last = min(end, number + self._poll_steps - (number - 1) % self._poll_steps)
             counts = metrics if self._looks and live.n_placed and (acts or self._restless) else None

@@ -55,7 +55,7 @@ class Waits:
         Args:
             n_boxes: number of boxes of the plan.
             all_placed: whether all boxes are placed.
-            restless: an earlier wait was in vain, and this is not the last one, which is long.
+            restless: an earlier wait was in vain, and this wait is not the last one, which is long.
         """
         self.since, self._boxes, self._all_placed = step, n_boxes, all_placed
         self._patient = self._sim.waits_for_rest and self.adapts and not self._is_plain_static

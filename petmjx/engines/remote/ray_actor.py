@@ -33,7 +33,7 @@ REPORT_S = 0.2
 
 @dataclass(frozen=True)
 class WorkerReady:
-    """A worker's first answer, when it is ready. ``error``: why its engine cannot be built here."""
+    """A worker's first answer, when it is ready. ``error``: the reason why the worker's engine cannot be built."""
 
     pid: int
     host: str

@@ -196,8 +196,8 @@ class _LocalRay:
 
 
 def _end_monitor() -> None:
-    """Kill Ray's monitor, which adds machines to a cluster, if this process has started it. Ray would ask it to end,
-    get no reaction, and wait for a second."""
+    """Kill Ray's monitor, which adds machines to a cluster, if this process has started it. Ray would ask the thread to
+    end, get no reaction, and wait for a second."""
     with suppress(Exception):  # not Ray's documented interface; on failure the end takes a second longer
         importlib.import_module("ray._private.worker")._global_node.kill_monitor(check_alive=False)
 

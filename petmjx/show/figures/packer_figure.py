@@ -23,8 +23,8 @@ _COLOUR: Final = OKABE_ITO[4]
 
 
 def draw_packers(comparison: PackerComparison) -> Any:
-    """A matplotlib figure: the shares on the left, the differences on the right, and a sentence about each two packers
-    below.
+    """A matplotlib figure: the shares on the left, the differences on the right, and below a sentence about each pair
+    of packers.
 
     Raises:
         InputError: no order is compared, or there are too many packers.

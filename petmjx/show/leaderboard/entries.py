@@ -102,7 +102,7 @@ def repaired_names(names: Sequence[str], paths: Mapping[str, Path]) -> dict[str,
     """Name of each entry of repaired plans → the packer whose plans are repaired.
 
     Raises:
-        InputError: there is no such packer, or another one has the entry's name.
+        InputError: no such packer, or another entry has this name.
     """
     entries = {}
     for name in dict.fromkeys(names):

@@ -1,4 +1,5 @@
-"""Checks entries of a leaderboard: simulates some of their plans again, and refuses an entry that these contradict."""
+"""Checks entries of a leaderboard: simulates some of their plans again, and refuses entries that the replays
+contradict."""
 
 from __future__ import annotations
 
@@ -140,7 +141,8 @@ def sample_entry(
     in the run come first, since the rating depends on them.
 
     Args:
-        most: number of plans. As many more are simulated if a verdict differs on an engine other than the run's.
+        most: number of plans. The same number of further plans is simulated if a verdict differs on another engine than
+            the run's.
         sim: simulation options of the board.
         options: run options of the board. If the options name no engine, the run's engine is used if it can run here,
             else ``mujoco``.

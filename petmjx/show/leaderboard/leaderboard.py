@@ -67,8 +67,8 @@ def leaderboard(
     The folder has ``index.html``, ``leaderboard.json`` with the same numbers, and the pages of stories. The folder also
     has everything for making the board again: ``plans/``, ``orders.json``, and the command in the page.
 
-    Plans are scored into ``runs/`` in this folder. Runs that exist already are taken over, but ``replays`` of their
-    plans are simulated again. An entry whose run the replays contradict is not rated, and a ``PlanWarning`` says so.
+    Plans are scored into ``runs/`` in this folder. Existing runs are used, but ``replays`` of their plans are simulated
+    again. An entry whose run the replays contradict is not rated, and a ``PlanWarning`` says so.
 
     Args:
         packers: name → folder of a run, or plans. Without names, packers are named after their folders and files.
@@ -148,7 +148,7 @@ def leaderboard(
 
 @dataclass(frozen=True, eq=False)
 class _RatedEntries:
-    """The rated entries and their comparison. Of other entries it only has the samples.
+    """The rated entries and their comparison. For other entries the record only has samples.
 
     Attributes:
         options: simulation options of the board.

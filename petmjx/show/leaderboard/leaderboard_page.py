@@ -192,7 +192,7 @@ def _rating(board: Board) -> Markup:
 
 
 def _rerun_text(board: Board) -> Content:
-    """Which entries came as runs, and how many of their plans were simulated again."""
+    """The entries that are runs, and the number of their plans that were simulated again."""
     parts = [
         f"{count_text(len(sample.replays), 'plan')} of {printable(sample.packer)}"
         for sample in board.samples

@@ -46,7 +46,7 @@ class BoxBlocks:
     Attributes:
         blocks: name → block. The k-th drawn world is world k % ``WORLDS_PER_BLOCK`` of block "boxes-N".
         drawn: (rows of the table,) number of the row's world among the drawn worlds; −1: not drawn.
-        without_boxes: number of worlds that were left out because there are too many.
+        without_boxes: number of worlds that were left out because of their number.
     """
 
     blocks: dict[str, str]

@@ -183,7 +183,7 @@ def _details_of(run: ReportRun) -> list[tuple[str, str, Markup]]:
     titles = {Kind.CONFIDENCE: "How sure are the verdicts?", Kind.CHAIN: "How likely do pallets arrive?"}
     title = titles.get(run.kind, "Answers of the sweep")
     sections = [("answers", title, sweep_answers(run))]
-    if run.kind is not Kind.SEARCH:  # its worlds show where the search looked, and not how pallets behave
+    if run.kind is not Kind.SEARCH:  # its worlds show the path of the search, not the behaviour of pallets
         sections.append(("distributions", "Shift, tilt, force, time", distributions(run)))
         sections.append(("first", "What fails first", first_boxes(run)))
     return [section for section in sections if section[2]]

@@ -243,7 +243,7 @@ class RandomVibration:
     Attributes:
         psd: rows of (Hz, g²/Hz).
         duration_s: length, s; also the period of the signal.
-        axes: which of "x", "y", "z" vibrate, each with other phases.
+        axes: the axes among "x", "y", "z" that vibrate, each with phases of its own.
     """
 
     name: str

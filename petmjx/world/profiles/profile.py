@@ -35,7 +35,7 @@ class Profile(Protocol):
         kind: "force" or "acceleration".
         strength: the axis that scales the profile.
         source: origin of its numbers.
-        random: whether each replicate has other samples.
+        random: whether replicates have different samples.
     """
 
     @property
@@ -67,7 +67,7 @@ class Profile(Protocol):
 
 def allowed_sway_m(profile: Profile) -> float:
     """``Drive.allowed_sway_m`` of a profile, m. While the carrier is tilted no box is lost: a box that slides to the
-    edge tips there, which is not how it failed."""
+    edge tips there, although this was not the first failure."""
     return math.inf if profile.strength is Strength.ANGLE else 0.0
 
 

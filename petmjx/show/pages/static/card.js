@@ -156,7 +156,7 @@ function hint(text) {
   return make("p", { class: "hint" }, text);
 }
 
-// For each box the rank of its article by number of boxes.
+// The rank, for each box, of its article by number of boxes.
 function ranked(articles) {
   const counts = new Map();
   for (const article of articles) counts.set(article, (counts.get(article) ?? 0) + 1);
