@@ -103,7 +103,7 @@ class RockingBlock:
     def rock(
         self, ground: Acceleration, seconds: float, quiet_from_s: float, start: Sequence[float] = (0, 0)
     ) -> Motion:
-        """Its motion on ground that accelerates; tilts are positive towards +x.
+        """The motion of a block on ground that accelerates; tilts are positive towards +x.
 
         Args:
             seconds: length of the computation.
@@ -234,9 +234,9 @@ def largest_level_g(block: RockingBlock, friction: float) -> float:
     """The largest level of EUMOS's test, in hundredths, that a block survives.
 
     A block that rocks before it slides, and whose rocking never takes more than the friction there is, does not slide.
-    So it is lost at Housner's level, even where that is beyond the level at which a block that stands flat would slide
-    too far. Where friction is width / height or a few hundredths more, a block slides and rocks at once, for which this
-    is no closed form.
+    So such a block is lost at Housner's level, even where that is beyond the level at which a block that stands flat
+    would slide too far. Where friction is width / height or a few hundredths more, a block slides and rocks at once,
+    for which this is no closed form.
     """
     slides = slide_level_g(friction)
     if friction <= math.tan(block.slenderness_rad):
@@ -260,7 +260,7 @@ def _largest(survives: Callable[[float], bool], steps: int = LEVEL_STEPS) -> flo
 SIDE_MM: Final = 300.0
 DEPTH_MM: Final = 300.0
 BOX_FRICTION: Final = 0.5
-"""Friction of physics ``pallet``: axes have factors of it."""
+"""Friction of physics ``pallet``: axes have factors of this value."""
 ROUGH: Final = 1.2
 """A friction at which no slender block slides."""
 

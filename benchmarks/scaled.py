@@ -1,8 +1,8 @@
 """Random piles, scaled in all lengths together with the thresholds that are lengths: which verdicts change.
 
 Under gravity a pile twice as large falls as the same pile does, √2 times as slowly. Only petmjx's own constants do not
-scale: the timestep, the springs of contacts, 0.1 mm of size, speeds that count as quiet. If they decide a verdict, a
-flag must show it.
+scale: the timestep, the springs of contacts, 0.1 mm of size, speeds that count as quiet. If these constants decide a
+verdict, a flag must show it.
 
     python -m benchmarks.scaled --seed 20261128 --piles 500
 """

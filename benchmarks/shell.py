@@ -54,7 +54,7 @@ class Stages:
 def score(at: float) -> None:
     """Run the command in this process, and record its stages.
 
-    Its arguments: begin, log, plans, engine, workers (may be empty), folder.
+    The arguments of the program: begin, log, plans, engine, workers (may be empty), folder.
     """
     begin, log, plans, engine, workers, folder = sys.argv[1:]
     stages = Stages(float(begin))

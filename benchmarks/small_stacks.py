@@ -60,7 +60,7 @@ class Stack:
 
     Attributes:
         centre, length: (n,) along the axis, mm.
-        width: (n,) along the other one, mm.
+        width: (n,) along the other axis, mm.
         bottom, height: (n,) mm.
         mass: (n,) kg.
         supports: supports of each box: one box, two, or ``GROUND``. Placed earlier.

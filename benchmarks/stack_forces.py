@@ -1,7 +1,7 @@
 """Forces on the tops of boxes in small piles: petmjx's ``rest_top_force_n`` against other simulators and statics.
 
-Where each box has one support, statics alone says the force on each, and all simulators must agree. Where a box has
-several, balance leaves the shares of its load open: simulators then differ by what is stiff in them.
+Where each box has one support, statics alone says the force on each, and all simulators must agree. For a box with
+several supports, balance leaves the shares of its load open: simulators then differ by what is stiff in them.
 """
 
 from __future__ import annotations

@@ -132,7 +132,7 @@ class Start(NamedTuple):
 
 
 def measured_start(tosses: Tosses, friction: float = FRICTION) -> Start:
-    """As the first samples have it."""
+    """The start as in the first samples."""
     first = tosses.first
     return Start(tosses.pos[first], tosses.quat[first], tosses.velocity[first], np.full(len(tosses), friction))
 

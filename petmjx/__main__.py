@@ -30,8 +30,8 @@ def command() -> NoReturn:
     """The command ``petmjx``: run the command line, and end the process with its exit code.
 
     Python's own end takes a run's memory apart object by object: of 10,003 plans that took 0.2 s, and more with a GPU's
-    programs. So the process ends without it. Functions registered with ``atexit`` are called. And cycles are looked
-    for rarely.
+    programs. So the process ends without this work. Functions registered with ``atexit`` are called. And cycles are
+    looked for rarely.
     """
     collect_rarely()
     code = main()

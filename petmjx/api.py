@@ -103,7 +103,7 @@ def score(
     Args:
         plans: a file, a folder, the folder of a run for its plans, several of these, a data frame with one row per
             box, a plan, a list of plans or a ``PlanSet``; None: the bundled samples.
-        watcher: follows the run. Without one, notebooks show a progress bar.
+        watcher: follows the run. Without a watcher, notebooks show a progress bar.
         progress: in a script, print the progress of the run on standard error every few seconds.
         options: ``confidence``, ``errors`` and ``chain``, fields of ``petmjx.Simulation`` and ``petmjx.RunOptions``,
             listed below.

@@ -30,7 +30,7 @@ class Labeller:
     def begin(self, round_: int, policy: Policy) -> None:
         """Collect a round in the background, if it is missing.
 
-        Its policy is kept, so that a continued training uses the same one.
+        The policy of the round is stored, so that a continued training uses the same one.
         """
         kept = self._out / f"policy-{round_}.npz"
         if not kept.exists():

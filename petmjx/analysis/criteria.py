@@ -365,7 +365,7 @@ CRITERIA: Final = (
     Criterion(
         "strength",
         "neither it nor a box that bears part of it carries more than its strength, by loads passed down in balance",
-        "1 - load / strength, the least of these boxes that have a strength; 1 where none has",
+        "1 - load / strength, the least of these boxes with a strength; 1 without a known strength",
         DIMENSIONLESS,
         "McKee, Gander, Wachuta 1963, or strengths of the user's",
         lambda inputs: strength_slack(inputs.contacts, inputs.strength_n, even_bedding),

@@ -32,7 +32,7 @@ class CriteriaOptions(CheckedRecord):
         "do not; one without boards reaches under all boxes",
     )
     walls: Walls = Field(Walls(), description="walls around the carrier's top, by default those of the run")
-    only: tuple[str, ...] | None = Field(None, description="names of criteria; all if none is named")
+    only: tuple[str, ...] | None = Field(None, description="names of criteria; by default all")
     processes: Annotated[int, within(1, 1024)] = Field(1, description="processes that share the plans")
     p_arrives: Annotated[float, within(0, 1), CliFlag("--p-arrives", "P")] = Field(
         0.5,

@@ -6,8 +6,8 @@ with the columns that are petmjx's own. ``COLUMNS`` lists the columns of the tab
 ``direct_support`` counts support as BED-BPP's evaluator does (bed-bpp-env e7459bf, ``environment/space_3d.py`` and
 ``environment/cuboid.py``). For each square millimetre of the target the evaluator keeps the box that was placed there
 last, and how high it reaches. A box lies on every box that is the highest somewhere under it, if the top of that box is
-at most 5 mm below its bottom, or higher. Its support is the sum of the common areas with these boxes, as a share of its
-base. A box without such boxes counts as standing on the target, with support 1. This has three
+at most 5 mm below its bottom, or higher. The support of a box is the sum of the common areas with these boxes, as a
+share of its base. A box without such boxes counts as standing on the target, with support 1. This has three
 consequences: where two supporters overlap, their common area counts twice; a box that is pushed in under another box
 supports it; and a floating box stands on the target. In plans without overlapping and floating boxes the support is the
 share of the base that lies on something.

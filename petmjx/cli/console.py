@@ -84,7 +84,7 @@ def asking() -> Iterator[None]:
 
 
 def _ask_reading(source: str, error: AmbiguousFile) -> Reading | None:
-    """The reading that a person chooses; None: none of them."""
+    """The reading that a person chooses; None: no reading."""
     print(f"{source} can be read in {len(error.readings)} ways:", file=sys.stderr)
     for number, reading in enumerate(error.readings, start=1):
         print(f"  {number}  {printable(reading.line())}; {reading.evidence}", file=sys.stderr)

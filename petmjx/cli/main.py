@@ -1,4 +1,4 @@
-"""The command-line application. It turns errors into one line on standard error and an exit code."""
+"""The command-line application. The command line turns errors into one line on standard error and an exit code."""
 
 from __future__ import annotations
 

@@ -65,7 +65,7 @@ def cache_folder(kind: Kind) -> Path:
 
 
 def why_no_folder(kind: Kind) -> str | None:
-    """Why there is no folder for compiled programs at all; None if there is one."""
+    """The reason why there is no folder for compiled programs at all; None if there is one."""
     try:
         cache_folder(kind)
     except EngineUnavailable as error:
@@ -91,8 +91,8 @@ def _why_unusable(folder: Path) -> str:
 def temporary_folder() -> Path:
     """A temporary folder that only this user can write. Raises OSError.
 
-    All processes of the user share it. If another user owns a folder of this name, this process gets a folder of its
-    own.
+    All processes of the user share this folder. If another user owns a folder of this name, this process gets a folder
+    of its own.
     """
     folder = Path(tempfile.gettempdir()) / f"petmjx-cache-{os.getuid()}"
     with suppress(FileExistsError):

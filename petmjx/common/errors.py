@@ -4,7 +4,7 @@ from __future__ import annotations
 
 
 class PetmjxError(Exception):
-    """Base of all errors that petmjx raises on purpose. Its text is one line that says what to do."""
+    """Base of all errors that petmjx raises on purpose. The text of the error is one line that says what to do."""
 
 
 class InputError(PetmjxError):

@@ -52,7 +52,7 @@ class Throughput:
 
     @property
     def rate(self) -> str:
-        """Finished worlds per second, over the whole run so far: "12.3 plans/s". Empty before the first one."""
+        """Finished worlds per second, over the whole run so far: "12.3 plans/s". Empty before the first world."""
         until = self._marks[-1][1] if self._done == self._total else self._clock()
         seconds = until - self._begin
         return f"{three_digits(self._done / seconds)} {self._what}s/s" if self._done and seconds > 0 else ""

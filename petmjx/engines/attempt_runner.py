@@ -228,7 +228,7 @@ class AttemptRunner(Generic[AnyWorld]):
         return (self.engines.progress.at_hand or 0) > 0
 
     def _checked(self, world: AnyWorld, before: Outcome, checked: Outcome) -> Outcome:
-        """The outcome of a world that was checked at half the timestep: the earlier one, with a flag if the verdict
+        """The outcome of a world that was checked at half the timestep: the earlier outcome, with a flag if the verdict
         changed."""
         if checked.verdict is before.verdict:
             return before

@@ -38,8 +38,8 @@ PENDING_BOXES: Final = 1 << 20
 """Number of boxes of pending jobs from which on the source waits: 130 MB of scenes."""
 
 FIRST_WORLDS: Final = 1600
-"""Number of worlds with which a GPU begins. Its blocks for worlds of few boxes (``small_world_blocks``) are then busy;
-the other worlds join them."""
+"""Number of worlds with which a GPU begins. The GPU's blocks for worlds of few boxes (``small_world_blocks``) are then
+busy; the other worlds join them."""
 
 PAUSE_S: Final = 0.02
 """Time between two looks of a source that waits for other attempts, s."""
@@ -187,7 +187,7 @@ class _AttemptRun(Generic[AnyWorld]):
             self._put_world(world, bounded=False)
 
     def _first_attempts(self) -> Iterator[AttemptResult[AnyWorld] | None]:
-        """The first attempts at the worlds of the stream, and on the fallback at all that are set aside for it."""
+        """The first attempts at the worlds of the stream, and, on the fallback, at all worlds set aside for it."""
         unanswered = yield from self.first_runner.run_stream(self.engines.primary, self.stream)
         while self.for_fallback:
             unanswered.append(self.for_fallback.popleft())

@@ -73,7 +73,7 @@ class AttemptRecipe:
     """Stiffer contacts, with this share of the time constant: only for worlds whose verdict may come from soft contacts
     (``Flag.SINKING``)."""
     checks: bool = False
-    """True: the attempt keeps the verdict, and only sets ``Flag.TIMESTEP`` if it finds another one."""
+    """True: the attempt keeps the verdict, and only sets ``Flag.TIMESTEP`` if it finds a different one."""
 
     most_boxes: int | None = None
     """Worlds with more boxes than this keep their verdict, if any, and the flag. Steps of hundreds of boxes

@@ -37,9 +37,8 @@ SHARES: Final = np.array([1e-4, 3e-4, 1e-3, 3e-3, 0.01, 0.02, 0.05, 0.1, 0.2, 0.
 """Shares r for which e(r) is computed."""
 
 SAFETY: Final = 10.0
-"""A load may tip over if it acts within this multiple of the loss from the edge: boxes rock when the next
-one is placed on them. Among stacks that stand by statics and fall because of soft contacts, the farthest was at 8 times
-the loss."""
+"""A load may tip over if it acts within this multiple of the loss from the edge: boxes rock when the next box is placed
+on them. Among stacks that stand by statics and fall because of soft contacts, the farthest was at 8 times the loss."""
 
 STIFF_SAFETY: Final = 40.0
 """The multiple in stiffer contacts, in which the loss is a fortieth: of stacks that fell, the load furthest inside was

@@ -1,10 +1,10 @@
 """The cost model: expected steps and times of runs, for ``auto`` and all estimates of time.
 
-On a CPU thread a step of a pallet at rest takes one iteration of Newton's method. Its cost grows somewhat faster than
-the number of boxes. While boxes land or slide a step takes more iterations, and an iteration costs more the more
-contacts slide. So the extra cost of a landing grows with the square of the number of standing boxes. On a device the
-step of a full stack grows with the square, too; but plans with more boxes have a larger share of steps at rest, so that
-their runs take less.
+On a CPU thread a step of a pallet at rest takes one iteration of Newton's method. The cost of a step grows somewhat
+faster than the number of boxes. While boxes land or slide a step takes more iterations, and an iteration costs more the
+more contacts slide. So the extra cost of a landing grows with the square of the number of standing boxes. On a device
+the step of a full stack grows with the square, too; but plans with more boxes have a larger share of steps at rest, so
+that their runs take less.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Which box has a world's flag ``knife-edge``, by the distances that are kept of it."""
+"""The box with a world's flag ``knife-edge``, by the world's stored distances."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from petmjx.common.units import FloatArray
 from petmjx.engines.verdict import Verdict
 
 KNIFE_EDGE_M: Final = 0.0005
-"""Plans have whole millimetres, and boxes are smaller than planned by a tenth of one. All verdicts that other
+"""Plans have whole millimetres, and boxes are smaller than planned by a tenth of a millimetre. All verdicts that other
 simulators disputed were of boxes whose centre was nearer than this to an edge (docs/validation.md)."""
 
 NEAR_M: Final = 0.001

@@ -1,4 +1,4 @@
-"""Speed of this machine, for estimates: the constants of petmjx/engines/cost_model.py were measured on another one.
+"""Speed of this machine, for estimates: the constants of petmjx/engines/cost_model.py were measured on another machine.
 
 The speed is measured in CPU time of the thread, so that other programs on the machine count little.
 """

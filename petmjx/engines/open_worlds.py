@@ -33,7 +33,7 @@ class Reading:
             still move.
         pos, quat: (k, 3) middles of the placed boxes, m, and (k, 4) orientations (w, x, y, z).
         top_force_n: (k,) force on each box's top in the last step, N.
-        culprit: the first box that has crossed a threshold at a sample; -1: none has.
+        culprit: the first box that has crossed a threshold at a sample; -1: no box has.
         max_tilt_deg, max_top_force_n: (k,) largest tilt and force at samples.
         dropped: (k,) whether a box had dropped at a sample.
     """
@@ -149,7 +149,7 @@ def _check_as_many(worlds: Sequence[int], others: Sized, noun: str) -> None:
 
 
 def _check_grown(before: Scene, after: Scene) -> None:
-    """Check that a scene has the boxes of another one, on the same carrier, and more.
+    """Check that a scene has the boxes of another scene, on the same carrier, and more.
 
     Raises:
         ValueError: the condition is not met.

@@ -41,7 +41,7 @@ class UserEngine(Engine):
     owns it.
 
     Args:
-        threads: the option of the run, for the name of the device if the engine does not have one.
+        threads: the option of the run, for the name of the device if the engine has no name for it.
     """
 
     def __init__(self, engine: MinimalEngine, threads: int | None) -> None:

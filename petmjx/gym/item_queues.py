@@ -73,8 +73,8 @@ class Queues:
         return self._next, self._first, self._behind, self.counts, self.left_out
 
     def seen(self, rows: NDArray[np.int64]) -> tuple[FloatArray, FloatArray, NDArray[np.bool_]]:
-        """(m, k, 3) sizes, mm, and (m, k) masses, kg, of the visible boxes, and (m, k, 3) which of their sizes may be
-        vertical; 0 beyond the last one."""
+        """(m, k, 3) sizes, mm, and (m, k) masses, kg, of the visible boxes, and (m, k, 3) whether each of their sizes
+        may be vertical; 0 beyond the last box."""
         boxes = self._next[rows[:, None], self._first[rows, None] + np.arange(self._seen)]
         return boxes[..., :3], boxes[..., 3], boxes[..., 5:] > 0
 

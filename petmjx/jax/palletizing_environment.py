@@ -44,7 +44,7 @@ class Observation(NamedTuple):
 
     Attributes:
         height_map: highest top over each cell of the carrier, mm; ``load_map``: largest force on a box's top, N.
-        boxes: length, width, height, mm, and mass, kg, of the next boxes; 0 beyond the last one.
+        boxes: length, width, height, mm, and mass, kg, of the next boxes; 0 beyond the last box.
         left: number of remaining boxes; ``mass``: mass on the pallet, kg.
         action_mask: (a,) whether an action is legal.
     """
@@ -59,7 +59,7 @@ class Observation(NamedTuple):
 
 class State(NamedTuple):
     """The state of an episode. ``order`` is the number of its order, ``next`` that of the next box. Boxes on the pallet
-    are stored as requested, with 0 after the last one."""
+    are stored as requested, with 0 after the last box."""
 
     key: jax.Array
     pallet: Pallet

@@ -49,7 +49,7 @@ class Points:
         """Add the points of one more box of each of these pallets.
 
         Args:
-            low, high: (m, k, 3) ends of their boxes. Box number ``boxes[pallet]`` is the new one; boxes after it are
+            low, high: (m, k, 3) ends of their boxes. Box number ``boxes[pallet]`` is the new box; boxes after it are
                 ignored.
         """
         number, rows = self.boxes[pallets], np.arange(len(pallets))

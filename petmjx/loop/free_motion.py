@@ -132,7 +132,7 @@ def release(
             ``physics``.
         ground: "plane", which is infinite, or the name of a carrier of a fixed size, or a TOML file of boards. A
             carrier is held fast, with its front-left corner at the origin and its top at z = 0.
-        physics: a preset's name, a table that changes one, or a record.
+        physics: a preset's name, a table that changes a preset, or a record.
         engine: mujoco, mjx-warp, mjx-warp-cpu or mjx-jax; auto: mujoco, or a GPU from 1,000 worlds on; or an engine.
 
     Raises:

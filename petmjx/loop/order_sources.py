@@ -27,7 +27,7 @@ from petmjx.plans.order_reader import read_order_frame, read_orders
 from petmjx.plans.plan_fields import LARGEST_KG, LARGEST_MM, SMALLEST_KG, SMALLEST_MM
 
 ENDLESS: Final = "endless"
-"""The value of ``orders`` for generated orders, as in ``petmjx samples``: each episode draws a new one."""
+"""The value of ``orders`` for generated orders, as in ``petmjx samples``: each episode draws a new order."""
 
 _MOST_DRAWN: Final = 200_000
 
@@ -116,7 +116,7 @@ class Orders:
         self.lie = any(boxes.upright is not None and boxes.upright[:, :2].any() for boxes in orders)
 
     def draw(self, rng: np.random.Generator) -> Boxes:
-        """A random order, or with ``endless`` a new one."""
+        """A random order of the source, or with ``endless`` a newly drawn order."""
         if self._all is None:
             return _of_order(draw_order(self._seed, int(rng.integers(_MOST_DRAWN))), self._articles)
         return self._all[int(rng.integers(len(self._all)))]

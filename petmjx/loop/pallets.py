@@ -150,7 +150,7 @@ class Pallets(Closable):
                 and mass, as ``petmjx score --confidence`` draws them. A hand carries the box to its place. None: boxes
                 are placed exactly.
             error_strength: factor of the errors, one or (m,); 0: the box is placed exactly.
-            meanwhile: is called while the pallets come to rest. It may only call ``places``, ``boxes`` and
+            meanwhile: is called while the pallets come to rest. The function may only call ``places``, ``boxes`` and
                 ``height_map``, which include the new boxes at their planned places.
 
         Raises:

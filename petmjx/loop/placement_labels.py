@@ -1,9 +1,9 @@
 """Labels of placements for models that predict stability: boxes put onto piles, and the result of a score for each.
 
-Episode i packs order i of a source, box by box, and begins anew with the first order behind the last one. Each box goes
-to a random place, or to a place of a careful packer. Each such placement is a label. Where the pallet does not stand,
-the box is taken back, tried once at a careful place, which is the next label, and else left out. An episode depends on
-its number and the seed alone, so a larger set begins with the labels of a smaller one.
+Episode i packs order i of a source, box by box, and begins anew with the first order behind the last order. Each box
+goes to a random place, or to a place of a careful packer. Each such placement is a label. Where the pallet does not
+stand, the box is taken back, tried once at a careful place, which is the next label, and else left out. An episode
+depends on its number and the seed alone, so a larger set begins with the labels of a smaller one.
 """
 
 from __future__ import annotations

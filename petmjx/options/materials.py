@@ -109,7 +109,7 @@ class FrictionPair(CheckedRecord):
 
 
 class LandingPair(CheckedRecord):
-    """How a material lands on another one, or on itself."""
+    """Landing of a material on another one, or on itself."""
 
     between: tuple[Name, Name] = Field(description="the two materials")
     restitution: Annotated[float, within(0, HIGHEST_RESTITUTION)] | None = Field(
@@ -146,7 +146,8 @@ def friction_between(one: str, other: str, user_pairs: Sequence[FrictionPair]) -
     Names are compared without case and white space around them.
 
     Args:
-        user_pairs: pairs of the user. They take precedence over petmjx's values, and later ones over earlier ones.
+        user_pairs: pairs of the user. Such pairs take precedence over petmjx's values, and later ones over earlier
+            ones.
     """
     pair = _pair(one, other)
     frictions = [friction_pair.friction for friction_pair in user_pairs if friction_pair.key == pair]
@@ -175,8 +176,8 @@ def check_pairs(boxes: Sequence[str], boards: Iterable[str], user_pairs: Sequenc
     """Check that the friction is known for each pair of materials that may touch: box on box, and box on board.
 
     Args:
-        boxes: the material of each box that has one. A box does not touch itself, so a material of one box alone makes
-            no pair with itself.
+        boxes: the materials of boxes, without boxes that have none. A box does not touch itself, so a material of one
+            box alone makes no pair with itself.
         boards: the materials of boards.
         user_pairs: pairs of the user.
 

@@ -1,4 +1,4 @@
-"""Options of a carrier's walls (``Walls``): which sides have one, how high they are, and which of them are open.
+"""Options of a carrier's walls (``Walls``): the sides with a wall, the height of walls, and the open walls.
 
 Defaults, units, checks and descriptions are written only here. docs/carriers.md explains them to users.
 """

@@ -1,4 +1,4 @@
-"""Online packing (``ItemStream``): boxes arrive one by one, and a packer sees only the next one or the next few."""
+"""Online packing (``ItemStream``): boxes arrive one by one, and a packer sees only the next box or the next few."""
 
 from __future__ import annotations
 

@@ -1,7 +1,8 @@
 """The packer ``learned``: learned weights rank the candidates, and a small network predicts the chance of each to
 stand.
 
-It was trained on generated orders only (examples/train_packer), with physics in the loop. In use it runs no simulation
+The packer was trained on generated orders only (examples/train_packer), with physics in the loop. In use it runs no
+simulation
 and is deterministic: an order has one plan.
 """
 
@@ -180,7 +181,7 @@ def pack_learned(
 
     Args:
         look_ahead: number of next boxes that the packer sees. Any visible box may be placed next.
-        policy: a policy; None: the published one.
+        policy: a policy; None: the published policy.
     """
     return pack_stream(
         FourSidedStream(items, extent_mm, CLEARANCE_MM, look_ahead), (policy or published_policy()).choose

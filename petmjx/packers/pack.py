@@ -94,8 +94,8 @@ class Packed:
     def save(self, path: PathArgument) -> None:
         """Write the plans to a file. An existing file is replaced.
 
-        The format is BED-BPP's JSON, or a table if the name ends in ``.csv`` or ``.parquet``. If it ends in ``.gz``,
-        the file is gzipped.
+        The format is BED-BPP's JSON, or a table if the name ends in ``.csv`` or ``.parquet``. If the name ends in
+        ``.gz``, the file is gzipped.
 
         Raises:
             InputError: there is no plan, or the file cannot be written.

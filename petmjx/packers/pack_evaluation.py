@@ -113,8 +113,9 @@ def order_evaluation(
     """Evaluate the packings of an order: yields requests for worlds, and returns the evaluations.
 
     The caller resumes the generator when all requested worlds have verdicts. Packings are evaluated one after the other
-    until one is good. Each begins with a few worlds, and gets the remaining worlds only if it can still be good. If no
-    packing is good, all worlds of all packings are requested, since the packing that stands most often is then taken.
+    until one is good. Each packing begins with a few worlds, and gets the remaining worlds only if it can still be
+    good. If no packing is good, all worlds of all packings are requested, since the packing that stands most often is
+    then taken.
 
     Args:
         finalists: packings of the order, the best first.

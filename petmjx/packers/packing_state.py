@@ -201,7 +201,7 @@ class Packing:
         """The full packing that follows from this packing; this one stays unchanged. None: a top would be too high.
 
         Args:
-            first: candidate of the last call of ``next`` that is placed first; None: the best one.
+            first: candidate of the last call of ``next`` that is placed first; None: the best candidate.
             highest_mm: greatest height of a top.
         """
         twin = self.copy()

@@ -181,7 +181,7 @@ def pack_orders(
         packer: a name of ``petmjx.packers.packer_registry.PACKERS``; None: ``baseline``.
         rules: rules of the packer ``baseline``; None: its strict rules.
         look_ahead: number of next boxes that the packer ``learned`` sees; None: 1.
-        workers: number of processes. It changes no plan.
+        workers: number of processes. The option changes no plan.
         on_bad_order: called with the error of a bad order, which is then skipped; None: the error is raised.
         on_left_out: called with the items that a plan leaves out, just before the plan is yielded.
         reading: the reading of a file that is not in BED-BPP's form, and its target; None: the most plausible reading.

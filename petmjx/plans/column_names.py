@@ -160,7 +160,7 @@ class ColumnMeaning:
         kind: role of the column.
         axis: for sizes length, width, height, depth, or x, y, z (``dx``, ``LX``); for positions x, y, z, or the word of
             a size; for both "0", "1", "2" for the members of a list; "": no axis.
-        unit: name of the unit in ``LENGTH_UNITS`` or ``MASS_UNITS``; "": none is named.
+        unit: name of the unit in ``LENGTH_UNITS`` or ``MASS_UNITS``; "": no unit.
         anchor: for positions, the point in the name (``centre``, ``base-centre``, ``corner``); "": none.
         placed: whether by the name sizes are those of the box as placed.
         half: whether sizes are half extents.

@@ -52,8 +52,8 @@ mistake makes it in all plans. By chance, one in 300 plans with three floating b
 swapped."""
 
 _LEAST_FILLED: Final = 0.3
-"""Least share of a plan's bounding box filled by boxes in a convention that explains the plan. Without it, larger
-coordinates would explain any plan: they also separate boxes that really overlap."""
+"""Least share of a plan's bounding box filled by boxes in a convention that explains the plan. Without this rule,
+larger coordinates would explain any plan: they also separate boxes that really overlap."""
 
 _MM3_PER_M3: Final = 1e9
 
@@ -180,7 +180,7 @@ TONNES: Final = Convention("masses look as if they were in tonnes", "give units 
 
 @dataclass
 class _ConventionMatch:
-    """The plans that follow one convention: a line about the first one, and their number."""
+    """The plans that follow one convention: a line about the first plan, and their number."""
 
     example: str
     advice: str
@@ -226,8 +226,8 @@ class _Search:
             self._add(MIDDLE, plan, f"{_box(plan, int(odd.outside[0]))} is outside the carrier")
 
     def _layout_of(self, plan: Plan, odd: PlanWarnings, ways: Sequence[Convention]) -> Convention | None:
-        """The convention that explains an odd layout; None: none does. The last one that explained a plan is tried
-        first.
+        """The convention that explains an odd layout; None: no such convention. The last one that explained a plan is
+        tried first.
         """
         n_odd = odd.n_floating + odd.n_overlapping_pairs
         if not n_odd:
@@ -358,7 +358,7 @@ def _is_mostly_odd(plan: Plan, least_share: float) -> bool:
 
 def _is_wall_lying(plan: Plan, odd: PlanWarnings, extent_mm: tuple[float, float]) -> bool:
     """Whether a plan whose boxes all have z = 0 is a wall with y and z swapped: a box lies wholly beside the carrier in
-    y, and after a swap boxes lie on boxes, all are supported and none is outside. A layer that would fit after a turn
+    y, and after a swap boxes lie on boxes, all have support and no box is outside. A layer that would fit after a turn
     is not odd."""
     if odd.n_floating or odd.n_overlapping_pairs or plan.corner_mm[:, 2].max() > DEFAULT_TOLERANCE_MM:
         return False

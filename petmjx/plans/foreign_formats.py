@@ -274,8 +274,8 @@ def _certificate(boxes: BoxList) -> BoxSource:
 
 
 def _of_d_wave(boxes: BoxList) -> BoxSource:
-    """The solution of D-Wave's example. Its bins stand one behind the other along x: the boxes of each bin are moved to
-    x = 0."""
+    """The solution of D-Wave's example. The bins of such a file stand one behind the other along x: the boxes of each
+    bin are moved to x = 0."""
     dashes = re.compile(r"^[-=]{2,}$")
     box_lines = [
         index

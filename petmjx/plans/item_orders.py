@@ -124,7 +124,7 @@ def orders_of_items(columns: ItemColumns, source: str, reading: OrderReading) ->
         source: name of the file in messages.
 
     Raises:
-        InputError: the items can be read in two ways, or none is good. The line does not name the file.
+        InputError: the items can be read in two ways, or no item is good. The line does not name the file.
     """
     return _OrderBuilder(columns, source, reading).orders()
 

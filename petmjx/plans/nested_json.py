@@ -261,7 +261,8 @@ _FORM_WORDS: Final = word_set(
 
 
 def _is_plan_key(value: Mapping[str, Any]) -> bool:
-    """Whether the fields of an object are names of plans: all hold lists, and none is a word of a form."""
+    """Whether the fields of an object are names of plans: all fields hold lists, and no field's name is a word of a
+    form."""
     lists = [inner for inner in value.values() if isinstance(inner, list) and inner]
     if len(lists) != len(value) or not lists:
         return False
@@ -454,7 +455,7 @@ def _name_text(value: Any) -> str:
 
 
 def _container_of(member: _Member) -> dict[str, float]:
-    """The size of the container around a box, by axis; empty: none is named."""
+    """The size of the container around a box, by axis; empty: no size."""
     for step, holder in reversed(member.around):
         for name, inner in holder.items():
             words = words_of(str(name))

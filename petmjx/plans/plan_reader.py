@@ -426,7 +426,7 @@ class _PlanLoader:
                     break
 
     def _read_json(self, source: str, path: Path, data: bytearray, damaged: bool) -> None:
-        """Read the plans of a text. If it turns out to be no JSON, its plans are removed again.
+        """Read the plans of a text. If a text turns out to be no JSON, its plans are removed again.
 
         Args:
             damaged: whether the text is certainly damaged. In this case the plans before the damage count.

@@ -46,8 +46,7 @@ def save_plans(plans: Plan | Iterable[Plan], path: str | os.PathLike[str]) -> No
     The file appears whole or not at all. Numbers are read back to the last bit.
 
     Raises:
-        InputError: the suffix is another one, there is no plan, two plans have the same id, or the file cannot be
-            written.
+        InputError: the suffix is unknown, there is no plan, two plans have the same id, or the file cannot be written.
     """
     file = path_of(path, "path")
     chosen = [plans] if isinstance(plans, Plan) else list_of(plans, "plans", Plan, "Plan objects")

@@ -75,7 +75,7 @@ class _Sample:
 
 
 def _sample_of(columns: BoxColumns, plans: Mapping[str, NDArray[np.int64]], damaged: Collection[str] = ()) -> _Sample:
-    """The first plans that are whole; if none is, the rows without faults of the first plans.
+    """The first plans without faults; without such plans, the rows without faults of the first plans.
 
     Args:
         damaged: names of plans that lack rows.
@@ -191,7 +191,7 @@ def choose_reading(
         damaged: names of plans that lack rows.
 
     Raises:
-        AmbiguousFile: two readings are about as plausible, or none is.
+        AmbiguousFile: two readings are about as plausible, or no reading is plausible.
         InputError: no row can be used.
     """
     sample = _sample_of(columns, plans, damaged)
@@ -258,7 +258,7 @@ def _units_of(best: _Judged, columns: BoxColumns, wishes: Wishes) -> list[tuple[
     """The units of a reading; two units of a tie.
 
     Lengths are a tie if boxes and load fit a carrier equally well in two units, whatever the masses; or if costs are
-    about equal. Beside inches pounds and kilograms are one. Other masses change no verdict, and are no tie.
+    about equal. With inches, pounds and kilograms are a tie. Other masses change no verdict, and are no tie.
     """
     costs = _unit_costs(best, columns, wishes)
     first = costs[0]

@@ -83,7 +83,7 @@ class Reading:
         origin: "given": coordinates stay; "middle": half the carrier is added to x and y; "floor": heights are counted
             from the lowest box.
         order: "sequence": by a column; "rows": of the rows; "height": rows from the ground up.
-        density_kg_m3: density of boxes without a weight; None: all have one.
+        density_kg_m3: density of boxes without a weight; None: all boxes have weights.
         notes: lines about values that were filled in or left out.
         unused: names of columns that are not used.
         odd: lines about values that are hardly right in any reading.

@@ -116,7 +116,7 @@ class Draft:
         return replace(self, size_mm=sizes, turned=turns, moved=self.moved | {box})
 
     def with_order(self, box: int, neighbour: int, *, after: bool) -> Draft | None:
-        """The draft with a box that is placed directly before or after another one; None if one is left out."""
+        """The draft with a box that is placed directly before or after another one; None if one of both is left out."""
         if box == neighbour or box not in self.order or neighbour not in self.order:
             return None
         other_boxes = [number for number in self.order if number != box]

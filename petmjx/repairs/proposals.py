@@ -400,7 +400,7 @@ def _rest(
 
 
 def _shared_mm2(x: FloatArray, y: FloatArray, size: FloatArray, corner: FloatArray, other: FloatArray) -> FloatArray:
-    """(p,) area that a box at corners shares with another one, seen from above, mm²."""
+    """(p,) area that a box at corners shares with another box, seen from above, mm²."""
     shared_x = np.minimum(x + size[0], corner[0] + other[0]) - np.maximum(x, corner[0])
     shared_y = np.minimum(y + size[1], corner[1] + other[1]) - np.maximum(y, corner[1])
     area: FloatArray = np.maximum(shared_x, 0.0) * np.maximum(shared_y, 0.0)

@@ -51,7 +51,7 @@ class Trial(NamedTuple):
     Attributes:
         verdict, reason: as in the table ``worlds``.
         culprit: number of the box that first crossed a limit; None: none did.
-        fallen: numbers of all boxes that crossed one.
+        fallen: numbers of all boxes that crossed a threshold.
         n_placed: boxes that were placed before the world ended.
         margin: as in the table ``worlds``; NaN: no margin.
     """

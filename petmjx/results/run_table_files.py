@@ -50,7 +50,7 @@ class Tables:
         self.parts = self.parts.without(table).plus(digests)
 
     def copies(self, others: Parts, ranks: WorldRanks | None) -> Iterator[tuple[Path, str]]:
-        """Copy the tables of worlds of a run, this or another one, file by file, under numbers that no file has. The
+        """Copy the tables of worlds of this or another run, file by file, under numbers that no file has. The
         copies do not belong to the run yet. Yields each file with its digest.
 
         Args:

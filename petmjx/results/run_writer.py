@@ -54,7 +54,7 @@ SECONDS_PER_PART: Final = 60.0
 """Longest time that a world waits for its part to be written. The bound also holds if no other world finishes."""
 
 MOST_WAITING_BYTES: Final = 4 * BYTES_PER_PART
-"""Memory of worlds that wait to be written. If they take more, ``add`` waits."""
+"""Memory of worlds that wait to be written. If waiting worlds take more, ``add`` waits."""
 
 RETRY_S: Final = 10.0
 """Time between an error and the next attempt, s. On a full disk at most one part is packed in this time."""

@@ -69,7 +69,7 @@ class NotebookBar:
 
 
 class ScriptLines:
-    """Watches a run from a script: a line at its beginning, one every ``LINE_S`` seconds, and a last one. A thread
+    """Watches a run from a script: a line at its beginning, every ``LINE_S`` seconds, and at its end. A thread
     writes the lines, so they also appear while no world ends.
 
     Args:

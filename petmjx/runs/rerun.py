@@ -64,7 +64,7 @@ def _file(run: RunResults, plan_id: str, source: str) -> Path:
 def worlds_of_run(
     run: RunResults, plan_id: str, plans: PlanSource | None = None, variant: int | None = None
 ) -> tuple[SweepPlan, int]:
-    """The worlds of a plan in a run, and the index of the requested one: by default the nominal one.
+    """The worlds of a plan in a run, and the index of the requested world: by default the nominal world.
 
     Raises:
         InputError: as :func:`plan_of_run` and :func:`sweep_of_run`; or the variant does not exist.

@@ -67,7 +67,7 @@ class RunStart:
 
 
 class Watcher(Protocol):
-    """Follows a run. The progress bar of the command line is one."""
+    """Follows a run. The progress bar of the command line is such a watcher."""
 
     def begin(self, start: RunStart) -> None:
         """The run starts."""

@@ -175,7 +175,7 @@ class _LegWorld(World):
     Attributes:
         changes: worlds with equal chains up to this leg.
         number: of the leg in their chains.
-        before: the outcome after the legs before; None: this is the first one.
+        before: the outcome after the legs before; None: this is the first leg.
     """
 
     settled: SettledPlacement
@@ -194,8 +194,8 @@ class SweepRun:
 
     Args:
         plan: the worlds to simulate.
-        engine: runs placements and drives. One object simulates placements and drives, since no other can use its
-            states.
+        engine: runs placements and drives. One object simulates placements and drives, since no other object can use
+            its states.
         progress: updated meanwhile. While boxes are placed, the message counts ended placements.
         on_answer: called for each answer of a search.
         values_of: gives the columns that the sweep adds to a world's row (column → value). Answers are computed from
@@ -435,8 +435,8 @@ class SweepRun:
     def _legs_of(
         self, start: SettledPlacement, changes: Iterable[Variant], number: int, before: Outcome | None
     ) -> Iterator[_LegWorld]:
-        """The legs with this number of some worlds, which had the same outcome so far. Worlds with the same leg share
-        it."""
+        """The legs with this number of some worlds, which had the same outcome so far. Worlds with the same leg share a
+        drive."""
         plan, record = start.group.plan, self.recording.of(start.group.plan)
         alike: dict[tuple[LegSpec, int], list[Variant]] = {}
         for change in changes:

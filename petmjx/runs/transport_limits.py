@@ -54,8 +54,9 @@ def eumos_assessment(boxes: BoxMetrics, settled_pos: FloatArray, half_size: Floa
 
     Elastic deformation at most 10 % of the load's height during the test; permanent deformation at most 5 %
     of it, and at most 4 cm in the lowest 20 cm, after it. Displacements are those of box centres from their settled
-    places. The load's height counts from the carrier's top, z = 0. The elastic deformation includes the permanent one,
-    since on film the two cannot be distinguished before the end. A world in which a box fell never passes, however
+    places. The load's height counts from the carrier's top, z = 0. The elastic deformation includes the permanent
+    deformation, since on film the two cannot be distinguished before the end. A world in which a box fell never passes,
+    however
     small the shares, nor does a world with a NaN: its profile never ran to its end. Source: EUMOS 40509:2020, criteria
     as published by ESTL, the laboratory behind the standard.
 
@@ -102,8 +103,8 @@ def slide_m(
     steps in which the block stops or its friction changes.
 
     A whole load slides about as far or farther: on a load that touches only the carrier's top, the horizontal force is
-    at most friction × the vertical one, as on the block. So the centre of mass of a load, and with it at least one box,
-    moves at least this far.
+    at most friction × the vertical force, as on the block. So the centre of mass of a load, and with it at least one
+    box, moves at least this far.
 
     Args:
         acceleration: (n_steps, 3) acceleration of the carrier, m/s².
@@ -203,7 +204,7 @@ def _largest(error: Distribution) -> float:
 
 
 def _first_hopeless(unit: FloatArray, strengths: Sequence[float], friction: float, sim: Simulation) -> int:
-    """Index of the first of rising strengths that slides a block too far; the number of strengths if none does.
+    """Index of the first of rising strengths that slides a block too far; the number of strengths if no strength does.
 
     If one strength slides the block, every larger strength does so, too.
     """

@@ -129,7 +129,7 @@ def _caches() -> dict[str, str]:
 
 
 def _cache(kind: Kind) -> str:
-    """The folder of a cache, with the reason if it is not the requested one."""
+    """The folder of a cache, with the reason if another folder was requested."""
     if fault := why_no_folder(kind):
         return fault
     fault = why_not_written(kind)

@@ -66,7 +66,7 @@ def _wrapped_line(text: str) -> str:
 
 
 class ProgressLines:
-    """Writes a line every ``LINE_S`` seconds, and a last one. If lines cannot be written, the run continues."""
+    """Writes a line every ``LINE_S`` seconds, and a last line. If lines cannot be written, the run continues."""
 
     def __init__(
         self, total: int | None, what: str, write: Callable[[str], object], clock: Callable[[], float] = time.monotonic

@@ -259,7 +259,7 @@ def free_begin(
 def _overlap(
     place: FloatArray, own_reach: FloatArray, pos: FloatArray, reaches: FloatArray
 ) -> tuple[FloatArray, NDArray[np.bool_]]:
-    """(k, 3) overlap of a box with k other boxes along each axis, m, and (k,) whether it overlaps each of them."""
+    """(k, 3) overlap of a box with k other boxes along each axis, m, and (k,) whether it overlaps each box."""
     shared = reaches + own_reach - np.abs(pos - place)
     return shared, np.asarray((shared > FREE_M).all(axis=1))
 

@@ -113,7 +113,7 @@ class Body:
 
     @property
     def boards(self) -> FloatArray:
-        """(s, 6) extents of its shapes and their places in the body's frame, m, as pages and tables have them."""
+        """(s, 6) extents of its shapes and their places in the body's frame, m, in the form of pages and tables."""
         return np.hstack([2 * self.half_size, self.shape_pos])
 
     @property

@@ -3,8 +3,8 @@
 A box of stiffness k gives way by F/k between a load F on its top and its support. Half of the compression is at either
 face, as in a column, so that the box comes down by m·g/2k under its own weight. A face is a bed of springs (Winkler
 1867, "Die Lehre von der Elasticität und Festigkeit"), 2k/A for each area of the face A. If two faces press on one
-another, their beds are in series. Their common area, as planned, determines how stiff the contact is. So a box sinks
-deeper if less of its base is supported, and a narrow box presses deeper into its support.
+another, their beds are in series. The common area of two faces, as planned, determines how stiff the contact is. So a
+box sinks deeper if less of its base is supported, and a narrow box presses deeper into its support.
 
 MuJoCo's contact of impedance d and time constant τ at rest is the spring f = x / (τ²·ζ²·(1 − d)·A), with A the sum of
 the inverse masses (petmjx/world/contact_laws.py). So a stiffness is an impedance. If the impedance would be below

@@ -41,8 +41,9 @@ MuJoCo's contacts have reference accelerations: the relative accelerations of th
 In ``pallet`` contacts are nearly hard, so that two bodies in contact accelerate relative to one another by the
 reference acceleration, whatever their masses. The law:
 
-- A box begins to land in the step in which one of its contacts closes faster than ``FAST_M_S``. If it lands on a box,
-  the box below lands, too. For ``lasts_steps`` the velocities of both before that step are remembered.
+- A box begins to land in the step in which one of its contacts closes faster than ``FAST_M_S``. If the landing box
+  lands on another, the box below lands, too. For ``lasts_steps`` the velocities of both before that step are
+  remembered.
 - v is the speed at which a contact closes, v₀ the one with the velocities before. At the end of a landing the contact
   should open by e·v₀ (Newton's law of impact; e is ``restitution``, or that of the pair of materials), plus the speed
   that takes the box out of the depth that it has reached. The contact is decelerated by (1 + e)·v₀ / ``landing_s``, or

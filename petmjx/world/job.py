@@ -85,8 +85,8 @@ class EngineState(Protocol):
 
 @dataclass(frozen=True, eq=False)
 class KeptState:
-    """A settled state and the name of the engine that made it. Only the engine that made the state can start from
-    it."""
+    """A settled state and the name of the engine that made it. Only the engine that made the state can start from its
+    state."""
 
     engine: str
     state: EngineState

@@ -118,7 +118,7 @@ def _gap_notes(sim: Simulation, plans: Sequence[Plan]) -> Iterator[str]:
 
 
 def _wall_notes(sim: Simulation, plans: Sequence[Plan]) -> Iterator[str]:
-    """Notes on options of walls without walls, and on boxes that are planned through one."""
+    """Notes on options of walls without walls, and on boxes that are planned through a wall."""
     if not has_walls(sim):
         idle = [name for name in Walls.model_fields if getattr(sim.walls, name) not in (None, ())]
         if idle:
@@ -142,7 +142,7 @@ def _wall_notes(sim: Simulation, plans: Sequence[Plan]) -> Iterator[str]:
 
 
 def _through_walls(plan: Plan, sim: Simulation) -> Iterator[tuple[int, Side, float]]:
-    """Boxes that are planned through a wall, its side, the deepest one, and its depth, mm."""
+    """Boxes that are planned through a wall, its side, the deepest box, and its depth, mm."""
     place, half = (mm_to_m(values) for values in (plan.corner_mm + plan.size_mm / 2, plan.size_mm / 2))
     depth = carrier_of(plan, sim).room.depths(place, half, DEFAULT_TOLERANCE_MM / MM_PER_M)
     depth_mm = np.stack([MM_PER_M * depth[:, int(side.is_far), side.axis] for side in Side], axis=1)

@@ -86,7 +86,7 @@ class Scene:
         approach: (n, 2) horizontal directions of the approaches, of length 1. 0, or None for all: the direction follows
             from the neighbours.
         stiffness: (n,) force on a box's top per compression, N/m; inf: a rigid box. None: all are.
-        soft: (n,) which boxes are flex bodies (petmjx/world/soft_boxes.py); None: none is.
+        soft: (n,) whether each box is a flex body (petmjx/world/soft_boxes.py); None: no box is.
         wrap: film around the pallet when it is shaken (petmjx/world/film.py).
         pieces: pieces of interlayer sheets, which bear only above other bodies (petmjx/world/sheets.py), and boards of
             pallets among the boxes (petmjx/world/load_units.py).
@@ -141,7 +141,7 @@ class Scene:
 
     @cached_property
     def total_mass(self) -> float:
-        """Mass of boxes and carrier, kg; force profiles are scaled by it."""
+        """Mass of boxes and carrier, kg; the unit of force profiles."""
         return float(self.mass.sum() + self.carrier.mass)
 
     @cached_property

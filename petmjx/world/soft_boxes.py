@@ -256,9 +256,8 @@ def set_for_soft(spec: mujoco.MjSpec, scene: Scene, physics: Physics, frictions:
             continue
         geom.conaffinity |= _ELEMENTS | _BALLS
         sliding = frictions.of_geom(geom.parent.name)
-        if (
-            physics.has_own_friction
-        ):  # rigid shapes touch one another in declared pairs, whose pairs have values of their own
+        # rigid shapes touch one another in declared pairs, which have values of their own
+        if physics.has_own_friction:
             geom.margin -= BALL_M / 2
             geom.friction[0] = geom.friction[0] if sliding is None else sliding
 

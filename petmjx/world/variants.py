@@ -1,4 +1,4 @@
-"""Variants: how a world differs from its plan's nominal one.
+"""Variants: the differences of a world from its plan's nominal world.
 
 A variant has two halves. Changes before or while boxes are placed (friction, mass, sizes, placement errors) are its
 *placement*. The drive that shakes the finished pallet (profile, strength, direction) is its *drive*. Worlds of a plan
@@ -158,7 +158,7 @@ class DriveSpec:
     """The drive of the finished pallet: the name of a profile, its scale or level, and its direction.
 
     Attributes:
-        scale_to: the scale is drawn evenly from ``scale`` up to this one, once for each world; None: the scale is
+        scale_to: the scale is drawn evenly between ``scale`` and this value, once for each world; None: the scale is
             ``scale``.
     """
 

@@ -1,7 +1,7 @@
 """Hands that carry boxes to their places, for all worlds of a batch (docs/rules.md, section 4).
 
 Pure functions of states. Twin of petmjx/engines/mujoco/hand.py. The carried box of a world is always the last placed
-one.
+box.
 """
 
 from __future__ import annotations

@@ -92,7 +92,7 @@ def _put_at_rest(jobs: Sequence[Job], host: State) -> None:
 
 
 def started_states(jobs: Sequence[Job], fresh: State) -> State:
-    """First states of jobs: the kept state for jobs that start from one, else a fresh state.
+    """First states of jobs: the stored state for jobs with a start, else a fresh state.
 
     Kept states are on the host, and are forked there (see ``upload_worlds``). Fresh states are fetched from the device
     only if a job needs them. Padding rows never run, and may have any state.

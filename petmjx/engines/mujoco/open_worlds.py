@@ -31,7 +31,7 @@ class OpenWorld(WorldRun):
     The world begins after its soft start. No box is placed yet; in a static check all are.
 
     Attributes:
-        paused: whether boxes can be put into it.
+        paused: whether boxes can be put into the world.
         ended: whether the world has failed, and stays as it is.
     """
 
@@ -109,7 +109,7 @@ class OpenWorld(WorldRun):
         return self._outcome(came_to_end=not self.ended and self._loop())
 
     def _lingers(self) -> bool:
-        """Whether a world paused early, because a wait was in vain, and still moves: its last wait is a long one."""
+        """Whether a world paused early, because a wait was in vain, and still moves: its last wait is long."""
         return not (self._quiet.holds or self._metrics.has_failed) and self._waits.lasts_longer(self._step)
 
     def _leave_pause(self) -> None:

@@ -14,7 +14,7 @@ from petmjx.world.scene import Scene
 
 @dataclass(frozen=True, eq=False)
 class SettledState:
-    """A world at the end of its placement, when it has settled. Other worlds start from it."""
+    """A world at the end of its placement, when it has settled. Other worlds start from this state."""
 
     step: int
     bodies: BodyState | SoftState | None

@@ -63,7 +63,7 @@ class Waits:
         self._latest = self.longest_wait if self._patient and not restless else self._latest_after(step)
 
     def lasts_longer(self, step: int) -> bool:
-        """Whether a short wait is extended after this step: an earlier wait was in vain, and this is the last one."""
+        """Whether a short wait is extended after this step: an earlier wait was in vain, and this is the last wait."""
         return self._patient and step < self.longest_wait
 
     def deadline(self, sign_step: int | None) -> int:

@@ -40,7 +40,7 @@ def press_waiting(model: mujoco.MjModel, data: mujoco.MjData, waiting_kg: float,
     """Press on the stop so that its cost equals the cost of the waiting boxes if these stood on the floor.
 
     A mass m at rest on constraints of summed weight D, pulled by g, costs (D + m)·g²/2 more with the unconstrained
-    acceleration than with the true one. In both cases D is proportional to m.
+    acceleration than with the true acceleration. In both cases D is proportional to m.
     """
     share = (_FLOOR_STIFFNESS + 1.0) * waiting_kg / ((_STOP_STIFFNESS + 1.0) * _MASS_KG)
     data.xfrc_applied[model.body(_NAME).id, 2] = _MASS_KG * gravity_m_s2 * (1.0 - sqrt(share))

@@ -233,7 +233,7 @@ class Cluster:
 
     Raises:
         EngineUnavailable: Ray is not installed or does not start.
-        InputError: there is no cluster, or this process uses another one.
+        InputError: there is no cluster, or this process uses another cluster.
     """
 
     _lock = threading.Lock()

@@ -94,7 +94,7 @@ them."""
 
 
 def _idle_child() -> Child:
-    """An idle process, or a new one."""
+    """An idle process, or a new process."""
     idle = _IDLE.get(os.getpid(), [])
     while idle:
         process = idle.pop()

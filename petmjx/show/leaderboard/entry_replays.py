@@ -138,7 +138,7 @@ def sample_entry(
     """Simulate some plans of an entry again.
 
     The plans are drawn with random numbers of the operating system, so that no entry can predict them. Plans that stand
-    in the run come first, since the rating depends on them.
+    in the run are simulated first, since the rating depends on them.
 
     Args:
         most: number of plans. The same number of further plans is simulated if a verdict differs on another engine than

@@ -25,7 +25,7 @@ from petmjx.show.report.svg_charts import figure
 from petmjx.version import __version__
 
 MOST_ORDERS: Final = 200
-"""Most orders that the page lists. The runs have all of them."""
+"""Most orders that the page lists. The runs have all orders."""
 
 MOST_SENTENCES: Final = 15
 

@@ -107,7 +107,7 @@ def _columns(reading: Mapping[str, Any]) -> str:
 
 
 def _first_boxes(plan: Plan) -> str:
-    """The numbers of the first boxes, as petmjx has them."""
+    """The numbers of the first boxes, in petmjx's form."""
     rows = [
         (box, plan.articles[box], _lengths(plan.size_mm[box]), _lengths(plan.corner_mm[box]), f"{plan.mass_kg[box]:g}")
         for box in range(min(plan.n_boxes, _MOST_BOXES))

@@ -102,7 +102,7 @@ def why_nothing_is_drawn() -> str:
 
 
 def _missing(kind: str) -> str:
-    """A line on the missing modules of a kind of file, and how to install them; empty if none is missing."""
+    """A line on the missing modules of a kind of file, and how to install them; empty without a missing module."""
     extra, modules = _NEEDS[kind]
     missing = [name for name in modules if importlib.util.find_spec(name) is None]
     return f"needs {', '.join(missing)}, not installed: pip install 'petmjx[{extra}]'" if missing else ""

@@ -108,7 +108,8 @@ def _won_and_lost(runs: Sequence[ReportRun], common: pd.DataFrame) -> tuple[Mark
 
 
 def paired_counts(a: pd.Series, b: pd.Series) -> PairedCounts:
-    """How many worlds stand in both, in one, or in none of two runs, among the worlds with a valid verdict in both.
+    """Numbers of worlds that stand in both, in one, or in neither of two runs, among the worlds with a valid verdict in
+    both.
 
     Args:
         a, b: verdicts of the same worlds.

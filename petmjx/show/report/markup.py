@@ -9,7 +9,7 @@ from petmjx.show.pages.page import escaped_html as escaped_text
 
 
 class Markup(str):
-    """Text that is markup. It goes into the page unchanged."""
+    """Text that is markup. The markup goes into the page unchanged."""
 
     __slots__ = ()
 

@@ -81,7 +81,7 @@ NUMBERS: Final = (
 
 @dataclass
 class Rows:
-    """The table as a page has it.
+    """The table in the form of a page.
 
     Attributes:
         columns: key, label, unit, kind (``text``, ``choice`` or ``number``), digits and meaning of each column, in
@@ -178,7 +178,7 @@ def _add_parameters(
 
 
 def _key(name: str) -> str:
-    """A parameter's name in the page. It never equals one of the page's own names."""
+    """A parameter's name in the page. The name of a run never equals one of the page's own names."""
     return f"x-{name}"
 
 

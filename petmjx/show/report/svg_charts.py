@@ -52,7 +52,7 @@ class Scale:
         """A scale that holds all finite values.
 
         Args:
-            log_from: the lower end of a logarithmic scale; None: a linear one.
+            log_from: the lower end of a logarithmic scale; None: a linear scale.
             zero: whether a linear scale begins at 0.
         """
         numbers = np.asarray(values, dtype=np.float64)

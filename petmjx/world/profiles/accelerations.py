@@ -212,7 +212,7 @@ PsdTable = tuple[tuple[float, float], ...]
 
 
 def psd_integral(table: PsdTable, up_to_hz: FloatArray) -> FloatArray:
-    """(n,) integral of the PSD from its first frequency up to each given one, g².
+    """(n,) integral of the PSD from its first frequency up to each of these frequencies, g².
 
     Between rows the PSD is a straight line in log–log, as test standards draw it: G = G₁ (f/f₁)^m, with the
     closed-form integral of that power law in each segment. Outside the table the PSD is 0.

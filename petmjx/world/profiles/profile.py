@@ -81,5 +81,5 @@ def step_averages(antiderivative_at_edges: FloatArray, timestep_s: float) -> Flo
 
 
 def steps_to_cover(duration_s: float, timestep_s: float) -> int:
-    """Steps that cover a duration, at least one. A rounding error of a billionth of a step adds none."""
+    """Steps that cover a duration, at least one step. A rounding error of a billionth of a step adds none."""
     return max(int(np.ceil(duration_s / timestep_s - 1e-9)), 1)

@@ -24,7 +24,7 @@ def resolve(name: str, defined: Mapping[str, Profile] | None = None) -> tuple[Pr
         defined: profiles that a sweep file defines, in addition to the built-in ones.
 
     Raises:
-        InputError: unknown name; the line suggests a similar one, or lists the known ones.
+        InputError: unknown name; the line suggests a similar one, or lists the known names.
     """
     profiles = {**BUILT_IN, **(defined or {})}
     if name in profiles:
