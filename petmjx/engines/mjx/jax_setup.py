@@ -1,7 +1,7 @@
 """Sets up JAX for petmjx: device memory is shared with Warp, and compiled programs are kept in JAX's own cache.
 
-The folder of this cache is a setting of the process. The first engine sets it. It stays, and also applies to the
-caller's own JAX programs. A folder that the caller has set before is not changed. For Warp:
+The folder of this cache is a setting of the process. The first engine sets it. The setting stays, and also applies to
+the caller's own JAX programs. A folder that the caller has set before is not changed. For Warp:
 petmjx/common/warp_setup.py.
 """
 
@@ -44,8 +44,8 @@ def set_up_jax() -> None:
 def compiler_options() -> dict[str, bool]:
     """The ``compiler_options`` of ``jax.jit`` for large programs on this backend.
 
-    They are given with each program and not in ``XLA_FLAGS``. XLA reads those flags once, perhaps before petmjx is
-    imported, and ends the process if it does not know one of them.
+    The options are passed with each program and not in ``XLA_FLAGS``. XLA reads those flags once, perhaps before petmjx
+    is imported, and ends the process if one of the flags is unknown.
     """
     if jax.default_backend() != "cpu":
         return {}
