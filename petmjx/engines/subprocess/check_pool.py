@@ -29,7 +29,7 @@ THREADS_EACH: Final = 4
 """CPU threads of a machine for each check process."""
 
 MOST_WAITING: Final = 8
-"""Most unanswered checks of a process: with 128 outcomes each they take 10 MB."""
+"""Most unanswered checks of a process: with 256 outcomes each they take 20 MB."""
 
 LOOK_S: Final = 0.005
 """Longest wait for an answer, s. After each wait signals and other work are noticed."""
