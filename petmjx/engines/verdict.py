@@ -231,12 +231,12 @@ def _margins(worlds: Sequence[tuple[Verdict, BoxMetrics, int]], thresholds: Thre
     if not valid:
         return margins
     placed = [worlds[k][2] for k in valid]
-    shift, tilt, dropped = (
-        np.concatenate([getattr(worlds[k][1], name)[: worlds[k][2]] for k in valid], dtype=dtype)
-        for name, dtype in (("shift_m", np.float64), ("max_tilt_deg", np.float64), ("dropped", np.bool_))
-    )
+    placed_boxes = [(worlds[k][1], slice(worlds[k][2])) for k in valid]
+    shift = np.concatenate([boxes.shift_m[rows] for boxes, rows in placed_boxes], dtype=np.float64)
+    tilt = np.concatenate([boxes.max_tilt_deg[rows] for boxes, rows in placed_boxes], dtype=np.float64)
+    dropped = np.concatenate([boxes.dropped[rows] for boxes, rows in placed_boxes], dtype=np.bool_)
     largest = np.maximum(excess(shift, tilt, dropped, thresholds), DROPPED_EXCESS * dropped)
-    begins = np.cumsum(placed) - placed
+    begins = np.cumsum(placed) - np.array(placed)
     for k, margin in zip(valid, (1.0 - np.maximum.reduceat(largest, begins)).tolist(), strict=True):
         # `judge` may have compared float32, and the quotient is rounded: on the threshold the verdict has the sign
         margins[k] = max(margin, 0.0) if worlds[k][0] is Verdict.STABLE else min(margin, -_EPSILON)
