@@ -10,7 +10,7 @@ from benchmarks.commands.app import app
 from petmjx.cli.main import run_app
 
 COMMANDS = (runs, studies, worlds, referees)
-"""Imported, they have added their commands to ``app``."""
+"""The import of these modules adds their commands to ``app``."""
 
 
 def main(arguments: Sequence[str] | None = None) -> int:

@@ -1,4 +1,4 @@
-"""An engine that answers at once, here or in workers, for measuring what the host does with worlds."""
+"""An engine that answers at once, here or in workers, for measuring the host's work on worlds."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ INVALID_EVERY = 500
 
 
 class Instant:
-    """Simulates nothing: most worlds stand where they were placed. As engines do, it begins with the largest.
+    """Simulates nothing: most worlds stand at their planned places. As engines do, it begins with the largest.
 
     Args:
         repeats: whether some worlds are invalid at the first attempt.

@@ -74,7 +74,7 @@ def options() -> str:
 
 
 def help_of(name: str, command: Any) -> str:
-    """What ``petmjx NAME --help`` prints."""
+    """The output of ``petmjx NAME --help``."""
     context = command.make_context(
         f"petmjx {name}", [], resilient_parsing=True, terminal_width=WIDTH, max_content_width=WIDTH
     )

@@ -1,4 +1,4 @@
-"""The command-line application. It turns errors into one line on standard error and an exit code."""
+"""The command-line application. The command line turns errors into one line on standard error and an exit code."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ from petmjx.version import __version__
 
 
 class ExitCode(IntEnum):
-    """Exit codes. They do not depend on verdicts."""
+    """Exit codes. Exit codes do not depend on verdicts."""
 
     OK = 0
     FAILURE = 1
@@ -44,7 +44,7 @@ _BY_SIGNAL = {
 
 
 _USAGE_ERROR: type[Exception] = typer.BadParameter.__base__ or typer.BadParameter
-"""Click's UsageError. Its module differs between versions of typer."""
+"""Click's UsageError. The module of this class differs between versions of typer."""
 
 
 _SETTINGS = SimpleNamespace(debug=False)
@@ -139,7 +139,7 @@ def _run(make: Callable[[Sequence[str]], typer.Typer], arguments: Sequence[str] 
         command_words = sys.argv[1:] if arguments is None else list(arguments)
         if "" in command_words:  # a path would be the current folder
             raise InputError(f"argument {command_words.index('') + 1} is empty; is a shell variable not set?")
-        if "-" in command_words:  # it would be a file of this name
+        if "-" in command_words:  # otherwise the text would name a file
             raise InputError(
                 f"argument {command_words.index('-') + 1} is -: name a file; /dev/stdout is standard output"
             )

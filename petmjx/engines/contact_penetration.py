@@ -1,8 +1,8 @@
 """Contact penetration: how far boxes sink into their supports because simulated contacts are softer than any carton.
 
-``petmjx.world.contact_laws`` has the depth of a contact at rest. Its inputs are known on the host for every engine:
-plans, masses and the largest force on each box. The depth is not read from final poses: a column that stood on a box
-that gave way may have fallen.
+``petmjx.world.contact_laws`` has the depth of a contact at rest. The inputs of the check are on the host for every
+engine: plans, masses and the largest force on each box. The depth is not read from final poses: a column may
+have fallen because its support gave way.
 """
 
 from __future__ import annotations
@@ -33,8 +33,9 @@ LEAST_TIME_CONSTANT_STEPS = 4
 def stiffened_physics(physics: Physics, share: float) -> Physics:
     """The same physics with stiffer contacts, which bear light boxes under heavy ones, and slender ones upright.
 
-    They are as stiff at their onset as beyond the width, with the largest impedance that MuJoCo takes and this share of
-    the time constants: with a half they are 40 times as stiff as in ``pallet``, with a tenth 1,000 times.
+    Stiffer contacts have the same stiffness at their onset as beyond the width, with the largest impedance that MuJoCo
+    takes and this share of the time constants: with a half they are 40 times as stiff as in ``pallet``, with a tenth
+    1,000 times.
     """
     time_s, damping = physics.solref
     if time_s > 0:
@@ -49,11 +50,12 @@ def stiffened_physics(physics: Physics, share: float) -> Physics:
 
 
 def contact_penetration_m(scene: Scene, physics: Physics, top_force_n: FloatArray, enough_m: float = 0.0) -> FloatArray:
-    """(n,) how far each box's centre comes down because the contacts below it give way, m: an upper estimate.
+    """(n,) descent of each box's centre because contacts below the box give way, m: an upper estimate.
 
     Args:
         top_force_n: (n,) force on each box's top, N; 0 for boxes that were not placed. A force beyond the weight of
-            everything above a box in the plan is an impact. It is over before the box has sunk, so it does not count.
+            everything above a box in the plan is an impact. An impact is over before the box has sunk, so it does not
+            count.
         enough_m: if no box can sink by more than this, zeros are returned without the exact computation.
     """
     gravity, mass, carrier = physics.gravity_m_s2, scene.mass, scene.carrier.mass
@@ -92,7 +94,7 @@ def contact_penetration_m(scene: Scene, physics: Physics, top_force_n: FloatArra
 
 
 def may_penetrate(scene: Scene, sim: Simulation) -> bool:
-    """Whether boxes come down so far that it counts (``has_penetrated``) if each bears everything above it. If not, a
+    """Whether boxes come down far enough to count (``has_penetrated``) if each box bears everything above it. False: a
     world of this plan sinks only by chance."""
     most_n = np.full(scene.n_boxes, scene.total_mass * sim.physics.gravity_m_s2)
     bound_m = BOUND_SHARE * sim.thresholds.shift_m
@@ -123,8 +125,8 @@ class _Stack:
 
 class _Pairs(NamedTuple):
     """Attributes:
-    upper, lower: (p,) boxes, in the order of the upper ones in ``_Stack.order``.
-    spans: (n) the pairs of each of these.
+    upper, lower: (p,) boxes, in the order of the upper ones in ``_Stack.order``. spans: (n) the pairs of each upper
+    box.
     """
 
     upper: NDArray[np.intp]
@@ -141,8 +143,8 @@ def _stack(scene: Scene) -> _Stack:
 def _mass_above(mass: FloatArray, over: NDArray[np.bool_], order: NDArray[np.intp]) -> FloatArray:
     """(n,) the mass of all boxes that a box may bear, directly or through others, kg.
 
-    No box at rest bears more on its top: what presses down on a box passes on, together with its weight, to the boxes
-    under it, and none of it is counted twice.
+    No box at rest bears more on its top: a box passes its load and its weight on to the boxes under it, and no weight
+    is counted twice.
 
     Args:
         over: (n, n) whether two boxes overlap seen from above, in the order of ``order``.
@@ -175,7 +177,7 @@ ON_CARRIER_M = 0.001
 
 
 def note_softness(outcomes: Sequence[Outcome], jobs: Sequence[Job], sim: Simulation) -> list[Outcome]:
-    """The outcomes, with ``Flag.SINKING`` if contacts gave way so far that the verdict may come from it.
+    """The outcomes, with ``Flag.SINKING`` if the depth of contacts may have decided the verdict.
 
     A world whose boxes sank has no verdict. A world that may have tipped over because contacts are soft keeps its
     verdict, in case stiffer contacts do not change it. With pyramidal cones, the reference's, all worlds keep it.
@@ -256,8 +258,8 @@ _PLACES: Final = (("target", np.inf), ("half_size", 0.0))
 
 
 def _deepest_m(outcomes: Sequence[Outcome], scenes: Sequence[Scene], physics: Physics) -> FloatArray:
-    """(m,) an upper bound of ``contact_penetration_m`` in each world, m: as it is, but for rounding, if the largest
-    force on each box's top rests there. Impacts that are larger than all that is above a box are rare. Arrays have as
+    """(m,) upper bound of ``contact_penetration_m`` in each world, m: the largest one, but for rounding, if the largest
+    force on each box's top rests there. Impacts beyond the weight of everything above a box are rare. Arrays have as
     many columns as the largest world has boxes."""
     counts = np.array([scene.n_boxes for scene in scenes], np.intp)
     is_box = np.arange(counts.max()) < counts[:, None]
@@ -295,7 +297,7 @@ def _deepest_m(outcomes: Sequence[Outcome], scenes: Sequence[Scene], physics: Ph
 
 
 def has_penetrated(outcome: Outcome, scene: Scene, sim: Simulation) -> bool:
-    """Whether boxes came down so far that the verdict may come from it."""
+    """Whether the depth of contacts may have decided the verdict."""
     placed = np.arange(outcome.n_boxes) < outcome.n_placed
     force = np.where(placed, outcome.boxes.max_top_force_n, 0.0)
     limit_m = sim.thresholds.shift_m

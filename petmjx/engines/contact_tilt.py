@@ -10,8 +10,8 @@ from the edge if nothing gave way. h is the height of its centre, and x the dept
 (``petmjx.world.contact_laws``). So a load tips over if it acts nearer to the edge than the least of e(r), the *loss*.
 If boxes below lean, their angle times h is added to the loss.
 
-A column of slender boxes, or a light box under a heavy one, may lose millimetres. No carton does. So a world in which
-this may have decided is simulated again in stiffer contacts (petmjx/engines/attempts.py).
+A column of slender boxes, or a light box under a heavy one, may lose millimetres. No carton does. If this lean may have
+decided a world, the world is simulated again in stiffer contacts (petmjx/engines/attempts.py).
 """
 
 from __future__ import annotations
@@ -37,37 +37,37 @@ SHARES: Final = np.array([1e-4, 3e-4, 1e-3, 3e-3, 0.01, 0.02, 0.05, 0.1, 0.2, 0.
 """Shares r for which e(r) is computed."""
 
 SAFETY: Final = 10.0
-"""A load may tip over if it acts within this multiple of the loss from the edge: boxes rock when the next
-one is placed on them. Among stacks that stand by statics and fall because of soft contacts, the farthest was at 8 times
-the loss."""
+"""A load may tip over if it acts within this multiple of the loss from the edge: boxes rock when the next box is placed
+on them. Among stacks that stand by statics and fall because of soft contacts, the farthest was at 8 times the loss."""
 
 STIFF_SAFETY: Final = 40.0
-"""The multiple in stiffer contacts, in which the loss is a fortieth: the farthest stack was at 28 times the loss."""
+"""The multiple in stiffer contacts, in which the loss is a fortieth: of stacks that fell, the load furthest inside was
+at 28 times the loss."""
 
 SURE: Final = 1.0
 """The multiple if the plan has a load of the pile beyond the edge. Hard contacts do not hold this pile either, so soft
-ones count only if they alone tip a load over."""
+contacts count only if no load tips over without them."""
 
 KNIFE_EDGE_M: Final = 0.0004
 """From this distance on a load is surely beyond an edge: half a millimetre of the plan, less the size reduction of
 boxes."""
 
 NEAR_M: Final = 0.001
-"""A load that is inside by less than this may have tipped over in soft contacts, whatever the loss: soft contacts let
-boxes rock by some tenths of a millimetre when the next one comes."""
+"""A load less far inside than this may have tipped over in soft contacts, whatever the loss: boxes rock by some tenths
+of a millimetre when the next box is placed."""
 
 BOUND_SHARE: Final = 0.25
-"""A box may lean by this share of the threshold of tilt, and sink or move sideways by this share of that of shift: 5 mm
-of 20 mm. Ten equal boxes on top of each other sink by 1 mm, thirty by 9 mm."""
+"""A box may lean by this share of the threshold of tilt, and sink or move sideways by this share of the threshold of
+shift: 5 mm of 20 mm. Ten equal boxes on top of each other sink by 1 mm, thirty by 9 mm."""
 
 
 class ContactTilt(NamedTuple):
     """Effects of soft contacts on n boxes.
 
     Attributes:
-        loss_m: (n,) the loss of each box (see above).
+        loss_m: (n,) the loss of each box (see the module's text).
         angle_rad: (n,) angle by which each box leans.
-        shift_m: (n,) distance by which its centre moves sideways.
+        shift_m: (n,) distance by which each box's centre moves sideways.
     """
 
     loss_m: FloatArray
@@ -132,8 +132,8 @@ def contact_tilt_suspects(outcomes: Sequence[Outcome], jobs: Sequence[Job], sim:
     most_safety = STIFF_SAFETY if is_stiff(sim.physics) else SAFETY
 
     def leans(outcome: Outcome, has_errors: bool, first: int, end: int) -> bool:
-        far = lean.shift_m[first:end].max(initial=0.0) > BOUND_SHARE * limits.shift_m
-        if far or np.degrees(lean.angle_rad[first:end].max(initial=0.0)) > BOUND_SHARE * limits.tilt_deg:
+        shifts_far = lean.shift_m[first:end].max(initial=0.0) > BOUND_SHARE * limits.shift_m
+        if shifts_far or np.degrees(lean.angle_rad[first:end].max(initial=0.0)) > BOUND_SHARE * limits.tilt_deg:
             return True
         pile = _pile_of(under, first + outcome.culprit) if outcome.culprit >= 0 else [*range(first, end)]
         edges, losses = edge[pile], lean.loss_m[pile]
@@ -154,9 +154,10 @@ def _bearing(jobs: Sequence[Job], most_gap_m: float) -> Bearing:
     """The bearing of the worlds, joined.
 
     With errors of placement or size, a box often overlaps a neighbour that is millimetres higher, and is released on
-    the strip that they share. It does not stand there: it tips, and leans on the bodies beside the strip. So boxes of
-    these worlds count at their place of release, and lie on all bodies that are no further below than they may shift.
-    With the strip alone, 75 of 167 unstable worlds with errors would be simulated again; with this rule few are.
+    the strip that they share. A box does not stand on such a strip: it tips, and leans on the bodies beside the strip.
+    So boxes of these worlds count at their place of release, and lie on all bodies with a gap below them of at most the
+    threshold of shift. With the strip alone, 75 of 167 unstable worlds with errors would be simulated again; with this
+    rule only a few.
     """
     has_errors = np.array([job.has_errors for job in jobs])
     if not has_errors.any():
@@ -179,7 +180,7 @@ def _supports(bearing: Bearing) -> list[list[int]]:
 
 
 def _pile_of(under: Sequence[Sequence[int]], box: int) -> list[int]:
-    """A box and all boxes below it that bear it, directly or through others."""
+    """A box and all boxes that bear it, directly or through others."""
     pile, new = {box}, [box]
     while new:
         below = [lower for lower in under[new.pop()] if lower not in pile]

@@ -11,16 +11,16 @@ from typing import Any, Final, Generic, TypeVar
 from petmjx.world.job import Job
 
 WAIT_S: Final = 0.25
-"""Longest wait without a look for signals, s: one that arrives just before a wait is noticed only after it."""
+"""Longest wait without a look for signals, s: a signal just before a wait is noticed only after the wait."""
 
 Tag = TypeVar("Tag")
 
 
 class JobStream(Generic[Tag]):
-    """Jobs in order, with what the run wants to know when they end. Thread-safe.
+    """Jobs in order, with the run's tag of each. Thread-safe.
 
-    One thread puts the jobs of the run's worlds and waits while the stream is full. The thread that takes outcomes puts
-    the jobs that follow from these. An engine takes jobs when it has capacity.
+    One thread puts the jobs of the run's worlds and waits while the stream is full. The thread that takes outcomes also
+    puts the jobs that follow from outcomes. An engine takes jobs when it has capacity.
 
     The number of a job is its place among the jobs that were taken since ``begin``.
 
@@ -44,7 +44,7 @@ class JobStream(Generic[Tag]):
 
     @classmethod
     def of(cls, jobs: Iterable[Job] | JobStream[Any]) -> JobStream[Any]:
-        """The stream of some jobs, after which none follow; a stream as it is."""
+        """The stream of a list of jobs, without further ones; a stream is returned as it is."""
         if isinstance(jobs, JobStream):
             return jobs
         stream: JobStream[Any] = cls()
@@ -76,7 +76,7 @@ class JobStream(Generic[Tag]):
             return self._open or not bounded
 
     def close(self) -> None:
-        """No more jobs come from the source. Jobs that follow from outcomes may still come."""
+        """Say that no more jobs come from the source. Jobs that follow from outcomes may still come."""
         with self._changed:
             self._open = False
             self._changed.notify_all()
@@ -91,11 +91,12 @@ class JobStream(Generic[Tag]):
         """Take at most ``most`` jobs, in order.
 
         Args:
-            least: wait until so many jobs are ready, the stream is full, or no job comes from the source.
-            wait: False: take no job instead of waiting.
+            least: wait until this many jobs are ready, the stream is full, or no job comes from the source.
+            wait: False: return without a job instead of waiting.
 
         Returns:
-            The jobs. With ``wait``, none means that none are left: an engine without jobs in flight ends its run.
+            The jobs. With ``wait``, an empty list means the end of all jobs: an engine without jobs in flight ends its
+            run.
         """
         with self._changed:
             if not self._ready(least, wait):
@@ -103,7 +104,7 @@ class JobStream(Generic[Tag]):
             return [self._pop() for _ in range(min(most, len(self._waiting)))]
 
     def __iter__(self) -> Iterator[Job]:
-        """Take one job after the other, and wait for each."""
+        """Take one job after another, and wait for each."""
         while jobs := self.take(1):
             yield jobs[0]
 
@@ -164,7 +165,7 @@ class JobStream(Generic[Tag]):
 
     @property
     def ended(self) -> bool:
-        """Whether no job is ready, and none comes from the source."""
+        """Whether no job is ready, and the source has ended."""
         with self._changed:
             return not self._waiting and not self._comes
 
@@ -182,7 +183,7 @@ class JobStream(Generic[Tag]):
         return self._most_boxes is not None and self._boxes >= self._most_boxes
 
     def _ready(self, least: int, wait: bool) -> bool:
-        """Whether ``least`` jobs are ready, or as many as there will be."""
+        """Whether ``least`` jobs are ready, or all jobs of the source."""
         while len(self._waiting) < least and self._comes and not self._is_full:
             if not wait:
                 return False

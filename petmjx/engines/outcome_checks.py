@@ -27,8 +27,8 @@ from petmjx.world.scene import Scene
 from petmjx.world.supports import bearings_of
 
 LEANS_DEG: Final = 2.0
-"""A box of a stable world leans if its tilt at rest is larger. A box of half a metre is then 17 mm lower on one side.
-Without a flag for it, soft contacts alone let no box lean by a tenth of this."""
+"""A box of a stable world leans if its tilt at rest is larger. At this tilt a box of half a metre is 17 mm lower on one
+side. In worlds without the flag for leaning, soft contacts alone tilt no box by a tenth of this."""
 
 LOWER_M: Final = 0.005
 """A box that lies lower than planned by more than this counts as leaning, too: soft contacts may give way by as much
@@ -40,7 +40,7 @@ longer than the simulation on a GPU."""
 
 
 def outcome_checks(outcomes: Sequence[Outcome], jobs: Sequence[Job], sim: Simulation) -> list[Outcome]:
-    """The outcomes with all values that follow from them and their jobs. The verdict may change.
+    """The outcomes with all values that follow from outcome and job. The verdict may change.
 
     Args:
         jobs: the jobs of the engine, one for each outcome.
@@ -85,7 +85,7 @@ def note_edges(outcomes: Sequence[Outcome], jobs: Sequence[Job], *, in_order: bo
     """Fill in the least distances of loads from edges: by the plan, at rest and while the plan is built. Also fill in
     the distances of boxes, and the flag of a knife's edge, which any box may set.
 
-    Distances at rest are those of worlds that stand and were not shaken, so that the carrier is at its place. Distances
+    Distances at rest count in worlds that stand and were not shaken: there the carrier is at its place. Distances
     while the plan is built are those of plans whose boxes are placed ``in_order``, without errors.
     """
     scenes = [job.scene for job in jobs]
@@ -124,8 +124,8 @@ def note_edges(outcomes: Sequence[Outcome], jobs: Sequence[Job], *, in_order: bo
 
 
 def edges_again(scene: Scene, outcome: Outcome) -> Iterator[KnifeEdge]:
-    """All distances of loads from edges that ``note_edges`` looked at, also those that no table keeps: of own weights,
-    and the nearest one while the plan is built."""
+    """All distances of loads from edges that ``note_edges`` looked at, also distances without a column: of own weights,
+    and the nearest distance while the plan is built."""
     in_order, at_rest = not np.isnan(outcome.build_edge_m), not np.isnan(outcome.rest_edge_m)
     first, edges, (built,) = _all_edges(
         [(scene, outcome.n_placed, in_order)], [scene] * at_rest, [outcome.boxes.pos] * at_rest
@@ -147,7 +147,7 @@ def _all_edges(
     All are computed at once: the time depends on the number of calls.
 
     Args:
-        planned: scene, number of placed boxes, and whether the least edges while it is built are wanted.
+        planned: scene, number of placed boxes, and whether the least edges while the plan is built are needed.
         at_rest: scenes at rest, with their boxes at the (n, 3) places ``pos``, m.
     """
     if not planned:

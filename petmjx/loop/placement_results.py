@@ -68,7 +68,7 @@ class PlacementResults:
 
     @classmethod
     def joined(cls, parts: Sequence[PlacementResults]) -> PlacementResults:
-        """The rows of all parts, one part after the other."""
+        """The rows of all parts in order."""
         return cls(**joined_records(parts, max(part.top_force_n.shape[1] for part in parts)))
 
     @classmethod

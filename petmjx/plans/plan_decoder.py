@@ -1,7 +1,7 @@
 """Fast decoder of BED-BPP's JSON: placements become records without a Python object for each number.
 
-It reads what has no fault and only the common fields. Every other plan goes through ``parse_plan``, which checks field
-by field and knows the text of each error. Both give the same plans.
+The decoder reads only plans without faults, and with the common fields alone. Every other plan goes through
+``parse_plan``, which checks field by field and knows the text of each error. Both ways yield the same plans.
 """
 
 from __future__ import annotations
@@ -43,7 +43,7 @@ _Name = Annotated[str, msgspec.Meta(max_length=LONGEST_NAME)]
 class _Item(
     msgspec.Struct,
     forbid_unknown_fields=True,
-    gc=False,  # no cycles: the collector would look at each record several times
+    gc=False,  # no cycles: the garbage collector would visit each record several times
     rename={"length": "length/mm", "width": "width/mm", "height": "height/mm", "weight": "weight/kg"},
 ):
     article: _Name
@@ -95,7 +95,7 @@ class DecoderOptions:
 
     Attributes:
         names: names read so far, so that equal names share one string.
-        unread: gets the counts of fields that petmjx does not read.
+        unread: receives the counts of fields that petmjx does not read.
     """
 
     source: str
@@ -106,8 +106,8 @@ class DecoderOptions:
 
 
 def decode_entries(data: bytes | bytearray, options: DecoderOptions) -> list[ReadEntry] | None:
-    """The entries of a file, in order. None: the text is not JSON, or not an object whose ids differ; the caller reads
-    it from its beginning, up to the error."""
+    """The entries of a file, in order. None: the text is not JSON, or not an object whose ids differ; the caller then
+    reads the text again, up to the error."""
     try:
         values = _PLANS.decode(data)
     except (msgspec.DecodeError, UnicodeError, RecursionError):
@@ -137,7 +137,7 @@ def _decode(
     """The entries of some plans, in order.
 
     Args:
-        colons: number of colons of each text: of its members, and of those in its strings.
+        colons: number of colons of each text: of its members, and within its strings.
     """
     plain = {
         number: placements
@@ -165,7 +165,7 @@ def _plain_placements(text: msgspec.Raw, colons: int, max_boxes: int) -> list[_P
 def _plans_of(
     plan_ids: Sequence[str], plans: Sequence[Sequence[_Placement]], options: DecoderOptions
 ) -> list[Plan | None]:
-    """The plans of these placements; None for one with a value that is not allowed.
+    """The plans of these placements; None for a plan with a value that is not allowed.
 
     Whole columns are checked for all plans at once. The plans share their arrays.
     """

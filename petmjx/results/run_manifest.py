@@ -28,7 +28,7 @@ DIGEST_BYTES: Final = 8
 million runs."""
 
 MOST_NAMED: Final = 4
-"""Most differences that a message names; further ones are only counted."""
+"""Largest number of differences in a message; further ones are only counted."""
 
 
 def plan_digest(plan: Plan) -> str:
@@ -50,7 +50,7 @@ def plan_digest(plan: Plan) -> str:
 
 
 class PlanRecord(NamedTuple):
-    """A run's record of one plan.
+    """The record of one plan in a run.
 
     Attributes:
         digest: digest of everything in the plan that affects the results.
@@ -58,7 +58,7 @@ class PlanRecord(NamedTuple):
         volume_m3: volume of its boxes.
         extent_x_m, extent_y_m: extents of its bounding box.
         height_m: height of its highest box above the carrier.
-        number: its place among the plans given, counting skipped plans; None: not known.
+        number: its place in the input, counting skipped plans; None: unknown.
     """
 
     digest: str
@@ -71,10 +71,10 @@ class PlanRecord(NamedTuple):
 
 
 def records_of(plans: Sequence[Plan], numbers: Mapping[str, int] | None = None) -> dict[str, PlanRecord]:
-    """The records of plans by id, in the order given.
+    """The records of plans by id, in the order of the input.
 
     Args:
-        numbers: plan id → its place among the plans given; None: no plan was skipped.
+        numbers: plan id → its place in the input; None: no plan was skipped.
     """
     if not plans:
         return {}
@@ -123,8 +123,8 @@ class Manifest:
 
     Attributes:
         settings: JSON-like: command, simulation, sweep, engine, shard.
-        plans: all plans by id, also those of other shards, in the order given.
-        placements: makes the table ``placements`` of the plans of this run; None: the run keeps none.
+        plans: all plans by id, also those of other shards, in the order of the input.
+        placements: makes the table ``placements`` of the plans of this run; None: no such table.
     """
 
     settings: Mapping[str, Any]
@@ -133,7 +133,7 @@ class Manifest:
 
     @property
     def identity(self) -> dict[str, Any]:
-        """The identity as written to ``run.json``. Its digest does not depend on the order of plans."""
+        """The identity as written to ``run.json``. The digest does not depend on the order of plans."""
         lines = "\n".join(f"{record.digest} {plan_id!r}" for plan_id, record in sorted(self.plans.items()))
         digest = hashlib.blake2b(lines.encode("utf-8", "backslashreplace"), digest_size=16).hexdigest()
         return {**self.settings, "plans": {"count": len(self.plans), "digest": digest}}
@@ -174,7 +174,7 @@ class Manifest:
         return cls({name: value for name, value in info["identity"].items() if name != "plans"}, plans)
 
     def difference_from(self, earlier: Manifest, without: Sequence[str] = ()) -> str:
-        """The differences from an earlier manifest, in one line; empty if there is none.
+        """The differences from an earlier manifest, in one line; empty without a difference.
 
         Args:
             without: settings that may differ.
@@ -185,19 +185,19 @@ class Manifest:
             *self._plan_differences(earlier),
         ]
         differences = [difference for difference in differences if difference.partition(" ")[0] not in without]
-        more = [f"{len(differences) - MOST_NAMED} more"] if len(differences) > MOST_NAMED else []
-        return "; ".join([*differences[:MOST_NAMED], *more])
+        more_words = [f"{len(differences) - MOST_NAMED} more"] if len(differences) > MOST_NAMED else []
+        return "; ".join([*differences[:MOST_NAMED], *more_words])
 
     def _plan_differences(self, earlier: Manifest) -> Iterator[str]:
         for plan_id, record in self.plans.items():
             if plan_id in earlier.plans and earlier.plans[plan_id].digest != record.digest:
                 yield f"plan {printable_name(plan_id)} differs"
         new = len(self.plans.keys() - earlier.plans.keys())
-        gone = len(earlier.plans.keys() - self.plans.keys())
+        n_removed = len(earlier.plans.keys() - self.plans.keys())
         if new:
             yield f"{count_text(new, 'plan')} more"
-        if gone:
-            yield f"{count_text(gone, 'plan')} fewer"
+        if n_removed:
+            yield f"{count_text(n_removed, 'plan')} fewer"
 
 
 _NOTHING: Final = object()
@@ -205,7 +205,7 @@ _NOTHING: Final = object()
 
 def _settings_of_command(settings: Mapping[str, Any]) -> Mapping[str, Any]:
     """Settings with the names that the command uses. The sweep of a score is written as its number of worlds and its
-    errors. An entry that is only written if its option is on counts as false if it is missing."""
+    errors. An entry that is only written if its option is on counts as false if missing."""
     settings = {"force_intervals": False, "keep": ALL, **settings}
     if isinstance(simulation := settings.get("simulation"), Mapping):
         settings["simulation"] = _with_later_fields(simulation)
@@ -213,8 +213,8 @@ def _settings_of_command(settings: Mapping[str, Any]) -> Mapping[str, Any]:
     if settings.get("command") != "score" or not isinstance(sweep, Mapping):
         return settings
     errors = {name: value for name, value in sweep.items() if name != "replicates"}
-    others = {name: value for name, value in settings.items() if name != "sweep"}
-    return {**others, "confidence": sweep.get("replicates"), "errors": errors}
+    other_settings = {name: value for name, value in settings.items() if name != "sweep"}
+    return {**other_settings, "confidence": sweep.get("replicates"), "errors": errors}
 
 
 def _with_later_fields(simulation: Mapping[str, Any]) -> dict[str, Any]:

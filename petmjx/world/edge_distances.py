@@ -1,16 +1,17 @@
 """Distances of loads from the edges of the boxes' supports, by the plan: when it is complete, and while it is built.
 
-The load of a box is its own weight and all that rests on it. By springs, the shared loads may put a load beyond an edge
-although another balance has it inside. So such a balance is searched for (petmjx.world.balance_programme): a load is
-beyond an edge only if vertical forces cannot balance the boxes.
+The load of a box is its own weight plus the weight that rests on it. By springs, the shared loads may put a load beyond
+an edge although another balance has it inside. So the balance with all loads inside is searched for
+(petmjx.world.balance_programme): a load is beyond an edge only if vertical forces cannot balance the boxes.
 
-While the plan is built: a counterweight that comes too late holds nothing. All loads of a plan may be inside when it is
+While the plan is built, a counterweight that comes too late holds nothing. All loads of a plan may be inside when it is
 complete, and yet it may fall while it is built. So the load of every box is checked after each placement that changes
 it.
 
 The part of an upper box's weight that a box bears does not depend on other boxes, as long as no support pulls. So the
-own weight of each box is passed down once. The load of a box after a placement is the sum of the parts of the boxes
-that are placed. Only boxes with a support that pulls, and the boxes below them, are computed placement by placement.
+weight of each box is passed down once, on its own. The load of a box after a placement is the sum of the parts of the
+boxes that are placed. Only boxes with a support that pulls, and the boxes below them, are computed placement by
+placement.
 """
 
 from __future__ import annotations
@@ -36,10 +37,10 @@ ROUNDING_M: Final = 1e-9
 class Edges(NamedTuple):
     """Distances of n boxes' loads from the nearest edge of their supports, m: positive inside, negative beyond.
 
-    NaN: nothing bears the box, or it is not placed.
+    NaN: the box has no support, or is not placed.
 
     Attributes:
-        by_weight: (n,) distances of their own weights alone.
+        by_weight: (n,) distances of the boxes' own weights alone.
         by_load: (n,) distances of their loads.
     """
 
@@ -107,14 +108,14 @@ def rebalanced_loads(
         return load[:, :3], edge_m
     balancing, beyond = result
     # without a balance, a load that is inside keeps its distance
-    kept = (edge_m >= 0) if (beyond > BEYOND_M).any() else (balancing == load[:, :3]).all(axis=1)
-    edges = np.where(~placed | kept, edge_m, np.maximum(bearing.edges_m(balancing), 0.0))
+    is_unchanged = (edge_m >= 0) if (beyond > BEYOND_M).any() else (balancing == load[:, :3]).all(axis=1)
+    edges = np.where(~placed | is_unchanged, edge_m, np.maximum(bearing.edges_m(balancing), 0.0))
     edges = np.where(beyond > BEYOND_M, np.minimum(bearing.edges_m(balancing), -beyond), edges)
     return balancing, edges
 
 
 def below_several(bearing: Bearing, among: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """(n,) which boxes bear part of a box with several supports, so that their loads depend on how it shares its load.
+    """(n,) whether a box bears part of a box with several supports, so that its load depends on the sharing.
 
     Args:
         among: (n,) the boxes that count.
@@ -128,9 +129,9 @@ def below_several(bearing: Bearing, among: NDArray[np.bool_]) -> NDArray[np.bool
 
 
 MOST_PROGRAMMES: Final = 2
-"""Largest number of placements of a plan for which a linear programme is solved. One takes a few milliseconds, and more
-for a hundred boxes on several supports. Loads that seem to be beyond edges after further placements are left out:
-nothing shows that they are beyond."""
+"""Largest number of placements of a plan for which a linear programme is solved. One programme takes a few
+milliseconds, and more for a hundred boxes on several supports. Loads that seem to be beyond edges after further
+placements are left out: without a programme this stays unproven."""
 
 
 class BuildingLoads(NamedTuple):
@@ -138,7 +139,7 @@ class BuildingLoads(NamedTuple):
 
     Attributes:
         box: (p,) the box that has the load.
-        step: (p,) the box after whose placement it has this load.
+        step: (p,) number of the box after whose placement this load acts.
         load: (p, 3) as in ``Bearing.loads``, without the height.
         edge_m: (p,) distance of the load from the nearest edge, positive inside; NaN if nothing bears the box.
     """
@@ -155,10 +156,10 @@ class LeastBuildingEdge(NamedTuple):
     Attributes:
         edge_m: distance from the edge, positive inside; NaN: there is no load.
         box: the box that has the load; -1: there is no load.
-        step: the box after whose placement it has this load; -1: there is no load.
+        step: number of the box after whose placement this load acts; -1: no load.
         nearest_m: distance of the load that is nearest to an edge, on either side.
-        nearest_box: the box that has that load.
-        nearest_step: the box after whose placement it has that load.
+        nearest_box: the box with the load nearest to an edge.
+        nearest_step: number of the box after whose placement this load acts.
     """
 
     edge_m: float
@@ -195,8 +196,8 @@ def building_edges(bearing: Bearing, placed: Sequence[int]) -> list[LeastBuildin
 
 
 def steps_beyond(scene: Scene, box: int) -> tuple[int, int]:
-    """The placement after which the load of a box is beyond an edge while a plan is built, and the one after which it
-    is inside again: numbers of the placed boxes, -1 for none."""
+    """The placement after which the load of a box is beyond an edge while a plan is built, and the placement after
+    which the load is inside again: numbers of the placed boxes, -1 for none."""
     built = building_loads_of(bearing_in_order(bearing_of(scene)), [scene.n_boxes])
     steps, edge = built.step[built.box == box], built.edge_m[built.box == box]
     beyond = np.flatnonzero(edge < 0)
@@ -236,7 +237,8 @@ def building_loads_of(bearing: Bearing, placed: Sequence[int]) -> BuildingLoads:
 
 
 def _parts(bearing: Bearing, among: NDArray[np.bool_]) -> tuple[IntArray, IntArray, FloatArray]:
-    """(p,) and (p,) sorted pairs of a box and a box of which it bears a part, itself included, and (p, 3) the parts."""
+    """(p,) and (p,) sorted pairs of a box and a box whose weight it bears in part, itself included, and (p, 3) the
+    parts."""
     n, boxes = len(among), np.flatnonzero(among)
     between = np.flatnonzero(bearing.lower != CARRIER)
     count = np.bincount(bearing.upper[between], minlength=n)
@@ -247,18 +249,18 @@ def _parts(bearing: Bearing, among: NDArray[np.bool_]) -> tuple[IntArray, IntArr
     def wait(key: IntArray, part: FloatArray) -> None:
         level = bearing.level[key // n]
         for number in np.unique(level).tolist():
-            here = level == number
-            waiting[number].append((key[here], part[here]))
+            in_level = level == number
+            waiting[number].append((key[in_level], part[in_level]))
 
     wait(boxes * n + boxes, bearing.weights[boxes, :3])
-    done = []
+    finished_parts = []
     for level in waiting:
         if not level:
             continue
         keys, parts = (np.concatenate(arrays) for arrays in zip(*level, strict=True))
         key, place = np.unique(keys, return_inverse=True)
         part = np.stack([np.bincount(place, weights=column, minlength=len(key)) for column in parts.T], axis=1)
-        done.append((key, part))
+        finished_parts.append((key, part))
         upper = key // n
         times = count[upper]
         rows = np.repeat(np.arange(len(key)), times)
@@ -266,9 +268,9 @@ def _parts(bearing: Bearing, among: NDArray[np.bool_]) -> tuple[IntArray, IntArr
         if len(rows):
             passed = np.einsum("cij,cj->ci", bearing.shares[contact], part[rows])
             wait(bearing.lower[contact] * n + key[rows] % n, passed)
-    all_keys = np.concatenate([boxes[:0], *(key for key, _ in done)])
+    all_keys = np.concatenate([boxes[:0], *(key for key, _ in finished_parts)])
     order = np.argsort(all_keys)
-    sums: FloatArray = np.concatenate([np.zeros((0, 3)), *(part for _, part in done)])[order]
+    sums: FloatArray = np.concatenate([np.zeros((0, 3)), *(part for _, part in finished_parts)])[order]
     return all_keys[order] // n, all_keys[order] % n, sums
 
 
@@ -301,7 +303,7 @@ def _without_pulls(bearing: Bearing, begins: IntArray, step: IntArray, load: Flo
     n_above = np.bincount(bearing.lower[bearing.lower != CARRIER], minlength=n)
     above = above[np.count_nonzero(bearing.lower == CARRIER) :]
     key = np.repeat(np.arange(n), count) * n + step  # in order
-    # forces at the contacts of corrected boxes, one for each load of the box
+    # forces at the contacts of corrected boxes: one force for each load of the box
     size = np.where(pulled[bearing.upper], count[bearing.upper], 0)
     first, forces = np.cumsum(size) - size, np.zeros((size.sum(), 3))
     weights, boxes = bearing.weights[:, :3], np.flatnonzero(pulled)
@@ -342,16 +344,16 @@ def _contact_pushes(
     pulled = np.zeros(len(owner), bool)
     pulled[rows[several & pulls(force, low, high, under[:, 0])]] = True
     if pulled.any():
-        some = pulled[rows]
-        number = (np.cumsum(pulled) - 1)[rows[some]]
-        force[some] = bearing.pushed(load[pulled], owner[pulled], number, low[some], high[some])
+        pulled_rows = pulled[rows]
+        number = (np.cumsum(pulled) - 1)[rows[pulled_rows]]
+        force[pulled_rows] = bearing.pushed(load[pulled], owner[pulled], number, low[pulled_rows], high[pulled_rows])
     return force
 
 
 def _exact_least_edge(bearing: Bearing, built: BuildingLoads) -> LeastBuildingEdge:
-    """The least edge of one scene in which all loads that seem to be beyond edges depend on how boxes share loads.
+    """The least edge of one scene, if every load that seems to be beyond an edge depends on the sharing of loads.
 
-    A linear programme decides whether the furthest of them are.
+    A linear programme decides whether the furthest loads are beyond.
     """
     edge = built.edge_m.copy()
     for _ in range(MOST_PROGRAMMES):
@@ -375,8 +377,8 @@ def balanced_after(bearing: Bearing, built: BuildingLoads, step: int) -> tuple[I
     last = now[np.flatnonzero(np.diff(built.box[now], append=n))]
     load, edge = np.zeros((n, 3)), np.full(n, np.nan)
     load[built.box[last]], edge[built.box[last]] = built.load[last], built.edge_m[last]
-    _, seen = rebalanced_loads(bearing, load, edge, np.arange(n) <= step)
-    return last, seen
+    _, edges = rebalanced_loads(bearing, load, edge, np.arange(n) <= step)
+    return last, edges
 
 
 def _least(built: BuildingLoads) -> LeastBuildingEdge:
@@ -419,7 +421,7 @@ def first_least(values: FloatArray, group: IntArray) -> tuple[IntArray, IntArray
 
 
 def depends_on_sharing(bearing: Bearing, built: BuildingLoads) -> NDArray[np.bool_]:
-    """(p,) which loads depend on how a box with several supports shares its load."""
+    """(p,) whether a load depends on the sharing of a box with several supports."""
     shares = (bearing.n_supports[built.step] > 1) & (built.step != built.box)
     first = np.full(len(bearing.boxes.mass), len(bearing.boxes.mass))
     np.minimum.at(first, built.box[shares], built.step[shares])

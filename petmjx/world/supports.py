@@ -1,10 +1,10 @@
 """Supports of boxes by the plan, their loads, and the distances of loads from the edges of the supports.
 
-The load of a box is its own weight and all that rests on it. It acts at a point of the box's base, the centre of
-pressure. The box is in balance if that point lies within the convex hull of its supports. Statics does not say how
-several supports share a load. Here they share it as on a bed of equal springs (Winkler 1867, "Die Lehre von der
-Elasticität und Festigkeit"): the pressure is a plane over all areas that touch, determined by force and moments. If
-springs would pull, supports push with the least energy (petmjx.world.load_sharing).
+The load of a box is its own weight plus the weight that rests on it. The load acts at a point of the box's base, the
+centre of pressure. The box is in balance if that point lies within the convex hull of its supports. Statics does not
+determine the shares of several supports in a load. Here supports share a load as a bed of equal springs (Winkler 1867,
+"Die Lehre von der Elasticität und Festigkeit"): the pressure is a plane over all areas that touch, determined by force
+and moments. If springs would pull, supports push with the least energy (petmjx.world.load_sharing).
 """
 
 from __future__ import annotations
@@ -34,7 +34,8 @@ TOUCH_M: Final = DEFAULT_TOLERANCE_MM / MM_PER_M
 """Faces touch if they are no further apart than this, as in the warnings about a plan."""
 
 LEANS_M: Final = Thresholds().shift_m
-"""Largest gap at which a box that tips leans on a wall: its middle has then moved by less than a verdict allows."""
+"""Largest gap between a tipping box and the wall that stops it: the box's middle then moves by less than a verdict
+allows."""
 
 _LEAST_OVERLAP_M: Final = 1e-6
 
@@ -105,8 +106,8 @@ def _held_by_walls(scene: Scene, target: FloatArray) -> FloatArray:
     """(n, 2, 2) as ``Boxes.held``, with the boxes at these (n, 3) places, m.
 
     A box whose load W acts e beyond an edge tips until it touches the wall there, at the height h of its top or of the
-    wall's, above its bottom. The wall then presses with W·e/h, which the edge must bear by friction: so it is held up
-    to e = µ·h. The wall counts as smooth, and what bears the box as held in its place.
+    wall's, above its bottom. The wall then presses with W·e/h, and the edge must bear this force by friction: so the
+    wall holds the box up to e = µ·h. The wall counts as smooth, and the support of the box as fixed.
     """
     held = np.zeros((scene.n_boxes, 2, 2))
     if not scene.carrier.walls:
@@ -118,7 +119,7 @@ def _held_by_walls(scene: Scene, target: FloatArray) -> FloatArray:
 
 
 def _least_friction(scene: Scene) -> FloatArray:
-    """(n,) the least coefficient of friction between each box and what it may stand on."""
+    """(n,) the least coefficient of friction between each box and its possible supports."""
     friction = scene.friction[:, 0]
     if scene.surface is None or scene.pair_friction is None:
         return friction
@@ -131,9 +132,9 @@ class Bearing:
     """The contacts between boxes and their supports in scenes with n boxes: c rectangles, sorted by the upper box.
 
     Attributes:
-        boxes: the boxes. Their planned places count, not those at which they are released.
+        boxes: the boxes. The planned places count, not the release places.
         upper: (c,) the box above.
-        lower: (c,) the box below, even if it is placed later, or ``CARRIER``.
+        lower: (c,) the box below, even if placed later, or ``CARRIER``.
         low, high: (c, 2) corners of the rectangles along x and y, m.
     """
 
@@ -192,23 +193,23 @@ class Bearing:
 
         Args:
             load: (p, 3) one load of each of these ``boxes``.
-            owner: (k,) number of the load that presses at each contact. Contacts are sorted by it.
+            owner: (k,) number of the load that presses at each contact. Contacts are sorted by this number.
             low, high: (k, 2) corners of the contacts' rectangles.
         """
         force, hull = np.zeros((len(owner), 3)), self.number_of_hull[boxes]
         within = self.hulls.inside_m(hull, load[:, 1:] / load[:, :1]) > ON_EDGE_M
         for chosen in (within, ~within):
             if chosen.any():
-                some = chosen[owner]
-                contact_args = load[chosen], (np.cumsum(chosen) - 1)[owner[some]], low[some], high[some]
-                force[some] = (
+                is_chosen = chosen[owner]
+                contact_args = load[chosen], (np.cumsum(chosen) - 1)[owner[is_chosen]], low[is_chosen], high[is_chosen]
+                force[is_chosen] = (
                     pushes(*contact_args) if chosen is within else on_edges(*contact_args, self.hulls, hull[chosen])
                 )
         return force
 
     def edges_m(self, load: FloatArray) -> FloatArray:
         """(n,) distance of each box's load from the nearest edge of its supports, m: positive inside, negative beyond.
-        NaN if nothing bears the box, or it has no load."""
+        NaN for a box without support or load."""
         with np.errstate(divide="ignore", invalid="ignore"):
             point = load[:, 1:3] / load[:, :1]
         return self.inside_m(np.arange(len(load)), point)
@@ -273,7 +274,7 @@ class Bearing:
 
     @cached_property
     def widths_m(self) -> FloatArray:
-        """(n,) extent of each box's supports along x or y, whichever is shorter, m; NaN if nothing bears it."""
+        """(n,) extent of each box's supports along x or y, whichever is shorter, m; NaN without support."""
         low, high = np.full((len(self.boxes.mass), 2), np.inf), np.full((len(self.boxes.mass), 2), -np.inf)
         np.minimum.at(low, self.upper, self.low)
         np.maximum.at(high, self.upper, self.high)
@@ -292,7 +293,7 @@ class Bearing:
 
     @cached_property
     def level(self) -> IntArray:
-        """(n,) largest number of contacts on a way from a box up to one that bears no box."""
+        """(n,) largest number of contacts on a path from a box up to a box with a free top."""
         between = np.flatnonzero(self.lower != CARRIER)
         upper, lower = self.upper[between], self.lower[between]
         level = np.zeros(len(self.boxes.mass), int)
@@ -465,12 +466,12 @@ def _touching(
 def find_bearing(scene: Scene, most_gap_m: float = TOUCH_M) -> Bearing:
     """The supports of boxes by the planned places.
 
-    A box lies on a board of the carrier's deck if its bottom is not above the deck. It lies on another box that begins
-    lower if the top of that box is at the height of its bottom. Both hold within ``TOUCH_M``, and only if the two
-    overlap along x and y.
+    A box lies on a board of the carrier's deck if its bottom is not above the deck. A box also lies on another box that
+    begins lower if the top of the other is at the height of its bottom. Both rules hold within ``TOUCH_M``, and only if
+    the two boxes overlap along x and y.
 
     Args:
-        most_gap_m: a box also lies on bodies up to this distance below its bottom: it leans onto them.
+        most_gap_m: a box also lies on bodies with a gap up to this below its bottom: it leans onto them.
     """
     low, high = scene.target - scene.half_size, scene.target + scene.half_size
     deck_low, deck_high = _deck(scene.carrier)
@@ -478,7 +479,7 @@ def find_bearing(scene: Scene, most_gap_m: float = TOUCH_M) -> Bearing:
     touching &= np.less.outer(low[:, 2], low[:, 2])
     below, above = np.nonzero(touching)
     cut_below, cut_low, cut_high = _cut(scene, low, high)
-    # each box above a sheet lies on its pieces, each box above another one on its whole top
+    # each box above a sheet lies on the sheet's pieces, each box above another box on its whole top
     row, pieces = np.nonzero(below[:, None] == cut_below)
     below, above, piece_low, piece_high = below[row], above[row], cut_low[pieces], cut_high[pieces]
     on_deck, board = (part.ravel() for part in np.indices((len(low), len(deck_low))))

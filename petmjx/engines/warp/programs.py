@@ -136,9 +136,9 @@ class Programs:
         sizes = table.qpos.shape, profiles.shape, order.shape, frames["of"].shape
         if sizes in self._compiled:
             return self._compiled[sizes]
-        with _COMPILING:
+        begin, progress.message = time.perf_counter(), "compiling"
+        with _COMPILING:  # kernels may be compiled ahead: this waits for them
             if sizes not in self._compiled:
-                begin, progress.message = time.perf_counter(), "compiling"
                 self.launcher.load()
                 self._compiled[sizes] = self._advancing.lower(*arguments).compile()
                 progress.compile_s += time.perf_counter() - begin
