@@ -82,6 +82,11 @@ class CheckPool(Generic[Key]):
         """Whether a process hangs, after this number of waits for it."""
         return waits * LOOK_S >= HANGS_S if self._until_s is None else time.monotonic() >= self._until_s
 
+    @property
+    def has_unanswered(self) -> bool:
+        """Whether checks are under way."""
+        return any(looker.unanswered for looker in self._check_pool)
+
     def exchanged(
         self,
         keyed_outcomes: Sequence[tuple[Key, Outcome]],
