@@ -174,6 +174,8 @@ class AttemptRunner(Generic[AnyWorld]):
                 yield from self.checked_results(arrivals, engine_name, checked=checked, wait=idle, until=until)
                 arrivals = []
             self.put_following()
+            if not arrivals:
+                stream.followed()
         yield from self.checked_results(arrivals, engine_name, checked=checked)
         if stream.in_flight:
             raise RuntimeError(f"engine {engine.name} did not answer {len(stream.in_flight)} of {stream.taken} jobs")

@@ -38,7 +38,7 @@ class JobStream(Generic[Tag]):
         self.in_flight: dict[int, Tag] = {}
         self._most_boxes = most_boxes
         self._waiting: deque[tuple[Job, Tag]] = deque()
-        self._boxes = self._taken = 0
+        self._boxes = self._taken = self._unfollowed = 0
         self._open, self._paused = True, False
         self._changed = threading.Condition()
 
@@ -55,7 +55,7 @@ class JobStream(Generic[Tag]):
 
     def begin(self) -> None:
         """Begin a run of an engine with the waiting jobs: numbers begin at 0, and no job is in flight."""
-        self.in_flight, self._taken = {}, 0
+        self.in_flight, self._taken, self._unfollowed = {}, 0, 0
 
     def put(self, job: Job, tag: Tag, *, bounded: bool = False) -> bool:
         """Append a job.
@@ -125,7 +125,28 @@ class JobStream(Generic[Tag]):
         Raises:
             KeyError: the job is not in flight.
         """
-        return self.in_flight.pop(number)
+        with self._changed:
+            tag = self.in_flight.pop(number)
+            self._unfollowed += 1
+            return tag
+
+    def followed(self) -> None:
+        """The jobs that follow from all outcomes so far have been put."""
+        with self._changed:
+            self._unfollowed = 0
+            self._changed.notify_all()
+
+    def wait_for_following(self) -> bool:
+        """Wait for a moment until a job follows from an outcome. For an engine that has no more worlds, in another
+        thread than the one that takes its outcomes.
+
+        Returns:
+            Whether no job is ready, and jobs may still follow from outcomes.
+        """
+        with self._changed:
+            if self._may_follow:
+                self._changed.wait(WAIT_S)
+            return self._may_follow
 
     @property
     def ready(self) -> int:
@@ -151,6 +172,11 @@ class JobStream(Generic[Tag]):
     @property
     def _comes(self) -> bool:
         return self._open and not self._paused
+
+    @property
+    def _may_follow(self) -> bool:
+        """Whether no job is ready, and an outcome is left from which jobs may follow."""
+        return self.feedback and not self._waiting and bool(self.in_flight or self._unfollowed)
 
     @property
     def _is_full(self) -> bool:

@@ -16,7 +16,7 @@ from petmjx.common.machine import cpu_threads, cuda_devices, device_name
 from petmjx.common.processes import defer_signals
 from petmjx.engines.cost_model import MEASURED, Costs, Work
 from petmjx.engines.engine_choice import ENGINES, Choice, choose, make_engine, options_of
-from petmjx.engines.gpu_start import start_gpu
+from petmjx.engines.gpu_start import compile_ahead, start_gpu
 from petmjx.engines.machine_speed import costs_here
 from petmjx.engines.open_worlds import MOST_BOXES, OpenWorlds
 from petmjx.engines.protocol import Capability, Engine, MinimalEngine, Progress
@@ -77,9 +77,9 @@ class UserEngine(Engine):
 
 
 @contextmanager
-def engine_warmup(options: RunOptions, plans: object) -> Iterator[WorkerStartup | None]:
-    """While plans are read, start JAX and Warp on the GPU if ``mjx-warp`` will be the engine of this process; or start
-    workers, and yield them for ``resolve_engine``. Python mostly waits for these starts."""
+def engine_warmup(options: RunOptions, plans: object, sim: Simulation) -> Iterator[WorkerStartup | None]:
+    """While plans are read, start JAX and Warp on the GPU and compile kernels, if ``mjx-warp`` will be the engine of
+    this process; or start workers, and yield them for ``resolve_engine``. Python mostly waits for these starts."""
     if options.asked_workers is not None and isinstance(options.engine, str):
         from petmjx.engines.remote.worker_choice import WorkerStartup  # most runs have none
 
@@ -90,8 +90,9 @@ def engine_warmup(options: RunOptions, plans: object) -> Iterator[WorkerStartup 
             ahead.give_up()
             raise
         return
-    thread = threading.Thread(target=_start_if_gpu, name="petmjx-start") if _may_be_gpu(options, plans) else None
-    if thread is not None:
+    thread = None
+    if _may_be_gpu(options, plans):
+        thread = threading.Thread(target=_start_if_gpu, args=(sim,), name="petmjx-start")
         thread.start()
     # an error in plans is reported at once: the thread is not waited for, except perhaps when the process ends
     yield None
@@ -106,9 +107,11 @@ def _may_be_gpu(options: RunOptions, plans: object) -> bool:
     return options.engine != AUTO or _bytes_of(plans) >= WORTH_A_GPU
 
 
-def _start_if_gpu() -> None:
+def _start_if_gpu(sim: Simulation) -> None:
     if cuda_devices():  # also this call of the driver takes time
         start_gpu()
+        # in a thread that the run does not wait for: worlds are made meanwhile
+        threading.Thread(target=compile_ahead, args=(sim,), name="petmjx-kernels").start()
 
 
 def _bytes_of(plans: object) -> int:

@@ -97,7 +97,7 @@ def simulate(
         EngineUnavailable: the requested engine cannot run here.
     """
     plans = plans_in_place(plans, options.strict)
-    with engine_warmup(options, plans) as ahead:
+    with engine_warmup(options, plans, sim) as ahead:
         plan_set = usable_plans(plans, sim, options)
         study = ask(plan_set.plans, options)
         orders = None

@@ -70,6 +70,13 @@ class Program:
     chunk: Any
 
 
+MOST_KEPT = 16
+"""Number of programs that a process keeps for engines to come."""
+
+_kept: dict[tuple[type, ProgramKey], Program] = {}
+"""Class of an engine and key → program, the latest last. Engines of several threads may share a program."""
+
+
 class MjxJaxEngine(Engine):
     """Simulates worlds of similar size in batches. A batch takes each step for all its worlds until the last one ends.
 
@@ -89,7 +96,7 @@ class MjxJaxEngine(Engine):
         set_up_jax()
         self.lanes = lanes or MOST_WORLDS
         self.programs: dict[ProgramKey, Program] = {}
-        """Compiled programs, kept for later runs."""
+        """The programs of this engine's runs."""
         self._running = RunLock(self.name)
 
     def make_model(self, capacity: int, boards: int, sim: Simulation, *, held: bool) -> PaddedModel:
@@ -151,6 +158,7 @@ class MjxJaxEngine(Engine):
             if not is_out_of_memory(error):
                 raise
             self.programs.clear()
+            _kept.clear()
             return False
         return True
 
@@ -182,6 +190,8 @@ class MjxJaxEngine(Engine):
         carries = drive is None and not scene.placing.appears
         gives, wraps = scene.stiffness is not None, drive is not None and scene.wrap.holds
         key = ProgramKey(sim, capacity, worlds, batch.boards, drive, profiles.shape, carries, gives, wraps)
+        if key not in self.programs and (type(self), key) in _kept:
+            self.programs[key] = _kept[type(self), key]
         if key not in self.programs:
             progress.message = f"compiling for {worlds} worlds of up to {capacity} boxes"
             begin = time.perf_counter()
@@ -190,7 +200,9 @@ class MjxJaxEngine(Engine):
             chunk = BatchRollout(rules, model, gives, wraps).compiled(
                 batch.table, model.no_forces(worlds), batch.worlds, profiles
             )
-            self.programs[key] = Program(model, chunk)
+            self.programs[key] = _kept[type(self), key] = Program(model, chunk)
+            for oldest in list(_kept)[:-MOST_KEPT]:
+                _kept.pop(oldest, None)
             progress.compile_s += time.perf_counter() - begin
         return self.programs[key]
 

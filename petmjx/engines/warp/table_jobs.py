@@ -124,6 +124,10 @@ class TableJobs:
         apart = job.scene.n_boxes > MAX_BOXES or job.record is not None or not table.recorder.idle
         return not apart and not table.fits(job)
 
+    def wait_for_following(self) -> bool:
+        """Wait for a moment until a job follows from an outcome. Returns whether jobs may still follow."""
+        return self._stream.wait_for_following()
+
     def lose(self) -> dict[int, Job]:
         """Remove and return the jobs without an outcome, whose states are lost."""
         lost, self.in_flight, self.running = self.in_flight, {}, None
