@@ -15,7 +15,7 @@ COMMANDS = (runs, studies, worlds, referees)
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command line and return its exit code."""
-    return run_app(app, arguments)
+    return run_app(lambda _: app, arguments)
 
 
 if __name__ == "__main__":

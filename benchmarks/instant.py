@@ -12,7 +12,7 @@ import numpy as np
 
 from petmjx.common.units import FloatArray
 from petmjx.engines.metrics import BoxMetrics
-from petmjx.engines.protocol import Progress
+from petmjx.engines.protocol import Progress, says_at_hand
 from petmjx.engines.remote import worker_pool
 from petmjx.engines.remote.ray_actor import Worker
 from petmjx.engines.run_engine import UserEngine
@@ -37,10 +37,13 @@ class Instant:
     def __init__(self, *, repeats: bool = True) -> None:
         self._repeats = repeats
 
+    @says_at_hand
     def run(self, jobs: Sequence[Job], sim: Simulation, progress: Progress | None = None) -> Iterator[Outcome]:
+        progress = progress or Progress()
         again, rng = sim.solver_tolerance is not None, np.random.default_rng(len(jobs))
         sizes = np.array([job.scene.n_boxes for job in jobs])
-        for k in np.argsort(-sizes, kind="stable").tolist():
+        for left, k in zip(reversed(range(len(jobs))), np.argsort(-sizes, kind="stable").tolist(), strict=True):
+            progress.at_hand = left
             pos = jobs[k].scene.target
             moved = 1e-4 * rng.standard_normal(pos.shape)
             if k % INVALID_EVERY == 1 and self._repeats and not again:

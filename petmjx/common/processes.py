@@ -122,3 +122,16 @@ again while they start."""
 def collect_rarely() -> None:
     """Collect garbage rarely. Only for processes that petmjx started, not for a user's process."""
     gc.set_threshold(*EVERY)
+
+
+@contextlib.contextmanager
+def no_collection() -> Iterator[None]:
+    """Collect no garbage meanwhile. For code that makes very many objects without cycles: the collector would look at
+    all of them, again and again."""
+    enabled = gc.isenabled()
+    gc.disable()
+    try:
+        yield
+    finally:
+        if enabled:
+            gc.enable()

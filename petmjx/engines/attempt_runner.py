@@ -155,6 +155,7 @@ class AttemptRunner(Generic[AnyWorld]):
                 return unanswered
             if answer is None and tells:
                 yield from self.checked_results([], engine_name, checked=checked, wait=False)
+                self._follow(stream, arrivals)
                 yield None
                 continue
             if answer is _END:
@@ -173,13 +174,17 @@ class AttemptRunner(Generic[AnyWorld]):
                 until = self._has_outcomes if tells else _never
                 yield from self.checked_results(arrivals, engine_name, checked=checked, wait=idle, until=until)
                 arrivals = []
-            self.put_following()
-            if not arrivals:
-                stream.followed()
+            self._follow(stream, arrivals)
         yield from self.checked_results(arrivals, engine_name, checked=checked)
         if stream.in_flight:
             raise RuntimeError(f"engine {engine.name} did not answer {len(stream.in_flight)} of {stream.taken} jobs")
         return []
+
+    def _follow(self, stream: JobStream[Any], arrivals: Sequence[Any]) -> None:
+        """Put the jobs that follow from the results so far. ``arrivals``: outcomes that are not checked yet."""
+        self.put_following()
+        if not arrivals and (self.check_pool is None or not self.check_pool.has_unanswered):
+            stream.followed()
 
     def jobs_of(self, worlds: Sequence[AnyWorld], engine: Engine) -> list[Job]:
         """The jobs of these worlds at this attempt, for an engine."""

@@ -154,9 +154,8 @@ class _AttemptRun(Generic[AnyWorld]):
             n_ready = self.stream.wait_for(LARGE if primary.name in BESIDE else 1)
             if n_ready or self.for_fallback:
                 self.side_tasks.prepare(self.stream.peek(LARGE), self.attempts[1:])
-                if self.following is None:
-                    self.first_runner.check_pool = self.side_tasks.check_pool
-                    self.side_tasks.first = self.first_runner
+                self.first_runner.check_pool = self.side_tasks.check_pool
+                self.side_tasks.first = self.first_runner
                 yield from self._results_of(self.attempts[0], self._first_attempts())
             elif not self.retry_queue and self.side_tasks.unanswered:
                 n_unanswered = self.side_tasks.unanswered

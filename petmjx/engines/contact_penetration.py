@@ -11,7 +11,7 @@ from collections.abc import Iterable, Sequence
 from dataclasses import replace
 from functools import cached_property, lru_cache
 from itertools import compress, pairwise
-from typing import NamedTuple
+from typing import Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,7 +21,7 @@ from petmjx.engines.contact_tilt import BOUND_SHARE, contact_tilt_suspects
 from petmjx.engines.verdict import Flag, Outcome, Reason, Verdict, judge
 from petmjx.options.physics import Cone, Physics
 from petmjx.options.simulation import Simulation
-from petmjx.plans.plan_warnings import shared_length
+from petmjx.plans.plan_warnings import overlap
 from petmjx.world.contact_laws import CONTACTS_PER_FACE, MOST_IMPEDANCE, cone_factor, depth_m
 from petmjx.world.job import Job
 from petmjx.world.scene import Scene
@@ -106,7 +106,7 @@ class _Stack:
 
     def __init__(self, scene: Scene) -> None:
         low, high = scene.target - scene.half_size, scene.target + scene.half_size
-        over = (shared_length(low[:, 0], high[:, 0]) > 0) & (shared_length(low[:, 1], high[:, 1]) > 0)
+        over = overlap(low[:, 0], high[:, 0]) & overlap(low[:, 1], high[:, 1])
         self.order = np.argsort(scene.target[:, 2], kind="stable")
         """(n,) the boxes from the lowest to the highest."""
         self._over = over[np.ix_(self.order, self.order)]
@@ -169,8 +169,8 @@ def _transitive_closure(over: NDArray[np.bool_]) -> NDArray[np.float32]:
 _SUM_ERROR = 1e-9
 """Relative difference of two sums of the same numbers in different orders."""
 
-_MOST_PAIRS = 1 << 20
-"""Number of pairs of boxes that are computed at once: arrays of 8 MB."""
+_MOST_PAIRS = 1 << 17
+"""Number of pairs of boxes that are computed at once: a matrix of numbers takes 1 MB then, which caches hold."""
 
 ON_CARRIER_M = 0.001
 """A box whose planned bottom is lower than this stands on the carrier."""
@@ -208,19 +208,22 @@ def _softened_outcome(outcome: Outcome, sim: Simulation, *, sank: bool) -> Outco
 
 
 def penetration_excluded(outcomes: Sequence[Outcome], scenes: Sequence[Scene], sim: Simulation) -> list[bool]:
-    """The worlds for which ``has_penetrated`` is surely False, computed at once: their boxes came down too little, and
-    did not fail by sinking alone. The other worlds need ``has_penetrated``. For elliptic cones."""
-    counts = np.array([scene.n_boxes for scene in scenes], np.intp)
-    if not len(counts):
+    """The worlds for which ``has_penetrated`` is surely False, computed at once: their boxes did not come down too far,
+    and they did not fail by sinking alone. The other worlds need ``has_penetrated``. For elliptic cones."""
+    if not outcomes:
         return []
     enough_m = (1 - _SUM_ERROR) * BOUND_SHARE * sim.thresholds.shift_m
-    at_a_time = max(_MOST_PAIRS // max(int(counts.max()), 1) ** 2, 1)
-    mask: list[bool] = []
-    for first in range(0, len(counts), at_a_time):
-        rows = slice(first, first + at_a_time)
-        sinking_m = _deepest_m(outcomes[rows], scenes[rows], sim.physics)
-        of_other_reason = [_failed_otherwise(outcome, sim.thresholds.shift_m) for outcome in outcomes[rows]]
-        mask += ((sinking_m <= enough_m) & of_other_reason).tolist()
+    sinking_m = _most_sinking_m(outcomes, scenes, sim.physics)
+    counts = np.array([scene.n_boxes for scene in scenes], np.intp)
+    open_ = np.flatnonzero(sinking_m > enough_m)
+    open_ = open_[np.argsort(counts[open_], kind="stable")]
+    while len(open_):
+        at_a_time = max(_MOST_PAIRS // int(counts[open_[-1]]) ** 2, 1)
+        some, open_ = open_[-at_a_time:], open_[:-at_a_time]
+        numbers = some.tolist()
+        sinking_m[some] = _deepest_m([outcomes[k] for k in numbers], [scenes[k] for k in numbers], sim.physics)
+    of_other_reason = [_failed_otherwise(outcome, sim.thresholds.shift_m) for outcome in outcomes]
+    mask: list[bool] = ((sinking_m <= enough_m) & of_other_reason).tolist()
     return mask
 
 
@@ -230,6 +233,29 @@ def _failed_otherwise(outcome: Outcome, limit_m: float) -> bool:
         return True
     shift = outcome.boxes.shift_m[: outcome.n_placed]
     return bool(((np.abs(shift) > limit_m) & (shift > [-np.inf, -np.inf, 0.0])).any())
+
+
+def _most_sinking_m(outcomes: Sequence[Outcome], scenes: Sequence[Scene], physics: Physics) -> FloatArray:
+    """(m,) an upper bound of ``contact_penetration_m`` in each world, m: the sum over all its boxes, each under the
+    largest force on its top. No pairs of boxes are needed."""
+    counts = np.array([scene.n_boxes for scene in scenes], np.intp)
+    begins = np.cumsum(counts) - counts
+    placed = np.arange(counts.sum()) - np.repeat(begins + [outcome.n_placed for outcome in outcomes], counts) < 0
+    top_n = np.where(placed, np.concatenate([outcome.boxes.max_top_force_n for outcome in outcomes]), 0.0)
+    mass, target, half = (
+        np.concatenate([getattr(scene, name) for scene in scenes]) for name in ("mass", "target", "half_size")
+    )
+    carrier, gravity = np.array([scene.carrier.mass for scene in scenes]), physics.gravity_m_s2
+    on_carrier = (target - half)[:, 2] < ON_CARRIER_M
+    inverse = 1 / mass + np.where(on_carrier, np.repeat(1 / carrier, counts), 0.0)
+    parts = top_n / mass, inverse * (top_n + mass * gravity)
+    depth = sum(depth_m(physics, part / CONTACTS_PER_FACE) for part in parts)
+    on_floor = np.array([scene.total_mass for scene in scenes]) * gravity / carrier
+    bound: FloatArray = depth_m(physics, on_floor / CONTACTS_PER_FACE) + np.add.reduceat(depth, begins)
+    return bound
+
+
+_PLACES: Final = (("target", np.inf), ("half_size", 0.0))
 
 
 def _deepest_m(outcomes: Sequence[Outcome], scenes: Sequence[Scene], physics: Physics) -> FloatArray:
@@ -244,8 +270,9 @@ def _deepest_m(outcomes: Sequence[Outcome], scenes: Sequence[Scene], physics: Ph
         table[is_box] = joined
         return table
 
-    place, half = (filled((getattr(scene, name) for scene in scenes), 0.0) for name in ("target", "half_size"))
-    order = np.argsort(np.where(is_box, place[..., 2], np.inf), axis=1, kind="stable")
+    # rows without a box are infinitely high, and overlap none
+    place, half = (filled((getattr(scene, name) for scene in scenes), fill) for name, fill in _PLACES)
+    order = np.argsort(place[..., 2], axis=1, kind="stable")
     place, half = (np.take_along_axis(values, order[..., None], axis=1) for values in (place, half))
     placed = np.arange(counts.max()) < np.array([outcome.n_placed for outcome in outcomes])[:, None]
     top_n = np.where(placed, filled((outcome.boxes.max_top_force_n for outcome in outcomes), 0.0), 0.0)
@@ -254,7 +281,7 @@ def _deepest_m(outcomes: Sequence[Outcome], scenes: Sequence[Scene], physics: Ph
     carrier = np.array([scene.carrier.mass for scene in scenes])
     total, gravity = np.array([scene.total_mass for scene in scenes]), physics.gravity_m_s2
     low, high = place - half, place + half
-    over = (shared_length(low[..., 0], high[..., 0]) > 0) & (shared_length(low[..., 1], high[..., 1]) > 0)
+    over = overlap(low[..., 0], high[..., 0]) & overlap(low[..., 1], high[..., 1])
     at_rest_n = np.minimum(top_n, gravity * (_transitive_closure(over).astype(float) @ mass[..., None])[..., 0])
     inverse = 1 / mass + np.where(low[..., 2] < ON_CARRIER_M, 1 / carrier[:, None], 0.0)
     above = at_rest_n / mass / CONTACTS_PER_FACE

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from enum import IntFlag, StrEnum
 from typing import Any, Final, NamedTuple
@@ -217,15 +217,30 @@ def margin_of(verdict: Verdict, boxes: BoxMetrics, n_placed: int, thresholds: Th
     negative in a stable world and always negative in an unstable one. NaN for invalid worlds. More: docs/metrics.md,
     section "Margin".
     """
-    if verdict is Verdict.INVALID or n_placed == 0:
-        return math.nan
-    placed = slice(n_placed)
-    dropped = boxes.dropped[placed]
-    shift, tilt = (np.asarray(values[placed], dtype=np.float64) for values in (boxes.shift_m, boxes.max_tilt_deg))
-    largest = np.maximum(excess(shift, tilt, dropped, thresholds), DROPPED_EXCESS * dropped).max()
-    margin = float(1.0 - largest)
-    # `judge` may have compared float32, and the quotient is rounded: on the threshold the verdict has the sign
-    return max(margin, 0.0) if verdict is Verdict.STABLE else min(margin, -_EPSILON)
+    return _margins([(verdict, boxes, n_placed)], thresholds)[0]
+
+
+def margins_of(outcomes: Sequence[Outcome], thresholds: Thresholds) -> list[float]:
+    """``margin_of`` each outcome. All are computed at once."""
+    return _margins([(outcome.verdict, outcome.boxes, outcome.n_placed) for outcome in outcomes], thresholds)
+
+
+def _margins(worlds: Sequence[tuple[Verdict, BoxMetrics, int]], thresholds: Thresholds) -> list[float]:
+    margins = [math.nan] * len(worlds)
+    valid = [k for k, (verdict, _, placed) in enumerate(worlds) if placed and verdict is not Verdict.INVALID]
+    if not valid:
+        return margins
+    placed = [worlds[k][2] for k in valid]
+    placed_boxes = [(worlds[k][1], slice(worlds[k][2])) for k in valid]
+    shift = np.concatenate([boxes.shift_m[rows] for boxes, rows in placed_boxes], dtype=np.float64)
+    tilt = np.concatenate([boxes.max_tilt_deg[rows] for boxes, rows in placed_boxes], dtype=np.float64)
+    dropped = np.concatenate([boxes.dropped[rows] for boxes, rows in placed_boxes], dtype=np.bool_)
+    largest = np.maximum(excess(shift, tilt, dropped, thresholds), DROPPED_EXCESS * dropped)
+    begins = np.cumsum(placed) - np.array(placed)
+    for k, margin in zip(valid, (1.0 - np.maximum.reduceat(largest, begins)).tolist(), strict=True):
+        # `judge` may have compared float32, and the quotient is rounded: on the threshold the verdict has the sign
+        margins[k] = max(margin, 0.0) if worlds[k][0] is Verdict.STABLE else min(margin, -_EPSILON)
+    return margins
 
 
 @dataclass(frozen=True)

@@ -36,7 +36,28 @@ def shared_length(low: FloatArray, high: FloatArray) -> FloatArray:
     return length
 
 
-def meets(low: FloatArray, high: FloatArray, tolerance: float, most_gap: float | None = None) -> NDArray[np.bool_]:
+def overlap(low: FloatArray, high: FloatArray, tolerance: float = 0.0) -> NDArray[np.bool_]:
+    """(…, n, n) whether two boxes overlap along an axis by more than a tolerance: ``shared_length > tolerance``,
+    without a matrix of lengths. Their overlap is the least of the four distances from a lower to an upper end of the
+    two.
+
+    Args:
+        low, high: (…, n) lower and upper ends of the boxes along the axis.
+    """
+    over: NDArray[np.bool_]
+    if tolerance == 0.0:  # a difference of floats is positive exactly if the first one is larger
+        over = high[..., :, None] > low[..., None, :]
+        thick = high > low
+    else:
+        over = high[..., :, None] - low[..., None, :] > tolerance
+        thick = high - low > tolerance
+    over &= thick[..., :, None]
+    return over & np.swapaxes(over, -1, -2)
+
+
+def meets(
+    low: FloatArray, high: FloatArray, tolerance: float, most_gap: float | FloatArray | None = None
+) -> NDArray[np.bool_]:
     """(…, n, n) whether the upper end of the row's box meets the lower end of the column's box.
 
     Args:
@@ -45,7 +66,9 @@ def meets(low: FloatArray, high: FloatArray, tolerance: float, most_gap: float |
         most_gap: the upper end may be below the lower end by at most this; None: ``tolerance``.
     """
     over = high[..., :, None] - low[..., None, :]
-    touching: NDArray[np.bool_] = (over <= tolerance) & (over >= -(tolerance if most_gap is None else most_gap))
+    touching: NDArray[np.bool_] = (over <= tolerance) & (
+        over >= np.negative(tolerance if most_gap is None else most_gap)
+    )
     return touching
 
 
@@ -199,8 +222,8 @@ def _overlaps(low: FloatArray, high: FloatArray, tolerance_mm: float) -> tuple[N
     Args:
         low, high: (3, …, n) ends of the boxes along the axes.
     """
-    side_by_side = (shared_length(low[0], high[0]) > tolerance_mm) & (shared_length(low[1], high[1]) > tolerance_mm)
-    return side_by_side, side_by_side & (shared_length(low[2], high[2]) > tolerance_mm)
+    side_by_side = overlap(low[0], high[0], tolerance_mm) & overlap(low[1], high[1], tolerance_mm)
+    return side_by_side, side_by_side & overlap(low[2], high[2], tolerance_mm)
 
 
 def _thick_enough(low: FloatArray, high: FloatArray, tolerance_mm: float) -> NDArray[np.bool_]:
@@ -237,7 +260,7 @@ def _gaps(
     # Row: the supporting box; column: the upper box. Supporting boxes are earlier in packing order.
     below = side_by_side & (bottom[..., :, None] < bottom[..., None, :])
     if in_order:
-        below = np.triu(below, k=1)
+        below &= ~np.tri(bottom.shape[-1], dtype=bool)
     support = np.where(below, top[..., :, None], 0.0).max(axis=-2, initial=0.0)
     gap: FloatArray = np.maximum(bottom - support, 0.0)
     return gap

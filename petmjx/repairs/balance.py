@@ -17,7 +17,7 @@ from petmjx.options.simulation import Simulation
 from petmjx.repairs.drafts import BoolArray, Draft, IntArray
 from petmjx.world.edge_distances import bearing_in_order, building_loads_of, depends_on_sharing
 from petmjx.world.scene import build_scene
-from petmjx.world.supports import find_bearings, joined_bearing
+from petmjx.world.supports import find_bearings
 
 AT_ONCE: Final = 128
 """Drafts that are computed at once."""
@@ -64,8 +64,7 @@ def balances(drafts: Sequence[Draft], sim: Simulation) -> list[Balance]:
 
 def _balances(drafts: Sequence[Draft], sim: Simulation) -> list[Balance]:
     scenes = [build_scene(draft.as_plan(), sim) for draft in drafts]
-    bearings = [bearing_in_order(bearing) for bearing in find_bearings(scenes, [scene.target for scene in scenes])]
-    bearing = joined_bearing(bearings)
+    bearing = bearing_in_order(find_bearings(scenes, [scene.target for scene in scenes]))
     built = building_loads_of(bearing, [scene.n_boxes for scene in scenes])
     perhaps = depends_on_sharing(bearing, built)
     first = bearing.boxes.first

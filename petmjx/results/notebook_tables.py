@@ -5,12 +5,13 @@ from __future__ import annotations
 import html
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any, Final
-
-import pandas as pd
+from typing import TYPE_CHECKING, Any, Final
 
 from petmjx.common.text import count_text
 from petmjx.common.units import MM_PER_M
+
+if TYPE_CHECKING:
+    import pandas as pd
 
 MOST_ROWS: Final = 20
 """Largest number of rows that a table shows."""
@@ -79,6 +80,8 @@ def table_as_html(frame: pd.DataFrame, columns: Sequence[ShownColumn], attribute
 
 
 def _cell(value: Any, column: ShownColumn) -> str:
+    import pandas as pd  # loaded with the frame; not before there is one
+
     if pd.isna(value):
         return "<td></td>"
     if isinstance(value, float):

@@ -9,16 +9,18 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Final, Self
+from typing import TYPE_CHECKING, Final, Self
 
 import numpy as np
-import pandas as pd
 import pyarrow as pa
 import pyarrow.compute as pc
 from numpy.typing import NDArray
 
 from petmjx.results.run_tables import Parts
 from petmjx.results.schema import RANK, RANK_COLUMN
+
+if TYPE_CHECKING:
+    import pandas as pd
 
 _MOST_VARIANTS: Final = 1 << 32
 
@@ -138,6 +140,8 @@ class PlanOrder:
 
     def index(self, plan_ids: pd.Series) -> pd.Index:
         """The numbers of plans, as the index of a frame with one row per plan."""
+        import pandas as pd  # loaded with the ids; not before there are any
+
         number_of = dict(zip(self.plan_ids, self.numbers, strict=True))
         numbers = [number_of.get(plan_id, -1) for plan_id in plan_ids]
         plain = not number_of or numbers == list(range(len(numbers)))

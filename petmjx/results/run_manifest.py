@@ -7,6 +7,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Final, NamedTuple
 
+import numpy as np
 import pyarrow as pa
 
 from petmjx.common.errors import InputError
@@ -68,15 +69,6 @@ class PlanRecord(NamedTuple):
     height_m: float
     number: int | None = None
 
-    @classmethod
-    def of(cls, plan: Plan, number: int | None = None) -> PlanRecord:
-        """The record of a plan."""
-        size, low = mm_to_m(plan.size_mm), mm_to_m(plan.corner_mm)
-        high = low + size
-        extent_x, extent_y, _ = (high.max(axis=0) - low.min(axis=0)).tolist()
-        volume, height = float(size.prod(axis=1).sum()), float(high[:, 2].max())
-        return cls(plan_digest(plan), plan.source, volume, extent_x, extent_y, height, number)
-
 
 def records_of(plans: Sequence[Plan], numbers: Mapping[str, int] | None = None) -> dict[str, PlanRecord]:
     """The records of plans by id, in the order of the input.
@@ -84,8 +76,45 @@ def records_of(plans: Sequence[Plan], numbers: Mapping[str, int] | None = None) 
     Args:
         numbers: plan id → its place in the input; None: no plan was skipped.
     """
+    if not plans:
+        return {}
     numbers = numbers or {plan.plan_id: number for number, plan in enumerate(plans)}
-    return {plan.plan_id: PlanRecord.of(plan, numbers.get(plan.plan_id)) for plan in plans}
+    ends = np.cumsum([plan.n_boxes for plan in plans])
+    begins = [0, *ends.tolist()[:-1]]
+    size, low = (mm_to_m(np.concatenate([getattr(plan, name) for plan in plans])) for name in ("size_mm", "corner_mm"))
+    high = low + size
+    highest = np.maximum.reduceat(high, begins)
+    extent = (highest - np.minimum.reduceat(low, begins)).tolist()
+    volume_of_box = size.prod(axis=1)
+    return {
+        plan.plan_id: PlanRecord(
+            plan_digest(plan),
+            plan.source,
+            # not reduceat, which adds in another order
+            float(volume_of_box[begin:end].sum()),
+            extent_x,
+            extent_y,
+            height,
+            numbers.get(plan.plan_id),
+        )
+        for plan, begin, end, (extent_x, extent_y, _), height in zip(
+            plans, begins, ends.tolist(), extent, highest[:, 2].tolist(), strict=True
+        )
+    }
+
+
+def _arrow_column(values: Sequence[Any], kind: pa.DataType) -> pa.Array:
+    """``pyarrow.array`` of texts or numbers, which would first load pandas: a run has no time for it before its first
+    world."""
+    if None in values:
+        return pa.array(values, kind)
+    if kind != pa.string():
+        return pa.Array.from_buffers(kind, len(values), [None, pa.py_buffer(np.array(values, kind.to_pandas_dtype()))])
+    texts = [text.encode() for text in values]
+    ends = np.cumsum([0, *(len(text) for text in texts)])
+    if ends[-1] > np.iinfo(np.int32).max:
+        return pa.array(values, kind)
+    return pa.StringArray.from_buffers(len(texts), pa.py_buffer(ends.astype(np.int32)), pa.py_buffer(b"".join(texts)))
 
 
 @dataclass(frozen=True, eq=False)
@@ -123,7 +152,7 @@ class Manifest:
             rows = [ordered.get(plan_id) for plan_id in self.plans]
             columns |= {name: [row and getattr(row, name) for row in rows] for name in PlanOrderCounts._fields}
         schema = plans_schema(ordered is not None)
-        arrays = [pa.array(columns[column.name], column.type) for column in schema]
+        arrays = [_arrow_column(columns[column.name], column.type) for column in schema]
         return pa.Table.from_arrays(arrays, schema=schema)
 
     @classmethod

@@ -13,10 +13,9 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
-from typing import Any, Final
+from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
-import pandas as pd
 import pyarrow as pa
 import pyarrow.compute as pc
 from numpy.typing import NDArray
@@ -41,6 +40,9 @@ from petmjx.results.run_folder import MOST_RUN_FILE_BYTES, RUN_FILE
 from petmjx.results.run_table_files import MemoryParts, Tables
 from petmjx.results.run_tables import LISTED, Parts
 from petmjx.results.schema import RANK, check_version, data_frame, placements_schema, plans_schema, schemas
+
+if TYPE_CHECKING:
+    import pandas as pd
 
 _NAMES_WORLDS: Final = {"histories": "frames", "frames": "frames", "contacts": "frames"}
 """Table → the table whose part of the same number has the same worlds. For tables without an entry here it is
@@ -237,6 +239,8 @@ class RunResults:
         """Plans and files that were not simulated, with the reason: ``number`` (of the plan, as in ``plans``; null for
         other entries, such as a damaged file), ``plan_id``, ``source``, ``error``."""
         columns = ["number", "plan_id", "source", "error"]
+        import pandas as pd  # not at the top of the module: a run needs it when it has ended
+
         frame = pd.DataFrame(self.info.get("skipped", []), columns=columns)
         return frame.astype({"number": "Int32"} | dict.fromkeys(columns[1:], "str"))
 

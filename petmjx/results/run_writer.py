@@ -59,6 +59,10 @@ MOST_WAITING_BYTES: Final = 4 * BYTES_PER_PART
 RETRY_S: Final = 10.0
 """Time between an error and the next attempt, s. On a full disk at most one part is packed in this time."""
 
+PLACEMENTS_S: Final = 2.0
+"""Time between the begin of a run and its table ``placements``, s, unless worlds are written before. Until then the
+first worlds are made, which would wait for it: it takes 0.3 s for 10,003 plans."""
+
 LOOK_S: Final = 1.0
 """Time between two looks at whether the thread still runs, while another thread waits for its answer, s."""
 
@@ -153,6 +157,7 @@ class RunWriter(RunInfo):
         self._rows: list[Row] = []
         self._row_bytes = self._written_bytes = 0
         self._lacks_placements = False  # whether the table ``placements`` must still be written
+        self._opened_s = 0.0  # when the table ``plans`` was written (monotonic clock)
         self._is_behind = False  # whether run.json must still be written
         self._trouble: Exception | None = None  # why the last attempt at writing failed
         self._retry_s = 0.0  # no attempt at writing before this time (monotonic clock)
@@ -320,14 +325,15 @@ class RunWriter(RunInfo):
             request.reply.put((None, error))
 
     def _due_s(self) -> float | None:
-        """Time until the waiting worlds must be written, s; None: no world waits."""
-        if self._is_full or self._is_behind or self._lacks_placements:
-            due_s = 0.0
-        elif self._rows and not self._in_memory:
-            due_s = self._rows[0].ended_s + self._seconds_per_part
-        else:
-            return None
-        return max(max(due_s, self._retry_s) - time.monotonic(), 0.0)
+        """Time until something must be written though nothing else comes, s; None: nothing waits."""
+        due_s = []
+        if self._is_full or self._is_behind:
+            due_s.append(0.0)
+        if self._lacks_placements:
+            due_s.append(self._opened_s + min(PLACEMENTS_S, self._seconds_per_part))
+        if self._rows and not self._in_memory:
+            due_s.append(self._rows[0].ended_s + self._seconds_per_part)
+        return max(max(min(due_s), self._retry_s) - time.monotonic(), 0.0) if due_s else None
 
     @property
     def _is_full(self) -> bool:
@@ -395,7 +401,7 @@ class RunWriter(RunInfo):
             self._is_behind = False
 
     def _write_placements(self) -> None:
-        """Write the table ``placements``, while the first worlds are simulated."""
+        """Write the table ``placements``, while worlds are simulated."""
         content = self._manifest.placements() if self._manifest else None
         if content is not None:
             with self._writing():
@@ -411,6 +417,7 @@ class RunWriter(RunInfo):
         if [plans] != self.parts.table("plans"):
             self._tables.write_only("plans", plans)
         self._lacks_placements = not (self._in_memory or self.parts.files(PLACEMENTS))
+        self._opened_s = time.monotonic()
 
     def _open(self) -> None:
         """Lock the folder, and write the files that need no world.

@@ -15,9 +15,8 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Final
+from typing import TYPE_CHECKING, Any, Final
 
-import pandas as pd
 import pyarrow as pa
 
 from petmjx.common.errors import InputError
@@ -26,6 +25,9 @@ from petmjx.engines.metrics import DIMENSIONLESS, TEXT
 from petmjx.engines.verdict import Flag, Verdict
 from petmjx.options.simulation import Schedule
 from petmjx.plans.plan_fields import SPARSE
+
+if TYPE_CHECKING:
+    import pandas as pd
 
 SCHEMA_VERSION: Final = 2
 """Increase it when a column is renamed or removed, or when its meaning changes. New columns do not need it."""

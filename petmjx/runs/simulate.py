@@ -5,10 +5,12 @@ The study of the run makes the worlds of its plans (petmjx.runs.study).
 
 from __future__ import annotations
 
+import threading
 import time
 from array import array
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from importlib import import_module
 from typing import TYPE_CHECKING, Any, Protocol
 
 from petmjx.common.machine import package_versions
@@ -218,6 +220,8 @@ class _Run:
                 watcher.begin(self._start(len(writer.recorded)))
             ends_s = array("d")
             for world in study.worlds(self.engine, writer.recorded, self.recording, self.progress):
+                if not ends_s:  # results need it when the run ends; the engine works by now
+                    threading.Thread(target=import_module, args=("pandas",), name="petmjx-tables").start()
                 self._write(writer, world)
                 ends_s.append(time.monotonic())
                 if watcher is not None:

@@ -10,7 +10,6 @@ import time
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from itertools import chain, islice
 from typing import Any
 
 import numpy as np
@@ -330,15 +329,20 @@ class SweepRun:
         self, groups: Iterable[PlacementGroup], most_pending: int, keep_state: bool
     ) -> Iterator[SettledPlacement]:
         begin = time.perf_counter()
-        worlds = (
+        for result in self._score(self._placements(groups, keep_state), most_pending, forks=keep_state):
+            yield self._settled(result)
+        self.tally.placement_s += time.perf_counter() - begin
+
+    def _placements(self, groups: Iterable[PlacementGroup], keep_state: bool) -> Iterator[_PlacementWorld]:
+        return (
             _PlacementWorld(group.plan, group.index, self._placement(group, scene, keep_state), group)
             for group, scene in self.plan.scenes(groups)
         )
-        for result in self._score(worlds, most_pending, forks=keep_state):
-            self.tally.placements += 1
-            self.tally.placement_steps += result.outcome.n_steps
-            yield SettledPlacement(result.world.group, result.world.job.scene, result.outcome, result.attempts)
-        self.tally.placement_s += time.perf_counter() - begin
+
+    def _settled(self, result: WorldResult[Any]) -> SettledPlacement:
+        self.tally.placements += 1
+        self.tally.placement_steps += result.outcome.n_steps
+        return SettledPlacement(result.world.group, result.world.job.scene, result.outcome, result.attempts)
 
     def _placement(self, group: PlacementGroup, scene: Scene, keep_state: bool) -> Job:
         return self.plan.job(group, scene, keep_state=keep_state, record=self.recording.of(group.plan))
@@ -376,22 +380,32 @@ class SweepRun:
     # Drives.
 
     def _fork(self, groups: Sequence[PlacementGroup]) -> Iterator[FinishedWorld]:
-        """Fork placements into all their variants. While later placements are simulated, the first drives are prepared,
-        since a device needs drives soon, and worlds of placements that are not driven are yielded."""
-        drives: dict[int, Iterable[_DriveWorld]] = {}
-        n_ready = 0
-        for start in self._settling(groups):
-            if not self._can_be_driven(start):
-                for variant in self._missing(start.group):
-                    yield start.undriven(variant)
+        """Fork placements into all their variants. Drives begin when their placement has settled, beside placements
+        that take longer."""
+        begin = time.perf_counter()
+        n_settled = 0
+        ready_drives: list[_DriveWorld] = []
+
+        def following() -> list[_DriveWorld]:
+            drives = ready_drives.copy()
+            ready_drives.clear()
+            return drives
+
+        worlds: Iterator[_PlacementWorld | _DriveWorld] = self._placements(groups, keep_state=True)
+        for result in self._score(worlds, self.batching.drives, forks=True, following=following):
+            if isinstance(result.world, _DriveWorld):
+                yield self._driven(result)
                 continue
-            of_start = self._drives_of(start)
-            next_worlds = list(islice(of_start, self.batching.drives - n_ready))
-            drives[id(start.group)] = chain(next_worlds, of_start)
-            n_ready += len(next_worlds)
-        in_order = (drive for group in groups for drive in drives.pop(id(group), ()))
-        for _, world in self._drive(in_order):
-            yield world
+            start, n_settled = self._settled(result), n_settled + 1
+            self.progress.message = f"placed {n_settled:,} of {len(groups):,}" if n_settled < len(groups) else ""
+            if n_settled == len(groups):
+                self.tally.placement_s += time.perf_counter() - begin
+                begin = time.perf_counter()
+            if self._can_be_driven(start):
+                ready_drives += self._drives_of(start)
+            else:
+                yield from map(start.undriven, self._missing(start.group))
+        self.tally.drive_s += time.perf_counter() - begin
 
     def _drives_of(self, start: SettledPlacement) -> Iterator[_DriveWorld]:
         return (self._driving(start, variant) for variant in self._missing(start.group))
@@ -409,15 +423,17 @@ class SweepRun:
         begin = time.perf_counter()
         most = self.batching.drives  # all at once, since their scenes already exist
         for result in self._score(worlds, most, forks=True, begin_with=most, following=following):
-            world, outcome = result.world, result.outcome
-            self.tally.drives += 1
-            self.tally.drive_steps += outcome.n_steps
-            final = world.settled.shaken(outcome, self.sim.thresholds)
-            swept = FinishedWorld(
-                world.plan, world.change, world.job.scene, final, result.attempts, world.settled.outcome, driven=True
-            )
-            yield world.test, swept
+            yield result.world.test, self._driven(result)
         self.tally.drive_s += time.perf_counter() - begin
+
+    def _driven(self, result: WorldResult[Any]) -> FinishedWorld:
+        world, outcome = result.world, result.outcome
+        self.tally.drives += 1
+        self.tally.drive_steps += outcome.n_steps
+        final = world.settled.shaken(outcome, self.sim.thresholds)
+        return FinishedWorld(
+            world.plan, world.change, world.job.scene, final, result.attempts, world.settled.outcome, driven=True
+        )
 
     # Chains.
 

@@ -18,7 +18,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from itertools import pairwise
-from typing import Final, NamedTuple
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -28,7 +28,7 @@ from petmjx.world.balance_programme import BEYOND_M, balanced_loads
 from petmjx.world.history import CARRIER
 from petmjx.world.load_sharing import IntArray, pulls
 from petmjx.world.scene import Scene
-from petmjx.world.supports import Bearing, bearing_of, joined_bearing
+from petmjx.world.supports import Bearing, bearing_of, spans
 
 ROUNDING_M: Final = 1e-9
 """A load beyond an edge by less than this lies on the edge: rounding errors of sums of millimetres."""
@@ -56,29 +56,20 @@ class Edges(NamedTuple):
         return nearer
 
 
-def edges_of(bearings: Sequence[Bearing], placed: Sequence[int], joined: Bearing | None = None) -> list[Edges]:
+def edges_of(bearing: Bearing, placed: Sequence[int]) -> list[Edges]:
     """The edges of the boxes of each scene, once its first ``placed`` boxes are placed.
 
     Args:
-        bearings: the bearing of each scene.
         placed: number of placed boxes of each scene.
-        joined: all bearings joined, if the caller has them; None: computed here.
     """
-    if not bearings:
-        return []
-    bearing = joined or joined_bearing(bearings)
-    _, by_weight, by_load = loads_and_edges(bearings, bearing, placed)
+    _, by_weight, by_load = loads_and_edges(bearing, placed)
     return [Edges(by_weight[i:k], by_load[i:k]) for i, k in pairwise(bearing.boxes.first.tolist())]
 
 
-def loads_and_edges(
-    bearings: Sequence[Bearing], bearing: Bearing, placed: Sequence[int]
-) -> tuple[FloatArray, FloatArray, FloatArray]:
+def loads_and_edges(bearing: Bearing, placed: Sequence[int]) -> tuple[FloatArray, FloatArray, FloatArray]:
     """(n, 4) loads of all boxes as of ``Bearing.loads``, (n,) edges of their own weights and (n,) edges of their loads.
 
     Args:
-        bearings: one for each scene.
-        bearing: the bearings joined.
         placed: number of placed boxes of each scene.
     """
     among, load = bearing.boxes.among(placed), bearing.loads(placed)
@@ -90,8 +81,7 @@ def loads_and_edges(
         _scenes(bearing, (by_load < 0) & open_), _scenes(bearing, (by_load < 0) & ~open_)
     ).tolist():
         boxes = slice(*bearing.boxes.first[number : number + 2].tolist())
-        one = bearings[number]
-        bearing.share_hulls(number, one)
+        one = bearing.of_scene(number)
         load[boxes, :3], by_load[boxes] = rebalanced_loads(one, load[boxes], by_load[boxes], among[boxes])
     return load, by_weight, by_load
 
@@ -180,36 +170,28 @@ class LeastBuildingEdge(NamedTuple):
     nearest_step: int
 
 
-def building_edges(
-    bearings: Sequence[Bearing], placed: Sequence[int], joined: Bearing | None = None
-) -> list[LeastBuildingEdge]:
+_NO_EDGE: Final = LeastBuildingEdge(np.nan, -1, -1, np.nan, -1, -1)
+
+
+def building_edges(bearing: Bearing, placed: Sequence[int]) -> list[LeastBuildingEdge]:
     """The least edge of each scene over the placements of its first ``placed`` boxes.
 
     Args:
-        bearings: one for each scene.
         placed: number of placed boxes of each scene.
-        joined: all bearings joined, perhaps with further bearings after them; None: computed here.
     """
-    if not bearings:
-        return []
-    bearing, in_order = joined or joined_bearing(bearings), list(bearings)
-    is_contact = bearing.upper < bearing.boxes.first[len(bearings)]
-    if not (bearing.lower < bearing.upper)[is_contact].all():
-        in_order = [bearing_in_order(one) for one in bearings]
-        bearing = joined_bearing(in_order)
-    n_extra = len(bearing.boxes.first) - 1 - len(bearings)
-    built = building_loads_of(bearing, [*placed, *[0] * n_extra])
+    bearing = bearing_in_order(bearing)
+    n_scenes = len(bearing.boxes.first) - 1
+    built = building_loads_of(bearing, placed)
     beyond, depends = built.edge_m < 0, depends_on_sharing(bearing, built)
     scene = np.searchsorted(bearing.boxes.first, built.box, side="right") - 1
-    surely, perhaps = (np.bincount(scene[beyond & which], minlength=len(bearings)) > 0 for which in (~depends, depends))
+    surely, perhaps = (np.bincount(scene[beyond & which], minlength=n_scenes) > 0 for which in (~depends, depends))
     edge = np.where(beyond & depends & surely[scene], np.nan, built.edge_m)
-    begins = np.searchsorted(scene, np.arange(len(bearings) + 1)).tolist()
-    least = []
-    for number, one in enumerate(in_order):
+    begins = np.searchsorted(scene, np.arange(n_scenes + 1)).tolist()
+    least = _least_of_scenes(built._replace(edge_m=edge), scene, bearing.boxes.first)
+    for number in np.flatnonzero(perhaps & ~surely).tolist():
         pairs, first = slice(begins[number], begins[number + 1]), int(bearing.boxes.first[number])
         of_one = BuildingLoads(built.box[pairs] - first, built.step[pairs] - first, built.load[pairs], edge[pairs])
-        looked = perhaps[number] and not surely[number]
-        least.append(_exact_least_edge(one, of_one) if looked else _least(of_one))
+        least[number] = _exact_least_edge(bearing.of_scene(number), of_one)
     return least
 
 
@@ -226,8 +208,7 @@ def steps_beyond(scene: Scene, box: int) -> tuple[int, int]:
 
 
 def bearing_in_order(bearing: Bearing) -> Bearing:
-    """The bearing of a scene, without supports that are placed later than the box on them: by then the box has
-    fallen."""
+    """A bearing without supports that are placed after the box that they bear: until then that box has fallen."""
     before = bearing.lower < bearing.upper
     if before.all():
         return bearing
@@ -305,7 +286,7 @@ def _running_sums(part: FloatArray, begins: IntArray) -> FloatArray:
 def _without_pulls(bearing: Bearing, begins: IntArray, step: IntArray, load: FloatArray) -> None:
     """Correct the loads of boxes on which a support would pull, and of all boxes below them."""
     several = np.flatnonzero(bearing.n_supports > 1)
-    contacts = _spans(bearing.n_supports, several)
+    contacts = spans(bearing.n_supports, several)
     times = np.diff(begins)[bearing.upper[contacts]]
     pair = np.arange(times.sum()) - np.repeat(np.cumsum(times) - times, times)
     contact = np.repeat(contacts, times)
@@ -328,9 +309,9 @@ def _without_pulls(bearing: Bearing, begins: IntArray, step: IntArray, load: Flo
     weights, boxes = bearing.weights[:, :3], np.flatnonzero(pulled)
     level = bearing.level[boxes]
     for number in np.unique(level).tolist():
-        level_boxes = boxes[level == number]
-        pairs, owner = _spans(count, level_boxes), np.repeat(level_boxes, count[level_boxes])
-        rows, contact = np.repeat(np.arange(len(pairs)), n_above[owner]), above[_spans(n_above, owner)]
+        some = boxes[level == number]
+        pairs, owner = spans(count, some), np.repeat(some, count[some])
+        rows, contact = np.repeat(np.arange(len(pairs)), n_above[owner]), above[spans(n_above, owner)]
         upper = bearing.upper[contact]
         last = np.searchsorted(key, upper * n + step[pairs[rows]], side="right") - 1
         placed = last >= begins[upper]
@@ -341,7 +322,7 @@ def _without_pulls(bearing: Bearing, begins: IntArray, step: IntArray, load: Flo
         passed[~through] = np.einsum("cij,cj->ci", bearing.shares[contact[~through]], load[last[~through]])
         load[pairs] = np.where((step[pairs] >= owner)[:, None], weights[owner], 0.0)
         np.add.at(load, pairs[rows], passed)
-        rows, contact = np.repeat(np.arange(len(pairs)), bearing.n_supports[owner]), _spans(bearing.n_supports, owner)
+        rows, contact = np.repeat(np.arange(len(pairs)), bearing.n_supports[owner]), spans(bearing.n_supports, owner)
         place = first[contact] + (pairs - begins[owner])[rows]
         forces[place] = _contact_pushes(bearing, owner, load[pairs], rows, contact)
 
@@ -369,13 +350,6 @@ def _contact_pushes(
     return force
 
 
-def _spans(count: IntArray, chosen: IntArray) -> IntArray:
-    """The numbers of all members of the chosen groups. ``count`` has the number of members of each group."""
-    first, times = (np.cumsum(count) - count)[chosen], count[chosen]
-    spans: IntArray = np.arange(times.sum()) + np.repeat(first - (np.cumsum(times) - times), times)
-    return spans
-
-
 def _exact_least_edge(bearing: Bearing, built: BuildingLoads) -> LeastBuildingEdge:
     """The least edge of one scene, if every load that seems to be beyond an edge depends on the sharing of loads.
 
@@ -386,11 +360,11 @@ def _exact_least_edge(bearing: Bearing, built: BuildingLoads) -> LeastBuildingEd
         if not (edge < 0).any():
             break
         step = int(built.step[np.nanargmin(edge)])
-        last, edges = balanced_after(bearing, built, step)
-        if (edges < 0).any():
-            box = int(np.nanargmin(edges))
-            return LeastBuildingEdge(float(edges[box]), box, step, *_nearest(built._replace(edge_m=edge)))
-        edge[last] = np.where(edge[last] < 0, edges[built.box[last]], edge[last])
+        last, seen = balanced_after(bearing, built, step)
+        if (seen < 0).any():
+            box = int(np.nanargmin(seen))
+            return LeastBuildingEdge(float(seen[box]), box, step, *_least(built._replace(edge_m=edge))[3:])
+        edge[last] = np.where(edge[last] < 0, seen[built.box[last]], edge[last])
     edge[edge < 0] = np.nan
     return _least(built._replace(edge_m=edge))
 
@@ -408,20 +382,42 @@ def balanced_after(bearing: Bearing, built: BuildingLoads, step: int) -> tuple[I
 
 
 def _least(built: BuildingLoads) -> LeastBuildingEdge:
-    """The least edge of one scene."""
-    edge_or_inf = np.where(np.isnan(built.edge_m), np.inf, built.edge_m)
-    if not (edge_or_inf < np.inf).any():
-        return LeastBuildingEdge(np.nan, -1, -1, np.nan, -1, -1)
-    place = int(edge_or_inf.argmin())
-    return LeastBuildingEdge(
-        float(built.edge_m[place]), int(built.box[place]), int(built.step[place]), *_nearest(built)
-    )
+    """The least of one scene's edges."""
+    return _least_of_scenes(built, np.zeros(len(built.box), np.intp), np.array([0, 0]))[0]
 
 
-def _nearest(built: BuildingLoads) -> tuple[float, int, int]:
-    """Distance, box and step of the load of one scene that is nearest to an edge, on either side."""
-    place = int(np.nanargmin(np.abs(built.edge_m)))
-    return float(built.edge_m[place]), int(built.box[place]), int(built.step[place])
+def _least_of_scenes(built: BuildingLoads, scene: IntArray, first: IntArray) -> list[LeastBuildingEdge]:
+    """The least edge of each scene.
+
+    Args:
+        scene: (p,) the scene of each pair, in order.
+        first: (s + 1,) first box of each scene.
+    """
+    least, columns = [_NO_EDGE] * (len(first) - 1), list[list[Any]]()
+    numbers: IntArray = scene[:0]
+    for distance in (built.edge_m, np.abs(built.edge_m)):  # the furthest beyond, and the nearest on either side
+        numbers, place = first_least(distance, scene)
+        columns.append(built.edge_m[place].tolist())
+        columns += [(values[place] - first[numbers]).tolist() for values in (built.box, built.step)]
+    for number, *values in zip(numbers.tolist(), *columns, strict=True):
+        least[number] = LeastBuildingEdge(*values)
+    return least
+
+
+def first_least(values: FloatArray, group: IntArray) -> tuple[IntArray, IntArray]:
+    """(g,) the groups with a value that is not NaN, and (g,) the place of the first of the least values of each.
+
+    Args:
+        group: (p,) the group of each value, in order.
+    """
+    known = np.flatnonzero(~np.isnan(values))
+    if not len(known):
+        return known, known
+    values, group = values[known], group[known]
+    begins = np.flatnonzero(np.diff(group, prepend=-1))
+    least = np.repeat(np.minimum.reduceat(values, begins), np.diff(begins, append=len(group)))
+    at = np.flatnonzero(values == least)
+    return group[begins], known[at[np.flatnonzero(np.diff(group[at], prepend=-1))]]
 
 
 def depends_on_sharing(bearing: Bearing, built: BuildingLoads) -> NDArray[np.bool_]:

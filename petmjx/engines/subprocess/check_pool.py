@@ -29,7 +29,7 @@ THREADS_EACH: Final = 4
 """CPU threads of a machine for each check process."""
 
 MOST_WAITING: Final = 8
-"""Most unanswered checks of a process: with 128 outcomes each they take 10 MB."""
+"""Most unanswered checks of a process: with 256 outcomes each they take 20 MB."""
 
 LOOK_S: Final = 0.005
 """Longest wait for an answer, s. After each wait signals and other work are noticed."""
@@ -81,6 +81,11 @@ class CheckPool(Generic[Key]):
     def _hangs(self, waits: int) -> bool:
         """Whether a process hangs, after this number of waits for it."""
         return waits * LOOK_S >= HANGS_S if self._until_s is None else time.monotonic() >= self._until_s
+
+    @property
+    def has_unanswered(self) -> bool:
+        """Whether checks are under way."""
+        return any(looker.unanswered for looker in self._check_pool)
 
     def exchanged(
         self,

@@ -42,9 +42,6 @@ UNDER_WAY = 2
 """Slices in flight, so that the device is never idle. Worlds that end in one slice come to the host when the next slice
 has ended."""
 
-FEW_LIVE = 1024
-"""Worlds of a table with which the next slice is not begun ahead if jobs may follow from outcomes."""
-
 GPU_SLICE_NS = 100_000_000
 """Time slice of a call on a GPU, ns. If it is longer, the host waits for worlds; if shorter, the device waits for
 calls."""
@@ -210,11 +207,17 @@ class MjxWarpEngine(Engine):
         queues = Queues(run.needs.sizes, size_of, table.rows)
         queues.add(table.jobs, np.arange(len(table.jobs)), table.live, run.sim)
         rollout = self._rollout(table) if simulate else None
+
+        def slices_at_once() -> int:
+            # a job that follows from an outcome joins after the slices in flight: while blocks are idle, only one is
+            blocks_idle = rollout is not None and int(table.live.sum()) <= rollout.launcher.blocks
+            return 1 if waits or (source.feedback and blocks_idle) else UNDER_WAY
+
         try:
             if rollout is None:
                 table.give_up(np.flatnonzero(table.live), Flag.OUT_OF_MEMORY)
             else:
-                rollout.keep_under_way(self._slices_at_once(table, source, waits), table, queues.order)
+                rollout.keep_under_way(slices_at_once(), table, queues.order)
                 prepare_readback(table.table, table.worlds, run.sim)
             while table.live.any():
                 frames = None
@@ -234,7 +237,7 @@ class MjxWarpEngine(Engine):
                 if rollout is not None:
                     self._join(table, queues, source)
                     if table.live.any():
-                        rollout.keep_under_way(self._slices_at_once(table, source, waits), table, queues.order)
+                        rollout.keep_under_way(slices_at_once(), table, queues.order)
                     else:
                         rollout.finish(table)  # no world runs in the slices in flight
                 if frames is not None:
@@ -245,7 +248,7 @@ class MjxWarpEngine(Engine):
                 while not table.live.any() and not waits and source.wait_for_following():
                     yield SliceResult((), table.recorder, {}, {})  # whoever takes outcomes may have left
                 if not table.live.any() and self._join(table, queues, source, wait=True):
-                    rollout.keep_under_way(self._slices_at_once(table, source, waits), table, queues.order)
+                    rollout.keep_under_way(slices_at_once(), table, queues.order)
                 elif source.needs_another(table, rollout.launcher.blocks):
                     rollout.finish(table)
                     source.running = table.take_running()
@@ -253,13 +256,6 @@ class MjxWarpEngine(Engine):
         except BaseException:
             self._drop()  # the memory of a call that did not return is lost
             raise
-
-    @staticmethod
-    def _slices_at_once(table: WorldTable, source: TableJobs, waits: bool) -> int:
-        """Number of slices in flight. A job that follows from an outcome joins after the slices in flight. So there is
-        only one while fewer worlds are live than may wait for such jobs."""
-        few = source.feedback and int(table.live.sum()) < FEW_LIVE
-        return 1 if waits or few else UNDER_WAY
 
     @staticmethod
     def _join(table: WorldTable, queues: Queues, source: TableJobs, *, wait: bool = False) -> bool:

@@ -113,11 +113,11 @@ class TableJobs:
         """Whether the next job has no room in a table, and so few worlds are live that another table is due.
 
         Args:
-            blocks: blocks of the device. Jobs that follow from outcomes wait until no world is live.
+            blocks: blocks of the device.
         """
         live = int(table.live.sum())
         waiting = self._stream.peek(1)
-        if not waiting or live == 0 or live > blocks or self.feedback:
+        if not waiting or live == 0 or live > blocks:
             return False
         (job,) = waiting
         # a plan that is refused, or recorded, waits until all outcomes before it are there
