@@ -180,7 +180,8 @@ def note_softness(outcomes: Sequence[Outcome], jobs: Sequence[Job], sim: Simulat
     """The outcomes, with ``Flag.SINKING`` if the depth of contacts may have decided the verdict.
 
     A world whose boxes sank has no verdict. A world that may have tipped over because contacts are soft keeps its
-    verdict, in case stiffer contacts do not change it. With pyramidal cones, the reference's, all worlds keep it.
+    verdict, in case stiffer contacts do not change it. With pyramidal cones, as in preset ``reference``, all worlds
+    keep their verdict.
     """
     noted, elliptic = list(outcomes), sim.physics.cone is Cone.ELLIPTIC
     may_lean: list[int] = []
