@@ -23,7 +23,7 @@ from petmjx.repairs.drafts import Draft, Rules
 from petmjx.repairs.repair import Repaired
 
 TRIES: Final = 40
-"""Moves of a box that are tried in each plan of others."""
+"""Number of moves of a box that are tried in each plan of others."""
 
 SCORED_AT_ONCE: Final = 4
 """Moves that are scored at once until one makes the plan fall."""
@@ -85,7 +85,8 @@ def disturbed(plans: Sequence[Plan], seed: int, **how: Any) -> Iterator[Plan]:
 
 
 def repaired_rows(plans: Sequence[Plan], **options: Any) -> Iterator[tuple[dict[str, Any], Repaired]]:
-    """A row for each plan, as soon as it is repaired: that of ``Repairs.table``, with seconds of wall clock and CPU."""
+    """A row for each plan, as soon as it is repaired: the row of ``Repairs.table``, with seconds of wall clock and
+    CPU."""
     for plan in plans:
         wall, cpu = time.perf_counter(), time.process_time()
         (result,) = petmjx.repair(plan, **options).each
