@@ -398,11 +398,16 @@ class Search:
     def _pruned(self, state: State) -> Generator[list[Asked], list[Trial], State]:
         """The state without needless changes, tried one by one."""
         while len(state.changes) > 1:
+            many = len(state.changes) > MOST_UNDONE  # scores of all of them would take minutes
             change_lists = [(*state.changes[:k], *state.changes[k + 1 :]) for k in range(len(state.changes))]
-            standing = [shorter for shorter in (yield from self._trials_of(change_lists)) if shorter.trial.stands]
+            trials = yield from self._trials_of(change_lists, judged=many)
+            standing = sorted((shorter for shorter in trials if shorter.trial.stands), key=lambda one: one.cost)[:1]
+            if standing and many:
+                (trial,) = yield from self._simulated([standing[0].draft])
+                standing = [replace(standing[0], trial=trial)] if trial.stands else []
             if not standing:
                 break
-            state = min(standing, key=lambda shorter: shorter.cost)
+            state = standing[0]
         return state
 
     def _weakness(self, states: Sequence[State]) -> list[int]:
