@@ -33,6 +33,9 @@ AS_IS: Final = ""
 
 MOST_LEGS: Final = 100
 
+_EDGES: Final = ("plan_edge_m", "plan_edge_box", "build_edge_m", "build_edge_box", "build_edge_step")
+"""Fields of an outcome about the plan's edges, which no leg changes."""
+
 Name = Annotated[str, Field(max_length=100)]
 Factor = Annotated[StrictFloat, Field(gt=0), within(0, 100)]
 
@@ -219,8 +222,13 @@ def after(before: Outcome, leg: Outcome, timestep_s: float) -> Outcome:
     history = leg.history
     if history is not None and before.history is not None:
         history = before.history.then(_later(history, since_s))
+    edges: dict[str, Any] = {}
+    if leg.verdict is Verdict.STABLE:  # not computed again (``petmjx.engines.outcome_checks.note_edges``)
+        largest["plan_edge_m"] = old.plan_edge_m
+        edges = {name: getattr(before, name) for name in _EDGES}
     return replace(
         leg,
+        **edges,
         boxes=replace(boxes, **largest, drop_s=boxes.drop_s + since_s),
         first_sign_s=leg.first_sign_s + since_s,
         sim_time_s=leg.sim_time_s + since_s,

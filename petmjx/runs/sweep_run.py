@@ -45,12 +45,13 @@ class Batching:
         undriven: most worlds without a drive in one call of the engine. Their states are not kept.
         placements: most settled states that are kept. A state with 43 boxes takes 10 to 20 KB.
         worlds: most variants into which the kept states are forked (a single placement may have more).
-        drives: most forked worlds in one call of the engine. In a search these are the first tests of all items.
+        drives: most forked worlds in one call of the engine. In a search these are the first tests of all items, in a
+            chain a leg of all worlds.
         histories: most settled states that are kept together with their histories. A history with 43 boxes takes 1 MB.
     """
 
     undriven: int = MOST_PENDING
-    placements: int = 4096
+    placements: int = 8192
     worlds: int = 65_536
     drives: int = 16_384
     histories: int = 256
@@ -166,11 +167,11 @@ class _DriveWorld(World):
 
 
 @dataclass(frozen=True, eq=False)
-class _LegWorld(World):
-    """A leg of a chain as a world that the engine simulates.
+class _LegStart:
+    """Where a leg of a chain begins.
 
     Attributes:
-        changes: the worlds whose chains are the same up to this leg.
+        changes: the worlds that begin there: their chains are the same so far.
         number: of the leg in their chains.
         before: the outcome after the legs before; None: this is the first one.
     """
@@ -180,9 +181,16 @@ class _LegWorld(World):
     number: int
     before: Outcome | None
 
+
+@dataclass(frozen=True, eq=False)
+class _LegWorld(World):
+    """A leg of a chain as a world that the engine simulates."""
+
+    begin: _LegStart
+
     @property
     def leg(self) -> LegSpec:
-        return self.changes[0].legs[self.number]
+        return self.begin.changes[0].legs[self.begin.number]
 
 
 @dataclass(eq=False)
@@ -256,7 +264,7 @@ class SweepRun:
         if not self._can_be_driven(start):
             return start.undriven(variant)
         if variant.legs:
-            (world,) = self._through_legs(self._legs_of(start, [variant], 0, None))
+            (world,) = self._through_legs([_LegStart(start, (variant,), 0, None)])
             return world
         ((_, world),) = self._drive([self._driving(start, variant)])
         return world
@@ -278,11 +286,9 @@ class SweepRun:
     def _chunks(self) -> Iterator[list[PlacementGroup]]:
         """Placements with drives, in chunks as large as ``Batching`` allows."""
         search = self.plan.sweep.search
-        most = self.batching.worlds
-        per_search = 0
-        if search is not None:
-            per_search = len(self.plan.search_items()) * search.sections
-            most = self.batching.drives
+        # of a search and of a chain the engine gets all drives of a chunk in one call
+        most = self.batching.worlds if search is None and not self.plan.sweep.legs else self.batching.drives
+        per_search = 0 if search is None else len(self.plan.search_items()) * search.sections
         chunk: list[PlacementGroup] = []
         worlds = histories = 0
         for group in (group for group in self._groups() if group.driven):
@@ -417,63 +423,62 @@ class SweepRun:
 
     def _chain(self, groups: Sequence[PlacementGroup]) -> Iterator[FinishedWorld]:
         """Take placements through the legs of their chains, each leg from the end of the one before."""
-        first: list[_LegWorld] = []
+        first: list[_LegStart] = []
         for start in self._settling(groups):
             missing = self._missing(start.group)
             if self._can_be_driven(start):
-                first += self._legs_of(start, missing, 0, None)
+                first.append(_LegStart(start, tuple(missing), 0, None))
             else:
                 yield from map(start.undriven, missing)
         yield from self._through_legs(first)
 
-    def _legs_of(
-        self, start: SettledPlacement, changes: Iterable[Variant], number: int, before: Outcome | None
-    ) -> Iterator[_LegWorld]:
-        """The legs with this number of some worlds, after the same outcome. Worlds with the same leg share it."""
-        plan, record = start.group.plan, self.recording.of(start.group.plan)
+    def _legs_of(self, begin: _LegStart) -> Iterator[_LegWorld]:
+        """The next legs of some worlds. Worlds with the same leg share it."""
+        placed, before = begin.settled, begin.before
+        plan, record = placed.group.plan, self.recording.of(placed.group.plan)
         alike: dict[tuple[LegSpec, int], list[Variant]] = {}
-        for change in changes:
-            alike.setdefault((change.legs[number], change.replicate), []).append(change)
+        for change in begin.changes:
+            alike.setdefault((change.legs[begin.number], change.replicate), []).append(change)
         for (leg, _), same in alike.items():
-            drive = self.plan.leg_drive(plan, same[0], leg, start.load_height_m)
+            drive = self.plan.leg_drive(plan, same[0], leg, placed.load_height_m)
             poses = None if before is None else np.concatenate([before.boxes.pos, before.boxes.quat], axis=1)
-            scene = start.scene_of(leg)
-            job = Job(scene, drive=drive, start=start.outcome.state, poses=poses, record=record)
-            yield _LegWorld(plan, same[0].index, job, start, tuple(same), number, before)
+            scene = placed.scene_of(leg)
+            job = Job(scene, drive=drive, start=placed.outcome.state, poses=poses, record=record)
+            yield _LegWorld(plan, same[0].index, job, replace(begin, changes=tuple(same)))
 
-    def _through_legs(self, first: Iterable[_LegWorld]) -> Iterator[FinishedWorld]:
-        """Simulate legs, and those that follow them; yield each world at the end of its way."""
+    def _through_legs(self, starts: Sequence[_LegStart]) -> Iterator[FinishedWorld]:
+        """Simulate a leg of all worlds, then the next one of those that go on; yield each world at the end of its way.
+
+        A device that waited for worlds to follow from outcomes would stand still meanwhile.
+        """
         begin = time.perf_counter()
-        next_ones: list[_LegWorld] = []
-
-        def following() -> list[_LegWorld]:
-            legs = next_ones.copy()
-            next_ones.clear()
-            return legs
-
-        most = self.batching.drives
-        for result in self._score(first, most, forks=True, begin_with=most, following=following):
-            self.tally.drives += 1
-            self.tally.drive_steps += result.outcome.n_steps
-            world, start = result.world, result.world.settled
-            if world.before is None:
-                outcome = start.shaken(result.outcome, self.sim.thresholds)
-            else:
-                outcome = after(world.before, result.outcome, self.sim.physics.timestep_s)
-            on = outcome.verdict is Verdict.STABLE
-            more = [change for change in world.changes if on and len(change.legs) > world.number + 1]
-            next_ones += self._legs_of(start, more, world.number + 1, outcome)
-            end = None if on else self._end(world, outcome, result.outcome.n_steps)
-            for change in world.changes:
-                if change not in more:
-                    yield FinishedWorld(
-                        world.plan, change, world.job.scene, outcome, result.attempts, start.outcome, True, end
-                    )
+        while starts:
+            # made by the thread of the source, since each leg has samples of its own where strengths are drawn
+            worlds, starts = chain.from_iterable(map(self._legs_of, starts)), []
+            for result in self._score(worlds, self.batching.drives, forks=True):
+                self.tally.drives += 1
+                self.tally.drive_steps += result.outcome.n_steps
+                world = result.world
+                placed, before = world.begin.settled, world.begin.before
+                if before is None:
+                    outcome = placed.shaken(result.outcome, self.sim.thresholds)
+                else:
+                    outcome = after(before, result.outcome, self.sim.physics.timestep_s)
+                number, on = world.begin.number + 1, outcome.verdict is Verdict.STABLE
+                further = tuple(change for change in world.begin.changes if on and len(change.legs) > number)
+                if further:
+                    starts.append(_LegStart(placed, further, number, outcome))
+                end = None if on else self._end(world, outcome, result.outcome.n_steps)
+                for change in world.begin.changes:
+                    if change not in further:
+                        yield FinishedWorld(
+                            world.plan, change, world.job.scene, outcome, result.attempts, placed.outcome, True, end
+                        )
         self.tally.drive_s += time.perf_counter() - begin
 
     def _end(self, world: _LegWorld, outcome: Outcome, n_steps: int) -> LegEnd:
         """Where a world ended that does not stand. ``n_steps``: those of its last leg."""
-        if world.settled.outcome.verdict is not Verdict.STABLE:
+        if world.begin.settled.outcome.verdict is not Verdict.STABLE:
             return LegEnd(PLACING, 0.0)
         return LegEnd(world.leg.name, outcome.sim_time_s - n_steps * self.sim.physics.timestep_s)
 

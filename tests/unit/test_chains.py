@@ -122,6 +122,10 @@ def test_film_is_around_the_pallet_from_its_leg_on(tmp_path: Path) -> None:
     assert turns == [[0], [0], [6, 9], [0, 0]]  # placed once; the leg before the film is shared
     assert [job.poses is None for jobs, _ in engine.batches for job in jobs] == [True, True, *[False] * 4]
     assert run.boxes["shift_x_m"].tolist() == pytest.approx([-2 * WAY_M] * 2, rel=SLIDING)  # film holds it in leg two
+    edges = ["plan_edge_m", "plan_edge_box", "build_edge_m", "build_edge_box", "build_edge_step"]
+    placed = petmjx.score([BLOCK], engine="mujoco").worlds[edges]
+    for row in range(2):  # edges of the plan are those of the first leg, though later ones do not compute them
+        pd.testing.assert_frame_equal(run.worlds[edges].iloc[[row]].reset_index(drop=True), placed, check_exact=True)
 
 
 DRAWN = """
