@@ -16,6 +16,7 @@ from petmjx.common.checked_records import CheckedRecord, complaint, similar, wit
 from petmjx.common.errors import InputError
 from petmjx.common.text import printable_name
 from petmjx.common.units import seconds_to_steps
+from petmjx.engines.metrics import BoxMetrics
 from petmjx.engines.verdict import Outcome, Verdict
 from petmjx.options.walls import Side
 from petmjx.runs.sweep_axes import Direction, Range, Strengths, Turn, degrees
@@ -204,16 +205,28 @@ def in_a_row(name: str, drives: Sequence[Drive], pause_s: float, timestep_s: flo
     return Excitation(name, ACCELERATION, np.concatenate(parts[:-1]))
 
 
+def with_sustained_force(leg: Outcome, before: BoxMetrics) -> Outcome:
+    """The outcome of a leg with the largest force at rest so far on each box.
+
+    Args:
+        before: metrics after the legs before, or after the placement.
+    """
+    forces_n = before.sustained_top_force_n, before.rest_top_force_n, leg.boxes.rest_top_force_n
+    return replace(leg, boxes=replace(leg.boxes, sustained_top_force_n=np.fmax.reduce(forces_n)))
+
+
 def after(before: Outcome, leg: Outcome, timestep_s: float) -> Outcome:
     """The outcome of a world after one more leg: its metrics since the first box was placed, its time since then.
 
-    Largest values are those of the whole way, the place of the boxes and their forces at rest those of the end.
+    Largest values are those of the whole way, also of forces at rest (``sustained_top_force_n``); the place of the
+    boxes and ``rest_top_force_n`` are those of the end.
 
     Args:
         before: the outcome after the legs before, in which the world stood.
         leg: the outcome of the leg alone, whose clock begins where the placement ended.
     """
     since_s = before.n_steps * timestep_s
+    leg = with_sustained_force(leg, before.boxes)
     boxes, old = leg.boxes, before.boxes
     largest = {
         name: np.fmax(getattr(old, name), getattr(boxes, name))

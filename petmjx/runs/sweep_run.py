@@ -26,7 +26,7 @@ from petmjx.options.walls import Side
 from petmjx.plans.plan import Plan
 from petmjx.results.history_tables import NO_RECORDING, Recording
 from petmjx.results.resume import CompletedWorlds
-from petmjx.runs.chain_legs import PLACING, after
+from petmjx.runs.chain_legs import PLACING, after, with_sustained_force
 from petmjx.runs.level_search import Bisection, Probe, SearchBracket
 from petmjx.runs.study import FinishedWorld, LegEnd
 from petmjx.runs.sweep_design import SearchItem
@@ -462,6 +462,7 @@ class SweepRun:
                 placed, before = world.begin.settled, world.begin.before
                 if before is None:
                     outcome = placed.shaken(result.outcome, self.sim.thresholds)
+                    outcome = with_sustained_force(outcome, placed.outcome.boxes)
                 else:
                     outcome = after(before, result.outcome, self.sim.physics.timestep_s)
                 number, on = world.begin.number + 1, outcome.verdict is Verdict.STABLE

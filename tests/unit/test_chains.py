@@ -311,3 +311,27 @@ def test_packers_are_compared_by_how_likely_their_plans_arrive(tmp_path: Path) -
     other = petmjx.score([make_plan("o1", 1)], chain="chain-to-wrapper", confidence=4, engine="mujoco")
     notes = petmjx.compare_packers({"low": low, "other": other}).notes
     assert "other was not taken through the same chain as low" in notes
+
+
+HAT_N = 200.0
+"""What film presses down on the top."""
+
+
+@pytest.mark.parametrize("engine", ["mujoco", "mjx-warp-cpu"])
+def test_a_force_that_lasts_counts_after_any_leg(engine: str, tmp_path: Path) -> None:
+    """Film presses on a stack in the first leg, and is gone in the second. A carton bears that for a moment, but not
+    for a month, of which the forces at the end say nothing."""
+    gentle = '{ profile = "eumos-40509", level = 0.05 }'
+    text = SLIDES.replace("settle_s = 0.4", f"settle_s = 0.4\nwrap = {{ hat_n = {HAT_N} }}")
+    text += legs(wrapped=gentle).replace("[[legs]]", "[[legs]]\nwrap_turns = 1") + "\n"
+    text += legs(bare=gentle).replace("[[legs]]", "[[legs]]\nwrap_turns = 0")
+    two = replace(make_plan("two", stack(2, at_mm=(600, 250))), strength_n=np.array([300.0, 300.0]))
+    run = petmjx.sweep(write_sweep(tmp_path, text), [two], engine=engine)
+    weight_n = two.mass_kg[1] * STANDARD_GRAVITY
+    lower = run.boxes.iloc[0]
+    assert lower["rest_top_force_n"] == pytest.approx(weight_n, rel=0.01)
+    assert lower["sustained_top_force_n"] == pytest.approx(weight_n + HAT_N, rel=0.01)
+    assert run.boxes["sustained_top_force_n"].iloc[1] == 0
+    for days, crushed in ((0, "not"), (30, "surely")):
+        (plan,) = petmjx.loads(run, stacking={"storage_days": days}).plans.to_dict("records")
+        assert (plan["overloaded"], plan["crushed"], plan["crush_box"]) == (False, crushed, 0)
