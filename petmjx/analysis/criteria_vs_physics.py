@@ -29,6 +29,9 @@ CELLS: Final = ("accepted_stands", "accepted_falls", "refused_stands", "refused_
 
 SCORES: Final = ("precision", "recall", "mcc")
 
+ARRIVES: Final = ("arrives_accepted", "arrives_refused")
+"""Of a run of a chain: P(arrives) in the mean of the plans that a criterion accepts, and refuses."""
+
 
 def judge(plans: pd.DataFrame, worlds: pd.DataFrame, criteria: Sequence[Criterion], seed: int = 0) -> pd.DataFrame:
     """Compare every criterion with physics.
@@ -41,7 +44,8 @@ def judge(plans: pd.DataFrame, worlds: pd.DataFrame, criteria: Sequence[Criterio
     Returns:
         One row per criterion: ``criterion``, ``n_plans``, the counts ``CELLS``, each of ``SCORES`` with ``_low`` and
             ``_high`` (95 % bootstrap over plans), and ``same_first_box``: for how many of the falling plans that it
-            refuses its first failing box is the one that physics names.
+            refuses its first failing box is the one that physics names. If ``worlds`` has ``share``, of a chain, also
+            the means ``ARRIVES`` of that share over the plans that the criterion accepts, and refuses.
     """
     both = with_physics(plans, worlds)
     stands = both["stands"].to_numpy(dtype=bool)
@@ -51,14 +55,19 @@ def judge(plans: pd.DataFrame, worlds: pd.DataFrame, criteria: Sequence[Criterio
         first = both[f"{criterion.name}_first"]
         same = (first == both["culprit"]).fillna(False).to_numpy(dtype=bool) & ~accepted & ~stands
         row = {"criterion": criterion.name, "n_plans": len(both)} | score_columns(accepted, stands, seed)
-        rows.append(row | {"same_first_box": int(same.sum())})
+        row["same_first_box"] = int(same.sum())
+        if "share" in both:
+            row |= {name: both["share"][some].mean() for name, some in zip(ARRIVES, (accepted, ~accepted), strict=True)}
+        rows.append(row)
     return pd.DataFrame(rows)
 
 
 def with_physics(plans: pd.DataFrame, worlds: pd.DataFrame) -> pd.DataFrame:
-    """The plans for which the run has a verdict, with ``stands``, ``culprit``, ``reason`` and ``margin`` of physics."""
+    """The plans for which the run has a verdict, with ``stands``, ``culprit``, ``reason`` and ``margin`` of physics; of
+    a chain also with the ``share`` of its worlds that arrive."""
     judged = worlds[worlds["verdict"] != Verdict.INVALID.value]
-    physics = judged[["plan_id", "culprit", "reason", "margin"]].assign(
+    of_chain = ["share"] if "share" in judged else []
+    physics = judged[["plan_id", "culprit", "reason", "margin", *of_chain]].assign(
         stands=judged["verdict"] == Verdict.STABLE.value
     )
     return plans.merge(physics, on="plan_id")
