@@ -446,7 +446,7 @@ CRITERIA: Final = (
     ),
     Criterion(
         "load_points",
-        f"the whole load has at least {LEAST_POINTS:g} of {sum(MOST_POINTS.values()):g} points by a seller's five rules",
+        f"the load has at least {LEAST_POINTS:g} of {sum(MOST_POINTS.values()):g} points by five rules of a seller",
         f"points - {LEAST_POINTS:g} at the last box; {sum(MOST_POINTS.values()) - LEAST_POINTS:g} at the others",
         DIMENSIONLESS,
         "a seller's rule of thumb, with formulas of petmjx's own",
