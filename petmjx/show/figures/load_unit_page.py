@@ -14,12 +14,14 @@ import numpy as np
 import pandas as pd
 
 from petmjx.analysis.criteria import load_tipping_g
+from petmjx.analysis.crushing import SUSTAINED
 from petmjx.analysis.plan_contacts import find_contacts
 from petmjx.common.atomic_write import atomic_write
 from petmjx.common.errors import InputError
 from petmjx.common.text import box_label, count_text, printable, printable_name
 from petmjx.common.units import MM_PER_M
-from petmjx.options.carriers import Carrier
+from petmjx.options.carriers import Carrier, walls_of
+from petmjx.options.simulation import Simulation
 from petmjx.plans.plan import Plan
 from petmjx.plans.plan_warnings import DEFAULT_TOLERANCE_MM
 from petmjx.results.run_reader import RunResults
@@ -29,7 +31,9 @@ from petmjx.runs.chain_summary import WHOLE_WAY, arrivals, is_chain
 from petmjx.show.figures.figure_style import paper_style
 from petmjx.show.pages.palette import article_colours, category
 from petmjx.show.table_layout import percent
+from petmjx.world.film import film_of
 from petmjx.world.profiles.accelerations import EN_12195_FORWARD_G, EN_12195_SIDEWAYS_G
+from petmjx.world.scene import build_scene
 
 A4_IN: Final = (8.27, 11.69)
 
@@ -164,7 +168,30 @@ def _facts(run: RunResults, plan: Plan) -> Iterator[str]:
     tips_g = float(load_tipping_g(find_contacts(plan, DEFAULT_TOLERANCE_MM))[-1])
     limits = f"EN 12195-1 asks for {EN_12195_FORWARD_G:g} g forward, {EN_12195_SIDEWAYS_G:g} g sideways and rearward"
     yield f"As one rigid body without film it slides from {slides_g:.2f} g and tips from {tips_g:.2f} g; {limits}."
+    yield _film(run, plan, slides_g)
     yield from _most_loaded(run, plan)
+
+
+def _film(run: RunResults, plan: Plan, slides_g: float) -> str:
+    """From which leg on how much film is around the load, and from which acceleration it slides then, by docs/wrap.md.
+
+    Args:
+        slides_g: friction with the carrier, from which it slides without film, g.
+    """
+    sim = Simulation.read(run.info["config"]["simulation"])
+    legs = [leg for leg in run.info["config"]["sweep"]["legs"] if leg.get("wrap_turns") is not None]
+    if not (legs or sim.wrap.holds):
+        return "No film."
+    turns = [f"{leg['wrap_turns']:g} turns from {printable_name(leg['name'])} on" for leg in legs]
+    most = max([leg["wrap_turns"] for leg in legs], default=sim.wrap.turns)
+    wrap = sim.wrap.changed(turns=most)
+    text = f"Film of {wrap.force_n:g} N a turn across {wrap.film_mm:g} mm: {', '.join(turns) or f'{most:g} turns'}."
+    if not wrap.holds:
+        return text
+    film = film_of(build_scene(plan, sim.changed(wrap=wrap)))
+    weight_n = float(plan.mass_kg.sum()) * sim.physics.gravity_m_s2
+    held_g = slides_g * (1 + wrap.hat_n / weight_n) + float(film.hold.sum()) / weight_n
+    return f"{text} Held by {most:g} turns to its carrier it slides from {held_g:.2f} g."
 
 
 def _most_loaded(run: RunResults, plan: Plan) -> Iterator[str]:
@@ -176,12 +203,15 @@ def _most_loaded(run: RunResults, plan: Plan) -> Iterator[str]:
     boxes = run.boxes.merge(arrived, on=["plan_id", "variant"])
     if boxes.empty:
         return
-    largest = boxes.groupby("box")[["rest_top_force_n", "max_top_force_n"]].median()
+    rest = SUSTAINED if SUSTAINED in boxes else "rest_top_force_n"
+    largest = boxes.groupby("box")[[rest, "max_top_force_n"]].median()
     box = int(largest["max_top_force_n"].idxmax())
     rest_n, peak_n = largest.loc[box]
     label = box_label(box, plan.articles[box])
     of = "medians of worlds that arrive"
-    yield f"Most loaded: box {label}, {rest_n:,.0f} N at rest, {peak_n:,.0f} N at the peak ({of})."
+    strength = float("nan") if plan.strength_n is None else float(plan.strength_n[box])
+    bears = "" if np.isnan(strength) else f"; between plates it bears {strength:,.0f} N"
+    yield f"Most loaded: box {label}, {rest_n:,.0f} N at rest, {peak_n:,.0f} N at the peak ({of}){bears}."
 
 
 def _remedies(run: RunResults, plan: Plan) -> list[str]:
@@ -200,9 +230,15 @@ def _assumed(run: RunResults) -> list[str]:
     errors = ", ".join(f"{name} {_value(value)}" for name, value in sweep["axes"].items())
     lines = [f"Chain {printable_name(str(sweep['name']))}; {PLACING} with {errors or 'no errors'}."]
     lines += [f"{leg['name']}: {_leg_text(leg)}." for leg in sweep["legs"]]
+    sim = Simulation.read(run.info["config"]["simulation"])
+    walls = walls_of(sim.carrier, sim.walls).standing
+    alone = (
+        f"Walls stand on the {', '.join(walls)}; there are no" if walls else "The pallet stands alone, without walls,"
+    )
+    limits = sim.thresholds
     lines.append(
-        "The pallet stands alone, without walls, straps or neighbours. Boxes are rigid. A world arrives if every box "
-        "is within the thresholds of its planned place after each leg."
+        f"{alone} straps or neighbours. Boxes are rigid. A world arrives if after each leg no box has fallen, is more "
+        f"than {MM_PER_M * limits.shift_m:g} mm from its planned place, or tilted by more than {limits.tilt_deg:g}°."
     )
     return [printable(line) for line in lines]
 
