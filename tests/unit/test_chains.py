@@ -335,3 +335,17 @@ def test_a_force_that_lasts_counts_after_any_leg(engine: str, tmp_path: Path) ->
     for days, crushed in ((0, "not"), (30, "surely")):
         (plan,) = petmjx.loads(run, stacking={"storage_days": days}).plans.to_dict("records")
         assert (plan["overloaded"], plan["crushed"], plan["crush_box"]) == (False, crushed, 0)
+
+
+@pytest.mark.parametrize("engine", ["mujoco", "mjx-warp-cpu"])
+def test_film_holds_a_block_in_a_truck_up_to_friction_and_hold(engine: str, tmp_path: Path) -> None:
+    """A block slides from friction + hold / weight on, in g. EN 12195-1 asks for 0.8 g forward and 0.5 g otherwise, so
+    film that holds up to 0.7 g fails in the truck, and film that holds up to 0.9 g brings it to the dock."""
+    weight_n, friction = BLOCK.mass_kg[0] * STANDARD_GRAVITY, 0.3
+    hold_of_a_turn_n = 0.3 * 4 * 2 * 5.0 * BLOCK.size_mm[0, 2] / 500.0  # of 5 N, on four sides
+    text = SLIDES.replace("settle_s = 0.4", "settle_s = 0.4\nwrap = { force_n = 5.0 }").replace("shift_m = 0.5", "")
+    for holds_g, leg in ((0.7, "truck"), (0.9, "")):
+        turns = (holds_g - friction) * weight_n / hold_of_a_turn_n
+        way = f'[[legs]]\nname = "film"\nwrap_turns = {turns:.4f}\n' + legs(truck='{ profile = "en-12195-1" }')
+        run = petmjx.sweep(write_sweep(tmp_path, f"{text}{way}\n{legs(dock=PUSH)}"), [BLOCK], engine=engine)
+        assert run.worlds["leg"].tolist() == [leg], holds_g
