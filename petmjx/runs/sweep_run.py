@@ -453,9 +453,11 @@ class SweepRun:
         """
         begin = time.perf_counter()
         while starts:
+            name, total = starts[0].changes[0].legs[starts[0].number].name, len(starts)
             # made by the thread of the source, since each leg has samples of its own where strengths are drawn
             worlds, starts = chain.from_iterable(map(self._legs_of, starts)), []
-            for result in self._score(worlds, self.batching.drives, forks=True):
+            for ended, result in enumerate(self._score(worlds, self.batching.drives, forks=True), start=1):
+                self.progress.message = f"leg {name}: {ended:,} of {max(total, ended):,}"
                 self.tally.drives += 1
                 self.tally.drive_steps += result.outcome.n_steps
                 world = result.world
@@ -475,6 +477,7 @@ class SweepRun:
                         yield FinishedWorld(
                             world.plan, change, world.job.scene, outcome, result.attempts, placed.outcome, True, end
                         )
+        self.progress.message = ""
         self.tally.drive_s += time.perf_counter() - begin
 
     def _end(self, world: _LegWorld, outcome: Outcome, n_steps: int) -> LegEnd:
