@@ -40,8 +40,11 @@ A4_IN: Final = (8.27, 11.69)
 MOST_PAGES: Final = 50
 """Most plans of one file, a page each."""
 
-LETTERS: Final = 100
+LETTERS: Final = 128
 """Letters of a line of text."""
+
+FOOTER: Final = 0.045
+"""Height of the line with versions, and the room above it, as a share of the page."""
 
 SIDES: Final = (("front", 0, 1, 1.0), ("right", 1, 0, -1.0), ("back", 0, 1, -1.0), ("left", 1, 0, 1.0))
 """Name of a view, the axis across it, the axis into it, and whether that leads away (1) or towards the eye (-1)."""
@@ -94,18 +97,24 @@ def _page(run: RunResults, plan: Plan, row: Mapping[Any, Any]) -> Any:
     figure.text(0.07, 0.96, printable(plan.plan_id), fontsize=15, fontweight="bold", va="top")
     figure.text(0.07, 0.935, "\n".join(textwrap.wrap(sentence(row), 88)), fontsize=10, va="top")
     for place, side in enumerate(SIDES):
-        axes = figure.add_axes((0.07 + 0.225 * place, 0.62, 0.2, 0.26))
+        axes = figure.add_axes((0.05 + 0.225 * place, 0.66, 0.215, 0.235))
         _draw_side(axes, plan, *side)
-    _draw_legs(figure.add_axes((0.2, 0.4, 0.73, 0.17)), run, plan)
+    _draw_legs(figure.add_axes((0.2, 0.47, 0.73, 0.15)), run, plan)
     texts = [("Load unit", _facts(run, plan)), ("What would help", _remedies(run, plan)), ("Assumed", _assumed(run))]
-    y = 0.35
-    for title, lines in texts:
-        if not lines:
-            continue
-        figure.text(0.07, y, title, fontsize=10, fontweight="bold", va="top")
-        text = "\n".join(part for line in lines for part in textwrap.wrap(line, LETTERS, subsequent_indent="   "))
-        figure.text(0.07, y - 0.018, text, fontsize=8, va="top", linespacing=1.35)
-        y -= 0.03 + 0.0135 * (text.count("\n") + 1)
+    wrapped = [
+        (title, "\n".join(part for line in lines for part in textwrap.wrap(line, LETTERS, subsequent_indent="   ")))
+        for title, lines in texts
+    ]
+    wrapped = [(title, text) for title, text in wrapped if text]
+    # long chains have many lines, which are made smaller until they fit
+    top, title_height, line_height = 0.43, 0.03, 0.0135
+    height = sum(title_height + line_height * (text.count("\n") + 1) for _, text in wrapped)
+    smaller = min(1.0, (top - FOOTER) / height)
+    y = top
+    for title, text in wrapped:
+        figure.text(0.07, y, title, fontsize=10 * smaller, fontweight="bold", va="top")
+        figure.text(0.07, y - 0.018 * smaller, text, fontsize=8 * smaller, va="top", linespacing=1.35)
+        y -= smaller * (title_height + line_height * (text.count("\n") + 1))
     versions = run.info.get("versions", {})
     named = ", ".join(f"{name} {versions[name]}" for name in ("petmjx", "mujoco", "python") if name in versions)
     engine = run.info.get("config", {}).get("engine", "")
@@ -126,7 +135,10 @@ def _draw_side(axes: Any, plan: Plan, name: str, across: int, into: int, away: f
         axes.add_patch(Rectangle(place, *size, facecolor=colours[box], edgecolor="black", linewidth=0.5))
     left, right, top = low[:, across].min(), high[:, across].max(), high[:, 2].max()
     axes.add_patch(Rectangle((left, -80), right - left, 80, facecolor="0.75", edgecolor="0.4", linewidth=0.5))
-    axes.set_xlim((right + 30, left - 30) if name in MIRRORED else (left - 30, right + 30))
+    # all views have the same scale, that of the widest one
+    extent = high[:, :2].max(axis=0) - low[:, :2].min(axis=0)
+    middle, reach = (left + right) / 2, extent.max() / 2 + 30
+    axes.set_xlim((middle + reach, middle - reach) if name in MIRRORED else (middle - reach, middle + reach))
     axes.set_ylim(-100, top + 30)
     axes.set_aspect("equal", anchor="S")
     axes.set_axis_off()
@@ -162,8 +174,9 @@ def _facts(run: RunResults, plan: Plan) -> Iterator[str]:
     simulation = run.info["config"]["simulation"]
     carrier = run.carrier
     name = carrier.value if isinstance(carrier, Carrier) else printable_name(carrier.name)
+    on = "a slab as large as the load" if carrier is Carrier.FOOTPRINT else f"the carrier {name}"
     boxes = count_text(plan.n_boxes, "box", "boxes")
-    yield f"{boxes}, {plan.mass_kg.sum():,.0f} kg, {top / MM_PER_M:.2f} m high, on the carrier {name}."
+    yield f"{boxes}, {plan.mass_kg.sum():,.0f} kg, {top / MM_PER_M:.2f} m high, on {on}."
     slides_g = float(simulation["physics"]["box_friction"][0])
     tips_g = float(load_tipping_g(find_contacts(plan, DEFAULT_TOLERANCE_MM))[-1])
     limits = f"EN 12195-1 asks for {EN_12195_FORWARD_G:g} g forward, {EN_12195_SIDEWAYS_G:g} g sideways and rearward"
