@@ -2,7 +2,8 @@
 
     python examples/train_with_sb3.py --steps 200000 --engine mjx-warp-cpu
 
-It learns on orders that grow and are placed more and more inexactly. On a GPU: ``--engine mjx-warp --pallets 2048``.
+The policy learns on orders that grow and are placed more and more inexactly. On a GPU: ``--engine mjx-warp --pallets
+2048``.
 """
 
 from __future__ import annotations
@@ -17,7 +18,7 @@ import petmjx.gym
 
 
 class Harder(BaseCallback):  # type: ignore[misc]  # Any where Stable-Baselines3 is not installed
-    """Raises the level of all environments with the steps, from 0 to 1 at half of them."""
+    """Raises the level of all environments with the steps, from 0 to 1 at half of the steps."""
 
     def __init__(self, steps: int) -> None:
         super().__init__()
