@@ -36,7 +36,7 @@ from petmjx.cli import (
 )
 from petmjx.cli.console import as_notes, asking, prepare_streams
 from petmjx.cli.help_layout import WIDTH, SectionedCommand
-from petmjx.cli.run_command import RunInterrupted
+from petmjx.cli.run_command import RunInterrupted, last_stop, stoppable
 from petmjx.common.checked_records import typed_options
 from petmjx.common.errors import EngineUnavailable, InputError, PetmjxError
 from petmjx.common.text import one_line, printable
@@ -150,10 +150,10 @@ def _run(application: typer.Typer, arguments: Sequence[str] | None) -> int:
             raise InputError(
                 f"argument {command_words.index('-') + 1} is -: name a file; /dev/stdout is standard output"
             )
-        with as_notes(), typed_options(), asking():
+        with as_notes(), typed_options(), asking(), stoppable():
             result = application(args=command_words or ["--help"], standalone_mode=False)
         if result == ExitCode.INTERRUPTED:  # typer returns it instead of raising KeyboardInterrupt
-            return _report("interrupted", ExitCode.INTERRUPTED)
+            return _report("interrupted", _BY_SIGNAL[signal.Signals(last_stop() or signal.SIGINT)])
         sys.stdout.flush()  # an error shows here at the latest
         return int(result or ExitCode.OK)
     except KeyboardInterrupt:
