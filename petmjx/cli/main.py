@@ -34,6 +34,7 @@ from petmjx.cli import (
     show,
     sweep,
 )
+from petmjx.cli.command_options import as_typed
 from petmjx.cli.console import as_notes, asking, prepare_streams
 from petmjx.cli.help_layout import WIDTH, SectionedCommand
 from petmjx.cli.run_command import RunInterrupted, last_stop, stoppable
@@ -97,7 +98,7 @@ for _command, _short_help in (
     (export.export, "Write the MuJoCo model of one plan."),
     (doctor.doctor, "Show versions, devices and which engines work here."),
 ):
-    app.command(_command.__name__, cls=SectionedCommand, short_help=_short_help)(_command)
+    app.command(_command.__name__, cls=SectionedCommand, short_help=_short_help)(as_typed(_command))
 
 
 def _print_version(flag: bool) -> None:
