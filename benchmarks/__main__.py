@@ -10,12 +10,12 @@ from benchmarks.commands.app import app
 from petmjx.cli.main import run_app
 
 COMMANDS = (runs, studies, worlds, referees)
-"""Imported, they have added their commands to ``app``."""
+"""The import of these modules adds their commands to ``app``."""
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command line and return its exit code."""
-    return run_app(app, arguments)
+    return run_app(lambda _: app, arguments)
 
 
 if __name__ == "__main__":

@@ -25,7 +25,7 @@ _FLIP_FIELDS = ("verdict", "reason", "culprit", "first_sign_s", "n_dropped", "sh
 
 @dataclass(frozen=True, eq=False)
 class JointRun(RunResults):
-    """Runs of different plans with the same options, as one run. A world that is in several runs counts once."""
+    """Runs of different plans with the same options, as one run. A world in several runs counts once."""
 
     runs: tuple[RunResults, ...] = ()
 
@@ -47,7 +47,7 @@ def joint_run(folders: Sequence[Path]) -> JointRun:
 
 
 def agreement(oracle: Sequence[Path], run: Sequence[Path]) -> dict[str, Any]:
-    """How verdicts and resting forces of a run agree with those of the oracle, over the worlds that both have.
+    """Agreement of a run's verdicts and resting forces with the oracle's, over common worlds.
 
     Returns:
         The fields that benchmarks/README.md lists ("How to read a result"); ``shares``: :func:`compare_shares`.
@@ -99,7 +99,7 @@ def rest_force_differences(oracle: RunResults, run: RunResults) -> dict[str, Any
 
 
 def compare_shares(oracle: RunResults, run: RunResults) -> dict[str, Any]:
-    """How often plans stand in both runs, as shares of their worlds that are not invalid.
+    """The shares of standing worlds of each plan in both runs, as shares of their worlds that are not invalid.
 
     Returns:
         ``plans``; ``agree``: plans whose share in each run is in the Wilson 95 % interval of the other run;

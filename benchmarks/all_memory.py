@@ -1,4 +1,4 @@
-"""The memory of a process with all that it has started, such as workers: on Linux only."""
+"""The memory of a process with all its descendants, such as workers: on Linux only."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ class Memory:
     peak_bytes: int | None = None
 
     def look(self) -> None:
-        """Count what is used now."""
+        """Measure the present use."""
         now = memory_of_all(os.getpid())
         if now is not None:
             self.peak_bytes = max(now, self.peak_bytes or 0)
@@ -31,8 +31,8 @@ class Memory:
 
 @contextmanager
 def looked_at() -> Iterator[Memory]:
-    """Look at the memory of this process and its descendants now and then, in a thread, and at the end. A peak between
-    two looks is missed."""
+    """Look at the memory of this process and its descendants from time to time, in a thread, and at the end. A peak
+    between two looks is missed."""
     memory, ended = Memory(), threading.Event()
 
     def watch() -> None:
@@ -50,8 +50,8 @@ def looked_at() -> Iterator[Memory]:
 
 
 def memory_of_all(root: int) -> int | None:
-    """Bytes of physical memory that a process and its descendants use: what several of them share counts once. None
-    where the system does not tell."""
+    """Bytes of physical memory that a process and its descendants use: shared pages count once. None if the system
+    cannot measure it."""
     children: dict[int, list[int]] = defaultdict(list)
     for folder in Path("/proc").glob("[0-9]*"):
         if (parent := _field(folder / "status", "PPid:")) is not None:

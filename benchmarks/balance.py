@@ -1,4 +1,4 @@
-"""Whether the worlds that a run calls stable balance where they have come to rest: by statics, without a simulation."""
+"""Whether the worlds that a run calls stable balance at their places of rest: by statics, without a simulation."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from petmjx.world.history import CARRIER
 from petmjx.world.scene import Scene, build_scene
 
 BALANCED: Final = 0.01
-"""A world balances if no more than this share of a box's weight is left over: poses at rest are kept in float32, and
+"""A world balances if at most this share of a box's weight stays unbalanced: poses at rest are kept in float32, and
 contacts are a tenth of a millimetre deep."""
 
 _EDGES: Final = np.array([[1, 0], [-1, 0], [0, 1], [0, -1]])
@@ -28,7 +28,7 @@ _EDGES: Final = np.array([[1, 0], [-1, 0], [0, 1], [0, -1]])
 
 
 def left_over(scene: Scene, physics: Physics, pos: FloatArray, quat: FloatArray) -> float:
-    """What forces at the points where boxes touch leave unbalanced at best: the largest share of a box's weight.
+    """The least unbalanced rest of forces at the contact points: the largest share of a box's weight.
 
     Forces press, and friction is within the cone. Moments count as forces at half the box's shorter side.
 
@@ -80,7 +80,7 @@ def _rows(
 
 
 def summary(table: pd.DataFrame) -> dict[str, Any]:
-    """How many worlds balance, and those that neither do nor say that they move."""
+    """The number of worlds in balance, and the worlds that are neither in balance nor moving."""
     balanced = table["left_over"] <= BALANCED
     wrong = table[~balanced & ~table["moving"]]
     return {

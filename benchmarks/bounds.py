@@ -1,4 +1,4 @@
-"""Placements that stand or fall beyond doubt, against their simulation: no bound may say what physics does not."""
+"""Placements that stand or fall beyond doubt, against their simulation: no bound may contradict physics."""
 
 from __future__ import annotations
 
@@ -16,10 +16,11 @@ PALLETS: Final = 64
 """Side by side."""
 
 MOST_BOXES: Final = 14
-"""Of a pallet: what a bound decides depends on the boxes around and below, and small pallets are cheap."""
+"""Number of boxes of a pallet: the decision of a bound depends on the boxes around and below, and small pallets are
+cheap."""
 
 BOXES: Final = 6
-"""Drawn for each pallet in a round; ``PLACES``: places of theirs that are decided."""
+"""Drawn for each pallet in a round; ``PLACES``: number of their decided places."""
 PLACES: Final = 24
 
 SIMULATED: Final = 128
@@ -27,8 +28,8 @@ SIMULATED: Final = 128
 
 
 def bounds(engine: Engine, count: int, seed: int) -> Result:
-    """Simulate ``count`` decided placements on pallets that grow by random ones, of four kinds of boxes: of all shapes,
-    of few sizes, of odd sizes, and slender ones; from 0.2 to 30 kg."""
+    """Simulate ``count`` decided placements on pallets that grow by random boxes, of four kinds of boxes: of all
+    shapes, of few sizes, of odd sizes, and slender ones; from 0.2 to 30 kg."""
     rng = np.random.default_rng(seed)
     pallets = petmjx.Pallets(PALLETS, engine=engine, most_boxes=MOST_BOXES)
     assert decidable(pallets.simulation)
@@ -83,7 +84,7 @@ def _grow(pallets: petmjx.Pallets, boxes: dict[str, Any], rng: np.random.Generat
 
 
 def _drawn(rng: np.random.Generator, count: int) -> tuple[FloatArray, FloatArray]:
-    """(count, 3) sizes, mm, and (count,) masses, kg. Boxes that follow one another are of one kind."""
+    """(count, 3) sizes, mm, and (count,) masses, kg. Consecutive boxes are of one kind."""
     kinds = (
         rng.integers(10, 60, (count, 3)) * 10.0,
         rng.choice([200.0, 300.0, 400.0, 600.0], (count, 3)),

@@ -1,4 +1,4 @@
-"""What is measured, as data: a new case is one more entry in the list. Nothing here simulates."""
+"""The measurements, as data: a new case is one more entry in the list. Nothing here simulates."""
 
 from __future__ import annotations
 
@@ -41,11 +41,11 @@ class Way(StrEnum):
 
 @dataclass(frozen=True)
 class Case:
-    """One thing that is measured."""
+    """One measurement."""
 
     name: str
     group: str  # cases that can be run together, and have one table (``benchmarks.table``)
-    text: str  # what it measures, in one line
+    text: str  # meaning of the measurement, in one line
     way: Way = Way.FILES
     count: int = 2_000  # number of plans; with ``boxes`` of copies (0: as many as fill the engine)
     source: str = ""  # file of plans; empty: generated samples of ``SEED``. ``--plans`` replaces it
@@ -53,8 +53,8 @@ class Case:
     longest_first: bool = False  # plans with many boxes come first: at the end all threads have work
     simulation: Mapping[str, Any] = field(default_factory=dict)  # fields of ``petmjx.Simulation``
     sweep: str = ""  # a sweep's file or the name of a ready-made one; empty: each plan is scored once
-    only: str = ""  # the engine of this case; empty: those asked for
-    threads: int | None = None  # CPU threads of this case; None: those asked for
+    only: str = ""  # the engine of this case; empty: the engines of the call
+    threads: int | None = None  # CPU threads of this case; None: the number of the call
 
     @property
     def sim(self) -> Simulation:
@@ -77,7 +77,7 @@ def _w(name: str, text: str, **simulation: str) -> Case:
 
 _DECLARED: tuple[Case, ...] = (
     *(
-        Case(f"stacks-{n}", "stacks", f"full stack of {n} boxes, static: what a step costs", Way.ENGINE, 0, boxes=n,
+        Case(f"stacks-{n}", "stacks", f"full stack of {n} boxes, static: cost of a step", Way.ENGINE, 0, boxes=n,
              simulation=_FULL_STACK)
         for n in (8, 16, 24, 32, 40, 48, 64, 128, 250)
     ),

@@ -21,10 +21,10 @@ TURNS: Final = 2
 
 def compared(plans: Sequence[Plan], threads: int, group: str) -> dict[str, Any]:
     """A line of results: first attempts at all plans on both engines, in turns, so that other work on the machine meets
-    both. All is compiled before, by a run of its own; ``compile_s`` is what kernels and programs took there.
+    both. A first run compiles everything; ``compile_s`` is its time for kernels and programs.
 
     Args:
-        group: what kind of plans these are, for the line.
+        group: kind of the plans, for the line.
     """
     sim = Simulation()
     jobs = [Job(build_scene(plan, sim)) for plan in plans]

@@ -1,4 +1,4 @@
-"""The tables of docs/criteria.md: which criterion of stability tells what physics tells, and where they disagree."""
+"""The tables of docs/criteria.md: agreement of criteria of stability with physics, and examples of disagreement."""
 
 from __future__ import annotations
 
@@ -18,10 +18,10 @@ BEGIN: Final = "<!-- study: begin (made by python -m benchmarks criteria) -->"
 END: Final = "<!-- study: end -->"
 
 CLEAREST: Final = 3
-"""Disagreements that are named of each criterion and kind."""
+"""Disagreements in a table for each criterion and kind."""
 
 DISAGREEING: Final = ("support_75", "centre", "stacking_tree", "equilibrium", "force_balance_leaning")
-"""Criteria of which disagreements are named: those that packers use most, and those that come nearest to physics."""
+"""Criteria with tables of disagreements: those used most by packers, and those nearest to physics."""
 
 
 def study(results: CriteriaResults, run: RunResults) -> str:

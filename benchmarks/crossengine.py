@@ -1,8 +1,8 @@
 """Plans in other simulators: does any of petmjx's verdicts stand alone?
 
-The first referee is the sieve and judges every plan; the others judge those in which it differs from petmjx. A referee
-that differs has *converged* if it says the same with half the timestep and twice the effort. A plan counts against
-petmjx if two converged referees contradict it: one alone may be wrong, and so may each with a coarse step.
+The first referee judges every plan; the other referees judge the plans in which it differs from petmjx. A referee that
+differs has *converged* if its verdict stays with half the timestep and twice the effort. A plan counts against petmjx
+if two converged referees contradict it: a single referee may be wrong, and so may all with a coarse step.
 """
 
 from __future__ import annotations
@@ -39,8 +39,8 @@ Ask = Callable[[str, bool], str]
 
 @dataclass(frozen=True)
 class Trial:
-    """What all say of one plan. ``said``: for each referee that was asked its verdict, and where it differs from
-    petmjx's the one with fine settings."""
+    """All verdicts on one plan. ``said``: the verdict of each referee used and, if it differs from petmjx's, its
+    verdict with fine settings."""
 
     ours: str
     said: dict[str, list[str]]
@@ -63,8 +63,8 @@ class Trial:
 
 
 def sieve(ours: str, names: Sequence[str], ask: Ask) -> Trial:
-    """Ask the first referee, and the others where it differs, as long as enough of them may overrule petmjx; those that
-    differ are asked again with fine settings."""
+    """Run the first referee; if it differs, run others while enough of them may overrule petmjx. Differing referees run
+    again with fine settings."""
     trial = Trial(ours, {})
     for number, name in enumerate(names, start=1):
         verdict = ask(name, False)
@@ -77,7 +77,7 @@ def sieve(ours: str, names: Sequence[str], ask: Ask) -> Trial:
 
 @dataclass(frozen=True)
 class Judged:
-    """A plan as a scene, how it is checked, what petmjx says of it, and its trial."""
+    """A plan as a scene, its check, petmjx's verdict, and its trial."""
 
     plan_id: str
     scene: Scene
@@ -89,7 +89,7 @@ class Judged:
 
     @property
     def edge_mm(self) -> float:
-        """How near to a knife's edge: of the distances of boxes' loads from the edges of what bears them, by statics
+        """Distance from a knife's edge: of the distances of boxes' loads from the edges of their supports, by statics
         (petmjx.world.supports), the one nearest to 0, negative beyond the edge. One by one: after any placement. NaN if
         there is none."""
         count, bearing = self.scene.n_boxes, bearing_of(self.scene)
@@ -99,7 +99,7 @@ class Judged:
         return float(edges[np.abs(edges).argmin()]) * MM_PER_M if len(edges) else math.nan
 
     def record(self) -> dict[str, Any]:
-        """What results keep of a plan that a referee disputes."""
+        """The entry in results for a plan that a referee disputes."""
         return {
             "plan_id": self.plan_id,
             "boxes": self.scene.n_boxes,
@@ -114,7 +114,7 @@ class Judged:
 
 
 class Court:
-    """Petmjx's engine ``mujoco`` and the referees, with the CPU time that each of these took."""
+    """Petmjx's engine ``mujoco`` and the referees, with the CPU time of each."""
 
     def __init__(self, referees: Sequence[Referee], sim: Simulation) -> None:
         self.referees = {referee.name: referee for referee in referees}
@@ -153,8 +153,7 @@ class Court:
 
 
 def summaries(judged: Sequence[Judged], court: Court) -> Iterator[dict[str, Any]]:
-    """For each referee that was asked a result's fields: how many plans it judged and agrees on, and those on which it
-    does not."""
+    """For each referee used, a result's fields: the numbers of judged and agreeing plans, and the differing plans."""
     for name, referee in court.referees.items():
         answered = [case for case in judged if name in case.trial.said]
         if not answered:
@@ -174,7 +173,7 @@ def summaries(judged: Sequence[Judged], court: Court) -> Iterator[dict[str, Any]
 
 
 def by_softness(judged: Sequence[Judged], plans: Sequence[Plan], check: Check, **options: Any) -> dict[str, Any]:
-    """Physics ``reference``: which plans it alone calls unstable, where petmjx and all referees asked say stable."""
+    """Physics ``reference``: plans that it alone calls unstable, against petmjx and all referees used."""
     results = petmjx.score(list(plans), engine="mujoco", check=check.value, physics="reference", **options)
     fallen = set(results.worlds.loc[results.worlds["verdict"] == "unstable", "plan_id"])
     stand_all = [case for case in judged if case.trial.verdicts == {"stable"}]

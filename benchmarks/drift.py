@@ -1,7 +1,7 @@
-"""How resting pallets drift: each box's speed long after all have been placed, and what makes it move.
+"""How resting pallets drift: each box's speed long after the last placement, and the cause.
 
-A pallet that stands should rest. What still moves then comes from the model of contacts, and a verdict that depends on
-it depends on how long one looks.
+A pallet that stands should rest. Later motion comes from the model of contacts, and a verdict that depends on it
+depends on the time of observation.
 """
 
 from __future__ import annotations
@@ -49,7 +49,7 @@ SLIDES = 0.95
 """A box whose contacts use more than this share of the friction that they have slides by Coulomb's law."""
 
 MOVES_UM_S = 0.5
-"""What is slower counts as resting: 0.06 mm in two minutes."""
+"""Slower boxes count as resting: 0.06 mm in two minutes."""
 
 AS_PRESSURE = {"solreffriction": (0.0, 0.0)}
 """Friction with the time constant of contacts."""
@@ -72,7 +72,7 @@ VARIANTS: dict[str, Simulation] = {
     "petmjx 0.1, impratio 10": Simulation(physics={"name": "pallet", **OLD, "impratio": 10.0}),
     "reference": Simulation(physics=PHYSICS["reference"]),
 }
-"""Each one changes what one cause of drift depends on."""
+"""Each variant changes one cause of drift."""
 
 
 @dataclass(frozen=True)
@@ -94,9 +94,9 @@ def drift_table(plans: Sequence[Plan], sim: Simulation, window: Window, threads:
     """One row for each box of the plans that stand.
 
     Columns: plan_id, box; drift_um_s (distance between the two poses / time), vertical_um_s (its vertical part),
-    rms_um_s (root mean square of the speed), changes (share of the looks at which its number of contacts had changed),
-    pushed (horizontal force at its sides / weight), askew_deg (tilt), used (share of the friction that its contacts
-    have), cause.
+    rms_um_s (root mean square of the speed), changes (share of the looks with a changed number of contacts), pushed
+    (horizontal force at its sides / weight), askew_deg (tilt), used (share of the friction that its contacts have),
+    cause.
     """
     with ThreadPoolExecutor(threads) as pool:
         tables = pool.map(partial(_of_plan, sim=sim, window=window), plans)
@@ -151,7 +151,7 @@ def _of_plan(plan: Plan, sim: Simulation, window: Window) -> list[dict[str, Any]
 
 
 def cause(seen: Mapping[str, Any]) -> str:
-    """What makes a box move, by what is seen of it; the first that holds."""
+    """Cause of a box's motion, by its symptoms; the first that fits."""
     if seen["drift_um_s"] < MOVES_UM_S:
         return "rests"
     if seen["vertical_um_s"] > 0.5 * seen["drift_um_s"]:

@@ -1,4 +1,4 @@
-"""Random episodes of the environments: does each end as it must, and does none disturb another?"""
+"""Random episodes of the environments: does each end correctly, without disturbing others?"""
 
 from __future__ import annotations
 
@@ -58,7 +58,7 @@ SETTINGS: Final[tuple[dict[str, Any], ...]] = (
 
 @dataclass
 class _Seen:
-    """What episodes came to."""
+    """Results of episodes."""
 
     ended: int = 0
     placements: int = 0
@@ -71,7 +71,7 @@ class _Seen:
 
 
 def episodes(engine: Engine, count: int, seed: int) -> Result:
-    """Play random episodes of orders of one to five boxes until so many have ended."""
+    """Play random episodes of orders of one to five boxes until this many have ended."""
     seen = _Seen()
     per_run = -(-count // (2 * len(SETTINGS)))
     with timed() as clock:
@@ -120,7 +120,7 @@ def _play(engine: Engine, settings: dict[str, Any], mode: str, count: int, seed:
 
 
 def _last(info: dict[str, Any], over: NDArray[np.bool_]) -> dict[str, NDArray[Any]]:
-    """What is said of each episode, of those that have ended at their ends."""
+    """The information on each episode, for ended ones at their ends."""
     final = info.get("final_info")
     names = ("placed", "verdict", "reason")
     return {name: info[name] if final is None else np.where(over, final[name], info[name]) for name in names}

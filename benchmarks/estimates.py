@@ -1,6 +1,6 @@
-"""Estimates of time against what runs took: scores, scores with errors, static checks, drives, searches.
+"""Estimates of time against real times: scores, scores with errors, static checks, drives, searches.
 
-A line has how slow the machine was meanwhile (petmjx/engines/machine_speed.py), and the estimate for that.
+A line has the slowness of the machine during the run (petmjx/engines/machine_speed.py), and the estimate for it.
 """
 
 from __future__ import annotations
@@ -29,11 +29,11 @@ from petmjx.runs.sweep_study import SweepStudy
 SEED: Final = 21
 
 Ask = Callable[[Sequence[Plan], RunOptions], Study]
-"""What makes a study of plans and options."""
+"""A function that makes a study of plans and options."""
 
 
 def cases() -> Iterator[tuple[str, str, Simulation, Ask]]:
-    """What is asked, of which plans, with which simulation, and what makes the study."""
+    """Kind of run, plans, simulation, and the function that makes the study."""
     usual, static = Simulation(), Simulation(check="static")
     for name in ("stack", "tiny", "small", "middle", "large", "given"):
         yield "score", name, usual, partial(Nominal, usual)
@@ -114,11 +114,11 @@ def cut(plan: Plan, n: int) -> Plan:
 def compared(
     engine: str, threads: int, given: Sequence[Plan] = (), only: Collection[str] = ()
 ) -> Iterator[dict[str, Any]]:
-    """A line of results for each case: what was estimated, and what it took, compilation apart.
+    """A line of results for each case: estimate and real time, without compilation.
 
     Args:
         given: further plans, which are scored.
-        only: what is asked; everything if it is empty.
+        only: name of a kind of run; "": all.
     """
     plans = sizes(given)
     for kind, name, sim, ask in cases():
@@ -168,5 +168,5 @@ def described(work: Work) -> dict[str, Any]:
 
 
 def start_s(engine: str) -> float:
-    """What an engine needs to begin, as the cost model has it: it is told apart from the rest."""
+    """The start time of an engine in the cost model: it is listed separately."""
     return MEASURED.seconds(Work(Simulation(), []), 1)[engine]

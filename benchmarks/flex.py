@@ -40,8 +40,8 @@ class Stack(NamedTuple):
     Attributes:
         mass_kg: from below.
         aside_mm: how far each is from the lowest along x.
-        stiffness_n_mm: of each; NaN: it is rigid.
-        stands: whether it does if its boxes are rigid.
+        stiffness_n_mm: stiffness of each box; NaN: rigid.
+        stands: whether the stack stands if its boxes are rigid.
     """
 
     mass_kg: tuple[float, ...]
@@ -73,7 +73,7 @@ STACKS: Final = {
 
 
 def stacks() -> Iterator[dict[str, Any]]:
-    """A line for each stack: how deep the highest box comes down, how it leans, and whether it stands, both ways."""
+    """A line for each stack: descent and lean of the highest box, and whether the stack stands, in both ways."""
     for name, stack in STACKS.items():
         load = np.cumsum(stack.mass_kg[::-1])[::-1] - np.array(stack.mass_kg)
         give = (load + np.array(stack.mass_kg) / 2) / np.array(stack.stiffness_n_mm)
@@ -141,7 +141,7 @@ def _simulated(plan: Plan, soft: bool) -> tuple[Outcome, float]:
 
 
 def compared() -> Iterator[dict[str, Any]]:
-    """A line for each case: how deep the load sinks, mm."""
+    """A line for each case: depth of the load, mm."""
     for stiffness, load in CASES:
         spring = (load + MASS_KG / 2) * STANDARD_GRAVITY / stiffness
         plan = Stack((MASS_KG, load), (0, 0), (stiffness, RIGID)).plan

@@ -1,4 +1,4 @@
-"""An engine that answers at once, here or in workers, for measuring what the host does with worlds."""
+"""An engine that answers at once, here or in workers, for measuring the host's work on worlds."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ import numpy as np
 
 from petmjx.common.units import FloatArray
 from petmjx.engines.metrics import BoxMetrics
-from petmjx.engines.protocol import Progress
+from petmjx.engines.protocol import Progress, says_at_hand
 from petmjx.engines.remote import worker_pool
 from petmjx.engines.remote.ray_actor import Worker
 from petmjx.engines.run_engine import UserEngine
@@ -26,7 +26,7 @@ INVALID_EVERY = 500
 
 
 class Instant:
-    """Simulates nothing: most worlds stand where they were placed. As engines do, it begins with the largest.
+    """Simulates nothing: most worlds stand at their planned places. As engines do, it begins with the largest.
 
     Args:
         repeats: whether some worlds are invalid at the first attempt.
@@ -37,10 +37,13 @@ class Instant:
     def __init__(self, *, repeats: bool = True) -> None:
         self._repeats = repeats
 
+    @says_at_hand
     def run(self, jobs: Sequence[Job], sim: Simulation, progress: Progress | None = None) -> Iterator[Outcome]:
+        progress = progress or Progress()
         again, rng = sim.solver_tolerance is not None, np.random.default_rng(len(jobs))
         sizes = np.array([job.scene.n_boxes for job in jobs])
-        for k in np.argsort(-sizes, kind="stable").tolist():
+        for left, k in zip(reversed(range(len(jobs))), np.argsort(-sizes, kind="stable").tolist(), strict=True):
+            progress.at_hand = left
             pos = jobs[k].scene.target
             moved = 1e-4 * rng.standard_normal(pos.shape)
             if k % INVALID_EVERY == 1 and self._repeats and not again:

@@ -1,4 +1,4 @@
-"""Landings: how deep a box comes that falls on another, how it bounces, and how hard it hits at other timesteps.
+"""Landings: depth, bounce and force of a box that falls on another, by timestep.
 
 ``python -m benchmarks.landings [ENGINE]`` prints the rows.
 """
@@ -19,18 +19,18 @@ from petmjx.options.simulation import Quiet
 
 HEIGHTS_MM = (10.0, 50.0, 100.0, 300.0)
 MOST_DEPTH_MM = (1.0, 3.0, 5.0, 9.0)
-"""What a box may pass below where it rests, from each height."""
+"""Largest depth of a box below its place of rest, by height of the fall."""
 TIMESTEPS_S = (0.002, 0.001, 0.0005)
 ASKED = (0.0, 0.1, 0.3)
 NEAR = 0.03
-"""How near restitution is meant to be to what was asked."""
+"""Largest difference between measured and set restitution."""
 CARDBOARD = (0.1, 0.3)
 """Restitution of cardboard boxes: TU/e, T-RO 2023 (four cartons on a conveyor; 0 to 0.6 over all identifications)."""
 
 
 class Landed(NamedTuple):
-    """What a landing was like: how deep below its place of rest, mm; the restitution that its rebound's height is of;
-    the largest force on the box below, N."""
+    """Result of a landing: depth below the place of rest, mm; restitution by the rebound's height; the largest force on
+    the box below, N."""
 
     depth_mm: float
     restitution: float
@@ -39,7 +39,7 @@ class Landed(NamedTuple):
 
 @cache
 def landed(engine: str, height_mm: float, timestep_s: float, landing_s: float, restitution: float) -> Landed:
-    """A box of 5 kg falls on one like it."""
+    """A box of 5 kg falls on an equal box."""
     size, corner = [[400, 300, 200]] * 2, [[400, 250, 0], [400, 250, 200]]
     plan = petmjx.Plan.from_boxes("two", size_mm=size, corner_mm=corner, mass_kg=[5.0, 5.0])
     physics = {"timestep_s": timestep_s, "landing_s": landing_s, "restitution": restitution}
@@ -70,7 +70,7 @@ def landed(engine: str, height_mm: float, timestep_s: float, landing_s: float, r
 
 
 def rows(engine: str) -> list[dict[str, Any]]:
-    """Rows of the gallery: quantity, source, measured, petmjx, miss (0: within what was measured), engine."""
+    """Rows of the gallery: quantity, source, measured, petmjx, miss (0: within the measured range), engine."""
 
     def row(quantity: str, source: str, low: float, high: float, value: float) -> dict[str, Any]:
         miss = max(low - value, value - high, 0.0)

@@ -25,7 +25,7 @@ BOXES: Final = 30
 """Boxes of a pallet before the candidate."""
 
 LEAST_SUPPORT: Final = 0.5
-"""Of a candidate: what no packer would ask about is left out."""
+"""Least support of a candidate: no packer would try less."""
 
 DISTINCT: Final = 64
 """Pallets that are built; more are their copies."""
@@ -39,17 +39,17 @@ _MOST_PLACED: Final = 8
 """Boxes of a pallet in ``memory``."""
 
 _RESET_SHARE: Final = 0.05
-"""Of the pallets in ``memory``, before each call."""
+"""Share of pallets reset in ``memory``, before each call."""
 
 _TABLES: Final = ("worlds", "boxes")
 
 
 @dataclass(frozen=True, eq=False)
 class Loop:
-    """What the cases have in common.
+    """The common parts of the cases.
 
     Attributes:
-        plans: of which the first boxes are placed; None: generated ones, all packed well.
+        plans: plans whose first boxes are placed; None: generated plans, all packed well.
         pallets, candidates: of the case ``candidates``; ``count``: plans of ``placed``, placements of
             ``memory``, episodes.
         options: fields of ``petmjx.Simulation``.
@@ -64,7 +64,7 @@ class Loop:
     boxes: int = BOXES
 
     def usual(self, n: int, least: int) -> list[Plan]:
-        """n plans for the euro-pallet with so many boxes at least."""
+        """n plans for the euro-pallet with at least this many boxes."""
         if self.plans is not None:
             plans = [plan for plan in self.plans if plan.n_boxes >= least][:n]
         else:
@@ -93,7 +93,7 @@ class Loop:
         return pallets, plans
 
     def asked(self, pallets: petmjx.Pallets, plans: Sequence[Plan], per_pallet: int) -> dict[str, Any]:
-        """Candidates of each pallet: places of boxes that come later, as many of the lowest that have support."""
+        """Candidates of each pallet: places of boxes that come later, the lowest ones with support."""
         rng = np.random.default_rng(self.seed)
         columns: dict[str, list[Any]] = {"size_mm": [], "corner_mm": [], "mass_kg": [], "pallet": []}
         per_plan: dict[str, list[tuple[Any, Any, Any]]] = {}
@@ -176,7 +176,8 @@ def placed(loop: Loop) -> Result:
 def memory(loop: Loop) -> Result:
     """Placements and resets of pallets, the more the more placements: does memory grow, is anything compiled?
 
-    Pallets are reset when they are full or have fallen, and some at random: each call has another number of them.
+    Pallets are reset when they are full or have fallen, and some at random: the number of pallets changes from call to
+    call.
     """
     plans = loop.usual(min(loop.pallets, max(loop.count // 1000, 64)), _MOST_PLACED)
     pallets = petmjx.Pallets(len(plans), engine=loop.engine)
@@ -237,7 +238,7 @@ def environment(loop: Loop) -> Result:
 
 
 def bounds(loop: Loop) -> Result:
-    """Placements that are decided without a simulation, against it: ``count`` of them."""
+    """Decisions of bounds compared with simulations: ``count`` of them."""
     from benchmarks.bounds import bounds as compare
 
     return compare(loop.engine, loop.count, loop.seed)
@@ -263,7 +264,7 @@ CASES: Final[dict[str, Callable[[Loop], Result]]] = {
 
 
 def measured(loop: Loop, names: Sequence[str]) -> Iterator[Result]:
-    """One result a case, with how busy the machine was: others' work makes walls, not CPU times, longer."""
+    """One result per case, with the load of the machine: other work makes wall times longer, not CPU times."""
     for name in names:
         head = {"case": f"loop-{name}", "group": "loop", "engine": loop.engine.name, "device": loop.engine.device}
         figures = CASES[name](loop)
@@ -308,7 +309,7 @@ def _clock(clock: Any) -> Result:
 
 
 def _resident_bytes() -> int:
-    """Memory of this process now."""
+    """Present memory of this process."""
     return int(Path("/proc/self/statm").read_text(encoding="ascii").split()[1]) * resource.getpagesize()
 
 

@@ -84,9 +84,9 @@ class _Watch:
 
 @dataclass
 class Bench:
-    """Measures cases one after the other. Later cases use engines, and what they compiled, again."""
+    """Measures cases in order. Later cases use engines, and their compiled programs, again."""
 
-    work: Path  # folder that keeps what timed runs write
+    work: Path  # folder for the files of timed runs
     plans: Path | None = None  # file of plans instead of the cases' own
     limit: int | None = None  # most plans
     skip: int = 0  # number of plans to leave out at the beginning
@@ -103,7 +103,8 @@ class Bench:
     _folders: dict[tuple[str, str], list[Path]] = field(default_factory=dict, init=False)
 
     def run(self, cases: Sequence[Case], engines: Sequence[str]) -> Iterator[Result]:
-        """Results of cases on engines, as they come. An oracle's result comes before the first one compared with it."""
+        """Results of cases on engines, as they finish. An oracle's result comes before the first one compared with
+        it."""
         pairs = ((case, case.only or engine) for engine in engines for case in cases)
         turns = {(case.name, engine): (case, engine) for case, engine in pairs}
         ways = {Way.FILES: self._compared, Way.ENGINE: self._engine_alone}
@@ -151,7 +152,7 @@ class Bench:
             raise InputError(f"{path}: no plans left after the first {self.skip}")
         self._folders.setdefault((case.name, engine_name), folders)
         run = joint_run(folders)
-        sim = run.info["config"]["simulation"]  # a sweep's file may have one of its own
+        sim = run.info["config"]["simulation"]  # a sweep's file may name another one
         n_boxes = run.worlds.drop_duplicates("plan_id")["n_boxes"]
         timings = pd.DataFrame([load_run(folder).info["timings"] for folder in folders]).sum().to_dict()
         steps = timings["placement_steps"] + timings["drive_steps"] if case.sweep else run.worlds["n_steps"].sum()
@@ -306,7 +307,7 @@ class Bench:
         return path, count
 
     def _stack(self, n_boxes: int) -> Plan:
-        """The first boxes of the plan from which stacks are cut; of bricks, if it has fewer."""
+        """The first boxes of the plan from which stacks are cut; bricks, if it has fewer boxes."""
         plan_id, placements = generate_one(STACK_PLAN, SEED, loose_share=0.0)
         if len(placements) < n_boxes:
             return bricks(n_boxes)
@@ -368,7 +369,7 @@ def _filling(engine: str, boxes: int) -> int:
 
 
 def _threads(engine: Engine) -> int | None:
-    """CPU threads of an engine; None if it has none."""
+    """CPU threads of an engine; None without threads."""
     threads: int | None = getattr(engine, "threads", None)
     return threads
 

@@ -1,6 +1,6 @@
-"""Sweeps of a million small worlds: what the host takes for each of them, its memory, and what becomes of the tables.
+"""Sweeps of a million small worlds: host time per world, memory, and sizes of tables.
 
-A run in a process of its own is killed on its way and gone on with in another one. Others read what it has written.
+A run in a process of its own is killed halfway and continued in another one. Other processes read its results.
 """
 
 from __future__ import annotations
@@ -41,7 +41,7 @@ FEWEST, MOST = 10, 14
 SEED: Final = 5
 POLL_S: Final = 0.05
 TOLD_EVERY_S: Final = 5.0
-"""A run says how far it is: who cuts it off knows its speed."""
+"""A run prints its progress, so that an interrupted measurement still has its speed."""
 
 
 @dataclass(frozen=True)
@@ -51,8 +51,8 @@ class Million:
     Attributes:
         variants: worlds of each plan.
         engine: by name; ``instant`` answers at once, in workers if the options ask for some.
-        kill_at: share of worlds after which the run is killed; 0: it is not.
-        placing: how boxes come to their places. Usually a hand sets boxes with errors down, which takes more steps.
+        kill_at: share of worlds after which the run is killed; 0: never.
+        placing: way of placing. Usually a hand sets boxes with errors down, which takes more steps.
         options: further options of the run.
     """
 
@@ -70,7 +70,7 @@ class Million:
 
 
 def measured(case: Million) -> Iterator[Result]:
-    """Run it, kill it, go on with it, and read it: a line of results for each step, as soon as it is there."""
+    """Run, kill, continue and read: a line of results after each step."""
     check(case)
     about = {"engine": case.engine, "plans": case.plans, "variants": case.variants, "boxes": [FEWEST, MOST]}
     about |= {"placing": case.placing, "options": dict(case.options)}
@@ -82,7 +82,7 @@ def measured(case: Million) -> Iterator[Result]:
 
 
 def _in_process(step: Callable[[Million], Result], case: Million) -> Result:
-    """What a step returns, in a process of its own, with its largest memory. If that process dies, this raises; a
+    """The result of a step in a process of its own, with its largest memory. If that process dies, this raises; a
     ``multiprocessing.Pool`` would wait for ever."""
     with process_pool(1) as pool:
         return pool.submit(_measured_step, step, case).result()
@@ -112,7 +112,7 @@ def _killed(case: Million) -> Result:
 
 
 def written(folder: Path) -> int:
-    """Worlds that a run has on disk, as it says."""
+    """Number of worlds that a run has on disk."""
     try:
         return int(json.loads((folder / "run.json").read_text())["counts"]["worlds"])
     except (OSError, ValueError, KeyError):
@@ -120,7 +120,7 @@ def written(folder: Path) -> int:
 
 
 class Watch:
-    """Notes when a run knew what is missing, and when its first world came."""
+    """Records the times at which a run knew its missing worlds and had its first world."""
 
     def __init__(self) -> None:
         self._begin = time.perf_counter()
@@ -167,7 +167,7 @@ def _asked(case: Million) -> tuple[Sweep, RunOptions]:
 
 
 def run(case: Million) -> Result:
-    """Simulate what is missing."""
+    """Simulate the missing worlds."""
     plans = made(case.plans)
     sweep, options = _asked(case)
 

@@ -1,6 +1,6 @@
 """Packers on the same orders: how dense, how sure and how firm their plans are.
 
-What packing alone decides is measured on all orders, what physics says on the first ones. Worlds with errors are drawn
+Packing is measured on all orders, physics on the first ones. Worlds with errors are drawn
 from another seed than those by which ``physical`` chooses and from which ``learned`` learned: a packing that was chosen
 since it stood in 16 worlds must stand in others, too.
 """
@@ -46,17 +46,17 @@ BOOTSTRAPS: Final = 4000
 
 PACKED: Final = ("placed", "whole", "utilisation")
 JUDGED: Final = ("stands", "share", *(f"at_{level:g}_g" for level in LEVELS_G), "most_load_n")
-"""What packing alone decides, and what physics says."""
+"""Measures of packing, and measures by physics."""
 
 
 class Asked(NamedTuple):
-    """What a study measures.
+    """The scope of a study.
 
     Attributes:
-        judged: plans of the first so many orders of each set are simulated.
-        physical: so many orders of each set are packed by ``physical``.
-        worlds: with errors, of each plan.
-        shaken: plans of the first so many orders of each set are shaken.
+        judged: number of first orders of each set whose plans are simulated.
+        physical: number of first orders of each set that ``physical`` packs.
+        worlds: number of worlds with errors of each plan.
+        shaken: number of first orders of each set whose plans are shaken.
         only: names of packers; None: all.
         others: name → file of plans of another packer, of orders of any set.
         policy: of ``learned``; None: the published one.
@@ -84,7 +84,7 @@ class Asked(NamedTuple):
 def study(sets: Mapping[str, Sequence[Numbered]], settings: Asked) -> list[dict[str, Any]]:
     """A line of results for each set of orders: each packer's plans, and differences on the same orders.
 
-    All plans are simulated in one run, and shaken in another: the worlds of a run cost little more than one.
+    All plans are simulated in one run, and shaken in another: many worlds of a run cost little more than one world.
     """
     packings_by_set = {name: _packed(name, orders, settings) for name, orders in sets.items()}
     judged = _judged(_plans(sets, packings_by_set, settings.judged), settings)
@@ -146,7 +146,7 @@ _Key = tuple[str, str, str]
 def _plans(
     sets: Mapping[str, Sequence[Numbered]], packings_by_set: Mapping[str, Mapping[str, Packings]], most: int
 ) -> dict[_Key, Plan | None]:
-    """The plans of the first orders of each set; None where no box is placed."""
+    """The plans of the first orders of each set; None without a placed box."""
     plans: dict[_Key, Plan | None] = {}
     for name, orders in sets.items():
         for packer, packings in packings_by_set[name].items():
@@ -161,7 +161,7 @@ def _plans(
 
 
 def _judged(plans: Mapping[_Key, Plan | None], settings: Asked) -> pd.DataFrame:
-    """Whether plans stand, placed exactly and with errors. What has no plan does not stand."""
+    """Whether plans stand, placed exactly and with errors. An order without a plan does not stand."""
     some = [plan for plan in plans.values() if plan is not None]
     if not some:
         return pd.DataFrame()
@@ -202,7 +202,7 @@ def _shaken(plans: Mapping[_Key, Plan | None], settings: Asked) -> pd.DataFrame:
 
 
 def _by_key(plans: Mapping[_Key, Plan | None], columns: Mapping[str, Any]) -> pd.DataFrame:
-    """Columns by plan id, with the keys of plans; loads of no plan are not known, and what else it does is 0."""
+    """Columns by plan id, with the keys of plans; without a plan, loads are unknown and all other columns are 0."""
     index = pd.MultiIndex.from_tuples(plans, names=("set", "packer", "plan_id"))
     names = ["" if plan is None else plan.plan_id for plan in plans.values()]
     table = pd.DataFrame({name: values.reindex(names).to_numpy(float) for name, values in columns.items()}, index=index)
@@ -240,7 +240,7 @@ def _interval(values: FloatArray) -> list[float]:
 
 
 def _differences(table: pd.DataFrame, other: pd.DataFrame) -> dict[str, list[float]]:
-    """Column → mean difference on the same orders and its interval; of what stands also McNemar's p."""
+    """Column → mean difference on the same orders and its interval; for shares that stand also McNemar's p."""
     differences = {}
     for name in ("utilisation", "placed", *JUDGED[:-1]):
         if name not in table or name not in other:
@@ -262,7 +262,7 @@ def _differences(table: pd.DataFrame, other: pd.DataFrame) -> dict[str, list[flo
 
 
 def _ranks(tables: Mapping[str, pd.DataFrame]) -> dict[str, list[str]]:
-    """The packers from the best to the worst, by what a goal compares."""
+    """The packers from the best to the worst, by the measure of a goal."""
     ranks = {}
     for name in ("utilisation", "share"):
         means = {packer: table[name].mean() for packer, table in tables.items() if name in table}
@@ -271,7 +271,7 @@ def _ranks(tables: Mapping[str, pd.DataFrame]) -> dict[str, list[str]]:
 
 
 def _as_many(tables: Mapping[str, pd.DataFrame]) -> dict[str, float]:
-    """Of how many orders a packer places as many boxes as ``balanced``."""
+    """Number of orders of which a packer places as many boxes as ``balanced``."""
     if BALANCED not in tables:
         return {}
     reference = tables[BALANCED].placed

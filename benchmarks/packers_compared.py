@@ -1,4 +1,4 @@
-"""The packers of the study, by name: those that see the whole order, and those that see the next boxes only."""
+"""The packers of the study, by name: with the whole order in view, and with the next boxes only."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ def _named(order: Order, *, name: str) -> Placements:
 
 
 def _apart(order: Order) -> Placements:
-    """``balanced`` with free space: what physical has from its clearances alone."""
+    """``balanced`` with free space: the effect of physical's clearances alone."""
     best: Placements = ()
     for taste in TASTES:
         packing = Packing(order.items, TARGET_EXTENT_MM[order.target], taste, CLEARANCE_MM)
@@ -60,7 +60,7 @@ def _balanced_online(order: Order, *, clearance_mm: float = 0.0, look_ahead: int
 
 
 def _lowest_online(order: Order) -> Placements:
-    """The rule with which the search of ``learned`` shares its candidates: what they do without it."""
+    """The rule with which the search of ``learned`` shares its candidates: their result without learning."""
     stream = FourSidedStream(order.items, TARGET_EXTENT_MM[order.target], LEARNED_CLEARANCE_MM)
     return pack_stream(stream, lowest_first)
 
@@ -91,7 +91,7 @@ def packers(policy: Policy | None = None) -> dict[str, Callable[[Order], Placeme
 
 
 RULES_ONLINE: Final = ("baseline, online", "balanced, online", f"balanced, {CLEARANCE_MM:g} mm apart, online", LOWEST)
-"""What ``learned`` is to be better than."""
+"""The packers that ``learned`` should beat."""
 
 
 class Packings(dict[str, Placements]):
@@ -134,7 +134,7 @@ def _item(given: Mapping[str, Any]) -> Item:
 
 
 def packed_physically(orders: Sequence[Numbered], workers: int, how: Mapping[str, Any]) -> Packings:
-    """The same by ``physical``, whose CPU time is that of all threads of this process."""
+    """The orders packed by ``physical``, whose CPU time is that of all threads of this process."""
     begin, packings = time.process_time(), Packings()
     packed_orders: Iterator[Any] = pack_each(iter(orders), workers=workers, **how)
     for packing in packed_orders:

@@ -4,9 +4,10 @@
 
 Needs PyTorch, gym, trimesh, SciPy and matplotlib, which petmjx does not. The wheel (MIT licence) has the network
 (Zhao et al. 2022, "Learning efficient online 3D bin packing on packing configuration trees"), its weights
-``packer/pct.pt`` and its environment; the program that joins them reads recorded actions instead. So they are joined
-here: the environment's leaf nodes (empty maximal spaces, its own check of stability, no tilting), the network's most
-likely leaf. Its cells are 1 cm: boxes of other sizes take up the next larger one, which leaves free space beside them.
+``packer/pct.pt`` and its environment; the program that joins them reads recorded actions instead. So network and
+environment are joined here: the environment's leaf nodes (empty maximal spaces, its own check of stability, no
+tilting), the network's most likely leaf. The network's cells are 1 cm: boxes of other sizes take up the next larger
+one, which leaves free space beside them.
 """
 
 from __future__ import annotations

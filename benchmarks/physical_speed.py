@@ -15,8 +15,8 @@ Numbered = tuple[str, Order]
 
 
 def search_speed(orders: Sequence[Numbered]) -> Result:
-    """CPU seconds an order of the search alone, in this process. Its first order is not measured, since with it machine
-    code is compiled."""
+    """CPU seconds an order of the search alone, in this process. The first order of ``physical`` is not measured, since
+    it compiles machine code."""
     finalists(orders[0][1], PhysicalOptions())
     times_s = []
     for _, order in orders:

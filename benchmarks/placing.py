@@ -1,4 +1,4 @@
-"""What placing costs and changes: worlds with errors whose boxes appear at their places, or are carried there."""
+"""Cost and effect of placing: worlds with errors whose boxes appear at their places, or are carried."""
 
 from __future__ import annotations
 
@@ -18,10 +18,10 @@ WAYS = (Way.EXACT, Way.HAND)
 def placings(
     plans: Sequence[Plan], worlds: int, ways: Sequence[Way], **options: Any
 ) -> Iterator[tuple[str, pd.Series]]:
-    """For each way its name and what a score with confidence says.
+    """Name of each way, and the result of a score with confidence.
 
     Args:
-        worlds: with errors, of each plan; the nominal world comes on top.
+        worlds: number of worlds with errors of each plan, in addition to the nominal world.
         options: of ``petmjx.score``.
     """
     for way in ways:
@@ -31,7 +31,7 @@ def placings(
 
 
 def summary(worlds: pd.DataFrame, seconds: float, timings: dict[str, Any]) -> pd.Series:
-    """What the worlds of a run came to.
+    """Result of the worlds of a run.
 
     Args:
         seconds: of the run.

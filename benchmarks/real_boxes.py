@@ -1,5 +1,5 @@
 """Real boxes on a real pallet: plans on boards, set down by tines, of three materials. Does an engine agree with C
-MuJoCo, and what does a plan cost?"""
+MuJoCo, and at which cost per plan?"""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ ASSUMED_PAIRS: Final = (
     {"between": ("film", "plastic"), "friction": 0.25},
     {"between": ("plastic", "plastic"), "friction": 0.2},
 )
-"""Of pairs for which petmjx has no source. For this comparison it counts that they differ, not what they are."""
+"""Friction of pairs without a source. For this comparison only their differences matter."""
 
 STIFFNESS_N_MM: Final = {"cardboard": 200.0, "film": 60.0, "plastic": np.nan}
 """Assumed as well; boxes of plastic are rigid."""

@@ -1,6 +1,6 @@
 """Rows of the gallery about friction and bouncing: cartons on a conveyor, pallets on racks and trailers, shelves.
 
-Trajectories of these measurements are not to be had, so petmjx is held against what was identified from them.
+Trajectories of these measurements are not available, so petmjx is compared with the identified values.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ STILL: Final = (0.0, 0.0, 0.0)
 
 
 def rows(engine: str) -> Iterator[Row]:
-    """All of this module's."""
+    """All rows of this module."""
     for carton in CARTONS:
         yield _row_of_friction(carton)
         yield _row_of_restitution(carton, engine)
@@ -80,7 +80,7 @@ def _row_of_friction(carton: Carton) -> Row:
 
 
 def restitution(carton: Carton, engine: str) -> float:
-    """By how high a box bounces that is dropped flat from ``DROP_M``: the root of that share of the height."""
+    """Restitution by the bounce of a box dropped flat from ``DROP_M``: the root of the share of the height."""
     times = Physics().timestep_s * np.arange(1, round(1.0 / Physics().timestep_s))
     moved = release(
         [MM_PER_M * side_m for side_m in carton.size_m], carton.mass_kg, [(0.0, 0.0, carton.size_m[2] / 2 + DROP_M)],
@@ -102,7 +102,7 @@ def _row_of_restitution(carton: Carton, engine: str) -> Row:
 
 
 def _row_of_spread(engine: str) -> Row:
-    """How far ends of one toss differ if its friction is drawn from what was identified for its box."""
+    """Spread of the ends of one toss with friction drawn from the identified range of its box."""
     rng = np.random.default_rng(SEED)
     spreads = []
     for carton in CARTONS:
@@ -114,8 +114,8 @@ def _row_of_spread(engine: str) -> Row:
         )  # fmt: skip
         spreads.append(100 * float(np.std(moved.pos_m[:, 0, :2], axis=0).max()))
     return Row(
-        "place of rest of cartons tossed by about 1.2 m", _TUE, "5 to 10 cm: what their simulators miss",
-        f"{min(spreads):.1f} to {max(spreads):.1f} cm: what their ranges of friction spread", "–", engine,
+        "place of rest of cartons tossed by about 1.2 m", _TUE, "5 to 10 cm: error of their simulators",
+        f"{min(spreads):.1f} to {max(spreads):.1f} cm: spread by their ranges of friction", "–", engine,
         "standard deviations; trajectories are not published",
     )  # fmt: skip
 
@@ -160,11 +160,11 @@ LOAD_KG: Final = 500.0
 _WAY_WITHIN: Final = 0.02
 """Of the way by Coulomb's law."""
 _LIFT_MM: Final = 0.5
-"""What slides on a level floor does not leave it; this is what contacts may do."""
+"""Sliding boxes must not leave a level floor; contacts may lift them by this."""
 
 
 def _rows_of_sliding(engine: str) -> Iterator[Row]:
-    """A loaded pallet that slides on each trailer's floor: how far, and whether it leaves the floor."""
+    """A loaded pallet that slides on each trailer's floor: its way, and whether it leaves the floor."""
     kinetic = np.array([coefficient for _, coefficient in TRAILER.values()])
     height = LOAD_MM[2] / 2 / MM_PER_M
     times = np.arange(0.0, 1.6, 0.004)
@@ -188,7 +188,7 @@ def _rows_of_sliding(engine: str) -> Iterator[Row]:
 
 
 def _lowest_corner(pos: FloatArray, quat: FloatArray) -> float:
-    """The greatest height of the lowest corner of a load along its path, m; 0: it is never above the floor."""
+    """The greatest height of the lowest corner of a load along its path, m; 0: never above the floor."""
     x, y = quat[:, 1], quat[:, 2]
     w, z = quat[:, 0], quat[:, 3]
     upward = abs(np.stack([2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)], axis=1))
@@ -201,7 +201,7 @@ QUAKE_S: Final = 20.0
 PEAK_G: Final = 1.0
 BAND_HZ: Final = (0.3, 3.0)
 SHED_M: Final = 0.1
-"""Outward by more than this a pallet's feet begin to leave the beam."""
+"""Further outward than this, a pallet's feet begin to leave the beam."""
 
 
 def _quake(rng: np.random.Generator, timestep_s: float) -> FloatArray:

@@ -1,7 +1,7 @@
-"""A gallery of measurements: what was measured, what petmjx says, and by how much it misses (docs/reality-measured.md).
+"""A gallery of measurements: measured values, petmjx's values, and the differences (docs/reality-measured.md).
 
-``rows`` of a part are what the page shows, ``study`` of the tosses what its text quotes. Measured figures are those of
-the sources named beside them; no data file is part of the repository.
+``rows`` of a part appear on the page; its text quotes ``study`` of the tosses. Measured figures come from the sources
+named beside them; no data file is part of the repository.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ PARTS: Final = {
 TOSSES: Final = "tosses"
 
 ALL_ENGINES: Final = "all"
-"""The engine of rows that are the same for each."""
+"""The engine of rows that are equal on all engines."""
 
 
 @dataclass(frozen=True)
@@ -41,14 +41,14 @@ class Row:
     """A line of the gallery.
 
     Attributes:
-        quantity: what was measured.
-        source: who measured it, and where it is published.
+        quantity: the measured quantity.
+        source: authors and publication.
         measured: its value with unit.
-        petmjx: what petmjx says, with unit.
+        petmjx: petmjx's value, with unit.
         miss: by how much petmjx misses, with unit.
         engine: that said it.
-        note: what one should know; "" if nothing.
-        holds: whether petmjx is as near as it is meant to be; None: that is not said.
+        note: an important fact; "": none.
+        holds: whether petmjx reaches the goal; None: no goal.
     """
 
     quantity: str
@@ -64,7 +64,7 @@ class Row:
     def of(cls, row: Any) -> Row:
         """A row, also one of numbers alone: their ``quantity`` with its unit, ``source``, ``expected``, ``value`` and
         ``engine``; and a table with ``quantity``, ``source``, ``measured``, ``petmjx``, ``miss`` and ``engine``, whose
-        miss is 0 where petmjx is as near as it is meant to be."""
+        miss is 0 if petmjx reaches the goal."""
         if isinstance(row, cls):
             return row
         if isinstance(row, Mapping):
@@ -80,7 +80,7 @@ def gallery(parts: list[str], engines: list[str], data: Path, limit: int | None 
     Args:
         parts: names of ``PARTS``, or ``TOSSES``.
         data: the folder of measurements, or the file of the tosses.
-        limit: only so many tosses.
+        limit: number of tosses.
 
     Raises:
         InputError: the tosses are not there.
@@ -89,7 +89,7 @@ def gallery(parts: list[str], engines: list[str], data: Path, limit: int | None 
         for number, engine in enumerate(engines):
             measures: dict[str, Any] = {}
             if part == TOSSES:
-                # what the data tell of friction and of confidence is asked of one engine
+                # friction and confidence of the data are computed on one engine only
                 measures, rows = _tosses(data, limit, engine, complete=number == 0)
             else:
                 find: Callable[[str], Iterator[Any]] = importlib.import_module(PARTS[part]).rows
@@ -105,8 +105,8 @@ def gallery(parts: list[str], engines: list[str], data: Path, limit: int | None 
 
 
 def table(results: Sequence[Mapping[str, Any]]) -> str:
-    """The rows of all results as Markdown, a table for each part; rows that do not hold say so. What is the same for
-    all engines has one row."""
+    """The rows of all results as Markdown, a table for each part; missed goals are marked. Equal values of all engines
+    share one row."""
     words = {True: "holds", False: "**fails**", None: ""}
     parts: dict[str, dict[Row, None]] = {}
     for result in results:
@@ -143,9 +143,9 @@ _RIGHT_FACE: Final = 0.835
 _PLACE_MM: Final = 24.0
 _PATH_MM: Final = 15.0
 _FRICTION_WITHIN: Final = 0.02
-"""What tosses are meant to reach: MuJoCo's own contacts reach 84 %, 25 mm and 15 mm on all 570."""
+"""Goals of the tosses: MuJoCo's own contacts reach 84 %, 25 mm and 15 mm on all 570."""
 _LEAST_P: Final = 0.01
-"""Of a test below which two distributions differ."""
+"""P-value of a test below which two distributions differ."""
 _NAMES: Final = {
     "way_mm": ("way along the ground", " mm"),
     "turn_deg": ("total turn", "°"),
@@ -219,7 +219,7 @@ def _rows_of_spread(measures: Mapping[str, Any], engine: str) -> Iterator[Row]:
 
 
 def _row_of_faces(measures: Mapping[str, Any], contacts: str, engine: str, note: str = "") -> Row:
-    """Of runs with such starts: how often they have the same face up as the camera saw, and as each other."""
+    """Share of runs with such starts that end with the camera's face up, and with equal faces up."""
     measured, runs_agree = measures["same_face_as_measured"], measures["same_face_between_runs"]
     return Row(
         f"the same face up, {contacts}", _CUBE, f"{percent(measured)} of runs and the camera",
@@ -254,5 +254,5 @@ def _rows_of_calibration(measures: Mapping[str, Any], engine: str) -> Iterator[R
         "chance of the face that is up, as the draws have it", _CUBE,
         f"{percent(chance)} of draws show the measured face", f"{percent(likeliest)} show each other's",
         percent(likeliest - chance), engine,
-        "as much surer of the face than it may be",
+        "overconfidence about the face",
     )  # fmt: skip

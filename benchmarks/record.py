@@ -1,4 +1,4 @@
-"""What every result has beside its numbers: commit, versions, date, memory. And the file of JSON lines."""
+"""Fields of every result beside its numbers: commit, versions, date, memory. And the file of JSON lines."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ DIGITS = 6
 _KIB = 1024
 
 Result = dict[str, Any]
-"""One line of results. benchmarks/README.md says what its fields mean."""
+"""One line of results. benchmarks/README.md explains its fields."""
 
 
 def commit() -> str:
@@ -55,7 +55,7 @@ def environment() -> Result:
 
 @dataclass
 class Clock:
-    """What was measured: seconds, CPU seconds of the whole process, largest memory."""
+    """Measured values: seconds, CPU seconds of the whole process, largest memory."""
 
     wall_s: float = 0.0
     cpu_s: float = 0.0

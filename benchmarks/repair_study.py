@@ -22,7 +22,7 @@ from petmjx.repairs.drafts import Draft, Rules
 from petmjx.repairs.repair import Repaired
 
 TRIES: Final = 40
-"""Moves of a box that are tried in each plan of others."""
+"""Number of moves of a box that are tried in each plan of others."""
 
 SCORED_AT_ONCE: Final = 4
 """Moves that are scored at once until one makes the plan fall."""
@@ -38,7 +38,7 @@ def falling(plans: Sequence[Plan], **how: Any) -> list[Plan]:
 
 
 def generated(n: int, seed: int, most_boxes: int, **how: Any) -> list[Plan]:
-    """The first ``n`` plans of the mixed set of a seed that fall, of those with at most so many boxes."""
+    """The first ``n`` plans of the mixed set of a seed that fall, among those with at most this many boxes."""
     drawn = (parse_plan(name, f"seed {seed}", placed, len(placed), {}) for name, placed in generate(MOST_SAMPLES, seed))
     small = (plan for plan in drawn if plan.n_boxes <= most_boxes)
     plans: list[Plan] = []
@@ -69,7 +69,8 @@ def disturbed(plans: Sequence[Plan], seed: int, **how: Any) -> Iterator[Plan]:
 
 
 def repaired_rows(plans: Sequence[Plan], **options: Any) -> Iterator[tuple[dict[str, Any], Repaired]]:
-    """A row for each plan, as soon as it is repaired: that of ``Repairs.table``, with seconds of wall clock and CPU."""
+    """A row for each plan, as soon as it is repaired: the row of ``Repairs.table``, with seconds of wall clock and
+    CPU."""
     for plan in plans:
         wall, cpu = time.perf_counter(), time.process_time()
         (result,) = petmjx.repair(plan, **options).each

@@ -1,8 +1,8 @@
-"""Blocks that rock, slide, are tilted and wrapped: what mechanics and measurements say, and what petmjx says.
+"""Blocks that rock, slide, are tilted and wrapped: values by mechanics and measurements, and by petmjx.
 
 The equations of motion are those of Housner 1963 ("The behavior of inverted pendulum structures during earthquakes",
 Bulletin of the Seismological Society of America 53): a rigid block that rocks about its lower edges and does not slip.
-They share no code with petmjx.
+Closed forms share no code with petmjx.
 """
 
 from __future__ import annotations
@@ -40,7 +40,7 @@ MOST_TILT_RAD: Final = math.radians(petmjx.Thresholds().tilt_deg)
 
 
 class Row(NamedTuple):
-    """One row of the gallery: a quantity with its unit, what its source says, and what petmjx says."""
+    """One row of the gallery: a quantity with its unit, its source's value, and petmjx's value."""
 
     quantity: str
     source: str
@@ -50,7 +50,7 @@ class Row(NamedTuple):
 
 
 class Motion(NamedTuple):
-    """What became of a block: the largest tilt, rad (infinite if it fell); the largest friction that not slipping took;
+    """The result for a block: the largest tilt, rad (infinite if it fell); the largest friction that not slipping took;
     and when it hit the ground, s."""
 
     max_tilt_rad: float
@@ -64,7 +64,7 @@ class Motion(NamedTuple):
 
     @property
     def lost(self) -> bool:
-        """Whether it fell over, or tilted so far that petmjx calls a box lost, though squat ones come back."""
+        """Whether the block fell over, or tilted so far that petmjx calls a box lost (squat blocks may come back)."""
         return self.max_tilt_rad > MOST_TILT_RAD
 
 
@@ -103,10 +103,10 @@ class RockingBlock:
     def rock(
         self, ground: Acceleration, seconds: float, quiet_from_s: float, start: Sequence[float] = (0, 0)
     ) -> Motion:
-        """Its motion on ground that accelerates; tilts are positive towards +x.
+        """The motion of a block on ground that accelerates; tilts are positive towards +x.
 
         Args:
-            seconds: how long it is followed.
+            seconds: length of the computation.
             quiet_from_s: from when on the ground rests, so that a block at rest stays so.
             start: its tilt, rad, and angular speed, rad/s.
         """
@@ -164,7 +164,7 @@ class RockingBlock:
         return abs(ground_m_s2 + across) / max(GRAVITY + upward, 1e-9)
 
     def energy_kept(self, before_rad: float, after_rad: float) -> float:
-        """Share of energy that an impact leaves, from the largest tilts on both sides of it (without a drive)."""
+        """Share of energy that an impact leaves, from the largest tilts before and after it (without a drive)."""
         rest = math.cos(self.slenderness_rad)
         before, after = (math.cos(self.slenderness_rad - tilt) - rest for tilt in (before_rad, after_rad))
         return after / before
@@ -233,10 +233,10 @@ def slide_level_g(friction: float) -> float:
 def largest_level_g(block: RockingBlock, friction: float) -> float:
     """The largest level of EUMOS's test, in hundredths, that a block survives.
 
-    One that rocks before it slides, and whose rocking never takes more than the friction there is, does not slide. So
-    it is lost at Housner's level, even where that is beyond the level at which a block that stands flat would slide too
-    far. Where friction is width / height or a few hundredths more, a block slides and rocks at once, for which this is
-    no closed form.
+    A block that rocks before it slides, and whose rocking never takes more than the friction there is, does not slide.
+    So such a block is lost at Housner's level, even where that is beyond the level at which a block that stands flat
+    would slide too far. Where friction is width / height or a few hundredths more, a block slides and rocks at once,
+    for which this is no closed form.
     """
     slides = slide_level_g(friction)
     if friction <= math.tan(block.slenderness_rad):
@@ -255,12 +255,12 @@ def _largest(survives: Callable[[float], bool], steps: int = LEVEL_STEPS) -> flo
     return low / steps
 
 
-# ---------------------------------------------------------------------- what petmjx says
+# ---------------------------------------------------------------------- petmjx's values
 
 SIDE_MM: Final = 300.0
 DEPTH_MM: Final = 300.0
 BOX_FRICTION: Final = 0.5
-"""Of physics ``pallet``: axes have factors of it."""
+"""Friction of physics ``pallet``: axes have factors of this value."""
 ROUGH: Final = 1.2
 """A friction at which no slender block slides."""
 
@@ -286,7 +286,7 @@ def swept(plans: Sequence[petmjx.Plan], engine: EngineName, sweep: str, **option
 
 
 def rows(engine: EngineName = "mujoco") -> Iterator[Row]:
-    """All rows of this module, as they are simulated."""
+    """All rows of this module, as soon as simulated."""
     yield from free_rocking(engine)
     yield from overturning(engine)
     yield from overturning_limits(engine)
@@ -301,7 +301,7 @@ FREE_BLOCKS: Final = tuple(RockingBlock(width_m, 0.6) for width_m in (0.12, 0.15
 MEASURED_RESTITUTION: Final = {5: 0.95, 3: 0.97}
 """Slenderness → measured angular speed after an impact, over Housner's, on concrete (ElGawady et al.)."""
 SHORTEST_TILT_RAD: Final = math.radians(0.5)
-"""Smaller swings are as large as what contacts give way."""
+"""Smaller swings are as large as the depth of contacts."""
 
 
 def free_rocking(engine: EngineName) -> Iterator[Row]:
@@ -371,14 +371,14 @@ nearly those of Housner's."""
 
 
 def _contacts(physics: str) -> str:
-    """What a row says of contacts other than those by default."""
+    """Note of a row about other than the default contacts."""
     return f", {physics}" if physics else ""
 
 
 def overturning(
     engine: EngineName, blocks: Sequence[RockingBlock] = (FREE_BLOCKS[1], FREE_BLOCKS[3]), physics: str = ""
 ) -> Iterator[Row]:
-    """How many of 8 × 12 half-sine pulses overturn a block, or do not, as they do Housner's.
+    """Number of 8 × 12 half-sine pulses with the same outcome for a block as by Housner.
 
     Args:
         physics: a line of a sweep's table of physics.
@@ -453,7 +453,7 @@ def tilting(
     frictions: Sequence[float] = (0.3, 0.5, 0.7),
     blocks: Sequence[RockingBlock] = TILTED_BLOCKS,
 ) -> Iterator[Row]:
-    """At which angles boxes on a carrier that is tilted fail, and by how much that is late by closed forms."""
+    """At which angles boxes on a carrier that is tilted fail, and their delay against closed forms."""
     for profile, rate in TILT_RATES.items():
         for friction in frictions:
             angle = math.degrees(math.atan(friction))
@@ -518,8 +518,8 @@ def wrapped_levels(engine: EngineName) -> Iterator[Row]:
     """The largest level of EUMOS's test that a wrapped box of 10 kg survives, to 0.01 g.
 
     Each turn adds its tension (Sensors 2025, 25(22), 6883). At a corner film pulls along two sides, so that each of the
-    four is pressed by 2 T, with T the tension of as much film as the box is high. That times the friction of film is
-    what holds the box beside its own friction.
+    four is pressed by 2 T, with T the tension of as much film as the box is high. This pressure times the friction of
+    film holds the box in addition to its own friction.
     """
     mass_kg, height_m = 10.0, 0.2
     plan = petmjx.Plan.from_boxes("w", size_mm=[[400, 300, 200]], corner_mm=[[400, 250, 0]], mass_kg=[mass_kg])

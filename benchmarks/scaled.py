@@ -1,8 +1,8 @@
 """Random piles, scaled in all lengths together with the thresholds that are lengths: which verdicts change.
 
-Under gravity a pile twice as large falls as the same pile does, √2 times as slowly. What does not scale is petmjx's
-own: the timestep, the springs of contacts, 0.1 mm of size, speeds that count as quiet. Where these decide, a flag is to
-say so.
+Under gravity a pile twice as large falls as the same pile does, √2 times as slowly. Only petmjx's own constants do not
+scale: the timestep, the springs of contacts, 0.1 mm of size, speeds that count as quiet. If these constants decide a
+verdict, a flag must show it.
 
     python -m benchmarks.scaled --seed 20261128 --piles 500
 """
@@ -27,10 +27,10 @@ from petmjx.plans.plan import Plan
 from petmjx.runs.option_types import EngineName
 
 FACTORS = (0.5, 0.7, 1.0, 1.4, 2.0)
-"""Of all lengths. 1 is the pile as it was drawn."""
+"""Factors of all lengths. 1 is the drawn pile."""
 
 SAYS_WHY = Flag.MOVING | Flag.KNIFE_EDGE | Flag.SINKING | Flag.TIMESTEP
-"""Flags that say of a verdict that little decided it."""
+"""Flags of verdicts that small differences decided."""
 
 FLOOR_MM = (600.0, 400.0)
 SIDES_MM = (100, 400)
@@ -41,7 +41,7 @@ FLAT_SHARE = 0.7
 
 PLACES = 10
 CAREFUL_SHARE = 0.9
-"""So many places are tried for this share of boxes: about half of all piles stand then."""
+"""This many places are tried for this share of boxes: about half of all piles stand then."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -76,7 +76,7 @@ def pile(rng: np.random.Generator) -> Pile:
 
 
 def _let_down(low: FloatArray, size: FloatArray, corners: FloatArray, sizes: FloatArray) -> tuple[float, float]:
-    """Where a box comes to rest above (k, 3) others, mm, and the share of its base that bears."""
+    """Height of rest of a box above (k, 3) others, mm, and the share of its base that bears."""
     common = np.minimum(low + size[:2], corners[:, :2] + sizes[:, :2]) - np.maximum(low, corners[:, :2])
     area = np.maximum(common, 0.0).prod(axis=1)
     tops = corners[:, 2] + sizes[:, 2]
@@ -85,7 +85,7 @@ def _let_down(low: FloatArray, size: FloatArray, corners: FloatArray, sizes: Flo
 
 
 def thresholds(factor: float) -> Thresholds:
-    """The default ones, those that are lengths multiplied."""
+    """The default thresholds, with lengths multiplied."""
     usual = Thresholds()
     lengths = ("shift_m", "shift_floor_m", "drop_hull_z_m")
     return usual.model_copy(update={name: factor * getattr(usual, name) for name in lengths})

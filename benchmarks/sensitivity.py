@@ -46,7 +46,7 @@ class Change:
     Attributes:
         options: fields of ``petmjx.Simulation``.
         against: options of the run that it is compared with.
-        plans: what becomes of each plan.
+        plans: table of the effect on each plan.
     """
 
     options: Mapping[str, Any] = field(default_factory=dict)
@@ -87,7 +87,7 @@ CHANGES: dict[str, Change] = {
 def sensitivity(
     plans: Sequence[Plan], names: Sequence[str], **run_options: Any
 ) -> Iterator[tuple[str, pd.DataFrame, pd.DataFrame]]:
-    """Name, and the tables ``worlds`` before and after, by plan id; what runs are compared with is run once.
+    """Name, and the tables ``worlds`` before and after, by plan id; the compared run is simulated once.
 
     Args:
         run_options: fields of ``petmjx.RunOptions``.
@@ -109,7 +109,7 @@ def sensitivity(
 
 
 def describe(before: pd.DataFrame, after: pd.DataFrame) -> str:
-    """How many verdicts changed, and how many of those had a margin beyond a tenth in both."""
+    """Number of changed verdicts, and of those with a margin beyond a tenth in both."""
     changed = before.verdict != after.verdict
     to_stable = int((changed & (after.verdict == "stable")).sum())
     far = changed & (before.margin.abs() > 0.1) & (after.margin.abs() > 0.1)

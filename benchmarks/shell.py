@@ -1,7 +1,7 @@
 """Where the time of ``petmjx score`` goes from shell to shell: when each stage of a run in a process of its own ended.
 
-``python -m benchmarks.shell plans.json --engine mjx-warp``. With ``--engine instant`` worlds take no time, and what is
-left is the host's. ``--workers N`` asks for workers; then ``instant`` answers in them. Stages are looked at from
+``python -m benchmarks.shell plans.json --engine mjx-warp``. With ``--engine instant`` worlds take no time, and the
+remaining time is the host's. ``--workers N`` uses workers; then ``instant`` answers in them. Stages are observed from
 outside: the command itself is the one that users run.
 """
 
@@ -32,7 +32,7 @@ class Stages:
         self.ended: dict[str, tuple[float, float]] = {}
 
     def end(self, name: str, at: float | None = None) -> None:
-        """Note that a stage has ended now, unless it has before."""
+        """Note that a stage has ended now, if it is the first time."""
         self.ended.setdefault(name, ((at or time.time()) - self._begin, time.process_time()))
 
     def around(self, home: Any, name: str, before: str = "", after: str = "") -> None:
@@ -52,9 +52,9 @@ class Stages:
 
 
 def score(at: float) -> None:
-    """The command, in this process, with its stages noted.
+    """Run the command in this process, and record its stages.
 
-    Its arguments: begin, log, plans, engine, workers (may be empty), folder.
+    The arguments of the program: begin, log, plans, engine, workers (may be empty), folder.
     """
     begin, log, plans, engine, workers, folder = sys.argv[1:]
     stages = Stages(float(begin))
@@ -103,7 +103,7 @@ def score(at: float) -> None:
 
 
 def _note_workers(stages: Stages, engine: str) -> None:
-    """Note how workers start and end, and when they have their first jobs."""
+    """Record start and end of workers, and the times of their first jobs."""
     from petmjx.engines.remote import ray_cluster, worker_pool
 
     if engine == "instant":

@@ -1,7 +1,7 @@
 """Where the time of a run on a GPU goes: slice by slice, how many worlds still run, and whether the device waited.
 
-``python -m benchmarks.slices plans.json --limit 10003``. A slice for which the host does not wait had ended before the
-host looked: then the device may have had nothing to do.
+``python -m benchmarks.slices plans.json --limit 10003``. If the host does not wait for a slice, the slice had ended
+before the host looked: then the device may have had nothing to do.
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ def main() -> None:
     plans = usable_plans(arguments.plans, sim, RunOptions(limit=arguments.limit)).plans
     said(f"{len(plans)} plans are read")
     engine = make_engine(arguments.engine)
-    said("the engine is there")
+    said("the engine is ready")
     wait, looked = Rollout.wait, [0.0]
 
     def timed(self: Rollout, table: WorldTable) -> Any:

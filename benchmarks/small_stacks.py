@@ -1,8 +1,8 @@
-"""Stacks of two to six boxes that statics decides, and what petmjx says of them.
+"""Stacks of two to six boxes that statics decides, and petmjx's verdicts.
 
 A stack is a tree of boxes, or a plank on two columns with boxes on it, so that force and moment balance alone say where
-the load of each box acts. It stands if each load acts over what bears the box. Sizes are 20 to 4,000 mm, mass ratios up
-to 1,000; loads act half a millimetre or more from the nearest edge, mostly not much more.
+the load of each box acts. The stack stands if each load acts over the supports of its box. Sizes are 20 to 4,000 mm,
+mass ratios up to 1,000; loads act half a millimetre or more from the nearest edge, mostly not much more.
 """
 
 from __future__ import annotations
@@ -31,7 +31,8 @@ SIZES_MM = (20.0, 4000.0)
 MOST_MASS_RATIO = 1000.0
 
 FREE_DEG = Thresholds().tilt_deg + 3.0
-"""A box that tips is free to turn by this before it touches anything else: else it may be caught, and stand."""
+"""A box that tips is free to turn by this before it touches anything else: otherwise the box may be caught, and
+stand."""
 
 ANGLES_RAD = np.radians(np.arange(1.0, FREE_DEG, 1.0))
 
@@ -59,10 +60,10 @@ class Stack:
 
     Attributes:
         centre, length: (n,) along the axis, mm.
-        width: (n,) along the other one, mm.
+        width: (n,) along the other axis, mm.
         bottom, height: (n,) mm.
         mass: (n,) kg.
-        supports: what bears each box: one box, two, or ``GROUND``. Placed earlier.
+        supports: supports of each box: one box, two, or ``GROUND``. Placed earlier.
     """
 
     kind: str
@@ -87,7 +88,7 @@ class Stack:
         return boxes
 
     def base(self, box: int) -> tuple[float, float]:
-        """The ends of what bears a box."""
+        """The ends of a box's supports."""
         low, high = self.centre - self.length / 2, self.centre + self.length / 2
         under = [k for k in self.supports[box] if k != GROUND]
         if not under:
@@ -95,7 +96,7 @@ class Stack:
         return max(low[box], min(low[under])), min(high[box], max(high[under]))
 
     def edges_mm(self, placed: int) -> FloatArray:
-        """(placed,) how far inside the nearest edge of what bears it each box's load acts; negative beyond it."""
+        """(placed,) distance of each box's load inside the nearest edge of its supports; negative beyond it."""
         edges = []
         for box in range(placed):
             load = self.above(box, placed)
@@ -142,7 +143,7 @@ def cases(count: int, seed: int) -> Iterator[Case]:
 
 
 def _case(stack: Stack, name: str, rng: np.random.Generator) -> Case | None:
-    """The stack as a case, its last box moved so that some box's load acts near an edge; None if it is none."""
+    """The stack as a case, its last box moved so that some box's load acts near an edge; None if impossible."""
     last = stack.n_boxes - 1
     below = [box for box in range(last + 1) if last in stack.above(box, last + 1)]
     box = int(rng.choice(below))
@@ -173,7 +174,7 @@ def _case(stack: Stack, name: str, rng: np.random.Generator) -> Case | None:
 
 
 def _collides(stack: Stack) -> bool:
-    """Whether two boxes side by side are nearer than ``GAP_MM``, or in one another."""
+    """Whether two boxes side by side are nearer than ``GAP_MM``, or overlap."""
     low, high = stack.centre - stack.length / 2, stack.centre + stack.length / 2
     top = stack.bottom + stack.height
     beside = np.minimum.outer(top, top) > np.maximum.outer(stack.bottom, stack.bottom)
@@ -193,7 +194,7 @@ def _touches_all(stack: Stack) -> bool:
 
 
 def _tips_freely(stack: Stack, placed: int, box: int) -> bool:
-    """Whether a box and what rests on it touch nothing while they turn about the edge that they tip over."""
+    """Whether a box and the boxes on it touch no other while they turn about their edge."""
     moving = stack.above(box, placed)
     low, high = stack.base(box)
     point = np.average(stack.centre[moving], weights=stack.mass[moving])
@@ -219,7 +220,7 @@ def _rectangle(stack: Stack, box: int) -> FloatArray:
 
 
 def _overlap_mm(one: FloatArray, other: FloatArray) -> float:
-    """How deep two rectangles are in each other, by separating axes; negative where they are apart."""
+    """Depth of overlap of two rectangles, by separating axes; negative where they are apart."""
     sides = np.concatenate([np.diff(one[:3], axis=0), np.diff(other[:3], axis=0)])
     axes = sides / np.linalg.norm(sides, axis=1)[:, None]
     a, b = one @ axes.T, other @ axes.T
@@ -267,7 +268,7 @@ def _stack(
 
 
 def _tower(rng: np.random.Generator) -> Stack:
-    """Each box on the one before, somewhere."""
+    """Each box at a random place on the box before."""
     n = int(rng.integers(2, 7))
     length = _sizes(rng, n)
     centre = np.cumsum(np.r_[0.0, rng.uniform(-0.5, 0.5, n - 1) * np.minimum(length[1:], length[:-1])])
@@ -337,8 +338,8 @@ def judge(stacks: list[Case], check: str, **options: Any) -> pd.DataFrame:
 
 
 def summary(table: pd.DataFrame) -> dict[str, Any]:
-    """What a check made of the stacks: agreements, worlds that say that they still move, and the plans that are wrong
-    without that flag."""
+    """The results of a check for the stacks: agreements, worlds that say that they still move, and the plans that are
+    wrong without that flag."""
     answers = table["verdict"].map({"stable": True, "unstable": False})
     agrees = answers == table["stands"]
     wrong = table[~agrees & ~table["moving"]]

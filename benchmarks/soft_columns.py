@@ -1,12 +1,12 @@
 """Columns of boxes that give, against the bed of springs: which stand, and how far they lean.
 
-The bed's answer is worked out here, from nothing of petmjx: a chain of rigid boxes with a bed of springs (Winkler 1867)
-between each two, in which a face that lifts off does not pull. Heights are to the second order of the leans. The energy
+The bed's answer is computed here, without petmjx: a chain of rigid boxes with a bed of springs (Winkler 1867) between
+each two, in which a face that lifts off does not pull. Heights are to the second order of the leans. The energy
 
     E = Σᵢ mᵢ·g·zᵢ + ½ Σⱼ κⱼ ∫ max(δⱼ + (θⱼ − θⱼ₋₁)·u, 0)² du
 
-of depths δ and leans θ, with κ the beds' stiffness per area, has a minimum where the column stands. As gravity grows it
-comes to an end at a multiple of gravity: where that is below 1, the column buckles.
+of depths δ and leans θ, with κ the beds' stiffness per area, has a minimum where the column stands. The bed has a
+solution up to a multiple of gravity: below 1 the column buckles.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ GRID: Final = 40
 MOST_MULTIPLE: Final = 4.0
 MULTIPLE_STEP: Final = 0.2
 CLEAR: Final = 0.05
-"""Nearer to buckling nothing is asked."""
+"""Columns nearer to buckling are not compared."""
 LEAST_LEAN_RAD: Final = 1e-3
 """Of a column that leans less the lean is not compared: the carrier leans on the floor by some tenths of that."""
 SHIFT_M: Final = 0.2
@@ -70,10 +70,10 @@ class Column:
 
 
 class Answer(NamedTuple):
-    """What the bed says of a column.
+    """The bed's result for a column.
 
     Attributes:
-        multiple: of gravity, up to which it stands; it buckles below 1.
+        multiple: multiple of gravity up to which the column stands; below 1 it buckles.
         lean_rad: (n, 2) of each box towards x and y; NaN where it buckles.
         shift_mm: (n, 2) of the middles.
     """
@@ -166,7 +166,7 @@ class _Chain:
 
 
 def bed_answer(column: Column, one_by_one: bool = False) -> Answer:
-    """What the bed says of a column that stands from the beginning.
+    """The bed's result for a column that stands from the beginning.
 
     Args:
         one_by_one: boxes are set down at their planned places instead, once those below have come to rest.
@@ -235,7 +235,7 @@ def drawn(count: int, seed: int) -> list[Column]:
 
 
 def compared(engine: EngineName, count: int = 40, seed: int = 55, threads: int = 1) -> list[dict[str, Any]]:
-    """A line for each column: what the bed says of it, and petmjx, in the static check."""
+    """A line for each column: the results of the bed and of petmjx, in the static check."""
     columns = drawn(count, seed)
     results = petmjx.score(
         [column.plan(f"column-{number}") for number, column in enumerate(columns)],
@@ -274,7 +274,7 @@ def compared(engine: EngineName, count: int = 40, seed: int = 55, threads: int =
 
 
 MOST_MISS: Final = 0.1
-"""Of a lean, as a share: what a column that gives may differ from its bed."""
+"""Of a lean, as a share: largest difference of a compliant column from its bed."""
 
 
 def rows(engine: EngineName = "mujoco", count: int = 40, seed: int = 55) -> list[dict[str, Any]]:

@@ -1,7 +1,7 @@
 """Forces on the tops of boxes in small piles: petmjx's ``rest_top_force_n`` against other simulators and statics.
 
-Where each box has one support, statics alone says what presses on each, and all must agree. Where a box has several,
-balance leaves open how they share its load: simulators then differ by what is stiff in them.
+Where each box has one support, statics alone says the force on each, and all simulators must agree. For a box with
+several supports, balance leaves the shares of its load open: simulators then differ by what is stiff in them.
 """
 
 from __future__ import annotations
@@ -123,8 +123,8 @@ def forces(pile: Pile, referees: Mapping[str, Referee], sim: Simulation) -> dict
 
 
 def differences(referees: Mapping[str, Referee]) -> Iterator[dict[str, Any]]:
-    """For each pile and check a result's fields: all forces, N, and by how much those of others differ from petmjx's at
-    most, as a share of the pile's largest."""
+    """For each pile and check a result's fields: all forces, N, and the largest difference of others' forces from
+    petmjx's, as a share of the pile's largest."""
     for pile in PILES:
         for check in Check:
             forces_by_name = forces(pile, referees, Simulation(check=check))

@@ -127,7 +127,7 @@ def _cell(row: Result, column: str) -> str:
 
 
 def _derived(row: Result) -> Result:
-    """Values made from a result's fields; None if one of them is missing."""
+    """Values made from a result's fields; None if a field is missing."""
     agreement, counts, timings = row.get("found", {}), row.get("counts", {}), row.get("timings", {})
     force, shares = agreement.get("rest_top_force", {}), agreement.get("shares", {})
     missed, plans, drives = agreement.get("stable_here_dropped_there"), row.get("plans"), timings.get("drives")

@@ -1,4 +1,4 @@
-"""What petmjx says of the tosses of a cube: errors beside the spread of perturbed starts, friction, calibration."""
+"""petmjx's results for the tosses of a cube: errors beside the spread of perturbed starts, friction, calibration."""
 
 from __future__ import annotations
 
@@ -27,10 +27,10 @@ RUNS: Final = 16
 """Perturbed starts of each toss."""
 
 MEMBERS: Final = 32
-"""Of the ensemble whose regions are looked at: a region of 50 or 90 % is known to 3 %."""
+"""Size of the ensemble for regions: a region of 50 or 90 % is known to 3 %."""
 
 PRIOR_SIGMA: Final = 0.02
-"""Standard deviation of the friction of the ensemble: that with which one half of the tosses tells it."""
+"""Standard deviation of the friction of the ensemble: the uncertainty of friction from one half of the tosses."""
 
 FRICTIONS: Final = tuple(round(0.14 + 0.005 * k, 3) for k in range(17))
 """Grid on which friction is sought: 0.01 beside the best one the median is 3 to 7 mm larger."""
@@ -46,7 +46,7 @@ MUJOCO_OWN: Final = {
     "skin_m": 0.0,
     "timestep_s": 0.0005,
 }
-"""MuJoCo's own elliptic contacts (the defaults of 3.17.0), at 0.5 ms: what is meant to be reached is theirs."""
+"""MuJoCo's own elliptic contacts (the defaults of 3.17.0), at 0.5 ms: their result is the goal."""
 
 SEED: Final = 20
 REGIONS: Final = (0.5, 0.9)
@@ -83,8 +83,8 @@ def compared(tosses: Tosses, engine: str, **how: Any) -> dict[str, Any]:
 
 
 def spread(tosses: Tosses, engine: str, **how: Any) -> dict[str, Any]:
-    """Runs from starts perturbed by the data's own errors: how far apart two of them end, beside how far they end from
-    what was measured. A perfect model of a perfect cube has the same numbers in both."""
+    """Runs from starts perturbed by the data's own errors: how far apart two of them end, beside their distance from
+    the measured ends. A perfect model of a perfect cube has equal numbers in both."""
     rng, sigma, begin = np.random.default_rng(SEED), noise(tosses), measured_start(tosses)
     starts = [perturbed(begin, sigma, rng) for _ in range(RUNS)]
     paths = simulated(tosses, starts, engine, **how)
@@ -126,9 +126,9 @@ def calibration(tosses: Tosses, engine: str, **how: Any) -> dict[str, Any]:
     """How many measured ends lie within the regions that an ensemble predicts, whose starts have the data's errors and
     whose friction is drawn.
 
-    Of the ensemble's ends and the measured one, each has a mean distance to all others. The measured end is within
-    the region of 50 % if its own is among the least 50 %. If it were a member of the ensemble, exactly 50 % would be,
-    whatever the form of the distribution (conformal prediction).
+    Each end, of the ensemble and the measurement, has a mean distance to all others. The measured end is within
+    the region of 50 % if its own is among the least 50 %. If the measured end were a member of the ensemble, exactly 50
+    % would be, whatever the form of the distribution (conformal prediction).
     """
     rng, sigma, begin = np.random.default_rng(SEED + 1), noise(tosses), measured_start(tosses)
     starts = []

@@ -64,7 +64,7 @@ class Tosses:
 
     Attributes:
         rate_hz: of samples.
-        n_samples: (n,) of each toss; ``first``: (n,) the first one's row.
+        n_samples: (n,) number of samples of each toss; ``first``: (n,) row of its first sample.
         pos: (N, 3) m; quat: (N, 4); velocity: (N, 6) m/s along the world's axes, and rad/s about the cube's.
     """
 
@@ -87,7 +87,7 @@ class Tosses:
         return slice(begin, begin + int(self.n_samples[toss]))
 
     def path(self, toss: int) -> Path3:
-        """One toss as it was measured."""
+        """One measured toss."""
         rows = self.rows(toss)
         return Path3(self.pos[rows], self.quat[rows])
 
@@ -103,7 +103,7 @@ def read_tosses(folder: Path, limit: int | None = None) -> Tosses:
     """The tosses of a file, or of ``FILE`` in a folder; the first ones alone if there is a limit.
 
     Raises:
-        InputError: there is none, or it is another file.
+        InputError: the file is missing, or has other content.
     """
     path = folder / FILE if folder.is_dir() else folder
     try:
@@ -132,7 +132,7 @@ class Start(NamedTuple):
 
 
 def measured_start(tosses: Tosses, friction: float = FRICTION) -> Start:
-    """As the first samples have it."""
+    """The start as in the first samples."""
     first = tosses.first
     return Start(tosses.pos[first], tosses.quat[first], tosses.velocity[first], np.full(len(tosses), friction))
 
@@ -200,7 +200,7 @@ class Errors(NamedTuple):
         }
 
     def of(self, tosses: NDArray[np.intp]) -> Errors:
-        """Those of some tosses."""
+        """The starts of some tosses."""
         return Errors(self.right_face[tosses], self.place_mm[tosses], self.path_mm[tosses], self.turn_deg[tosses])
 
 
@@ -232,8 +232,8 @@ def angle_deg(one: FloatArray, two: FloatArray) -> FloatArray:
 
 
 class Whole(NamedTuple):
-    """(n,) what can be said of tosses whatever their single paths: how far the cube got along the ground, mm; how far
-    it turned until it lay still, degrees; how long that took, s."""
+    """(n,) properties of tosses, whatever their single paths: distance along the ground, mm; total turn until rest,
+    degrees; time until rest, s."""
 
     way_mm: FloatArray
     turn_deg: FloatArray

@@ -27,8 +27,8 @@ COMMANDS = (
     "show pushed REALITY --png pushed-onto.png --size 560x360 --carrier euro-pallet --placing hand --at end --view 4/6",
     "show bottles REALITY --png pressed-in.png --size 360x360 --at end --view 4/6",
 )
-"""Each file of the folder is made by one of these. ``PLANS`` has the plans of ``GENERATED``, ``REALITY`` those of
-docs/reality.md."""
+"""Each file of the folder is made by one of these functions. ``PLANS`` has the plans of ``GENERATED``, ``REALITY``
+those of docs/reality.md."""
 
 GENERATED = (2720, 5459, 5630)
 """Plans of ``petmjx samples``, seed 0, by their numbers."""

@@ -1,9 +1,10 @@
-"""Judge a packer: it packs orders, physics says which of its plans stand, and whether that is more than luck.
+"""Judge a packer: it packs orders, physics decides which of its plans stand, and a test shows whether the result is
+more than luck.
 
     python examples/judge_packer.py orders.json --out judged
 
-``orders.json`` has BED-BPP's form. Put your own algorithm in place of ``pack``; the packer that it is compared with
-comes with petmjx.
+``orders.json`` has BED-BPP's form. Put your own algorithm in place of ``pack``; the packer for the comparison comes
+with petmjx.
 """
 
 from __future__ import annotations

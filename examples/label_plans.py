@@ -2,7 +2,7 @@
 
     python examples/label_plans.py plans.json labels.parquet --run results
 
-You can interrupt the run in ``results``: the same command goes on with it. The README says under "How fast" how long
+You can interrupt the run in ``results``: the same command continues it. The README says under "How fast" how long
 10,000 plans take. With ``--confidence 16`` the label is the share of 16 worlds with errors that stands, instead of 0
 or 1; that takes much longer.
 """
@@ -18,7 +18,7 @@ import petmjx
 
 
 def labels(results: petmjx.RunResults) -> pd.DataFrame:
-    """plan_id, stands (0 or 1, or a share), margin, and what failed first. Plans without an answer are left out."""
+    """plan_id, stands (0 or 1, or a share), margin, and the first box to fail. Plans without an answer are left out."""
     worlds = results.worlds
     nominal = worlds[worlds["variant"] == 0] if "variant" in worlds else worlds
     known = nominal[nominal["verdict"] != "invalid"]

@@ -2,8 +2,8 @@
 
     python examples/ray_cluster.py plans.json results --ray head:6379
 
-Every machine needs the same versions of petmjx and of what it simulates with. If a worker dies, others take its
-worlds; if this process dies, the same command goes on.
+Every machine needs the same versions of petmjx and of its simulation packages. If a worker dies, other workers take its
+worlds; if this process dies, the same command continues the run.
 """
 
 from __future__ import annotations
@@ -34,5 +34,5 @@ def main() -> None:
     print(results)
 
 
-if __name__ == "__main__":  # workers import this file, too
+if __name__ == "__main__":  # workers also import this file
     main()

@@ -24,7 +24,7 @@ class ScorerActor:
         self._scorer = petmjx.Scorer(**options)
 
     def worlds(self, plans: list[petmjx.Plan]) -> pd.DataFrame:
-        """One row a plan, in the order given."""
+        """One row a plan, in the order of the plans."""
         return self._scorer.score(plans).worlds
 
 

@@ -61,7 +61,7 @@ def network(layers: Any, x: jax.Array, mask: jax.Array) -> tuple[jax.Array, jax.
 
 
 def rollout(env: Any, steps: int, layers: Any, carry: Any, key: jax.Array) -> tuple[Any, Step, jax.Array]:
-    """Steps of one pallet, whose episodes begin anew when they end. Returns also the value of what comes next."""
+    """Steps of one pallet, with a new episode after each end. Returns also the value of the next state."""
 
     def one(carry: Any, key: jax.Array) -> tuple[Any, Step]:
         state, observation = carry
@@ -120,7 +120,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--updates", type=int, default=50)
     parser.add_argument("--pallets", type=int, default=64)
-    parser.add_argument("--steps", type=int, default=16, help="of each pallet between two updates")
+    parser.add_argument("--steps", type=int, default=16, help="steps of each pallet between two updates")
     parser.add_argument("--epochs", type=int, default=4)
     parser.add_argument("--rate", type=float, default=1e-3)
     parser.add_argument("--boxes", type=int, default=20, help="most boxes of a pallet")
@@ -132,7 +132,7 @@ def main() -> None:
     env = petmjx.jax.Palletizing(
         action_cell_mm=arguments.cell_mm,
         cell_mm=arguments.cell_mm,
-        mask="support_50",  # not safe: what is safe is to be learned
+        mask="support_50",  # without the mask of physics: safety is to be learned
         rewards={"utilisation": 20, "fall": 2},
         most_boxes=arguments.boxes,
         engine=arguments.engine,

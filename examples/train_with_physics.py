@@ -2,8 +2,8 @@
 
     python examples/train_with_physics.py --updates 30 --pallets 16
 
-It learns which of the lowest places to take, on generated orders; the reward is what stands. Put your own network in
-place of ``Policy``: what it needs is ``observed["candidates"]``, (pallets, places, features), and the mask.
+The policy learns which of the lowest places to take, on generated orders; the reward counts standing boxes. Put your
+own network in place of ``Policy``: it needs ``observed["candidates"]``, (pallets, places, features), and the mask.
 Needs the extra ``gym``. On a GPU: ``--engine mjx-warp --pallets 2048``.
 """
 
@@ -65,7 +65,7 @@ class Policy:
 
 @dataclass
 class Batch:
-    """Steps of all pallets: what was seen, what was done, and what followed."""
+    """Steps of all pallets: observations, actions, and results."""
 
     features: Array
     mask: NDArray[Any]
@@ -105,7 +105,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--updates", type=int, default=30)
     parser.add_argument("--pallets", type=int, default=16)
-    parser.add_argument("--steps", type=int, default=32, help="of each pallet between two updates")
+    parser.add_argument("--steps", type=int, default=32, help="steps of each pallet between two updates")
     parser.add_argument("--engine", default="auto")
     parser.add_argument("--seed", type=int, default=0)
     arguments = parser.parse_args()
@@ -117,7 +117,7 @@ def main() -> None:
         autoreset_mode="SameStep",
         engine=arguments.engine,
         n_candidates=16,
-        mask="support_50",  # not safe: what is safe is to be learned
+        mask="support_50",  # without the mask of physics: safety is to be learned
         rewards={"utilisation": 20, "fall": 2, "height": 0.5},
     )
     observed, _ = env.reset(seed=arguments.seed)

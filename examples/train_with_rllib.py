@@ -2,7 +2,7 @@
 
     python examples/train_with_rllib.py --updates 20
 
-RLlib steps single environments, each on an engine of its own, in as many processes as ``--runners`` says.
+RLlib steps single environments, each on an engine of its own, in as many processes as ``--runners``.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from ray.tune.registry import register_env
 
 
 class FlatWithMask(gymnasium.ObservationWrapper[Any, Any, Any]):
-    """Observations as RLlib's module for masks wants them: one vector, and the mask beside it."""
+    """Observations for RLlib's module for masks: one vector, and the mask beside it."""
 
     def __init__(self, env: gymnasium.Env[Any, Any]) -> None:
         super().__init__(env)

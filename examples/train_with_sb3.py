@@ -2,8 +2,8 @@
 
     python examples/train_with_sb3.py --steps 200000 --engine mjx-warp-cpu
 
-It learns on orders that grow and are placed more and more inexactly. On a GPU: ``--engine mjx-warp --pallets 2048``.
-One small network scores every candidate, so that what is learned of one place holds for all.
+The policy learns on orders that grow and are placed more and more inexactly. On a GPU: ``--engine mjx-warp --pallets
+2048``. One small network scores every candidate, so that what is learned of one place holds for all.
 """
 
 from __future__ import annotations
@@ -83,7 +83,7 @@ class ScoringPolicy(MaskableMultiInputActorCriticPolicy):  # type: ignore[misc] 
 
 
 class Harder(BaseCallback):  # type: ignore[misc]  # the same
-    """Raises the level of all environments with the steps, from 0 to 1 at half of them."""
+    """Raises the level of all environments with the steps, from 0 to 1 at half of the steps."""
 
     def __init__(self, steps: int) -> None:
         super().__init__()

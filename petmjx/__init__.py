@@ -98,7 +98,7 @@ _HOME = {
 """Public name → the module that has it."""
 
 _RENAMED = {"Told": "PlacementResults"}
-"""Names of version 0.2 → today's. The old ones warn, and go with the next version."""
+"""Names of version 0.2 → today's. Old names warn, and the next version has them no more."""
 
 __all__ = [
     "PHYSICS",

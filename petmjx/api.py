@@ -37,15 +37,15 @@ def _takes_options(*records: type[CheckedRecord]) -> Callable[[Function], Functi
 
     def decorate(function: Function) -> Function:
         signature = inspect.signature(function)
-        named = [p for p in signature.parameters.values() if p.kind is not inspect.Parameter.VAR_KEYWORD]
+        parameters = [p for p in signature.parameters.values() if p.kind is not inspect.Parameter.VAR_KEYWORD]
         fields = {name: info for record in records for name, info in record.model_fields.items()}
-        named += [
+        parameters += [
             inspect.Parameter(name, inspect.Parameter.KEYWORD_ONLY, default=info.default, annotation=info.annotation)
             for name, info in fields.items()
         ]
         lines = [f"    {name}: {info.description}." for name, info in fields.items()]
         function.__doc__ = f"{inspect.cleandoc(function.__doc__ or '')}\n\nOptions:\n" + "\n".join(lines) + "\n"
-        function.__signature__ = signature.replace(parameters=named)  # type: ignore[attr-defined]  # what inspect reads
+        function.__signature__ = signature.replace(parameters=parameters)  # type: ignore[attr-defined]  # what inspect reads
         return function
 
     return decorate
@@ -53,8 +53,8 @@ def _takes_options(*records: type[CheckedRecord]) -> Callable[[Function], Functi
 
 @contextmanager
 def _watching(watcher: Watcher | None, progress: bool) -> Iterator[Watcher | None]:
-    """The watcher of a run: the given one; else a progress bar in a notebook; elsewhere, with ``progress``, lines on
-    standard error.
+    """The watcher of a run: the argument if it is one; else a progress bar in a notebook; elsewhere, with ``progress``,
+    lines on standard error.
 
     Raises:
         InputError: the given object cannot follow a run.
@@ -103,7 +103,7 @@ def score(
     Args:
         plans: a file, a folder, the folder of a run for its plans, several of these, a data frame with one row per
             box, a plan, a list of plans or a ``PlanSet``; None: the bundled samples.
-        watcher: follows the run. Without one, notebooks show a progress bar.
+        watcher: follows the run. Without a watcher, notebooks show a progress bar.
         progress: in a script, print the progress of the run on standard error every few seconds.
         options: ``confidence``, ``errors`` and ``chain``, fields of ``petmjx.Simulation`` and ``petmjx.RunOptions``,
             listed below.
@@ -156,7 +156,7 @@ def sweep(
 
     Args:
         file: a sweep file, or the name of a ready-made sweep such as ``eumos``.
-        plans: as for :func:`score`; they replace the plans that the file names. None: the plans of the file.
+        plans: as for :func:`score`; they replace the plans that the file names. None: all plans of the file.
         watcher: follows the run. Without one, notebooks show a progress bar.
         progress: in a script, print the progress of the run on standard error every few seconds.
         batching: how many states and worlds are held in memory; it changes no result.

@@ -20,7 +20,7 @@ class NotebookPage:
     """A notebook as a page.
 
     Attributes:
-        markdown: its text, with a mark in place of each output that is HTML.
+        markdown: its text, with a mark in place of each HTML output.
         outputs: mark → HTML.
         files: name → bytes of pictures, which the text links to.
     """

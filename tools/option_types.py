@@ -3,7 +3,7 @@
     python -m tools.option_types
 
 An option is written once, as a field of a record in ``petmjx/options``. Type checkers do not run code, so they need
-its name and type once more. This program writes them, and a test says when to run it again.
+its name and type once more. This program writes them, and a test fails when the program must run again.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ from petmjx.options.wrap import Wrap
 TARGET = Path(__file__).resolve().parents[1] / "petmjx" / "runs" / "option_types.py"
 
 HEAD = '''\
-"""The options of ``petmjx.score`` and ``petmjx.sweep`` for type checkers: their names, and what each takes.
+"""The options of ``petmjx.score`` and ``petmjx.sweep`` for type checkers: their names and types.
 
 Written by ``make options`` (tools/option_types.py) from the records in petmjx/options, which check the values and
 say what they mean. Do not edit.
@@ -61,7 +61,7 @@ SHORT: dict[type[CheckedRecord], tuple[str, ...]] = {
     Walls: ("tuple[Side | SideName, ...]", "list[Side | SideName]", "str"),
     OwnCarrier: ("str", "PathLike[str]"),
 }
-"""What else stands for such a record: its name, or the file that has it."""
+"""Other values for such a record: its name, or the file that has it."""
 
 OUTER: dict[str, type[CheckedRecord]] = {
     "SimulationOptions": Simulation,

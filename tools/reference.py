@@ -8,7 +8,7 @@ from typing import Any
 import typer
 
 from petmjx.cli.help_layout import WIDTH
-from petmjx.cli.main import app
+from petmjx.cli.main import application
 from petmjx.common.checked_records import CheckedRecord, CliFlag
 from petmjx.options.physics import Physics
 from petmjx.options.placing import Placing
@@ -74,7 +74,7 @@ def options() -> str:
 
 
 def help_of(name: str, command: Any) -> str:
-    """What ``petmjx NAME --help`` prints."""
+    """The output of ``petmjx NAME --help``."""
     context = command.make_context(
         f"petmjx {name}", [], resilient_parsing=True, terminal_width=WIDTH, max_content_width=WIDTH
     )
@@ -83,7 +83,7 @@ def help_of(name: str, command: Any) -> str:
 
 def commands() -> str:
     """A section for each command."""
-    group: Any = typer.main.get_command(app)
+    group: Any = typer.main.get_command(application())
     parts = []
     for name, command in group.commands.items():
         parts.append(f"## petmjx {name}\n\n{command.short_help}\n\n```text\n{help_of(name, command)}\n```\n")

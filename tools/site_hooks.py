@@ -30,7 +30,7 @@ OUTSIDE = (
 """Documents outside docs/ that are pages too, at the same path."""
 
 MADE = {"options": reference.options, "commands": reference.commands}
-"""Name in a ``made from the code`` comment → what writes the text in its place."""
+"""Name in a ``made from the code`` comment → function that writes the text in its place."""
 
 NOTEBOOKS = {path.stem: path for path in sorted((REPOSITORY / "examples").glob("*.ipynb"))}
 """Name in a ``notebook`` comment → the notebook that is shown there, with its outputs."""
@@ -39,7 +39,7 @@ HEIGHTS = {"collapse": 760, "report": 900}
 """Example → height of its frame, px."""
 
 _PAGES: dict[str, notebooks.NotebookPage] = {}
-"""The notebooks, once they are executed."""
+"""The notebooks, after their execution."""
 
 LINK = re.compile(r"\[([^\]]*)\]\(([^)\s#:]+)(#[^)\s]*)?\)")
 CODE = re.compile(r"^```.*?^```$|`[^`\n]+`", flags=re.DOTALL | re.MULTILINE)
@@ -93,7 +93,7 @@ def quiet(*arguments: str) -> None:
 
 
 def on_page_markdown(markdown: str, page: Any, config: Any, **_: Any) -> str:
-    """Fill in what is made from the code, and lead links out of docs/ to pages or to the repository."""
+    """Fill in the texts made from the code, and lead links out of docs/ to pages or to the repository."""
     for name, make in MADE.items():
         mark = f"<!-- made from the code: {name} -->"
         if mark in markdown:
@@ -130,7 +130,7 @@ def relinked(match: re.Match[str], source: str, uri: str, address: str) -> str:
     path = posixpath.normpath(posixpath.join(posixpath.dirname(source), target))
     here = REPOSITORY / path
     if not here.exists():
-        return match[0]  # mkdocs tells of it
+        return match[0]  # mkdocs reports it
     if path not in OUTSIDE and not path.startswith("docs/"):
         return f"[{text}]({address}/{'tree' if here.is_dir() else 'blob'}/HEAD/{path}{anchor})"
     if here.suffix == ".md" and text in (target, path):
@@ -148,7 +148,8 @@ def frame(name: str, height: int) -> str:
 
 
 def on_page_content(html: str, page: Any, **_: Any) -> str:
-    """Fill in the outputs of notebooks. Roles in docstrings (:func:`petmjx.score`) are Sphinx's; here they are code."""
+    """Fill in the outputs of notebooks. Roles in docstrings (:func:`petmjx.score`) are Sphinx's; on this site they are
+    code."""
     html = ROLE.sub("<code>", html)
     made = _PAGES.get(Path(page.file.src_uri).stem) if page.file.src_uri.startswith("notebooks/") else None
     for mark, output in made.outputs.items() if made else ():

@@ -1,1 +1,1 @@
-"""The benchmarks' commands, by what they measure."""
+"""The benchmarks' commands, by the subject of measurement."""

@@ -1,4 +1,4 @@
-"""The command line itself, and what commands have in common."""
+"""The command line itself, and the common parts of commands."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from petmjx.plans.plan import Plan
 
 app = typer.Typer(
-    help="Measures speed and agreement; benchmarks/README.md says what and how.",
+    help="Measures speed and agreement; benchmarks/README.md has the details.",
     add_completion=False,
     rich_markup_mode=None,
     context_settings={"help_option_names": ["--help", "-h"]},
@@ -28,7 +28,7 @@ DEFAULT_OUT = Path("petmjx-results/bench.jsonl")
 
 
 def usable(files: Sequence[Path], options: RunOptions) -> list[Plan]:
-    """The plans of files; what cannot be used is counted on standard error.
+    """The plans of files; unusable ones are counted on standard error.
 
     Raises:
         InputError: no usable plan.

@@ -25,7 +25,9 @@ def crossengine(
     smallest: Annotated[
         int | None, typer.Option(metavar="N", min=1, help="Only the plans with the fewest boxes.")
     ] = None,
-    reference: Annotated[bool, typer.Option(help="Also physics reference: what it alone calls unstable.")] = False,
+    reference: Annotated[
+        bool, typer.Option(help="Also physics reference: plans that it alone calls unstable.")
+    ] = False,
     out: Out = DEFAULT_OUT,
     **options: Any,
 ) -> None:

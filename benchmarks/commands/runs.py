@@ -39,7 +39,7 @@ def run(
     repeat: Annotated[int, typer.Option(metavar="N", min=1, help="Run all N times, in turns.")] = 1,
     oracle: Annotated[str, typer.Option(metavar="NAMES", help="Run and compare with mujoco-fixed, …")] = "",
     against: Annotated[list[str] | None, typer.Option(metavar="LABEL=DIR,…", help="Compare with earlier runs.")] = None,
-    work: Annotated[Path | None, typer.Option(metavar="DIR", help="Keeps what runs write.")] = None,
+    work: Annotated[Path | None, typer.Option(metavar="DIR", help="Keeps the files of runs.")] = None,
     out: Out = DEFAULT_OUT,
     **options: Any,
 ) -> None:

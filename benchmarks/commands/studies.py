@@ -77,7 +77,7 @@ def criteria(
     out: Annotated[Path | None, typer.Option(metavar="DIR", help="Keeps the tables of all boxes and plans.")] = None,
     processes: Annotated[int | None, typer.Option(metavar="N", help="Processes; by default all CPU threads.")] = None,
 ) -> None:
-    """Which closed-form criterion of stability tells what physics tells (docs/criteria.md)."""
+    """Agreement of closed-form criteria of stability with physics (docs/criteria.md)."""
     from benchmarks.criteria_study import BEGIN, END, study
     from benchmarks.table import write_between_markers
     from petmjx.analysis.criteria_run import criteria as ask
@@ -103,7 +103,7 @@ def small_stacks(
     out: Out = DEFAULT_OUT,
     **options: Any,
 ) -> None:
-    """Stacks of two to six boxes that statics decides, and what petmjx says of them."""
+    """Stacks of two to six boxes that statics decides, and petmjx's verdicts."""
     from benchmarks.record import append_line, environment, timed
     from benchmarks.small_stacks import CHECKS, cases, judge, summary
 
@@ -124,7 +124,7 @@ def balance(
     out: Out = DEFAULT_OUT,
     **options: Any,
 ) -> None:
-    """Whether the worlds that a run calls stable balance where they have come to rest."""
+    """Whether the worlds that a run calls stable balance at their places of rest."""
     from benchmarks.balance import balances, summary
     from benchmarks.record import append_line, environment, timed
     from petmjx.options.run_options import RunOptions
@@ -235,7 +235,7 @@ def reality(
     ] = None,
     out: Out = DEFAULT_OUT,
 ) -> None:
-    """What was measured, what petmjx says, and by how much it misses (docs/reality-measured.md)."""
+    """Measurements, petmjx's values, and the differences (docs/reality-measured.md)."""
     from benchmarks.reality import BEGIN, END, PARTS, TOSSES, gallery, present, table
     from benchmarks.record import append_line
     from benchmarks.table import write_between_markers

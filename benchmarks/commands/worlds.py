@@ -1,4 +1,4 @@
-"""What kinds of worlds cost, and whether engines agree about them."""
+"""The cost of kinds of worlds, and the agreement of engines."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ def placing(
     engine: Annotated[str, typer.Option(metavar="NAME", help="Engine.")] = "mujoco",
     **options: Any,
 ) -> None:
-    """What worlds with errors cost, and how many stand, if boxes appear at their places and if a hand carries them."""
+    """Cost of worlds with errors, and shares that stand, if boxes appear at their places and if a hand carries them."""
     from benchmarks.placing import WAYS, placings
     from petmjx.options.run_options import RunOptions
 
@@ -59,8 +59,8 @@ def real_boxes(
 def cpu_engines(
     plans: Annotated[list[Path], typer.Argument(metavar="PLANS...", help="Plan files.")],
     threads: Annotated[int, typer.Option(metavar="N", help="CPU threads.")] = 1,
-    least: Annotated[int, typer.Option(metavar="N", help="Plans of so many boxes and more.")] = 0,
-    group: Annotated[str, typer.Option(metavar="NAME", help="What the plans are.")] = "",
+    least: Annotated[int, typer.Option(metavar="N", help="Plans of at least this many boxes.")] = 0,
+    group: Annotated[str, typer.Option(metavar="NAME", help="Kind of the plans.")] = "",
     out: Out = DEFAULT_OUT,
     **options: Any,
 ) -> None:
@@ -96,7 +96,7 @@ def soft_columns(
     seed: Annotated[int, typer.Option(metavar="N", help="Which columns are drawn.")] = 55,
     threads: Annotated[int, typer.Option(metavar="N", help="CPU threads.")] = 1,
 ) -> None:
-    """Columns of boxes that give, against the bed of springs: which buckle, and how far the others lean."""
+    """Columns of boxes that give, against the bed of springs: buckling, and the lean of standing columns."""
     from benchmarks.soft_columns import compared
 
     for line in compared(cast(EngineName, engine), count, seed, threads):
@@ -141,7 +141,7 @@ def estimates(
     out: Out = DEFAULT_OUT,
     **options: Any,
 ) -> None:
-    """What petmjx estimates for runs of many kinds and sizes, and what they take."""
+    """petmjx's estimates for runs of many kinds and sizes, and their real times."""
     from benchmarks.estimates import cases, compared
     from benchmarks.record import append_line
     from petmjx.options.run_options import RunOptions

@@ -1,4 +1,4 @@
-"""What a referee is: another simulator, in which the world of a scene can be built, box by box."""
+"""A referee: another simulator that can build the world of a scene, box by box."""
 
 from __future__ import annotations
 
@@ -21,10 +21,10 @@ class RefereeWorld(Protocol):
     timestep_s: float
 
     def place(self, box: int) -> None:
-        """Put the next box of the scene where it is released, at rest. Boxes come in packing order."""
+        """Put the next box of the scene at its place of release, at rest. Boxes come in packing order."""
 
     def step(self, count: int) -> None:
-        """Take so many steps."""
+        """Take this many steps."""
 
     def pose(self) -> FloatArray:
         """(k, 7) centres, m, and orientations (w, x, y, z) of the boxes placed so far."""
@@ -41,7 +41,8 @@ class Referee(Protocol):
 
     Attributes:
         name: as results name it.
-        settings: the numbers it runs with, for the results; and ``fine``, those with which a verdict must be the same.
+        settings: the numbers it runs with, for the results; and ``fine``, the finer settings that must give the same
+            verdict.
         most_boxes: larger worlds would take too long.
     """
 
@@ -54,14 +55,14 @@ class Referee(Protocol):
 
 
 REFEREES: Final = {"physx": "sapien", "bullet": "pybullet", "drake": "drake"}
-"""Modules of referees, in the order in which they are asked, and the packages that they need."""
+"""Modules of referees, in the order of their use, and the packages that they need."""
 
 
 def referee(name: str) -> Referee:
     """A referee by name.
 
     Raises:
-        InputError: there is none of this name, or its simulator is not installed.
+        InputError: no referee has this name, or its simulator is not installed.
     """
     if name not in REFEREES:
         raise InputError(f"no referee {name!r}; there are: {', '.join(REFEREES)}")
@@ -102,7 +103,7 @@ def slab(scene: Scene) -> tuple[FloatArray, float, float]:
     """Half extents (m), mass (kg) and friction of a carrier.
 
     Raises:
-        InputError: it has several boards.
+        InputError: the carrier has several boards.
     """
     carrier = scene.carrier
     if len(carrier.half_size) > 1:

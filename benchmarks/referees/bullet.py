@@ -15,10 +15,10 @@ from petmjx.options.physics import Physics
 from petmjx.world.scene import Scene
 
 BREAKING_M: Final = 0.0005
-"""With Bullet's own 20 mm, boxes are held by contacts that they have left."""
+"""With Bullet's own 20 mm, boxes are held by contacts that are no longer touching."""
 
 _NORMAL, _FORCE, _ALONG_1, _SLIP_1, _ALONG_2, _SLIP_2 = 7, 9, 11, 10, 13, 12
-"""Fields of a contact of Bullet. Its normal points to the first body."""
+"""Fields of a contact of Bullet. The normal points to the first body."""
 
 
 class BulletReferee:
@@ -117,7 +117,7 @@ class BulletWorld:
 
 
 def _own(friction: float) -> float:
-    """What each of two bodies gets: Bullet multiplies the two."""
+    """The friction of each of two bodies: Bullet multiplies the two."""
     return math.sqrt(friction)
 
 

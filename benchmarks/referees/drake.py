@@ -49,7 +49,7 @@ class DrakeReferee:
 
 
 class DrakeWorld:
-    """A plant has all its bodies from the start, so that with each box that comes another one is made."""
+    """A plant has all its bodies from the start, so that each new box needs another plant."""
 
     def __init__(self, scene: Scene, physics: Physics, timestep_s: float, stiction_m_s: float) -> None:
         self.timestep_s = timestep_s

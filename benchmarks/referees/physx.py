@@ -16,7 +16,7 @@ from petmjx.world.scene import Scene
 
 VELOCITY_ITERATIONS: Final = 1
 CONTACT_OFFSET_M: Final = 0.002
-"""Contacts are found from this distance, and act where faces touch."""
+"""Contacts are found from this distance, and act at touching faces."""
 
 _PLANE_UP = (math.sqrt(0.5), 0.0, -math.sqrt(0.5), 0.0)
 """PhysX's planes face along x."""
@@ -90,7 +90,7 @@ class PhysxWorld:
             for point in contact.points:
                 bodies.append(pair)
                 normal_z.append(float(point.normal[2]))
-                # what PhysX gives acts on the first body
+                # PhysX's force acts on the first body
                 force_z.append(-float(point.impulse[2]) / self.timestep_s)
         return top_forces(bodies, normal_z, force_z, self.pose())
 

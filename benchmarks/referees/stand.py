@@ -20,12 +20,12 @@ from petmjx.options.simulation import Check, Simulation
 from petmjx.world.scene import Scene
 
 SETTLE_S = 0.2
-"""The carrier comes to rest on the floor before the first box comes."""
+"""The carrier comes to rest on the floor before the first box."""
 
 
 @dataclass(frozen=True, eq=False)
 class Stood:
-    """What a referee says of a world. ``moving``: it still moved when its time was up."""
+    """A referee's result for a world. ``moving``: it still moved when its time was up."""
 
     verdict: Verdict
     reason: Reason
@@ -96,7 +96,7 @@ class _Run:
             self._metrics.add_rest(self._world.top_forces())
         if not self._goes_on:
             return False
-        after = self._world.pose()  # their speeds at one moment are not asked for: referees' boxes jitter
+        after = self._world.pose()  # their speeds at one moment are ignored: referees' boxes jitter
         _, waits = self._quiet.motion(before, after, np.zeros((len(after), 6)), window_s)
         return not waits
 
@@ -105,7 +105,7 @@ class _Run:
         return self._polls * self._poll_s
 
     def _look(self) -> bool:
-        """Step to the next look, with a sample if it is time; whether it finds the boxes quiet."""
+        """Step to the next look, with a sample if due; returns whether it finds the boxes quiet."""
         world = self._world
         world.step(self._poll_steps)
         self._polls += 1
@@ -135,7 +135,7 @@ class _Run:
 def _velocity(before: FloatArray, after: FloatArray, seconds: float) -> FloatArray:
     """(k, 6) mean velocities between two (k, 7) poses, m/s and rad/s, for small turns.
 
-    Those that a simulator reports are never quiet: iterative solvers leave some of gravity's in each step.
+    Velocities of a simulator are never quiet: iterative solvers leave some of gravity's in each step.
     """
     change = (after - before) / seconds
     turn = np.zeros((len(after), 3))

@@ -21,7 +21,7 @@ PANELS = (
 
 
 def table(folders: list[Path]) -> pd.DataFrame:
-    """The curves of all trainings, one below the other."""
+    """The curves of all trainings, in rows."""
     parts = [pd.read_json(folder / "curves.jsonl", lines=True).assign(training=folder.name) for folder in folders]
     return pd.concat(parts, ignore_index=True)
 

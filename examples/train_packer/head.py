@@ -1,4 +1,4 @@
-"""The stability head, fitted to what physics said, and how far its chances can be trusted."""
+"""The stability head, fitted to the labels of physics, and its calibration."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from petmjx.plans.order_generator import stream
 STREAM = 102
 HIDDEN = 16
 ASIDE = 4
-"""One in so many orders is kept aside."""
+"""One in this many orders is kept for tests."""
 
 DECAY = 1e-4
 """Of weights, against fitting noise."""
@@ -35,14 +35,14 @@ def believing() -> Network:
 
 
 def kept_aside(order: Array) -> NDArray[np.bool_]:
-    """(m,) which placements are kept aside, by the numbers of their orders: of the first orders of pallets as many as
-    of later ones, since most placements are in the first."""
+    """(m,) whether placements are kept for tests, by the numbers of their orders: of the first orders of pallets
+    equally many as of later ones, since most placements are in the first."""
     pallet, later = np.divmod(order, ORDERS)
     return np.asarray((pallet + later) % ASIDE == 0)
 
 
 def fit(labels: Labels, seed: int, steps: int) -> tuple[Network, dict[str, Any]]:
-    """The head, and its calibration on orders that were kept aside."""
+    """The head, and its calibration on test orders."""
     aside = kept_aside(labels.order)
     mean, scale = labels.features.mean(axis=0), labels.features.std(axis=0)
     fresh = Network.fresh(mean, np.where(scale > 1e-6, scale, 1.0), HIDDEN, stream(seed, STREAM))
@@ -59,7 +59,7 @@ def _descended(head: Network, features: Array, stands: Array, seed: int, steps: 
     """The maximum of the likelihood, by Adam over all placements at a time."""
     values = head.learned
     values[-1] = np.log((stands.sum() + 1) / (len(stands) - stands.sum() + 1))
-    # hidden units that say nothing yet learn nothing from a zero; a little of each
+    # hidden units with zero weights would learn nothing; so a little of each
     values[-1 - HIDDEN : -1] = 0.1 * stream(seed, STREAM, 1).standard_normal(HIDDEN)
     adam = Adam.fresh(values.size)
     for step in range(steps):
@@ -74,8 +74,8 @@ def calibration(chances: Array, stands: Array, base: float) -> dict[str, Any]:
     """How far chances can be trusted: reliability by bins, Brier's score, expected calibration error.
 
     Args:
-        chances, stands: (m,) of placements that were kept aside.
-        base: the share that stands of those to which the head was fitted: what a constant would say.
+        chances, stands: (m,) of test placements.
+        base: the share of the training placements that stand: the prediction of a constant.
     """
     table = []
     bins = np.clip(np.searchsorted(EDGES, chances, side="right") - 1, 0, len(EDGES) - 2)
@@ -96,7 +96,7 @@ def calibration(chances: Array, stands: Array, base: float) -> dict[str, Any]:
 
 
 def _auc(chances: Array, stands: Array) -> float | None:
-    """How often one that stands has the larger chance than one that falls; ties count half."""
+    """Probability that a standing placement has a larger chance than a falling one; ties count half."""
     good, bad = np.sort(chances[stands > 0]), chances[stands == 0]
     if not len(good) or not len(bad):
         return None

@@ -1,4 +1,4 @@
-"""What physics says of the policy's plans, on orders that it never trains on."""
+"""The policy's plans judged by physics, on orders outside its training."""
 
 from __future__ import annotations
 

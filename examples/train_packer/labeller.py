@@ -1,4 +1,4 @@
-"""Labels in files, collected by a process of its own while others pack."""
+"""Labels in files, collected by a process of its own while other processes pack."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from petmjx.packers.learned_packer import Policy
 
 
 class Labeller:
-    """Rounds of labels, those that are there and those that are missing.
+    """Rounds of labels, both finished and missing ones.
 
     Args:
         out: folder of the files.
@@ -30,7 +30,7 @@ class Labeller:
     def begin(self, round_: int, policy: Policy) -> None:
         """Collect a round in the background, if it is missing.
 
-        Its policy is kept, so that a training that goes on later uses the same one.
+        The policy of the round is stored, so that a continued training uses the same one.
         """
         kept = self._out / f"policy-{round_}.npz"
         if not kept.exists():
@@ -43,10 +43,10 @@ class Labeller:
         self._coming[round_] = self._process.submit(_write, *job)
 
     def labels(self, rounds: int, most_s: float) -> Labels:
-        """All labels of the first rounds, when they are there.
+        """All labels of the first rounds, once they exist.
 
         Raises:
-            TimeoutError: they are not, after so long.
+            TimeoutError: they do not exist after this time.
         """
         end = time.monotonic() + most_s
         parts = []
@@ -58,7 +58,7 @@ class Labeller:
         return Labels.joined(parts)
 
     def close(self) -> None:
-        """Give up what is under way."""
+        """Stop the rounds in progress."""
         if self._process is not None:
             for process in list((self._process._processes or {}).values()):
                 process.terminate()

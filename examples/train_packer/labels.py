@@ -1,8 +1,8 @@
-"""What physics says of placements.
+"""Labels of placements by physics.
 
 Many pallets are packed side by side in ``petmjx.Pallets``, by rules and partly at random, and a hand places each box as
-inexactly as a robot does: its place, its size and its mass are in error. So each box stands among others that are in
-error, too. A label is whether the pallet stands when the box has been placed; one that does not begins anew.
+inexactly as a robot does: its place, its size and its mass are in error. So each box stands among others with errors of
+their own. A label is whether the pallet stands when the box has been placed; one that does not begins anew.
 """
 
 from __future__ import annotations
@@ -25,8 +25,8 @@ TARGET = "euro-pallet"
 
 CLEARANCES_MM = (0.0, 2.0, CLEARANCE_MM, CLEARANCE_MM, 6.0, 10.0)
 WANDERS = (0.0, 0.05, 0.2, 0.5)
-"""Free space between boxes, and the share of boxes that are placed at random, in balance or not. Each order has one of
-them."""
+"""Free space between boxes, and the share of boxes that are placed at random, in balance or not. Each order has one
+such number."""
 
 LEAST_SUPPORT = 0.2
 """Of a box that is placed at random."""
@@ -49,12 +49,12 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Labels:
-    """Placements with what physics says of them.
+    """Placements with their labels by physics.
 
     Attributes:
         features: (m, f) ``stability_features``.
-        stands: (m,) 1 where the pallet stands with the box on it, else 0.
-        order: (m,) numbers of orders: what is kept aside is kept aside by orders.
+        stands: (m,) 1 if the pallet stands with the box on it, else 0.
+        order: (m,) numbers of orders: test sets consist of whole orders.
         usual: (m,) 1 where the box was placed by the packer and with its free space, 0 where with another or at random.
     """
 
@@ -65,7 +65,7 @@ class Labels:
 
     @property
     def arrays(self) -> dict[str, Array]:
-        """What a file has of them."""
+        """The labels in a file."""
         return {name: getattr(self, name) for name in self.__dataclass_fields__}
 
     @classmethod
@@ -75,10 +75,10 @@ class Labels:
 
 
 def collect(seed: int, round_: int, *, pallets: int, steps: int, engine: Any, policy: Policy) -> Labels:
-    """The labels of one round. They depend on the arguments alone.
+    """The labels of one round. Labels depend on the arguments alone.
 
     Args:
-        pallets: side by side; ``steps``: boxes placed on each.
+        pallets: number of pallets side by side; ``steps``: boxes placed on each.
         policy: packs half of the orders, the rule ``lowest_first`` the others.
     """
     world = petmjx.Pallets(pallets, engine=engine, carrier=TARGET, placing="hand")
@@ -104,7 +104,7 @@ def collect(seed: int, round_: int, *, pallets: int, steps: int, engine: Any, po
 
 @dataclass(frozen=True)
 class _Move:
-    """A box, as it is meant and as it is placed."""
+    """A box at its intended and at its real place."""
 
     next: NextCandidate
     features: Array
@@ -115,10 +115,10 @@ class _Move:
 
 
 class _Game:
-    """One pallet, with an order after the other on it.
+    """One pallet, with one order after another.
 
     Attributes:
-        number: of the order; ``is_new``: whether nothing of it is on the pallet yet.
+        number: number of the order; ``is_new``: whether no box of it is on the pallet yet.
     """
 
     def __init__(self, seed: int, number: int, policy: Policy) -> None:
@@ -142,7 +142,7 @@ class _Game:
         self.is_new = True
 
     def next(self) -> _Move:
-        """The box that comes next, with its errors; of the next order where none is left."""
+        """The next box with its errors; from the next order if this one is finished."""
         while True:
             if not self._boxes.seen:
                 self._begin()
@@ -165,7 +165,7 @@ class _Game:
             return self._move
 
     def placed(self, stands: bool) -> None:
-        """The pallet stands with the box on it, or not: then the next order begins."""
+        """Record whether the pallet stands with the box; if not, the next order begins."""
         assert self._move is not None
         self.is_new = False
         if stands:

@@ -29,7 +29,7 @@ class Adam:
         return cls(np.zeros(size), np.zeros(size), 0)
 
     def stepped(self, values: Array, slope: Array, rate: float) -> tuple[Array, Adam]:
-        """Values a step uphill, and the moments after it."""
+        """Values after a step uphill, and the new moments."""
         count = self.count + 1
         first, second = 0.9 * self.first + 0.1 * slope, 0.99 * self.second + 0.01 * slope**2
         step = first / (1 - 0.9**count) / (np.sqrt(second / (1 - 0.99**count)) + 1e-8)

@@ -1,4 +1,4 @@
-"""Orders packed by a policy, and what the packings are worth."""
+"""Orders packed by a policy, and the worth of the packings."""
 
 from __future__ import annotations
 
@@ -14,21 +14,21 @@ from petmjx.plans.order_generator import TARGET_EXTENT_MM, Order, draw_order, st
 
 STREAM = 103
 CATALOGUES, VALIDATION = 1_000_000, 2_000_000
-"""Seeds of orders: no other set of petmjx's has these, and nothing is trained on those for validation."""
+"""Seeds of orders: no other set of petmjx's has these, and those for validation are not used for training."""
 
 PER_CATALOGUE = 8
 """Generations that draw their orders from one catalogue of articles."""
 
 LEFT_OUT = 0.5
-"""What a packing loses if all volume is left out, as a share of utilisation."""
+"""Loss of a packing if all volume is left out, as a share of utilisation."""
 
 LEAST_CHANCE, SHORT = 0.9, 2.0
-"""Plans of a policy are to stand with this chance on average; what it loses for each unit that is short of it."""
+"""Required mean chance of a policy's plans to stand; loss for each unit below it."""
 
 
 @dataclass(frozen=True)
 class Outcome:
-    """What became of an order.
+    """Result for an order.
 
     Attributes:
         worth: utilisation − ``LEFT_OUT`` · share of volume left out.
@@ -42,7 +42,7 @@ class Outcome:
 
 
 def drawn(seed: int, generation: int, number: int) -> tuple[Order, list[int], int]:
-    """An order of a generation, the sequence of its boxes, and how many of them are seen."""
+    """An order of a generation, the sequence of its boxes, and the number of visible ones."""
     rng = stream(seed, STREAM, generation, number)
     order = draw_order(CATALOGUES + 1000 * seed + generation // PER_CATALOGUE, int(rng.integers(100_000)))
     sequence = list(range(len(order.items)))
@@ -53,7 +53,7 @@ def drawn(seed: int, generation: int, number: int) -> tuple[Order, list[int], in
 
 
 def outcomes(task: tuple[int, int, int], policy: Policy, candidates: Array) -> list[Outcome]:
-    """What candidates make of one order.
+    """The candidates' results for one order.
 
     Args:
         task: seed, generation, number of the order.
@@ -64,7 +64,7 @@ def outcomes(task: tuple[int, int, int], policy: Policy, candidates: Array) -> l
 
 
 def validated(number: int, policy: Policy, look_ahead: int) -> Outcome:
-    """What the packer makes of an order that it never trains on."""
+    """The packer's result for an order outside its training."""
     order = draw_order(VALIDATION, number)
     return outcome(policy, order, list(range(len(order.items))), look_ahead)
 
@@ -88,6 +88,6 @@ def outcome(policy: Policy, order: Order, sequence: list[int], look_ahead: int) 
 
 
 def policy_worth(outcomes: Sequence[Outcome]) -> float:
-    """What a policy is worth that has these outcomes: density, as long as its plans stand often enough."""
+    """The worth of a policy by these outcomes: density, as long as its plans stand often enough."""
     chance = float(np.mean([outcome.chance for outcome in outcomes]))
     return float(np.mean([outcome.worth for outcome in outcomes])) - SHORT * max(LEAST_CHANCE - chance, 0.0)

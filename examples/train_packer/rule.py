@@ -1,4 +1,4 @@
-"""The rule with which the search begins, so that nothing begins at random, and how far features spread."""
+"""The rule with which the search begins, so that the search does not begin at random, and the spread of features."""
 
 from __future__ import annotations
 
@@ -26,8 +26,8 @@ RULE = {
     "log_mass": 80.0,
     "height": 125.0,
 }
-"""What features are worth, in mm of height: low places near an edge, that leave low and level places for other cartons.
-Where several boxes are seen, large, heavy and tall ones first, as with ``balanced``."""
+"""The worth of features, in mm of height: low places near an edge, that leave low and level places for other cartons.
+With several visible boxes, large, heavy and tall ones first, as with ``balanced``."""
 
 
 def by_rule() -> Policy:
@@ -40,7 +40,7 @@ def by_rule() -> Policy:
 
 def spread(number: int, seed: int) -> Array:
     """(m, f) how far features of candidates are from the means of all candidates of their decisions, in an order that
-    the rule packs. Updates count from 0, so that no update has this order."""
+    the rule packs. Updates count from 0, so that no update has this number."""
     order, sequence, look_ahead = drawn(seed, -1 % 2**31, number)
     items = [order.items[i] for i in sequence]
     boxes, policy = FourSidedStream(items, TARGET_EXTENT_MM[order.target], CLEARANCE_MM, look_ahead), by_rule()

@@ -41,7 +41,7 @@ class Search:
         return weights
 
     def told(self, candidates: Array, worth: Array) -> Search:
-        """The search after a generation, by what its candidates are worth."""
+        """The search after a generation, by the worth of its candidates."""
         d, n = len(self.mean), len(candidates)
         best = candidates[np.argsort(-worth, kind="stable")[: n // 2]]
         weights = np.log(n / 2 + 0.5) - np.log(np.arange(1, len(best) + 1))
@@ -71,5 +71,5 @@ class Search:
 
     @property
     def arrays(self) -> dict[str, Array]:
-        """What a file has of it."""
+        """The search in a file."""
         return {name: np.asarray(getattr(self, name)) for name in self.__dataclass_fields__}

@@ -3,15 +3,15 @@
     python examples/train_packer/train.py --out trained --seed 0 --minutes 20 --engine mjx-warp
 
 1. The policy begins as a rule (rule.py).
-2. It improves by itself on drawn orders (rollouts.py): CMA-ES searches its weights (search.py), with a stability
-   head in place of physics.
-3. Meanwhile pallets are packed side by side in ``petmjx.Pallets``, by the policy, by rules and at random, as a robot
-   would place the boxes, and what stands after each box is a label (labels.py, labeller.py).
-4. After each ``--relabel`` updates the head is fitted to all labels (head.py), and the next round of labels begins.
+2. The packer improves by itself on drawn orders (rollouts.py): CMA-ES searches its weights (search.py), with a
+   stability head in place of physics. 3. Meanwhile pallets are packed side by side in ``petmjx.Pallets``, by the
+   policy, by rules and at random, as a robot would place the boxes, and the result of each placement is a label
+   (labels.py, labeller.py). 4. After each ``--relabel`` updates the head is fitted to all labels (head.py), and the
+   next round of labels begins.
 
-Everything is kept in ``--out``, and the same command with ``--resume`` goes on where it stopped, with the same bits.
-``--minutes`` stops it; result.json says after how many updates. With ``--updates`` as many, the weights are the
-same, to the bit, on the same machine, whatever ``--workers``. Needs no extra; figure.py draws the curves.
+Everything is kept in ``--out``, and the same command with ``--resume`` continues where it stopped, with the same bits.
+``--minutes`` stops it; result.json has the number of updates. With the same number of ``--updates``, the weights are
+the same, to the bit, on the same machine, whatever ``--workers``. Needs no extra; figure.py draws the curves.
 """
 
 from __future__ import annotations
@@ -46,7 +46,7 @@ STREAM = 105
 
 @dataclass(frozen=True)
 class Plan:
-    """What a training does. The weights depend on these values alone."""
+    """Settings of a training. The weights depend on these values alone."""
 
     seed: int
     updates: int
@@ -85,7 +85,7 @@ class State:
 
     @property
     def policy(self) -> Policy:
-        """That is published: the middle of the candidates."""
+        """The published weights: the middle of the candidates."""
         return Policy(self.taste, self.head).with_linear(self.search.mean)
 
     def save(self, path: Path) -> None:
@@ -111,7 +111,7 @@ class Training:
         self.plan, self.out, self._pool, self._labeller = plan, out, pool, labeller
 
     def run(self, deadline: float, save_every: int) -> State:
-        """All stages, as far as they are not done yet."""
+        """All stages, except finished ones."""
         path, plan = self.out / "state.npz", self.plan
         if path.exists():
             state = State.load(path)
@@ -166,7 +166,7 @@ class Training:
         return head
 
     def _begun(self) -> State:
-        """A policy that does as the rule does, with a head that believes that all placements stand."""
+        """A policy that acts like the rule, with a head that believes that all placements stand."""
         row_blocks = list(self._pool.map(partial(spread, seed=self.plan.seed), range(self.plan.measured), chunksize=1))
         taste = self._pool.submit(scaled, np.concatenate(row_blocks)).result()
         return State(taste, believing(), Search.fresh(taste.linear, self.plan.sigma))
@@ -230,8 +230,8 @@ def main() -> None:
     parser.add_argument("--rounds", type=int, default=3, help="of labels; 0: none")
     parser.add_argument("--relabel", type=int, default=30, help="updates before a round's labels are used")
     parser.add_argument("--label-pallets", type=int, default=512, help="side by side, of a round of labels")
-    parser.add_argument("--label-steps", type=int, default=50, help="boxes that are placed on each")
-    parser.add_argument("--measured", type=int, default=48, help="orders from which features have their scales")
+    parser.add_argument("--label-steps", type=int, default=50, help="boxes placed on each pallet")
+    parser.add_argument("--measured", type=int, default=48, help="orders that set the scales of features")
     parser.add_argument("--fit-steps", type=int, default=400)
     parser.add_argument("--validate", type=int, default=20, help="updates between two validations")
     parser.add_argument("--judge", type=int, default=0, help="updates between two judgements by physics; 0: none")

@@ -1,11 +1,12 @@
 """Loads on boxes of a run as shares of their strength, at rest and at the peak: ``petmjx.loads``.
 
-The strength of a box is what it bears in a press, times factors for how it is stacked, for moist air and for time
-(petmjx.options.stacking). Which boxes are crushed, surely or possibly: petmjx/analysis/crushing.py.
-Verdicts do not depend on it.
+The strength of a box is its strength in a press, times factors for the way of stacking, for moist air and for time
+(petmjx.options.stacking). Which boxes are crushed, surely or possibly: petmjx/analysis/crushing.py. Verdicts do not
+depend on strengths.
 
-A carton bears by its walls, and most at its corners. So ``walls_of`` works out from the plan which share of a box's
-walls carries walls of other boxes, and which share hangs over an edge or over a gap of the deck. Interlayer sheets are
+A carton bears by its walls, and most at its corners. So ``walls_of`` computes from the plan two shares of a box's
+walls: the share that carries walls of other boxes, and the share over an edge or over a gap of the deck. Interlayer
+sheets are
 not boxes: a box on a sheet stands on the boxes under the sheet.
 """
 
@@ -44,7 +45,7 @@ MOST_GAP_MM: Final = 5.0
 """Largest gap below a box across which it still stands on the body below. Placed boxes are let down onto that body."""
 
 LEAST_SHARED_MM: Final = 1.0
-"""Boxes that overlap by less than this along an axis stand beside each other."""
+"""Boxes that overlap by less than this length along an axis stand beside each other."""
 
 Span = tuple[float, float]
 
@@ -54,7 +55,7 @@ class Walls(NamedTuple):
 
     Attributes:
         met: (n,) share on which walls of boxes above stand; 1 if nothing stands on the box.
-        hanging: (n,) share that has nothing below it, beyond the edges of the bodies that bear the box.
+        hanging: (n,) share without support, beyond the edges of the bodies that bear the box.
         over_gaps: (n,) share over gaps between the boards of the deck.
         on_deck: (n,) whether a box stands on the carrier, perhaps with a sheet between.
     """
@@ -71,10 +72,10 @@ def walls_of(
     """The walls of a plan's boxes.
 
     Args:
-        extent_mm: extents of the carrier along x and y, with its corner in the origin; None: it is as large as the
-            plan.
+        extent_mm: extents of the carrier along x and y, with the carrier's corner in the origin; None: the extents of
+            the plan.
         deck_mm: (b, 2, 2) lowest and highest corners of the boards of the deck; None: the deck has no gaps.
-        tolerance_mm: largest distance at which a wall still stands on a wall or an edge.
+        tolerance_mm: largest distance between a wall and the wall or edge that bears it.
     """
     low, high = plan.corner_mm, plan.corner_mm + plan.size_mm
     on, on_carrier = _stands_on(plan, low, high)
@@ -93,7 +94,7 @@ def walls_of(
         if on_carrier[box] and extent_mm is not None:
             below.append((np.zeros(2), np.array(extent_mm)))
         if not below:
-            continue  # the box floats: where it will stand is not known
+            continue  # the box floats: its real support is unknown
         borne = sum(_over(wall, below, tolerance_mm) for wall in walls)
         hanging[box] = max(0.0, 1.0 - borne / perimeter)
         if on_carrier[box] and deck_mm is not None:
@@ -126,7 +127,7 @@ class _Wall(NamedTuple):
 
     Attributes:
         axis: axis along which the wall runs.
-        at: place along the other axis, mm.
+        at: coordinate along the other axis, mm.
         span: begin and end along ``axis``, mm.
     """
 
@@ -143,9 +144,9 @@ def _walls(low: FloatArray, high: FloatArray) -> Iterator[_Wall]:
 
 
 def _met_length(wall: _Wall, others: list[_Wall], tolerance_mm: float) -> float:
-    """The length of a wall on which parallel ones stand, mm."""
-    near = [other.span for other in others if other.axis == wall.axis and abs(other.at - wall.at) <= tolerance_mm]
-    return _covered_length(wall.span, near)
+    """The length of a wall on which parallel walls stand, mm."""
+    near_spans = [other.span for other in others if other.axis == wall.axis and abs(other.at - wall.at) <= tolerance_mm]
+    return _covered_length(wall.span, near_spans)
 
 
 def _over(wall: _Wall, areas: list[tuple[FloatArray, FloatArray]], tolerance_mm: float) -> float:
@@ -177,15 +178,15 @@ _BOX_UNITS: Final = {
     "box": ("1", "index of the box in packing order, from 0"),
     "article": ("", "article of the item"),
     "rest_top_force_n": ("N", "force on top of the box at rest"),
-    "rest_top_force_low_n": ("N", "the least that balance and friction allow; null: not known"),
-    "rest_top_force_high_n": ("N", "the most that balance and friction allow; null: not known"),
+    "rest_top_force_low_n": ("N", "the least that balance and friction allow; null: unknown"),
+    "rest_top_force_high_n": ("N", "the most that balance and friction allow; null: unknown"),
     "max_top_force_n": ("N", "largest force on top of the box in any step, also while it is placed or shaken"),
-    "press_strength_n": ("N", "what the box bears between plates; null: not known"),
-    "wall_factor": ("1", "by how far walls of the boxes on it stand on its own"),
+    "press_strength_n": ("N", "strength of the box between plates; null: unknown"),
+    "wall_factor": ("1", "by the share of walls above that stand on its own walls"),
     "overhang_factor": ("1", "by how far its walls hang over nothing"),
     "deck_factor": ("1", "by gaps and bending of the deck that it stands on"),
     "humidity_factor": ("1", "by moist air"),
-    "strength_n": ("N", "what the box bears as it is stacked: press_strength_n times the four; null: not known"),
+    "strength_n": ("N", "strength of the box as stacked: press_strength_n times the four; null: unknown"),
     "time_factor": ("1", "by days under a load that lasts; of forces at rest alone"),
     "load_share": ("1", "rest_top_force_n / (strength_n * time_factor)"),
     "peak_share": ("1", "max_top_force_n / strength_n"),
@@ -197,19 +198,19 @@ _PLAN_UNITS: Final = {
     "plan_id": _BOX_UNITS["plan_id"],
     "variant": _BOX_UNITS["variant"],
     "verdict": ("", "verdict of the simulation; loads do not change it"),
-    "overloaded": ("1", "whether a box bears more than it can at rest; null: not known, since strengths are missing"),
+    "overloaded": ("1", "whether a box bears more at rest than its strength; null: strengths are missing"),
     "n_boxes": ("1", "boxes of the plan, without sheets"),
-    "n_overloaded": ("1", "boxes that bear more than they can at rest"),
-    "n_unknown": ("1", "boxes whose strength or load is not known"),
-    "surely_overloaded": ("1", "whether the least force on a box is more than it can bear; null: not known"),
-    "possibly_overloaded": ("1", "whether the most force on a box is more than it can bear; null: not known"),
-    "n_surely_overloaded": ("1", "boxes on which the least force is too much"),
-    "n_possibly_overloaded": ("1", "boxes on which the most force is too much, with those above"),
+    "n_overloaded": ("1", "boxes with more load at rest than strength"),
+    "n_unknown": ("1", "boxes with unknown strength or load"),
+    "surely_overloaded": ("1", "whether the least force on a box is more than its strength; null: unknown"),
+    "possibly_overloaded": ("1", "whether the most force on a box is more than its strength; null: unknown"),
+    "n_surely_overloaded": ("1", "boxes whose least force is too large"),
+    "n_possibly_overloaded": ("1", "boxes whose most force is too large, including those above"),
     "max_load_share": ("1", "largest load_share of a box"),
     "box": ("1", "the box that has it"),
     "article": ("", "its article"),
-    "overloaded_at_peak": ("1", "whether the largest force on a box is more than it can bear; null: not known"),
-    "n_overloaded_at_peak": ("1", "boxes on which it is"),
+    "overloaded_at_peak": ("1", "whether the largest force on a box is more than its strength; null: unknown"),
+    "n_overloaded_at_peak": ("1", "boxes with a largest force above their strength"),
     "max_peak_share": ("1", "largest peak_share of a box"),
     "peak_box": ("1", "the box that has it"),
     "peak_article": ("", "its article"),
@@ -238,13 +239,13 @@ class Loads:
 
     Attributes:
         run: the run's folder.
-        boxes: one row per box of each world: ``load_share`` and the values that it is computed from.
+        boxes: one row per box of each world: ``load_share`` and the values behind it.
         plans: one row per world: ``overloaded`` at rest and ``overloaded_at_peak``, and the boxes with the largest
-            shares then. If the run has intervals of forces, also ``surely_overloaded`` and ``possibly_overloaded``.
-        notes: a line on a run that is not finished, one on articles without strength, and one on forces at rest after a
-            drive with film.
-        stacking: how much strength boxes lose by the way in which they are stacked.
-        ways: of a chain: how likely each plan arrives, and arrives whole, with each remedy; None: the run is no chain.
+            shares. If the run has intervals of forces, also ``surely_overloaded`` and ``possibly_overloaded``.
+        notes: lines on an unfinished run, on articles without strength, and on forces at rest after a drive with film.
+        stacking: losses of strength by the way of stacking.
+        ways: of a chain: how likely each plan arrives, and arrives whole, with each remedy; None: a run without a
+            chain.
     """
 
     run: Path
@@ -275,7 +276,7 @@ class Loads:
 
 
 def check_loads_free(folder: Path, overwrite: bool, inputs: Iterable[Path] = ()) -> None:
-    """Check that the tables of loads may be written into a folder; ``inputs`` are files that are read.
+    """Check that the tables of loads may be written into a folder; ``inputs`` are the files to be read.
 
     Raises:
         InputError: as ``petmjx.results.documented_tables.check_tables_free``.
@@ -290,14 +291,14 @@ def loads(
     *,
     stacking: Stacking | Mapping[str, Any] | None = None,
 ) -> Loads:
-    """Compare the forces on boxes, at rest and at the peak, with the strength of the boxes as they are stacked.
+    """Compare the forces on boxes, at rest and at the peak, with the strength of the boxes as stacked.
 
     ``petmjx.loads("results", "articles.csv", stacking={"interlocked_loss": 0.4})``
 
     Args:
-        run: a run's folder, or what ``petmjx.score`` returned.
-        articles: table of strengths (``petmjx.plans.articles.read_articles``). Boxes that it does not cover have the
-            strength given in the plan, or in the table of the run. None: only these count.
+        run: a run's folder, or the result of ``petmjx.score``.
+        articles: table of strengths (``petmjx.plans.articles.read_articles``). Boxes without an entry have the strength
+            of the plan, or of the run's table. None: only the strengths of the plan and of the run's table count.
         plans: the plans of the run, for sizes, places and product groups; None: the files that the run names.
         stacking: how much strength boxes lose by stacking; a mapping sets some of its fields
             (``petmjx.options.stacking.Stacking``).
@@ -324,7 +325,9 @@ def loads(
         **{share: boxes[force] / (boxes["strength_n"] * of_time[force]) for force, share in shares.items()}
     )
     spread = losses.loss_spread
-    boxes = with_crush_shares(boxes, (_kept(losses.time_loss, 1 + spread), _kept(losses.time_loss, 1 - spread)))
+    boxes = with_crush_shares(
+        boxes, (_remaining_share(losses.time_loss, 1 + spread), _remaining_share(losses.time_loss, 1 - spread))
+    )
     boxes = boxes[[name for name in _BOX_UNITS if name in boxes]]
     notes = (*results.doubts("the run"), *_notes(missing), *_film_notes(results))
     plan_loads = _of_worlds(results, boxes)
@@ -341,11 +344,11 @@ def _plans_of(results: RunResults, plans: PlanSource | None) -> Mapping[str, Pla
     records = Manifest.read(results.parts, results.info).plans
     plans_again = find_plans(results, records, set(results.worlds["plan_id"]), plans)
     if plans is None and plans_again.gone and plans_again.missing:
-        gone = printable(plans_again.gone[0])
-        raise InputError(f"{results.path}: needs the plans of the run, and {gone} is not there: name them")
+        missing_file = printable(plans_again.gone[0])
+        raise InputError(f"{results.path}: needs the plans of the run, and {missing_file} is not there: name them")
     for plan_ids, fault in (
         (plans_again.missing, "is not among the plans that were read"),
-        (plans_again.changed, "differs from the one that was simulated there"),
+        (plans_again.changed, "differs from the simulated one"),
     ):
         if plan_ids:
             raise InputError(f"{results.path}: plan {printable_name(plan_ids[0])} {fault}")
@@ -359,7 +362,7 @@ _STRENGTH: Final = ("press_strength_n", *_FACTORS, "strength_n", "time_factor", 
 def _strengths(
     plans: Iterable[Plan], articles: Articles, losses: Stacking, carrier: Carrier | OwnCarrier
 ) -> tuple[pd.DataFrame, Counter[str]]:
-    """The strength of each box except sheets, and the articles without strength with their numbers of boxes."""
+    """The strength of each box except sheets, and the number of boxes of each article without strength."""
     parts: list[pd.DataFrame] = []
     missing: Counter[str] = Counter()
     for plan in plans:
@@ -378,7 +381,7 @@ def _strengths(
         borne = (strength_n * np.prod(each, axis=0) for each in (factors, low, high))
         columns = {"press_strength_n": strength_n, **dict(zip(_FACTORS, factors, strict=True))}
         columns |= dict(zip(("strength_n", "strength_low_n", "strength_high_n"), borne, strict=True))
-        columns["time_factor"] = np.full(plan.n_boxes, _kept(losses.time_loss))
+        columns["time_factor"] = np.full(plan.n_boxes, _remaining_share(losses.time_loss))
         table = pd.DataFrame({"plan_id": plan.plan_id, "box": np.arange(plan.n_boxes, dtype=np.int32), **columns})
         parts.append(table[~sheets])
     if not parts:
@@ -387,13 +390,14 @@ def _strengths(
     return pd.concat(parts, ignore_index=True), missing
 
 
-def _kept(loss: float, factor: float = 1.0) -> float:
+def _remaining_share(loss: float, factor: float = 1.0) -> float:
     """The share of a strength that is left after a loss times a factor."""
     return 1.0 - min(factor * loss, 1.0)
 
 
 def _factors(plan: Plan, losses: Stacking, carrier: Carrier | OwnCarrier) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Three times (4, n), the ``_FACTORS`` of each box's strength: as the losses say, the least and the most."""
+    """Three times (4, n), the ``_FACTORS`` of each box's strength: with the nominal, the largest and the smallest
+    losses."""
     extent, boards = extent_m(carrier), pallet(carrier)
     extent_mm = None if extent is None else (MM_PER_M * extent[0], MM_PER_M * extent[1])
     walls = walls_of(plan, extent_mm, None if boards is None else boards.deck_mm, losses.wall_tolerance_mm)
@@ -401,11 +405,18 @@ def _factors(plan: Plan, losses: Stacking, carrier: Carrier | OwnCarrier) -> tup
     gaps = walls.on_deck & (walls.over_gaps * perimeter_mm > losses.wall_tolerance_mm)
 
     def factors(spread: float) -> FloatArray:
-        some = losses.with_losses(spread)
-        deck = np.where(gaps, 1 - some.gap_loss, 1.0) * np.where(walls.on_deck, 1 - some.soft_deck_loss, 1.0)
-        moist = np.full(plan.n_boxes, _kept(losses.humidity_loss, spread))
+        scaled_losses = losses.with_losses(spread)
+        deck = np.where(gaps, 1 - scaled_losses.gap_loss, 1.0) * np.where(
+            walls.on_deck, 1 - scaled_losses.soft_deck_loss, 1.0
+        )
+        moist = np.full(plan.n_boxes, _remaining_share(losses.humidity_loss, spread))
         return np.stack(
-            [1 - some.interlocked_loss * (1 - walls.met), 1 - some.overhang_loss * walls.hanging, deck, moist]
+            [
+                1 - scaled_losses.interlocked_loss * (1 - walls.met),
+                1 - scaled_losses.overhang_loss * walls.hanging,
+                deck,
+                moist,
+            ]
         )
 
     return factors(1.0), factors(1.0 + losses.loss_spread), factors(1.0 - losses.loss_spread)
@@ -425,8 +436,8 @@ def _of_worlds(results: RunResults, boxes: pd.DataFrame) -> pd.DataFrame:
     table = table.fillna({"n_boxes": 0, **{name: 0 for name in counts if name not in key}})
     table = table.astype({"n_boxes": "int32", **{name: "int64" for name in counts if name not in key}})
     for share, names in (("load_share", ("box", "article")), ("peak_share", ("peak_box", "peak_article"))):
-        known = boxes.dropna(subset=share)
-        largest = known.loc[known.groupby(key, sort=False)[share].idxmax(), [*key, "box", "article", share]]
+        rated_boxes = boxes.dropna(subset=share)
+        largest = rated_boxes.loc[rated_boxes.groupby(key, sort=False)[share].idxmax(), [*key, "box", "article", share]]
         largest.columns = pd.Index([*key, *names, f"max_{share}"])
         table = table.merge(largest, on=key, how="left")
     for name in shares:

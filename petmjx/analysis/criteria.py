@@ -52,7 +52,7 @@ class CriterionInputs:
     Attributes:
         friction: coefficients, for force balance.
         leans: whether force balance is also computed with boxes that lean on neighbours.
-        strength_n: (n,) strength of the tops of boxes, N; NaN if it is not known. None: it is known for no box.
+        strength_n: (n,) strength of the tops of boxes, N; NaN if unknown. None: no box has a known strength.
     """
 
     contacts: PlanContacts
@@ -86,7 +86,7 @@ NO: Final = 0
 NOT_ASKED: Final = -1
 
 _ROUNDING: Final = {"mm": ON_EDGE_MM, "1": -NO_SLACK}
-"""By unit: slacks that are below 0 by at most this count as 0. Shares of areas in mm² have rounding errors of 1e-16."""
+"""By unit: slacks down to minus this value count as 0. Shares of areas in mm² have rounding errors of 1e-16."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -94,7 +94,7 @@ class Answers:
     """The answers of c criteria for n boxes at their placement.
 
     Attributes:
-        n_supports: (n,) areas on which a box lies (``PlanContacts.n_supports``).
+        n_supports: (n,) number of areas on which each box lies (``PlanContacts.n_supports``).
         share: (n,) borne share of the base.
         corners: (n,) bottom corners that lie on something.
         slack: (n, c) the slacks; NaN if there is none.
@@ -134,8 +134,8 @@ def answer(
 
 
 def _stable(slack: FloatArray, criterion: Criterion) -> NDArray[np.int8]:
-    """Yes or no by the sign of the slack. NaN means no. Boxes after the end of a criterion that ``ends`` were not
-    asked."""
+    """Yes or no by the sign of the slack. NaN means no. Boxes after the end of a criterion that ``ends`` get no
+    answer."""
     rounding = _ROUNDING[criterion.unit]
     stable = (slack > rounding if criterion.strict else slack >= -rounding).astype(np.int8)
     if criterion.ends:
@@ -160,11 +160,11 @@ def _with_overlaps(contacts: PlanContacts) -> IntArray:
     """Boxes of which two contact rectangles overlap."""
     if not (contacts.n_supports > 1).any():
         return np.zeros(0, dtype=np.int64)
-    same = np.equal.outer(contacts.upper, contacts.upper)
+    is_overlap = np.equal.outer(contacts.upper, contacts.upper)
     for axis in range(2):
         low, high = contacts.low_mm[:, axis], contacts.high_mm[:, axis]
-        same &= np.minimum.outer(high, high) > np.maximum.outer(low, low)
-    return np.unique(contacts.upper[np.triu(same, k=1).any(axis=1)])
+        is_overlap &= np.minimum.outer(high, high) > np.maximum.outer(low, low)
+    return np.unique(contacts.upper[np.triu(is_overlap, k=1).any(axis=1)])
 
 
 def _union_area(contacts: PlanContacts, box: int) -> float:
@@ -177,7 +177,7 @@ def _union_area(contacts: PlanContacts, box: int) -> float:
 
 
 def corners_supported(contacts: PlanContacts) -> IntArray:
-    """(n,) how many of the four bottom corners lie on something, within the tolerance; edges count."""
+    """(n,) number of the four bottom corners on a support, within the tolerance; edges count."""
     count: IntArray = contacts.borne_corners(np.ones(len(contacts.upper), dtype=bool)).sum(axis=1)
     return count
 
@@ -209,7 +209,7 @@ LEAST_TOLERABLE_G: Final = 0.5
 def tolerable_acceleration_g(contacts: PlanContacts, hulls: Hulls, friction: float) -> FloatArray:
     """(n,) the level acceleration at which a box, or the load placed by then, begins to slide or to tip, g.
 
-    Both are taken for rigid bodies: they slide at the coefficient of friction, and tip at the distance of the centre
+    Box and load count as rigid bodies: they slide at the coefficient of friction, and tip at the distance of the centre
     from the edge / its height above it (statics; EN 12195-1 has the same conditions).
     """
     half_mm = contacts.centre_mm[:, 2] - contacts.corner_mm[:, 2]
@@ -219,8 +219,8 @@ def tolerable_acceleration_g(contacts: PlanContacts, hulls: Hulls, friction: flo
 
 
 def load_tipping_g(contacts: PlanContacts) -> FloatArray:
-    """(n,) the level acceleration at which the load placed by then tips as one rigid body, g. It stands on the
-    rectangle around what lies on the carrier."""
+    """(n,) the level acceleration at which the load placed by then tips as one rigid body, g. The load stands on the
+    rectangle around its boxes on the carrier."""
     low, high = np.full((contacts.n_boxes, 2), np.inf), np.full((contacts.n_boxes, 2), -np.inf)
     on_carrier = contacts.lower == CARRIER
     np.minimum.at(low, contacts.upper[on_carrier], contacts.low_mm[on_carrier])
@@ -246,13 +246,13 @@ class Criterion:
         asks: the condition for a box to be stable.
         slack: definition of the slack, whose sign is the answer.
         unit: unit of the slack.
-        source: where the criterion comes from.
+        source: origin of the criterion.
         slack_of: computes (n,) the slacks of a plan's boxes; NaN if a box has none.
         strict: whether a slack of 0 is not enough.
         number: the number that its threshold applies to; "" if there is none.
-        threshold: its threshold of this number: the number less the slack.
-        ends: whether boxes after the first one that fails are not asked.
-        usual: whether it is evaluated if the user names no criteria.
+        threshold: threshold of this number: number − slack.
+        ends: whether boxes after the first failing one get no answer.
+        usual: whether the criterion is evaluated by default.
     """
 
     name: str
@@ -317,7 +317,7 @@ CRITERIA: Final = (
     ),
     Criterion(
         "load_polygon",
-        "its centre lies over the hull of its contact areas, as far as these can be loaded",
+        "its centre lies over the hull of its contact areas, as far as these can bear loads",
         "distance of the centre from that hull's edge, inwards",
         _MM,
         "Gao et al. 2025, arXiv 2507.09123",
@@ -365,11 +365,11 @@ CRITERIA: Final = (
     Criterion(
         "strength",
         "neither it nor a box that bears part of it carries more than its strength, by loads passed down in balance",
-        "1 - load / strength, the least of these boxes that have a strength; 1 where none has",
+        "1 - load / strength, the least of these boxes with a strength; 1 without a known strength",
         DIMENSIONLESS,
         "McKee, Gander, Wachuta 1963, or strengths of the user's",
         lambda inputs: strength_slack(inputs.contacts, inputs.strength_n, even_bedding),
-        usual=False,  # if no strength is known it accepts everything
+        usual=False,  # without known strengths it accepts all plans
     ),
     Criterion(
         "tolerable_acceleration",
@@ -382,7 +382,7 @@ CRITERIA: Final = (
         ),
         number="tolerable acceleration, g",
         threshold=LEAST_TOLERABLE_G,
-        usual=False,  # it is about transport, and not about standing
+        usual=False,  # a criterion of transport, not of standing
     ),
 )
 """All criteria in the order of tables: from criteria of the base to criteria of the whole stack."""
@@ -392,7 +392,7 @@ _UNNAMED: Final = tuple(criterion.name for criterion in CRITERIA if criterion.us
 
 
 def chosen_criteria(names: Iterable[str] | None = None) -> tuple[Criterion, ...]:
-    """The criteria with these names, in the order of ``CRITERIA``. Without names the usual ones.
+    """The criteria with these names, in the order of ``CRITERIA``. Without names the default criteria.
 
     Raises:
         InputError: a criterion does not exist.

@@ -15,7 +15,7 @@ from petmjx.plans.plan_warnings import DEFAULT_TOLERANCE_MM
 
 
 class CriteriaOptions(CheckedRecord):
-    """The options of the criteria: inputs that the answers depend on, and how they are computed."""
+    """The options of the criteria: the inputs and parameters of the answers."""
 
     friction: Annotated[float, within(0, 10), CliFlag("--friction", "MU")] = Field(
         PHYSICS["pallet"].box_friction[0], description="coefficient of friction where boxes lie, for force balance"
@@ -32,7 +32,7 @@ class CriteriaOptions(CheckedRecord):
         "do not; one without boards reaches under all boxes",
     )
     walls: Walls = Field(Walls(), description="walls around the carrier's top, by default those of the run")
-    only: tuple[str, ...] | None = Field(None, description="names of criteria; all if none is named")
+    only: tuple[str, ...] | None = Field(None, description="names of criteria; by default all")
     processes: Annotated[int, within(1, 1024)] = Field(1, description="processes that share the plans")
     p_arrives: Annotated[float, within(0, 1), CliFlag("--p-arrives", "P")] = Field(
         0.5,
@@ -44,7 +44,7 @@ class CriteriaOptions(CheckedRecord):
 
     @property
     def criteria(self) -> tuple[Criterion, ...]:
-        """The criteria asked for."""
+        """The criteria to evaluate."""
         return chosen_criteria(self.only)
 
     @model_validator(mode="after")

@@ -44,7 +44,7 @@ _PLAN_ID: Final = {"plan_id": (TEXT, "id of the packing plan")}
 
 
 def boxes_frame(plans: Sequence[Plan], answers: Sequence[Answers], criteria: Sequence[Criterion]) -> pd.DataFrame:
-    """One row per box, in packing order. An answer is null if the criterion was not asked."""
+    """One row per box, in packing order. An answer is null if the criterion was not evaluated."""
     counts = [plan.n_boxes for plan in plans]
     columns: dict[str, object] = {
         "plan_id": np.repeat(np.array([plan.plan_id for plan in plans], dtype=object), counts),
@@ -65,7 +65,7 @@ def boxes_frame(plans: Sequence[Plan], answers: Sequence[Answers], criteria: Seq
 
 
 def plans_frame(plans: Sequence[Plan], answers: Sequence[Answers], criteria: Sequence[Criterion]) -> pd.DataFrame:
-    """One row per plan: whether all boxes are stable, the first box that is not, and the least slack."""
+    """One row per plan: whether all boxes are stable, the first unstable box, and the least slack."""
     counts = np.array([plan.n_boxes for plan in plans])
     starts = np.r_[0, counts.cumsum()[:-1]]
     columns: dict[str, object] = {
@@ -80,7 +80,7 @@ def plans_frame(plans: Sequence[Plan], answers: Sequence[Answers], criteria: Seq
     for number, criterion in enumerate(criteria):
         failed = stable[:, number] == NO
         first = np.minimum.reduceat(np.where(failed, box, never), starts)
-        # boxes that were not asked are ignored; a plan has no least slack if a box failed without a slack
+        # boxes without an answer are ignored; a plan has no least slack if a box failed without a slack
         with np.errstate(invalid="ignore"):
             least = np.minimum.reduceat(np.where(stable[:, number] == NOT_ASKED, np.inf, slack[:, number]), starts)
         columns[criterion.name] = first == never
@@ -116,7 +116,7 @@ def documented_plans(criteria: Sequence[Criterion]) -> Described:
         columns[criterion.name] = (DIMENSIONLESS, f"whether of each box {criterion.asks}")
         columns[f"{criterion.name}_first"] = (
             DIMENSIONLESS,
-            "first box for which this is not true; null if there is none",
+            "first box for which this is not true; null: no such box",
         )
         columns[f"{criterion.name}_slack"] = (criterion.unit, f"least of all boxes: {criterion.slack}")
     return columns
@@ -165,8 +165,8 @@ class CriteriaResults:
 
     Attributes:
         boxes: one row per box: for each criterion its answer and its slack (``<criterion>_slack``).
-        plans: one row per plan: for each criterion whether all boxes are stable, the first box that is not
-            (``_first``), and the least slack.
+        plans: one row per plan: for each criterion whether all boxes are stable, the first unstable box (``_first``),
+            and the least slack.
         judged: one row per criterion, compared with the verdicts of a run; None without a run.
         thresholds: one row per criterion with a number: the threshold that agrees best with the simulation; None
             without a run.
@@ -220,7 +220,7 @@ class CriteriaResults:
 
 
 def check_criteria_free(folder: Path, overwrite: bool, *, judged: bool, inputs: Iterable[Path] = ()) -> None:
-    """Check that the files of criteria may be written into a folder, before the work that takes minutes.
+    """Check that the files of criteria may be written into a folder, before minutes of work.
 
     Args:
         judged: whether the criteria are compared with a run.
@@ -230,8 +230,8 @@ def check_criteria_free(folder: Path, overwrite: bool, *, judged: bool, inputs: 
         InputError: as ``petmjx.results.documented_tables.check_tables_free``.
     """
     tables = ("boxes", "plans", *(("judged", "thresholds") if judged else ()))
-    others = {INFO_FILE: lambda file: has_keys(file, ("criteria", "options", "n_plans"))}
-    check_tables_free(folder, tables, overwrite=overwrite, inputs=inputs, others=others)
+    extra_files = {INFO_FILE: lambda file: has_keys(file, ("criteria", "options", "n_plans"))}
+    check_tables_free(folder, tables, overwrite=overwrite, inputs=inputs, others=extra_files)
 
 
 CHUNK: Final = 16
@@ -258,7 +258,7 @@ def criteria(
     Args:
         plans: as for ``petmjx.score``; None: the plans of the run, or without one the bundled samples.
         run: a run of the same plans, or its folder. The criteria are compared with its verdicts. If a plan has several
-            worlds, the nominal one counts; of a chain, whether it arrives often enough.
+            worlds, the nominal world counts; for a chain, whether the plan arrives often enough.
         out: a folder for the tables, as Parquet and CSV.
         overwrite: whether existing tables are replaced.
         limit: largest number of plans.
@@ -326,11 +326,11 @@ def _other_carrier(carrier: Carrier | OwnCarrier, run: RunResults) -> list[str]:
     """A note if the criteria use another carrier than the run."""
     if carrier == run.carrier:
         return []
-    here, run_carrier = (
+    own_carrier, run_carrier = (
         printable_name(carrier_option if isinstance(carrier_option, Carrier) else carrier_option.name)
         for carrier_option in (carrier, run.carrier)
     )
-    return [f"the criteria are evaluated on the carrier {here}, but the run's boxes stood on {run_carrier}"]
+    return [f"the criteria are evaluated on the carrier {own_carrier}, but the run's boxes stood on {run_carrier}"]
 
 
 def _need_packers() -> None:
@@ -347,13 +347,13 @@ def _answers(
     """Answers in the order of the plans."""
     chunks = [plans[start : start + CHUNK] for start in range(0, len(plans), CHUNK)]
     ask = partial(_ask, options=options)
-    done = 0
+    n_done = 0
 
     def report_progress(answers: list[Answers]) -> list[Answers]:
-        nonlocal done
-        done += len(answers)
+        nonlocal n_done
+        n_done += len(answers)
         if progress is not None:
-            progress(done, len(plans))
+            progress(n_done, len(plans))
         return answers
 
     processes = min(options.processes, len(chunks))
@@ -378,8 +378,8 @@ def _ask(plans: Sequence[Plan], options: CriteriaOptions) -> list[Answers]:
 
 
 def _judging_worlds(run: RunResults, plans: Sequence[Plan], p_arrives: float) -> pd.DataFrame:
-    """One row for each plan of the run: its nominal world; of a chain whether it arrives often enough. Then the reason
-    is its weakest leg, and the margin what its share has beyond the least one.
+    """One row for each plan of the run: its nominal world; for a chain, whether the plan arrives often enough. Then the
+    reason is the weakest leg, and the margin is the share that arrives minus the least share.
 
     Raises:
         InputError: as ``_nominal_worlds``.
@@ -396,7 +396,7 @@ def _judging_worlds(run: RunResults, plans: Sequence[Plan], p_arrives: float) ->
 
 
 def _nominal_worlds(worlds: pd.DataFrame, run: RunResults, plans: Sequence[Plan]) -> pd.DataFrame:
-    """The worlds, one for each plan, if they are of these plans.
+    """The worlds, one for each plan, if these plans were simulated.
 
     Raises:
         InputError: the run has none of these plans, or a plan has another number of boxes.

@@ -1,4 +1,5 @@
-"""Compares criteria with a simulation: which plans both accept, and which threshold of a criterion agrees best.
+"""Compares criteria with a simulation: the plans that both accept, and the threshold of a criterion with the best
+agreement.
 
 A criterion accepts a plan if all its boxes are stable. *Precision* is the share of accepted plans that stand. *Recall*
 is the share of standing plans that are accepted. Matthews' correlation coefficient (MCC; Matthews 1975, Biochimica et
@@ -40,18 +41,18 @@ def judge(plans: pd.DataFrame, worlds: pd.DataFrame, criteria: Sequence[Criterio
 
     Returns:
         One row per criterion: ``criterion``, ``n_plans``, the counts ``CELLS``, each of ``SCORES`` with ``_low`` and
-            ``_high`` (95 % bootstrap over plans), and ``same_first_box``: for how many of the falling plans that it
-            refuses its first failing box is the one that physics names.
+            ``_high`` (95 % bootstrap over plans), and ``same_first_box``: number of refused falling plans with the same
+            first box by criterion and physics.
     """
-    both = with_physics(plans, worlds)
-    stands = both["stands"].to_numpy(dtype=bool)
+    judged = with_physics(plans, worlds)
+    stands = judged["stands"].to_numpy(dtype=bool)
     rows = []
     for criterion in criteria:
-        accepted = both[criterion.name].to_numpy(dtype=bool)
-        first = both[f"{criterion.name}_first"]
-        same = (first == both["culprit"]).fillna(False).to_numpy(dtype=bool) & ~accepted & ~stands
-        row = {"criterion": criterion.name, "n_plans": len(both)} | score_columns(accepted, stands, seed)
-        rows.append(row | {"same_first_box": int(same.sum())})
+        accepted = judged[criterion.name].to_numpy(dtype=bool)
+        first = judged[f"{criterion.name}_first"]
+        names_same_box = (first == judged["culprit"]).fillna(False).to_numpy(dtype=bool) & ~accepted & ~stands
+        row = {"criterion": criterion.name, "n_plans": len(judged)} | score_columns(accepted, stands, seed)
+        rows.append(row | {"same_first_box": int(names_same_box.sum())})
     return pd.DataFrame(rows)
 
 
@@ -67,7 +68,7 @@ def with_physics(plans: pd.DataFrame, worlds: pd.DataFrame) -> pd.DataFrame:
 def score_columns(accepted: NDArray[np.bool_], stands: NDArray[np.bool_], seed: int) -> dict[str, float]:
     """Counts, and scores with their intervals.
 
-    The bootstrap draws plans with replacement. Only the four counts matter, so they are drawn from a multinomial
+    The bootstrap draws plans with replacement. Only the four counts matter, so samples are drawn from a multinomial
     distribution.
     """
     cells = confusion(accepted, stands)
@@ -78,8 +79,8 @@ def score_columns(accepted: NDArray[np.bool_], stands: NDArray[np.bool_], seed: 
     drawn = np.random.default_rng(seed).multinomial(total, cells / total, size=N_BOOTSTRAP)
     tail = (1 - DEFAULT_CONFIDENCE) / 2
     for name, value, values in zip(SCORES, scores(cells), scores(drawn), strict=True):
-        known = values[~np.isnan(values)]
-        low, high = np.quantile(known, [tail, 1 - tail]) if len(known) else (np.nan, np.nan)
+        finite = values[~np.isnan(values)]
+        low, high = np.quantile(finite, [tail, 1 - tail]) if len(finite) else (np.nan, np.nan)
         row |= {name: float(value), f"{name}_low": float(low), f"{name}_high": float(high)}
     return row
 
@@ -108,29 +109,29 @@ def scores(cells: NDArray[np.int64]) -> tuple[FloatArray, FloatArray, FloatArray
 def best_thresholds(
     plans: pd.DataFrame, worlds: pd.DataFrame, criteria: Sequence[Criterion], seed: int = 0
 ) -> pd.DataFrame:
-    """For each criterion with a number, the threshold that agrees best with physics. It is found on one half of the
-    plans and tested on the other half.
+    """For each criterion with a number, the threshold that agrees best with physics. The threshold is fitted on one
+    half of the plans and tested on the other half.
 
     The half of a plan depends only on its id and the seed.
 
     Returns:
         One row per criterion: ``criterion``, ``number``, ``unit``, ``threshold`` (at least), ``published`` (the
-            criterion's own), ``n_found_on`` and ``mcc_found_on``. The other columns are as in ``judge``, on the other
-            half, with ``mcc_published``.
+            published threshold), ``n_found_on`` and ``mcc_found_on``. The other columns are as in ``judge``, on the
+            tested half, with ``mcc_published``.
     """
-    both = with_physics(plans, worlds)
-    stands = both["stands"].to_numpy(dtype=bool)
-    first_half = in_first_half(both["plan_id"].tolist(), seed)
+    joined_plans = with_physics(plans, worlds)
+    stands = joined_plans["stands"].to_numpy(dtype=bool)
+    first_half = in_first_half(joined_plans["plan_id"].tolist(), seed)
     rows = []
     for criterion in criteria:
         if not criterion.number:
             continue
         published = criterion.threshold
-        number = both[f"{criterion.name}_slack"].to_numpy(dtype=np.float64) + published
+        number = joined_plans[f"{criterion.name}_slack"].to_numpy(dtype=np.float64) + published
         threshold, mcc = best_threshold(number[first_half], stands[first_half])
         # without a threshold there is nothing to judge
         judged = ~first_half if np.isfinite(threshold) else np.zeros_like(first_half)
-        as_published = confusion(both[criterion.name].to_numpy(dtype=bool)[~first_half], stands[~first_half])
+        as_published = confusion(joined_plans[criterion.name].to_numpy(dtype=bool)[~first_half], stands[~first_half])
         row: dict[str, object] = {"criterion": criterion.name, "number": criterion.number, "unit": criterion.unit}
         row |= {"threshold": threshold, "published": published}
         row |= {"n_found_on": int(first_half.sum()), "mcc_found_on": mcc, "n_plans": int((~first_half).sum())}
@@ -150,14 +151,14 @@ def best_threshold(number: FloatArray, stands: NDArray[np.bool_]) -> tuple[float
     """The threshold t for which ``number >= t`` has the largest MCC, and that MCC. NaN numbers are never accepted.
 
     The threshold is halfway between the two numbers that it separates. If several thresholds are equally good, the
-    middle one is taken. It is NaN if no threshold has MCC > 0: all numbers are equal, all plans stand, all plans fall,
-    or plans with larger numbers fall.
+    middle one is taken. The threshold is NaN if no threshold has MCC > 0: all numbers are equal, all plans stand, all
+    plans fall, or plans with larger numbers fall.
     """
-    known = ~np.isnan(number)
-    values, owner = np.unique(number[known], return_inverse=True)
+    has_number = ~np.isnan(number)
+    values, owner = np.unique(number[has_number], return_inverse=True)
     if len(values) < 2:
         return float("nan"), 0.0
-    standing = np.bincount(owner, weights=stands[known], minlength=len(values))
+    standing = np.bincount(owner, weights=stands[has_number], minlength=len(values))
     falling = np.bincount(owner, minlength=len(values)) - standing
     # a cut accepts all values above it
     hit, false = (counts[::-1].cumsum()[::-1][1:] for counts in (standing, falling))

@@ -1,8 +1,8 @@
-"""Which boxes are crushed, at rest or at the peak: surely, possibly, or not; and how many pallets arrive whole.
+"""Crushed boxes, at rest or at the peak: surely, possibly, or not; and the share of pallets that arrive whole.
 
 Strengths are not exact: the losses by stacking, moisture and time have a spread. Nor are, for several supports, forces
-at rest. So a box is *surely* overloaded if the least force is more than the most that it may bear, and *possibly* if
-the most force is more than the least that it may bear. Users read about it in docs/loads.md.
+at rest. So a box is *surely* overloaded if the least force exceeds the largest possible strength, and *possibly* if the
+largest force exceeds the smallest possible strength. Users read about it in docs/loads.md.
 """
 
 from __future__ import annotations
@@ -21,16 +21,19 @@ NOT: Final = "not"
 """Values of the column ``crushed``."""
 
 BOX_UNITS: Final = {
-    "strength_low_n": ("N", "the least that the box may bear as it is stacked, for a short time"),
-    "strength_high_n": ("N", "the most that it may bear then"),
-    "crush_share_low": ("1", "larger of the least force at rest and the peak, each / the most that it bears then"),
+    "strength_low_n": ("N", "smallest possible strength of the box as stacked, for a short time"),
+    "strength_high_n": ("N", "largest possible strength of the box as stacked, for a short time"),
+    "crush_share_low": (
+        "1",
+        "larger of two shares: least force at rest / most strength at rest, peak / most strength for a short time",
+    ),
     "crush_share_high": (
         "1",
-        "larger of the most force at rest and the peak, each / the least that it bears then",
+        "larger of two shares: most force at rest / least strength at rest, peak / least strength for a short time",
     ),
 }
 PLAN_UNITS: Final = {
-    "crushed": ("", "surely, possibly or not: whether a box bears too much, at rest or at the peak; null: not known"),
+    "crushed": ("", "surely, possibly or not: whether a box is overloaded, at rest or at the peak; null: unknown"),
     "crush_box": ("1", "the box with the largest crush_share_high"),
 }
 WAY_UNITS: Final = {
@@ -38,8 +41,8 @@ WAY_UNITS: Final = {
     "remedy": ("", "what was changed in the chain; empty: nothing"),
     "n_worlds": ("1", "worlds with a verdict"),
     "n_standing": ("1", "those that arrive"),
-    "n_whole": ("1", "those that arrive, and in which no box is even possibly overloaded"),
-    "n_possibly_whole": ("1", "those that arrive, and in which no box is surely overloaded"),
+    "n_whole": ("1", "worlds that arrive without a possibly overloaded box"),
+    "n_possibly_whole": ("1", "worlds that arrive without a surely overloaded box"),
     "share": ("1", "n_standing / n_worlds"),
     "share_whole": ("1", "n_whole / n_worlds"),
     "share_possibly_whole": ("1", "n_possibly_whole / n_worlds"),
@@ -52,7 +55,7 @@ def with_crush_shares(boxes: pd.DataFrame, time_factors: tuple[float, float]) ->
     """The boxes with the columns ``crush_share_low`` and ``crush_share_high``.
 
     Args:
-        boxes: forces on boxes (the least and the most at rest, if they are known) and the strengths of ``BOX_UNITS``.
+        boxes: forces on boxes (the least and the largest at rest, if known) and the strengths of ``BOX_UNITS``.
         time_factors: the least and the most share of its strength that a box keeps under forces at rest.
     """
     peak = boxes["max_top_force_n"]
@@ -79,14 +82,15 @@ def crushed_worlds(boxes: pd.DataFrame) -> pd.DataFrame:
     answers = [worlds["surely"], worlds["possibly"], ~worlds["unknown"]]
     worlds["crushed"] = np.select(answers, [SURELY, POSSIBLY, NOT], "")
     worlds["crushed"] = worlds["crushed"].astype(object).where(worlds["crushed"] != "", None)
-    known = boxes.dropna(subset="crush_share_high")
-    largest = known.loc[known.groupby(_KEY, sort=False)["crush_share_high"].idxmax(), [*_KEY, "box"]]
+    rated_boxes = boxes.dropna(subset="crush_share_high")
+    largest = rated_boxes.loc[rated_boxes.groupby(_KEY, sort=False)["crush_share_high"].idxmax(), [*_KEY, "box"]]
     worlds = worlds.merge(largest.rename(columns={"box": "crush_box"}), on=_KEY, how="left")
     return worlds[[*_KEY, *PLAN_UNITS]].astype({"crush_box": "Int32"})
 
 
 def ways_of(worlds: pd.DataFrame, plans: pd.DataFrame) -> pd.DataFrame:
-    """How likely pallets arrive, and arrive whole, at the end of a chain: one row for each plan and remedy.
+    """The share of pallets that arrive, and arrive without crushed boxes, at the end of a chain: one row for each plan
+    and remedy.
 
     Args:
         worlds: of the run of a chain.

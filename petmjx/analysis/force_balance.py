@@ -1,29 +1,29 @@
-"""Force balance: whether forces exist that hold a stack, and how much slack is left.
+"""Force balance: existence of forces that hold a stack, and the slack of this condition.
 
 Sources: Liu, Deng, Wang, Liu, Liu (2024), "StableLego: stability analysis of block stacking assembly", arXiv
 2402.10711, and Whiting, Ochsendorf, Durand (2009), "Procedural modeling of structurally-sound masonry buildings", ACM
 Transactions on Graphics 28(5). At each corner of each contact area acts a pressing force, and friction of at most μ
-times that force. A stack is balanced if such forces exist whose sum and moment are zero on every box.
+times that force. A stack is balanced if forces exist with zero sum and zero moment on every box.
 
 The slack is a pure number. Each of the n corners under a box must carry at least s times the n-th part of the box's own
 weight. The slack is the largest s for which the stack is balanced. At 1 every box rests evenly on all its corners. At 0
-some box is about to tip. Below 0 some box would have to be glued, and -s says how strongly. For a box with nothing on
-it, take the ray from the middle of its corners through its centre to the hull's edge: the slack is 1 minus the share of
-the ray at which the centre lies.
+some box is about to tip. Below 0 a box would have to be glued, with a strength that grows with -s. For a box with a
+free top, take the ray from the middle of its corners through its centre to the hull's edge: the slack is 1 minus the
+share of the ray at which the centre lies.
 
-A placement only changes the structure of the new box: the boxes that hang together with it. Three exact shortcuts are
+A placement only changes the structure of the new box: the boxes connected to it by contacts. Three exact shortcuts are
 used:
 
 - A box with all four corners on the carrier is in balance whatever presses on its top, because vertical forces below
-  can always answer. It is taken as part of the carrier, and separates structures.
-- Vertical forces that balance are already a solution. So friction, and with it horizontal forces and heights, is only
-  considered if vertical forces alone do not balance. Friction may then help, for example if a box is held by another
-  box that lies across it and its neighbour. The slack is then that with friction, if it is larger.
-- A structure of one box has the closed form above, without a linear programme.
+  can always answer. A box of known balance is taken as part of the carrier, and separates structures. - Vertical forces
+  that balance are already a solution. So friction, and with it horizontal forces and heights, is considered only if
+  vertical forces alone do not balance the boxes. Friction may then help, for example if a box is held by another box
+  that lies across it and its neighbour. The slack is then the slack with friction, if larger. - A structure of one box
+  has the closed form above, without a linear programme.
 
-With ``lean`` boxes that touch side by side may press on each other, and boxes on walls, by default without friction. It
-is an option because forces that could exist need not arise: with friction at its sides any box could hang between two
-neighbours that press on it, though nothing makes them press when it is set down.
+With ``lean`` boxes that touch side by side may press on each other, and boxes on walls, by default without friction.
+Leaning is an option because possible forces need not arise: with friction at its sides any box could hang between two
+neighbours that press on it, though nothing makes them press.
 
 The linear programmes and ``wrenches``, the force and moment on bodies by forces at points, also serve
 petmjx.analysis.force_intervals.
@@ -48,10 +48,10 @@ WRENCH: Final = 6
 def wrenches(
     first: IntArray, second: IntArray, position_m: FloatArray, direction: FloatArray, centre_m: FloatArray
 ) -> Entries:
-    """(6 b, p k): force and moment about its centre of every body by k forces at each of p points.
+    """(6 b, p k): force and moment about the centre of each body by k forces at each of p points.
 
     Args:
-        first, second: (p,) the bodies that touch, from 0 to b - 1; negative: a body that does not move.
+        first, second: (p,) the bodies that touch, from 0 to b - 1; negative: a fixed body.
         position_m: (p, 3) the points.
         direction: (p, k, 3) the forces on ``second``; the forces on ``first`` are opposite.
         centre_m: (b, 3) centres of the bodies.
@@ -97,9 +97,9 @@ def largest_slack(forces: Entries, share: FloatArray, row_sums: FloatArray, limi
     """The largest s ≤ ``EVEN`` for which ``forces @ (share·s + g) = row_sums``, with g ≥ 0 and ``limits @ g ≤ 0``.
 
     Args:
-        forces: (r, f) what each force adds to each row.
+        forces: (r, f) part of each force in each row.
         share: (f,) amount that each force must carry per unit of slack.
-        row_sums: (r,) what the rows must add up to.
+        row_sums: (r,) required sum of each row.
         limits: (q, f); None: there are none.
 
     Returns:
@@ -156,7 +156,7 @@ def least_and_most(sums: FloatArray, forces: Entries, row_sums: FloatArray) -> F
 def _least_cost_solution(
     costs: FloatArray, entries: Entries, rows: tuple[FloatArray, FloatArray], bounds: tuple[FloatArray, FloatArray]
 ) -> FloatArray | None:
-    """The x with the least ``costs @ x`` whose rows and values lie within bounds; None if there is none.
+    """The x with the least ``costs @ x`` whose rows and values lie within bounds; None: no such x.
 
     HiGHS solves it. SciPy's ``milp`` without integer variables is the same programme as ``linprog``, with half the
     overhead.
@@ -186,8 +186,8 @@ def balance_slack(
 ) -> tuple[FloatArray, FloatArray]:
     """Slack of each box's structure just after its placement, without and with leaning on neighbours: two arrays (n,).
 
-    Each array ends with the first box after which the stack is not balanced; later boxes are NaN. A box that lies on
-    nothing is NaN, too. It is not balanced, although friction at its sides could hold it if its neighbours pressed on
+    Each array ends with the first box after which the stack is not balanced; later boxes are NaN. A box without support
+    is NaN, too. Such a box is not balanced, although friction at its sides could hold it if its neighbours pressed on
     it.
 
     Args:
@@ -216,7 +216,7 @@ class _Stack:
         self._contacts, self._friction, self._sides = contacts, friction, sides
 
     def place(self, box: int, vertical: float, structures: _Structures) -> None:
-        """Place a box for which vertical forces alone give the slack ``vertical``."""
+        """Place a box whose slack by vertical forces alone is ``vertical``."""
         slack = vertical
         if slack < NO_SLACK:
             structure = structures.of(box)
@@ -237,7 +237,7 @@ class _Structures:
         self._system = _VerticalSystem(contacts)
 
     def of(self, box: int) -> NDArray[np.bool_]:
-        """(n,) whether each box hangs together with this box."""
+        """(n,) whether each box is connected to this box by contacts."""
         joined: NDArray[np.bool_] = self._joined == self._joined[box]
         return joined
 
@@ -255,7 +255,7 @@ class _Structures:
 
 
 def _slack_alone(contacts: PlanContacts, hulls: Hulls) -> FloatArray:
-    """(n,) slack of each box with nothing on it."""
+    """(n,) slack of each box with a free top."""
     n = contacts.n_boxes
     middle = np.full((n, 2), np.nan)
     count = np.maximum(contacts.n_supports, 1)
@@ -266,7 +266,7 @@ def _slack_alone(contacts: PlanContacts, hulls: Hulls) -> FloatArray:
 
 
 class _VerticalSystem:
-    """Force and moments of every box by the vertical forces at corners. A structure uses a part of this system.
+    """Force and moments of every box by the vertical forces at corners. Each structure uses a part of this system.
 
     Each corner of a contact presses the box above upwards and the body below downwards. The rows of a box are its force
     and two moments about its own centre, in mean weights and metres.
@@ -276,7 +276,7 @@ class _VerticalSystem:
         self._upper = contacts.upper
         self._weight = contacts.mass_kg / contacts.mass_kg.mean()
         self._share = even_share(contacts, self._weight)
-        # (2, c) the bodies that must balance: neither the carrier nor boxes on it
+        # (2, c) the bodies that must balance: neither the carrier nor fixed boxes
         body = np.stack([contacts.upper, contacts.lower])
         self._body = np.where((body == CARRIER) | contacts.grounded[body], CARRIER, body)
         arm = (contacts.corners_mm - contacts.centre_mm[self._body, None, :2]) / MM_PER_M
@@ -338,8 +338,8 @@ def friction_slack(
     """Slack of a structure with friction. All bodies that touch the structure must be in balance, too.
 
     Friction lies within the pyramid |fx| + |fy| ≤ μ f, inside the cone. So a stack that is balanced here is balanced
-    with the cone. At a slack other than 0, friction is limited to μ times the force that a corner carries beyond its
-    required share; the sign of the slack does not depend on that.
+    with the cone. At a slack other than 0, friction is limited to μ times the force of a corner beyond its required
+    share; the sign of the slack does not depend on that.
 
     Args:
         structure: (n,) boxes whose corners must carry the required share.
@@ -371,8 +371,8 @@ def _columns(entries: Entries, chosen: IntArray, n: int) -> Entries:
     position = np.full(n, -1)
     position[chosen] = np.arange(len(chosen))
     column = position[entries.column]
-    kept = column >= 0
-    return Entries(entries.value[kept], entries.row[kept], column[kept])
+    is_column = column >= 0
+    return Entries(entries.value[is_column], entries.row[is_column], column[is_column])
 
 
 def _hanging_together(

@@ -1,9 +1,10 @@
 """The least and the largest force on the top of a box at rest that balance and friction allow.
 
-Statics does not say how a box on three supports shares its load, and the answer of a simulation depends on how stiff
-its contacts are. Here the forces at all points where boxes touch (petmjx.analysis.plan_contacts) are unknown. They
-press, friction is at most μ times the pressure, and force and moment on every box are zero. Two linear programmes per
-box give the least and the largest force on its top. They are left out where the force is determined without them.
+Statics does not determine the shares of three supports in a load, and the answer of a simulation depends on the
+stiffness of its contacts. Here the forces at all points where boxes touch (petmjx.analysis.plan_contacts) are unknown.
+Forces press, friction is at most μ times the pressure, and force and moment on every box are zero. Two linear
+programmes per box give the least and the largest force on its top. Boxes are left out if statics determines the force
+on them.
 
 Friction is bounded by the pyramid around the cone, |f₁|, |f₂| ≤ μ f, so that the interval holds all forces that the
 cone allows. (The criteria ask whether forces exist, and use the pyramid inside the cone.)
@@ -29,7 +30,7 @@ _EDGES: Final = np.array([[1, 1], [1, -1], [-1, 1], [-1, -1]])
 
 
 def need_scipy() -> None:
-    """Check that intervals can be computed, before a run that asks for them.
+    """Check that intervals can be computed, before a run with intervals.
 
     Raises:
         InputError: SciPy is missing.
@@ -47,8 +48,8 @@ def intervals_at_rest(scene: Scene, physics: Physics, boxes: BoxMetrics) -> Floa
 
 
 def force_intervals(scene: Scene, physics: Physics, pos: FloatArray, quat: FloatArray) -> FloatArray:
-    """(n, 2) least and largest force on the top of each box, N. NaN if no forces balance the boxes that hang together
-    with it, or if the solver finds none.
+    """(n, 2) least and largest force on the top of each box, N. NaN if no forces balance the boxes connected to it, or
+    if the solver finds none.
 
     Args:
         scene: sizes, masses, friction, and the carrier at its planned place.
@@ -66,8 +67,8 @@ def force_intervals(scene: Scene, physics: Physics, pos: FloatArray, quat: Float
 
 
 def _without_programme(touching: TouchPoints, weight: FloatArray) -> FloatArray:
-    """(n, 2) intervals that need no linear programme: 0 if nothing lies on a box, and the weight of the boxes that rest
-    on this box alone. NaN for all others."""
+    """(n, 2) intervals that need no linear programme: 0 for a free top, else the weight of the boxes if they rest on
+    this box alone. NaN for all other boxes."""
     n_boxes = len(weight)
     intervals = np.full((n_boxes, 2), np.nan)
     ends = np.stack([touching.first, touching.second])
@@ -106,7 +107,7 @@ def _of_part(
     """(b, 2) the intervals of boxes that hang together, in mean weights.
 
     Args:
-        known: (b, 2) intervals that are already known; NaN for the others.
+        known: (b, 2) intervals without a linear programme; NaN for the others.
     """
     place = np.full(len(weight) + 1, CARRIER)  # CARRIER indexes the last entry
     place[boxes] = np.arange(len(boxes))

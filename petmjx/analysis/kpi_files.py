@@ -28,19 +28,19 @@ _SUMMED: Final = ("plans", "orders", "ordered_boxes", "rating", "rating_by_verdi
 
 
 def check_kpis_free(folder: Path, overwrite: bool, *, xlsx: bool = False, inputs: Iterable[Path] = ()) -> None:
-    """Check that :func:`write_kpis` may write into a folder; ``inputs`` are files that are read. Raises InputError as
+    """Check that :func:`write_kpis` may write into a folder; ``inputs`` are the files to be read. Raises InputError as
     ``petmjx.results.documented_tables.check_tables_free``.
     """
-    others: dict[str, IsOurs] = {"summary.json": lambda file: has_keys(file, (*_SUMMED, "means", "skipped"))}
+    extra_files: dict[str, IsOurs] = {"summary.json": lambda file: has_keys(file, (*_SUMMED, "means", "skipped"))}
     if xlsx:
-        others["kpis.xlsx"] = _is_our_workbook
-    check_tables_free(folder, ("kpis",), overwrite=overwrite, inputs=inputs, others=others)
+        extra_files["kpis.xlsx"] = _is_our_workbook
+    check_tables_free(folder, ("kpis",), overwrite=overwrite, inputs=inputs, others=extra_files)
 
 
 def write_kpis(kpis: Kpis, folder: str | Path, *, xlsx: bool = False, overwrite: bool = False) -> None:
     """Write ``kpis.parquet``, ``kpis.csv`` and ``summary.json``, and with ``xlsx`` also ``kpis.xlsx``, into a folder.
 
-    All files are written or none. The folder is made if it does not exist.
+    All files are written or none. The folder is made if missing.
 
     Args:
         overwrite: files that petmjx wrote there before may be replaced.

@@ -27,7 +27,7 @@ MOST_SHIFT_Z_M: Final = 0.01
 
 @dataclass(frozen=True)
 class Stability:
-    """Whether plans stand, by plan id. Plans for which this is not known are left out.
+    """Whether plans stand, by plan id. Plans with unknown stability are left out.
 
     Attributes:
         verdicts: petmjx's verdict in words.
@@ -62,7 +62,7 @@ def read_stability(folders: Sequence[Path], plans: Collection[Plan]) -> Stabilit
     """
     if not folders:
         command = "petmjx score PLANS --check static --out DIR, then --run DIR"
-        return Stability(notes=(f"no run was given, so it is not known which plans stand: {command}",))
+        return Stability(notes=(f"no run was given, so the standing plans are unknown: {command}",))
     runs = [load_run(folder) for folder in folders]
     for run in runs:
         _check_same(run, plans)
@@ -77,7 +77,7 @@ def read_stability(folders: Sequence[Path], plans: Collection[Plan]) -> Stabilit
     invalid = Verdict.INVALID.value
     stable = {name: verdict == Verdict.STABLE.value for name, verdict in verdicts.items() if verdict != invalid}
     if static is not None and not static.keeps_boxes:
-        notes.append(f"{static.path}: kept no boxes, which BED-BPP's rule is about")
+        notes.append(f"{static.path}: has no table of boxes, which BED-BPP's rule needs")
     return Stability(verdicts, stable, {} if static is None else _by_their_rule(static), tuple(notes))
 
 
@@ -94,9 +94,7 @@ def _check_same(run: RunResults, plans: Iterable[Plan]) -> None:
         plans = [with_articles(plan, articles) for plan in plans]
     for plan in plans:
         if digests.get(plan.plan_id, digest := plan_digest(plan)) != digest:
-            raise InputError(
-                f"{run.path}: plan {printable_name(plan.plan_id)} differs from the one that was simulated there"
-            )
+            raise InputError(f"{run.path}: plan {printable_name(plan.plan_id)} differs from the simulated one")
 
 
 def _verdicts(run: RunResults) -> dict[str, str]:

@@ -1,8 +1,8 @@
 """Writes a submission to BED-BPP's leaderboard: checks its name and its plans.
 
 The name is ``{DATE}_{SURNAME}_{ALGORITHM}_{TASK}.json``. The tasks are those of the leaderboard's page
-(floriankagerer.github.io/leaderboard): all items are known (offline), they come one after the other (O3DBP), or p are
-known and one of the next s is taken (O3DBP-p-s).
+(floriankagerer.github.io/leaderboard): all items are known (offline), they come one after the other (O3DBP), or p items
+are known and the packer takes one of the next s (O3DBP-p-s).
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ class Submission:
 
     Attributes:
         date: ISO 8601.
-        task: as it was given.
+        task: name of the task in the file.
         choice: number of next items from which the packer may choose; None: all items.
     """
 
@@ -105,7 +105,7 @@ def write_submission(
 
     Raises:
         InputError: the name is not valid; a plan, an order or an item is missing or superfluous; or the file cannot
-            be written. Nothing is written then.
+            be written. On an error nothing is written.
     """
     submission = parse_name(name)
     faults = [f"{count_text(unusable, 'plan or order', 'plans or orders')} cannot be used"] if unusable else []
@@ -120,9 +120,9 @@ def write_submission(
         faults += [f"plan {printable_name(plan_id)}{fault}" for fault in plan_faults]
         written.append((plan_id, placements))
     if faults:
-        more = f"; {len(faults) - _MOST_FAULTS:,} more" if len(faults) > _MOST_FAULTS else ""
-        named = "; ".join(faults[:_MOST_FAULTS])
-        raise InputError(f"no submission, {count_text(len(faults), 'fault')}: {named}{more}")
+        more_text = f"; {len(faults) - _MOST_FAULTS:,} more" if len(faults) > _MOST_FAULTS else ""
+        fault_text = "; ".join(faults[:_MOST_FAULTS])
+        raise InputError(f"no submission, {count_text(len(faults), 'fault')}: {fault_text}{more_text}")
     in_order = {order_id: rank for rank, order_id in enumerate(orders)}
     written.sort(key=lambda pair: in_order[pair[0]])
     file = folder / submission.file_name
@@ -135,7 +135,8 @@ def write_submission(
 
 
 def _faults(plan: Plan, placements: Sequence[Placement], order: Order, choice: int | None) -> Iterator[str]:
-    """The faults that keep a plan from being submitted. Also assigns to each placement its item of the order."""
+    """The faults that keep a plan from being submitted. The function also assigns to each placement its item of the
+    order."""
     _name(plan, placements, order)
     has_ids = any(plan.item_ids)
     free: dict[tuple[str, str], list[int]] = defaultdict(list)
@@ -145,19 +146,19 @@ def _faults(plan: Plan, placements: Sequence[Placement], order: Order, choice: i
     indices = []
     for box, placement in enumerate(placements):
         item = placement["item"]
-        same = free.get((item["id"], item["article"]))
-        if not same:
-            again = "is there more often than it was ordered" if same is not None else "was not ordered"
+        same_items = free.get((item["id"], item["article"]))
+        if not same_items:
+            fault = "occurs more often than it was ordered" if same_items is not None else "was not ordered"
             name = (
                 f" {printable_name(item['article'])} ({printable_name(item['id'])})"
                 if item["article"] or item["id"]
                 else ""
             )
-            yield f", box {box}: item{name} {again}"
+            yield f", box {box}: item{name} {fault}"
             continue
-        by_number = [index for index in same if order.numbers[index] == item["sequence"]]
-        index = (by_number or same)[0]
-        same.remove(index)
+        by_number = [index for index in same_items if order.numbers[index] == item["sequence"]]
+        index = (by_number or same_items)[0]
+        same_items.remove(index)
         indices.append(index)
         ordered = order.items[index]
         measures = (item["length/mm"], item["width/mm"], item["height/mm"], item["weight/kg"])

@@ -1,16 +1,16 @@
 """BED-BPP's KPIs of plans, and the leaderboard's rating: ``petmjx.kpis``.
 
-The definitions are those of bed-bpp-env (e7459bf), ``evaluation/packing_plan_evaluator.py``. docs/kpis.md has them, and
-says which columns are petmjx's own. ``COLUMNS`` lists the columns of the table.
+The definitions are those of bed-bpp-env (e7459bf), ``evaluation/packing_plan_evaluator.py``. docs/kpis.md lists them,
+with the columns that are petmjx's own. ``COLUMNS`` lists the columns of the table.
 
 ``direct_support`` counts support as BED-BPP's evaluator does (bed-bpp-env e7459bf, ``environment/space_3d.py`` and
 ``environment/cuboid.py``). For each square millimetre of the target the evaluator keeps the box that was placed there
-last, and how high it reaches. A box lies on every box that is last somewhere under it and whose top is at most 5 mm
-below its bottom, or higher. Its support is the sum of the areas that it shares with these boxes, as a share of its
-base. A box without such boxes counts as standing on the target, with support 1. This has three consequences: where two
-supporters overlap, their common area counts twice; a box that is pushed in under another box supports it; and a
-floating box stands on the target. In plans without overlapping and floating boxes the support is the share of the base
-that lies on something.
+last, and how high it reaches. A box lies on every box that is the highest somewhere under it, if the top of that box is
+at most 5 mm below its bottom, or higher. The support of a box is the sum of the common areas with these boxes, as a
+share of its base. A box without such boxes counts as standing on the target, with support 1. This has three
+consequences: where two supporters overlap, their common area counts twice; a box that is pushed in under another box
+supports it; and a floating box stands on the target. In plans without overlapping and floating boxes the support is the
+share of the base that lies on something.
 """
 
 from __future__ import annotations
@@ -44,7 +44,8 @@ from petmjx.results.plan_lookup import plans_in_place
 
 
 class KpiColumn(NamedTuple):
-    """One column of the table. ``pandas`` is its type in a data frame. ``missing`` says whether it may have nulls."""
+    """One column of the table. ``pandas`` is its type in a data frame. ``missing``: whether the column may have
+    nulls."""
 
     name: str
     pandas: str
@@ -71,9 +72,7 @@ COLUMNS: Final = (
     KpiColumn(
         "kpi_5", "float64", "1", "share of the upper boxes that hold the pile together; null where there are none"
     ),
-    KpiColumn(
-        "kpi_6", "Int64", "1", "1: no box moved by more than 0.01 m along z in the static check; null: not known"
-    ),
+    KpiColumn("kpi_6", "Int64", "1", "1: no box moved by more than 0.01 m along z in the static check; null: unknown"),
     KpiColumn(
         "eval_score_pal_ratio", "Float64", "1", "kpi_6 × share of the ordered boxes that begin at or below 2.0 m"
     ),
@@ -95,7 +94,7 @@ COLUMNS: Final = (
         "utilisation_2m", "float64", "1", "volume of boxes that end at or below 2.0 m / (area of the target × 2.0 m)"
     ),
     _text("verdict", "petmjx's verdict; null: not known"),
-    KpiColumn("stable", "Int64", "1", "1: the verdict is stable; null: not known, or invalid"),
+    KpiColumn("stable", "Int64", "1", "1: the verdict is stable; null: unknown, or invalid"),
     KpiColumn("stable_pal_ratio", "Float64", "1", "stable × share of the ordered boxes that begin at or below 2.0 m"),
     KpiColumn("n_stable_pal_items", "Int64", "1", "stable × ordered boxes that begin at or below 2.0 m"),
 )
@@ -124,8 +123,8 @@ class Support(NamedTuple):
 def direct_support(corner_mm: FloatArray, size_mm: FloatArray, extent_mm: tuple[float, float]) -> Support:
     """Support of the boxes of one plan.
 
-    BED-BPP's map has a cell for each square millimetre. Here cells reach from one box edge to the next, so that a whole
-    cell is under the same boxes.
+    BED-BPP's map has a cell for each square millimetre. Here cells reach from one box edge to the next, so that all
+    points of a cell are under the same boxes.
 
     Args:
         corner_mm, size_mm: (n, 3) corners and sizes of the boxes as they stand, mm, in packing order.
@@ -167,7 +166,7 @@ def _cells(low: FloatArray, high: FloatArray, extent: float) -> _Cells:
 
 
 SCORED_HEIGHT_MM: Final = 2_000.0
-"""Boxes whose bottom is above this height do not count for the leaderboard."""
+"""Boxes with a bottom above this height do not count for the leaderboard."""
 
 _EDGE_MM: Final = 1.0
 """BED-BPP's evaluator reads the height of the pile this much too low, since it takes the last whole millimetre of a
@@ -184,8 +183,8 @@ class Kpis:
         plans: one row per plan, with the columns of ``petmjx.analysis.kpis.COLUMNS``. Missing values are null.
         summary: values over all plans: ``plans``, ``orders``, ``ordered_boxes``; ``means`` of the columns; the
             leaderboard's rating ``rating`` (by ``kpi_6``), ``rating_by_verdict`` and ``rating_if_all_stood``; None if
-            stability is not known.
-        notes: lines on everything that was left out or is not known.
+            stability is unknown.
+        notes: lines on missing and unknown values.
         skipped: lines on unusable plans and orders.
         plans_by_id: the plans, by id.
         orders: the orders, by id.
@@ -225,9 +224,9 @@ def kpis(
     Args:
         plans: as for ``petmjx.score``.
         orders: file of orders, BED-BPP's or of any other form. An order belongs to the plan with its id.
-        run: folders of runs of these plans. The verdicts are those of the first one; ``kpi_6`` is BED-BPP's rule on the
-            first one with check ``static``.
-        assume_stable: take all plans as stable: ``kpi_6`` is 1. Only without runs.
+        run: folders of runs in which these plans were simulated. The first run has the verdicts; ``kpi_6`` is BED-BPP's
+            rule on the first run with check ``static``.
+        assume_stable: all plans count as stable: ``kpi_6`` is 1. Only without runs.
         strict: raise at the first unusable plan or order, instead of leaving it out.
 
     Raises:
@@ -265,7 +264,7 @@ def kpis_of(plan: Plan, order: Order, matching: Matching | None = None) -> dict[
     """The columns of one plan that do not depend on its stability.
 
     Args:
-        matching: the matching of its boxes with the order, if it is already known.
+        matching: the matching of its boxes with the order, if already known.
     """
     matching = matching or match(plan, order)
     ordered = counts_of(matching)
@@ -298,7 +297,7 @@ def kpis_of(plan: Plan, order: Order, matching: Matching | None = None) -> dict[
 
 def _interlocked_share(plan: Plan, n_below: np.ndarray[Any, np.dtype[np.int64]]) -> float | None:
     """Share of the boxes above the target that lie on several boxes, or that lie on one box and are turned differently
-    from the first box of the plan. None if all boxes are on the target."""
+    from the first box of the plan. None if all boxes stand on the target."""
     turned = plan.turned != plan.turned[0]
     n_above = int(np.count_nonzero(n_below))
     held = (n_below > 1) | ((n_below == 1) & turned)
@@ -375,7 +374,7 @@ def _odd_boxes(
 
 
 def _unknown(frame: pd.DataFrame, stability: Stability) -> list[str]:
-    """Lines on plans whose stability is not known although the run has that of other plans."""
+    """Lines on plans of unknown stability in a run that has the stability of other plans."""
     notes = []
     for column, known in (("kpi_6", stability.their_rule), ("stable", stability.stable)):
         missing = frame.loc[frame[column].isna(), "plan_id"].tolist()

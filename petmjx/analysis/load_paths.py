@@ -1,10 +1,10 @@
 """Criteria that pass loads down a stack, and load-bearable convex polygons.
 
-**Polygons** say where the top of a box can be loaded without anything below giving way. Source: Gao, Wang, Kong, Chong
-(2025), "Online 3D Bin Packing with Fast Stability Validation and Stable Rearrangement Planning", arXiv 2507.09123. A
-box on the carrier can be loaded anywhere on its top. The polygon of any other box is the hull of its contact areas, as
-far as these lie in the polygons of the boxes below. The box stands if its centre is in its own polygon. Then no later
-box can tip it, so loads need not be known. The paper also allows for an uncertain centre of mass; here boxes are of
+**Polygons** are the areas in which the top of a box can be loaded without a fall of a box below. Source: Gao, Wang,
+Kong, Chong (2025), "Online 3D Bin Packing with Fast Stability Validation and Stable Rearrangement Planning", arXiv
+2507.09123. A box on the carrier can be loaded anywhere on its top. The polygon of any other box is the hull of its
+contact areas, limited to the polygons of the boxes below. The box stands if its centre is in its own polygon. Then no
+later box can tip it, so loads do not matter. The paper also allows for an uncertain centre of mass; here boxes are of
 uniform density.
 
 **Criteria that pass loads down** ask whether the resultant of a box's weight and of the loads above stays over its
@@ -14,18 +14,18 @@ a box shares its load among its supports:
 - **lever rule** (the stacking tree): each support gets a force at the middle of its contact area. Two supports share by
   the lever rule. More supports get the forces of least squares that balance force and moments. Source: Zhao, Zhu, Xu,
   Huang, Xu (2022), "Learning practically feasible policies for online 3D bin packing", Science China Information
-  Sciences 65, arXiv 2108.13680. A load beyond the middle of the last support lifts the other supports, as levers do.
-- **even bedding** (mechanical equilibrium): the pressure on the contact areas varies linearly. This balances force and
-  moments exactly and gives one answer for any number of supports. Source of the criterion: Ramos, Oliveira, Gonçalves,
-  Lopes (2016), "A container loading algorithm with static mechanical equilibrium stability constraints", Transportation
-  Research Part B 91, 565-581. Force and moment balance alone do not say how more than two supports share; the bedding
-  is ours. (Public re-implementations let each box directly above press with its whole weight, and pass nothing
-  further.)
+  Sciences 65, arXiv 2108.13680. As on a lever, a load beyond the middle of the last support lifts the other supports. -
+  **even bedding** (mechanical equilibrium): the pressure on the contact areas varies linearly. The linear pressure
+  balances force and moments exactly and gives one answer for any number of supports. Source of the criterion: Ramos,
+  Oliveira, Gonçalves, Lopes (2016), "A container loading algorithm with static mechanical equilibrium stability
+  constraints", Transportation Research Part B 91, 565-581. Force and moment balance alone do not determine the shares
+  of three and more supports; the bedding is petmjx's choice. (Public re-implementations let each box directly above
+  press with its whole weight, and pass nothing further.)
 
-Both rules are linear in the load. So the weight of each box is passed down alone, and the load on a box after any
+Both rules are linear in the load. So the weight of each box is passed down separately, and the load on a box after any
 placement is a sum over the boxes placed so far. Supports cannot pull, however. Where an even bedding would pull, the
 supports push with the least energy of their springs (petmjx.world.load_sharing). Where a resultant of the bedding lies
-beyond an edge, a linear programme says whether other forces keep all resultants inside
+beyond an edge, a linear programme decides whether other forces keep all resultants inside
 (petmjx.world.balance_programme).
 """
 
@@ -52,7 +52,7 @@ def load_polygon_slack(contacts: PlanContacts) -> FloatArray:
 
 
 def load_polygons(contacts: PlanContacts) -> NDArray[np.object_]:
-    """(n,) the polygons as shapely's; empty for a box that lies on nothing that bears.
+    """(n,) shapely polygons; empty for a box without a bearing support.
 
     Boxes are processed level by level: all boxes at once whose supports already have polygons.
     """
@@ -129,8 +129,8 @@ def load_slack(
 ) -> FloatArray:
     """(n,) distance of resultants from the edges of the contact hulls after each box's placement, mm, positive inside.
 
-    It is the least distance over the box and all boxes that bear part of its weight. NaN if one of these boxes lies on
-    nothing, or is lifted.
+    The value is the least distance over the box and all boxes that bear part of its weight. NaN if one of these boxes
+    has no support, or is lifted.
 
     Args:
         pushed: the loads if supports only push, where the sharing would pull.
@@ -156,8 +156,7 @@ def strength_slack(contacts: PlanContacts, strength_n: FloatArray | None, sharin
     weight. NaN if the box lies on nothing.
 
     Args:
-        strength_n: (n,) strength of the top of a box, N. NaN, or None for all boxes, means that it is not known: no
-            load is then too much.
+        strength_n: (n,) strength of the top of a box, N. NaN, or None for all boxes: unknown, and no load is too large.
     """
     slack = np.where(contacts.n_supports > 0, 1.0, np.nan)
     if strength_n is None:
@@ -210,7 +209,7 @@ def bearing_of(contacts: PlanContacts) -> Bearing:
 
 
 def _pulls(contacts: PlanContacts, built: BuildingLoads) -> bool:
-    """Whether an even bedding would pull after some placement. Its loads then differ from those of supports that only
+    """Whether an even bedding would pull after some placement. The loads then differ from those of supports that only
     push."""
     linear = _loads_on_boxes(contacts, even_bedding).cumsum(axis=1)[built.box, built.step]
     pushed = built.load * (1.0, MM_PER_M, MM_PER_M)
@@ -218,7 +217,7 @@ def _pulls(contacts: PlanContacts, built: BuildingLoads) -> bool:
 
 
 def lever_rule(contacts: PlanContacts) -> FloatArray:
-    """(c, 3, 3): a force at the middle of each contact area."""
+    """(c, 3, 3) matrix of a force at the middle of each contact area."""
     upper, n = contacts.upper, contacts.n_boxes
     middle = (contacts.low_mm + contacts.high_mm) / 2
     count = np.maximum(contacts.n_supports, 1)
@@ -260,7 +259,7 @@ def _area_moments(low: FloatArray, high: FloatArray) -> FloatArray:
 
 
 def _sums(values: FloatArray, owner: IntArray, n: int) -> FloatArray:
-    """(n, …) sums of the values of each owner."""
+    """(n, …) sums of the values of the same owner."""
     sums = np.zeros((n, *values.shape[1:]))
     np.add.at(sums, owner, values)
     return sums

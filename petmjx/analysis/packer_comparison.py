@@ -1,8 +1,8 @@
-"""Compares packers by runs of their plans: whose plans stand more often, by how much, and how sure that is.
+"""Compares packers by runs of their plans: whose plans stand more often, by how much, and with which confidence.
 
 Orders are paired, since each order is packed by every packer. The comparison takes the orders that have a valid verdict
 from every packer. Orders without a plan and invalid worlds are counted separately. ``share_at_worst`` is the share if
-they counted as plans that do not stand.
+such orders counted as plans that fall.
 """
 
 from __future__ import annotations
@@ -62,12 +62,12 @@ def pair_in_words(row: Mapping[str, Any], confidence: float, pairs: int) -> str:
     if row["difference"] == 0:
         equal = f"Plans of {printable_name(row['a'])} and {printable_name(row['b'])} stand equally often on {orders}"
         return f"{equal}; a difference of {low} to {high} percentage points is possible ({level}; {test})."
-    more = f"lans of {printable_name(better)} stand more often than plans of {printable_name(worse)}"
+    comparison_text = f"lans of {printable_name(better)} stand more often than plans of {printable_name(worse)}"
     points = f"{100 * abs(row['difference']):.2f} percentage points"
     sure = f"({level} {low} to {high}; {test})"
     if row["p_holm"] <= 1 - confidence:
-        return f"P{more}: by {points} on {orders} {sure}."
-    return f"On these {orders} p{more}, by {points}, but that may be luck {sure}."
+        return f"P{comparison_text}: by {points} on {orders} {sure}."
+    return f"On these {orders} p{comparison_text}, by {points}, but that may be luck {sure}."
 
 
 SIZE_BINS: Final = (0, 20, 40, 60, 80)
@@ -118,7 +118,8 @@ class PackerComparison:
             sizes are for inspection, not for tests, and have null); of chains also
             ``p_gain``, the mean over orders of ``p_arrives`` of b − that of a, with its interval ``p_gain_low``,
             ``p_gain_high``.
-        reasons: for each two packers, the number ``n`` of orders that ``lost_by`` loses for a ``reason`` why its plan
+        reasons: for each two packers, the number ``n`` of orders that ``lost_by`` loses for each ``reason`` for which
+            its plan
             does not stand: ``a``, ``b``, ``lost_by``, ``reason``, ``n``.
         decided: orders that stand with only one of two packers: ``plan_id``, ``a``, ``b``, ``won_by``, ``lost_by``,
             ``reason``, ``order_boxes``.
@@ -142,8 +143,8 @@ class PackerComparison:
 
     @property
     def sentences(self) -> tuple[str, ...]:
-        """For each two packers, one sentence: who stands more often, by how much, and how sure that is. Empty if no
-        order is compared."""
+        """For each pair of packers, one sentence: whose plans stand more often, by how much, and with which confidence.
+        Empty if no order is compared."""
         rows = self.pairs[(self.pairs["size"] == ALL_SIZES) & (self.pairs["n"] > 0)]
         return tuple(pair_in_words(row, self.confidence, len(rows)) for row in rows.to_dict("records"))
 
@@ -173,8 +174,8 @@ def compare_packers(
     Args:
         runs: two or more runs or their folders, or packer → run. Without names, packers are named after the folders.
         confidence: confidence of the intervals.
-        orders: file of the plans' orders, in any form. The plans are then read again, boxes are counted against them,
-            KPIs are added, and an order that nobody packed counts as missing for all packers.
+        orders: file of the plans' orders, in any form. The plans are then read again, boxes are compared with the
+            orders, KPIs are added, and an order without any plan counts as missing for all packers.
 
     Raises:
         InputError: fewer than two runs, a folder without a run, a sweep, two runs with one name, unreadable orders; or
@@ -191,7 +192,7 @@ def comparison_of(
     """The comparison of packers by open runs. A single packer has no pairs.
 
     Args:
-        articles: a table of articles, for properties that the orders do not give; None: the one that all runs name.
+        articles: a table of articles, for properties without a value in the orders; None: the table that all runs name.
 
     Raises:
         InputError: unreadable orders, or SciPy is missing.
@@ -225,7 +226,7 @@ def comparison_of(
 
 
 def _with_kpis(plans: pd.DataFrame, kpis: pd.DataFrame) -> pd.DataFrame:
-    """The plans with the columns ``KPIS``. kpi_2 is relative to the order's target, if that is known."""
+    """The plans with the columns ``KPIS``. kpi_2 is relative to the order's target, if known."""
     kpis = kpis[["plan_id", "packer", *KPIS]]
     merged = plans.drop(columns="kpi_2").merge(kpis, on=["plan_id", "packer"], how="left", validate="one_to_one")
     return merged.assign(kpi_2=merged["kpi_2"].combine_first(plans["kpi_2"]))
@@ -283,16 +284,16 @@ def _pair_row(size: str, a: str, b: str, rows: pd.DataFrame, confidence: float) 
 
 
 def _mean_interval(values: pd.Series, confidence: float) -> tuple[float, float, float]:
-    """The mean of values of orders, and Student's interval of it. Orders differ more than chance moves each of their
-    values, and the spread between them has both. NaN for fewer than two orders, and for orders that are all alike: then
-    the spread tells nothing."""
-    known = values.dropna()
-    mean, n = float(known.mean()), len(known)
-    if n < 2 or known.std() == 0:
+    """The mean of values of orders, and its Student interval. The spread between orders contains both the differences
+    between orders and the chance in each value. NaN for fewer than two orders, and for orders with equal values: these
+    have no spread."""
+    valid_values = values.dropna()
+    mean, n = float(valid_values.mean()), len(valid_values)
+    if n < 2 or valid_values.std() == 0:
         return mean, float("nan"), float("nan")
     from scipy.stats import t
 
-    half = float(t.ppf(0.5 + confidence / 2, n - 1) * known.std() / np.sqrt(n))
+    half = float(t.ppf(0.5 + confidence / 2, n - 1) * valid_values.std() / np.sqrt(n))
     return mean, mean - half, mean + half
 
 

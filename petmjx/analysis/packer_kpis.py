@@ -22,8 +22,8 @@ from petmjx.results.run_manifest import Manifest
 from petmjx.results.run_reader import RunResults
 
 KPIS: Final = ("kpi_1", "kpi_2", "kpi_4", "kpi_5", "utilisation_2m")
-"""Columns whose means are shown. kpi_3 is left out since the height is known without orders, and kpi_6 since it needs a
-static check."""
+"""Columns whose means are shown. kpi_3 is left out since the height needs no orders, and kpi_6 since it needs a static
+check."""
 
 GOODS: Final = ("left_out", "not_ordered", "resized", "as_ordered")
 """Columns with numbers of boxes: those of :class:`petmjx.plans.order_matching.PlanOrderCounts`, and the boxes that are
@@ -39,7 +39,7 @@ class OrderComparison:
         rows: a row for each plan with an order: ``plan_id``, ``packer``, ``GOODS`` and ``KPIS`` (float64; null if a KPI
             has no value).
         notes: lines on each packer's boxes that were not ordered, on plans without an order, on plans that were not
-            read again, on orders that nobody packed, and on unusable orders.
+            read again, on orders without any plan, and on unusable orders.
     """
 
     sizes: Mapping[str, int]
@@ -53,7 +53,7 @@ def against_orders(runs: Mapping[str, RunResults], file: Path, articles: Path | 
     Args:
         runs: name of each packer → its run.
         file: orders, BED-BPP's or of any other form. An order belongs to the plans with its id.
-        articles: a table of articles, for properties that the orders do not give; None: the one that all runs name.
+        articles: a table of articles, for properties without a value in the orders; None: the table that all runs name.
 
     Raises:
         InputError: a file cannot be read.
@@ -125,14 +125,14 @@ def compare_with_orders(plans: Mapping[str, Mapping[str, Plan]], orders: Mapping
 
 
 def _articles_of(runs: Mapping[str, RunResults]) -> Articles | None:
-    """The table of articles that all runs name, if they were scored with the same; else None."""
-    named = {how_read(run.info).articles for run in runs.values()}
-    file = named.pop() if len(named) == 1 else None
+    """The table of articles of all runs if they used the same; else None."""
+    article_files = {how_read(run.info).articles for run in runs.values()}
+    file = article_files.pop() if len(article_files) == 1 else None
     return read_articles(file) if file is not None and file.is_file() else None
 
 
 def _plans_of(run: RunResults, orders: Mapping[str, Order]) -> Mapping[str, Plan]:
-    """The plans of a run with an order, as far as they are found again."""
+    """The plans of a run with an order, if they are found again."""
     records = Manifest.read(run.parts, run.info).plans
     plan_ids = [plan_id for plan_id in dict.fromkeys(run.worlds["plan_id"]) if plan_id in orders]
     return find_plans(run, records, plan_ids).plans

@@ -1,9 +1,9 @@
 """A rating of packers by physics: the share of ordered boxes that lie on plans that stand.
 
-It has the form of BED-BPP's rating (docs/kpis.md), with the verdict of the simulation. A plan that does not stand
-counts nothing. An order without a plan or with an invalid world counts nothing, nor does a box that was left out. So
-neither daring nor timid plans win. A box counts once, if it was ordered and has the order's size and mass. With orders
-given, a packer's rating depends only on its own plans and the orders.
+The rating has the form of BED-BPP's rating (docs/kpis.md), with the verdict of the simulation. A plan that does not
+stand adds nothing. An order without a plan or with an invalid world adds nothing, nor does a box that was left out.
+So neither daring nor timid plans win. A box counts once, if it was ordered and has the order's size and mass. With
+orders, a packer's rating depends only on its own plans and the orders.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from petmjx.results.share_intervals import wilson_interval
 
 
 def rate(comparison: PackerComparison) -> pd.DataFrame:
-    """The rating of each packer, the best first, as :func:`ratings` returns it."""
+    """The rating of each packer, the best first, in the form of :func:`ratings`."""
     return ratings(comparison.plans, list(comparison.runs), comparison.confidence)
 
 

@@ -22,7 +22,7 @@ LONGEST_NAME: Final = 200
 """Most bytes of a packer's name. File systems allow 255 for the name of a folder."""
 
 MISSING: Final = "missing"
-"""``verdict`` of an order for which a packer has no plan."""
+"""``verdict`` for an order without a plan of a packer."""
 
 MEASURES: Final[Mapping[str, str]] = {
     "boxes": "boxes placed",
@@ -31,11 +31,11 @@ MEASURES: Final[Mapping[str, str]] = {
     "height_m": "height, m",
     "kpi_2": "kpi_2, volume over area × height",
 }
-"""Column of a plan → its heading. The means of these columns are shown next to the shares. To add a column, add a line
+"""Column of a plan → its heading. The means of these columns stand next to the shares. To add a column, add a line
 here and a column in :func:`plans_of`."""
 
 ARRIVES: Final = "p_arrives"
-"""Column of plans that were taken through a chain: the share of their worlds that arrive."""
+"""Column of plans in chains: the share of their worlds that arrive."""
 
 Run = RunResults | str | Path
 
@@ -48,12 +48,16 @@ def runs_by_packer(runs: Sequence[Run] | Mapping[str, Run]) -> dict[str, RunResu
     """
     if isinstance(runs, str | Path | RunResults):
         runs = [runs]  # a text is a sequence, too, of its letters
-    named = runs if isinstance(runs, Mapping) else None
-    sources: list[Any] = list(named.values()) if named else list_of(runs, "runs", object, "runs or folders")
+    runs_by_name = runs if isinstance(runs, Mapping) else None
+    sources: list[Any] = (
+        list(runs_by_name.values()) if runs_by_name else list_of(runs, "runs", object, "runs or folders")
+    )
     loaded_runs = [run if isinstance(run, RunResults) else load_run(run) for run in sources]
     if len(loaded_runs) < 2:
         raise InputError("give at least two runs to compare")
-    names = [text_of(name, "runs") for name in named] if named else _names([run.path for run in loaded_runs])
+    names = (
+        [text_of(name, "runs") for name in runs_by_name] if runs_by_name else _names([run.path for run in loaded_runs])
+    )
     for name in names:
         if not name or not name.isprintable():
             raise InputError(f"runs: a name must be text that can be printed, got {printable_name(name)!r}")
@@ -90,12 +94,11 @@ def check_names(names: Iterable[str]) -> None:
 
 
 def plans_of(runs: Mapping[str, RunResults], against: OrderComparison | None = None) -> pd.DataFrame:
-    """A row for each order and packer, sorted. The orders are those given, and those for which any packer has a plan.
+    """A row for each order and packer, sorted. The orders are those of the caller, and all with a plan of any packer.
 
     Args:
-        against: the comparison of the plans with the orders given. None: no orders are given; the orders that the runs
-            were compared with are taken. If no run was compared with orders, an order has as many boxes as its largest
-            plan.
+        against: the comparison of the plans with the caller's orders. None: without the caller's orders, the orders of
+            the runs count. If no run was compared with orders, an order has as many boxes as its largest plan.
 
     Returns:
         ``plan_id``, ``packer``, ``order_boxes`` of the order, ``verdict`` (also ``missing``), ``reason``, ``margin``,
@@ -115,8 +118,8 @@ def plans_of(runs: Mapping[str, RunResults], against: OrderComparison | None = N
     table["order_boxes"] = by_order["ordered_boxes"].transform("max").fillna(by_order["boxes"].transform("max"))
     if against is None or sizes is None:
         table["listed"] = True
-        known = table["ordered_boxes"] - table["left_out"] - table["resized"].fillna(0)
-        table["as_ordered"] = known.fillna(table["boxes"]).clip(upper=table["order_boxes"])
+        n_as_ordered = table["ordered_boxes"] - table["left_out"] - table["resized"].fillna(0)
+        table["as_ordered"] = n_as_ordered.fillna(table["boxes"]).clip(upper=table["order_boxes"])
     else:
         table["listed"] = table["plan_id"].isin(sizes.keys())
         table["order_boxes"] = table["plan_id"].map(sizes).fillna(table["order_boxes"])
@@ -134,7 +137,7 @@ def plans_of(runs: Mapping[str, RunResults], against: OrderComparison | None = N
 
 
 _OF_PLAN: Final = ("volume_m3", "extent_x_m", "extent_y_m", "height_m", "ordered_boxes", "left_out", "resized")
-"""Columns of the table ``plans`` of a run. Older runs and runs without orders lack some of them."""
+"""Columns of the table ``plans`` of a run. Older runs and runs without orders lack some of these columns."""
 
 
 def _worlds_of(runs: Mapping[str, RunResults]) -> pd.DataFrame:
@@ -149,8 +152,8 @@ def _worlds_of(runs: Mapping[str, RunResults]) -> pd.DataFrame:
     table = joined[0].rename(columns={"n_boxes": "boxes"}).merge(joined[1], on=["packer", "plan_id"], how="left")
     if all(is_chain(run.info) for run in runs.values()):
         shares = [arrivals(run.summary)[["plan_id", "share"]] for run in runs.values() if run.summary is not None]
-        named = pd.concat(shares, keys=list(runs), names=["packer", None]).reset_index("packer")
-        table = table.merge(named.rename(columns={"share": ARRIVES}), on=["packer", "plan_id"], how="left")
+        share_table = pd.concat(shares, keys=list(runs), names=["packer", None]).reset_index("packer")
+        table = table.merge(share_table.rename(columns={"share": ARRIVES}), on=["packer", "plan_id"], how="left")
     return table.astype(dict.fromkeys(("boxes", "margin", *_OF_PLAN), np.float64))
 
 
@@ -161,17 +164,17 @@ def _carrier(runs: Mapping[str, RunResults]) -> Carrier | OwnCarrier:
 
 
 def _target_area_m2(by_order: Any, carrier: Carrier | OwnCarrier) -> FloatArray:
-    """The area of each row's target, the same for all packers of an order.
+    """The area of the target of each row, the same for all packers of an order.
 
-    It is the area of the carrier. With ``footprint`` it is the smallest of BED-BPP's targets on which the plans of all
-    packers fit; if none is large enough, it is the common extent of the plans.
+    This area is that of the carrier. With ``footprint`` it is the smallest of BED-BPP's targets on which the plans of
+    all packers fit; if none is large enough, it is the common extent of the plans.
     """
     x, y = (by_order[f"extent_{axis}_m"].transform("max").to_numpy(np.float64) for axis in "xy")
     area: FloatArray = x * y
-    known = [extent for target in TARGETS if (extent := CARRIER_EXTENT_M[target]) is not None]
+    target_extents = [extent for target in TARGETS if (extent := CARRIER_EXTENT_M[target]) is not None]
     if (carrier_extent := extent_m(carrier)) is not None:
         return np.full(len(area), np.prod(carrier_extent))
-    for length, width in sorted(known, key=lambda extent: -extent[0] * extent[1]):
+    for length, width in sorted(target_extents, key=lambda extent: -extent[0] * extent[1]):
         room = (x <= length + 1e-9) & (y <= width + 1e-9)
         area = np.where(room, length * width, area)
     return area
@@ -181,8 +184,8 @@ def doubts(runs: Mapping[str, RunResults], table: pd.DataFrame) -> list[str]:
     """Reasons to doubt the comparison, one line each."""
     lines = [line for name, run in runs.items() for line in run.doubts(printable_name(name))]
     settings = {name: run.info.get("config", {}).get("simulation") for name, run in runs.items()}
-    first, *others = settings
-    for name in others:
+    first, *other_settings = settings
+    for name in other_settings:
         differing = _different_options(settings[first], settings[name])
         if differing:
             lines.append(
@@ -191,7 +194,7 @@ def doubts(runs: Mapping[str, RunResults], table: pd.DataFrame) -> list[str]:
             )
     if any(is_chain(run.info) for run in runs.values()):
         ways = {name: run.info.get("identity", {}).get("sweep") for name, run in runs.items()}
-        for name in (name for name in others if ways[name] != ways[first]):
+        for name in (name for name in other_settings if ways[name] != ways[first]):
             lines.append(f"{printable_name(name)} was not taken through the same chain as {printable_name(first)}")
     engines = {str(run.info.get("config", {}).get("engine")) for run in runs.values()}
     if len(engines) > 1:
@@ -210,9 +213,9 @@ def doubts(runs: Mapping[str, RunResults], table: pd.DataFrame) -> list[str]:
 def _same_plans(table: pd.DataFrame, names: Sequence[str]) -> list[str]:
     """A line on orders that all packers pack in the same way, if any."""
     compared = table[table["compared"]].groupby("plan_id")["digest"].agg(["nunique", "count"])
-    same = int(((compared["nunique"] == 1) & (compared["count"] == len(names))).sum())
-    verb = "is" if same == 1 else "are"
-    return [f"{count_text(same, 'plan')} of {len(compared):,} {verb} the same in all runs"] if same else []
+    n_same = int(((compared["nunique"] == 1) & (compared["count"] == len(names))).sum())
+    verb = "is" if n_same == 1 else "are"
+    return [f"{count_text(n_same, 'plan')} of {len(compared):,} {verb} the same in all runs"] if n_same else []
 
 
 def _different_options(a: Any, b: Any) -> list[str]:

@@ -68,7 +68,7 @@ DESCRIBED: Final[Described] = {
 
 
 def check_comparison_free(folder: Path, overwrite: bool, inputs: Iterable[Path] = ()) -> None:
-    """Check, before packers are compared, that the tables may be written into a folder; ``inputs`` are files that are
+    """Check, before packers are compared, that the tables may be written into a folder; ``inputs`` are the files to be
     read. Raises InputError as ``petmjx.results.documented_tables.check_tables_free``.
     """
     check_tables_free(folder, TABLES, overwrite=overwrite, inputs=inputs)

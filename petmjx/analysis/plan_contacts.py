@@ -1,8 +1,9 @@
-"""Contacts of boxes: which boxes lie on which rectangles, which touch side by side, and at which points at rest.
+"""Contacts of boxes: the rectangles on which boxes lie, the sides at which they touch, and their contact points at
+rest.
 
 ``find_contacts`` and ``find_sides`` take the places of the plan. ``find_touch_points`` takes the last poses of a world,
-and asks MuJoCo's collider. ``Hulls`` are the convex hulls of the areas on which boxes lie; they tell how far points are
-inside them.
+and asks MuJoCo's collider. ``Hulls`` are the convex hulls of the areas on which boxes lie; they measure how far points
+are inside.
 """
 
 from __future__ import annotations
@@ -24,7 +25,8 @@ from petmjx.world.scene import Scene
 from petmjx.world.supports import LEANS_M, TOUCH_M
 
 ON_EDGE_MM: Final = 1e-6
-"""A point at most this far outside counts as on the edge. It covers rounding errors of float64 sums of millimetres."""
+"""A point at most this far outside counts as on the edge. The distance covers rounding errors of float64 sums of
+millimetres."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -42,7 +44,7 @@ class Hulls:
         hull.
 
         Args:
-            hull: (p,) for each point, the box whose hull is asked.
+            hull: (p,) for each point, the box of the hull.
             point: (p, 2) points, mm.
         """
         start = self.vertex[hull]
@@ -109,7 +111,7 @@ def _put(vertex: FloatArray, boxes: IntArray, hulls: list[FloatArray]) -> None:
 
 
 def polygon_vertices(polygons: NDArray[np.object_]) -> list[FloatArray]:
-    """The vertices of each of shapely's polygons, counter-clockwise, each once."""
+    """The vertices of each shapely polygon, counter-clockwise, without repetition."""
     import shapely
 
     coordinates, owner = shapely.get_coordinates(polygons, return_index=True)
@@ -134,9 +136,9 @@ N_CORNERS: Final = 4
 class PlanContacts:
     """The contacts of one plan: c rectangles on which a box lies, in the order of the boxes above.
 
-    A box lies on the carrier if its bottom is not above the carrier's top. It lies there with its whole base, since the
-    carrier is taken to reach under all boxes. On a carrier made of boards it lies on the boards of the deck that it
-    overlaps along x and y; each board is a separate area.
+    A box lies on the carrier if its bottom is not above the carrier's top. A box lies on the carrier with its whole
+    base, since the carrier is taken to reach under all boxes. On a carrier made of boards a box lies on the boards of
+    the deck that it overlaps along x and y; each board is a separate area.
 
     A box lies on another box if the other box was placed before, its top is at the height of the bottom, and the two
     overlap along x and y. A box that is pushed in later under another box bears nothing: the upper box would have
@@ -152,7 +154,7 @@ class PlanContacts:
             board.
         tolerance_mm: gaps and overlaps up to this count as touching.
         mass_center_mm: (n, 3) centres of mass, as in ``Plan``.
-        room: the room between the carrier's walls; None: it has none.
+        room: the room between the carrier's walls; None: no walls.
     """
 
     size_mm: FloatArray
@@ -174,7 +176,7 @@ class PlanContacts:
 
     @cached_property
     def centre_mm(self) -> FloatArray:
-        """(n, 3) centres of gravity: the centres of the boxes, unless the plan gives others."""
+        """(n, 3) centres of gravity: the centres of the boxes, unless the plan has other ones."""
         centre: FloatArray = self.corner_mm + self.size_mm / 2
         return centre if self.mass_center_mm is None else centre + self.mass_center_mm
 
@@ -191,7 +193,7 @@ class PlanContacts:
 
     @cached_property
     def grounded(self) -> NDArray[np.bool_]:
-        """(n,) whether a box lies on the carrier with all four corners. Nothing can tip such a box."""
+        """(n,) whether a box lies on the carrier with all four corners. Such a box cannot be tipped."""
         n_corners: IntArray = self.borne_corners(self.lower == CARRIER).sum(axis=1)
         on_carrier: NDArray[np.bool_] = np.equal(n_corners, N_CORNERS)
         return on_carrier
@@ -204,9 +206,9 @@ class PlanContacts:
         """
         base = self.corner_mm[:, :2]
         corners = rectangle_corners(base, base + self.size_mm[:, :2])[self.upper[chosen]]
-        near = self.under_low_mm[chosen] - self.tolerance_mm
-        far = self.under_high_mm[chosen] + self.tolerance_mm
-        inside = ((corners >= near[:, None]) & (corners <= far[:, None])).all(axis=-1)
+        low_mm = self.under_low_mm[chosen] - self.tolerance_mm
+        high_mm = self.under_high_mm[chosen] + self.tolerance_mm
+        inside = ((corners >= low_mm[:, None]) & (corners <= high_mm[:, None])).all(axis=-1)
         borne = np.zeros((self.n_boxes, N_CORNERS), dtype=bool)
         np.logical_or.at(borne, self.upper[chosen], inside)
         return borne
@@ -297,8 +299,8 @@ def _rests(low: FloatArray, high: FloatArray, tolerance_mm: float) -> NDArray[np
 
 
 def find_sides(contacts: PlanContacts) -> Sides:
-    """Find where the boxes of a plan touch side by side, and the walls, up to ``LEANS_M`` away, on which they lean if
-    they tip."""
+    """Find where the boxes of a plan touch side by side, and the walls, up to ``LEANS_M`` away, on which tipping boxes
+    lean."""
     low, high = contacts.corner_mm, contacts.corner_mm + contacts.size_mm
     tolerance_mm = contacts.tolerance_mm
     pairs_by_axis = []
@@ -309,35 +311,35 @@ def find_sides(contacts: PlanContacts) -> Sides:
         first, second = np.nonzero(touching)
         pairs_by_axis.append((first, second, np.full(len(first), axis)))
     first, second, axes = (np.concatenate(parts) for parts in zip(*pairs_by_axis, strict=True))
-    near, far = np.maximum(low[first], low[second]), np.minimum(high[first], high[second])
+    low_ends, high_ends = np.maximum(low[first], low[second]), np.minimum(high[first], high[second])
     rows = np.arange(len(axes))
-    near[rows, axes] = far[rows, axes] = (near[rows, axes] + far[rows, axes]) / 2
-    sides = Sides(first, second, axes, near, far)
+    low_ends[rows, axes] = high_ends[rows, axes] = (low_ends[rows, axes] + high_ends[rows, axes]) / 2
+    sides = Sides(first, second, axes, low_ends, high_ends)
     return sides if contacts.room is None else _with_walls(sides, contacts, contacts.room)
 
 
 def _with_walls(sides: Sides, contacts: PlanContacts, room: Room) -> Sides:
-    """The sides, and behind them those at which boxes lean on walls: a box's whole side, up to the top of the wall."""
+    """The sides, followed by the sides at which boxes lean on walls: a box's whole side, up to the top of the wall."""
     low, high = contacts.corner_mm, contacts.corner_mm + contacts.size_mm
     middle_m, half_m = (low + high) / 2 / MM_PER_M, contacts.size_mm / 2 / MM_PER_M
     gap_mm = MM_PER_M * room.gaps(middle_m, half_m, contacts.tolerance_mm / MM_PER_M)
     box, end, axis = np.nonzero(gap_mm <= MM_PER_M * LEANS_M)
-    near, far, rows = low[box].copy(), high[box].copy(), np.arange(len(box))
-    near[rows, axis] = far[rows, axis] = np.where(end == 0, low[box, axis], high[box, axis])
-    far[:, 2] = np.minimum(far[:, 2], MM_PER_M * room.top[end, axis])
+    low_mm, high_mm, rows = low[box].copy(), high[box].copy(), np.arange(len(box))
+    low_mm[rows, axis] = high_mm[rows, axis] = np.where(end == 0, low[box, axis], high[box, axis])
+    high_mm[:, 2] = np.minimum(high_mm[:, 2], MM_PER_M * room.top[end, axis])
     wall = np.full(len(box), CARRIER)
-    ends = (np.where(end == 0, wall, box), np.where(end == 0, box, wall), axis, near, far)
-    both = zip((sides.first, sides.second, sides.axis, sides.low_mm, sides.high_mm), ends, strict=True)
-    return Sides(*(np.concatenate(parts) for parts in both))
+    ends = (np.where(end == 0, wall, box), np.where(end == 0, box, wall), axis, low_mm, high_mm)
+    field_pairs = zip((sides.first, sides.second, sides.axis, sides.low_mm, sides.high_mm), ends, strict=True)
+    return Sides(*(np.concatenate(parts) for parts in field_pairs))
 
 
 LYING_GAP_M: Final = TOUCH_M
 """Largest gap at which a box still lies on another box, as in the criteria. Which of three supports of one height bears
-the load depends on micrometres, in which all simulators and all pallets differ."""
+the load depends on micrometres, and these differ between simulators and between pallets."""
 
 SIDE_GAP_M: Final = 1e-5
 """Largest gap at which boxes touch side by side: little more than the rounding of a pose in float32. Neighbours that
-are planned side by side stand 0.1 mm apart, and press on each other only after something has moved."""
+are planned side by side stand 0.1 mm apart, and press on each other only after a movement."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -71,11 +71,11 @@ class Comparison:
         worlds, boxes: differences |b - a|, one row per metric and group: ``metric``, ``unit``, ``group``, ``n``,
             ``mean`` of b - a with its sign (null for ``SIGNLESS`` metrics), ``median``, ``p95``, ``largest`` of |b -
             a|; and the place of the largest difference: ``plan_id``, ``variant`` (``box``), with the two values ``a``
-            and ``b``. Null if a group has no value of the metric. Only plans that are the same in both runs count.
-        other_plans: ids of common plans that are not the same in both runs.
+            and ``b``. Null if a group has no value of the metric. Only plans that are equal in both runs count.
+        other_plans: ids of common plans that differ between the runs.
         only_a, only_b: plan_id and variant of worlds that only one run has.
-        same_reason, same_culprit: how many of the ``n_not_stable`` worlds that are stable in neither run have the same
-            reason, and the same first box.
+        same_reason, same_culprit: among the ``n_not_stable`` worlds that are stable in neither run, the numbers with
+            equal reasons and with equal first boxes.
         notes: reasons to doubt the comparison, one line each.
     """
 
@@ -114,7 +114,7 @@ class Comparison:
 
     @property
     def flips_within(self) -> float | None:
-        """The smallest x for which each flip has a ``margin`` within ±x in one of the runs; None if no flip has a
+        """The smallest x so that each flip has a ``margin`` within ±x in one of the runs; None if no flip has a
         margin."""
         nearer = self.flips[["margin_a", "margin_b"]].abs().min(axis=1).max()
         return None if pd.isna(nearer) else float(nearer)
@@ -145,24 +145,28 @@ def compare_runs(a: RunResults | str | Path, b: RunResults | str | Path, *, pack
         if run.worlds.duplicated(KEY).any():
             raise InputError(f"{run.path}: has the same plan and variant more than once; cannot be compared")
     keys = run_a.worlds[KEY].merge(run_b.worlds[KEY], on=KEY, how="outer", indicator="side")
-    both = run_a.worlds.merge(run_b.worlds, on=KEY, suffixes=("_a", "_b"))
-    same = both["verdict_a"] == both["verdict_b"]
-    both[GROUPS[0]] = same
-    both[GROUPS[1]] = same & (both["verdict_a"] == Verdict.STABLE.value)
+    common_worlds = run_a.worlds.merge(run_b.worlds, on=KEY, suffixes=("_a", "_b"))
+    verdicts_agree = common_worlds["verdict_a"] == common_worlds["verdict_b"]
+    common_worlds[GROUPS[0]] = verdicts_agree
+    common_worlds[GROUPS[1]] = verdicts_agree & (common_worlds["verdict_a"] == Verdict.STABLE.value)
     boxes = run_a.boxes_if_kept.merge(run_b.boxes_if_kept, on=BOX_KEY, suffixes=("_a", "_b"))
-    boxes = boxes.merge(both[[*KEY, *GROUPS]], on=KEY)
-    other = _other_plans(run_a, run_b, both, boxes)
-    same_worlds, same_boxes = (table[~table["plan_id"].isin(other)] for table in (both, boxes))
+    boxes = boxes.merge(common_worlds[[*KEY, *GROUPS]], on=KEY)
+    other = _other_plans(run_a, run_b, common_worlds, boxes)
+    same_worlds, same_boxes = (table[~table["plan_id"].isin(other)] for table in (common_worlds, boxes))
     verdicts = [verdict.value for verdict in Verdict]
-    confusion = pd.crosstab(both["verdict_a"], both["verdict_b"]).reindex(index=verdicts, columns=verdicts)
-    not_stable = both[(both["verdict_a"] != Verdict.STABLE.value) & (both["verdict_b"] != Verdict.STABLE.value)]
+    confusion = pd.crosstab(common_worlds["verdict_a"], common_worlds["verdict_b"]).reindex(
+        index=verdicts, columns=verdicts
+    )
+    not_stable = common_worlds[
+        (common_worlds["verdict_a"] != Verdict.STABLE.value) & (common_worlds["verdict_b"] != Verdict.STABLE.value)
+    ]
     same_culprit = (not_stable["culprit_a"] == not_stable["culprit_b"]).fillna(False)
     return Comparison(
         a=str(run_a.path),
         b=str(run_b.path),
-        n_common=len(both),
+        n_common=len(common_worlds),
         confusion=confusion.fillna(0).astype(int),
-        flips=_flips(both[~same], thresholds_of(run_a.info), thresholds_of(run_b.info)),
+        flips=_flips(common_worlds[~verdicts_agree], thresholds_of(run_a.info), thresholds_of(run_b.info)),
         worlds=_differences(same_worlds, world_columns(), KEY),
         boxes=_differences(_with_pose_differences(same_boxes), [*POSE, *box_columns()], BOX_KEY),
         only_a=keys.loc[keys["side"] == "left_only", KEY].reset_index(drop=True),
@@ -171,7 +175,7 @@ def compare_runs(a: RunResults | str | Path, b: RunResults | str | Path, *, pack
         same_reason=int((not_stable["reason_a"] == not_stable["reason_b"]).sum()),
         same_culprit=int(same_culprit.sum()),
         n_not_stable=len(not_stable),
-        notes=tuple(_notes(run_a, run_b, both, [] if packers else other)),
+        notes=tuple(_notes(run_a, run_b, common_worlds, [] if packers else other)),
     )
 
 
@@ -183,8 +187,8 @@ def thresholds_of(info: Mapping[str, Any]) -> Thresholds:
         entry = waiting.pop(0)
         if isinstance(entry, Mapping):
             if isinstance(entry.get("thresholds"), Mapping):
-                known = {name: value for name, value in entry["thresholds"].items() if name in Thresholds.model_fields}
-                return Thresholds(**known)
+                values = {name: value for name, value in entry["thresholds"].items() if name in Thresholds.model_fields}
+                return Thresholds(**values)
             waiting.extend(entry.values())
     return Thresholds()
 
@@ -251,34 +255,34 @@ def _differences(joined: pd.DataFrame, columns: Sequence[Column], key: Sequence[
     return pd.DataFrame(rows).astype({**integers, **numbers})
 
 
-def _other_plans(run_a: RunResults, run_b: RunResults, both: pd.DataFrame, boxes: pd.DataFrame) -> list[str]:
-    """Ids of common plans that are not the same in both runs, sorted.
+def _other_plans(run_a: RunResults, run_b: RunResults, common_worlds: pd.DataFrame, boxes: pd.DataFrame) -> list[str]:
+    """Ids of common plans that differ between the runs, sorted.
 
     Plans are compared by digest. Runs that were written without plans have no digests; then the number of boxes and the
     items are compared.
     """
     digests = [run.plans.set_index("plan_id")["digest"] for run in (run_a, run_b)]
-    plans = pd.DataFrame(index=pd.Index(both["plan_id"].unique(), dtype=object))
+    plans = pd.DataFrame(index=pd.Index(common_worlds["plan_id"].unique(), dtype=object))
     first, second = (digest.reindex(plans.index) for digest in digests)
-    known = first.notna() & second.notna()
-    unlike = {*both.loc[both["n_boxes_a"] != both["n_boxes_b"], "plan_id"]}
+    have_digests = first.notna() & second.notna()
+    unlike = {*common_worlds.loc[common_worlds["n_boxes_a"] != common_worlds["n_boxes_b"], "plan_id"]}
     unlike |= {*boxes.loc[boxes["item_id_a"] != boxes["item_id_b"], "plan_id"]}
-    other = {*plans.index[known & (first != second)], *(unlike & {*plans.index[~known]})}
+    other = {*plans.index[have_digests & (first != second)], *(unlike & {*plans.index[~have_digests]})}
     return sorted(other)
 
 
-def _notes(run_a: RunResults, run_b: RunResults, both: pd.DataFrame, other: Sequence[str]) -> list[str]:
+def _notes(run_a: RunResults, run_b: RunResults, common_worlds: pd.DataFrame, other: Sequence[str]) -> list[str]:
     """Reasons to doubt the comparison."""
     notes = run_a.doubts("a") + run_b.doubts("b")
     without = [name for name, run in (("a", run_a), ("b", run_b)) if not run.keeps_boxes]
     if without:
         notes.append(f"{' and '.join(without)} kept no boxes: only worlds are compared")
-    if both.empty:
+    if common_worlds.empty:
         notes.append("no world is in both runs")
     if thresholds_of(run_a.info) != thresholds_of(run_b.info):
         notes.append("the runs have different thresholds; margins refer to each run's own")
     if other:
-        of, verb = count_text(both["plan_id"].nunique(), "plan"), "is" if len(other) == 1 else "are"
+        of, verb = count_text(common_worlds["plan_id"].nunique(), "plan"), "is" if len(other) == 1 else "are"
         notes.append(
             f"{len(other):,} of {of} {verb} not the same in b; only their verdicts are compared "
             "(to compare packers: petmjx compare --packers)"
@@ -287,7 +291,7 @@ def _notes(run_a: RunResults, run_b: RunResults, both: pd.DataFrame, other: Sequ
     if names[run_a] != names[run_b]:
         notes.append("the runs' variants have different parameters")
     for name in sorted(names[run_a] & names[run_b]):
-        left, right = both.get(f"{name}_a"), both.get(f"{name}_b")
+        left, right = common_worlds.get(f"{name}_a"), common_worlds.get(f"{name}_b")
         if left is not None and right is not None and not ((left == right) | (left.isna() & right.isna())).all():
             notes.append(f"variants of one number differ in {name}")
     return notes

@@ -46,11 +46,11 @@ from petmjx.world.job import FORCE, Drive
 from petmjx.world.scene import Scene
 
 MOST_DROPS: Final = 8
-"""Most boxes whose drop is an event of its own."""
+"""Largest number of boxes with an event for each drop."""
 
 
 class Event(NamedTuple):
-    """Something that happened. ``is_first_sign``: whether it is the first crossing of a limit by any box."""
+    """Something that happened. ``is_first_sign``: whether the event is the first crossing of a limit by any box."""
 
     time_s: float
     what: str
@@ -95,12 +95,12 @@ def _placements(story: Story) -> Iterator[Event]:
     if not len(grown):
         return
     placed, first, last = int(history.n_placed[-1]), grown[0], grown[-1]
-    rest = "" if placed == story.plan.n_boxes else f" of {story.plan.n_boxes}"
+    of_total = "" if placed == story.plan.n_boxes else f" of {story.plan.n_boxes}"
     if len(grown) == 1:
-        yield Event(float(history.time_s[first]), f"{count_text(placed, 'box', 'boxes')}{rest} placed at once")
+        yield Event(float(history.time_s[first]), f"{count_text(placed, 'box', 'boxes')}{of_total} placed at once")
         return
     yield Event(float(history.time_s[first]), f"{_subject(story, 0)} is placed, the first of {story.plan.n_boxes}")
-    yield Event(float(history.time_s[last]), f"{_subject(story, placed - 1)} is placed, number {placed}{rest}")
+    yield Event(float(history.time_s[last]), f"{_subject(story, placed - 1)} is placed, number {placed}{of_total}")
 
 
 def _shaking_events(story: Story) -> Iterator[Event]:
@@ -152,7 +152,7 @@ class Story:
         variant: index of the variant, and its values by column; 0 and empty if the plan has one world.
         drive: the drive that shook the world.
         options: the options of the simulation (``petmjx.Simulation``) by field, as in ``run.json``.
-        note: a line that readers must see, such as that another engine than the run's was used; "" for none.
+        note: an important line for readers, such as that another engine than the run's was used; "" without a note.
     """
 
     plan: Plan
@@ -195,7 +195,7 @@ def tell(
     details: bool | None = None,
     **options: Any,
 ) -> Story:
-    """Tell the story of one world, frame by frame, as a run recorded it or simulated again.
+    """Tell the story of one world, frame by frame, from a recording or a new simulation.
 
     ``petmjx.tell("s0-000016", "results")`` is the world in the table ``worlds`` of the run in the folder ``results``,
     simulated with the same options and attempts, to the last bit. If the run's engine cannot run here, ``mujoco`` takes
@@ -203,19 +203,19 @@ def tell(
 
     Args:
         plan_id: the plan's id; or the plan itself, without a source.
-        source: a run (its folder, or what ``petmjx.load_run`` returned), or plans as ``petmjx.score`` takes them; None:
-            the bundled plans.
+        source: a run (its folder, or the result of ``petmjx.load_run``), or plans as for ``petmjx.score``; None: the
+            bundled plans.
         plans: where the plans of a run are now, if its plan files have moved.
         variant: index of the variant as in ``worlds``, for a run with several worlds per plan; by default the nominal
             one.
-        interval_s: time between two frames, s, by default 0.05. Each placement and the end are frames, too.
+        interval_s: time between two frames, s, by default 0.05. Each placement and the end also have a frame.
         details: whether to record accelerations, penetrations and contacts, too, which only the engine ``mujoco`` does;
-            by default yes. A recorded world is taken as it is, unless ``interval_s`` or ``details`` is given.
+            by default yes. A recording is used as it is, unless ``interval_s`` or ``details`` is given.
         options: without a run, fields of ``petmjx.Simulation`` and of ``petmjx.RunOptions``.
 
     Raises:
         InputError: no such plan or variant, a plan or sweep file that is gone or has changed, or unusable options.
-        EngineUnavailable: the engine asked for cannot run here.
+        EngineUnavailable: the requested engine cannot run here.
         PetmjxError: the simulation failed, or the engine records no histories.
     """
     if isinstance(plan_id, Plan):
@@ -246,7 +246,7 @@ def tell(
 
 
 def _run_in(source: RunResults | PlanSource | None) -> RunResults | None:
-    """The run, if a source is one; else None."""
+    """The run of a source that is a run; else None."""
     if isinstance(source, RunResults):
         return source
     if isinstance(source, str | PathLike) and (Path(source) / RUN_FILE).is_file():
@@ -305,8 +305,8 @@ def _story(worlds: SweepPlan, index: int, engine: Engine, record: Record) -> Sto
     recording = Recording(replace(record, details=record.details and engine.name == "mujoco"))
     world = SweepRun(worlds, engine, recording=recording).world(plan.plan_id, index)
     if world.outcome.history is None:
-        why = world.outcome.message or f"engine {engine.name} records no histories"
-        raise PetmjxError(f"plan {printable_name(plan.plan_id)}: there are no frames: {why}")
+        reason = world.outcome.message or f"engine {engine.name} records no histories"
+        raise PetmjxError(f"plan {printable_name(plan.plan_id)}: there are no frames: {reason}")
     sweep = worlds.sweep
     values = SweepColumns(worlds).of(world) if sweep.axes or sweep.legs else {}
     return Story(
@@ -323,14 +323,14 @@ def _story(worlds: SweepPlan, index: int, engine: Engine, record: Record) -> Sto
 
 
 def _difference(story: Story, run: RunResults) -> str:
-    """How a story differs from the run's row of the same world, in one line; empty if it does not."""
+    """How a story differs from the run's row of the same world, in one line; empty without a difference."""
     row = world_row(run, story.plan.plan_id, story.variant)
     if row is None:
         return ""
-    here, run_text = _outcome_text(vars(story.outcome)), _outcome_text(row)
-    if here == run_text:
-        return "" if story.engine == run.info["config"].get("engine") else f"as in the run: {here}"
-    return f"in the run: {run_text}; here: {here}"
+    story_text, run_text = _outcome_text(vars(story.outcome)), _outcome_text(row)
+    if story_text == run_text:
+        return "" if story.engine == run.info["config"].get("engine") else f"as in the run: {story_text}"
+    return f"in the run: {run_text}; here: {story_text}"
 
 
 def _outcome_text(world: Mapping[str, Any]) -> str:
@@ -366,7 +366,7 @@ def thresholds_of(story: Story) -> Thresholds:
 
 
 def sinks_of(story: Story) -> FloatArray | None:
-    """(n,) distance that each box comes down by design, m; None: 0 for all boxes."""
+    """(n,) planned descent of each box, m; None: 0 for all boxes."""
     physics = story.options.get("physics", {})
     gravity = physics.get("gravity_m_s2", STANDARD_GRAVITY) if isinstance(physics, Mapping) else STANDARD_GRAVITY
     return sinks_m(story.scene, gravity)
@@ -398,29 +398,29 @@ def notes_in_words(story: Story) -> list[str]:
     if outcome.flags & Flag.LEANS:
         notes.append(_leans(story))
     if outcome.flags & Flag.NOT_PLACED:
-        notes.append("The hand found no room for a box: it let go away from the box's place.")
+        notes.append("The hand found no room for a box: it released the box beside its place.")
     if outcome.flags & Flag.TIMESTEP:
         notes.append("At half the timestep the verdict differs.")
     return notes
 
 
 def _knife_edge(story: Story) -> str:
-    """A sentence on the load that is nearest to an edge, inside or outside: of which box, how near, and when."""
+    """A sentence on the load that is nearest to an edge, inside or outside: its box, distance and time."""
     outcome = story.outcome
-    kept = list(kept_edges(vars(outcome), outcome.boxes.plan_edge_m, outcome.boxes.rest_edge_m))
-    again = list(edges_again(story.scene, outcome))
-    nearest = nearest_edge(kept, outcome.verdict)
+    table_edges = list(kept_edges(vars(outcome), outcome.boxes.plan_edge_m, outcome.boxes.rest_edge_m))
+    recomputed_edges = list(edges_again(story.scene, outcome))
+    nearest = nearest_edge(table_edges, outcome.verdict)
     if nearest is None:  # of a box's own weight, or of a load while the plan is built that is not the least
-        nearest = nearest_edge(again, outcome.verdict) or nearest_edge([*kept, *again])
-    else:  # tables do not say whether it is the box's own weight
-        nearest = next((edge for edge in again if is_same_edge(edge, nearest)), nearest)
+        nearest = nearest_edge(recomputed_edges, outcome.verdict) or nearest_edge([*table_edges, *recomputed_edges])
+    else:  # tables lack whether the load is the box's own weight
+        nearest = next((edge for edge in recomputed_edges if is_same_edge(edge, nearest)), nearest)
     if nearest is None:
-        return "A load acts at the edge of what bears it: a tenth of a millimetre may change the verdict."
-    when = nearest.when + (f", once {box_name(story, nearest.step)} is placed" if nearest.step >= 0 else "")
+        return "A load acts at the edge of its support: a tenth of a millimetre may change the verdict."
+    time_text = nearest.when + (f", once {box_name(story, nearest.step)} is placed" if nearest.step >= 0 else "")
     load = "own weight" if nearest.own_weight else "load"
     of_box = f" (the {load} of {box_name(story, nearest.box)})" if nearest.box >= 0 else ""
     return (
-        f"A load acts at the edge of what bears it, within {MM_PER_M * abs(nearest.edge_m):.2g} mm, {when}: "
+        f"A load acts at the edge of its support, within {MM_PER_M * abs(nearest.edge_m):.2g} mm, {time_text}: "
         f"a tenth of a millimetre may change the verdict{of_box}."
     )
 
@@ -450,21 +450,21 @@ def _leans(story: Story) -> str:
         f"{_mm(max(lower_m[box], 0.0))} lower than planned"
         for box in sorted(leaning, key=lambda box: -tilt[box])[:MOST_LEANING]
     ]
-    more = f", and {len(leaning) - len(listed)} more" if len(leaning) > len(listed) else ""
-    return f"It stands, but leans: {'; '.join(listed)}{more}."
+    more_text = f", and {len(leaning) - len(listed)} more" if len(leaning) > len(listed) else ""
+    return f"It stands, but leans: {'; '.join(listed)}{more_text}."
 
 
 def first_box_in_words(story: Story) -> str:
-    """Which box failed first, when and why, as a sentence; "" if none did."""
+    """Which box failed first, when and why, as a sentence; "" without a failed box."""
     box = story.outcome.culprit
     if box < 0:
         return ""
-    when = "" if math.isnan(story.outcome.first_sign_s) else f" at {story.outcome.first_sign_s:.2f} s"
+    time_text = "" if math.isnan(story.outcome.first_sign_s) else f" at {story.outcome.first_sign_s:.2f} s"
     name = "B" + box_in_words(box, story.plan.articles[box] or story.plan.item_ids[box])[1:]
     gap_mm = _gap_mm(story, box)
     planned = f"was planned {_mm(gap_mm / MM_PER_M)} in the air and " if gap_mm > DEFAULT_TOLERANCE_MM else ""
     signs = " and ".join(_signs(story, box)) or "crossed a limit"
-    return f"{name} {planned}failed first:{when} it {signs}."
+    return f"{name} {planned}failed first:{time_text} it {signs}."
 
 
 def _gap_mm(story: Story, box: int) -> float:

@@ -1,4 +1,4 @@
-"""The command line. It imports quickly, because commands import what they need when they run."""
+"""The command line. The package imports quickly: each command imports its modules when it runs."""
 
 from __future__ import annotations
 

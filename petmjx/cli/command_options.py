@@ -33,7 +33,7 @@ PlanPaths = Annotated[
     list[Path] | None,
     typer.Argument(metavar="PLANS", help=f"{PLANS_HELP} Without any: the bundled samples.", show_default=False),
 ]
-Overwrite = Annotated[bool, typer.Option("--overwrite", help="Replace what is there.")]
+Overwrite = Annotated[bool, typer.Option("--overwrite", help="Replace existing files.")]
 JsonOption = Annotated[bool, typer.Option("--json", help="Print JSON instead of tables.")]
 
 Target = Annotated[
@@ -75,7 +75,8 @@ class _Option:
     """A field as an option.
 
     Attributes:
-        path: names of the fields that lead to it: usually one name, but for example ``("thresholds", "shift_m")``.
+        path: names of the fields that lead to the option: usually one name, but for example ``("thresholds",
+            "shift_m")``.
         section: its heading in the help.
     """
 
@@ -115,7 +116,7 @@ class _Option:
 
     @property
     def parameter(self) -> inspect.Parameter:
-        """The parameter that typer reads from a function's signature. None: the option was not given."""
+        """The parameter that typer reads from a function's signature. None: the option is not set."""
         names = [name for name in (self.flag.name, self.flag.short) if name]
         option = typer.Option(
             *names,
@@ -136,25 +137,28 @@ def takes(
     """Give a command the options of ``Simulation`` and ``RunOptions``: all of them, all except some, or only named
     ones.
 
-    The command gets only the options that were typed. They are keyword arguments named after the fields; records within
-    the records are dictionaries. An error about a field names the option as it was typed.
+    The command gets only the options that were typed. The options are keyword arguments named after the fields; records
+    within the records are dictionaries. An error about a field names the option as typed.
 
     Args:
         fields: names of fields of the two records; empty: all fields.
         without: fields that are left out.
         simulated: heading of the options of ``Simulation``.
-        more: further records with their headings. Their fields replace fields of ``Simulation`` with the same name.
+        more: further records with their headings. The fields of these records replace fields of ``Simulation`` with the
+            same name.
     """
-    theirs = {name for record, _ in more for name in record.model_fields}
+    record_fields = {name for record, _ in more for name in record.model_fields}
     records: list[tuple[type[CheckedRecord], str]] = [(Simulation, simulated), *more, (RunOptions, HOW_IT_RUNS)]
     options = [
         option
         for record, section in records
         for option in _options_of(record, section)
         if option.path[0] not in without and (not fields or option.path[0] in fields)
-        if record is not Simulation or option.path[0] not in theirs
+        if record is not Simulation or option.path[0] not in record_fields
     ]
-    settable = [name for name in Simulation.model_fields if (not fields or name in fields) and name not in theirs]
+    settable = [
+        name for name in Simulation.model_fields if (not fields or name in fields) and name not in record_fields
+    ]
 
     def decorate(command: Command) -> Command:
         def with_options(**arguments: Any) -> None:
@@ -257,7 +261,7 @@ def _set_parameter(settable: Collection[str], section: str) -> inspect.Parameter
 
 
 def _setting(text: str, settable: Collection[str]) -> tuple[tuple[str, ...], Any]:
-    """The two parts of ``FIELD=VALUE``. The value is read as TOML, or as plain text if it is not TOML."""
+    """The two parts of ``FIELD=VALUE``. The value is read as TOML, or as plain text if it is no TOML."""
     path, separator, value = text.partition("=")
     names = tuple(path.strip().split("."))
     if not (separator and all(names)):
@@ -284,10 +288,10 @@ def _put(tables: dict[str, Any], path: tuple[str, ...], value: Any) -> None:
 
 
 def _as_typed(line: str, typed: Mapping[str, str]) -> str:
-    """The line of an error with the option as it was typed instead of the field at its beginning. A line that names a
-    file is about the content of that file and stays as it is."""
+    """The line of an error with the option as typed instead of the field at its beginning. A line that names a file is
+    about the content of that file and stays unchanged."""
     for path, option in typed.items():
-        named = re.match(rf"(?:simulation\.|orders_)?{re.escape(path)}(?=[ :])", line)
-        if named:
-            return option + line[named.end() :]
+        path_match = re.match(rf"(?:simulation\.|orders_)?{re.escape(path)}(?=[ :])", line)
+        if path_match:
+            return option + line[path_match.end() :]
     return line

@@ -50,7 +50,7 @@ def compare(
     """Compare two runs of the same plans: verdicts that agree, and differences of each metric.
 
     Differences are |b - a| with median, 95th percentile and largest; the largest one with its plan and box. Where the
-    sign matters, the mean of b - a is shown beside them. Plans that are not the same are left out of them.
+    sign matters, the mean of b - a is added. Plans that differ are left out.
 
     With --packers it compares packers on the same orders (plan ids): the share that stands of each with its interval,
     the paired difference with interval and McNemar's exact test, orders won and lost, utilisation, and
@@ -95,10 +95,10 @@ def _compare_packers(
     from petmjx.show.packer_tables import packer_tables
     from petmjx.show.table_layout import line, print_renderables
 
-    named = named_paths(runs, "compare --packers") or runs
+    paths = named_paths(runs, "compare --packers") or runs
     if out is not None:
-        check_comparison_free(out, overwrite, source_files(named, orders))
-    comparison = compare_packers(named, orders=orders)
+        check_comparison_free(out, overwrite, source_files(paths, orders))
+    comparison = compare_packers(paths, orders=orders)
     if out is not None:
         write_comparison(comparison, out, overwrite)
     if files:

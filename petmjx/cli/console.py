@@ -70,7 +70,7 @@ def as_notes() -> Iterator[None]:
 
 @contextmanager
 def asking() -> Iterator[None]:
-    """Let a person at a terminal say which of two readings of a file is right."""
+    """Let a person at a terminal choose between two readings of a file."""
     if not (sys.stdin is not None and sys.stdin.isatty() and sys.stderr.isatty()):
         yield
         return
@@ -84,7 +84,7 @@ def asking() -> Iterator[None]:
 
 
 def _ask_reading(source: str, error: AmbiguousFile) -> Reading | None:
-    """The reading that a person chooses; None: none of them."""
+    """The reading that a person chooses; None: no reading."""
     print(f"{source} can be read in {len(error.readings)} ways:", file=sys.stderr)
     for number, reading in enumerate(error.readings, start=1):
         print(f"  {number}  {printable(reading.line())}; {reading.evidence}", file=sys.stderr)

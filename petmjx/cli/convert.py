@@ -39,7 +39,7 @@ def convert(
     """Write packing plans in another form: BED-BPP's JSON, or a table with a row a box as CSV or Parquet.
 
     Plans that are read from the new file are the same to the last bit. Unusable plans are skipped, and the first ones
-    get a line each. The folder of a run stands for the plans that it simulated.
+    are listed, one line each. The folder of a run stands for the plans that it simulated.
 
     With --orders it writes a file of orders of any form as BED-BPP's, which all commands read without a guess.
     """
@@ -86,12 +86,12 @@ def _convert_orders(files: list[Path], out: Path, target: str | None, options: d
         raise InputError("--orders: name one file")
     if idle := next((name for name in options if name not in OF_ORDERS), None):
         raise InputError(f"{idle} is for plans, and --orders says that the file holds orders")
-    bad: list[str] = []
+    fault_lines: list[str] = []
     reading = OrderReading.of(RunOptions(**options), target)
-    read = list(read_orders(files[0], lambda error: bad.append(str(error)), reading))
-    print_skipped(bad)
+    read = list(read_orders(files[0], lambda error: fault_lines.append(str(error)), reading))
+    print_skipped(fault_lines)
     if not read:
-        raise InputError(f"no usable order ({len(bad):,} skipped)")
+        raise InputError(f"no usable order ({len(fault_lines):,} skipped)")
     write_orders(out, read)
     boxes = count_text(sum(len(order.items) for _, order in read), "box", "boxes")
     print(f"{count_text(len(read), 'order')} ({boxes}) in {printable(str(out))}")

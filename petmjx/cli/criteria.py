@@ -46,7 +46,7 @@ def criteria(
     out: Annotated[
         Path | None, typer.Option("--out", "-o", metavar="DIR", help="Folder for the tables, as Parquet and CSV.")
     ] = None,
-    overwrite: Annotated[bool, typer.Option("--overwrite", help="Replace tables and figures that are there.")] = False,
+    overwrite: Annotated[bool, typer.Option("--overwrite", help="Replace tables and figures that exist.")] = False,
     only: Annotated[
         list[str] | None,
         typer.Option(
@@ -68,8 +68,8 @@ def criteria(
     """Evaluate closed-form criteria of static stability, and compare them with a simulation.
 
     The criteria are support of the base, corners, centre of gravity, load-bearable polygons, stacking tree, mechanical
-    equilibrium and force balance. Each is evaluated for each box when it is placed. With --run they are compared with
-    the verdicts of a run, and the best threshold of each is found.
+    equilibrium and force balance. Each criterion is evaluated for each box at its placement. With --run the criteria
+    are compared with the verdicts of a run, and their best thresholds are searched.
     """
     from petmjx.analysis.criteria_run import criteria as ask
     from petmjx.results.to_json import to_json

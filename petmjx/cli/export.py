@@ -33,7 +33,7 @@ def export(
 ) -> None:
     """Write the exact MuJoCo model of one plan as MJCF, every box at its place; MuJoCo's viewer opens it.
 
-    Of a run in DIR it is the world that the run simulated; else the options given here say what it is like.
+    For a run in DIR the model is the world that the run simulated; otherwise the options determine it.
     """
     from petmjx.results.read_files import source_files
     from petmjx.world.mujoco_model import to_mjcf

@@ -41,11 +41,11 @@ def info(
     as_json: opt.JsonOption = False,
     **options: Any,
 ) -> None:
-    """Say what files of packing plans are, how they are read, and what is odd. Nothing is simulated.
+    """Explain files of packing plans: their kind, their reading, and their oddities. Nothing is simulated.
 
-    For files of other tools it names the columns, units, axes, anchor and turns, what was filled in, and the reading
-    that was next best. A file that can be read in two ways is refused, with both. Of a file of orders it says how
-    petmjx samples --orders reads it.
+    For files of other tools: the columns, units, axes, anchor and turns, the assumed values, and the next best reading.
+    A file with two possible readings is refused, and both are named. For a file of orders: how petmjx samples --orders
+    reads it.
     """
     from petmjx.plans.reading_files import reading_toml
     from petmjx.results.read_files import source_files
@@ -63,8 +63,8 @@ def info(
             print(printable(line))
     if write_as is not None:
         if len(readings) != 1:
-            what = "no file was guessed" if not readings else f"{len(readings)} files were read in ways of their own"
-            raise InputError(f"--write-as: {what}; name one file of another tool")
+            summary = "no file was guessed" if not readings else f"{len(readings)} files were read in ways of their own"
+            raise InputError(f"--write-as: {summary}; name one file of another tool")
         ((source, reading),) = readings.items()
         with atomic_write(write_as) as hidden:
             hidden.write_text(reading_toml(reading, source), encoding="utf-8")

@@ -48,7 +48,7 @@ def label(
         typer.Option(
             "--pallets",
             metavar="N",
-            help="Pallets side by side; it does not change labels.  [default: 2048 on a GPU, else 64]",
+            help="Pallets side by side; labels do not depend on it. [default: 2048 on a GPU, else 64]",
             show_default=False,
         ),
     ] = None,
@@ -68,8 +68,8 @@ def label(
 ) -> None:
     """Label placements of boxes by physics, to train or test a model with.
 
-    Writes a Parquet table for each split (train, validation, test; no two have orders with the same boxes), and a card:
-    what is in them, how it was made, and how well rules and petmjx's own estimate predict it.
+    Writes a Parquet table for each split (train, validation, test; no two have orders with the same boxes), and a card
+    with the content, the way of making, and the accuracy of rules and of petmjx's own estimate.
     """
     from petmjx.common.machine import why_no_warp
     from petmjx.loop.label_files import write_labels

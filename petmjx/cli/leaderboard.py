@@ -68,9 +68,9 @@ def leaderboard(
 ) -> None:
     """Rate packers by physics, and write a site about them: one folder that works offline.
 
-    It has the rating of each packer with its interval, tests, KPIs, pages to play, the plans, and the command that
-    makes it again. Plans are scored with the options given here; runs are taken as they are, unless plans of theirs
-    that are simulated again say otherwise.
+    The leaderboard has the rating of each packer with its interval, tests, KPIs, pages to play, the plans, and the
+    command that makes it again. Plans are scored with these options. Runs are used unchanged, unless replays of some of
+    their plans contradict them.
     """
     from petmjx.show.leaderboard.leaderboard import board_line
     from petmjx.show.leaderboard.leaderboard import leaderboard as make
@@ -93,7 +93,7 @@ def leaderboard(
 
 @contextmanager
 def _bar(name: str) -> Iterator[Watcher]:
-    """Say whose plans are scored, and show how far that is."""
+    """Say whose plans are scored, and show the progress."""
     from petmjx.show.progress import BarWatcher
 
     print(f"packer {printable_name(name)}", file=sys.stderr)

@@ -72,10 +72,10 @@ def loads(
     overwrite: opt.Overwrite = False,
     as_json: opt.JsonOption = False,
 ) -> None:
-    """Say which boxes bear more than they can: force on top / strength, at rest and at the peak.
+    """Find overloaded boxes: force on top / strength, at rest and at the peak.
 
-    A strength is given in newtons, or by McKee's formula from the carton's board. Of it boxes lose a share by how they
-    are stacked: across each other, over edges, over gaps of the deck. Verdicts stay as they are.
+    A strength is given in newtons, or by McKee's formula from the carton's board. Boxes lose a share of it by the way
+    of stacking: across each other, over edges, over gaps of the deck. Loads do not change verdicts.
     """
     from petmjx.analysis.box_strength import check_loads_free
     from petmjx.analysis.box_strength import loads as compare

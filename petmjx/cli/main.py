@@ -1,12 +1,13 @@
-"""The command-line application. It turns errors into one line on standard error and an exit code."""
+"""The command-line application. The command line turns errors into one line on standard error and an exit code."""
 
 from __future__ import annotations
 
 import errno
+import importlib
 import os
 import signal
 import sys
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from contextlib import suppress
 from enum import IntEnum
 from types import SimpleNamespace
@@ -14,26 +15,6 @@ from typing import Annotated
 
 import typer
 
-from petmjx.cli import (
-    compare,
-    convert,
-    criteria,
-    doctor,
-    export,
-    figure,
-    info,
-    kpis,
-    label,
-    leaderboard,
-    loads,
-    merge,
-    repair,
-    report,
-    samples,
-    score,
-    show,
-    sweep,
-)
 from petmjx.cli.command_options import as_typed
 from petmjx.cli.console import as_notes, asking, prepare_streams
 from petmjx.cli.help_layout import WIDTH, SectionedCommand
@@ -45,7 +26,7 @@ from petmjx.version import __version__
 
 
 class ExitCode(IntEnum):
-    """Exit codes. They do not depend on verdicts."""
+    """Exit codes. Exit codes do not depend on verdicts."""
 
     OK = 0
     FAILURE = 1
@@ -64,41 +45,54 @@ _BY_SIGNAL = {
 
 
 _USAGE_ERROR: type[Exception] = typer.BadParameter.__base__ or typer.BadParameter
-"""Click's UsageError. Its module differs between versions of typer."""
+"""Click's UsageError. The module of this class differs between versions of typer."""
 
 
 _SETTINGS = SimpleNamespace(debug=False)
 """Values of the options that stand before the command."""
 
-app = typer.Typer(
-    name="petmjx",
-    help="Scores the stability of pallet packing plans by physics, many thousands at a time.",
-    epilog="Exit codes: 0 success, whatever the verdicts are; 1 internal failure; 2 unusable input or options; 130 "
-    "interrupted (143 by SIGTERM, 129 by SIGHUP).",
-    rich_markup_mode=None,  # its tables leave only 24 of 80 columns for the descriptions
-    context_settings={"help_option_names": ["--help", "-h"], "max_content_width": WIDTH},
-)
-for _command, _short_help in (
-    (score.score, "Say which packing plans stand."),
-    (sweep.sweep, "Simulate plans in many variants: forces, friction, errors."),
-    (repair.repair, "Say what to change in plans so that they stand."),
-    (show.show, "Show what happens to one plan: page, picture, film."),
-    (report.report, "Write a page about runs: charts, tables, plans in 3D."),
-    (compare.compare, "Compare two runs of the same plans, or packers."),
-    (figure.figure, "Draw the answers of a sweep as a figure for a paper."),
-    (kpis.kpis, "Rate plans as BED-BPP's leaderboard does."),
-    (leaderboard.leaderboard, "Rate packers by physics, as a site."),
-    (criteria.criteria, "Evaluate criteria of stability; compare them with a run."),
-    (loads.loads, "Say which boxes bear more than they can."),
-    (merge.merge, "Join the shards of a run."),
-    (info.info, "Say what a file is, how it is read and what is odd."),
-    (convert.convert, "Write packing plans as JSON, CSV or Parquet."),
-    (samples.samples, "Write packing plans with BED-BPP's statistics."),
-    (label.label, "Label placements by physics, to train models with."),
-    (export.export, "Write the MuJoCo model of one plan."),
-    (doctor.doctor, "Show versions, devices and which engines work here."),
-):
-    app.command(_command.__name__, cls=SectionedCommand, short_help=_short_help)(as_typed(_command))
+_COMMANDS = {
+    "score": "Say which packing plans stand.",
+    "sweep": "Simulate plans in many variants: forces, friction, errors.",
+    "repair": "Say what to change in plans so that they stand.",
+    "show": "Show what happens to one plan: page, picture, film.",
+    "report": "Write a page about runs: charts, tables, plans in 3D.",
+    "compare": "Compare two runs of the same plans, or packers.",
+    "figure": "Draw the answers of a sweep as a figure for a paper.",
+    "kpis": "Rate plans as BED-BPP's leaderboard does.",
+    "leaderboard": "Rate packers by physics, as a site.",
+    "criteria": "Evaluate criteria of stability; compare them with a run.",
+    "loads": "Say which boxes bear more than they can.",
+    "merge": "Join the shards of a run.",
+    "info": "Say what a file is, how it is read and what is odd.",
+    "convert": "Write packing plans as JSON, CSV or Parquet.",
+    "samples": "Write packing plans with BED-BPP's statistics.",
+    "label": "Label placements by physics, to train models with.",
+    "export": "Write the MuJoCo model of one plan.",
+    "doctor": "Show versions, devices and which engines work here.",
+}
+"""Name of a command, of its module in this room and of its function there → what it does, for the list of commands."""
+
+
+def application(words: Sequence[str] = ()) -> typer.Typer:
+    """The application with the command that these arguments name; with all commands if they name none.
+
+    Modules of other commands are not loaded: they take longer than a score of a few plans.
+    """
+    app = typer.Typer(
+        name="petmjx",
+        help="Scores the stability of pallet packing plans by physics, many thousands at a time.",
+        epilog="Exit codes: 0 success, whatever the verdicts are; 1 internal failure; 2 unusable input or options; 130 "
+        "interrupted (143 by SIGTERM, 129 by SIGHUP).",
+        rich_markup_mode=None,  # its tables leave only 24 of 80 columns for the descriptions
+        context_settings={"help_option_names": ["--help", "-h"], "max_content_width": WIDTH},
+    )
+    app.callback()(options)
+    command = next((word for word in words if not word.startswith("-")), "")  # options before it take no values
+    for name in (command,) if command in _COMMANDS else _COMMANDS:
+        function = getattr(importlib.import_module(f"petmjx.cli.{name}"), name)
+        app.command(name, cls=SectionedCommand, short_help=_COMMANDS[name])(as_typed(function))
+    return app
 
 
 def _print_version(flag: bool) -> None:
@@ -107,7 +101,6 @@ def _print_version(flag: bool) -> None:
         raise typer.Exit
 
 
-@app.callback()
 def options(
     version: Annotated[
         bool, typer.Option("--version", callback=_print_version, is_eager=True, help="Print the version and exit.")
@@ -127,13 +120,13 @@ def main(arguments: Sequence[str] | None = None) -> int:
         arguments: the arguments without the program's name; None: those of this process.
     """
     _SETTINGS.debug = False
-    return run_app(app, arguments)
+    return run_app(application, arguments)
 
 
-def run_app(application: typer.Typer, arguments: Sequence[str] | None = None) -> int:
-    """Run an application. Errors become one line and an exit code."""
+def run_app(make: Callable[[Sequence[str]], typer.Typer], arguments: Sequence[str] | None = None) -> int:
+    """Run an application, which is made for its arguments. Errors become one line and an exit code."""
     prepare_streams()
-    code = _run(application, arguments)
+    code = _run(make, arguments)
     try:
         sys.stdout.flush()
     except OSError:
@@ -142,17 +135,17 @@ def run_app(application: typer.Typer, arguments: Sequence[str] | None = None) ->
     return code
 
 
-def _run(application: typer.Typer, arguments: Sequence[str] | None) -> int:
+def _run(make: Callable[[Sequence[str]], typer.Typer], arguments: Sequence[str] | None) -> int:
     try:
         command_words = sys.argv[1:] if arguments is None else list(arguments)
         if "" in command_words:  # a path would be the current folder
             raise InputError(f"argument {command_words.index('') + 1} is empty; is a shell variable not set?")
-        if "-" in command_words:  # it would be a file of this name
+        if "-" in command_words:  # otherwise the text would name a file
             raise InputError(
                 f"argument {command_words.index('-') + 1} is -: name a file; /dev/stdout is standard output"
             )
         with as_notes(), typed_options(), asking(), stoppable():
-            result = application(args=command_words or ["--help"], standalone_mode=False)
+            result = make(command_words)(args=command_words or ["--help"], standalone_mode=False)
         if result == ExitCode.INTERRUPTED:  # typer returns it instead of raising KeyboardInterrupt
             return _report("interrupted", _BY_SIGNAL[signal.Signals(last_stop() or signal.SIGINT)])
         sys.stdout.flush()  # an error shows here at the latest

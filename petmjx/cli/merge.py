@@ -20,7 +20,7 @@ def merge(
 ) -> None:
     """Join the shards of a run (score or sweep with --shard I/N) to one run.
 
-    All N shards must be there, finished, and of the same plans and options. Worlds that are there twice are refused.
+    All N shards must be there, finished, and of the same plans and options. Worlds that occur twice are refused.
     """
     from petmjx.cli.run_command import brief
     from petmjx.runs.merge import merge_runs

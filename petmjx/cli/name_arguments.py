@@ -10,18 +10,17 @@ from petmjx.common.text import printable_name
 
 
 def named_paths(texts: Sequence[str], option: str) -> dict[str, str]:
-    """Name → path of each text; empty if no text has a name. An existing path is taken as a path, even with a "=" in
-    it.
+    """Name → path of each text; empty if no text has a name. An existing path counts as a path, even with a "=" in it.
 
     Raises:
         InputError: only some texts have a name, or two texts have the same name.
     """
-    named = [text.partition("=") for text in texts if not Path(text).exists()]
-    pairs = [(name, path) for name, _, path in named if name and path]
+    name_parts = [text.partition("=") for text in texts if not Path(text).exists()]
+    pairs = [(name, path) for name, _, path in name_parts if name and path]
     if pairs and len(pairs) < len(texts):
         raise InputError(f"{option}: give each a name (NAME=PATH), or none")
     names = [name for name, _ in pairs]
     for number, name in enumerate(names):
         if name in names[:number]:
-            raise InputError(f"{option} {printable_name(name)}: there are two of this name")
+            raise InputError(f"{option} {printable_name(name)}: two have this name")
     return dict(pairs)

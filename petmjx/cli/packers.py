@@ -1,4 +1,4 @@
-"""Scores the plans of several packers in one go: ``petmjx score --name``."""
+"""Scores the plans of several packers at once: ``petmjx score --name``."""
 
 from __future__ import annotations
 

@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from petmjx.plans.item_orders import OrderReading
 
 MOST_NAMED: Final = 10
-"""Most orders of a kind that get a line each, or that one line names."""
+"""Largest number of orders with a line each, or in one line."""
 
 
 def write_physical(
@@ -33,11 +33,11 @@ def write_physical(
     from petmjx.plans.json_writer import Placement, write_plans
     from petmjx.show.progress import progress
 
-    bad: list[InputError] = []
+    errors: list[InputError] = []
     packings: list[PackedOrder] = []
 
     def plans() -> Iterator[tuple[str, list[Placement]]]:
-        orders_to_pack = orders_of(orders, n if orders is None else None, seed, bad.append, reading)
+        orders_to_pack = orders_of(orders, n if orders is None else None, seed, errors.append, reading)
         for packed in pack_each(orders_to_pack, workers=workers, **options):
             packings.append(packed)
             bar.update(len(packings))
@@ -47,8 +47,8 @@ def write_physical(
     try:
         with progress(n if orders is None else None) as bar:
             write_plans(out, plans())
-    finally:  # the errors say why there may be no plan to write
-        for error in bad:
+    finally:  # the errors explain missing plans
+        for error in errors:
             typer.echo(f"skipped: {printable(str(error))}", err=True)
     packed = Packed(tuple(packings))
     for line in (*_left_out(packings, named=orders is not None), *_not_good(packings), *_in_short(packed, out)):
@@ -72,9 +72,9 @@ def _not_good(packings: list[Any]) -> Iterator[str]:
         names = ", ".join(
             f"{printable_name(packed.order_id)} ({100 * packed.taken.share:.0f} %)" for packed in shaky[:MOST_NAMED]
         )
-        more = ", …" if len(shaky) > MOST_NAMED else ""
+        tail = ", …" if len(shaky) > MOST_NAMED else ""
         verb = "has" if len(shaky) == 1 else "have"
-        yield f"{count_text(len(shaky), 'order')} {verb} no packing that stands as often as asked for: {names}{more}"
+        yield f"{count_text(len(shaky), 'order')} {verb} no packing that stands as often as asked for: {names}{tail}"
 
 
 def _in_short(packed: Any, out: Path) -> Iterator[str]:

@@ -47,7 +47,7 @@ def repair(
     as_json: opt.JsonOption = False,
     **options: Any,
 ) -> None:
-    """Say what to change in plans so that they stand: the smallest change that helps.
+    """Find the smallest changes that make plans stand.
 
     Changes are another order, another place or turn for a box, moves by some millimetres, exchanges of two boxes, tie
     sheets, turns of film (with --profile) and, as the last resort, boxes that are left out. Boxes have their numbers in
@@ -68,19 +68,19 @@ def repair(
         raise InputError(f"--html {printable(str(html))}: the file's name must end in .html")
     files = [file for file in (out, html) if file is not None]
     check_outputs(files, overwrite=overwrite, inputs=source_files(plans))
-    done = 0
+    n_done = 0
     try:
         with progress(None) as bar:
 
             def count(number: int, total: int) -> None:
-                nonlocal done
-                done = number
+                nonlocal n_done
+                n_done = number
                 bar.update(number)
 
             result = repaired(plans_in_place(plans, bool(options.get("strict"))), watch=count, **options)
     except KeyboardInterrupt as stop:
-        far = f"{count_text(done, 'plan')} were done; nothing was written"
-        raise RunInterrupted(far, getattr(stop, "number", 2)) from None
+        progress_text = f"{count_text(n_done, 'plan')} were done; nothing was written"
+        raise RunInterrupted(progress_text, getattr(stop, "number", 2)) from None
     for line in result.skipped:
         typer.echo(f"skipped: {printable(line)}", err=True)
     if out is not None:

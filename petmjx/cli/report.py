@@ -34,10 +34,10 @@ def report(
     ] = None,
     overwrite: opt.Overwrite = False,
 ) -> None:
-    """Write one offline page about runs: what came out, charts, all plans in a table and in 3D.
+    """Write one offline page about runs: results, charts, all plans in a table and in 3D.
 
-    Of several runs it says where their verdicts differ, and whose plans stand. The page is one file and asks nothing of
-    any server, so it can be sent by mail.
+    For several runs the page compares verdicts, and the shares of standing plans. The page is one file and needs no
+    server, so it can be sent by mail.
     """
     if pdf is not None:
         _write_pdf(runs, pdf, plans or (), overwrite=overwrite)

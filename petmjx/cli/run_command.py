@@ -26,15 +26,15 @@ if TYPE_CHECKING:
 
 
 BURST_S: Final = 2.0
-"""Signals that come closer together than this count as one: pressing Ctrl-C six times in a row is one interruption."""
+"""Signals at shorter intervals than this count as one: pressing Ctrl-C six times in a row is one interruption."""
 
 
 AGAIN_S: Final = 0.05
-"""Time after which a signal is sent again if it came where its exception would be lost, s."""
+"""Time after which a signal is sent again if its exception would have been lost, s."""
 
 
 class RunInterrupted(Exception):
-    """The run was ended by Ctrl-C or a signal. The message says how far it came. (typer would swallow a bare
+    """The run was ended by Ctrl-C or a signal. The message has the state of the run. (typer would swallow a bare
     KeyboardInterrupt without a message.)
 
     Attributes:
@@ -97,7 +97,7 @@ def stoppable() -> Iterator[None]:
         yield
     finally:
         _STATE.is_stoppable = False
-        if last_s == -math.inf:  # else the process is about to end, and more signals of the burst may still come
+        if last_s == -math.inf:  # else the process is about to end, and more signals of the burst may follow
             for number, handler in before.items():
                 signal.signal(number, handler)
 
@@ -172,7 +172,7 @@ def default_folder() -> Path:
 
 
 def remove_empty(folder: Path) -> None:
-    """Delete an empty folder that was made for a run that did not begin, and its parent."""
+    """Delete an empty folder of a run that did not begin, and its parent."""
     with suppress(OSError):
         folder.rmdir()
         folder.parent.rmdir()
@@ -183,15 +183,15 @@ def _how_far(folder: Path, watcher: Any) -> str:
     from petmjx.results.run_reader import load_run
 
     try:
-        done = load_run(folder).info["counts"]["worlds"]
+        n_done = load_run(folder).info["counts"]["worlds"]
     except InputError:
         return f"before the first {watcher.what} was finished; nothing was written"
     of = (
-        count_text(done, watcher.what)
+        count_text(n_done, watcher.what)
         if watcher.total is None
-        else f"{done:,} of {count_text(watcher.total, watcher.what)}"
+        else f"{n_done:,} of {count_text(watcher.total, watcher.what)}"
     )
-    return f"{of} {'is' if done == 1 else 'are'} done and in {folder}"
+    return f"{of} {'is' if n_done == 1 else 'are'} done and in {folder}"
 
 
 def brief(results: RunResults) -> dict[str, Any]:

@@ -22,7 +22,7 @@ from petmjx.packers.sample_plans import DEFAULT_LOOSE_SHARE, LeftOutItems
 
 DEFAULT_SAMPLES: Final = 100
 MOST_SHOWN: Final = 10
-"""Most drawn orders with boxes left out that get a line each."""
+"""Largest number of drawn orders with left-out boxes that have a line each."""
 
 
 @opt.takes(
@@ -99,14 +99,14 @@ def samples(
 ) -> None:
     """Write packing plans with BED-BPP's statistics: drawn orders (43±14 boxes), packed by a packer.
 
-    Without --packer it is a mixed set: about half of it is packed too loosely on purpose, so that some plans stand and
-    some fall. Name the packer to compare it with others: then none is.
+    Without --packer the set is mixed: about half of the plans are packed too loosely on purpose, so that some plans
+    stand and some fall. Name the packer to compare it with others: then no plan is packed loosely.
 
-    The packer physical simulates several packings of each order and takes the densest that stands often enough; it
-    takes seconds an order on CPUs.
+    The packer physical simulates several packings of each order and picks the densest that stands often enough; this
+    takes seconds per order on CPUs.
 
-    The packer learned takes boxes in the sequence of the order, and sees --lookahead of them; the others see the whole
-    order.
+    The packer learned takes boxes in the sequence of the order, and sees --lookahead of them; the other packers see the
+    whole order.
 
     With --orders it packs the orders of a file instead. Boxes that find no
     place below 2 m are left out: a line for each such order says which (of drawn orders for the first 10).
@@ -137,7 +137,7 @@ def samples(
         return
     if options:
         raise InputError(f"{next(iter(options))} needs the packer {PHYSICAL}")
-    bad: list[InputError] = []
+    errors: list[InputError] = []
     left_out: list[LeftOutItems] = []
     written = 0
 
@@ -146,7 +146,7 @@ def samples(
         written = done
         bar.update(done)
 
-    how: dict[str, Any] = {
+    pack_options: dict[str, Any] = {
         "seed": seed,
         "packer": packer,
         "look_ahead": look_ahead,
@@ -156,11 +156,15 @@ def samples(
     try:
         with progress(n if orders is None else None) as bar:
             if orders is None:
-                write_samples(out, n, loose_share=loose_share, progress=count, **how)
+                write_samples(out, n, loose_share=loose_share, progress=count, **pack_options)
             else:
-                write_plans(out, pack_orders(orders, on_bad_order=bad.append, reading=reading, **how), progress=count)
-    finally:  # the errors say why there may be no plan to write
-        for error in bad:
+                write_plans(
+                    out,
+                    pack_orders(orders, on_bad_order=errors.append, reading=reading, **pack_options),
+                    progress=count,
+                )
+    finally:  # the errors explain missing plans
+        for error in errors:
             typer.echo(f"skipped: {printable(str(error))}", err=True)
     shown = left_out if orders is not None else left_out[:MOST_SHOWN]
     for order in shown:

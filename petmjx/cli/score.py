@@ -32,11 +32,11 @@ def score(plans: opt.PlanPaths = None, names: Names = None, as_json: opt.JsonOpt
     Reads the plans, places their boxes in a simulated world, and writes a verdict and metrics per plan and per
     box as Parquet. Unusable plans are skipped, counted and listed.
 
-    With --confidence N it says how sure the verdicts are: which share of N worlds with errors stands, with a 95 %
+    With --confidence N also how sure the verdicts are: the share of N worlds with errors that stands, with a 95 %
     interval, and which plans are a coin toss.
 
-    With --chain NAME it says how likely each plan arrives: in which share of worlds it stands after all legs of its
-    way, which leg is the weakest, and what would help.
+    With --chain NAME also how likely each plan arrives: the share of worlds in which it stands after all legs of its
+    way, the weakest leg, and remedies.
     """
     from petmjx import api
 

@@ -61,8 +61,8 @@ def show(
 ) -> None:
     """Show what happens to one plan: in words, as a page, in pictures, as a film.
 
-    The world is simulated as the run in DIR did, to the last bit, or with the options given here. Without an option of
-    what is drawn, its story is printed in the terminal.
+    The world is simulated as in the run in DIR, to the last bit, or with these options. Without an option for a
+    drawing, its story is printed in the terminal.
     """
     from petmjx.results.read_files import source_files
     from petmjx.show.pictures.picture_files import check_drawing
@@ -96,7 +96,7 @@ def _show_repair(
     """Repair a plan, and write the page with both sides.
 
     Args:
-        has_more: whether options were given that such a page does not have.
+        has_more: whether options are set that such a page lacks.
     """
     from petmjx.options.run_options import RunOptions, sorted_options
     from petmjx.options.simulation import Simulation
@@ -112,9 +112,9 @@ def _show_repair(
     of_simulation, of_run = sorted_options(options)
     reading = RunOptions(**{name: value for name, value in of_run.items() if name in OF_READING})
     plan_set = usable_plans(plans_in_place(source or None, reading.strict), Simulation(**of_simulation), reading)
-    how = {name: value for name, value in options.items() if name not in OF_READING}
+    repair_options = {name: value for name, value in options.items() if name not in OF_READING}
     try:
-        result = repair(find_plan(plan_set, plan_id), **how)
+        result = repair(find_plan(plan_set, plan_id), **repair_options)
     except KeyboardInterrupt as stop:
         raise RunInterrupted("unfinished files were not written", getattr(stop, "number", 2)) from None
     write_repair_page(result, files["html"])
@@ -161,7 +161,7 @@ def _draw(story: Story, files: list[Path], look: dict[str, Any]) -> None:
             bars: list[ProgressSink] = []
 
             def count(done: int, total: int, shown: ExitStack = shown, bars: list[ProgressSink] = bars) -> None:
-                if not bars:  # films alone say how long they are, once they begin
+                if not bars:  # only films know their length, once they begin
                     bars.append(shown.enter_context(progress(total, "frame")))
                 bars[0].update(done)
 

@@ -32,7 +32,7 @@ def sweep(
     Writes every world and box, and a summary: the share that stands, with a 95 % interval if worlds are drawn at
     random, or for a search the largest level survived and the box that fails first.
 
-    Options given here replace the values of the sweep file's [simulation] table.
+    Options of the command replace the values of the sweep file's [simulation] table.
     """
     from petmjx import api
 

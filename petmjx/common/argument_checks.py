@@ -98,7 +98,7 @@ def list_of(values: Any, name: str, kind: type[Kind], words: str) -> list[Kind]:
     """
     try:
         members = None if isinstance(values, str | bytes) else list(values)
-    except Exception:  # whatever an object raises when it is iterated
+    except Exception:  # iterating an object of any class may raise anything
         members = None
     if members is None:
         raise InputError(f"{name} must be a list of {words}, {shown_value(values)}")
@@ -112,7 +112,7 @@ def array_of(values: Any, name: str, shape: tuple[int, ...], *, may_lack: bool =
     """An array of finite numbers.
 
     Args:
-        shape: of one entry: (3,) for an array of (n, 3), () for an array of (n,).
+        shape: shape of one entry: (3,) for an array of (n, 3), () for an array of (n,).
         may_lack: whether NaN is allowed, for a value that is not given.
 
     Raises:
@@ -120,7 +120,7 @@ def array_of(values: Any, name: str, shape: tuple[int, ...], *, may_lack: bool =
     """
     try:
         array = np.asarray(values)
-    except Exception:  # whatever an object raises when it is turned into an array
+    except Exception:  # converting an object of any class may raise anything
         array = np.empty(0, dtype=object)
     if array.dtype.kind not in "iuf":
         raise InputError(f"{name} must be an array of numbers, {shown_value(values)}")

@@ -16,7 +16,7 @@ from petmjx.common.safe_read import FREE_BYTES, MOST_BYTES, allowed_bytes, open_
 from petmjx.common.text import printable_name
 
 _WIDTHS: Final = {"BOOLEAN": 1, "INT32": 4, "INT64": 8, "FLOAT": 4, "DOUBLE": 8, "BYTE_ARRAY": 8}
-"""Bytes of a value in memory, by its type in the file. A text counts with its offset and its length only."""
+"""Bytes of a value in memory, by its type in the file. A text is counted as its offset and its length only."""
 
 _ROWS: Final = 1 << 16
 _FEW_ROWS: Final = 1 << 8
@@ -52,7 +52,7 @@ class OversizedFile(ValueError):
 def decoded_bytes(file: pq.ParquetFile, columns: Sequence[str] | None = None) -> int:
     """Least number of bytes that columns of a Parquet file take in memory, according to the file's metadata.
 
-    Texts count with their offsets only: their lengths are not known before they are read.
+    Texts are counted by their offsets only: their lengths are not known before they are read.
 
     Args:
         columns: names; None: all.
@@ -97,7 +97,7 @@ def read_within(
                 raise ValueError(f"the column {printable_name(name)} has lists or tables in it")
         texts = [name for name in names if _is_text(schema.field(name).type)]
         by_prefix = set(_columns_by_prefix(metadata))
-        # texts stay dictionary codes until their lengths are known; Arrow cannot do this for texts stored by prefix
+        # texts stay dictionary codes until their lengths are known; Arrow cannot read texts stored by prefix as codes
         codes = [name for name in texts if name not in by_prefix]
         coded = pq.ParquetFile(stream, metadata=metadata, read_dictionary=codes)
         few = not by_prefix.isdisjoint(names)
@@ -107,8 +107,8 @@ def read_within(
             if needed + long > allowed:
                 raise OversizedFile(f"its texts would take more than {size(allowed)}, too much for a file of this size")
             batches.append(_decoded_columns(batch, schema))
-        kept = pa.schema([schema.field(name) for name in names], metadata=schema.metadata)
-        return pa.Table.from_batches(batches, schema=kept)
+        selected_schema = pa.schema([schema.field(name) for name in names], metadata=schema.metadata)
+        return pa.Table.from_batches(batches, schema=selected_schema)
 
 
 def _columns_by_prefix(metadata: pq.FileMetaData) -> Iterator[str]:

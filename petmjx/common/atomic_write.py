@@ -19,17 +19,17 @@ def check_writable(file: Path) -> None:
     """Check that a file can be written, as far as this shows without writing.
 
     Raises:
-        InputError: it is a folder, or its parent is not a folder or is not writable.
+        InputError: the path is a folder, or its parent is not a folder or is not writable.
     """
     folder = file.parent
     if file.is_dir():
-        why = "is a folder"
+        fault = "is a folder"
     elif not folder.is_dir():
-        why = f"{folder} is not a folder"
+        fault = f"{folder} is not a folder"
     else:
-        why = "" if os.access(folder, os.W_OK | os.X_OK) else f"{folder} is not writable"
-    if why:
-        raise InputError(f"{printable(str(file))}: cannot be written: {printable(why)}")
+        fault = "" if os.access(folder, os.W_OK | os.X_OK) else f"{folder} is not writable"
+    if fault:
+        raise InputError(f"{printable(str(file))}: cannot be written: {printable(fault)}")
 
 
 @contextmanager
@@ -70,5 +70,6 @@ def atomic_write(file: Path) -> Iterator[Path]:
 
 
 def gzip_stream(stream: IO[bytes]) -> gzip.GzipFile:
-    """A gzip stream into another stream. It has no file name and no time, so its bytes depend only on the content."""
+    """A gzip stream into another stream. The stream has no file name and no time, so the bytes depend only on the
+    content."""
     return gzip.GzipFile(filename="", mode="wb", compresslevel=6, fileobj=stream, mtime=0)

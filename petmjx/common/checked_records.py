@@ -1,7 +1,7 @@
 """Records that check their own values (``CheckedRecord``), and their error messages of one line.
 
-This module alone turns pydantic's errors into lines. It also knows what an option is called in a message: by its flag
-on the command line, by its argument in Python.
+Only this module turns pydantic's errors into lines. The module also knows the name of an option in messages: its flag
+on the command line, or its argument in Python.
 """
 
 from __future__ import annotations
@@ -44,8 +44,8 @@ def option(flag: str, value: str = "", *, python: str = "") -> str:
     """An option for a message: "--overwrite" on the command line, "overwrite=True" in Python.
 
     Args:
-        flag: as it is typed, such as ``--out``.
-        value: the argument's value in Python, such as ``True``; the flag is shown without it.
+        flag: the flag as users type it, such as ``--out``.
+        value: the argument's value in Python, such as ``True``; a flag without a value is shown alone.
         python: name of the argument, where it differs from the flag's.
     """
     if _typed:
@@ -76,7 +76,7 @@ _NO_NUMBERS: Final = (str, bytes, bool)
 _COMPLAINT: Final = "complaint"
 
 MOST_TOML_BYTES: Final = 16 << 20
-"""Largest size of a TOML file. A list of 100,000 force windows takes half of it."""
+"""Largest size of a TOML file. A list of 100,000 force windows takes half of this limit."""
 _MOST_PARTS: Final = 64
 _MANY_PARTS: Final = re.compile(rb"""(?<![\w"'-])(?:[\w"'-]++[ \t]*+\.[ \t]*+){%d}""" % _MOST_PARTS)
 """A dotted key of more than ``_MOST_PARTS`` parts. For each part tomllib looks at all parts, so a long key would take
@@ -177,7 +177,7 @@ def _lax(annotation: Any, value: Any) -> str:
 
 
 def within(low: float, high: float) -> AfterValidator:
-    """A check that a value is within a physical range. Its error names the range."""
+    """A check that a value is within a physical range. The error names the range."""
 
     def check(value: Any) -> Any:
         if value is not None and not low <= value <= high:
@@ -188,8 +188,8 @@ def within(low: float, high: float) -> AfterValidator:
 
 
 def _fields_with(record: CheckedRecord, values: Mapping[str, Any]) -> dict[str, Any]:
-    """A record's fields with some replaced. They are not checked here but together later, so that an error has the
-    whole path.
+    """A record's fields with some replaced. The new values are not checked here but together later, so that an error
+    has the whole path.
     """
     fields = {name: getattr(record, name) for name in type(record).model_fields}
     for name, value in values.items():
@@ -225,7 +225,8 @@ def complaint(text: str, *path: str | int) -> ValidationError:
 
 
 def shape(value: object) -> str:
-    """The shape of a value: `TABLE`, `LIST` or `VALUE`. ``Discriminator(shape)`` picks the member of a union by it."""
+    """The shape of a value: `TABLE`, `LIST` or `VALUE`. ``Discriminator(shape)`` picks the member of a union by this
+    shape."""
     if isinstance(value, Mapping | BaseModel):
         return TABLE
     return LIST if isinstance(value, list | tuple) else VALUE
@@ -291,14 +292,14 @@ def _error_text(kind: str, context: Mapping[str, Any], value: Any, message: str)
 def _no_member(context: Mapping[str, str], value: Any) -> str:
     """The text for a value that fits no member of a union."""
     key = context["discriminator"].removesuffix("()")
-    known = re.findall("<(.*?)>", context.get("expected_tags", ""))
+    tags = re.findall("<(.*?)>", context.get("expected_tags", ""))
     if key == shape.__name__:
-        return f"must be {' or '.join(known)}, {shown_value(value)}"
+        return f"must be {' or '.join(tags)}, {shown_value(value)}"
     if not isinstance(value, Mapping):
         return f"must be a table, {shown_value(value)}"
     if key not in value:
-        return f".{key} is missing: it must be one of {', '.join(known)}"
-    return f".{key} must be one of {', '.join(known)}, {shown_value(value[key])}"
+        return f".{key} is missing: it must be one of {', '.join(tags)}"
+    return f".{key} must be one of {', '.join(tags)}, {shown_value(value[key])}"
 
 
 def _path(location: tuple[int | str, ...]) -> str:
@@ -339,5 +340,5 @@ def read_toml(path: Path) -> dict[str, Any]:
 
 
 def reason(error: Exception) -> str:
-    """Why a file cannot be used, in one line."""
+    """The reason why a file cannot be used, in one line."""
     return " ".join(printable(getattr(error, "strerror", None) or str(error)).split())

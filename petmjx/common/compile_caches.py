@@ -1,6 +1,6 @@
 """Folders for compiled programs of JAX and Warp, under ``$PETMJX_CACHE_DIR`` (default: ``~/.cache/petmjx``).
 
-If the folder cannot be written, as in a read-only home, petmjx goes on with a temporary folder of the user.
+If the folder cannot be written, as in a read-only home, petmjx uses a temporary folder of the user instead.
 """
 
 from __future__ import annotations
@@ -22,29 +22,30 @@ from petmjx.common.text import printable
 Kind = Literal["jax", "warp"]
 
 VARIABLES: Final[dict[Kind, str]] = {"jax": "JAX_COMPILATION_CACHE_DIR", "warp": "WARP_CACHE_PATH"}
-"""Environment variable in which JAX or Warp itself looks for its folder. It takes precedence over petmjx's."""
+"""Environment variable in which JAX or Warp itself looks for its folder. This variable takes precedence over
+petmjx's."""
 
 
 def wanted_folder(kind: Kind) -> Path:
-    """The folder for compiled programs that the environment asks for. It is not checked whether it can be written.
+    """The folder for compiled programs that the environment asks for. Whether the folder can be written is not checked.
 
     Raises:
         RuntimeError: there is no home folder, and no variable names a folder.
     """
-    if named := os.environ.get(VARIABLES[kind]):
-        return Path(named)
-    named = os.environ.get("PETMJX_CACHE_DIR")
-    return (Path(named) if named else Path.home() / ".cache" / "petmjx") / kind
+    if folder_text := os.environ.get(VARIABLES[kind]):
+        return Path(folder_text)
+    folder_text = os.environ.get("PETMJX_CACHE_DIR")
+    return (Path(folder_text) if folder_text else Path.home() / ".cache" / "petmjx") / kind
 
 
 def why_not_written(kind: Kind) -> str:
-    """Why the wanted folder cannot be used; "" if it can."""
+    """The reason why the wanted folder cannot be used; "" if it can."""
     try:
         folder = wanted_folder(kind)
     except RuntimeError as error:
         return f"no home folder: {reason(error)}"
-    why = _why_unusable(folder)
-    return f"{printable(str(folder))} cannot be written: {why}" if why else ""
+    fault = _why_unusable(folder)
+    return f"{printable(str(folder))} cannot be written: {fault}" if fault else ""
 
 
 def cache_folder(kind: Kind) -> Path:
@@ -64,7 +65,7 @@ def cache_folder(kind: Kind) -> Path:
 
 
 def why_no_folder(kind: Kind) -> str | None:
-    """Why there is no folder for compiled programs at all; None if there is one."""
+    """The reason why there is no folder for compiled programs at all; None if there is one."""
     try:
         cache_folder(kind)
     except EngineUnavailable as error:
@@ -90,7 +91,8 @@ def _why_unusable(folder: Path) -> str:
 def temporary_folder() -> Path:
     """A temporary folder that only this user can write. Raises OSError.
 
-    All processes of the user share it. If its name is taken by somebody else, this process gets a folder of its own.
+    All processes of the user share this folder. If another user owns a folder of this name, this process gets a folder
+    of its own.
     """
     folder = Path(tempfile.gettempdir()) / f"petmjx-cache-{os.getuid()}"
     with suppress(FileExistsError):

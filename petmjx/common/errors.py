@@ -1,10 +1,10 @@
-"""Errors that the user can correct. Each is one clear line; the command line shows no traceback."""
+"""Errors that the user can correct. Each error has one clear line; the command line shows no traceback."""
 
 from __future__ import annotations
 
 
 class PetmjxError(Exception):
-    """Base of all errors that petmjx raises on purpose. Its text is one line that says what to do."""
+    """Base of all errors that petmjx raises on purpose. The text of the error is one line that says what to do."""
 
 
 class InputError(PetmjxError):
@@ -12,8 +12,8 @@ class InputError(PetmjxError):
 
 
 class PlanWarning(UserWarning):
-    """A plan that seems to follow another convention than petmjx's, such as other units; or an entry that a leaderboard
-    does not rate."""
+    """A plan that seems to use other units or another convention than petmjx's; or an entry that a leaderboard does not
+    rate."""
 
 
 class EngineUnavailable(PetmjxError):

@@ -33,8 +33,8 @@ LOOKED_AT_ARCHIVE: Final = 1 << 16
 
 
 def foreign_kind(data: bytes | bytearray) -> str | None:
-    """The format of a file that cannot be JSON or CSV, by its first bytes, as an error text. None: it may be JSON or
-    CSV.
+    """The format of a file that cannot be JSON or CSV, by its first bytes, as an error text. None: the file may be JSON
+    or CSV.
     """
     begin = bytes(data[:_SNIFFED_BYTES])
     if begin.startswith(b"PK\x03\x04"):

@@ -78,7 +78,7 @@ def jax_devices(platform: str | None = None) -> list[Any]:
     """JAX's devices. JAX is started so that it leaves device memory to Warp.
 
     When JAX first looks for its devices, XLA takes three quarters of a GPU's memory unless an environment variable
-    forbids it. The variable is set only while the devices are listed. If the user has set it, it stays as it is.
+    forbids it. The variable is set only while the devices are listed. A value that the user has set stays.
 
     Args:
         platform: a platform of JAX, such as "cuda"; None: JAX's default.
@@ -132,7 +132,7 @@ def device_name(engine: str, threads: int | None = None) -> str:
 
 
 def why_no_warp_at_once() -> str | None:
-    """Why mjx-warp cannot run here, as far as this shows without importing JAX, which takes seconds.
+    """The reason why mjx-warp cannot run here, as far as it shows without importing JAX, which takes seconds.
 
     None: no reason was found without JAX.
     """
@@ -144,7 +144,8 @@ def why_no_warp_at_once() -> str | None:
 
 
 def why_no_warp() -> str | None:
-    """Why mjx-warp cannot run here; None if it can. JAX is imported only if a CUDA device and Warp are present."""
+    """The reason why mjx-warp cannot run here; None if it can. JAX is imported only if a CUDA device and Warp are
+    present."""
     if problem := why_no_warp_at_once():
         return problem
     try:
@@ -155,7 +156,7 @@ def why_no_warp() -> str | None:
 
 
 def why_no_warp_on_cpu() -> str | None:
-    """Why mjx-warp-cpu cannot run here; None if it can, unless JAX uses a GPU in this process."""
+    """The reason why mjx-warp-cpu cannot run here; None if it can, unless JAX uses a GPU in this process."""
     if importlib.util.find_spec("warp") is None:
         return "Warp is not installed: pip install 'petmjx[warp]'"
     return why_no_folder("warp")

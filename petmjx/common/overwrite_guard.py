@@ -33,7 +33,7 @@ def check_outputs(
     Args:
         files: the files to be written. Names in ``/dev`` may always be written.
         inputs: files that are read, and folders of which all files are read.
-        folder: the folder that the user named, if the user did not name the files. It may be a link or missing.
+        folder: the folder that the user named, if the user did not name the files. The folder may be a link or missing.
         is_ours: whether petmjx wrote a file of ``folder``.
 
     Raises:
@@ -59,7 +59,7 @@ def _check_folder(folder: Path) -> None:
 
 
 def _check_way(file: Path, folder: Path) -> None:
-    """Check the folders between the named folder and the file. They are petmjx's own: no links, no files."""
+    """Check the folders between the named folder and the file. The folders are petmjx's own: no links, no files."""
     between = [parent for parent in file.parents if parent != folder and parent.is_relative_to(folder)]
     for parent in reversed(between):
         with _path_errors(parent):

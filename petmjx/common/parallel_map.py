@@ -11,7 +11,8 @@ from typing import Final, Generic, Self, TypeVar
 from petmjx.common.processes import process_pool, stop
 
 ALONE: Final = 256
-"""Fewer tasks than this run in this process: at milliseconds a task, other processes would take longer to start."""
+"""With fewer tasks than this, all run in this process: at milliseconds a task, other processes would take longer to
+start."""
 
 _CHUNK: Final = 16
 _CHUNKS_AHEAD: Final = 4
@@ -39,7 +40,7 @@ def ordered_results(
         function: a function of a module (or ``functools.partial`` of one), since other processes import it.
         tasks: iterated in this process, only as far ahead as is needed.
         workers: number of processes; 1: this one. Scripts with more than 1 need ``if __name__ == "__main__":``.
-        alone: fewer tasks than this run in this process; None: ``ALONE``.
+        alone: with fewer tasks than this, all run in this process; None: ``ALONE``.
         chunk: number of tasks that another process gets at a time.
     """
     tasks, alone = iter(tasks), ALONE if alone is None else alone
@@ -51,8 +52,8 @@ def ordered_results(
     pool = process_pool(workers, gpu=False)
     try:
         waiting: deque[Future[list[Result]]] = deque()
-        while some := list(islice(everything, chunk)):
-            waiting.append(pool.submit(_task_results, function, some))
+        while chunk_tasks := list(islice(everything, chunk)):
+            waiting.append(pool.submit(_task_results, function, chunk_tasks))
             if len(waiting) >= _CHUNKS_AHEAD * workers:
                 yield from waiting.popleft().result()
         while waiting:
@@ -101,15 +102,15 @@ class UnorderedResults(Generic[Task, Result]):
             self._all_begun = waits and not results
             return results
         self._submit(self._pool)
-        done, _ = wait(self._numbers, None if waits else 0, FIRST_COMPLETED)
-        results = [(self._numbers.pop(future), future.result()) for future in done]
+        done_futures, _ = wait(self._numbers, None if waits else 0, FIRST_COMPLETED)
+        results = [(self._numbers.pop(future), future.result()) for future in done_futures]
         self._submit(self._pool)
         return results
 
     def _submit(self, pool: ProcessPoolExecutor) -> None:
-        some = list(islice(self._tasks, self._ahead - len(self._numbers)))
-        self._all_begun = len(some) < self._ahead - len(self._numbers)
-        for number, task in some:
+        next_tasks = list(islice(self._tasks, self._ahead - len(self._numbers)))
+        self._all_begun = len(next_tasks) < self._ahead - len(self._numbers)
+        for number, task in next_tasks:
             self._numbers[pool.submit(self._function, task)] = number
 
     def __enter__(self) -> Self:

@@ -21,15 +21,15 @@ class _End:
 def prefetch(items: Generator[Item], most: int) -> Generator[Item]:
     """The items of a generator, in order, made ahead in a thread.
 
-    The thread starts when the first item is requested. It makes items until ``most`` of them wait in the queue, and one
-    more. An error of ``items`` is raised after all items before it have been taken. Closing the result closes ``items``
-    in its thread, and returns when the thread has ended.
+    The thread starts when the first item is requested. The thread makes items until ``most`` of them wait in the queue,
+    and one more. An error of ``items`` is raised after all items before it have been taken. Closing the result closes
+    ``items`` in its thread, and returns when the thread has ended.
 
     Args:
         most: number of items that may wait before the thread pauses.
     """
     queue: SimpleQueue[Any] = SimpleQueue()
-    room, closed, ended = threading.Semaphore(most), threading.Event(), threading.Event()
+    room, closed, end_event = threading.Semaphore(most), threading.Event(), threading.Event()
 
     def run() -> None:
         try:
@@ -39,12 +39,12 @@ def prefetch(items: Generator[Item], most: int) -> Generator[Item]:
                     room.acquire()
                     if closed.is_set():
                         break
-        except BaseException as error:  # kept in no other local: its traceback holds this frame, and thus the items
+        except BaseException as error:  # in no other local: its traceback holds this frame, and thus the items
             queue.put(_End(error))
         else:
             queue.put(_End(None))
         finally:
-            ended.set()
+            end_event.set()
 
     thread = threading.Thread(target=run, name="petmjx-ahead", daemon=True)
 
@@ -52,7 +52,7 @@ def prefetch(items: Generator[Item], most: int) -> Generator[Item]:
         closed.set()
         room.release()
         if thread.ident is not None:
-            _wait_for(ended)
+            _wait_for(end_event)
             thread.join()
 
     atexit.register(end)  # a thread that is inside JAX aborts the process when Python ends

@@ -19,10 +19,12 @@ from petmjx.common.machine import cpu_threads
 def process_pool(processes: int, *, gpu: bool = True, nice: int = 0) -> ProcessPoolExecutor:
     """A pool of fresh processes. Forked processes would hang if a thread of this process held a lock.
 
-    If this process is killed, the pool's processes end too. Without ``_begin`` they would wait for tasks for ever.
+    If this process is killed, the pool's processes end too. Without ``_begin`` the processes would wait for tasks for
+    ever.
 
     Args:
-        gpu: whether the processes see GPUs. A process that sees a GPU takes some of its memory even without using it.
+        gpu: whether the processes see GPUs. A process that sees a GPU takes some of the GPU's memory even without using
+            it.
         nice: niceness that is added to the processes, so that this process has priority. Without effect on systems
             that have no niceness.
     """
@@ -31,7 +33,7 @@ def process_pool(processes: int, *, gpu: bool = True, nice: int = 0) -> ProcessP
 
 def stop(pool: ProcessPoolExecutor) -> None:
     """End a pool's processes at once: ``shutdown`` would wait for the tasks in flight. No caller may still wait for
-    results of these tasks."""
+    results of tasks."""
     for process in list((pool._processes or {}).values()):
         process.terminate()
 
@@ -53,11 +55,11 @@ def _begin(gpu: bool, nice: int) -> None:
 
 
 MOST_THREADS: Final = 2
-"""Default number of threads. More of them wait for Python's global lock: on the host of an H200, places for 2,048
-pallets took 155 ms with one thread, 118 ms with two, 141 ms with eight and 158 ms with sixteen."""
+"""Default number of threads. With more threads, they wait for Python's global lock: on the host of an H200, places for
+2,048 pallets took 155 ms with one thread, 118 ms with two, 141 ms with eight and 158 ms with sixteen."""
 
 _FEW: Final = 2
-"""Up to this many pieces, this thread is as fast as other threads are to start."""
+"""With at most this many pieces, this thread is done before other threads have started."""
 
 Piece = TypeVar("Piece")
 Result = TypeVar("Result")
@@ -67,7 +69,7 @@ def on_threads(function: Callable[[Piece], Result], pieces: Sequence[Piece], mos
     """``function`` of each piece, computed on several threads. Results are in the order of the pieces.
 
     Args:
-        pieces: the longest should come first.
+        pieces: arguments of the calls; the longest should come first.
         most: largest number of threads.
     """
     if len(pieces) <= _FEW or most == 1:
@@ -120,3 +122,16 @@ again while they start."""
 def collect_rarely() -> None:
     """Collect garbage rarely. Only for processes that petmjx started, not for a user's process."""
     gc.set_threshold(*EVERY)
+
+
+@contextlib.contextmanager
+def no_collection() -> Iterator[None]:
+    """Collect no garbage meanwhile. For code that makes very many objects without cycles: the collector would look at
+    all of them, again and again."""
+    enabled = gc.isenabled()
+    gc.disable()
+    try:
+        yield
+    finally:
+        if enabled:
+            gc.enable()

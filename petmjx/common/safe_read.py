@@ -15,8 +15,8 @@ MOST_BYTES: Final = 4 << 30
 MOST_RATIO: Final = 100
 FREE_BYTES: Final = 64 << 20
 """Bounds of compression. A file that unpacks to more than `FREE_BYTES` and to more than `MOST_RATIO` times its own size
-is refused: it is no file of plans and no table. Gzip packs plans to a tenth or a thirtieth, and zeros to a thousandth;
-Parquet packs results to a tenth."""
+is refused: no real table of plans is packed so densely. Gzip packs plans to a tenth or a thirtieth, and zeros to a
+thousandth; Parquet packs results to a tenth."""
 
 _KINDS: Final = (
     (stat.S_ISDIR, errno.EISDIR, "Is a directory"),
@@ -82,5 +82,5 @@ def size(n_bytes: int) -> str:
 
 
 def allowed_bytes(file_bytes: int, free: int = FREE_BYTES, most: int = MOST_BYTES) -> int:
-    """Bytes that a file of this size may take when it is unpacked. The rule is the same for gzip and Parquet."""
+    """Number of bytes that a file of this size may unpack to. The rule is the same for gzip and Parquet."""
     return min(most, max(free, MOST_RATIO * file_bytes))

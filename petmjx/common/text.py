@@ -13,7 +13,7 @@ _ESCAPES: Final = {"\n": "\\n", "\r": "\\r", "\t": "\\t"}
 def printable(text: str) -> str:
     """Text that fits into one line: characters that are not visible are escaped ("\\u001b").
 
-    These are control characters (ESC and C1 of terminals too), line breaks, marks that change the direction of
+    Escaped are control characters (ESC and C1 of terminals too), line breaks, marks that change the direction of
     writing, and broken UTF-8. All text from files goes through this function before it is printed.
     """
     if text.isprintable():
@@ -40,8 +40,8 @@ def shortened_text(text: str) -> str:
 
 def first_names(names: Sequence[str], most: int = 5) -> str:
     """The first of many names from files, as messages show them: "a, b and 3 more"."""
-    more = f" and {len(names) - most:,} more" if len(names) > most else ""
-    return ", ".join(map(printable_name, names[:most])) + more
+    more_text = f" and {len(names) - most:,} more" if len(names) > most else ""
+    return ", ".join(map(printable_name, names[:most])) + more_text
 
 
 def is_text(text: str) -> bool:
@@ -111,7 +111,7 @@ def duration(seconds: float) -> str:
 
 
 def time_left(seconds: float) -> str:
-    """A time that counts down: "45 s", "1 min 45 s", "2 h 5 min"."""
+    """A remaining time: "45 s", "1 min 45 s", "2 h 5 min"."""
     rounded_s = round(seconds)
     if rounded_s < 60:
         return f"{rounded_s} s"

@@ -9,7 +9,7 @@ from collections.abc import Callable
 from petmjx.common.text import count_text, three_digits, time_left
 
 MARK_S = 0.1
-"""Least time between two marks, s. It keeps them few even for a million worlds."""
+"""Least time between two marks, s. This bounds the number of kept times, even for a million worlds."""
 
 
 class Throughput:
@@ -17,7 +17,7 @@ class Throughput:
 
     Args:
         total: number of worlds; None if it is not known.
-        what: the user's word for a world: ``plan``, or ``world`` in sweeps.
+        what: the noun for a world in messages: ``plan``, or ``world`` in sweeps.
         clock: the time now, s.
     """
 
@@ -39,8 +39,8 @@ class Throughput:
             self._marks[-1] = mark
         else:
             self._marks.append(mark)
-        others = (self._total or 0) - done
-        while others > 0 and len(self._marks) > 1 and self._marks[1][0] <= done - others:
+        n_left = (self._total or 0) - done
+        while n_left > 0 and len(self._marks) > 1 and self._marks[1][0] <= done - n_left:
             self._marks.popleft()
 
     @property
@@ -52,22 +52,23 @@ class Throughput:
 
     @property
     def rate(self) -> str:
-        """Finished worlds per second, over the whole run so far: "12.3 plans/s". Empty before the first one."""
+        """Finished worlds per second, over the whole run so far: "12.3 plans/s". Empty before the first world."""
         until = self._marks[-1][1] if self._done == self._total else self._clock()
         seconds = until - self._begin
         return f"{three_digits(self._done / seconds)} {self._what}s/s" if self._done and seconds > 0 else ""
 
     @property
     def left(self) -> str:
-        """How long the remaining worlds will take: "1 min 20 s left". Empty if that is not known, and at the end.
+        """How long the remaining worlds will take: "1 min 20 s left". Empty if the remaining time is not known, and at
+        the end.
 
         If n worlds remain, the estimate is the time that the last n finished worlds took. The rate of the whole run
         would be wrong at the end: the last worlds of a run are few and long.
         """
         if not self._done or self._total is None or self._done >= self._total:
             return ""
-        others = self._total - self._done
-        seconds = (self._clock() - self._marks[0][1]) * max(others / self._done, 1.0)
+        n_left = self._total - self._done
+        seconds = (self._clock() - self._marks[0][1]) * max(n_left / self._done, 1.0)
         return f"{time_left(max(seconds, 1.0))} left"
 
     @property

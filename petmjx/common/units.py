@@ -15,7 +15,7 @@ MM_PER_M = 1000.0
 MICROMETRES_PER_M = 1_000_000.0
 
 STANDARD_GRAVITY = 9.81
-"""In m/s²: the value of the reference implementation. Levels given in g are multiples of it."""
+"""In m/s²: the value of the reference implementation. Levels in g are multiples of this value."""
 
 LENGTHS_MM: Final[Mapping[str, tuple[float, str]]] = {
     "mm": (1.0, "millimetres"),
@@ -29,7 +29,7 @@ MASSES_KG: Final[Mapping[str, tuple[float, str]]] = {
     "lb": (0.45359237, "pounds"),
     "t": (1000.0, "tonnes"),
 }
-"""Units in which plans may be given → their size in millimetres or kilograms, and their name."""
+"""Units that users can name → their size in millimetres or kilograms, and their name."""
 
 PLAN_UNITS: Final = "mm,kg"
 """The default units of plans."""
@@ -45,8 +45,8 @@ def plan_units(text: str) -> tuple[str, str]:
     lengths = [name for name in names if name in LENGTHS_MM]
     masses = [name for name in names if name in MASSES_KG]
     if len(lengths) > 1 or len(masses) > 1 or len(lengths) + len(masses) != len(names):
-        known = f"one of {', '.join(LENGTHS_MM)} and one of {', '.join(MASSES_KG)}"
-        raise ValueError(f"must be {known}, separated by a comma, such as cm or cm,g")
+        unit_names = f"one of {', '.join(LENGTHS_MM)} and one of {', '.join(MASSES_KG)}"
+        raise ValueError(f"must be {unit_names}, separated by a comma, such as cm or cm,g")
     usual_length, usual_mass = PLAN_UNITS.split(",")
     return (lengths or [usual_length])[0], (masses or [usual_mass])[0]
 

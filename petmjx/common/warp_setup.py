@@ -1,7 +1,7 @@
 """Set-up of Warp for petmjx: the folder of its compiled kernels (petmjx/common/compile_caches.py), and no output.
 
-The settings are those of the process. The first use of Warp in petmjx makes them. They stay, and also apply to the
-caller's own Warp programs. A setting that the caller has changed before is left alone.
+The settings are those of the process. The first use of Warp in petmjx makes them. The options stay set, and also apply
+to the caller's own Warp programs. A setting that the caller has changed before is left alone.
 """
 
 from __future__ import annotations
@@ -40,13 +40,14 @@ def set_up_warp() -> None:
 
 @contextmanager
 def _nothing_on_stderr() -> Iterator[None]:
-    """Discard what native code writes to the terminal: Warp reports a missing CUDA driver, which petmjx knows."""
+    """Discard what native code writes to the terminal: Warp reports a missing CUDA driver; petmjx checks for the driver
+    itself."""
     sys.stderr.flush()
-    kept = os.dup(2)
+    saved_descriptor = os.dup(2)
     try:
         with open(os.devnull, "w") as nowhere:
             os.dup2(nowhere.fileno(), 2)
         yield
     finally:
-        os.dup2(kept, 2)
-        os.close(kept)
+        os.dup2(saved_descriptor, 2)
+        os.close(saved_descriptor)

@@ -70,7 +70,7 @@ class AttemptRunner(Generic[AnyWorld]):
 
     Attributes:
         sim: the run's options with the attempt's changes.
-        put_following: puts jobs that follow from results into the stream, after each outcome.
+        put_following: puts further jobs, which follow from results, into the stream, after each outcome.
         check_pool: pool that checks outcomes in other processes, if there is one.
         most: largest number of jobs in a list, for engines that take no stream.
     """
@@ -88,7 +88,7 @@ class AttemptRunner(Generic[AnyWorld]):
         """Yield world, outcome, and its records with this attempt's record; None in pauses of the engine.
 
         Args:
-            batch: the worlds. It is emptied, since finished worlds would take memory.
+            batch: the worlds. The list is emptied, since finished worlds would take memory.
         """
         engine = self.engines.primary
         left, others = list[Pending[AnyWorld]](), list[Pending[AnyWorld]]()
@@ -100,7 +100,7 @@ class AttemptRunner(Generic[AnyWorld]):
         yield from self.run_fallback(left + others)
 
     def _stream_of(self, batch: list[Pending[AnyWorld]], engine: Engine) -> JobStream[Pending[AnyWorld]]:
-        """A stream of these worlds alone. The batch is emptied."""
+        """A stream with the jobs of these worlds alone. The batch is emptied."""
         stream = JobStream[Pending[AnyWorld]]()
         for job, pending in zip(self.jobs_of([world for world, _, _ in batch], engine), batch, strict=True):
             stream.put(job, pending)
@@ -109,7 +109,7 @@ class AttemptRunner(Generic[AnyWorld]):
         return stream
 
     def run_fallback(self, left: list[Pending[AnyWorld]]) -> Iterator[AttemptResult[AnyWorld] | None]:
-        """Run the worlds that an engine left unanswered on its fallback, if it has one; yields as ``run``."""
+        """Run the worlds that an engine left unanswered on its fallback, if any; yields like ``run``."""
         engine = self.engines.primary
         if left and self.engines.fallback is not None:
             engine = self.engines.fallback
@@ -147,7 +147,7 @@ class AttemptRunner(Generic[AnyWorld]):
                 refused = isinstance(error, PetmjxError) or self.engines.fallback is None
                 if self.attempt.number == 1 and refused:
                     raise  # the user can change it: worlds that the engine refuses, or the user's own engine
-                if not stream.taken:  # it would refuse them again
+                if not stream.taken:  # the engine would refuse the jobs again
                     stream.take(sys.maxsize, least=1)
                 unanswered = list(stream.in_flight.values())
                 self._message = one_line(error)
@@ -155,6 +155,7 @@ class AttemptRunner(Generic[AnyWorld]):
                 return unanswered
             if answer is None and tells:
                 yield from self.checked_results([], engine_name, checked=checked, wait=False)
+                self._follow(stream, arrivals)
                 yield None
                 continue
             if answer is _END:
@@ -166,17 +167,24 @@ class AttemptRunner(Generic[AnyWorld]):
                 raise RuntimeError(
                     f"engine {engine.name} answered job {answer.job} twice, or it was never asked"
                 ) from None
-            # up to MOST_TOGETHER outcomes are checked together, but none is held back: further ones must be at hand
+            # up to MOST_TOGETHER outcomes are checked together, but no outcome is delayed: only outcomes that are ready
+            # now are added
             idle = not (tells and progress.at_hand)
             if len(arrivals) == MOST_TOGETHER or idle:
                 until = self._has_outcomes if tells else _never
                 yield from self.checked_results(arrivals, engine_name, checked=checked, wait=idle, until=until)
                 arrivals = []
-            self.put_following()
+            self._follow(stream, arrivals)
         yield from self.checked_results(arrivals, engine_name, checked=checked)
         if stream.in_flight:
             raise RuntimeError(f"engine {engine.name} did not answer {len(stream.in_flight)} of {stream.taken} jobs")
         return []
+
+    def _follow(self, stream: JobStream[Any], arrivals: Sequence[Any]) -> None:
+        """Put the jobs that follow from the results so far. ``arrivals``: outcomes that are not checked yet."""
+        self.put_following()
+        if not arrivals and (self.check_pool is None or not self.check_pool.has_unanswered):
+            stream.followed()
 
     def jobs_of(self, worlds: Sequence[AnyWorld], engine: Engine) -> list[Job]:
         """The jobs of these worlds at this attempt, for an engine."""
@@ -199,7 +207,7 @@ class AttemptRunner(Generic[AnyWorld]):
         Args:
             engine: the engine that made them; empty if each outcome names its engine.
             checked: whether the engine has checked them.
-            wait: True: wait for outcomes that are checked in the pool; else some of them follow in later calls.
+            wait: True: wait for all outcomes in the pool; False: some of them follow in later calls.
             until: as in ``CheckPool.exchanged``.
         """
         if checked:
@@ -227,7 +235,7 @@ class AttemptRunner(Generic[AnyWorld]):
         return (self.engines.progress.at_hand or 0) > 0
 
     def _checked(self, world: AnyWorld, before: Outcome, checked: Outcome) -> Outcome:
-        """The outcome of a world that was checked at half the timestep: the earlier one, with a flag if the verdict
+        """The outcome of a world that was checked at half the timestep: the earlier outcome, with a flag if the verdict
         changed."""
         if checked.verdict is before.verdict:
             return before

@@ -31,22 +31,22 @@ from petmjx.options.simulation import Simulation, Solver
 from petmjx.world.job import Job
 
 MOST_PENDING: Final = 13 * GROUP_WORLDS["mjx-warp"] // 8
-"""Largest number of worlds of a list for an engine that takes no stream, and of worlds that wait for another attempt or
-engine before the source waits."""
+"""Largest number of worlds of a list for an engine that takes no stream, and of waiting further attempts from which on
+the source waits."""
 
 PENDING_BOXES: Final = 1 << 20
 """Number of boxes of pending jobs from which on the source waits: 130 MB of scenes."""
 
 FIRST_WORLDS: Final = 1600
-"""Number of worlds with which a GPU begins. They are enough for its blocks for few boxes (``small_world_blocks``); the
-others join them."""
+"""Number of worlds with which a GPU begins. The GPU's blocks for worlds of few boxes (``small_world_blocks``) are then
+busy; the other worlds join them."""
 
 PAUSE_S: Final = 0.02
 """Time between two looks of a source that waits for other attempts, s."""
 
 
 def check_pool_for(engine: Engine, worlds: int) -> CheckPool[Any] | None:
-    """A pool that checks outcomes beside an engine with this many worlds; None if it is not worthwhile."""
+    """A pool that checks the outcomes of this many worlds beside an engine; None if not worthwhile."""
     return (
         CheckPool.here()
         if engine.name in BESIDE and Capability.CHECKS not in engine.capabilities and worlds >= LARGE
@@ -73,11 +73,11 @@ def score_worlds(
     ``most_pending`` wait or at the end. So memory does not grow with the number of worlds. Attempts that CPU threads
     make beside a GPU (petmjx/engines/attempts.py) begin at once.
 
-    ``following`` gives worlds that follow from the results so far, each world once. It is asked after each outcome. An
-    engine that takes a stream simulates them beside the worlds that still run, any other engine after these have
-    ended.
+    ``following`` gives worlds that follow from the results so far, each world exactly once. ``follow`` is called after
+    each outcome. An engine that takes a stream simulates these worlds beside the running ones, any other engine after
+    these have ended.
 
-    ``begin_with``: number of worlds for which a GPU waits at first.
+    ``begin_with``: number of worlds with which a GPU begins.
 
     ``check_pool``: a pool that several calls use one after the other; None: a call with many worlds starts its own.
 
@@ -94,107 +94,151 @@ def score_worlds(
     engines = Engines(engine, progress)
     if sim.has_soft and not engines.has_fallback and Capability.SOFT not in engine.capabilities:
         raise InputError(f"soft boxes need the engine mujoco, got {engine.name}")
-    first, *retries = attempts
-    most_pending *= engine.devices
     stream = JobStream[Pending[AnyWorld]](
         most_boxes=PENDING_BOXES * engine.devices, feedback=following is not None, begin_with=begin_with
     )
-    waiting: list[tuple[AttemptRecipe, Pending[AnyWorld]]] = []
-    aside = deque[Pending[AnyWorld]]()  # the thread of the source appends
+    most_pending *= engine.devices
+    first_runner = AttemptRunner[AnyWorld](attempts[0], attempts[0].apply_to_sim(sim), engines, most=most_pending)
     side_tasks = _SideTasks[AnyWorld](sim, engines, check_pool)
-    first_runner = AttemptRunner[AnyWorld](first, first.apply_to_sim(sim), engines, most=most_pending)
+    run = _AttemptRun[AnyWorld](sim, engines, attempts, following, most_pending, stream, first_runner, side_tasks)
+    yield from run.results(worlds)
 
-    def deliver(world: AnyWorld, *, bounded: bool) -> bool:
+
+@dataclass(eq=False)
+class _AttemptRun(Generic[AnyWorld]):
+    """The attempts at the worlds of one call of ``score_worlds``.
+
+    A world is in one of these places at a time: in ``stream`` before its first attempt, or in ``for_fallback`` if the
+    engine of the run cannot make it; then, for each further attempt, in ``retry_queue`` or in ``side_tasks``.
+
+    Attributes:
+        first_runner: makes the first attempts.
+        retry_queue: worlds that wait for the engine of the run, each with its next attempt.
+    """
+
+    sim: Simulation
+    engines: Engines
+    attempts: Sequence[AttemptRecipe]
+    following: Callable[[], Iterable[AnyWorld]] | None
+    most_pending: int
+    stream: JobStream[Pending[AnyWorld]]
+    first_runner: AttemptRunner[AnyWorld]
+    side_tasks: _SideTasks[AnyWorld]
+    retry_queue: list[tuple[AttemptRecipe, Pending[AnyWorld]]] = field(default_factory=list)
+    for_fallback: deque[Pending[AnyWorld]] = field(default_factory=deque)
+    """Filled by the thread of the source."""
+
+    def results(self, worlds: Iterable[AnyWorld]) -> Iterator[WorldResult[AnyWorld]]:
+        """Take worlds through all their attempts; yields each result when it is final."""
+        source = WorldSource(worlds, partial(self._put_world, bounded=True), self.stream, self._has_room)
+        self.first_runner.put_following = self._put_following
+        try:
+            source.start()
+            yield from self._rounds(source)
+        except GeneratorExit:
+            raise
+        except BaseException as error:  # even ctrl-C loses no outcome that has arrived
+            yield from self._arrived_results(error)
+            raise
+        finally:
+            with defer_signals(afterwards=True), ExitStack() as closing:  # a second Ctrl-C skips none of these steps
+                closing.callback(source.close)
+                closing.callback(self.side_tasks.close)
+
+    def _rounds(self, source: WorldSource[AnyWorld]) -> Iterator[WorldResult[AnyWorld]]:
+        """First attempts while there are jobs, then further attempts, until nothing is left."""
+        primary = self.engines.primary
+        while True:
+            self._put_following()
+            closed = self.stream.closed  # before the checks of its outcomes
+            n_ready = self.stream.wait_for(LARGE if primary.name in BESIDE else 1)
+            if n_ready or self.for_fallback:
+                self.side_tasks.prepare(self.stream.peek(LARGE), self.attempts[1:])
+                self.first_runner.check_pool = self.side_tasks.check_pool
+                self.side_tasks.first = self.first_runner
+                yield from self._results_of(self.attempts[0], self._first_attempts())
+            elif not self.retry_queue and self.side_tasks.unanswered:
+                n_unanswered = self.side_tasks.unanswered
+                self.engines.progress.message = f"{count_text(n_unanswered, 'world')} again on CPU threads"
+                yield from self._side_results(wait=True)
+            elif not self.retry_queue and closed:
+                source.raise_error()
+                return
+            if len(self.retry_queue) >= self.most_pending or not n_ready:
+                yield from self._retried_results()  # more worlds may follow from its results
+
+    def _has_room(self) -> bool:
+        return len(self.retry_queue) + len(self.for_fallback) < self.most_pending
+
+    def _put_world(self, world: AnyWorld, *, bounded: bool) -> bool:
         """Put the job of a new world into the stream, or set the world aside for the fallback."""
         pending: Pending[AnyWorld] = (world, None, ())
-        if first_runner.engine_for(world) is not engine:
-            aside.append(pending)
+        primary = self.engines.primary
+        if self.first_runner.engine_for(world) is not primary:
+            self.for_fallback.append(pending)
             return True
-        (job,) = first_runner.jobs_of([world], engine)
-        return stream.put(job, pending, bounded=bounded)
+        (job,) = self.first_runner.jobs_of([world], primary)
+        return self.stream.put(job, pending, bounded=bounded)
 
-    def put_following() -> None:
-        for world in following() if following is not None else ():
-            deliver(world, bounded=False)
+    def _put_following(self) -> None:
+        """Put the worlds that follow from the results so far."""
+        for world in self.following() if self.following is not None else ():
+            self._put_world(world, bounded=False)
 
-    def finish_or_retry(attempt: AttemptRecipe, pending: Pending[AnyWorld]) -> Iterator[WorldResult[AnyWorld]]:
-        """After an attempt: yield the result if it is final; else the world waits for its next attempt, or begins it.
+    def _first_attempts(self) -> Iterator[AttemptResult[AnyWorld] | None]:
+        """The first attempts at the worlds of the stream, and, on the fallback, at all worlds set aside for it."""
+        unanswered = yield from self.first_runner.run_stream(self.engines.primary, self.stream)
+        while self.for_fallback:
+            unanswered.append(self.for_fallback.popleft())
+        yield from self.first_runner.run_fallback(unanswered)
+
+    def _retried_results(self) -> Iterator[WorldResult[AnyWorld]]:
+        """Make the further attempts of the queue, one recipe after another."""
+        for attempt in self.attempts[1:]:
+            batch = [pending for recipe, pending in self.retry_queue if recipe is attempt]
+            self.retry_queue[:] = [entry for entry in self.retry_queue if entry[0] is not attempt]
+            if batch:
+                self.engines.progress.message = f"{len(batch)} again, attempt {attempt.number}"
+                runner = AttemptRunner[AnyWorld](attempt, attempt.apply_to_sim(self.sim), self.engines)
+                yield from self._results_of(attempt, runner.run(batch))
+
+    def _results_of(
+        self, attempt: AttemptRecipe, attempt_results: Iterator[AttemptResult[AnyWorld] | None]
+    ) -> Iterator[WorldResult[AnyWorld]]:
+        """The final results among these, and those of side tasks that have ended meanwhile."""
+        for pending in attempt_results:
+            if pending is not None:  # None: the engine pauses
+                yield from self._finish_or_retry(attempt, pending)
+            yield from self._side_results()
+
+    def _side_results(self, *, wait: bool = False) -> Iterator[WorldResult[AnyWorld]]:
+        for attempt, pending in self.side_tasks.ended(wait=wait):
+            yield from self._finish_or_retry(attempt, pending)
+
+    def _arrived_results(self, error: BaseException) -> Iterator[WorldResult[AnyWorld]]:
+        """After an error: the results whose outcomes have arrived."""
+        if self.side_tasks.check_pool is not None and not isinstance(error, Exception):
+            self.side_tasks.check_pool.hurry()
+        yield from self._side_results()
+        if self.side_tasks.first is not None:
+            for pending in self.side_tasks.first.checked_results([], self.engines.primary.name):
+                yield from self._finish_or_retry(self.attempts[0], pending)
+
+    def _finish_or_retry(self, attempt: AttemptRecipe, pending: Pending[AnyWorld]) -> Iterator[WorldResult[AnyWorld]]:
+        """After an attempt: yield the result if it is final. Otherwise the world waits for its next attempt, or begins
+        it as a side task.
 
         Args:
             pending: with the attempt's outcome.
         """
         world, outcome, records = pending
         assert outcome is not None
-        later = attempts[attempts.index(attempt) + 1 :]
-        next_attempt = next((recipe for recipe in later if recipe.is_for(outcome, sim)), None)
+        later = self.attempts[self.attempts.index(attempt) + 1 :]
+        next_attempt = next((recipe for recipe in later if recipe.is_for(outcome, self.sim)), None)
         if next_attempt is None:
             yield WorldResult(world, outcome, records)
-        elif not side_tasks.begin(next_attempt, pending):
-            waiting.append((next_attempt, pending))
-
-    def side_results(wait: bool = False) -> Iterator[WorldResult[AnyWorld]]:
-        for attempt, pending in side_tasks.ended(wait=wait):
-            yield from finish_or_retry(attempt, pending)
-
-    def results_of(
-        attempt: AttemptRecipe, attempt_results: Iterator[AttemptResult[AnyWorld] | None]
-    ) -> Iterator[WorldResult[AnyWorld]]:
-        for pending in attempt_results:
-            if pending is not None:  # None: the engine pauses
-                yield from finish_or_retry(attempt, pending)
-            yield from side_results()
-
-    def first_attempt() -> Iterator[AttemptResult[AnyWorld] | None]:
-        left = yield from first_runner.run_stream(engine, stream)
-        while aside:
-            left.append(aside.popleft())
-        yield from first_runner.run_fallback(left)
-
-    def retry() -> Iterator[WorldResult[AnyWorld]]:
-        for attempt in retries:
-            chosen = [pending for recipe, pending in waiting if recipe is attempt]
-            waiting[:] = [entry for entry in waiting if entry[0] is not attempt]
-            if chosen:
-                progress.message = f"{len(chosen)} again, attempt {attempt.number}"
-                runner = AttemptRunner[AnyWorld](attempt, attempt.apply_to_sim(sim), engines)
-                yield from results_of(attempt, runner.run(chosen))
-
-    source = WorldSource(
-        worlds, partial(deliver, bounded=True), stream, lambda: len(waiting) + len(aside) < most_pending
-    )
-    first_runner.put_following = put_following
-    try:
-        source.start()
-        while True:
-            put_following()
-            closed = stream.closed  # before the looks at what it has delivered
-            ready = stream.wait_for(LARGE if engine.name in BESIDE else 1)
-            if ready or aside:
-                side_tasks.prepare(stream.peek(LARGE), retries)
-                if following is None:
-                    first_runner.check_pool, side_tasks.first = side_tasks.check_pool, first_runner
-                yield from results_of(first, first_attempt())
-            elif not waiting and side_tasks.unanswered:
-                progress.message = f"{count_text(side_tasks.unanswered, 'world')} again on CPU threads"
-                yield from side_results(wait=True)
-            elif not waiting and closed:
-                source.raise_error()
-                return
-            if len(waiting) >= most_pending or not ready:
-                yield from retry()  # more worlds may follow from its results
-    except GeneratorExit:
-        raise
-    except BaseException as error:  # even ctrl-C loses no outcome that has arrived
-        if side_tasks.check_pool is not None and not isinstance(error, Exception):
-            side_tasks.check_pool.hurry()
-        yield from side_results()
-        for answered in side_tasks.first.checked_results([], engine.name) if side_tasks.first is not None else ():
-            yield from finish_or_retry(first, answered)
-        raise
-    finally:
-        with defer_signals(afterwards=True), ExitStack() as closing:  # a second ctrl-C skips nothing of it
-            closing.callback(source.close)
-            closing.callback(side_tasks.close)
+        elif not self.side_tasks.begin(next_attempt, pending):
+            self.retry_queue.append((next_attempt, pending))
 
 
 class WorldSource(Generic[AnyWorld]):
@@ -202,7 +246,7 @@ class WorldSource(Generic[AnyWorld]):
 
     Args:
         deliver: puts a world's job into the stream, and waits while that is full. False: the stream is closed.
-        has_room: whether few enough worlds wait for other attempts or engines. Else the source pauses.
+        has_room: whether few enough worlds wait for other attempts or engines. Otherwise the source pauses.
     """
 
     def __init__(
@@ -226,7 +270,7 @@ class WorldSource(Generic[AnyWorld]):
             raise self._error
 
     def close(self) -> None:
-        """Make no more worlds, and wait for the one that is being made."""
+        """Make no more worlds, and wait until the last one is made."""
         self._stop.set()
         self._stream.close()
         if self._thread.ident is not None:
@@ -255,11 +299,11 @@ class _SideTasks(Generic[AnyWorld]):
     sim: Simulation
     engines: Engines
     lent: CheckPool[Pending[AnyWorld]] | None = None
-    """A pool that is kept after this run."""
+    """A pool of processes that stays for later runs."""
     check_pool: CheckPool[Pending[AnyWorld]] | None = None
     first: AttemptRunner[AnyWorld] | None = None
     """The attempt whose outcomes the pool checks."""
-    _numbers: Iterator[int] = field(default_factory=count)
+    _task_numbers: Iterator[int] = field(default_factory=count)
     _in_flight: dict[int, tuple[AttemptRunner[AnyWorld], Pending[AnyWorld], str]] = field(default_factory=dict)
     """Number of a task → the attempt that it makes, the world, and the name of the engine."""
 
@@ -269,8 +313,8 @@ class _SideTasks(Generic[AnyWorld]):
         return len(self._in_flight)
 
     def prepare(self, jobs: Sequence[Job], retries: Sequence[AttemptRecipe]) -> None:
-        """At the beginning of a large run: start the pool, and the process for attempts that few worlds need. That
-        process simulates one box first: it may have to compile a kernel, which takes as long as many worlds."""
+        """At the beginning of a large run: start the pool, and the process for attempts that few worlds need. The
+        process simulates one box first: a kernel may have to be compiled, which takes as long as many worlds."""
         self.check_pool = self.check_pool or self.lent or check_pool_for(self.engines.primary, len(jobs))
         name = BESIDE.get(self.engines.primary.name)
         if name is None or len(jobs) < LARGE:
@@ -284,7 +328,7 @@ class _SideTasks(Generic[AnyWorld]):
                 self.engines.helper.begin(Task(READY, name, job, sim))
 
     def begin(self, attempt: AttemptRecipe, pending: Pending[AnyWorld]) -> bool:
-        """Begin an attempt at a world. False if it is not made beside the engine of the run."""
+        """Begin an attempt at a world. False if the engine of the run makes the attempt itself."""
         runner = AttemptRunner[AnyWorld](attempt, attempt.apply_to_sim(self.sim), self.engines)
         world, before, _ = pending
         # if boxes of a plan may sink, they do in all its worlds with errors
@@ -298,9 +342,9 @@ class _SideTasks(Generic[AnyWorld]):
 
     def _ask(self, runner: AttemptRunner[AnyWorld], pending: Pending[AnyWorld], engine: str) -> None:
         (job,) = runner.attempt.apply_to_jobs([ready_for(engine, pending[0].job)])
-        number = next(self._numbers)
-        self._in_flight[number] = runner, pending, engine
-        self.engines.helper.begin(Task(number, engine, job, runner.sim))
+        task_number = next(self._task_numbers)
+        self._in_flight[task_number] = runner, pending, engine
+        self.engines.helper.begin(Task(task_number, engine, job, runner.sim))
 
     def ended(self, *, wait: bool) -> Iterator[tuple[AttemptRecipe, Pending[AnyWorld]]]:
         """The attempts that have ended, and the worlds with their outcomes.
@@ -310,7 +354,7 @@ class _SideTasks(Generic[AnyWorld]):
         """
         if self._in_flight:
             for answer in self.engines.helper.ended(wait=wait):
-                if answer.number not in self._in_flight:  # READY, of this run or the one before
+                if answer.number not in self._in_flight:  # READY, from this run or the run before
                     continue
                 runner, pending, engine = self._in_flight.pop(answer.number)
                 for answered in self._answered(runner, pending, engine, answer):
@@ -320,8 +364,8 @@ class _SideTasks(Generic[AnyWorld]):
     def _answered(
         self, runner: AttemptRunner[AnyWorld], pending: Pending[AnyWorld], engine: str, answer: Answer
     ) -> Iterator[AttemptResult[AnyWorld] | None]:
-        """The world with the outcome of an answer. Without an outcome the fallback is asked beside the run. If it has
-        no outcome either, it simulates the world in this process."""
+        """The world with the outcome of an answer. For a world without an outcome, the fallback is tried beside the
+        run. If the fallback has no outcome either, it simulates the world in this process."""
         fallback = self.engines.fallback
         if answer.outcome is not None:
             self.engines.progress.world_steps += answer.outcome.n_steps

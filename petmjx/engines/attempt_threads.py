@@ -13,7 +13,7 @@ from petmjx.engines.subprocess.attempt_process import Answer, Task, answer_to
 
 class ThreadSimulator:
     """Simulates worlds on threads, each with an engine of one thread. While a run goes on, its own threads and these
-    share the CPUs; at its end these are no longer held up.
+    share the CPUs; afterwards these threads have the CPUs alone.
 
     Args:
         threads: number of threads.

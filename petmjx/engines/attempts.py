@@ -1,23 +1,22 @@
-"""Attempts at a world: the settings that each changes, the outcomes for which it is made, and the engine that makes it.
+"""Attempts at a world: the changed settings of each attempt, the outcomes that lead to it, and its engine.
 
 The rules: docs/rules.md, section 9.
 
 The first attempts are those of the PET-Physics paper (Newton, then CG, up to two attempts each); one with half the
 timestep follows. Worlds whose verdict may come from soft contacts (``petmjx.engines.contact_penetration``) have two
-attempts of their own. If asked for, the last attempt has soft boxes, as the third one of the reference implementation.
-The second attempts of the reference implementation repeat the same deterministic run. Here the solver gets up to
-``CAREFUL_ITERATIONS`` iterations and ``CAREFUL_TOLERANCE``, which helps if it had stopped too early.
+attempts of their own. An optional last attempt has soft boxes, like the third attempt of the reference implementation.
+The second attempts of the reference implementation repeat the same deterministic run. In this attempt the solver gets
+up to ``CAREFUL_ITERATIONS`` iterations and ``CAREFUL_TOLERANCE``, which helps if it had stopped too early.
 
 The MJX engines work in single precision, and ``mjx-warp`` has only Newton's method. So C MuJoCo is their *fallback*
-(``FALLBACKS``). It makes the attempts that want double precision, simulates worlds with soft boxes and with conjugate
-gradients, and takes over worlds that an error left unanswered. ``mujoco`` itself and a user's own engine have no
-fallback.
+(``FALLBACKS``). C MuJoCo makes the attempts that need double precision, simulates worlds with soft boxes and with
+conjugate gradients, and takes over worlds that an error left unanswered. ``mujoco`` itself and a user's own engine have
+no fallback.
 
-A GPU takes as long for a single world as for many. So in a run on ``mjx-warp`` further attempts that few worlds need
-are made beside it, on CPU threads (petmjx/engines/subprocess): the attempts of C MuJoCo, and those with stiffer
-contacts, which ``mjx-warp-cpu`` makes with the same kernels. A run on ``mjx-warp-cpu`` makes the latter on further
-threads (petmjx/engines/attempt_threads.py). The engine of an attempt depends only on the world and the
-options.
+A GPU takes as long for a single world as for many. So in a run on ``mjx-warp`` rare further attempts are made beside
+the engine, on CPU threads (petmjx/engines/subprocess): the attempts of C MuJoCo, and those with stiffer contacts, which
+``mjx-warp-cpu`` makes with the same kernels. A run on ``mjx-warp-cpu`` makes attempts with stiffer contacts on further
+threads (petmjx/engines/attempt_threads.py). The engine of an attempt depends only on the world and the options.
 """
 
 from __future__ import annotations
@@ -48,12 +47,13 @@ CAREFUL_TOLERANCE = 1e-10
 """Solver tolerance of a second attempt: a hundredth of MuJoCo's default. Engines clip it to their precision."""
 
 NEAR = 0.5
-"""Worlds with a smaller absolute margin are checked at half the timestep. ``Outcome.margin`` of invalid ones is NaN."""
+"""Worlds with a smaller absolute margin are checked at half the timestep. ``Outcome.margin`` of invalid worlds is
+NaN."""
 
 STIFF_QUIET_STEPS = 25
 """``Quiet.steps`` in stiff contacts, where less than a millimetre decides. Of 6,000 small stacks that statics decides,
-5 that should stand fell with 15 steps, 4 with 25, and 3 with 50. With 50 pallets that tremble take three times as
-long."""
+5 fell with 15 steps although they should stand, 4 with 25, and 3 with 50. With 50 pallets that tremble take three times
+as long."""
 
 _EARLY_STOP, _SINKING = int(Flag.EARLY_STOP), int(Flag.SINKING)  # numbers are compared several times as fast
 
@@ -63,7 +63,7 @@ _COUNTED_IN_STEPS = ("steps", "landing_steps", "poll_steps", "still_steps", "tre
 
 @dataclass(frozen=True)
 class AttemptRecipe:
-    """One attempt: the settings that it changes (docs/rules.md, section 9)."""
+    """One attempt: the changed settings (docs/rules.md, section 9)."""
 
     number: int
     solver: Solver | None
@@ -73,25 +73,26 @@ class AttemptRecipe:
     """Stiffer contacts, with this share of the time constant: only for worlds whose verdict may come from soft contacts
     (``Flag.SINKING``)."""
     checks: bool = False
-    """True: the attempt keeps the verdict, and only sets ``Flag.TIMESTEP`` if it finds another one."""
+    """True: the attempt keeps the verdict, and only sets ``Flag.TIMESTEP`` if it finds a different one."""
 
     most_boxes: int | None = None
-    """Worlds with more boxes than this keep their verdict, if they have one, and the flag. Steps of hundreds of boxes
+    """Worlds with more boxes than this keep their verdict, if any, and the flag. Steps of hundreds of boxes
     in stiff contacts take tens of milliseconds, and the leaning boxes are a small part of the pallet."""
     soft: bool = False
     """All boxes are flex bodies (petmjx/world/soft_boxes.py), from the beginning."""
 
     doubles: bool = False
-    """Whether it wants double precision. A world may be invalid because of single precision. In contacts of a twentieth
-    of the time constant boxes sink by less than single precision resolves."""
+    """Whether the attempt needs double precision. A world may be invalid because of single precision. In contacts of a
+    twentieth of the time constant boxes sink by less than single precision resolves."""
 
     few: bool = False
-    """Whether only few of many worlds need it, except for worlds with errors of a plan whose boxes may sink."""
+    """Whether only few of many worlds need the attempt, except for worlds with errors of a plan whose boxes may
+    sink."""
 
     def is_for(self, outcome: Outcome, sim: Simulation) -> bool:
-        """Whether this attempt may give a result that the one before did not. No attempt gives a world more time."""
+        """Whether this attempt may give another result than the attempt before. No attempt gives a world more time."""
         if self.checks:
-            # the margin of a world that ended early is that of a box on its way down
+            # a world that ended early has the margin of a falling box
             return sim.check_timestep and abs(outcome.margin) < NEAR and not int(outcome.flags) & _EARLY_STOP
         sinks = bool(int(outcome.flags) & _SINKING) and sim.physics.cone is Cone.ELLIPTIC
         if self.soft:
@@ -165,14 +166,14 @@ _FALLBACK_NOTES: Final = {
     Capability.FLOAT64: "worlds were simulated again on {}, in double precision",
     Capability.CG: "worlds were simulated on {}: only it has the solver cg",
 }
-"""What the engine of a run lacks → the note about worlds that its fallback simulates."""
+"""Capability that an engine lacks → the note about worlds on its fallback."""
 
 BESIDE: Final = {"mjx-warp": "mjx-warp-cpu"}
-"""Engine → the engine that makes further attempts on CPU threads beside it, if few worlds need them."""
+"""Engine → the engine that makes further attempts on CPU threads beside it, if these are rare."""
 
 BESIDE_ITSELF: Final = "mjx-warp-cpu"
-"""The engine whose runs make attempts that few worlds need on further threads: a last world would leave most of its own
-threads idle."""
+"""The engine whose runs make rare further attempts on further threads: a last world would leave most of the engine's
+own threads idle."""
 
 
 @dataclass(eq=False)
@@ -184,7 +185,7 @@ class Engines:
 
     @property
     def has_fallback(self) -> bool:
-        """Whether the engine of the run has a fallback. It is not built for this answer."""
+        """Whether the engine of the run has a fallback. The engine is not built for this answer."""
         return self.primary.name in FALLBACKS
 
     @cached_property
@@ -193,7 +194,8 @@ class Engines:
         return make_engine(name) if name is not None else None
 
     def for_job(self, job: Job, sim: Simulation, *, doubles: bool, soft: bool = False) -> Engine:
-        """The engine of a job; ``doubles``: the attempt wants double precision; ``soft``: it has soft boxes."""
+        """The engine of a job; ``doubles``: the attempt wants double precision; ``soft``: the attempt has soft
+        boxes."""
         if not self.has_fallback:
             return self.primary
         needs = {
@@ -216,7 +218,7 @@ class Engines:
         """The engine that makes a further attempt at a job beside the engine of the run; None: no engine does.
 
         Args:
-            few: whether few worlds need that attempt. A job with a drive, or with a state from which other worlds
+            few: whether few worlds need the attempt. A job with a drive, or with a state from which other worlds
                 start, stays with the engine of the run: there may be many of these.
         """
         if self.primary.name not in (*BESIDE, BESIDE_ITSELF):
@@ -251,8 +253,8 @@ class Engines:
 
 
 def ready_for(engine: str, job: Job) -> Job:
-    """A job for an engine, with a start state of this engine. From another engine's state it cannot start: then it
-    simulates the placement again."""
+    """A job for an engine, with a start state of this engine. An engine cannot start from another engine's state: then
+    it simulates the placement again."""
     if not isinstance(job.start, KeptState):
         return job
     start = job.start.state if job.start.engine == engine else None

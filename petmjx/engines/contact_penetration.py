@@ -1,8 +1,8 @@
 """Contact penetration: how far boxes sink into their supports because simulated contacts are softer than any carton.
 
-``petmjx.world.contact_laws`` has the depth of a contact at rest. Its inputs are known on the host for every engine:
-plans, masses and the largest force on each box. The depth is not read from final poses: a column that stood on a box
-that gave way may have fallen.
+``petmjx.world.contact_laws`` has the depth of a contact at rest. The inputs of the check are on the host for every
+engine: plans, masses and the largest force on each box. The depth is not read from final poses: a column may
+have fallen because its support gave way.
 """
 
 from __future__ import annotations
@@ -11,7 +11,7 @@ from collections.abc import Iterable, Sequence
 from dataclasses import replace
 from functools import cached_property, lru_cache
 from itertools import compress, pairwise
-from typing import NamedTuple
+from typing import Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,7 +21,7 @@ from petmjx.engines.contact_tilt import BOUND_SHARE, contact_tilt_suspects
 from petmjx.engines.verdict import Flag, Outcome, Reason, Verdict, judge
 from petmjx.options.physics import Cone, Physics
 from petmjx.options.simulation import Simulation
-from petmjx.plans.plan_warnings import shared_length
+from petmjx.plans.plan_warnings import overlap
 from petmjx.world.contact_laws import CONTACTS_PER_FACE, MOST_IMPEDANCE, cone_factor, depth_m
 from petmjx.world.job import Job
 from petmjx.world.scene import Scene
@@ -33,8 +33,9 @@ LEAST_TIME_CONSTANT_STEPS = 4
 def stiffened_physics(physics: Physics, share: float) -> Physics:
     """The same physics with stiffer contacts, which bear light boxes under heavy ones, and slender ones upright.
 
-    They are as stiff at their onset as beyond the width, with the largest impedance that MuJoCo takes and this share of
-    the time constants: with a half they are 40 times as stiff as in ``pallet``, with a tenth 1,000 times.
+    Stiffer contacts have the same stiffness at their onset as beyond the width, with the largest impedance that MuJoCo
+    takes and this share of the time constants: with a half they are 40 times as stiff as in ``pallet``, with a tenth
+    1,000 times.
     """
     time_s, damping = physics.solref
     if time_s > 0:
@@ -49,11 +50,12 @@ def stiffened_physics(physics: Physics, share: float) -> Physics:
 
 
 def contact_penetration_m(scene: Scene, physics: Physics, top_force_n: FloatArray, enough_m: float = 0.0) -> FloatArray:
-    """(n,) how far each box's centre comes down because the contacts below it give way, m: an upper estimate.
+    """(n,) descent of each box's centre because contacts below the box give way, m: an upper estimate.
 
     Args:
         top_force_n: (n,) force on each box's top, N; 0 for boxes that were not placed. A force beyond the weight of
-            everything above a box in the plan is an impact. It is over before the box has sunk, so it does not count.
+            everything above a box in the plan is an impact. An impact is over before the box has sunk, so it does not
+            count.
         enough_m: if no box can sink by more than this, zeros are returned without the exact computation.
     """
     gravity, mass, carrier = physics.gravity_m_s2, scene.mass, scene.carrier.mass
@@ -92,7 +94,7 @@ def contact_penetration_m(scene: Scene, physics: Physics, top_force_n: FloatArra
 
 
 def may_penetrate(scene: Scene, sim: Simulation) -> bool:
-    """Whether boxes come down so far that it counts (``has_penetrated``) if each bears everything above it. If not, a
+    """Whether boxes come down far enough to count (``has_penetrated``) if each box bears everything above it. False: a
     world of this plan sinks only by chance."""
     most_n = np.full(scene.n_boxes, scene.total_mass * sim.physics.gravity_m_s2)
     bound_m = BOUND_SHARE * sim.thresholds.shift_m
@@ -104,7 +106,7 @@ class _Stack:
 
     def __init__(self, scene: Scene) -> None:
         low, high = scene.target - scene.half_size, scene.target + scene.half_size
-        over = (shared_length(low[:, 0], high[:, 0]) > 0) & (shared_length(low[:, 1], high[:, 1]) > 0)
+        over = overlap(low[:, 0], high[:, 0]) & overlap(low[:, 1], high[:, 1])
         self.order = np.argsort(scene.target[:, 2], kind="stable")
         """(n,) the boxes from the lowest to the highest."""
         self._over = over[np.ix_(self.order, self.order)]
@@ -123,8 +125,8 @@ class _Stack:
 
 class _Pairs(NamedTuple):
     """Attributes:
-    upper, lower: (p,) boxes, in the order of the upper ones in ``_Stack.order``.
-    spans: (n) the pairs of each of these.
+    upper, lower: (p,) boxes, in the order of the upper ones in ``_Stack.order``. spans: (n) the pairs of each upper
+    box.
     """
 
     upper: NDArray[np.intp]
@@ -141,8 +143,8 @@ def _stack(scene: Scene) -> _Stack:
 def _mass_above(mass: FloatArray, over: NDArray[np.bool_], order: NDArray[np.intp]) -> FloatArray:
     """(n,) the mass of all boxes that a box may bear, directly or through others, kg.
 
-    No box at rest bears more on its top: what presses down on a box passes on, together with its weight, to the boxes
-    under it, and none of it is counted twice.
+    No box at rest bears more on its top: a box passes its load and its weight on to the boxes under it, and no weight
+    is counted twice.
 
     Args:
         over: (n, n) whether two boxes overlap seen from above, in the order of ``order``.
@@ -167,15 +169,15 @@ def _transitive_closure(over: NDArray[np.bool_]) -> NDArray[np.float32]:
 _SUM_ERROR = 1e-9
 """Relative difference of two sums of the same numbers in different orders."""
 
-_MOST_PAIRS = 1 << 20
-"""Number of pairs of boxes that are computed at once: arrays of 8 MB."""
+_MOST_PAIRS = 1 << 17
+"""Number of pairs of boxes that are computed at once: a matrix of numbers takes 1 MB then, which caches hold."""
 
 ON_CARRIER_M = 0.001
 """A box whose planned bottom is lower than this stands on the carrier."""
 
 
 def note_softness(outcomes: Sequence[Outcome], jobs: Sequence[Job], sim: Simulation) -> list[Outcome]:
-    """The outcomes, with ``Flag.SINKING`` if contacts gave way so far that the verdict may come from it.
+    """The outcomes, with ``Flag.SINKING`` if the depth of contacts may have decided the verdict.
 
     A world whose boxes sank has no verdict. A world that may have tipped over because contacts are soft keeps its
     verdict, in case stiffer contacts do not change it. With pyramidal cones, the reference's, all worlds keep it.
@@ -207,17 +209,20 @@ def _softened_outcome(outcome: Outcome, sim: Simulation, *, sank: bool) -> Outco
 def penetration_excluded(outcomes: Sequence[Outcome], scenes: Sequence[Scene], sim: Simulation) -> list[bool]:
     """The worlds for which ``has_penetrated`` is surely False, computed at once: their boxes did not come down too far,
     and they did not fail by sinking alone. The other worlds need ``has_penetrated``. For elliptic cones."""
-    counts = np.array([scene.n_boxes for scene in scenes], np.intp)
-    if not len(counts):
+    if not outcomes:
         return []
     enough_m = (1 - _SUM_ERROR) * BOUND_SHARE * sim.thresholds.shift_m
-    at_a_time = max(_MOST_PAIRS // max(int(counts.max()), 1) ** 2, 1)
-    mask: list[bool] = []
-    for first in range(0, len(counts), at_a_time):
-        some = slice(first, first + at_a_time)
-        sinking_m = _deepest_m(outcomes[some], scenes[some], sim.physics)
-        of_other_reason = [_failed_otherwise(outcome, sim.thresholds.shift_m) for outcome in outcomes[some]]
-        mask += ((sinking_m <= enough_m) & of_other_reason).tolist()
+    sinking_m = _most_sinking_m(outcomes, scenes, sim.physics)
+    counts = np.array([scene.n_boxes for scene in scenes], np.intp)
+    open_ = np.flatnonzero(sinking_m > enough_m)
+    open_ = open_[np.argsort(counts[open_], kind="stable")]
+    while len(open_):
+        at_a_time = max(_MOST_PAIRS // int(counts[open_[-1]]) ** 2, 1)
+        some, open_ = open_[-at_a_time:], open_[:-at_a_time]
+        numbers = some.tolist()
+        sinking_m[some] = _deepest_m([outcomes[k] for k in numbers], [scenes[k] for k in numbers], sim.physics)
+    of_other_reason = [_failed_otherwise(outcome, sim.thresholds.shift_m) for outcome in outcomes]
+    mask: list[bool] = ((sinking_m <= enough_m) & of_other_reason).tolist()
     return mask
 
 
@@ -229,9 +234,32 @@ def _failed_otherwise(outcome: Outcome, limit_m: float) -> bool:
     return bool(((np.abs(shift) > limit_m) & (shift > [-np.inf, -np.inf, 0.0])).any())
 
 
+def _most_sinking_m(outcomes: Sequence[Outcome], scenes: Sequence[Scene], physics: Physics) -> FloatArray:
+    """(m,) an upper bound of ``contact_penetration_m`` in each world, m: the sum over all its boxes, each under the
+    largest force on its top. No pairs of boxes are needed."""
+    counts = np.array([scene.n_boxes for scene in scenes], np.intp)
+    begins = np.cumsum(counts) - counts
+    placed = np.arange(counts.sum()) - np.repeat(begins + [outcome.n_placed for outcome in outcomes], counts) < 0
+    top_n = np.where(placed, np.concatenate([outcome.boxes.max_top_force_n for outcome in outcomes]), 0.0)
+    mass, target, half = (
+        np.concatenate([getattr(scene, name) for scene in scenes]) for name in ("mass", "target", "half_size")
+    )
+    carrier, gravity = np.array([scene.carrier.mass for scene in scenes]), physics.gravity_m_s2
+    on_carrier = (target - half)[:, 2] < ON_CARRIER_M
+    inverse = 1 / mass + np.where(on_carrier, np.repeat(1 / carrier, counts), 0.0)
+    parts = top_n / mass, inverse * (top_n + mass * gravity)
+    depth = sum(depth_m(physics, part / CONTACTS_PER_FACE) for part in parts)
+    on_floor = np.array([scene.total_mass for scene in scenes]) * gravity / carrier
+    bound: FloatArray = depth_m(physics, on_floor / CONTACTS_PER_FACE) + np.add.reduceat(depth, begins)
+    return bound
+
+
+_PLACES: Final = (("target", np.inf), ("half_size", 0.0))
+
+
 def _deepest_m(outcomes: Sequence[Outcome], scenes: Sequence[Scene], physics: Physics) -> FloatArray:
-    """(m,) how far the box that comes down most does so in each world, m: the largest ``contact_penetration_m``, but
-    for rounding. Arrays have as many columns as the largest world has boxes."""
+    """(m,) largest descent of a box in each world, m: the largest ``contact_penetration_m``, but for rounding. Arrays
+    have as many columns as the largest world has boxes."""
     counts = np.array([scene.n_boxes for scene in scenes], np.intp)
     is_box = np.arange(counts.max()) < counts[:, None]
 
@@ -241,8 +269,9 @@ def _deepest_m(outcomes: Sequence[Outcome], scenes: Sequence[Scene], physics: Ph
         table[is_box] = joined
         return table
 
-    place, half = (filled((getattr(scene, name) for scene in scenes), 0.0) for name in ("target", "half_size"))
-    order = np.argsort(np.where(is_box, place[..., 2], np.inf), axis=1, kind="stable")
+    # rows without a box are infinitely high, and overlap none
+    place, half = (filled((getattr(scene, name) for scene in scenes), fill) for name, fill in _PLACES)
+    order = np.argsort(place[..., 2], axis=1, kind="stable")
     place, half = (np.take_along_axis(values, order[..., None], axis=1) for values in (place, half))
     placed = np.arange(counts.max()) < np.array([outcome.n_placed for outcome in outcomes])[:, None]
     top_n = np.where(placed, filled((outcome.boxes.max_top_force_n for outcome in outcomes), 0.0), 0.0)
@@ -251,7 +280,7 @@ def _deepest_m(outcomes: Sequence[Outcome], scenes: Sequence[Scene], physics: Ph
     carrier = np.array([scene.carrier.mass for scene in scenes])
     total, gravity = np.array([scene.total_mass for scene in scenes]), physics.gravity_m_s2
     low, high = place - half, place + half
-    over = (shared_length(low[..., 0], high[..., 0]) > 0) & (shared_length(low[..., 1], high[..., 1]) > 0)
+    over = overlap(low[..., 0], high[..., 0]) & overlap(low[..., 1], high[..., 1])
     at_rest_n = np.minimum(top_n, gravity * (_transitive_closure(over).astype(float) @ mass[..., None])[..., 0])
     inverse = 1 / mass + np.where(low[..., 2] < ON_CARRIER_M, 1 / carrier[:, None], 0.0)
     above = at_rest_n / mass / CONTACTS_PER_FACE
@@ -268,7 +297,7 @@ def _deepest_m(outcomes: Sequence[Outcome], scenes: Sequence[Scene], physics: Ph
 
 
 def has_penetrated(outcome: Outcome, scene: Scene, sim: Simulation) -> bool:
-    """Whether boxes came down so far that the verdict may come from it."""
+    """Whether the depth of contacts may have decided the verdict."""
     placed = np.arange(outcome.n_boxes) < outcome.n_placed
     force = np.where(placed, outcome.boxes.max_top_force_n, 0.0)
     limit_m = sim.thresholds.shift_m

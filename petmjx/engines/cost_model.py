@@ -1,10 +1,10 @@
 """The cost model: expected steps and times of runs, for ``auto`` and all estimates of time.
 
-On a CPU thread a step of a pallet at rest takes one iteration of Newton's method. Its cost grows somewhat faster than
-the number of boxes. While boxes land or slide a step takes more iterations, and an iteration costs more the more
-contacts slide. So the extra cost of a landing grows with the square of the standing boxes. On a device the step of a
-full stack grows with that square, too; but plans with more boxes have a larger share of steps at rest, so that their
-runs take less.
+On a CPU thread a step of a pallet at rest takes one iteration of Newton's method. The cost of a step grows somewhat
+faster than the number of boxes. While boxes land or slide a step takes more iterations, and an iteration costs more the
+more contacts slide. So the extra cost of a landing grows with the square of the number of standing boxes. On a device
+the step of a full stack grows with the square, too; but plans with more boxes have a larger share of steps at rest, so
+that their runs take less.
 """
 
 from __future__ import annotations
@@ -26,15 +26,16 @@ STEP_SHARE = {Schedule.FIXED: 1.0, Schedule.ADAPTIVE: 0.072}
 63 third-party ones of 16 to 241 boxes; physics ``reference`` takes three to four times as many."""
 
 SOFT_STARTS = 2 * SOFT_START_STEPS
-"""Steps before the first box of a placement. They are not part of the schedule."""
+"""Steps before the first box of a placement. Soft starts are not part of the schedule."""
 
 QUIET_STEPS = 220
 """Steps until a pallet is quiet with the adaptive schedule, if it is not placed box by box: in a static check (150 to
 890 with 45 to 241 boxes), and after a profile (216 after EUMOS's, for pallets that stand)."""
 
 COST_SHARE = {Schedule.FIXED: 1.0, Schedule.ADAPTIVE: 0.36}
-"""The cost of a schedule on a device as a share of the fixed schedule's: 10,003 plans in 17 s, 4,000 with it fixed in
-21 s on the same machine. The remaining steps are the expensive ones, in which boxes move and pallets collapse."""
+"""The cost of a schedule on a device as a share of the fixed schedule's: 10,003 plans in 17 s, 4,000 with the fixed
+schedule in 21 s on the same machine. The adaptive schedule saves cheap steps: in the remaining ones boxes move and
+pallets collapse."""
 
 JAX_POWER, WARP_POWER = 2.0, 1.0
 """The cost of a step of ``mjx-jax`` and ``mjx-warp`` grows with this power of the number of boxes, over whole runs: in
@@ -54,7 +55,7 @@ pallet: fitted to checks of 16 to 241 boxes with both schedules."""
 
 SHAKEN_STEPS = 700
 """Largest number of steps of a drive in which boxes slide or fall: all of EUMOS's profile. Most of a tilt's 2,970 steps
-are at rest. Shakes of many seconds in which a pallet does not rest take up to ten times as long as expected."""
+are at rest. Drives of many seconds without rest take up to ten times as long as expected."""
 
 STEADY_G, CREEPING = 0.35, 2.0
 """A drive with an acceleration above ``STEADY_G``, in units of 9.81 m/s², shakes a pallet down. After a weaker drive
@@ -64,11 +65,11 @@ the pallet may creep: weaker drives are expected to take ``CREEPING`` times as m
 
 FALL_STEPS = 1350
 """Steps from the first box that tips over to the drop that ends a world placed box by box. 22 plans of two shelf
-packers, all of which fall, take 1,730 to 1,910 steps in the mean, some 450 of them for placing."""
+packers, none of which stands, take 1,730 to 1,910 steps in the mean, some 450 of them for placing."""
 
 STATIC_FALL_STEPS = 600
 """Largest number of steps in which boxes of a static check fall until one has dropped: 480 for ten shelf packings, with
-more iterations a step than if single boxes fall."""
+more iterations a step than falls of single boxes."""
 
 BOARDS_COST = 1.25
 """Cost of a step on a carrier of boards, relative to a slab: 1.2 to 1.5 times with scores, drives and searches of 5 to
@@ -98,8 +99,8 @@ class Errors:
 
 
 ERROR_STEPS = Errors(displaced=1.1, carried=4.0)
-"""Relative steps. If boxes are moved apart before they appear, they take hardly more steps than as planned. By hand
-they take a share of 0.285 of the fixed schedule's instead of 0.072: 0.45 with few boxes, 0.24 with many."""
+"""Relative steps. If boxes are moved apart before they appear, they take hardly more steps than as planned. Boxes
+placed by hand take a share of 0.285 of the fixed schedule's instead of 0.072: 0.45 with few boxes, 0.24 with many."""
 
 ON_DEVICE = Errors(displaced=2.8, carried=4.5)
 """Relative cost on a device: 8,000 worlds of 500 plans in 35 s, 4,000 by hand of 250 plans in 30 s; 10,003 without
@@ -130,9 +131,10 @@ class Work:
         displaced: placements in which boxes appear at places with errors, or with other sizes.
         carried: placements in which boxes are carried to their places.
         drive_steps: steps of one drive, with ``rest_steps``; mean over profiles.
-        filmed: whether there is film around shaken pallets.
-        placed_share: for each plan the share of its boxes that are placed when the first box comes that tips over at
-            once (petmjx.plans.loose_boxes); 1 if none does. Empty: not known, and no box is expected to.
+        filmed: whether film is around shaken pallets.
+        placed_share: for each plan the share of its boxes that are placed before the first box that tips over at once
+            (petmjx.plans.loose_boxes); 1 without such a box. Empty: the share is unknown, and no box is expected to tip
+            over.
     """
 
     sim: Simulation
@@ -148,14 +150,14 @@ class Work:
     @property
     def share(self) -> FloatArray:
         """(n,) share of the boxes of each plan that are placed before the world ends."""
-        known = self._falls.any() and self.sim.check is Check.ONE_BY_ONE
-        return np.asarray(self.placed_share, dtype=float) if known else np.ones(len(self.boxes))
+        has_share = self._falls.any() and self.sim.check is Check.ONE_BY_ONE
+        return np.asarray(self.placed_share, dtype=float) if has_share else np.ones(len(self.boxes))
 
     @property
     def _falls(self) -> NDArray[np.bool_]:
         """(n,) whether a box of each plan tips over, which ends the world."""
-        known = len(self.placed_share) > 0 and self.sim.early_stop
-        return np.asarray(self.placed_share, dtype=float) < 1.0 if known else np.zeros(len(self.boxes), dtype=bool)
+        has_shares = len(self.placed_share) > 0 and self.sim.early_stop
+        return np.asarray(self.placed_share, dtype=float) < 1.0 if has_shares else np.zeros(len(self.boxes), dtype=bool)
 
     @property
     def fall_steps(self) -> FloatArray:
@@ -210,7 +212,7 @@ class Work:
         return share * COST_SHARE[self.sim.schedule] * np.asarray(self.boxes, dtype=float) ** power * self.fixed_steps
 
     def _driving(self, power: float, steps: FloatArray | float) -> FloatArray:
-        """(n,) box^power × steps of a drive of each plan, on a device. steps: of the drive."""
+        """(n,) box^power × steps of a drive of each plan, on a device. steps: number of steps of the drive."""
         return np.asarray(SHAKEN_FACTOR * np.asarray(self.boxes, dtype=float) ** power * steps)
 
 
@@ -221,13 +223,13 @@ class ThreadCosts:
     Attributes:
         rest_s: time for a step of a world at rest, s per box to the power ``REST_POWER``.
         overhead_s: time that any step takes in addition, s.
-        landing_s: additional time until a box has landed, s per box² of the boxes that stand then.
-        driven_s: time that a step of a drive takes in addition, s: the forces of each step count, and contacts slide.
+        landing_s: additional time until a box has landed, s per box² of the standing boxes.
+        driven_s: additional time of a step of a drive, s: the forces of each step count, and contacts slide.
         board_s: time that a step takes in addition on a carrier of boards, s per box: all pairs are checked.
         shaken_s: time that each of the first ``SHAKEN_STEPS`` steps of a drive takes in addition, s per box².
-        fall_s: time that a step takes in addition in which boxes of a placement fall, s per box².
+        fall_s: additional time of a step in which boxes of a placement fall, s per box².
         errors: relative cost of placements with errors.
-        film_s: time that a step takes in addition in which film acts, s.
+        film_s: additional time of a step in which film acts, s.
     """
 
     rest_s: float
@@ -262,7 +264,7 @@ class ThreadCosts:
         """(n,) time of one placement of each plan, s."""
         boxes = np.asarray(work.boxes, dtype=float) * work.share
         one_by_one = work.sim.check is Check.ONE_BY_ONE
-        # sums over the standing boxes, 1…n, if they come one by one
+        # sums over the standing boxes, 1…n, if they are placed one by one
         at_rest = self.rest_s * boxes**REST_POWER / (REST_POWER + 1 if one_by_one else 1)
         landings = boxes**3 / 3 if one_by_one else STATIC_LANDINGS * boxes**2
         placing_s = (at_rest + self.overhead_s) * (SOFT_STARTS + work.share * work._placing_steps)
@@ -271,7 +273,7 @@ class ThreadCosts:
         return np.asarray(placing_s + self.landing_s * landings + work.fall_steps * falling_s)
 
     def driving_s(self, boxes: Sequence[int], steps: FloatArray | float) -> FloatArray:
-        """(n,) time of a drive of each plan, s. steps: of the drive."""
+        """(n,) time of a drive of each plan, s. steps: number of steps of the drive."""
         n = np.asarray(boxes, dtype=float)
         at_rest = self.rest_s * n**REST_POWER + self.overhead_s
         shaken_s = self.shaken_s * n**2 * np.minimum(steps, SHAKEN_STEPS)
@@ -289,7 +291,7 @@ class Costs:
             cores.
         gpu_step_s: time of a device for a step of ``full_worlds`` worlds, s per box to the power ``WARP_POWER``.
         full_worlds: worlds that fill the device.
-        tail_worlds: cost of the end of a run, in worlds: the last worlds run on a nearly idle device.
+        tail_worlds: cost of the end of a run, as a number of worlds: the last worlds leave the device nearly idle.
         gpu_start_s: time to start the device engine, with compilation, s.
     """
 
@@ -305,7 +307,7 @@ class Costs:
     gpu_start_s: float = 17.0
 
     def slowed(self, factor: float) -> Costs:
-        """The costs of a machine whose CPU threads take ``factor`` times as long. The costs of GPUs are kept."""
+        """The costs of a machine whose CPU threads take ``factor`` times as long. The costs of GPUs stay."""
         return replace(
             self,
             mujoco=self.mujoco.slowed(factor),
@@ -315,7 +317,8 @@ class Costs:
         )
 
     def seconds(self, work: Work, threads: int, gpus: int = 1) -> dict[str, float]:
-        """Engine → expected time, s, with the worlds shared out over threads or GPUs; for ``mjx-jax`` that on a CPU."""
+        """Engine → expected time, s, with the worlds shared out over threads or GPUs; for ``mjx-jax`` the time on a
+        CPU."""
         n_plans = len(work.boxes)
         if not n_plans:
             starts = {"mjx-warp": self.gpu_start_s, "mjx-warp-cpu": self.kernel_start_s}
@@ -332,7 +335,7 @@ class Costs:
         }
 
     def of_jobs(self, jobs: Sequence[Job], sim: Simulation, costs: ThreadCosts | None = None) -> FloatArray:
-        """(n,) expected time of each job on one CPU thread, s. costs: of the engine; None: of ``mujoco``."""
+        """(n,) expected time of each job on one CPU thread, s. costs: costs of the engine; None: of ``mujoco``."""
         costs = costs or self.mujoco
         work, placements, drive_steps = _expected_work(jobs, sim, costs.errors)
         drives_s = costs.driving_s(work.boxes, drive_steps)
@@ -350,7 +353,7 @@ class Costs:
 
 
 def _expected_work(jobs: Sequence[Job], sim: Simulation, errors: Errors) -> tuple[Work, FloatArray, FloatArray]:
-    """The placements of all jobs as planned, (n,) the factor of each for its errors, and (n,) steps of its drive."""
+    """The placements of all jobs as planned, (n,) the factor of each for errors, and (n,) steps of its drive."""
     placements = np.array([errors.of(job) if job.start is None else 0.0 for job in jobs])
     drive_steps = np.array([expected_drive_steps(job.drive, sim) if job.drive else 0.0 for job in jobs])
     work = Work(sim, [job.scene.n_boxes for job in jobs], drives=int(any(job.settles for job in jobs)))
@@ -359,18 +362,18 @@ def _expected_work(jobs: Sequence[Job], sim: Simulation, errors: Errors) -> tupl
 
 MEASURED = Costs()
 """The measured costs, fitted within a factor of two to records of runs: the lines ``estimates`` of
-benchmarks/results/cpu-0.3.jsonl and h200-0.3.jsonl, with which tests compare it, and those of
-tests/unit/test_engine_choice.py.
+benchmarks/results/cpu-0.3.jsonl and h200-0.3.jsonl, and the records of tests/unit/test_engine_choice.py. Tests compare
+both with the model.
 
 CPU threads: one thread of two virtual EPYC cores, and a busier one that was 2.3 to 3.6 times as slow
 (petmjx/engines/machine_speed.py), physics ``pallet``: scores of generated plans of 5 to 80 boxes and
 third-party ones of 16 to 241, static checks, both schedules, scores with confidence, placed exactly and by hand,
-EUMOS's drives and search, tilts, placement errors. Plans in which a box tips over as soon as it is let go are fitted to
+EUMOS's drives and search, tilts, placement errors. The costs of plans with a box that tips over at once are fitted to
 shelf packings of 24 boxes (tests/unit/test_falling_plans.py), and film to EUMOS's drives of 8, 20 and 44 boxes with 1
-to 16 turns, each beside the same without film. Other plans that fall early take less, large ones that collapse up to
-five times as long. Physics ``reference`` is not fitted, and other CPUs are slower or faster. Worlds that are simulated
-again with finer steps are not estimated.
+to 16 turns, each compared with the same drive without film. Other plans that fall early take less, large ones that
+collapse up to five times as long. Physics ``reference`` is not fitted, and other CPUs are slower or faster. Worlds that
+are simulated again with finer steps are not estimated.
 
 Devices: one H100 without start and compilation, adaptive if nothing else is said: 10,003 generated plans, 4,000 with
 the schedule fixed, 500 and 1,000 plans with confidence 16, placed exactly, 250 by hand, 128,000 worlds of 12 boxes with
-errors and a million. ``mjx-warp`` compiles for 13 to 23 s (0.5 s with a kernel kept from an earlier run)."""
+errors and a million. ``mjx-warp`` compiles for 13 to 23 s (0.5 s with a kernel from an earlier run)."""

@@ -20,7 +20,7 @@ ENGINES: dict[str, tuple[str, str, tuple[str, ...]]] = {
     "mjx-warp": ("petmjx.engines.warp.engine", "MjxWarpEngine", ("lanes",)),
     "mjx-warp-cpu": ("petmjx.engines.warp.cpu_engine", "MjxWarpCpuEngine", ("threads",)),
 }
-"""Engine name → module, class, and the options of a run that it has, in the order of its arguments. A module is
+"""Engine name → module, class, and names of its arguments among the options of a run, in order. A module is
 imported only when its engine is used."""
 
 
@@ -31,7 +31,7 @@ def has_option(engine: str, option: str) -> bool:
 
 @dataclass(frozen=True)
 class Choice:
-    """An engine's name, why it was chosen (one line), and the expected time in s (None: not known)."""
+    """An engine's name, the reason for its choice (one line), and the expected time in s (None: not known)."""
 
     name: str
     reason: str
@@ -39,7 +39,8 @@ class Choice:
 
 
 def options_of(name: str, options: RunOptions) -> dict[str, Any]:
-    """The arguments of ``make_engine`` from the options of a run. With ``auto`` only those that the engine has."""
+    """The arguments of ``make_engine`` from the options of a run. With ``auto`` only the options that the engine
+    has."""
     of_engine = ENGINES[name][2] if options.engine == AUTO else ("threads", "world_timeout_s", "lanes")
     return {option: getattr(options, option) for option in of_engine}
 
@@ -51,7 +52,7 @@ def choose(
     why_no_gpu: Callable[[], str | None] | None = None,
     why_no_kernel: Callable[[], str | None] | None = None,
 ) -> tuple[str, str]:
-    """The engine ``auto`` stands for, and why.
+    """The engine that ``auto`` stands for, and the reason.
 
     Args:
         seconds: expected time of each engine, s.
@@ -61,7 +62,7 @@ def choose(
         why_no_kernel: as ``why_no_gpu``, for ``mjx-warp-cpu``.
     """
     cpu, gpu = count_text(threads, "CPU thread"), "a GPU" if gpus <= 1 else f"{gpus} GPUs"
-    where = {"mujoco": cpu, "mjx-warp": gpu, "mjx-warp-cpu": cpu}
+    devices = {"mujoco": cpu, "mjx-warp": gpu, "mjx-warp-cpu": cpu}
     problem_of_gpu = functools.cache(why_no_gpu or why_no_warp)
     problem_of_kernel = why_no_kernel or why_no_warp_on_cpu
 
@@ -72,14 +73,14 @@ def choose(
             return problem_of_gpu()
         return problem_of_kernel() if problem_of_gpu() else "jax uses the GPU"
 
-    by_time = sorted(where, key=lambda name: seconds[name])
+    by_time = sorted(devices, key=lambda name: seconds[name])
     engine = next(name for name in by_time if problem(name) is None)
     faster = by_time[: by_time.index(engine)]
     if engine == "mujoco" and faster:
         return engine, f"{faster[0]} would be faster but cannot run: {problem(faster[0])}"
     other = "mjx-warp" if engine == "mujoco" else "mujoco"
     on = "" if engine == "mjx-warp" else f" on {cpu}"
-    its = other if engine == "mjx-warp-cpu" else where[other]
+    its = other if engine == "mjx-warp-cpu" else devices[other]
     return engine, f"about {seconds[engine]:.0f} s{on}, {its} would need about {seconds[other]:.0f} s"
 
 
@@ -94,8 +95,8 @@ def make_engine(
         world_timeout_s: longest wall-clock time of an attempt at a world, ``mujoco``; None: no limit.
 
     Raises:
-        InputError: no such engine, or it does not have this option.
-        EngineUnavailable: it cannot run here; the line says why.
+        InputError: no such engine, or the engine does not have this option.
+        EngineUnavailable: the engine cannot run here; the line says why.
     """
     options = {"threads": threads, "lanes": lanes, "world_timeout_s": world_timeout_s}
     check_options(name, **options)
@@ -112,7 +113,7 @@ def make_engine(
 
 
 def check_options(name: str, **options: Any) -> None:
-    """Raises InputError if there is no such engine, or it does not have one of these options."""
+    """Raises InputError if there is no such engine, or the engine lacks one of these options."""
     if name not in ENGINES:
         raise InputError(f"unknown engine {name!r}; there are {', '.join(ENGINES)} and {AUTO}")
     for option, value in options.items():

@@ -1,7 +1,7 @@
 """Engine handover: C MuJoCo, which hands worlds over to the kernels if they take long.
 
-``auto`` takes this engine for little work without a GPU. It chooses by an estimate from the numbers of boxes. Plans
-that collapse take many times as long on C MuJoCo, and less so in kernels. So the CPU time of finished worlds is
+``auto`` takes this engine for little work without a GPU. The choice follows from an estimate by the numbers of boxes.
+Plans that collapse take many times as long on C MuJoCo, and less so in kernels. So the CPU time of finished worlds is
 compared with their expected time. If the kernels would finish the remaining worlds sooner, compilation included, they
 take them.
 """
@@ -37,7 +37,7 @@ SLOWER: Final = 2.0
 """Estimates hold within this factor. Worlds that take no longer are no reason for a handover."""
 
 GAIN: Final = 1.5
-"""The kernels must be faster by this factor with the remaining worlds: their estimated time is no more exact."""
+"""The kernels must be faster by this factor with the remaining worlds: estimates of time are no more exact."""
 
 Faster = TypeVar("Faster", bound=Engine)
 
@@ -49,7 +49,7 @@ _Numbered = tuple[int, Job]
 class HandoverEngine(Engine, Generic[Faster]):
     """C MuJoCo until its worlds take longer than expected; then the kernels, for all that has not begun.
 
-    Only first attempts change engines: C MuJoCo makes further ones, which want double precision. Each outcome says
+    Only first attempts change engines: C MuJoCo makes further attempts, which need double precision. Each outcome says
     which engine made it.
 
     Args:
@@ -113,7 +113,7 @@ class HandoverEngine(Engine, Generic[Faster]):
         return self._spent_s / self._expected_s if self._expected_s > 0 else 1.0
 
     def _hands_over(self, jobs: Sequence[Job], sim: Simulation, progress: Progress) -> bool:
-        """Whether the other engine takes the jobs that have not begun. If so, it has been made.
+        """Whether the other engine takes the jobs that have not begun. True: the other engine exists.
 
         Args:
             jobs: the jobs that have not begun.
@@ -142,7 +142,7 @@ class HandoverEngine(Engine, Generic[Faster]):
 
 
 class _Shared(Generic[Faster]):
-    """The jobs of one run, shared out over both engines."""
+    """The jobs of one run, divided between both engines."""
 
     def __init__(
         self,
@@ -178,11 +178,14 @@ class _Shared(Generic[Faster]):
     def _is_for_mujoco(self, job: Job) -> bool:
         stays = self._engine._faster is None or self._engine._stays
         # an engine that repeats the placement of another one cannot put boxes elsewhere afterwards
-        kept = job.poses is not None and isinstance(job.start, KeptState) and job.start.engine == self._engine.name
-        return stays or kept or job.scene.soft is not None or not self._first_attempt
+        starts_from_own_state = (
+            job.poses is not None and isinstance(job.start, KeptState) and job.start.engine == self._engine.name
+        )
+        return stays or starts_from_own_state or job.scene.soft is not None or not self._first_attempt
 
     def on_mujoco(self) -> Iterator[Outcome]:
-        """Run jobs on C MuJoCo. It is given only as many as it begins, so that the remaining ones can be taken back."""
+        """Run jobs on C MuJoCo. C MuJoCo gets only the jobs that it begins, so that the remaining ones can be taken
+        back."""
         mujoco = self._engine._mujoco
         stream = JobStream[_Numbered]()
 
@@ -226,7 +229,7 @@ class _Shared(Generic[Faster]):
             self._mujoco += left
 
     def on_faster(self) -> Iterator[Outcome]:
-        """Run jobs on the other engine. After an error of it C MuJoCo takes the unanswered ones."""
+        """Run jobs on the other engine. After an error of the other engine C MuJoCo simulates the unanswered jobs."""
         faster, progress = self._engine._faster, self._progress
         assert faster is not None
         stream = JobStream[_Numbered](feedback=self._jobs.feedback)

@@ -1,4 +1,4 @@
-"""Starts the libraries that an engine needs on a GPU, before its first world."""
+"""Starts the libraries that an engine needs on a GPU, and compiles its kernels, before its first world."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ import importlib
 from contextlib import suppress
 
 from petmjx.common.warp_setup import set_up_warp
+from petmjx.options.simulation import Simulation
 
 
 def start_gpu() -> None:
@@ -18,3 +19,10 @@ def start_gpu() -> None:
         importlib.import_module("warp").init()
         jax = importlib.import_module("jax")
         jax.jit(lambda x: x + 1).lower(0.0).compile()  # loads the modules for lowering and compiling a first program
+
+
+def compile_ahead(sim: Simulation) -> None:
+    """Compile the kernels of ``mjx-warp`` that most runs need, after ``start_gpu``. The first time on a machine this
+    takes about twenty seconds. An error is left to the engine."""
+    with suppress(Exception):
+        importlib.import_module("petmjx.engines.warp.programs").load_usual_kernels(sim)

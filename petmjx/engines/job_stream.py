@@ -11,16 +11,16 @@ from typing import Any, Final, Generic, TypeVar
 from petmjx.world.job import Job
 
 WAIT_S: Final = 0.25
-"""Longest wait without a look for signals, s: one that arrives just before a wait is noticed only after it."""
+"""Longest wait without a look for signals, s: a signal just before a wait is noticed only after the wait."""
 
 Tag = TypeVar("Tag")
 
 
 class JobStream(Generic[Tag]):
-    """Jobs in order, with what the run wants to know when they end. Thread-safe.
+    """Jobs in order, with the run's tag of each. Thread-safe.
 
-    One thread puts the jobs of the run's worlds and waits while the stream is full. The thread that takes outcomes puts
-    the jobs that follow from these. An engine takes jobs when it has capacity.
+    One thread puts the jobs of the run's worlds and waits while the stream is full. The thread that takes outcomes also
+    puts the jobs that follow from outcomes. An engine takes jobs when it has capacity.
 
     The number of a job is its place among the jobs that were taken since ``begin``.
 
@@ -38,13 +38,13 @@ class JobStream(Generic[Tag]):
         self.in_flight: dict[int, Tag] = {}
         self._most_boxes = most_boxes
         self._waiting: deque[tuple[Job, Tag]] = deque()
-        self._boxes = self._taken = 0
+        self._boxes = self._taken = self._unfollowed = 0
         self._open, self._paused = True, False
         self._changed = threading.Condition()
 
     @classmethod
     def of(cls, jobs: Iterable[Job] | JobStream[Any]) -> JobStream[Any]:
-        """The stream of some jobs, after which none follow; a stream as it is."""
+        """The stream of a list of jobs, without further ones; a stream is returned as it is."""
         if isinstance(jobs, JobStream):
             return jobs
         stream: JobStream[Any] = cls()
@@ -55,7 +55,7 @@ class JobStream(Generic[Tag]):
 
     def begin(self) -> None:
         """Begin a run of an engine with the waiting jobs: numbers begin at 0, and no job is in flight."""
-        self.in_flight, self._taken = {}, 0
+        self.in_flight, self._taken, self._unfollowed = {}, 0, 0
 
     def put(self, job: Job, tag: Tag, *, bounded: bool = False) -> bool:
         """Append a job.
@@ -76,7 +76,7 @@ class JobStream(Generic[Tag]):
             return self._open or not bounded
 
     def close(self) -> None:
-        """No more jobs come from the source. Jobs that follow from outcomes may still come."""
+        """Say that no more jobs come from the source. Jobs that follow from outcomes may still come."""
         with self._changed:
             self._open = False
             self._changed.notify_all()
@@ -91,11 +91,12 @@ class JobStream(Generic[Tag]):
         """Take at most ``most`` jobs, in order.
 
         Args:
-            least: wait until so many jobs are ready, the stream is full, or no job comes from the source.
-            wait: False: take no job instead of waiting.
+            least: wait until this many jobs are ready, the stream is full, or no job comes from the source.
+            wait: False: return without a job instead of waiting.
 
         Returns:
-            The jobs. With ``wait``, none means that none are left: an engine without jobs in flight ends its run.
+            The jobs. With ``wait``, an empty list means the end of all jobs: an engine without jobs in flight ends its
+            run.
         """
         with self._changed:
             if not self._ready(least, wait):
@@ -103,7 +104,7 @@ class JobStream(Generic[Tag]):
             return [self._pop() for _ in range(min(most, len(self._waiting)))]
 
     def __iter__(self) -> Iterator[Job]:
-        """Take one job after the other, and wait for each."""
+        """Take one job after another, and wait for each."""
         while jobs := self.take(1):
             yield jobs[0]
 
@@ -124,7 +125,28 @@ class JobStream(Generic[Tag]):
         Raises:
             KeyError: the job is not in flight.
         """
-        return self.in_flight.pop(number)
+        with self._changed:
+            tag = self.in_flight.pop(number)
+            self._unfollowed += 1
+            return tag
+
+    def followed(self) -> None:
+        """The jobs that follow from all outcomes so far have been put."""
+        with self._changed:
+            self._unfollowed = 0
+            self._changed.notify_all()
+
+    def wait_for_following(self) -> bool:
+        """Wait for a moment until a job follows from an outcome. For an engine that has no more worlds, in another
+        thread than the one that takes its outcomes.
+
+        Returns:
+            Whether no job is ready, and jobs may still follow from outcomes.
+        """
+        with self._changed:
+            if self._may_follow:
+                self._changed.wait(WAIT_S)
+            return self._may_follow
 
     @property
     def ready(self) -> int:
@@ -143,7 +165,7 @@ class JobStream(Generic[Tag]):
 
     @property
     def ended(self) -> bool:
-        """Whether no job is ready, and none comes from the source."""
+        """Whether no job is ready, and the source has ended."""
         with self._changed:
             return not self._waiting and not self._comes
 
@@ -152,11 +174,16 @@ class JobStream(Generic[Tag]):
         return self._open and not self._paused
 
     @property
+    def _may_follow(self) -> bool:
+        """Whether no job is ready, and an outcome is left from which jobs may follow."""
+        return self.feedback and not self._waiting and bool(self.in_flight or self._unfollowed)
+
+    @property
     def _is_full(self) -> bool:
         return self._most_boxes is not None and self._boxes >= self._most_boxes
 
     def _ready(self, least: int, wait: bool) -> bool:
-        """Whether ``least`` jobs are ready, or as many as there will be."""
+        """Whether ``least`` jobs are ready, or all jobs of the source."""
         while len(self._waiting) < least and self._comes and not self._is_full:
             if not wait:
                 return False

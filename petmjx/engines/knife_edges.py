@@ -1,4 +1,4 @@
-"""Which box has a world's flag ``knife-edge``, by the distances that are kept of it."""
+"""The box with a world's flag ``knife-edge``, by the world's stored distances."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from petmjx.common.units import FloatArray
 from petmjx.engines.verdict import Verdict
 
 KNIFE_EDGE_M: Final = 0.0005
-"""Plans have whole millimetres, and boxes are smaller than planned by a tenth of one. All verdicts that other
+"""Plans have whole millimetres, and boxes are smaller than planned by a tenth of a millimetre. All verdicts that other
 simulators disputed were of boxes whose centre was nearer than this to an edge (docs/validation.md)."""
 
 NEAR_M: Final = 0.001
@@ -53,7 +53,7 @@ class KnifeEdge(NamedTuple):
 def kept_edges(
     world: Mapping[str, Any], plan_edge_m: FloatArray | None, rest_edge_m: FloatArray | None
 ) -> Iterator[KnifeEdge]:
-    """The distances that a run keeps of a world.
+    """The distances of loads from edges that a run writes for a world.
 
     Args:
         world: columns of ``worlds``, or fields of ``petmjx.engines.verdict.Outcome``.
@@ -99,11 +99,11 @@ def sets_flag(edge_m: FloatArray, verdict: Verdict | None, *, rounding_m: float 
         rounding_m: largest error of the distances, m; so much further counts as near.
     """
     away_m = np.abs(edge_m) - rounding_m
-    near = away_m <= KNIFE_EDGE_M
+    is_near = away_m <= KNIFE_EDGE_M
     if verdict is None:
-        return near
+        return is_near
     contradicts = (edge_m < 0) if verdict is Verdict.STABLE else (edge_m >= 0)
-    return near | (contradicts & (away_m <= NEAR_M))
+    return is_near | (contradicts & (away_m <= NEAR_M))
 
 
 def _edge_sets_flag(edge: KnifeEdge, verdict: Verdict) -> bool:
@@ -114,8 +114,8 @@ def _edge_sets_flag(edge: KnifeEdge, verdict: Verdict) -> bool:
 
 def is_same_edge(edge: KnifeEdge, kept: KnifeEdge) -> bool:
     """Whether a distance that is computed again is one that tables keep, of the same box at the same time."""
-    same = (edge.box, edge.when, edge.step) == (kept.box, kept.when, kept.step)
-    return same and math.isclose(edge.edge_m, kept.edge_m, abs_tol=_SAME_M)
+    is_same = (edge.box, edge.when, edge.step) == (kept.box, kept.when, kept.step)
+    return is_same and math.isclose(edge.edge_m, kept.edge_m, abs_tol=_SAME_M)
 
 
 def _float(value: Any) -> float:

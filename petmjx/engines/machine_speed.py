@@ -1,4 +1,4 @@
-"""Speed of this machine, for estimates: the constants of petmjx/engines/cost_model.py were measured on another one.
+"""Speed of this machine, for estimates: the constants of petmjx/engines/cost_model.py were measured on another machine.
 
 The speed is measured in CPU time of the thread, so that other programs on the machine count little.
 """
@@ -23,7 +23,7 @@ WORTH_S: Final = 2.0
 BOX_MM: Final = (400.0, 300.0, 200.0)
 SIDE, LAYERS, ROUNDS = 3, 3, 2
 """Boxes along a side and layers of the block that is built to measure the machine, and number of rounds. The block
-stands. The fastest round counts: the other one may have been held up."""
+stands. The fastest round counts: other work may have slowed the other one."""
 
 REFERENCE_S: Final = 0.04
 """CPU time of the block on the machine of ``MEASURED``."""

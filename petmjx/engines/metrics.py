@@ -1,6 +1,6 @@
 """The table of all metrics: name, unit, type, meaning, time of sampling, and reduction from boxes to their world.
 
-It defines the columns of ``boxes`` and ``worlds`` (petmjx.results.schema), how they are filled
+The table defines the columns of ``boxes`` and ``worlds`` (petmjx.results.schema), how they are filled
 (petmjx.results.world_rows), which values two runs are compared by (petmjx.analysis.run_comparison), and the tables of
 docs/metrics.md (``python -m petmjx.engines.metrics`` prints them). The arithmetic is in the packages of the engines, in
 NumPy and in JAX.
@@ -69,7 +69,7 @@ class Column:
         dtype: NumPy type of the column on disk.
         meaning: one line, written into the Parquet file.
         compared: whether a comparison of two runs shows |b - a|.
-        relative: whether it also shows |b - a| / a.
+        relative: whether comparisons also show |b - a| / a.
     """
 
     name: str
@@ -99,9 +99,10 @@ class BoxMetric:
         definition: the formula, for docs/metrics.md.
         dtype: float32 for measured values (exact to 1 µm at 8 m; the MJX engines compute in it), float64 for times,
             bool for yes or no.
-        of_world: the column of ``worlds`` made from it, if there is one.
+        of_world: the column of ``worlds`` made from it, if any.
         driven_only: only runs with profiles have it.
-        compared, relative: as in :class:`Column`. Yes or no is compared only as the number of boxes of a world.
+        compared, relative: as in :class:`Column`. Values of yes or no are compared only as a world's number of boxes
+            with yes.
     """
 
     attribute: str
@@ -121,7 +122,7 @@ class BoxMetric:
         return np.zeros(shape, np.bool_) if self.dtype is np.bool_ else np.full(shape, np.nan)
 
     def world_columns(self) -> list[Column]:
-        """Its column of ``worlds``, if it has one. There are few worlds, so their measures are float64."""
+        """Its column of ``worlds``, if any. There are few worlds, so their measures are float64."""
         if self.of_world is None:
             return []
         counts = self.of_world.reduction is Reduction.COUNT
@@ -147,7 +148,7 @@ class WorldMetric:
         return self.dtype is np.int32
 
     def world_columns(self) -> list[Column]:
-        """Its column of ``worlds``."""
+        """The metric's column of ``worlds``."""
         return [Column(self.name, self.unit, self.dtype, self.meaning, self.compared)]
 
 

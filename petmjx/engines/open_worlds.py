@@ -1,4 +1,4 @@
-"""Open worlds: the interface of an engine for packers, which place boxes one after the other and fork worlds."""
+"""Open worlds: the interface of an engine for packers, which place boxes one by one and fork worlds."""
 
 from __future__ import annotations
 
@@ -24,16 +24,16 @@ MOST_BOXES: Final = 96
 
 @dataclass(frozen=True, eq=False)
 class Reading:
-    """An open world as it is now, with its k placed boxes.
+    """An open world at this moment, with its k placed boxes.
 
     Attributes:
         time_s: time since its soft start, s.
-        ended: True: it has failed and does not go on: a box has dropped, or the simulation was given up.
-        flags: flags of the world. ``MOVING`` is also set if it has paused because its time was up, and boxes still
-            move.
+        ended: True: the world has failed and stays as it is: a box has dropped, or the simulation was given up.
+        flags: flags of the world. ``MOVING`` is also set if the world has paused because its time was up, while boxes
+            still move.
         pos, quat: (k, 3) middles of the placed boxes, m, and (k, 4) orientations (w, x, y, z).
         top_force_n: (k,) force on each box's top in the last step, N.
-        culprit: the first box that has crossed a threshold at a sample; -1: none has.
+        culprit: the first box that has crossed a threshold at a sample; -1: no box has.
         max_tilt_deg, max_top_force_n: (k,) largest tilt and force at samples.
         dropped: (k,) whether a box had dropped at a sample.
     """
@@ -52,7 +52,7 @@ class Reading:
 
 @dataclass(frozen=True, eq=False)
 class Readings:
-    """The ``Reading`` of each of m open worlds, in arrays of k boxes, as many as the fullest world has.
+    """The ``Reading`` of each of m open worlds, in arrays with k columns, the number of boxes of the fullest world.
 
     Beyond a world's placed boxes numbers are NaN, and nothing has dropped.
 
@@ -77,7 +77,7 @@ class Readings:
 
     @classmethod
     def of(cls, readings: Sequence[Reading], scenes: Sequence[Scene]) -> Readings:
-        """From readings of worlds with these scenes."""
+        """Make the record from readings of worlds with these scenes."""
         placed = np.array([len(reading.pos) for reading in readings], np.int64)
         width = int(placed.max(initial=0))
 
@@ -123,8 +123,8 @@ def widened_rows(values: NDArray[Any], width: int) -> NDArray[Any]:
     if values.ndim == 1 or values.shape[1] == width:
         return values
     fill = False if values.dtype == bool else np.nan
-    more = np.full((len(values), width - values.shape[1], *values.shape[2:]), fill)
-    return np.concatenate([values, more], axis=1)
+    padding = np.full((len(values), width - values.shape[1], *values.shape[2:]), fill)
+    return np.concatenate([values, padding], axis=1)
 
 
 def _check_worlds(worlds: Sequence[int], count: int, *, distinct: bool = True) -> None:
@@ -133,7 +133,7 @@ def _check_worlds(worlds: Sequence[int], count: int, *, distinct: bool = True) -
     Raises:
         ValueError: a world does not exist, or occurs twice although worlds must be ``distinct``.
     """
-    numbers = np.asarray(worlds)  # thousands of worlds in each call: a loop only finds the one to name
+    numbers = np.asarray(worlds)  # NumPy checks thousands of worlds; the loop runs only to name a wrong one
     if numbers.ndim != 1 or numbers.dtype.kind not in "iu" or ((numbers < 0) | (numbers >= count)).any():
         for world in worlds:
             if not isinstance(world, int | np.integer) or not 0 <= world < count:
@@ -149,16 +149,16 @@ def _check_as_many(worlds: Sequence[int], others: Sized, noun: str) -> None:
 
 
 def _check_grown(before: Scene, after: Scene) -> None:
-    """Check that a scene has the boxes of another one, on the same carrier, and more.
+    """Check that a scene has the boxes of another scene, on the same carrier, and more.
 
     Raises:
-        ValueError: it does not.
+        ValueError: the condition is not met.
     """
     n = before.n_boxes
     if after.n_boxes <= n:
         raise ValueError(f"the scene must have more than {n} boxes, and has {after.n_boxes}")
-    same = after.first(n)
-    if not all(np.array_equal(getattr(before, name), getattr(same, name)) for name in OF_BOXES):
+    earlier_part = after.first(n)
+    if not all(np.array_equal(getattr(before, name), getattr(earlier_part, name)) for name in OF_BOXES):
         raise ValueError(f"the first {n} boxes of the scene must be those that the world has")
     if any(not np.array_equal(value, getattr(after.carrier, name)) for name, value in vars(before.carrier).items()):
         raise ValueError("the scene must have the world's carrier")
@@ -177,9 +177,9 @@ class OpenWorlds(ABC):
     a missing scene) changes nothing.
 
     A world goes on by the rules of the placement (docs/rules.md): each of its boxes is placed when those before it
-    rest, and when the last one rests it pauses. Then more boxes can be put into it. What happens in a world depends on
-    its scene alone: neither on other worlds, nor on the number of calls in which its boxes came. So after a wait in
-    vain a world pauses when a short wait is over, since more boxes may come; without more, ``finish`` waits on.
+    rest, and when the last one rests it pauses. Then more boxes can be added. What happens in a world depends on its
+    scene alone: not on other worlds, and not on the number of calls in which its boxes were added. So after a wait in
+    vain a world pauses at the end of a short wait, since more boxes may follow; ``finish`` waits longer.
 
     This class has the checks that all engines share; engines implement the rest.
 
@@ -210,7 +210,7 @@ class OpenWorlds(ABC):
             self._scenes.set(worlds, scenes)
 
     def put(self, worlds: Sequence[int], scenes: Sequence[Scene]) -> None:
-        """Put boxes into worlds. ``scenes`` are their scenes with more boxes behind the earlier ones.
+        """Put boxes into worlds. ``scenes`` are the scenes of the worlds with more boxes behind the earlier ones.
 
         Raises:
             ValueError: a world has ended, or has no more boxes.
@@ -225,7 +225,7 @@ class OpenWorlds(ABC):
             self._scenes.set(worlds, scenes)
 
     def put_next(self, worlds: Sequence[int], boxes: NextBoxes) -> None:
-        """Put one box into each of these worlds. Of the boxes only extents, place and mass are known.
+        """Put one box into each of these worlds. Only extents, places and masses of the boxes are known.
 
         Raises:
             ValueError: a world has ended.
@@ -238,8 +238,8 @@ class OpenWorlds(ABC):
             self._scenes.add(worlds, boxes)
 
     def try_next(self, worlds: Sequence[int], boxes: NextBoxes, *, until_lost: bool = False) -> Readings:
-        """The state of worlds if one box were put into each and rested. This is tried on forks, which are discarded. A
-        world may be named more than once, and must have paused.
+        """The state of worlds if one box were put into each and rested. The boxes are placed in forks, which are
+        discarded. A world may be named more than once, and must have paused.
 
         Args:
             until_lost: a fork ends as soon as a box is tilted too far at a sample, as a world with errors does, or is
@@ -305,12 +305,12 @@ class OpenWorlds(ABC):
         return self._readings(worlds) if len(worlds) else Readings.of([], [])
 
     def finish(self, worlds: Sequence[int], drives: Sequence[Drive | None] | None = None) -> list[Outcome]:
-        """The outcomes of worlds without further boxes, by all the rules, with or without a drive. The
-        worlds themselves stay as they are. ``Outcome.job`` counts the worlds asked for.
+        """The outcomes of worlds without further boxes, by all the rules, with or without a drive. The worlds
+        themselves do not change. ``Outcome.job`` is the index into ``worlds``.
 
-        It is one simulation, as in ``Engine.run``: no world is simulated again with other settings, as a score does
-        (docs/rules.md, section 9). Before a drive a placement that has failed, but has dropped nothing, is waited for
-        as without one, which may be some steps shorter than in a run.
+        Each outcome is one simulation, as in ``Engine.run``: no world is simulated again with other settings, as a
+        score does (docs/rules.md, section 9). Before a drive a placement that has failed, but has dropped nothing, has
+        a wait as without a drive, which may be some steps shorter than in a run.
 
         Raises:
             ValueError: a world has no boxes.
@@ -327,7 +327,7 @@ class OpenWorlds(ABC):
 
     @abstractmethod
     def _ended(self, worlds: Sequence[int]) -> list[bool]:
-        """Which of these worlds have failed and do not go on."""
+        """Whether each of these worlds has failed and stays as it is."""
 
     @abstractmethod
     def _put(self, worlds: Sequence[int], scenes: Sequence[Scene]) -> None: ...

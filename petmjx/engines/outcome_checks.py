@@ -9,49 +9,51 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
+from itertools import pairwise
 from typing import Final
 
 import numpy as np
+from numpy.typing import NDArray
 
 from petmjx.common.units import FloatArray
 from petmjx.engines.contact_penetration import note_softness
 from petmjx.engines.knife_edges import AT_REST, BY_PLAN, WHILE_BUILT, KnifeEdge, edges_when, sets_flag
 from petmjx.engines.mujoco.box_motion import tilt_deg
-from petmjx.engines.verdict import Flag, Outcome, Verdict, margin_of
+from petmjx.engines.verdict import Flag, Outcome, Verdict, margins_of
 from petmjx.options.simulation import Check, Simulation
-from petmjx.world.edge_distances import Edges, LeastBuildingEdge, building_edges, edges_of
+from petmjx.world.edge_distances import Edges, LeastBuildingEdge, building_edges, first_least, loads_and_edges
 from petmjx.world.job import Job
 from petmjx.world.scene import Scene
-from petmjx.world.supports import bearings_of, joined_bearing
+from petmjx.world.supports import bearings_of
 
 LEANS_DEG: Final = 2.0
-"""A box of a stable world leans if its tilt at rest is larger. A box of half a metre is then 17 mm lower on one side.
-Without a flag for it, soft contacts alone let no box lean by a tenth of this."""
+"""A box of a stable world leans if its tilt at rest is larger. At this tilt a box of half a metre is 17 mm lower on one
+side. In worlds without the flag for leaning, soft contacts alone tilt no box by a tenth of this."""
 
 LOWER_M: Final = 0.005
 """A box that lies lower than planned by more than this counts as leaning, too: soft contacts may give way by as much
 (``petmjx.engines.contact_tilt.BOUND_SHARE``)."""
 
-MOST_TOGETHER: Final = 128
-"""Largest number of outcomes that are checked at once; 128 take a tenth of a second. One by one, checks took longer
+MOST_TOGETHER: Final = 256
+"""Largest number of outcomes that are checked at once; 256 take a tenth of a second. One by one, checks took longer
 than the simulation on a GPU."""
-
-_NOT_BUILT: Final = LeastBuildingEdge(np.nan, -1, -1, np.nan, -1, -1)
 
 
 def outcome_checks(outcomes: Sequence[Outcome], jobs: Sequence[Job], sim: Simulation) -> list[Outcome]:
-    """The outcomes with all values that follow from them and their jobs. The verdict may change.
+    """The outcomes with all values that follow from outcome and job. The verdict may change.
 
     Args:
         jobs: the jobs of the engine, one for each outcome.
         sim: the options of the engine.
     """
     noted = note_softness(outcomes, jobs, sim)
-    for outcome, job in zip(noted, jobs, strict=True):
+    for outcome, margin in zip(noted, margins_of(noted, sim.thresholds), strict=True):
         outcome.flags &= ~Flag.RERUN_AFTER_OVERFLOW
-        outcome.margin = margin_of(outcome.verdict, outcome.boxes, outcome.n_placed, sim.thresholds)
-        if outcome.verdict is Verdict.STABLE and job.drive is None and contact_tilt_boxes(outcome).size:
-            outcome.flags |= Flag.LEANS
+        outcome.margin = margin
+    at_rest = [k for k, job in enumerate(jobs) if noted[k].verdict is Verdict.STABLE and job.drive is None]
+    for k, leans in zip(at_rest, _leaning([noted[k] for k in at_rest]), strict=True):
+        if leans.any():
+            noted[k].flags |= Flag.LEANS
     if sim.check is Check.STATIC:
         note_edges(noted, jobs, in_order=False)
     else:
@@ -62,58 +64,75 @@ def outcome_checks(outcomes: Sequence[Outcome], jobs: Sequence[Job], sim: Simula
 def contact_tilt_boxes(outcome: Outcome) -> np.ndarray[tuple[int], np.dtype[np.intp]]:
     """The boxes of a world at rest that lean by more than ``LEANS_DEG``, or lie more than ``LOWER_M`` lower than
     planned. If contacts gave way so far that the world has a flag for it, lower boxes do not count."""
-    placed = slice(outcome.n_placed)
-    leans = tilt_deg(outcome.boxes.quat[placed]) > LEANS_DEG
-    if not outcome.flags & Flag.SINKING:
-        leans |= outcome.boxes.shift_m[placed, 2] < -LOWER_M
-    return np.flatnonzero(leans)
+    return np.flatnonzero(_leaning([outcome])[0])
+
+
+def _leaning(outcomes: Sequence[Outcome]) -> list[NDArray[np.bool_]]:
+    """(n_placed,) which boxes lean, of each world, as ``contact_tilt_boxes``."""
+    if not outcomes:
+        return []
+    placed = [outcome.n_placed for outcome in outcomes]
+    quats = [outcome.boxes.quat[: outcome.n_placed] for outcome in outcomes]
+    if len({quat.dtype for quat in quats}) == 1:
+        quats = [np.concatenate(quats)]
+    leans = np.concatenate([tilt_deg(quat) > LEANS_DEG for quat in quats])
+    lower = np.concatenate([outcome.boxes.shift_m[: outcome.n_placed, 2] < -LOWER_M for outcome in outcomes])
+    sinks = np.repeat([bool(outcome.flags & Flag.SINKING) for outcome in outcomes], placed)
+    return np.split(leans | (lower & ~sinks), np.cumsum(placed)[:-1])
 
 
 def note_edges(outcomes: Sequence[Outcome], jobs: Sequence[Job], *, in_order: bool = True) -> None:
     """Fill in the least distances of loads from edges: by the plan, at rest and while the plan is built. Also fill in
     the distances of boxes, and the flag of a knife's edge, which any box may set.
 
-    Distances at rest are those of worlds that stand and were not shaken, so that the carrier is at its place. Distances
+    Distances at rest count in worlds that stand and were not shaken: there the carrier is at its place. Distances
     while the plan is built are those of plans whose boxes are placed ``in_order``, without errors.
     """
     scenes = [job.scene for job in jobs]
     valid = [k for k, outcome in enumerate(outcomes) if outcome.verdict is not Verdict.INVALID]
     # drives share a scene
-    planned = dict.fromkeys((scenes[k], outcomes[k].n_placed, in_order and not jobs[k].has_errors) for k in valid)
+    keys = [(scenes[k], outcomes[k].n_placed, in_order and not jobs[k].has_errors) for k in valid]
+    planned = {key: number for number, key in enumerate(dict.fromkeys(keys))}
     at_rest = [k for k in valid if outcomes[k].verdict is Verdict.STABLE and jobs[k].drive is None]
-    edges, built, resting = _all_edges(
+    first, edges, built = _all_edges(
         list(planned), [scenes[k] for k in at_rest], [outcomes[k].boxes.pos for k in at_rest]
     )
-    by_plan = dict(zip(planned, zip(edges, built, strict=True), strict=True))
-    of_rest = dict(zip(at_rest, resting, strict=True))
-    for k in valid:
-        outcome = outcomes[k]
-        plan, least_built = by_plan[scenes[k], outcome.n_placed, in_order and not jobs[k].has_errors]
-        plan_edge_m, rest_edge_m = plan.least, outcome.boxes.rest_edge_m
-        outcome.plan_edge_m, outcome.plan_edge_box = _least(plan_edge_m)
-        outcome.build_edge_m, outcome.build_edge_box, outcome.build_edge_step = least_built[:3]
-        near = [np.array([least_built.nearest_m]), *plan]
-        edge_m = np.concatenate([[outcome.build_edge_m], *plan])
-        if k in of_rest:
-            rest_edge_m = of_rest[k].least
-            outcome.rest_edge_m, outcome.rest_edge_box = _least(rest_edge_m)
-            near += of_rest[k]
-        outcome.boxes = replace(outcome.boxes, plan_edge_m=plan_edge_m, rest_edge_m=rest_edge_m)
-        if sets_flag(np.concatenate(near), None).any() or sets_flag(edge_m, outcome.verdict).any():
+    least, boxes_of = edges.least, [slice(*ends) for ends in pairwise(first)]
+    scene = np.repeat(np.arange(len(boxes_of)), np.diff(first))
+    least_of = dict(zip(*(values.tolist() for values in first_least(least, scene)), strict=True))
+    near, contradicts_stable, contradicts_unstable = (
+        np.bincount(scene[sets_flag(edges.by_weight, side) | sets_flag(edges.by_load, side)], minlength=len(boxes_of))
+        > 0
+        for side in (None, Verdict.STABLE, Verdict.UNSTABLE)
+    )
+    contradicts = {Verdict.STABLE: contradicts_stable, Verdict.UNSTABLE: contradicts_unstable}
+    for verdict, of_edges in contradicts.items():
+        of_edges[: len(built)] |= sets_flag(np.array([edge.edge_m for edge in built]), verdict)
+        of_edges[: len(built)] |= sets_flag(np.array([edge.nearest_m for edge in built]), None)
+    number_at_rest = {k: number for number, k in enumerate(at_rest, len(planned))}
+    for k, key in zip(valid, keys, strict=True):
+        outcome, number, rest = outcomes[k], planned[key], number_at_rest.get(k)
+        outcome.plan_edge_m, outcome.plan_edge_box = _least_edge(least, least_of.get(number), first[number])
+        outcome.build_edge_m, outcome.build_edge_box, outcome.build_edge_step = built[number][:3]
+        rest_edge_m, is_knife_edge = outcome.boxes.rest_edge_m, contradicts[outcome.verdict][number]
+        if rest is not None:
+            rest_edge_m, is_knife_edge = least[boxes_of[rest]], is_knife_edge or near[rest]
+            outcome.rest_edge_m, outcome.rest_edge_box = _least_edge(least, least_of.get(rest), first[rest])
+        outcome.boxes = replace(outcome.boxes, plan_edge_m=least[boxes_of[number]], rest_edge_m=rest_edge_m)
+        if is_knife_edge:
             outcome.flags |= Flag.KNIFE_EDGE
 
 
 def edges_again(scene: Scene, outcome: Outcome) -> Iterator[KnifeEdge]:
-    """All distances of loads from edges that ``note_edges`` looked at, also those that no table keeps: of own weights,
-    and the nearest one while the plan is built."""
+    """All distances of loads from edges that ``note_edges`` looked at, also distances without a column: of own weights,
+    and the nearest distance while the plan is built."""
     in_order, at_rest = not np.isnan(outcome.build_edge_m), not np.isnan(outcome.rest_edge_m)
-    edges, (built,), resting = _all_edges(
+    first, edges, (built,) = _all_edges(
         [(scene, outcome.n_placed, in_order)], [scene] * at_rest, [outcome.boxes.pos] * at_rest
     )
-    for when, of_boxes in ((BY_PLAN, edges), (AT_REST, resting)):
-        for by_weight, by_load in of_boxes:
-            yield from edges_when(by_load, when)
-            yield from edges_when(by_weight, when, own_weight=True)
+    for when, (begin, end) in zip((BY_PLAN, AT_REST), pairwise(first), strict=False):
+        yield from edges_when(edges.by_load[begin:end], when)
+        yield from edges_when(edges.by_weight[begin:end], when, own_weight=True)
     if in_order:
         yield KnifeEdge(built.edge_m, built.box, WHILE_BUILT, built.step)
         yield KnifeEdge(built.nearest_m, built.nearest_box, WHILE_BUILT, built.nearest_step)
@@ -121,31 +140,26 @@ def edges_again(scene: Scene, outcome: Outcome) -> Iterator[KnifeEdge]:
 
 def _all_edges(
     planned: Sequence[tuple[Scene, int, bool]], at_rest: Sequence[Scene], pos: Sequence[FloatArray]
-) -> tuple[list[Edges], list[LeastBuildingEdge], list[Edges]]:
-    """The edges of planned scenes, the least edges while they are built, and the edges of scenes at rest.
+) -> tuple[list[int], Edges, list[LeastBuildingEdge]]:
+    """First boxes of planned scenes and of scenes at rest, and the end; the edges of all their boxes; and the least
+    edges while planned scenes are built.
 
     All are computed at once: the time depends on the number of calls.
 
     Args:
-        planned: scene, number of placed boxes, and whether the least edges while it is built are wanted.
+        planned: scene, number of placed boxes, and whether the least edges while the plan is built are needed.
         at_rest: scenes at rest, with their boxes at the (n, 3) places ``pos``, m.
     """
     if not planned:
-        return [], [], []
+        return [0], Edges(np.zeros(0), np.zeros(0)), []
     scenes, placed, inputs = zip(*planned, strict=True)
-    bearings = bearings_of(scenes, at_rest, pos)
-    joined = joined_bearing(bearings)
-    edges = edges_of(bearings, [*placed, *(scene.n_boxes for scene in at_rest)], joined)
-    some = [k for k, is_asked in enumerate(inputs) if is_asked]
-    counts = [scenes[k].n_boxes for k in some]
-    built = building_edges([bearings[k] for k in some], counts, joined if len(some) == len(planned) else None)
-    of_some = dict(zip(some, built, strict=True))
-    number = len(planned)
-    return edges[:number], [of_some.get(k, _NOT_BUILT) for k in range(number)], edges[number:]
+    bearing = bearings_of(scenes, at_rest, pos)
+    _, *edges = loads_and_edges(bearing, [*placed, *(scene.n_boxes for scene in at_rest)])
+    in_order = [scene.n_boxes if is_asked else 0 for scene, is_asked in zip(scenes, inputs, strict=True)]
+    built = building_edges(bearing, in_order + [0] * len(at_rest))
+    return bearing.boxes.first.tolist(), Edges(*edges), built[: len(planned)]
 
 
-def _least(edge_m: FloatArray) -> tuple[float, int]:
-    """The least of the distances and the number of its box; NaN and -1 if there is none."""
-    known = np.where(np.isnan(edge_m), np.inf, edge_m)
-    box = int(known.argmin()) if len(known) else -1
-    return (float(edge_m[box]), box) if box >= 0 and known[box] < np.inf else (np.nan, -1)
+def _least_edge(edge_m: FloatArray, place: int | None, first: int) -> tuple[float, int]:
+    """The least distance of a scene, at this place, and the number of its box; NaN and -1 if there is none."""
+    return (np.nan, -1) if place is None else (float(edge_m[place]), place - first)

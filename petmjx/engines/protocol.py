@@ -21,7 +21,7 @@ from petmjx.world.scene import Scene
 
 GROUP_WORLDS = {"mjx-jax": 8192, "mjx-warp": 32_768}
 """Default number of worlds whose states the engine has on its device at the same time; on mjx-warp a world of 80 boxes
-takes 16 kB. It is also the largest number of jobs that a worker of either engine is given at once."""
+takes 16 kB. A worker of either engine also gets at most this many jobs at once."""
 
 
 @dataclass
@@ -31,8 +31,8 @@ class Progress:
     Attributes:
         thread_s: CPU time of ``mujoco``'s threads for finished worlds, s.
         message: what the engine is doing (compiling, …).
-        at_hand: at least this many outcomes follow the last one at once; None if the engine does not report it. It is
-            only used if the engine's ``run`` is marked with ``says_at_hand``.
+        at_hand: at least this many outcomes follow the last one at once; None if the engine does not report it. The
+            method is only used if the engine's ``run`` is marked with ``says_at_hand``.
         pauses: whether the engine may yield None while no world ends, so that the caller can do other work of the run.
         notes: lines for the results, each once: deviations from the options.
     """
@@ -52,17 +52,17 @@ Run = TypeVar("Run", bound=Callable[..., Iterator[Outcome]])
 
 
 def says_at_hand(run: Run) -> Run:
-    """Mark a ``run`` that keeps ``Progress.at_hand`` up to date while it waits, and yields None in pauses if asked to.
+    """Mark a ``run`` that keeps ``Progress.at_hand`` up to date while it waits, and yields None in pauses if required.
 
-    The method is marked, not the engine: an engine that inherits from one of petmjx may hold back its outcomes.
+    The method is marked, not the engine: an engine that inherits from petmjx's engines may delay outcomes.
     """
     run.says_at_hand = True  # type: ignore[attr-defined]  # a function has room for it
     return run
 
 
 def takes_stream(run: Run) -> Run:
-    """Mark a ``run`` that takes its jobs from a ``JobStream`` while it simulates others (``StreamEngine``). Other ones
-    are given lists of jobs. The method is marked, as by ``says_at_hand``."""
+    """Mark a ``run`` that takes its jobs from a ``JobStream`` while it simulates other jobs (``StreamEngine``). Any
+    other ``run`` gets lists of jobs. The method is marked, as by ``says_at_hand``."""
     run.takes_stream = True  # type: ignore[attr-defined]  # a function has room for it
     return run
 
@@ -94,22 +94,22 @@ class RunLock:
 
 
 class Capability(enum.Flag):
-    """What an engine can do."""
+    """Capabilities of an engine."""
 
     FLOAT64 = enum.auto()
-    """It steps in double precision."""
+    """The engine steps in double precision."""
     CG = enum.auto()
-    """It has the solver ``cg``."""
+    """The engine has the solver ``cg``."""
     SHEETS = enum.auto()
-    """It has interlayer sheets, and pallets among the boxes."""
+    """The engine has interlayer sheets, and pallets among the boxes."""
     KINETIC_PAIRS = enum.auto()
-    """It has kinetic friction by pairs of materials."""
+    """The engine has kinetic friction by pairs of materials."""
     SOFT = enum.auto()
-    """It has boxes that are flex bodies."""
+    """The engine has boxes that are flex bodies."""
     CHECKS = enum.auto()
-    """It checks its outcomes itself (petmjx/engines/outcome_checks.py)."""
+    """The engine checks its outcomes itself (petmjx/engines/outcome_checks.py)."""
     MIXED = enum.auto()
-    """It consists of several engines. Its outcomes name the engine that made them. Start states of its jobs are
+    """The engine consists of several engines. The outcomes name the engine that made them. Start states of its jobs are
     ``KeptState``, which names the engine that made the state."""
 
 
@@ -121,7 +121,7 @@ PHYSICS: Final[Mapping[str, Capability]] = {
     "mjx-warp": _PAIRS,
     "mjx-warp-cpu": _PAIRS,
 }
-"""Engine → what it can simulate, also in workers. An engine of another name is trusted with all but soft boxes."""
+"""Engine → its capabilities, also in workers. An engine of another name is trusted with all but soft boxes."""
 
 
 @runtime_checkable
@@ -144,27 +144,28 @@ class StreamEngine(Protocol):
     ) -> Iterator[Outcome]:
         """As of ``MinimalEngine``. The number of a job is its place among the jobs that the run takes.
 
-        A run takes jobs while it has capacity. It ends when it has no job in flight and waits for more in vain
+        A run takes jobs while it has capacity. The run ends when it has no job in flight and waits for more in vain
         (``JobStream.take``).
         """
         ...
 
 
 class Engine(MinimalEngine, Protocol):
-    """The full interface of an engine. A class that inherits from it gets defaults for all that it does not define.
+    """The full interface of an engine. A class that inherits from ``Engine`` gets defaults for everything that it does
+    not define.
 
     Several threads may use one engine. An engine that can do only one run at a time, such as the MJX engines, makes the
     other threads wait (``RunLock``).
 
     Attributes:
-        devices: number of GPUs that simulate at the same time. The engine is given as many times more worlds at once.
+        devices: number of GPUs that simulate at the same time. The engine gets this many times more worlds at once.
     """
 
     devices: int = 1
 
     @property
     def capabilities(self) -> Capability:
-        """What it can do. By default the physics of its name."""
+        """The capabilities of this engine. By default, the preset with the engine's name."""
         return PHYSICS.get(self.name, _PHYSICS)
 
     @property
@@ -186,7 +187,8 @@ class Engine(MinimalEngine, Protocol):
         """Worlds that stay open.
 
         Args:
-            most_boxes: largest number of boxes that a world will ever have. Engines with tables reserve room for it.
+            most_boxes: largest number of boxes that a world will ever have. Engines with tables reserve room for this
+                number of boxes.
 
         Raises:
             InputError: this engine has none.
@@ -195,11 +197,11 @@ class Engine(MinimalEngine, Protocol):
         raise InputError(f"engine {self.name} has no worlds that stay open; mujoco, mjx-warp and mjx-warp-cpu have")
 
     def paths(self, bodies: FreeBodies, sim: Simulation) -> FloatArray:
-        """Boxes that are let go, in worlds without rules and with the contacts and steps of all others.
+        """Released boxes, in worlds without rules, with the same contacts and steps as all worlds.
 
         Returns:
-            (n, s, k, 7) their places, m, and orientations after each of ``bodies.steps``; NaN from the step on at which
-            a world's numbers are not finite, or its buffers are too small.
+            (n, s, k, 7) places, m, and orientations of the boxes after each of ``bodies.steps``; NaN after a step with
+            numbers that are not finite, or with too small buffers.
 
         Raises:
             InputError: this engine cannot.

@@ -16,7 +16,7 @@ from petmjx.common.machine import cpu_threads, cuda_devices, device_name
 from petmjx.common.processes import defer_signals
 from petmjx.engines.cost_model import MEASURED, Costs, Work
 from petmjx.engines.engine_choice import ENGINES, Choice, choose, make_engine, options_of
-from petmjx.engines.gpu_start import start_gpu
+from petmjx.engines.gpu_start import compile_ahead, start_gpu
 from petmjx.engines.machine_speed import costs_here
 from petmjx.engines.open_worlds import MOST_BOXES, OpenWorlds
 from petmjx.engines.protocol import Capability, Engine, MinimalEngine, Progress
@@ -37,10 +37,11 @@ WORTH_A_GPU: Final = 4 << 20
 
 
 class UserEngine(Engine):
-    """A user's own engine, with defaults for all that it leaves out of ``Engine``. It is not closed: the user owns it.
+    """A user's own engine, with defaults for all that it leaves out of ``Engine``. The engine is not closed: the user
+    owns it.
 
     Args:
-        threads: the option of the run, for the name of the device if the engine does not have one.
+        threads: the option of the run, for the name of the device if the engine has no name for it.
     """
 
     def __init__(self, engine: MinimalEngine, threads: int | None) -> None:
@@ -62,7 +63,7 @@ class UserEngine(Engine):
         return getattr(self._engine.run, "takes_stream", False)
 
     def open(self, scenes: Sequence[Scene], sim: Simulation, most_boxes: int = MOST_BOXES) -> OpenWorlds:
-        """The open worlds of the engine, if it has them; else the default of ``Engine``."""
+        """The open worlds of the engine, if any; else the default of ``Engine``."""
         opens = getattr(self._engine, "open", None)
         worlds: OpenWorlds = (super().open if opens is None else opens)(scenes, sim, most_boxes)
         return worlds
@@ -76,9 +77,9 @@ class UserEngine(Engine):
 
 
 @contextmanager
-def engine_warmup(options: RunOptions, plans: object) -> Iterator[WorkerStartup | None]:
-    """While plans are read, start JAX and Warp on the GPU if ``mjx-warp`` will be the engine of this process, or start
-    workers, which are yielded for ``resolve_engine``. Python mostly waits for these starts."""
+def engine_warmup(options: RunOptions, plans: object, sim: Simulation) -> Iterator[WorkerStartup | None]:
+    """While plans are read, start JAX and Warp on the GPU and compile kernels, if ``mjx-warp`` will be the engine of
+    this process; or start workers, and yield them for ``resolve_engine``. Python mostly waits for these starts."""
     if options.asked_workers is not None and isinstance(options.engine, str):
         from petmjx.engines.remote.worker_choice import WorkerStartup  # most runs have none
 
@@ -89,8 +90,9 @@ def engine_warmup(options: RunOptions, plans: object) -> Iterator[WorkerStartup 
             ahead.give_up()
             raise
         return
-    thread = threading.Thread(target=_start_if_gpu, name="petmjx-start") if _may_be_gpu(options, plans) else None
-    if thread is not None:
+    thread = None
+    if _may_be_gpu(options, plans):
+        thread = threading.Thread(target=_start_if_gpu, args=(sim,), name="petmjx-start")
         thread.start()
     # an error in plans is reported at once: the thread is not waited for, except perhaps when the process ends
     yield None
@@ -105,9 +107,11 @@ def _may_be_gpu(options: RunOptions, plans: object) -> bool:
     return options.engine != AUTO or _bytes_of(plans) >= WORTH_A_GPU
 
 
-def _start_if_gpu() -> None:
-    if cuda_devices():  # this call to the driver takes time, too
+def _start_if_gpu(sim: Simulation) -> None:
+    if cuda_devices():  # also this call of the driver takes time
         start_gpu()
+        # in a thread that the run does not wait for: worlds are made meanwhile
+        threading.Thread(target=compile_ahead, args=(sim,), name="petmjx-kernels").start()
 
 
 def _bytes_of(plans: object) -> int:
@@ -146,14 +150,14 @@ def resolve_engine(
     hands_over: bool = False,
     earlier: str | None = None,
 ) -> tuple[Engine, Choice]:
-    """The engine of a run, ready to use, and why it was chosen. ``auto`` ignores the option (threads, lanes) that its
-    engine does not have.
+    """The engine of a run, ready to use, and the reason for its choice. ``auto`` ignores the option (threads, lanes)
+    that its engine does not have.
 
     Args:
         costs: costs of the engines; None: the measured ones, scaled to the speed of this machine.
-        ahead: workers that have been started already for these options (``engine_warmup``).
+        ahead: workers that are already started for these options (``engine_warmup``).
         hands_over: whether an engine that ``auto`` takes may hand worlds over to another one (``HandoverEngine``).
-        earlier: the engine that the run had before it was resumed, which ``auto`` keeps: the machine may be busier now.
+        earlier: the engine of the run before it was resumed, which ``auto`` keeps: the machine may be busier now.
 
     Raises:
         InputError, EngineUnavailable: as ``make_engine``; also workers for an engine of the user's own.

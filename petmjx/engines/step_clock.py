@@ -14,7 +14,7 @@ class Clock:
 
     def time_s(self, step: int) -> float:
         if step >= len(self._time):
-            # cumsum adds one by one, as mj_step does: a product step × dt differs in the last digits.
+            # cumsum adds step by step, as mj_step does: a product step × dt differs in the last digits.
             self._time = np.concatenate(([0.0], np.cumsum(np.full(2 * step + 1000, self._dt))))
         return float(self._time[step])
 

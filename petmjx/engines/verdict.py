@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from enum import IntFlag, StrEnum
 from typing import Any, Final, NamedTuple
@@ -51,29 +51,30 @@ class Flag(IntFlag):
     EXPLOSION = 8
     EARLY_STOP = 16
     RERUN_AFTER_OVERFLOW = 32
-    """An engine simulated the world again with larger buffers. This depends on the worlds beside it, so the flag is
-    never in results (petmjx.engines.outcome_checks)."""
+    """An engine simulated the world again with larger buffers. An overflow depends on other worlds of the batch, so the
+    flag is never in results (petmjx.engines.outcome_checks)."""
     OUT_OF_MEMORY = 64
     OTHER_OVERFLOW = 128
     FORKED = 256
     """The world started from a settled state that another world had reached."""
     SINKING = 512
-    """Boxes sank into their supports so far that a verdict may come from it (petmjx.engines.contact_penetration)."""
+    """Boxes sank into their supports so far that the depth may have decided the verdict
+    (petmjx.engines.contact_penetration)."""
     FAILED = 1024
     """The simulation ended with an exception; ``Outcome.message`` has its text."""
     TIMEOUT = 2048
     """The world took longer than ``RunOptions.world_timeout_s``."""
     MOVING = 4096
-    """Boxes still moved when the world ended, or when the next box came, because its time was up: the verdict may
+    """Boxes still moved when the world ended, or when the next box came, because the time was up: the verdict may
     depend on how long the world is simulated."""
     KNIFE_EDGE = 8192
     """The load of a box acts within half a millimetre of the edge of its supports (petmjx.engines.outcome_checks)."""
     TIMESTEP = 16384
-    """With half the timestep the verdict is another one (``Simulation.check_timestep``)."""
+    """With half the timestep the verdict differs (``Simulation.check_timestep``)."""
     LEANS = 32768
     """The world is stable, but not as planned: a box leans, or lies lower (petmjx.engines.outcome_checks)."""
     NOT_PLACED = 65536
-    """A hand found no room for a box: it let go further than ``MISSED_M`` from the box's place
+    """A hand found no room for a box: it released the box further than ``MISSED_M`` from its place
     (petmjx.world.approach_paths), before any box crossed a threshold."""
 
 
@@ -99,7 +100,7 @@ class Outcome:
     engine: str = ""
     """The engine that made this attempt; filled in by petmjx.engines.attempt_runner."""
     state: KeptState | EngineState | None = None
-    """The settled state, if the job asked for it: a ``KeptState`` outside the engine."""
+    """The settled state, if the job requests it: a ``KeptState`` outside the engine."""
     margin: float = math.nan
     """See :func:`margin_of`; filled in for all engines (petmjx.engines.outcome_checks)."""
     plan_edge_m: float = math.nan
@@ -113,9 +114,9 @@ class Outcome:
     whose placement ``build_edge_m`` is reached. -1: none. Filled in by petmjx.engines.outcome_checks, as the distances
     of boxes are."""
     message: str = ""
-    """Why there is no result, in one line, if ``reason`` is ``failed`` or ``timeout``."""
+    """The reason for the missing result, in one line, if ``reason`` is ``failed`` or ``timeout``."""
     history: History | None = None
-    """The frames, if the job asked for them."""
+    """The frames, if the job requests them."""
 
 
 INVALID_FLAGS: Final = (
@@ -164,8 +165,8 @@ def judge(
 
     An engine calls it with its measurements. Callers that learn more about the world call it again.
 
-    Metrics may come from float32. With the default thresholds a comparison in float64 gives the same as one in float32:
-    20 is exact in float32; the float32 nearest to 0.02 is below 0.02, and no other float32 lies between the two.
+    Metrics may come from float32. With the default thresholds comparisons in float64 and in float32 agree: 20 is exact
+    in float32; the float32 nearest to 0.02 is below 0.02, and no other float32 lies between the two.
 
     Args:
         sank: whether boxes sank into their supports so far that there is no verdict. ``Flag.SINKING`` does not show
@@ -195,35 +196,51 @@ def judge_all(
     """
     invalid = [(Verdict.INVALID, reason, (flags & int(bits)) != 0) for bits, reason in INVALID_FLAGS]
     unstable = [(Verdict.UNSTABLE, reason, failed.any(axis=1)) for reason, failed in failures(boxes, thresholds)]
-    verdicts, reasons, where = zip(*invalid, *unstable, strict=True)
-    verdict = np.select(where, [str(label) for label in verdicts], str(Verdict.STABLE))
-    return verdict, np.select(where, [str(reason) for reason in reasons], str(Reason.NONE))
+    verdicts, reasons, box_masks = zip(*invalid, *unstable, strict=True)
+    verdict = np.select(box_masks, [str(label) for label in verdicts], str(Verdict.STABLE))
+    return verdict, np.select(box_masks, [str(reason) for reason in reasons], str(Reason.NONE))
 
 
 DROPPED_EXCESS: Final = 2.0
-"""Least excess of a box that dropped, so that its margin is at most -1: it may come to lie near its place, but a drop
-is always beyond the threshold."""
+"""Least excess of a box that dropped, so that its margin is at most -1: the box may end near its place, but a drop is
+always beyond the threshold."""
 
 
 _EPSILON: Final = float(np.finfo(np.float64).eps)
 
 
 def margin_of(verdict: Verdict, boxes: BoxMetrics, n_placed: int, thresholds: Thresholds) -> float:
-    """How far a world is from the nearest threshold, as a share of it: 1 − the largest excess of a placed box.
+    """Distance of a world from the nearest threshold, as a share of the threshold: 1 − the largest excess of a placed
+    box.
 
-    1: nothing moved; 0: on the threshold; negative: beyond it, at most -1 if a box dropped. It is never negative in a
-    stable world and always negative in an unstable one. NaN for invalid worlds. More: docs/metrics.md, section
-    "Margin".
+    1: nothing moved; 0: on the threshold; negative: beyond it, at most -1 if a box dropped. The margin is never
+    negative in a stable world and always negative in an unstable one. NaN for invalid worlds. More: docs/metrics.md,
+    section "Margin".
     """
-    if verdict is Verdict.INVALID or n_placed == 0:
-        return math.nan
-    placed = slice(n_placed)
-    dropped = boxes.dropped[placed]
-    shift, tilt = (np.asarray(values[placed], dtype=np.float64) for values in (boxes.shift_m, boxes.max_tilt_deg))
-    largest = np.maximum(excess(shift, tilt, dropped, thresholds), DROPPED_EXCESS * dropped).max()
-    margin = float(1.0 - largest)
-    # `judge` may have compared float32, and the quotient is rounded: on the threshold the verdict has the sign
-    return max(margin, 0.0) if verdict is Verdict.STABLE else min(margin, -_EPSILON)
+    return _margins([(verdict, boxes, n_placed)], thresholds)[0]
+
+
+def margins_of(outcomes: Sequence[Outcome], thresholds: Thresholds) -> list[float]:
+    """``margin_of`` each outcome. All are computed at once."""
+    return _margins([(outcome.verdict, outcome.boxes, outcome.n_placed) for outcome in outcomes], thresholds)
+
+
+def _margins(worlds: Sequence[tuple[Verdict, BoxMetrics, int]], thresholds: Thresholds) -> list[float]:
+    margins = [math.nan] * len(worlds)
+    valid = [k for k, (verdict, _, placed) in enumerate(worlds) if placed and verdict is not Verdict.INVALID]
+    if not valid:
+        return margins
+    placed = [worlds[k][2] for k in valid]
+    placed_boxes = [(worlds[k][1], slice(worlds[k][2])) for k in valid]
+    shift = np.concatenate([boxes.shift_m[rows] for boxes, rows in placed_boxes], dtype=np.float64)
+    tilt = np.concatenate([boxes.max_tilt_deg[rows] for boxes, rows in placed_boxes], dtype=np.float64)
+    dropped = np.concatenate([boxes.dropped[rows] for boxes, rows in placed_boxes], dtype=np.bool_)
+    largest = np.maximum(excess(shift, tilt, dropped, thresholds), DROPPED_EXCESS * dropped)
+    begins = np.cumsum(placed) - np.array(placed)
+    for k, margin in zip(valid, (1.0 - np.maximum.reduceat(largest, begins)).tolist(), strict=True):
+        # `judge` may have compared float32, and the quotient is rounded: on the threshold the verdict has the sign
+        margins[k] = max(margin, 0.0) if worlds[k][0] is Verdict.STABLE else min(margin, -_EPSILON)
+    return margins
 
 
 @dataclass(frozen=True)
@@ -242,5 +259,5 @@ class Attempt:
     @classmethod
     def of(cls, outcome: Outcome, timestep_s: float) -> Attempt:
         """The record of an outcome that was simulated with ``timestep_s`` (s)."""
-        kept = {name: getattr(outcome, name) for name in cls.__dataclass_fields__ if name != "timestep_s"}
-        return cls(timestep_s=timestep_s, **kept)
+        fields = {name: getattr(outcome, name) for name in cls.__dataclass_fields__ if name != "timestep_s"}
+        return cls(timestep_s=timestep_s, **fields)

@@ -12,7 +12,7 @@ from petmjx.world.job import Job
 
 @dataclass(frozen=True, eq=False)
 class World:
-    """One plan in one variant. It is simulated once, and again if it is invalid."""
+    """One plan in one of its variants. A world is simulated once, and again if the outcome is invalid."""
 
     plan: Plan
     variant: int

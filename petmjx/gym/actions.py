@@ -1,4 +1,4 @@
-"""Action tables: places for the boxes that may come next, legal or not, with a row for each episode."""
+"""Action tables: places for the boxes that may be next, legal or not, with a row for each episode."""
 
 from __future__ import annotations
 
@@ -22,8 +22,8 @@ its mass, kg, the supported share of its base, and the pallet's margin with it i
 
 UPRIGHT: Final = "upright"
 PALLET: Final = "pallet"
-"""Further features, of environments in which there is a choice: which size is vertical (0: height, 1: width, 2:
-length), and the number of the pallet."""
+"""Further features, of environments with such a choice: which size is vertical (0: height, 1: width, 2: length), and
+the number of the pallet."""
 
 SIDES: Final = np.array([(0, 1, 2), (1, 0, 2), (0, 2, 1), (2, 0, 1), (1, 2, 0), (2, 1, 0)])
 """(6, 3) the sizes (0: length, 1: width, 2: height) along x, y and z on each side, in pairs that differ by a turn."""
@@ -75,22 +75,22 @@ class Table:
     def features(self, rows: NDArray[np.int64], names: Sequence[str]) -> NDArray[np.float32]:
         """(m, a, f) features of some episodes, ``FEATURES`` and perhaps more."""
         features = np.empty((len(rows), self.legal.shape[1], len(names)), np.float32)
-        more = {UPRIGHT: self.side // 2, PALLET: self.pallet}
+        extra_columns = {UPRIGHT: self.side // 2, PALLET: self.pallet}
         at = 0
         for values in (
             *(self.box, self.side % 2, self.corner_mm, self.size_mm, self.mass_kg, self.support, self.margin),
-            *(more[name] for name in names[len(FEATURES) :]),
+            *(extra_columns[name] for name in names[len(FEATURES) :]),
         ):
-            some = values[rows].reshape(*features.shape[:2], -1)
-            features[..., at : at + some.shape[2]] = some
-            at += some.shape[2]
+            feature_rows = values[rows].reshape(*features.shape[:2], -1)
+            features[..., at : at + feature_rows.shape[2]] = feature_rows
+            at += feature_rows.shape[2]
         return features
 
 
 def features_of(options: PalletizingOptions, orders: Orders) -> tuple[str, ...]:
     """The names of a candidate's features."""
-    more = ((UPRIGHT, options.sides == ALL or orders.lie), (PALLET, options.open_pallets > 1))
-    return (*FEATURES, *(name for name, is_on in more if is_on))
+    extra_features = ((UPRIGHT, options.sides == ALL or orders.lie), (PALLET, options.open_pallets > 1))
+    return (*FEATURES, *(name for name, is_on in extra_features if is_on))
 
 
 class Actions:
@@ -98,7 +98,7 @@ class Actions:
 
     Attributes:
         count: number of actions of an episode.
-        strength_n: (n, k) the loads that the boxes on pallets can bear, N; NaN if not given.
+        strength_n: (n, k) the loads that the boxes on pallets can bear, N; NaN: unknown.
     """
 
     def __init__(self, pallets: Pallets, options: PalletizingOptions, orders: Orders) -> None:
@@ -183,19 +183,19 @@ class Actions:
         table.margin[into] = margin[stands]
 
     def _sides_of(self, size_mm: FloatArray, upright: NDArray[np.bool_]) -> NDArray[np.bool_]:
-        """(b, s) the sides on which boxes may stand, without those on which they are as on an earlier one."""
+        """(b, s) the sides on which boxes may stand, without sides that repeat an earlier one."""
         sizes = size_mm[:, self._sides]
         may = np.ones(sizes.shape[:2], bool)
         if self._options.sides != ALL:
             may &= upright[:, self._sides[:, 2]]
         for side in range(1, len(self._sides)):
-            same = (sizes[:, :side] == sizes[:, side, None]).all(axis=2)
-            may[:, side] &= ~(same & may[:, :side]).any(axis=1)
+            is_same = (sizes[:, :side] == sizes[:, side, None]).all(axis=2)
+            may[:, side] &= ~(is_same & may[:, :side]).any(axis=1)
         return may
 
     def _overloads(self, pallets: NDArray[np.int64], force_n: FloatArray) -> NDArray[np.bool_]:
         """(c,) whether a box on the pallet bears more than its strength. ``force_n``: (c, k), N. The last box is the
-        candidate, with nothing on it."""
+        candidate, with a free top."""
         return np.asarray((force_n > self.strength_n[pallets, : force_n.shape[1]]).any(axis=1))
 
     def _geometric(self, places: Places) -> NDArray[np.bool_]:
@@ -213,7 +213,7 @@ class Actions:
         side: NDArray[np.intp],
         pallet: NDArray[np.intp],
     ) -> tuple[NDArray[np.intp], NDArray[np.int64]]:
-        """(c,) the episode of each chosen place, and the number of its action; ``count`` or more if it has none.
+        """(c,) the episode of each chosen place, and the number of its action; ``count`` or more without an action.
         Candidates are numbered box after box, the lowest places first. Cells are numbered by pallet, box, side
         and cell."""
         source = places.row[chosen]
@@ -224,11 +224,11 @@ class Actions:
             way = (pallet[source] * self._options.buffer + box[source]) * len(self._sides) + side[source]
             return row, (way * nx + x) * ny + y
         corner = places.corner_mm[chosen]
-        seen = row * self._options.buffer + box[source]  # places of one box are already in order along x
-        order = np.lexsort((corner[:, 1], corner[:, 0], corner[:, 2], seen))
+        box_number = row * self._options.buffer + box[source]  # places of one box are already sorted along x
+        order = np.lexsort((corner[:, 1], corner[:, 0], corner[:, 2], box_number))
         number = np.full(len(row), self.count)
-        kept = order[_in_turn(row[order], seen[order], self.count)]
-        number[kept] = _ranks(row[kept])
+        selected = order[_in_turn(row[order], box_number[order], self.count)]
+        number[selected] = _ranks(row[selected])
         return row, number
 
 
@@ -238,7 +238,8 @@ def _in_turn(row: NDArray[np.intp], seen: NDArray[np.intp], most: int) -> NDArra
 
     Args:
         row: (c,) episode of each place, rising.
-        seen: (c,) box of each place, rising; no two episodes have the same number. The best places of a box come first.
+        seen: (c,) box of each place, rising; no two episodes have the same number. The best places of a box stand
+            first.
 
     Returns:
         Rising indices of the chosen places.

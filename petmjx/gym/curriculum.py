@@ -22,10 +22,10 @@ Range = tuple[float, float]
 
 @dataclass(frozen=True)
 class Curriculum:
-    """What episodes are at the levels 0 and 1; between them it grows linearly.
+    """Properties of episodes at levels 0 and 1; between these they grow linearly.
 
     Attributes:
-        boxes: most boxes of an order, of which the first ones are taken; None: all.
+        boxes: largest number of boxes of an order: the first ones; None: all.
         sizes: how different the boxes of an order are: 0: all have its mean size and mass; 1: those of the order.
         errors: as the option ``errors``.
     """
@@ -36,7 +36,7 @@ class Curriculum:
 
     @classmethod
     def of(cls, options: PalletizingOptions) -> Self:
-        """The curriculum of an environment. Without one all levels are the same.
+        """The curriculum of an environment. Without a curriculum all levels are equal.
 
         Raises:
             InputError: an unknown entry, or one that is not two numbers in its range.
@@ -54,7 +54,7 @@ class Curriculum:
         return cls(**ranges)
 
     def order(self, boxes: Boxes, level: float) -> Boxes:
-        """An order as it is at a level."""
+        """An order at a level."""
         size, mass = boxes.size_mm.mean(axis=0), boxes.mass_kg.mean()
         if self.boxes is not None:
             boxes = boxes.take(slice(round(_between(self.boxes, level))))
@@ -78,7 +78,7 @@ def level_of(options: object, n: int, *others: str) -> FloatArray | None:
     """(n,) the level that the options of ``reset`` ask for; None: as before.
 
     Args:
-        others: names of other options that the environment has.
+        others: names of other options of the environment.
 
     Raises:
         InputError: no dict, an option that the environment does not have, or not one level or n.
@@ -87,9 +87,9 @@ def level_of(options: object, n: int, *others: str) -> FloatArray | None:
         return None
     if not isinstance(options, Mapping):
         raise InputError(f"options must be a dict, {shown_value(options)}")
-    known = ("level", *others)
-    if unknown := [name for name in options if name not in known]:
-        raise InputError(f"options: there is no {unknown[0]!r}; there is {' and '.join(known)}")
+    names = ("level", *others)
+    if unknown := [name for name in options if name not in names]:
+        raise InputError(f"options: there is no {unknown[0]!r}; there is {' and '.join(names)}")
     if options.get("level") is None:
         return None
     try:

@@ -36,8 +36,8 @@ class PalletizingEnv(gym.Env[Observation, np.int64]):
     place are left out. More: docs/loop.md.
 
     Args:
-        render_mode: None; "rgb_array": pictures of 480 × 480 pixels a pallet, which need EGL and the extra ``show``; or
-            "human": they are shown in a window after each step, which needs a display.
+        render_mode: None; "rgb_array": pictures of 480 × 480 pixels per pallet (needs EGL and the extra ``show``); or
+            "human": pictures in a window after each step (needs a display).
         options: fields of ``petmjx.gym.environment_options.PalletizingOptions``, arguments of ``petmjx.Pallets``, and
             fields of
             ``petmjx.Simulation``.
@@ -89,7 +89,7 @@ class PalletizingEnv(gym.Env[Observation, np.int64]):
         return self._observed(), float(stepped.reward[0]), *ends, self._info() | terms
 
     def render(self) -> NDArray[np.uint8] | None:
-        """A picture of the pallet; None if it is shown in a window."""
+        """A picture of the pallet; None if shown in a window."""
         if self.render_mode == "rgb_array":
             return self.episodes.picture(0)
         self._show()
@@ -120,6 +120,6 @@ class PalletizingEnv(gym.Env[Observation, np.int64]):
 
 
 def check_render_mode(render_mode: str | None, modes: Sequence[str] = PalletizingEnv.metadata["render_modes"]) -> None:
-    """Raises InputError unless it is None or one of these."""
+    """Raises InputError unless the mode is None or one of these."""
     if render_mode is not None and render_mode not in modes:
         raise InputError(f"render_mode must be None or {' or '.join(modes)}, got {render_mode!r}")

@@ -31,32 +31,33 @@ MASKS: Final = (GEOMETRY, *SUPPORT, CENTRE, SURE, PHYSICS, LOADS)
 
 @dataclass(frozen=True)
 class PalletizingOptions:
-    """Options of ``petmjx/Palletizing-v0``, beside those of ``petmjx.Pallets``.
+    """Options of ``petmjx/Palletizing-v0``, in addition to those of ``petmjx.Pallets``.
 
     Attributes:
-        orders: where boxes come from (``petmjx.loop.order_sources.Orders``).
+        orders: source of boxes (``petmjx.loop.order_sources.Orders``).
         orders_seed: seed of the generator.
-        orders_units, orders_columns, orders_density: how a file of orders is read that is not in BED-BPP's form, as
-            fields of ``petmjx.RunOptions``; None: what is most plausible.
+        orders_units, orders_columns, orders_density: reading of a file of orders that is not in BED-BPP's form, as
+            fields of ``petmjx.RunOptions``; None: the most plausible.
         articles: a table of articles (docs/loads.md) with the strengths of the orders' boxes.
         look_ahead: number of visible boxes: 1 is online, all boxes of an order is offline.
         buffer: number of the first visible boxes that may be placed next.
         actions: ``candidates``: one of the listed places, which have features; ``cells``: box × orientation × cell of
             the carrier.
-        n_candidates: most listed places, and at least one for each box of the buffer: the lowest of each box, then the
-            second lowest of each, and so on.
+        n_candidates: largest number of listed places, and at least one for each box of the buffer: the lowest place of
+            each box, then the second lowest of each, and so on.
         action_cell_mm: side of the cells of actions; ``cell_mm``: side of the cells of maps.
         mask: which actions on the carrier and below the highest top are legal: ``geometry``: all of them; a criterion
             of docs/criteria.md (``support_75``, … or ``centre``); ``physics``: actions that stand in a trial; ``sure``:
-            those of them that stand beyond doubt, without a trial; or ``loads``: actions that also overload no box.
+            actions that stand beyond doubt, without a trial; or ``loads``: actions that also overload no box.
         max_height_mm: highest top of a box.
         rewards: weights of terms (``petmjx.loop.rewards.TERMS``).
-        most_illegal: illegal actions after which an episode is truncated.
+        most_illegal: number of illegal actions after which an episode is truncated.
         scaled: whether observations are from 0 to 1 (``petmjx.gym.observation_spaces``).
-        sides: on which sides boxes may stand: ``order``: those that the order allows, else the base alone; ``all``.
+        sides: sides on which boxes may stand: ``order``: the sides that the order allows, otherwise the base alone;
+            ``all``.
         open_pallets: number of pallets of an episode, any of which may get the next box.
         errors: how inexactly boxes are placed, as a multiple of the errors of ``petmjx score --confidence``.
-        curriculum: what grows with the level of an episode (``petmjx.gym.curriculum.Curriculum``).
+        curriculum: properties that grow with the level of an episode (``petmjx.gym.curriculum.Curriculum``).
         level: the level of episodes, from 0 to 1; ``reset(options={"level": …})`` changes it.
     """
 

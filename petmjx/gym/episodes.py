@@ -25,7 +25,7 @@ from petmjx.loop.placement_results import PlacementResults
 from petmjx.loop.rewards import TERMS, Placement
 
 _MOST_ORDERS: Final = 100
-"""Most orders that are drawn until one has a box that fits on the empty carrier."""
+"""Largest number of draws until an order has a box that fits on the empty carrier."""
 
 PICTURE: Final = (480, 480)
 """Pixels of a pallet's picture."""
@@ -86,7 +86,7 @@ class Episodes:
     # ------------------------------------------------------------------ what happens
 
     def begin(self, rows: NDArray[np.int64], rngs: Sequence[np.random.Generator]) -> None:
-        """Begin episodes anew, each with an order drawn by its own random generator.
+        """Begin episodes anew, each with a random order from the episode's own generator.
 
         Raises:
             InputError: no box of the orders has a place on the empty carrier.
@@ -188,7 +188,7 @@ class Episodes:
         return full
 
     def _drawn_errors(self, rows: NDArray[np.int64]) -> dict[str, Any]:
-        """The errors of the next boxes of episodes, arguments of ``Pallets.place``; none where there are none."""
+        """The errors of the next boxes of episodes, arguments of ``Pallets.place``; none without errors."""
         if not self._errors[rows].any():
             return {}
         rngs = [self._rngs[row] for row in rows.tolist()]
@@ -196,7 +196,7 @@ class Episodes:
         return {"error": np.array(numbers, np.int64), "error_strength": self._errors[rows]}
 
     def _look(self, rows: NDArray[np.int64]) -> None:
-        """Find the actions of episodes. If an episode has none, the boxes that may come next are left out."""
+        """Find the actions of episodes. Without such a box, the boxes that may be next are left out."""
         while len(rows):
             self._actions.fill(self.table, rows, *self._queues.seen(rows))
             stuck = rows[~self.table.legal[rows].any(axis=1)]

@@ -12,17 +12,17 @@ from petmjx.common.units import FloatArray
 from petmjx.loop.order_sources import Boxes
 
 _MORE: Final = 32
-"""Number of boxes in the table beyond the visible ones. A row is refilled after this many boxes were taken."""
+"""Number of boxes in the table beyond the visible boxes. A row is refilled after the removal of this many boxes."""
 
 
 class Queues:
     """The boxes that n episodes have still to place.
 
     Args:
-        seen: how many boxes of each episode are visible.
+        seen: number of visible boxes of each episode.
 
     Attributes:
-        counts: (n,) number of boxes that are left.
+        counts: (n,) number of remaining boxes.
         left_out: (n,) number of boxes that had no legal place.
     """
 
@@ -43,21 +43,21 @@ class Queues:
         self._fill(row)
 
     def take(self, rows: NDArray[np.int64], places: NDArray[np.int64]) -> FloatArray:
-        """Remove the boxes at these places of queues. Returns their strengths, (m,) N; NaN: not given."""
+        """Remove the boxes at these places of queues. Returns their strengths, (m,) N; NaN: unknown."""
         first = self._first[rows]
         strength: FloatArray = self._next[rows, first + places, 4]
         for place in range(int(places.max(initial=0)), 0, -1):  # boxes before the taken one move up by a place
-            some = places >= place
-            at = rows[some], first[some] + place
+            is_after = places >= place
+            at = rows[is_after], first[is_after] + place
             self._next[at] = self._next[at[0], at[1] - 1]
         self._go_on(rows, np.ones(len(rows), np.int64))
         return strength
 
     def leave_out(self, rows: NDArray[np.int64], count: int) -> None:
         """Leave out the first boxes of some queues."""
-        gone = np.minimum(self.counts[rows], count)
-        self.left_out[rows] += gone
-        self._go_on(rows, gone)
+        n_removed = np.minimum(self.counts[rows], count)
+        self.left_out[rows] += n_removed
+        self._go_on(rows, n_removed)
 
     def kept(self, rows: NDArray[np.int64]) -> list[NDArray[Any]]:
         """A copy of the state of queues, for ``restore``."""
@@ -73,8 +73,8 @@ class Queues:
         return self._next, self._first, self._behind, self.counts, self.left_out
 
     def seen(self, rows: NDArray[np.int64]) -> tuple[FloatArray, FloatArray, NDArray[np.bool_]]:
-        """(m, k, 3) sizes, mm, and (m, k) masses, kg, of the visible boxes, and (m, k, 3) which of their sizes may be
-        vertical; 0 beyond the last one."""
+        """(m, k, 3) sizes, mm, and (m, k) masses, kg, of the visible boxes, and (m, k, 3) whether each of their sizes
+        may be vertical; 0 beyond the last box."""
         boxes = self._next[rows[:, None], self._first[rows, None] + np.arange(self._seen)]
         return boxes[..., :3], boxes[..., 3], boxes[..., 5:] > 0
 
@@ -85,11 +85,11 @@ class Queues:
             self._fill(row)
 
     def _fill(self, row: int) -> None:
-        """Move the boxes of a row to its first column, and append as many boxes as have room."""
+        """Move the boxes of a row to its first column, and append as many boxes as there is room for."""
         boxes, table, behind = self._boxes[row], self._next[row], int(self._behind[row])
-        here, first = int(self.counts[row]) - behind, int(self._first[row])
-        table[:here] = table[first : first + here].copy()
-        more = slice(len(boxes) - behind, len(boxes) - behind + len(table) - here)
-        new = boxes.take(more).rows
-        table[here : here + len(new)], table[here + len(new) :] = new, 0.0
+        n_items, first = int(self.counts[row]) - behind, int(self._first[row])
+        table[:n_items] = table[first : first + n_items].copy()
+        new_rows = slice(len(boxes) - behind, len(boxes) - behind + len(table) - n_items)
+        new = boxes.take(new_rows).rows
+        table[n_items : n_items + len(new)], table[n_items + len(new) :] = new, 0.0
         self._first[row], self._behind[row] = 0, behind - len(new)

@@ -59,7 +59,7 @@ class Maps:
         """
         force = np.minimum(np.nan_to_num(top_force_n), _MOST).astype(np.float32)
         count = (force > 0).sum(axis=1)
-        fullest = np.argsort(-count, kind="stable")  # together, so that the other groups take less time
+        fullest = np.argsort(-count, kind="stable")  # in one call, so that the other groups take less time
 
         def load(some: NDArray[np.intp]) -> None:
             most = int(count[some].max(initial=0))

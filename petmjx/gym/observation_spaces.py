@@ -1,4 +1,4 @@
-"""Spaces of observations: shapes, bounds, and the scales on which all are from 0 to 1."""
+"""Spaces of observations: shapes, bounds, and the scales that map all values to 0 to 1."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ LEFT: Final = 20.0
 groceries (docs/loop.md)."""
 
 LARGEST_N: Final = 1e6
-"""Larger forces are observed as this one. A pallet of 100 t presses with it."""
+"""Larger forces are observed as this value. A pallet of 100 t presses with this force."""
 
 _LENGTHS: Final = ("x", "y", "z", "length_x", "length_y", "height")
 
@@ -82,7 +82,7 @@ class ObservationSpaces:
         self.spaces = spaces
 
     def scaled(self, observation: Observation) -> Observation:
-        """Observations as the environment shows them: as they are, or from 0 to 1."""
+        """Observations of the environment: unscaled, or from 0 to 1."""
         if not self._options.scaled:
             return {**observation, "load_map": np.minimum(observation["load_map"], np.float32(LARGEST_N))}
         boxes = observation["boxes"]

@@ -1,6 +1,6 @@
-"""``petmjx/Palletizing-v0`` as a vector environment of Stable-Baselines3: n pallets a step, on one engine.
+"""``petmjx/Palletizing-v0`` as a vector environment of Stable-Baselines3: n pallets per step, on one engine.
 
-It has the masks that MaskablePPO of sb3-contrib asks for. Needs the extra ``sb3``.
+The environment has the masks for MaskablePPO of sb3-contrib. Needs the extra ``sb3``.
 """
 
 from __future__ import annotations
@@ -29,9 +29,10 @@ except ImportError as error:
 class PalletizingVecEnv(VecEnv):  # type: ignore[misc, unused-ignore]  # where Stable-Baselines3 is not installed
     """n pallets for ``MaskablePPO("MultiInputPolicy", env)`` and the other algorithms of Stable-Baselines3.
 
-    Episodes that end begin anew in the same step. Their last observation is ``info["terminal_observation"]``, and
-    ``info["episode"]`` has their return ``r``, length ``l`` and time ``t``, s, as ``VecMonitor`` gives them, so that no
-    monitor is needed around it. ``info["TimeLimit.truncated"]`` tells an end by illegal actions from a failure.
+    Episodes that end begin anew in the same step. The last observation of ended episodes is
+    ``info["terminal_observation"]``, and ``info["episode"]`` has their return ``r``, length ``l`` and time ``t``, s, as
+    ``VecMonitor`` gives them, so that no monitor is needed. ``info["TimeLimit.truncated"]`` tells an end by illegal
+    actions from a failure.
 
     Args:
         num_envs: n.
@@ -51,7 +52,7 @@ class PalletizingVecEnv(VecEnv):  # type: ignore[misc, unused-ignore]  # where S
         self._began_s = time.monotonic()
 
     def reset(self) -> dict[str, NDArray[Any]]:
-        """Begin all episodes, with the seeds of ``seed`` if it was called."""
+        """Begin all episodes, with the seeds of ``seed`` if called before."""
         level = [options["level"] for options in self._options if "level" in options]
         if len(level) not in (0, self.num_envs):
             raise InputError("options: give all environments a level, or none")
@@ -103,14 +104,14 @@ class PalletizingVecEnv(VecEnv):  # type: ignore[misc, unused-ignore]  # where S
         return self.env.render() or ()
 
     def get_attr(self, attr_name: str, indices: Any = None) -> list[Any]:
-        """An attribute of each environment: ``level``, ``action_masks``, or one that all have in common, such as
+        """An attribute of each environment: ``level``, ``action_masks``, or a common attribute, such as
         ``render_mode``."""
         rows = self._get_indices(indices)
         if attr_name == "level":
             return [float(self.env.episodes.level[row]) for row in rows]
         if attr_name in self._methods:
             return [partial(self._methods[attr_name], row) for row in rows]
-        value = getattr(self.env, attr_name)  # else an AttributeError, by which has_attr says no
+        value = getattr(self.env, attr_name)  # else an AttributeError, which has_attr turns into False
         return [value for _ in rows]
 
     def set_attr(self, attr_name: str, value: Any, indices: Any = None) -> None:
@@ -130,7 +131,7 @@ class PalletizingVecEnv(VecEnv):  # type: ignore[misc, unused-ignore]  # where S
         return [self._methods[method_name](row, *method_args, **method_kwargs) for row in self._get_indices(indices)]
 
     def env_is_wrapped(self, wrapper_class: type[Any], indices: Any = None) -> list[bool]:
-        """Whether each environment does what a wrapper does: that of ``Monitor``, and of no other."""
+        """Whether each environment has a wrapper's function: yes for ``Monitor``, no for all others."""
         return [wrapper_class is Monitor for _ in self._get_indices(indices)]
 
     @property
@@ -138,7 +139,7 @@ class PalletizingVecEnv(VecEnv):  # type: ignore[misc, unused-ignore]  # where S
         return {"action_masks": self.action_masks, "render": self.env.episodes.picture}
 
     def _separate(self, info: dict[str, Any]) -> list[dict[str, Any]]:
-        """The information of each environment, from arrays of all."""
+        """The information of each environment, from arrays of all environments."""
         names = [name for name in info if not name.startswith(("_", "final_"))]
         columns = [info[name].tolist() for name in names]
         if not names:

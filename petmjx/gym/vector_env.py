@@ -1,4 +1,4 @@
-"""``petmjx/Palletizing-v0`` as a vector environment: n pallets a step, on one engine."""
+"""``petmjx/Palletizing-v0`` as a vector environment: n pallets per step, on one engine."""
 
 from __future__ import annotations
 
@@ -24,12 +24,12 @@ Info = dict[str, Any]
 
 
 class PalletizingVectorEnv(VectorEnv[Observation, NDArray[np.int64], NDArray[Any]]):
-    """The same as n ``PalletizingEnv``, to the last bit, with all pallets in one call.
+    """Equal to n ``PalletizingEnv``, to the last bit, with all pallets in one call.
 
     Args:
         num_envs: n.
-        autoreset_mode: when an ended episode begins anew: in the next step, which then does nothing else; in the same
-            step, with the last observation and information in ``info``; or when ``reset`` is called for it.
+        autoreset_mode: begin of the next episode: in the next step, which then does nothing else; in the same step,
+            with the last observation and information in ``info``; or on a call of ``reset``.
         render_mode: None or "rgb_array"; ``options``: as in ``PalletizingEnv``; the engine is ``auto`` unless one is
             named.
 
@@ -83,7 +83,7 @@ class PalletizingVectorEnv(VectorEnv[Observation, NDArray[np.int64], NDArray[Any
         if (seeds is not None and not isinstance(seeds, Sequence | np.ndarray)) or isinstance(seeds, str):
             raise InputError(f"seed must be a whole number or a list of them, {shown_value(seeds)}")
         if seeds is not None and len(seeds) != self.num_envs:
-            raise InputError(f"seed must have {self.num_envs} of them, got {len(seeds)}")
+            raise InputError(f"seed must have {self.num_envs} numbers, got {len(seeds)}")
         for row in rows.tolist():
             if seeds is not None and seeds[row] is not None:
                 self._rngs[row], _ = seeding.np_random(seeds[row])
@@ -113,9 +113,9 @@ class PalletizingVectorEnv(VectorEnv[Observation, NDArray[np.int64], NDArray[Any
             info = self._spread(going, terms)
         over = terminated | truncated
         if self.autoreset_mode is AutoresetMode.SAME_STEP and over.any():
-            ended = np.flatnonzero(over)
-            info |= self._final(ended, info)
-            self._begin(ended)
+            ended_rows = np.flatnonzero(over)
+            info |= self._final(ended_rows, info)
+            self._begin(ended_rows)
             self._over[:] = False
         else:
             self._over = over
@@ -144,20 +144,20 @@ class PalletizingVectorEnv(VectorEnv[Observation, NDArray[np.int64], NDArray[Any
         info: Info = {}
         known = np.zeros(self.num_envs, bool)
         known[rows] = True
-        for name, some in values.items():
-            table = np.zeros(self.num_envs, some.dtype)
-            if some.dtype == object:
+        for name, row_values in values.items():
+            table = np.zeros(self.num_envs, row_values.dtype)
+            if row_values.dtype == object:
                 table[:] = None
-            table[rows] = some
+            table[rows] = row_values
             info[name], info[f"_{name}"] = table, known.copy()
         return info
 
     def _final(self, rows: NDArray[np.int64], so_far: Info) -> Info:
         """The last observations and information of episodes that ended in this step."""
-        seen = self.episodes.observed(rows)
+        observations = self.episodes.observed(rows)
         last = np.full(self.num_envs, None, object)
         for at, row in enumerate(rows.tolist()):
-            last[row] = {name: values[at] for name, values in seen.items()}
+            last[row] = {name: values[at] for name, values in observations.items()}
         known = np.zeros(self.num_envs, bool)
         known[rows] = True
         terms = {name: values[rows] for name, values in so_far.items() if name.startswith("reward_")}

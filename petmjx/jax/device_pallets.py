@@ -92,7 +92,7 @@ class Device:
         return support, target[:, 2] - jnp.where(support != NOTHING, depth, 0.0)
 
     def placed(self, open_: OpenState, box: NewBox, gets: jax.Array) -> OpenState:
-        """Worlds with one more box each, at rest. Rows without ``gets`` stay as they are.
+        """Worlds with one more box each, at rest. Rows without ``gets`` stay unchanged.
 
         Under ``jax.vmap`` the worlds of all states are simulated side by side.
         """

@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float
 
 TOUCH_MM: Final = 0.01
-"""Tops closer than this have the same height. Heights of 10 m in single precision are exact to 0.001 mm."""
+"""Tops closer than this count as equally high. Heights of 10 m in single precision are exact to 0.001 mm."""
 
 TURNS: Final = 2
 """Number of orientations of a box: along x, and turned by 90°."""
@@ -22,7 +22,7 @@ class Ways(NamedTuple):
 
     Attributes:
         legal: (a,) mask of legal actions.
-        size_mm, corner_mm: (a, 3) extents and corner of the box as it would stand.
+        size_mm, corner_mm: (a, 3) extents and corner of the box if placed.
     """
 
     legal: Bool[Array, " action"]

@@ -1,7 +1,7 @@
 """Pallets on C MuJoCo for jitted programs. The pytree holds the boxes, and settled worlds are behind a callback.
 
-The state of a pallet depends only on its boxes, so the boxes are the state. The most recently used settled worlds are
-cached by their boxes. A world that is no longer cached is built again, to the last bit.
+The state of a pallet depends only on its boxes, so its boxes identify the state. The most recently used settled worlds
+are cached by their boxes. A world that is no longer cached is built again, to the last bit.
 """
 
 from __future__ import annotations
@@ -60,8 +60,8 @@ class Host:
         return self._of_all(arguments, keeps=False)
 
     def _of_all(self, arguments: tuple[Any, ...], *, keeps: bool) -> list[NDArray[Any]]:
-        """All rows in one call. Under ``jax.vmap`` arrays have leading axes, of length 1 if all entries are the
-        same."""
+        """All rows are placed in one call. Under ``jax.vmap`` arrays have leading axes, of length 1 if all entries are
+        the same."""
         arrays = [(np.asarray(argument), beyond) for argument, beyond in zip(arguments, _BEYOND, strict=True)]
         shape = np.broadcast_shapes(*(values.shape[: values.ndim - beyond] for values, beyond in arrays))
         rows = []
@@ -84,16 +84,18 @@ class Host:
     ) -> list[NDArray[Any]]:
         new_size, new_corner, new_mass, gets, stands = (np.asarray(values) for values in box)
         columns = empty_results(len(count), self.most_boxes)
-        rows, others = np.flatnonzero(gets), np.flatnonzero(stands & ~gets)
+        rows, other_rows = np.flatnonzero(gets), np.flatnonzero(stands & ~gets)
         with self._lock:
             used = np.flatnonzero(gets | stands)
             many = len(used) if keeps else len({_key(size[row], corner[row], mass[row]) for row in used})
             if (needed := KEPT_PER_PALLET * many + MOST_ASKED) > len(self._pallets):
                 self._begin(needed)
             pinned: set[int] = set()
-            if len(others):
-                other_slots = [self._slot(size[row], corner[row], mass[row], int(count[row]), pinned) for row in others]
-                write_results(columns, others, self._pallets.results(np.array(other_slots)))
+            if len(other_rows):
+                other_slots = [
+                    self._slot(size[row], corner[row], mass[row], int(count[row]), pinned) for row in other_rows
+                ]
+                write_results(columns, other_rows, self._pallets.results(np.array(other_slots)))
             if not len(rows):
                 return columns
             slots = [self._slot(size[row], corner[row], mass[row], int(count[row]), pinned) for row in rows]
@@ -120,7 +122,7 @@ class Host:
                 pinned.add(into[-1])
             if fresh:
                 self._placed(replace(request, pallet=np.array(into)).take(np.array(fresh)), np.array(slots)[fresh])
-            self._slots.update(world_of_key)  # only now, since they have their boxes
+            self._slots.update(world_of_key)  # only now, since the pallets have their boxes
             write_results(columns, rows, self._pallets.results(np.array(into)))
         return columns
 
@@ -134,17 +136,17 @@ class Host:
             raise
 
     def _slot(self, size: NDArray[Any], corner: NDArray[Any], mass: NDArray[Any], count: int, pinned: set[int]) -> int:
-        """The pallet that has these boxes. It joins ``pinned``, so that it is not reused."""
+        """The pallet that has these boxes. The world joins ``pinned``, so that it is not reused."""
         keys = [_key(size[:k], corner[:k], mass[:k]) for k in range(count + 1)]
-        known = next((k for k in range(count, -1, -1) if keys[k] in self._slots), -1)
-        slot = self._slots[keys[known]] if known >= 0 else -1
-        if known < count:
-            if known >= 0:
+        n_cached = next((k for k in range(count, -1, -1) if keys[k] in self._slots), -1)
+        slot = self._slots[keys[n_cached]] if n_cached >= 0 else -1
+        if n_cached < count:
+            if n_cached >= 0:
                 pinned.add(slot)
             base, slot = slot, self._spare(pinned)
             try:
-                self._pallets.reset(slot) if known < 0 else self._pallets.fork(base, slot)
-                for k in range(max(known, 0), count):
+                self._pallets.reset(slot) if n_cached < 0 else self._pallets.fork(base, slot)
+                for k in range(max(n_cached, 0), count):
                     self._pallets.place(size_mm=size[k], corner_mm=corner[k], mass_kg=mass[k], pallet=slot)
             except BaseException:
                 self._free.append(slot)

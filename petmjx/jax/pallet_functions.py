@@ -66,7 +66,8 @@ def place(
 
     Args:
         size_mm: extents as the boxes stand; ``corner_mm``: front-left-bottom corners.
-            active: mask of the pallets that get a box; None: all. Pallets that have fallen or are full never get one.
+            active: mask of the pallets that get a box; None: all. Pallets that have fallen or are full never get
+                another box.
 
         Returns:
             The pallets, and their results. Pallets that had fallen before have only the reason ``ended``.
@@ -103,7 +104,7 @@ def try_all(
 
 
 def _pallets(state: State) -> int:
-    """The number of pallets of a state. Raises InputError if it is something else."""
+    """The number of pallets of a state. Raises InputError for any other object."""
     if not isinstance(getattr(state, "n", None), int):
         raise InputError(f"state must be what petmjx.jax.empty or petmjx.jax.place returned, {shown_value(state)}")
     return int(state.n)
@@ -121,7 +122,7 @@ def _of_kind(values: Any, name: str, kind: Any, kind_name: str) -> jax.Array:
 
 
 def _boxes(size_mm: Any, corner_mm: Any, mass_kg: Any, m: int) -> tuple[jax.Array, jax.Array, jax.Array]:
-    """The boxes as arrays. Raises InputError for wrong shapes; numbers are not known under ``jit``."""
+    """The boxes as arrays. Raises InputError for wrong shapes; under ``jit`` numbers are unknown."""
     arrays = []
     for name, values, shape in (
         ("size_mm", size_mm, (m, 3)),
@@ -139,7 +140,7 @@ def _boxes(size_mm: Any, corner_mm: Any, mass_kg: Any, m: int) -> tuple[jax.Arra
 
 
 def _check_numbers(boxes: tuple[jax.Array, ...], requested: jax.Array) -> None:
-    """Raises InputError if a requested box has a number out of range. Under ``jit`` numbers are not known."""
+    """Raises InputError if a requested box has a number out of range. Under ``jit`` numbers are unknown."""
     if any(isinstance(array, jax.core.Tracer) for array in (*boxes, requested)):
         return
     for name, values in zip(("size_mm", "corner_mm", "mass_kg"), boxes, strict=True):

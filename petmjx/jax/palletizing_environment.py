@@ -31,7 +31,7 @@ MASKS: Final = {GEOMETRY: None, **{f"support_{100 * share:.0f}": share for share
 """Mask → smallest supported share of a base; None: any."""
 
 _DRAWN: Final = 256
-"""Number of orders that stand for endless ones, since a program has arrays of fixed sizes."""
+"""Number of orders instead of endless ones, since a program has arrays of fixed sizes."""
 
 _EDGE: Final = 1e-4
 """Share of a cell. A box that ends this near to a cell's edge counts as ending there, in single precision."""
@@ -44,7 +44,7 @@ class Observation(NamedTuple):
 
     Attributes:
         height_map: highest top over each cell of the carrier, mm; ``load_map``: largest force on a box's top, N.
-        boxes: length, width, height, mm, and mass, kg, of the next boxes; 0 beyond the last one.
+        boxes: length, width, height, mm, and mass, kg, of the next boxes; 0 beyond the last box.
         left: number of remaining boxes; ``mass``: mass on the pallet, kg.
         action_mask: (a,) whether an action is legal.
     """
@@ -59,7 +59,7 @@ class Observation(NamedTuple):
 
 class State(NamedTuple):
     """The state of an episode. ``order`` is the number of its order, ``next`` that of the next box. Boxes on the pallet
-    are stored as requested, with 0 after the last one."""
+    are stored as requested, with 0 after the last box."""
 
     key: jax.Array
     pallet: Pallet
@@ -185,7 +185,7 @@ class Palletizing:
         return state, TimeStep(first, jnp.float32(0.0), jnp.float32(1.0), self._observed(state), extras)
 
     def step(self, state: State, action: Int[Array, ""] | int) -> tuple[State, TimeStep[Observation]]:
-        """Put the next box onto the pallet. An action that the mask excludes, or that comes after the end, changes
+        """Put the next box onto the pallet. An action that the mask excludes, or after the end of the episode, changes
         nothing."""
         chosen = jnp.asarray(action)
         if chosen.shape != () or not jnp.issubdtype(chosen.dtype, jnp.integer):

@@ -25,8 +25,8 @@ class TimeStep(NamedTuple, Generic[ObservationT]):
 
     Attributes:
         step_type: a value of ``StepType``.
-        reward: reward of this step; 0 for the first one.
-        discount: 0 if the episode has terminated, else 1, also if it was truncated.
+        reward: reward of this step; 0 for the first step.
+        discount: 0 if the episode has terminated, else 1, also if truncated.
         observation: the observation after the step.
         extras: further values by name.
     """
@@ -42,7 +42,7 @@ class TimeStep(NamedTuple, Generic[ObservationT]):
         return self.step_type == StepType.FIRST
 
     def mid(self) -> Bool[Array, ""]:
-        """Whether the step is neither the first one nor the last one."""
+        """Whether the step is neither the first nor the last."""
         return self.step_type == StepType.MID
 
     def last(self) -> Bool[Array, ""]:

@@ -1,4 +1,4 @@
-"""Tables of the boxes on many pallets, as they were requested."""
+"""Tables of the boxes on many pallets, as requested."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from petmjx.loop.placements import Placements
 from petmjx.plans.plan import Plan
 
 _AT_ONCE: Final = 512
-"""Number of pallets whose points are found at a time."""
+"""Number of pallets in one call for points."""
 
 
 class BoxTable:
@@ -47,9 +47,9 @@ class BoxTable:
         beyond = np.arange(self.size_mm.shape[1]) >= count[:, None]
         for name in ("size_mm", "corner_mm", "mass_kg"):
             values = getattr(self, name)
-            some = values[pallets]
-            some[beyond] = np.nan
-            values[pallets] = some
+            pallet_rows = values[pallets]
+            pallet_rows[beyond] = np.nan
+            values[pallets] = pallet_rows
         self.count[pallets] = count
         self._points.cut(pallets, count)
 
@@ -61,13 +61,13 @@ class BoxTable:
         self._points.copy(sources, into)
 
     def find_points(self, pallets: NDArray[np.int64]) -> Points:
-        """The extreme points, up to date for all boxes of these pallets."""
+        """The up-to-date extreme points, for all boxes of these pallets."""
         points, rows = self._points, np.unique(pallets)
         rows = rows[np.argsort(self.count[rows], kind="stable")]  # together, pallets with few boxes have few points
         while len(rows := rows[points.boxes[rows] < self.count[rows]]):
-            for some in np.array_split(rows, -(-len(rows) // _AT_ONCE)):
-                low = self.corner_mm[some, : int(points.boxes[some].max()) + 1]
-                points.add(some, low, low + self.size_mm[some, : low.shape[1]])
+            for chunk_rows in np.array_split(rows, -(-len(rows) // _AT_ONCE)):
+                low = self.corner_mm[chunk_rows, : int(points.boxes[chunk_rows].max()) + 1]
+                points.add(chunk_rows, low, low + self.size_mm[chunk_rows, : low.shape[1]])
         return points
 
     def box(self, pallets: NDArray[np.int64], number: int) -> Placements:

@@ -26,7 +26,7 @@ _Lowered = tuple[NDArray[np.intp], FloatArray, FloatArray, NDArray[np.bool_]]
 
 
 class Places(NamedTuple):
-    """c places, box after box, each box's lowest ones first, then those nearest to the origin.
+    """c places, box after box; for each box the lowest first, of equal ones the nearest to the origin.
 
     Attributes:
         row: (c,) index among the m requested boxes; ``pallet``: (c,) its pallet.
@@ -66,11 +66,11 @@ def free_places(
         of_each = points.count(placements.pallet)
     else:
         of_each = np.full(len(placements), len(grid))
-    order = np.argsort(count, kind="stable")  # pallets with few boxes are cheap if they come together
-    done = np.cumsum((of_each * (count + 1))[order])
-    share = int(done[-1] // (2 * MOST_THREADS)) if len(order) else 0
+    order = np.argsort(count, kind="stable")  # pallets with few boxes are cheap if computed together
+    n_done = np.cumsum((of_each * (count + 1))[order])
+    share = int(n_done[-1] // (2 * MOST_THREADS)) if len(order) else 0
     at_once = min(max(share, _WORTH_A_THREAD), _AT_ONCE)
-    chunks = np.split(order, np.flatnonzero(np.diff(done // at_once)) + 1) if len(order) else []
+    chunks = np.split(order, np.flatnonzero(np.diff(n_done // at_once)) + 1) if len(order) else []
 
     def lowered(rows: NDArray[np.intp]) -> _Lowered:
         pallets, k = placements.pallet[rows], int(count[rows].max())
@@ -130,19 +130,19 @@ def _lowered_boxes(
     end = np.column_stack([np.minimum(x_end[at], high_x), np.minimum(y_end[at], high_y)])
     carried = np.bincount(at, (end - start).prod(axis=1), len(box))
     support = np.where(z > 0, carried / (length_x * length_y), 1.0)
-    kept = np.flatnonzero(useful & (support >= least_support - SHARE_SLACK))
-    kept = kept[np.lexsort((y[kept], x[kept], z[kept], box[kept]))]
-    corner = np.column_stack([x[kept], y[kept], z[kept]])
+    selected = np.flatnonzero(useful & (support >= least_support - SHARE_SLACK))
+    selected = selected[np.lexsort((y[selected], x[selected], z[selected], box[selected]))]
+    corner = np.column_stack([x[selected], y[selected], z[selected]])
     if not hulls:
-        return box[kept], corner, support[kept], np.zeros(0, bool)
+        return box[selected], corner, support[selected], np.zeros(0, bool)
     middle = np.column_stack([x + length_x / 2, y + length_y / 2])
     centred = _over_hull(middle, at, start, end) | (z <= 0)
-    return box[kept], corner, support[kept], centred[kept]
+    return box[selected], corner, support[selected], centred[selected]
 
 
 def _over_hull(point: FloatArray, at: NDArray[np.intp], low: FloatArray, high: FloatArray) -> NDArray[np.bool_]:
-    """(c,) whether points lie over the convex hulls of rectangles. A point does if the corners, seen from it, leave no
-    gap of more than 180°.
+    """(c,) whether points lie over the convex hulls of rectangles. A centre lies over the hull if the corners, seen
+    from it, leave no gap of more than 180°.
 
     Args:
         point: (c, 2); ``at``: (q,) the point that each rectangle belongs to; ``low``, ``high``: (q, 2) ends of

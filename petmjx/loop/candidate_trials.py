@@ -63,7 +63,7 @@ class Errors:
 
 class PlacingErrors:
     """The errors of ``petmjx score --confidence`` for boxes that are put onto pallets for good: of place, rotation,
-    size and mass. The friction of a pallet stays as it is."""
+    size and mass. The friction of a pallet stays unchanged."""
 
     def __init__(self, sim: Simulation) -> None:
         self._sweep = confidence_sweep(1, None, dict(sim))
@@ -71,7 +71,8 @@ class PlacingErrors:
         self._change = replace(variant.placement, friction_rel=ZERO)
 
     def scene(self, scene: Scene, number: int, strength: float) -> Scene:
-        """A scene whose last box has the error of this number, times a strength. With strength 0 it has none."""
+        """A scene whose last box has the error of this number, times a strength. With strength 0 the box has no
+        error."""
         if strength == 0:
             return scene
         errors: dict[str, Any] = {
@@ -118,7 +119,7 @@ def drive_of(drive: Any, level: Any, direction_deg: Any, sim: Simulation) -> Dri
 
     Args:
         drive: the name of a built-in profile, a ``Drive``, or None.
-        level: its strength, in the unit given in docs/profiles.md, such as g for ``eumos-40509``.
+        level: strength of the drive, in the unit of docs/profiles.md, such as g for ``eumos-40509``.
 
     Raises:
         InputError: an unknown profile, a family, or a value that is not a number.
@@ -152,8 +153,10 @@ def driven_results(
     """The outcomes of (m,) pallets that get one more box each and are then shaken."""
     parts = []
     for rows in _chunks(len(pallets), _AT_ONCE):
-        some = pallets[rows].tolist()
-        outcomes = open_worlds.try_scenes(some, open_worlds.with_next(some, boxes.take(rows)), [drive] * len(some))
+        row_pallets = pallets[rows].tolist()
+        outcomes = open_worlds.try_scenes(
+            row_pallets, open_worlds.with_next(row_pallets, boxes.take(rows)), [drive] * len(row_pallets)
+        )
         parts.append(PlacementResults.of_outcomes(pallets[rows], outcomes, thresholds))
     return PlacementResults.joined(parts)
 
@@ -164,16 +167,16 @@ def shares(
     """(m,) stable share of the worlds with errors, without invalid worlds."""
     parts = []
     for rows in _chunks(len(worlds), max(_AT_ONCE // len(errors), 1)):
-        some = [worlds[row] for row in rows]
+        row_worlds = [worlds[row] for row in rows]
         scenes = [
-            changed for scene in open_worlds.with_next(some, boxes.take(rows)) for changed in errors.scenes(scene)
+            changed for scene in open_worlds.with_next(row_worlds, boxes.take(rows)) for changed in errors.scenes(scene)
         ]
-        error_worlds = [world for world in some for _ in range(len(errors))]
+        error_worlds = [world for world in row_worlds for _ in range(len(errors))]
         outcomes = open_worlds.try_scenes(error_worlds, scenes, [drive] * len(error_worlds))
-        verdicts = np.array([str(outcome.verdict) for outcome in outcomes]).reshape(len(some), -1)
-        known = (verdicts != str(Verdict.INVALID)).sum(axis=1)
+        verdicts = np.array([str(outcome.verdict) for outcome in outcomes]).reshape(len(row_worlds), -1)
+        n_judged = (verdicts != str(Verdict.INVALID)).sum(axis=1)
         stable = (verdicts == str(Verdict.STABLE)).sum(axis=1)
-        parts.append(np.where(known > 0, stable / np.maximum(known, 1), np.nan))
+        parts.append(np.where(n_judged > 0, stable / np.maximum(n_judged, 1), np.nan))
     return np.concatenate(parts)
 
 

@@ -44,7 +44,7 @@ def open_engine(requested_engine: str | Engine, n: int, of_run: dict[str, Any]) 
 
 
 def ready_engine(requested_engine: str | Engine, of_run: dict[str, Any], *, gpu: bool) -> tuple[Engine, bool]:
-    """The engine with this name, or the given engine, and whether it was made by this call.
+    """The engine with this name, or the engine object, and whether it was made by this call.
 
     Args:
         gpu: whether ``auto`` takes ``mjx-warp`` if that can run.

@@ -1,7 +1,7 @@
 """The extreme points of pallets, kept from box to box.
 
 Crainic, Perboli, Tadei (2008), "Extreme point-based heuristics for three-dimensional bin packing", INFORMS Journal on
-Computing 20(3), 368–384. The points of a box depend only on this box and the boxes before it. Later boxes add points
+Computing 20(3), 368–384. The points of a box depend only on this box and earlier boxes. Later boxes add points
 and change none. If a pallet loses its last boxes, it has its earlier points again.
 """
 
@@ -20,8 +20,8 @@ _POINTS_PER_BOX: Final = 7
 
 
 class Points:
-    """The distinct points of n pallets: the origin, and points beside and on each box. These are the box's corners, and
-    the same corners slid towards the carrier's edges until an earlier box is in the way.
+    """The distinct points of n pallets: the origin, and points beside and on each box. The points of a box are its
+    corners, and the same corners slid towards the carrier's edges until they meet an earlier box.
 
     Attributes:
         boxes: (n,) number of boxes of each pallet whose points are included.
@@ -49,8 +49,8 @@ class Points:
         """Add the points of one more box of each of these pallets.
 
         Args:
-            low, high: (m, k, 3) ends of their boxes. Box number ``boxes[pallet]`` is the new one; boxes after it are
-                not read.
+            low, high: (m, k, 3) ends of their boxes. Box number ``boxes[pallet]`` is the new box; boxes after it are
+                ignored.
         """
         number, rows = self.boxes[pallets], np.arange(len(pallets))
         points, count = self.of(pallets), self._count[pallets, number]
@@ -80,7 +80,7 @@ def _piles_corner_points(low: FloatArray, high: FloatArray, number: NDArray[np.i
     """(7, m, 2) the points of a box of each of m pallets, mm.
 
     Args:
-        low, high: (m, k, 3) ends of boxes; ``number``: (m,) number of the box; only boxes before it are in the way.
+        low, high: (m, k, 3) ends of boxes; ``number``: (m,) number of the box; only earlier boxes are in the way.
     """
     rows, before = np.arange(len(low)), (np.arange(low.shape[1]) < number[:, None])[..., None]
     piles = []

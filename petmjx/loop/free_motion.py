@@ -49,11 +49,11 @@ _SMALL_RAD: Final = 1e-6
 lose digits."""
 
 ON_STEP: Final = 1e-6
-"""A time counts as that of a step if it is within this share of a timestep of it."""
+"""A time counts as that of a step if their difference is at most this share of a timestep."""
 
 
 class _Argument(NamedTuple):
-    """An argument with a value for each box: how many numbers a value has, and their limits."""
+    """An argument with a value for each box: count of numbers in a value, and their limits."""
 
     numbers: int
     low: float
@@ -75,14 +75,14 @@ _ARGUMENTS: Final = {
 
 @dataclass(frozen=True, eq=False)
 class Trajectories:
-    """Trajectories of the boxes that ``petmjx.release`` has let go. Arrays have no axis of boxes if the arguments had
+    """Trajectories of the boxes released by ``petmjx.release``. Arrays have no axis of boxes if the arguments had
     none.
 
     Attributes:
         times_s: (t,) s.
         pos_m: (n, t, 3) or (n, k, t, 3) centres of the boxes, m. NaN as soon as a world's numbers were not finite.
-        quat_wxyz: (n, t, 4) or (n, k, t, 4) orientations of the boxes, of length 1. Each quaternion has the sign that
-            is nearer to the one before.
+        quat_wxyz: (n, t, 4) or (n, k, t, 4) orientations of the boxes, of length 1. Each quaternion has the sign nearer
+            to the quaternion before.
         engine: name of the engine that simulated them.
     """
 
@@ -121,7 +121,7 @@ def release(
         quat_wxyz: (…, 4) their orientations (w, x, y, z).
         vel_m_s: (…, 3) velocities of the centres, m/s.
         angvel_rad_s: (…, 3) angular velocities along the boxes' own axes, rad/s.
-        times_s: (t,) rising times, s after the boxes are let go. Multiples of the timestep are exact. Between two steps
+        times_s: (t,) rising times, s after the release. Multiples of the timestep are exact. Between two steps
             places are interpolated linearly, and orientations along the shortest rotation.
         inertia_kg_m2: (…, 3) principal moments along the boxes' axes, kg·m², or one number for all three and all boxes;
             None: boxes are solid.
@@ -132,7 +132,7 @@ def release(
             ``physics``.
         ground: "plane", which is infinite, or the name of a carrier of a fixed size, or a TOML file of boards. A
             carrier is held fast, with its front-left corner at the origin and its top at z = 0.
-        physics: a preset's name, a table that changes one, or a record.
+        physics: a preset's name, a table that changes a preset, or a record.
         engine: mujoco, mjx-warp, mjx-warp-cpu or mjx-jax; auto: mujoco, or a GPU from 1,000 worlds on; or an engine.
 
     Raises:
@@ -171,7 +171,7 @@ def _poses(runner: Any, bodies: FreeBodies, sim: Simulation, restitution: FloatA
     """(n, s, k, 7) poses of all worlds. Worlds with the same restitution are simulated together.
 
     Args:
-        restitution: (n, k, 1) of each box; None: the value of the physics.
+        restitution: (n, k, 1) restitution of each box; None: the value of the physics.
 
     Raises:
         InputError: boxes of a world have several restitutions.
@@ -221,7 +221,7 @@ def _numbers(name: str, values: Any) -> FloatArray:
     numbers, low, high = _ARGUMENTS[name]
     try:
         array = np.asarray(values)
-    except Exception:  # whatever an object raises when it is converted to an array
+    except Exception:  # converting an object of any class may raise anything
         array = np.empty(0, dtype=object)
     if array.dtype.kind not in "iuf" or not array.size:
         raise InputError(f"{name} must be an array of numbers, {shown_value(values)}")
@@ -237,8 +237,8 @@ def _numbers(name: str, values: Any) -> FloatArray:
         raise InputError(f"{name} must be finite")
     beyond = (array < low) | (array > high)
     if beyond.any():
-        where = np.argwhere(beyond)[0].tolist()
-        raise InputError(f"{name} must be from {low:g} to {high:g}, got {array[tuple(where)]:g}")
+        position = np.argwhere(beyond)[0].tolist()
+        raise InputError(f"{name} must be from {low:g} to {high:g}, got {array[tuple(position)]:g}")
     if name == "quat_wxyz":
         length = np.linalg.norm(array, axis=-1, keepdims=True)
         if (abs(length - 1) > UNIT_WITHIN).any():
@@ -324,7 +324,7 @@ def _steps(times_s: Any, timestep_s: float) -> tuple[FloatArray, NDArray[np.int6
 def _interpolated_poses(before: FloatArray, after: FloatArray, share: FloatArray) -> tuple[FloatArray, FloatArray]:
     """(…, t, 3) places and (…, t, 4) orientations between (…, t, 7) poses, at a (t,) share of the way. Places are on a
     straight line, orientations along the shortest rotation (Shoemake 1985, "slerp"). Then each quaternion gets the sign
-    that is nearer to the one before."""
+    nearer to the quaternion before."""
     share = share[:, None]
     pos = before[..., :3] + share * (after[..., :3] - before[..., :3])
     first, last = before[..., 3:], after[..., 3:]

@@ -12,7 +12,7 @@ FIRST_COLUMNS: Final = 16
 
 
 def widened_table(values: NDArray[Any], columns: int, fill: float = 0.0) -> NDArray[Any]:
-    """A table with room for at least ``columns`` columns. The number of columns is doubled until it is enough."""
+    """A table with room for at least ``columns`` columns. The number of columns is doubled until sufficient."""
     while values.shape[1] < columns:
         values = np.concatenate([values, np.full_like(values, fill)], axis=1)
     return values

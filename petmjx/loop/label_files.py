@@ -1,4 +1,4 @@
-"""Files of labels: a Parquet table for each split, and a card that says what is in them, and how good rules are."""
+"""Files of labels: a Parquet table for each split, and a card with their content, and the accuracy of rules."""
 
 from __future__ import annotations
 
@@ -34,10 +34,11 @@ _REPORTED: Final = 50
 """Labels between two reports of progress."""
 
 MOST_JUDGED: Final = 1_000
-"""Most labels of the last split on which baselines are judged."""
+"""Largest number of labels of the last split for judging baselines."""
 
 RULES: Final = ("support_50", "support_75", "support_100", "centre", "equilibrium")
-"""Criteria (docs/criteria.md) that are baselines. ``equilibrium`` is asked of all boxes, the others of the new one."""
+"""Criteria (docs/criteria.md) that are baselines. ``equilibrium`` is evaluated for all boxes, all other criteria for
+the new box."""
 
 
 def label_files(folder: Path) -> dict[str, Path]:
@@ -52,7 +53,7 @@ def write_labels(
     *,
     source: str | Path,
     overwrite: bool = False,
-    progress: Callable[[int], object] = lambda done: None,
+    progress: Callable[[int], object] = lambda n_written: None,
 ) -> dict[str, Any]:
     """Make labels, and write them with their card. Files appear when all are complete.
 
@@ -82,16 +83,16 @@ def write_labels(
             split: stack.enter_context(pq.ParquetWriter(stack.enter_context(atomic_write(file)), SCHEMA))
             for split, file in files.items()
         }
-        done = 0
-        for some in _groups(_watched(labeller.labels(count), progress), _ROWS):
+        n_written = 0
+        for group_labels in _groups(_watched(labeller.labels(count), progress), _ROWS):
             for split in SPLITS:
-                rows = [label for label in some if label["split"] == split]
+                rows = [label for label in group_labels if label["split"] == split]
                 if rows:
                     writers[split].write_table(_table(rows))
                 tally[split].add(rows)
-            judged += [label for label in some if label["split"] == last][: MOST_JUDGED - len(judged)]
-            done += len(some)
-        if not done:
+            judged += [label for label in group_labels if label["split"] == last][: MOST_JUDGED - len(judged)]
+            n_written += len(group_labels)
+        if not n_written:
             raise InputError("orders: no box has a place on the empty carrier")
     card = _card(labeller, source, tally, judged)
     for name, text in ((CARD, json.dumps(card, indent=2) + "\n"), (README, _page(card))):
@@ -101,7 +102,7 @@ def write_labels(
 
 
 def _remove_if_empty(folder: Path) -> None:
-    with suppress(OSError):  # it has files, as usual
+    with suppress(OSError):  # the folder has files
         folder.rmdir()
 
 
@@ -113,8 +114,8 @@ def _watched(labels: Iterator[Label], progress: Callable[[int], object]) -> Iter
 
 
 def _groups(labels: Iterator[Label], most: int) -> Iterator[list[Label]]:
-    while some := list(islice(labels, most)):
-        yield some
+    while group := list(islice(labels, most)):
+        yield group
 
 
 def _table(labels: Sequence[Label]) -> pa.Table:
@@ -138,7 +139,7 @@ def _lists(values: Sequence[NDArray[Any] | None], kind: pa.DataType) -> pa.Array
 
 
 class _Tally:
-    """What is in a split."""
+    """Content of a split."""
 
     def __init__(self) -> None:
         self.labels, self.stand, self.fall = 0, 0, 0
@@ -175,16 +176,16 @@ def _card(labeller: Labeller, source: str | Path, tally: dict[str, _Tally], judg
 
 
 def baselines(labels: Sequence[Label]) -> dict[str, dict[str, float | int]]:
-    """How well rules and ``petmjx.placement_stability`` say which placements stand: name → number of labels, and shares
-    of standing and of falling ones that are found, and their mean. Empty if no label stands, or none falls.
+    """Accuracy of rules and of ``petmjx.placement_stability`` for placements: name → number of labels, and shares of
+    standing and of falling placements that are found, and their mean. Empty if no label stands, or none falls.
 
     ``placement_stability`` was trained for boxes that a robot places inexactly; above 0.5 the new box stands for it.
     """
-    known = [label for label in labels if label["stands"] is not None]
-    stands = np.array([label["stands"] for label in known], bool)
+    judged_labels = [label for label in labels if label["stands"] is not None]
+    stands = np.array([label["stands"] for label in judged_labels], bool)
     if stands.all() or not stands.any():
         return {}
-    plans = plans_of_labels(known)
+    plans = plans_of_labels(judged_labels)
     answers = criteria(plans, only=RULES)
     of_new = answers.boxes.groupby("plan_id", sort=False).last()
     of_all = answers.plans.set_index("plan_id")
@@ -198,7 +199,7 @@ def baselines(labels: Sequence[Label]) -> dict[str, dict[str, float | int]]:
     for name, says in accepted.items():
         standing, falling = float(says[stands].mean()), float((~says[~stands]).mean())
         judged[name] = {
-            "labels": len(known),
+            "labels": len(judged_labels),
             "standing_found": standing,
             "falling_found": falling,
             "mean": (standing + falling) / 2,
@@ -241,8 +242,8 @@ def _page(card: dict[str, Any]) -> str:
         "| --- | ---: | ---: | ---: | ---: | ---: |",
     ]
     for split, n in splits.items():
-        rest = n["labels"] - n["stand"] - n["fall"]
-        lines.append(f"| {split} | {n['labels']} | {n['orders']} | {n['stand']} | {n['fall']} | {rest} |")
+        n_without_verdict = n["labels"] - n["stand"] - n["fall"]
+        lines.append(f"| {split} | {n['labels']} | {n['orders']} | {n['stand']} | {n['fall']} | {n_without_verdict} |")
     lines += ["", "## Columns", "", "| column | type | meaning |", "| --- | --- | --- |"]
     lines += [f"| `{name}` | {of['type']} | {of['meaning']} |" for name, of in card["columns"].items()]
     lines += ["", "## Baselines", ""]

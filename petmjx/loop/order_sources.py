@@ -27,7 +27,7 @@ from petmjx.plans.order_reader import read_order_frame, read_orders
 from petmjx.plans.plan_fields import LARGEST_KG, LARGEST_MM, SMALLEST_KG, SMALLEST_MM
 
 ENDLESS: Final = "endless"
-"""The value of ``orders`` for generated orders, as in ``petmjx samples``: each episode draws a new one."""
+"""The value of ``orders`` for generated orders, as in ``petmjx samples``: each episode draws a new order."""
 
 _MOST_DRAWN: Final = 200_000
 
@@ -42,7 +42,7 @@ def order_reading(units: Any = None, columns: Any = None, density: Any = None) -
     """How an environment reads files of orders that are not in BED-BPP's form. Orders may have any number of boxes.
 
     Args:
-        units, columns, density: as fields of ``petmjx.RunOptions``; None: what is most plausible.
+        units, columns, density: as fields of ``petmjx.RunOptions``; None: the most plausible.
 
     Raises:
         InputError: a value is unusable; the line begins with ``orders_``.
@@ -56,11 +56,11 @@ def order_reading(units: Any = None, columns: Any = None, density: Any = None) -
 
 @dataclass(frozen=True, eq=False)
 class Boxes:
-    """The boxes of one order, in the order in which they come.
+    """The boxes of one order, in order.
 
     Attributes:
         size_mm: (k, 3) length, width and height; ``mass_kg``: (k,).
-        strength_n: (k,) the load that each box bears on its top, N; NaN if not given.
+        strength_n: (k,) the load that each box bears on its top, N; NaN: unknown.
         upright: (k, 3) whether the length, the width and the height may be vertical; None: the height alone.
     """
 
@@ -94,10 +94,10 @@ class Orders:
             a list of ``Order``.
         seed: seed of the generator's catalogue.
         articles: a table of articles, which gives the boxes of orders their strengths.
-        reading: how files of orders are read that are not in BED-BPP's form; None: what is most plausible.
+        reading: reading of files of orders that are not in BED-BPP's form; None: the most plausible reading.
 
         Attributes:
-            have_strengths: whether the strength of any box can be known.
+            have_strengths: whether the strength of any box may be known.
             lie: whether any box may stand on another side than its base.
 
         Raises:
@@ -116,7 +116,7 @@ class Orders:
         self.lie = any(boxes.upright is not None and boxes.upright[:, :2].any() for boxes in orders)
 
     def draw(self, rng: np.random.Generator) -> Boxes:
-        """A random order, or with ``endless`` a new one."""
+        """A random order of the source, or with ``endless`` a newly drawn order."""
         if self._all is None:
             return _of_order(draw_order(self._seed, int(rng.integers(_MOST_DRAWN))), self._articles)
         return self._all[int(rng.integers(len(self._all)))]
@@ -176,7 +176,7 @@ def _of_file(path: Path, articles: Articles | None, reading: OrderReading) -> li
 
 
 def _own_csv(path: Path) -> pd.DataFrame | None:
-    """A table of boxes with petmjx's own names of columns; None: the file has others."""
+    """A table of boxes with petmjx's own names of columns; None: the file has other names."""
     try:
         if not set(_COLUMNS) <= set(pd.read_csv(path, nrows=0).columns):
             return None
@@ -224,7 +224,7 @@ def _with_numbers(table: pd.DataFrame, name: str) -> pd.DataFrame:
 
 
 def _upright(table: pd.DataFrame, name: str) -> NDArray[np.bool_] | None:
-    """(k, 3) which sizes of boxes may be vertical; None: the table does not say it."""
+    """(k, 3) whether each size of a box may be vertical; None: not in the table."""
     if _UPRIGHT not in table:
         return None
     marks = table[_UPRIGHT].fillna("").astype(str).str.lower().replace("", "h")

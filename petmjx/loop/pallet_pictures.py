@@ -35,8 +35,8 @@ def picture(scene: Scene, reading: Reading, sim: Simulation, size: tuple[int, in
     Raises:
         InputError: nothing can be drawn here.
     """
-    if why := why_nothing_is_drawn():
-        raise InputError(f"show: {why}")
+    if reason := why_nothing_is_drawn():
+        raise InputError(f"show: {reason}")
     k = len(reading.pos)
     if not scene.n_boxes:  # the drawn scene needs a box, which is not placed
         scene = EmptyCarrier(sim).with_box(scene, NextBoxes(np.full((1, 3), 0.1), np.zeros((1, 3)), np.ones(1)), 0)

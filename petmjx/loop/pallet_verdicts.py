@@ -22,10 +22,10 @@ class SettledEngine(Engine):
     other attempts.
 
     On ``mjx-warp`` a world does not depend on how its boxes were put in. On ``mujoco`` waiting boxes are in a world's
-    model, and affect the last digits. So nothing is taken from open worlds there if digits count.
+    model, and affect the last digits. So for exact digits no attempt comes from open worlds there.
 
     Args:
-        plans: open world → the plan whose boxes it has.
+        plans: open world → the plan with the same boxes.
         to_the_bit: whether outcomes must have the digits of a score.
     """
 
@@ -51,18 +51,18 @@ class SettledEngine(Engine):
         """See ``Engine.run``."""
         world_by_job: dict[int, int] = {}
         if sim == self._sim:
-            named = {index: self._worlds.get(_key(job)) for index, job in enumerate(jobs) if job.record is None}
-            world_by_job = {index: world for index, world in named.items() if world is not None}
+            open_worlds = {index: self._worlds.get(_key(job)) for index, job in enumerate(jobs) if job.record is None}
+            world_by_job = {index: world for index, world in open_worlds.items() if world is not None}
         numbers = list(world_by_job)
         for first in range(0, len(numbers), AT_ONCE):
-            some = numbers[first : first + AT_ONCE]
-            for outcome in self._open.finish([world_by_job[index] for index in some]):
-                outcome.job = some[outcome.job]
+            chunk_numbers = numbers[first : first + AT_ONCE]
+            for outcome in self._open.finish([world_by_job[index] for index in chunk_numbers]):
+                outcome.job = chunk_numbers[outcome.job]
                 yield outcome
-        others = [index for index in range(len(jobs)) if index not in world_by_job]
-        if others:
-            for outcome in self._engine.run([jobs[index] for index in others], sim, progress):
-                outcome.job = others[outcome.job]
+        other_jobs = [index for index in range(len(jobs)) if index not in world_by_job]
+        if other_jobs:
+            for outcome in self._engine.run([jobs[index] for index in other_jobs], sim, progress):
+                outcome.job = other_jobs[outcome.job]
                 yield outcome
 
 

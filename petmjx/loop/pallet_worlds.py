@@ -24,7 +24,7 @@ class PalletWorlds:
 
     Attributes:
         worlds: world i is pallet i, and world n + i is pallet i before its last box; the last world stays empty.
-        boxes: the boxes of the pallets, as they were requested.
+        boxes: the boxes of the pallets, as requested.
         bounds: bounds on placements.
         dead: (n,) whether a pallet has fallen.
         margin: (n,) margins of pallets that rest and may be decided by bounds; -1 for others.
@@ -42,9 +42,9 @@ class PalletWorlds:
         self.margin: FloatArray = np.full(n, self._bare)
         self.apart_mm: FloatArray = np.zeros((n, most_boxes))
         self.placing = False
-        self._error: NDArray[np.int64] = np.zeros((n, most_boxes), np.int64)  # of each box, as in ``place``
+        self._error: NDArray[np.int64] = np.zeros((n, most_boxes), np.int64)  # values of each box, as in ``place``
         self._strength: FloatArray = np.zeros((n, most_boxes))
-        self._before: NDArray[np.int64] = np.full(n, -1, np.int64)  # boxes in world n + i; -1: it is unused
+        self._before: NDArray[np.int64] = np.full(n, -1, np.int64)  # boxes in world n + i; -1: unused
         self.worlds = engine.open([EmptyCarrier(sim).scene] * (2 * n + 1), sim, most_boxes)
         self.worlds.go_on()
 
@@ -94,12 +94,12 @@ class PalletWorlds:
         exact = np.flatnonzero(strength == 0)
         if len(exact):
             self.worlds.put_next(worlds[exact].tolist(), boxes.take(exact))
-        if len(rest := np.flatnonzero(strength)):
+        if len(error_rows := np.flatnonzero(strength)):
             errors = placing_errors_of(self._sim)
-            scenes = self.worlds.with_next(worlds[rest].tolist(), boxes.take(rest))
-            numbers = self._error[worlds[rest], at[rest]].tolist()
-            drawn = [errors.scene(*of) for of in zip(scenes, numbers, strength[rest].tolist(), strict=True)]
-            self.worlds.put(worlds[rest].tolist(), drawn)
+            scenes = self.worlds.with_next(worlds[error_rows].tolist(), boxes.take(error_rows))
+            numbers = self._error[worlds[error_rows], at[error_rows]].tolist()
+            drawn = [errors.scene(*of) for of in zip(scenes, numbers, strength[error_rows].tolist(), strict=True)]
+            self.worlds.put(worlds[error_rows].tolist(), drawn)
 
     def _rested(self, rows: NDArray[np.int64]) -> PlacementResults:
         if len(rows):
@@ -122,15 +122,15 @@ class PalletWorlds:
         return bool(self._strength[pallet, : self.boxes.count[pallet]].any())
 
     def take_back(self, rows: NDArray[np.int64]) -> None:
-        """Take the last box off each of these pallets, which must have one."""
+        """Take the last box off each of these pallets, each of which must have a box."""
         left = self.boxes.count[rows] - 1
-        kept = self._before[rows] == left
-        if kept.any():
-            self.worlds.fork((self._n + rows[kept]).tolist(), rows[kept].tolist())
+        has_before = self._before[rows] == left
+        if has_before.any():
+            self.worlds.fork((self._n + rows[has_before]).tolist(), rows[has_before].tolist())
         self._cut(rows, left)
         self.dead[rows], self.margin[rows], self._before[rows] = False, -1.0, -1
-        if not kept.all():
-            self._build(rows[~kept])
+        if not has_before.all():
+            self._build(rows[~has_before])
 
     def fork(self, sources: NDArray[np.int64], into: NDArray[np.int64]) -> None:
         """Make pallets copies of other pallets."""
@@ -162,6 +162,6 @@ class PalletWorlds:
         """Place the boxes of some pallets anew, one after another."""
         self._empty_worlds(rows)
         for number in range(int(self.boxes.count[rows].max(initial=0))):
-            some = rows[self.boxes.count[rows] > number]
-            self._put(self.boxes.box(some, number), np.full(len(some), number))
+            grown_rows = rows[self.boxes.count[rows] > number]
+            self._put(self.boxes.box(grown_rows, number), np.full(len(grown_rows), number))
             self.worlds.go_on()

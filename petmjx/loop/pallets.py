@@ -39,7 +39,7 @@ MOST_BOXES: Final = 96
 
 
 class Pallets(Closable):
-    """n pallets that stay settled, for a packer that places box after box.
+    """n pallets that stay settled, for a packer that places boxes one by one.
 
     ``P = petmjx.Pallets(1); P.place(size_mm=(400, 300, 200), corner_mm=(0, 0, 0), mass_kg=6)``
 
@@ -48,24 +48,23 @@ class Pallets(Closable):
     result of a score of the whole plan. More in docs/loop.md.
 
     Lengths are millimetres, masses kilograms. x and y are measured from the carrier's front-left corner; z = 0 is its
-    top. If a method takes m boxes, ``size_mm`` (m, 3) are their extents as they stand, ``corner_mm`` (m, 3) their
-    front-left-bottom corners, ``mass_kg`` (m,) their masses, and ``pallet`` (m,) the pallets that they are for. One row
-    stands for all m, and a single box needs no first axis. Without ``pallet`` there is one pallet, or box i is for
-    pallet i.
+    top. If a method takes m boxes, ``size_mm`` (m, 3) are their extents as placed, ``corner_mm`` (m, 3) their
+    front-left-bottom corners, ``mass_kg`` (m,) their masses, and ``pallet`` (m,) their pallets. One row stands for all
+    m, and a single box needs no first axis. Without ``pallet`` there is one pallet, or box i is for pallet i.
 
-    Several threads may call one object; they wait for one another.
+    Several threads may call one object; each waits for the others.
 
     Args:
         n: number of pallets.
         carrier: the carrier of the boxes; not ``footprint``, which depends on the whole plan.
         engine: ``mujoco``, ``mjx-warp``, an engine that has open worlds, or ``auto``: ``mjx-warp`` for 64 pallets and
             more where there is a GPU, else ``mujoco``.
-        most_boxes: the most that a pallet may ever get. ``mjx-warp`` reserves room for them on the device.
+        most_boxes: the most that a pallet may ever get. ``mjx-warp`` reserves room for these boxes on the device.
         options: fields of ``petmjx.Simulation``, and ``threads`` or ``lanes`` of ``petmjx.RunOptions``.
 
     Raises:
         InputError: an unusable option, or one that pallets cannot have.
-        EngineUnavailable: the engine asked for cannot run here.
+        EngineUnavailable: the requested engine cannot run here.
     """
 
     def __init__(
@@ -94,10 +93,10 @@ class Pallets(Closable):
 
     @contextmanager
     def _using(self, *, worlds: bool = True) -> Iterator[None]:
-        """Lets one thread at a time use the pallets, until they are closed.
+        """Lets one thread at a time use the pallets, until the object is closed.
 
         Args:
-            worlds: whether the engine is used, or boxes change. That is not allowed while pallets come to rest.
+            worlds: whether the engine is used, or boxes change. Other calls are not allowed while pallets come to rest.
         """
         with self._lock:
             self._check_open()
@@ -123,12 +122,12 @@ class Pallets(Closable):
 
     @property
     def n_boxes(self) -> NDArray[np.int64]:
-        """(n,) boxes of each pallet."""
+        """(n,) number of boxes of each pallet."""
         return self._boxes.count.copy()
 
     @property
     def ended(self) -> NDArray[np.bool_]:
-        """(n,) whether a pallet has fallen. Nothing can be put onto it until it is reset."""
+        """(n,) whether a pallet has fallen. No box can be placed on a fallen pallet until ``reset``."""
         return self._standing.dead.copy()
 
     # ------------------------------------------------------------------ placements
@@ -147,12 +146,12 @@ class Pallets(Closable):
         """Put one box each onto some pallets, and wait until these rest.
 
         Args:
-            error: (m,) whole numbers, each of which stands for an error of a robot and its carton: of place, rotation,
-                size and mass, as ``petmjx score --confidence`` draws them. A hand carries the box to its place. None:
-                boxes are placed exactly.
+            error: (m,) whole numbers, each the number of a random error of robot and carton: of place, rotation, size
+                and mass, as ``petmjx score --confidence`` draws them. A hand carries the box to its place. None: boxes
+                are placed exactly.
             error_strength: factor of the errors, one or (m,); 0: the box is placed exactly.
-            meanwhile: is called while the pallets come to rest. It may only call ``places``, ``boxes`` and
-                ``height_map``, which have the new boxes where they were put.
+            meanwhile: is called while the pallets come to rest. The function may only call ``places``, ``boxes`` and
+                ``height_map``, which include the new boxes at their planned places.
 
         Raises:
             InputError: wrong shapes, units or numbers, a pallet that has fallen, is full, or is named twice; or no
@@ -178,8 +177,8 @@ class Pallets(Closable):
         level: float = 1.0,
         direction_deg: float = 0.0,
     ) -> PlacementResults:
-        """Find for m candidates, any mixture of boxes, places and pallets, the results that ``place`` would give for
-        each. The pallets do not change.
+        """Find for m candidates, any mixture of boxes, places and pallets, the results of ``place`` for each. The
+        pallets do not change.
 
         Args:
             errors: also simulate each candidate in this many worlds in which a robot places it inexactly;
@@ -215,12 +214,12 @@ class Pallets(Closable):
     def stands(
         self, *, size_mm: Any, corner_mm: Any, mass_kg: Any, pallet: Any = None
     ) -> tuple[NDArray[np.bool_], FloatArray]:
-        """Find for m candidates whether ``try_all`` would call them stable. Those that stand or fall beyond doubt
-        (docs/training.md) are not simulated, so that it takes a fraction of the time. The pallets do not change.
+        """Find for m candidates whether ``try_all`` would call them stable. Candidates that stand or fall beyond doubt
+        (docs/training.md) are not simulated, which takes a fraction of the time. The pallets do not change.
 
         Returns:
-            (m,) whether the pallet stands, and (m,) its margin: 1 where it stands beyond doubt, -1 where it does not
-            stand or is invalid.
+            (m,) whether the pallet stands, and (m,) its margin: 1 if it stands beyond doubt, -1 if it falls or is
+            invalid.
 
         Raises:
             InputError: as ``try_all``.
@@ -229,18 +228,18 @@ class Pallets(Closable):
             request = self._placements(size_mm, corner_mm, mass_kg, pallet)
             decided = self._standing.decided(request)
             margin = decided.astype(np.float64)
-            rest = request.take(np.flatnonzero(decided == OPEN))
-            if len(rest):
-                boxes = self._standing.next_boxes(rest)
-                readings = self._worlds.try_next(rest.pallet.tolist(), boxes, until_lost=True)
-                results = PlacementResults.of_readings(rest.pallet, readings, self.simulation.thresholds)
+            open_requests = request.take(np.flatnonzero(decided == OPEN))
+            if len(open_requests):
+                boxes = self._standing.next_boxes(open_requests)
+                readings = self._worlds.try_next(open_requests.pallet.tolist(), boxes, until_lost=True)
+                results = PlacementResults.of_readings(open_requests.pallet, readings, self.simulation.thresholds)
                 margin[decided == OPEN] = np.where(results.stable, results.margin, -1.0)
                 decided[decided == OPEN] = np.where(results.stable, STANDS, FALLS)
             return decided == STANDS, margin
 
     def decided(self, *, size_mm: Any, corner_mm: Any, mass_kg: Any, pallet: Any = None) -> NDArray[np.int8]:
-        """What is known of m candidates without a simulation: (m,) 1 for those that stand beyond doubt, -1 for those
-        that fall beyond doubt, 0 for all others (docs/training.md).
+        """Knowledge about m candidates without a simulation: (m,) 1: stands beyond doubt, -1: falls beyond doubt, 0:
+        undecided (docs/training.md).
 
         Raises:
             InputError: as ``try_all``.
@@ -249,7 +248,7 @@ class Pallets(Closable):
             return self._standing.decided(self._placements(size_mm, corner_mm, mass_kg, pallet))
 
     def take_back(self, pallet: Any = None) -> None:
-        """Take the last box off some pallets; None: all that have boxes. The pallets are then as they were before this
+        """Take the last box off some pallets; None: all that have boxes. The pallets return to their state before this
         box, to the last bit. Pallets that have fallen stand again. If further boxes are taken back, the pallet is built
         again, with the errors that its boxes were placed with.
 
@@ -264,7 +263,7 @@ class Pallets(Closable):
             self._standing.take_back(rows)
 
     def fork(self, sources: Any, into: Any) -> None:
-        """Make pallets copies of other pallets, to the last bit. Afterwards they are independent.
+        """Make pallets copies of other pallets, to the last bit. Afterwards the pallets are independent.
 
         Args:
             sources: (m,) pallets, some perhaps more than once; ``into``: (m,) pallets that become copies.
@@ -313,15 +312,15 @@ class Pallets(Closable):
 
     def score(self, pallet: Any = None, *, to_the_bit: bool = True, **options: Any) -> RunResults:
         """The results of ``petmjx.score`` for the plans of pallets, to the last bit, further attempts included; None:
-        all pallets that have boxes. A pallet that has fallen is scored, too. Boxes that were placed with errors are
+        all pallets that have boxes. A pallet that has fallen also has a score. Boxes that were placed with errors are
         scored where the plan has them.
 
         On ``mjx-warp`` pallets go on from their current state. On ``mujoco`` plans are simulated from their first
         boxes, since waiting boxes affect the last digits of a score there.
 
         Args:
-            to_the_bit: False: on ``mujoco``, too, pallets go on from their current state, which takes a fraction of the
-                time; last digits may differ.
+            to_the_bit: False: pallets on ``mujoco``, too, continue from their current state, which takes a fraction of
+                the time; last digits may differ.
             options: fields of ``petmjx.RunOptions``, such as ``out``.
 
         Raises:
@@ -346,15 +345,15 @@ class Pallets(Closable):
     def height_map(self, cell_mm: float = 10.0, pallet: Any = None) -> FloatArray:
         """(m, x, y) height of the highest planned top over each cell of the carrier, mm; 0: no box.
 
-        A box covers a cell if it covers more of it than its edge.
+        A box covers a cell if it covers more than the cell's edge.
         """
         with self._using(worlds=False):
             rows = pallets_of(pallet, self.n)
             return height_maps(self._boxes, rows, self.extent_mm, cell_mm)
 
     def boxes(self, pallet: Any = None) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """(m, k, 3) sizes and corners, mm, and (m, k) masses, kg, of the boxes of pallets, as they were requested; NaN
-        beyond a pallet's own boxes."""
+        """(m, k, 3) sizes and corners, mm, and (m, k) masses, kg, of the boxes of pallets, as requested; NaN beyond a
+        pallet's own boxes."""
         with self._using(worlds=False):
             rows = pallets_of(pallet, self.n)
             k = int(self._boxes.count[rows].max(initial=0))
@@ -374,11 +373,11 @@ class Pallets(Closable):
         would rest.
 
         Args:
-            size_mm: (m, 3) extents as they would stand; ``pallet``: (m,).
+            size_mm: (m, 3) extents after the placement; ``pallet``: (m,).
             max_height_mm: highest top of a box.
             grid_mm: (p, 2) corners on the carrier instead of the extreme points.
             least_support: smallest supported share of a box's base, from 0 to 1.
-            hulls: whether to find ``Places.centred``, which takes as long as the rest.
+            hulls: whether to find ``Places.centred``, which doubles the time.
 
         Raises:
             InputError: wrong shapes or numbers, corners off the carrier, or no such pallet.

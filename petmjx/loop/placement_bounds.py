@@ -3,11 +3,11 @@
 The bearing of a box is the convex hull of its contacts with the boxes below, or all of the carrier. Loads pass from box
 to box by the plane of pressures of ``petmjx.packers.pile_balance``. Rigid boxes stand if there are any forces that
 balance them (the safe theorem of statics; Livesley 1978, "Limit analysis of structures formed from rigid blocks", Int.
-J. for Numerical Methods in Engineering 12, 1853–1871). So a box stands beyond doubt, on a pallet that rests where its
-plan is, if its weight and the loads of all boxes that bear it act well inside their bearings, and no other load is near
-the edge of one.
+J. for Numerical Methods in Engineering 12, 1853–1871). So a box stands beyond doubt, on a pallet that rests at its
+planned places, if its weight and the loads of all boxes that bear it act well inside their bearings, and no other load
+is near an edge.
 
-A box falls beyond doubt if its weight acts well outside its bearing, and nothing is near that could catch it before it
+A box falls beyond doubt if its weight acts well outside its bearing, and no body is near that could catch it before it
 has turned too far. Boxes beside it can hold it by friction only, which is limited: only the friction under the box
 presses it against them. Boxes of the pallet that have moved count as larger by as much. All other placements are open.
 
@@ -41,29 +41,29 @@ STANDS: Final = 1
 FALLS: Final = -1
 
 KNIFE_SHARE: Final = 0.25
-"""Margin of loads that a placement does not change, as a share of the margin of those that it does. A box whose load is
+"""Margin of loads that a placement does not change, as a share of the margin of changed loads. A box whose load is
 nearer to its edge may seem to rest while it begins to turn."""
 
 MOST_LOAD: Final = 100.0
-"""Largest load on a box that bears, as a multiple of its own mass. Contacts are soft: a box sinks by about 0.003 mm ×
+"""Largest load on a bearing box, as a multiple of its own mass. Contacts are soft: a box sinks by about 0.003 mm ×
 load / own mass (docs/rules.md, section 8), here by 0.3 mm."""
 
 MOST_SLENDER: Final = 8.0
-"""Largest height of a pile, as a multiple of the shortest side of its boxes. What softness makes a pile lean grows with
-its height."""
+"""Largest height of a pile, as a multiple of the shortest side of its boxes. The lean of a pile by soft contacts grows
+with its height."""
 
 HANGING_SHARE: Final = 0.05
-"""Distance by which the weight of a falling box acts outside of its bearing, as a share of its shorter side: then it
-turns within a second, which no rule of rest takes for a rest."""
+"""Distance by which the weight of a falling box acts outside of its bearing, as a share of its shorter side: such a box
+turns within a second, and no rule takes this for rest."""
 
 HANGING_MM: Final = 10.0
-"""The same in millimetres; the larger one counts."""
+"""The same distance in millimetres; the larger one counts."""
 
 TURN_DEG: Final = 25.0
 GONE_MM: Final = 30.0
-"""A box that turns by this, or until its middle has come down and aside by this, before anything catches it, is lost:
-its weight is farther beyond the edge than at first, so that it does not come back. It is beyond the thresholds by a
-quarter and by a half."""
+"""A box is lost if it turns by this angle, or its middle moves down and aside by this distance, before a body catches
+it: its weight is farther beyond the edge than at first, so that it does not come back. These values are beyond the
+thresholds by a quarter and by a half."""
 
 NEAR_MM: Final = 2.0
 """Gap between two boxes that may have closed: boxes of a calm pallet are up to 1 mm beside their places."""
@@ -83,10 +83,10 @@ MOST_BEARERS: Final = 4
 MOST_CORNERS: Final = 4 * MOST_BEARERS
 
 ROUNDING_MM2: Final = 1e-4
-"""A corner that is beyond an edge by less, as a product of lengths, is on it."""
+"""A corner less far beyond an edge, as a product of lengths, counts as on the edge."""
 
 _AT_ONCE: Final = 512
-"""Placements that are decided at a time, so that their tables stay in a core's cache."""
+"""Number of placements decided in one call, so that their tables stay in a core's cache."""
 
 _USUAL: Final = frozenset({Carrier.EURO_PALLET, Carrier.ROLLCONTAINER})
 """Carriers of one piece. Boards can tip by themselves."""
@@ -94,7 +94,7 @@ _USUAL: Final = frozenset({Carrier.EURO_PALLET, Carrier.ROLLCONTAINER})
 
 def decidable(sim: Simulation) -> bool:
     """Whether the bounds hold in this simulation: rigid boxes that appear at their places, on a carrier of one piece
-    without walls, contacts of the preset ``pallet`` or stiffer, and thresholds that are about the usual ones."""
+    without walls, contacts of the preset ``pallet`` or stiffer, and thresholds near the usual ones."""
     limits, physics = sim.thresholds, sim.physics
     return (
         sim.carrier in _USUAL
@@ -136,11 +136,11 @@ class Bounds:
     def __init__(self, stock: BoxTable, friction: float) -> None:
         n = len(stock.count)
         self._stock, self._friction = stock, friction
-        self._boxes: NDArray[np.int64] = np.zeros(n, np.int64)  # boxes of each pallet that the tables have
-        # (n, k, …) a row for each box; one column at first, since few pallets are asked for bounds
+        self._boxes: NDArray[np.int64] = np.zeros(n, np.int64)  # number of boxes of each pallet in the tables
+        # (n, k, …) a row for each box; one column at first, since few pallets need bounds
         self._bearers: NDArray[np.int64] = np.full((n, 1, MOST_BEARERS), NOTHING)
         self._shares: FloatArray = np.zeros((n, 1, MOST_BEARERS, 3, 3))
-        self._edges: FloatArray = np.zeros((n, 1, MOST_CORNERS, 3))  # of each bearing, as in _Rests
+        self._edges: FloatArray = np.zeros((n, 1, MOST_CORNERS, 3))  # values of each bearing, as in _Rests
         self._least: FloatArray = np.zeros((n, 1))  # margin that each box must have, mm
 
     def cut(self, pallets: NDArray[np.int64], count: NDArray[np.int64]) -> None:
@@ -189,7 +189,7 @@ class Bounds:
         return self._passed_down(pallets, np.nan_to_num(mass * np.concatenate([np.ones_like(mass), middle], axis=2)))
 
     def _passed_down(self, pallets: NDArray[np.int64], loads: FloatArray) -> FloatArray:
-        """(m, k, 3) the loads of boxes with what they get from the boxes above. Boxes bear on earlier ones alone."""
+        """(m, k, 3) the loads of boxes plus the parts from the boxes above. Boxes rest only on earlier boxes."""
         loads = loads.copy()
         for number in range(loads.shape[1] - 1, 0, -1):
             row = np.flatnonzero(loads[:, number, 0] > 0)
@@ -198,12 +198,7 @@ class Bounds:
             )
         return loads
 
-    def _stand(
-        self,
-        rests: _Rests,
-        request: Placements,
-        loads: FloatArray,
-    ) -> NDArray[np.bool_]:
+    def _stand(self, rests: _Rests, request: Placements, loads: FloatArray) -> NDArray[np.bool_]:
         """(m,) which boxes stand beyond doubt.
 
         Args:
@@ -214,17 +209,17 @@ class Bounds:
         least = _least_margin(request)
         stands = rests.rests & (_margin(rests.edges, middle) >= least)
         load = request.mass_kg[:, None] * np.concatenate([np.ones((m, 1)), middle], axis=1)
-        more: FloatArray = np.zeros((m, k, 3))
+        added_load: FloatArray = np.zeros((m, k, 3))
         row = np.flatnonzero(stands)
-        _pass_on(more, row, rests.bearers[row], rests.shares[row], load[row])
-        more = self._passed_down(pallets, more)
-        bears = more[..., 0] > 0
-        after = loads + more
-        here = np.arange(k) < self._stock.count[pallets, None]
+        _pass_on(added_load, row, rests.bearers[row], rests.shares[row], load[row])
+        added_load = self._passed_down(pallets, added_load)
+        bears = added_load[..., 0] > 0
+        after = loads + added_load
+        in_table = np.arange(k) < self._stock.count[pallets, None]
         with np.errstate(invalid="ignore", divide="ignore"):  # columns beyond a pallet's boxes
             margin = _margin(self._edges[pallets, :k], after[..., 1:] / after[..., :1])
         enough = np.where(bears, 1.0, KNIFE_SHARE) * self._least[pallets, :k]
-        stands = stands & (~here | (margin >= enough)).all(axis=1)
+        stands = stands & (~in_table | (margin >= enough)).all(axis=1)
         light = after[..., 0] > MOST_LOAD * np.nan_to_num(self._stock.mass_kg[pallets, :k], nan=1.0)
         stands &= ~(bears & light).any(axis=1)
         sides = self._stock.size_mm[pallets, :k, :2].min(axis=2)
@@ -235,7 +230,7 @@ class Bounds:
 
 
 def _least_margin(boxes: Placements) -> FloatArray:
-    """(m,) distance by which loads must act inside bearings, mm."""
+    """(m,) least distance of loads inside bearings, mm."""
     return np.asarray(np.minimum(MARGIN_M * MM_PER_M, MARGIN_SHARE * boxes.size_mm[:, :2].min(axis=1)))
 
 
@@ -271,17 +266,17 @@ class _Turns(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class _Rests:
-    """How m boxes rest on what is below, each on a pallet of which some first boxes stand.
+    """The rest of m boxes on the bodies below, each on a pallet with some of its first boxes.
 
     Attributes:
-        low, high: (m, k, 3) ends of the boxes of the pallets, mm; ``here``: (m, k) which of them stand.
+        low, high: (m, k, 3) ends of the boxes of the pallets, mm; ``here``: (m, k) whether each of them stands.
         start, end: (m, 3) ends of the boxes themselves.
         under: (m, k) which boxes touch the base from below; ``on_carrier``: (m,) the base is on the carrier.
-        rests: (m,) the box rests on what is below, and nothing is where it goes.
+        rests: (m,) whether the box rests on bodies below, and overlaps no other.
         bearers, shares: (m, b) the boxes below, and (m, b, 3, 3) matrices from a load on the box to the share of each
-            of them, by the plane of pressures of ``petmjx.packers.pile_balance``.
-        edges: (m, e, 3) the edges of the bearing: (d, n_x, n_y) says that a point p is inside by d − n · p, mm; d is
-            infinite on the carrier, and minus infinity where nothing is below.
+            bearer, by the plane of pressures of ``petmjx.packers.pile_balance``.
+        edges: (m, e, 3) the edges of the bearing: (d, n_x, n_y); a point p is inside by d − n · p, mm; d is infinite on
+            the carrier, and minus infinity without a body below.
     """
 
     low: FloatArray
@@ -298,7 +293,7 @@ class _Rests:
 
     @classmethod
     def of(cls, stock: BoxTable, request: Placements, count: NDArray[np.int64]) -> _Rests:
-        """How boxes rest on the first ``count`` boxes of their pallets."""
+        """The rest of boxes on the first ``count`` boxes of their pallets."""
         m, k = len(request), int(count.max(initial=0))
         here = np.arange(k) < count[:, None]
         low = stock.corner_mm[request.pallet, :k]
@@ -331,16 +326,18 @@ class _Rests:
             [first, np.stack([first[:, 0], last[:, 1]], 1), last, np.stack([last[:, 0], first[:, 1]], 1)], 1
         )
         for number in range(1, MOST_BEARERS + 1):
-            some = np.flatnonzero((bearing == number) & ~on_carrier)
-            edges[some] = _hull_edges(corners[np.isin(row, some)].reshape(len(some), 4 * number, 2))
+            same_bearing = np.flatnonzero((bearing == number) & ~on_carrier)
+            edges[same_bearing] = _hull_edges(
+                corners[np.isin(row, same_bearing)].reshape(len(same_bearing), 4 * number, 2)
+            )
         rests = (on_carrier | (bearing > 0)) & ~blocked
         return cls(low, high, here, start, end, under, on_carrier, rests, bearers, shares, edges)
 
     def falls(self, request: Placements, apart: FloatArray, friction: float) -> NDArray[np.bool_]:
         """(m,) which boxes fall beyond doubt.
 
-        A box turns about the edge of its bearing that is nearest to its weight. Turned by an angle, its base is lower
-        by the tangent times the distance from the edge, and its side has come out by the sine times the height.
+        A box turns about the edge of its bearing that is nearest to its weight. If a box turns by an angle, its base is
+        lower by the tangent times the distance from the edge, and its side has come out by the sine times the height.
 
         Args:
             apart: (m, k) of the boxes on their pallets, as ``boxes_apart_mm`` says.
@@ -382,8 +379,8 @@ class _Rests:
         """
         rows, towards, edge, outside, apart = turns
         z, height = self.start[rows, 2], self.end[rows, 2] - self.start[rows, 2]
-        gone = np.maximum(GONE_MM / outside, 2 * GONE_MM / height)
-        sine = np.minimum(np.sin(np.radians(TURN_DEG)), gone)
+        lost_sine = np.maximum(GONE_MM / outside, 2 * GONE_MM / height)
+        sine = np.minimum(np.sin(np.radians(TURN_DEG)), lost_sine)
         slope = (sine / np.sqrt(1 - sine**2))[:, None]
         start, end = self.start[rows, None, :2], self.end[rows, None, :2]
         low, high = self.low[rows] - apart[..., None], self.high[rows] + apart[..., None]
@@ -460,9 +457,9 @@ def _hull_edges(corners: FloatArray) -> FloatArray:
     along = corners[:, None] - corners[:, :, None]  # (m, from, to, 2)
     length = np.linalg.norm(along, axis=-1)
     left = along[..., None, 0] * along[:, :, None, :, 1] - along[..., None, 1] * along[:, :, None, :, 0]
-    whole = (left >= -ROUNDING_MM2).all(axis=-1) & (length > TOUCH_MM)
-    to = np.where(whole, length, -1.0).argmax(axis=-1)
-    row, start = np.nonzero(whole.any(axis=-1))
+    is_edge = (left >= -ROUNDING_MM2).all(axis=-1) & (length > TOUCH_MM)
+    to = np.where(is_edge, length, -1.0).argmax(axis=-1)
+    row, start = np.nonzero(is_edge.any(axis=-1))
     x, y = (along[row, start, to[row, start]] / length[row, start, to[row, start], None]).T
     edges = np.zeros((m, MOST_CORNERS, 3))
     edges[..., 0] = np.inf

@@ -1,8 +1,8 @@
-"""Labels of placements for models that predict stability: boxes put onto piles, and what a score says of each.
+"""Labels of placements for models that predict stability: boxes put onto piles, and the result of a score for each.
 
-Episode i packs order i of a source, box by box, and begins anew with the first order behind the last one. Each box goes
-to a random place, or to a place that a careful packer would take. Each such placement is a label. Where the pallet does
-not stand, the box is taken back, tried once at a careful place, which is the next label, and else left out. An episode
+Episode i packs order i of a source, box by box, and begins anew with the first order behind the last order. Each box
+goes to a random place, or to a place of a careful packer. Each such placement is a label. Where the pallet does not
+stand, the box is taken back, tried once at a careful place, which is the next label, and else left out. An episode
 depends on its number and the seed alone, so a larger set begins with the labels of a smaller one.
 """
 
@@ -33,7 +33,7 @@ CAREFUL_SUPPORT: Final = 0.75
 """Least supported share of the base at careful places."""
 
 LOWEST: Final = 4
-"""A careful packer takes one of this many lowest places."""
+"""A careful packer chooses among this many lowest places."""
 
 COLUMNS: Final[dict[str, tuple[pa.DataType, str]]] = {
     "order": (pa.int64(), "number of the order in its source, from 0"),
@@ -62,8 +62,8 @@ SCHEMA: Final = pa.schema([(name, kind) for name, (kind, _) in COLUMNS.items()])
 
 
 def split_of(boxes: Boxes) -> str:
-    """The split of an order. It depends on its boxes alone, in any sequence and turned in any way, so that orders with
-    the same boxes are in one split."""
+    """The split of an order. The split of an order depends on its boxes alone, in any sequence and turned in any way,
+    so that orders with the same boxes are in one split."""
     rows = np.column_stack([np.sort(boxes.size_mm, axis=1), boxes.mass_kg]).round(3)
     content = rows[np.lexsort(rows.T)].tobytes()
     place = int.from_bytes(hashlib.sha256(content).digest()[:8]) / 2**64
@@ -79,7 +79,8 @@ class Episode:
     """The packing of one order on one pallet.
 
     Attributes:
-        boxes: boxes that are still to come, from ``next`` on; ``again``: the next box is tried for the second time.
+        boxes: boxes of the order, of which those from ``next`` on are not placed yet; ``again``: the second try of the
+            next box.
         labels: of the boxes so far.
     """
 
@@ -102,15 +103,15 @@ class Labeller:
     """Makes labels.
 
     Args:
-        orders: where boxes come from.
-        pallets: number of pallets side by side; it does not change labels.
+        orders: source of boxes.
+        pallets: number of pallets side by side; labels do not depend on it.
         explore: share of boxes that go to a random place first.
         errors: number of worlds with errors of each label; None: none.
         max_height_mm: highest top of a box.
         others: of ``petmjx.Pallets``.
 
     Attributes:
-        options: what labels depend on, beside orders and simulation.
+        options: all other options on which labels depend.
 
     Raises:
         InputError: an unusable option.
@@ -141,9 +142,9 @@ class Labeller:
         }
 
     def labels(self, count: int) -> Iterator[Label]:
-        """The first ``count`` labels, in the order of episodes; fewer if no order has any more."""
+        """The first ``count`` labels, in the order of episodes; fewer at the end of all orders."""
         running: dict[int, Episode] = {}
-        waiting: deque[Episode] = deque()  # in their order, of which the first ones are given away when they are over
+        waiting: deque[Episode] = deque()  # episodes in order; the first ones are yielded when they are over
         begun = made = given = barren = 0
         while running or (made < count and barren < 2 * self.orders.count):
             goes_on = made < count and barren < 2 * self.orders.count
@@ -158,9 +159,9 @@ class Labeller:
                 barren = 0 if running[row].labels else barren + 1
                 del running[row]
             while waiting and waiting[0].is_over:
-                some = waiting.popleft().labels[: count - given]
-                given += len(some)
-                yield from some
+                new_labels = waiting.popleft().labels[: count - given]
+                given += len(new_labels)
+                yield from new_labels
 
     def _begun(self, number: int) -> Episode:
         order = number % self.orders.count
@@ -177,10 +178,10 @@ class Labeller:
         )
         of_row = np.split(np.arange(len(places.row)), np.searchsorted(places.row // 2, np.arange(1, len(rows))))
         chosen, careful, placed = [], [], []
-        for row, some in zip(rows.tolist(), of_row, strict=True):
+        for row, row_places in zip(rows.tolist(), of_row, strict=True):
             episode = running[row]
             explores = not episode.again and episode.rng.random() < self._explore
-            pick = _any_place(some, episode.rng) if explores else _careful_place(places, some, episode.rng)
+            pick = _any_place(row_places, episode.rng) if explores else _careful_place(places, row_places, episode.rng)
             if pick is None:
                 episode.next, episode.again = episode.next + 1, False
                 continue
@@ -225,14 +226,14 @@ def _any_place(some: Any, rng: np.random.Generator) -> int | None:
 
 
 def _careful_place(places: Places, some: Any, rng: np.random.Generator) -> int | None:
-    """One of the lowest places with enough support; None: there is none."""
+    """One of the lowest places with enough support; None: no such place."""
     borne = some[places.support[some] >= CAREFUL_SUPPORT]
     lowest = borne[np.argsort(places.corner_mm[borne, 2], kind="stable")][:LOWEST]
     return int(rng.choice(lowest)) if len(lowest) else None
 
 
 def _labels_of(results: RunResults, pallets: Pallets, on: Any, shares: FloatArray) -> Iterator[Label]:
-    """What a score says of pallets."""
+    """The results of a score for pallets."""
     worlds = results.worlds
     forces = {name: rows.to_numpy() for name, rows in results.boxes.groupby("plan_id", sort=False)["rest_top_force_n"]}
     sizes, corners, masses = pallets.boxes(on)

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from petmjx.common.units import MM_PER_M, FloatArray
 from petmjx.engines.mujoco.box_motion import has_dropped, shift, tilt_deg
 from petmjx.engines.open_worlds import Readings, joined_records, widened_rows
-from petmjx.engines.verdict import DROPPED_EXCESS, Flag, Outcome, Signs, Verdict, judge_all, margin_of
+from petmjx.engines.verdict import DROPPED_EXCESS, Flag, Outcome, Signs, Verdict, judge_all, margins_of
 from petmjx.options.simulation import Thresholds
 
 
@@ -68,7 +68,7 @@ class PlacementResults:
 
     @classmethod
     def joined(cls, parts: Sequence[PlacementResults]) -> PlacementResults:
-        """The rows of all parts, one part after the other."""
+        """The rows of all parts in order."""
         return cls(**joined_records(parts, max(part.top_force_n.shape[1] for part in parts)))
 
     @classmethod
@@ -137,9 +137,7 @@ class PlacementResults:
             verdict=np.array([str(outcome.verdict) for outcome in outcomes]),
             reason=np.array([str(outcome.reason) for outcome in outcomes]),
             culprit=np.array([outcome.culprit for outcome in outcomes], np.int64),
-            margin=np.array(
-                [margin_of(outcome.verdict, outcome.boxes, outcome.n_placed, thresholds) for outcome in outcomes]
-            ),
+            margin=np.array(margins_of(outcomes, thresholds)),
             shift_mm=_largest(np.abs(boxes("shift_m")).max(axis=2) * MM_PER_M),
             tilt_deg=_largest(boxes("max_tilt_deg")),
             n_boxes=np.array([outcome.n_boxes for outcome in outcomes], np.int64),

@@ -62,7 +62,7 @@ def placements_of(size_mm: Any, corner_mm: Any, mass_kg: Any, pallet: Any, n: in
 
 
 def boxes_of(size_mm: Any, pallet: Any, n: int) -> Placements:
-    """Placements from the arguments of ``Pallets.places``: of the boxes only the extents are known.
+    """Placements from the arguments of ``Pallets.places``: only the extents of the boxes are known.
 
     Raises:
         InputError: as ``placements_of``.
@@ -93,7 +93,7 @@ def pallets_of(pallet: Any, n: int, name: str = "pallet") -> NDArray[np.int64]:
         return np.arange(n)
     try:
         values = np.atleast_1d(np.asarray(pallet))
-    except Exception:  # whatever an object raises when it is converted to an array
+    except Exception:  # converting an object of any class may raise anything
         values = np.empty(0, dtype=object)
     if values.ndim != 1 or (values.dtype.kind not in "iu" and values.size):
         raise InputError(f"{name} must be whole numbers of pallets, {shown_value(pallet)}")

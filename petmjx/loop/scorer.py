@@ -49,7 +49,7 @@ class Scorer(Closable):
 
     ``S = petmjx.Scorer(engine="mujoco", threads=2); S.score(plans).worlds.verdict``
 
-    Several threads may call one object. On ``mujoco`` they share the CPU, on ``mjx-warp`` they wait for one another.
+    Several threads may call one object. Calls share the CPU on ``mujoco``, and wait for one another on ``mjx-warp``.
     Nothing is written to a disk. A Ray or Dask actor can hold one (examples/ray_scorer.py, examples/dask_scorer.py).
 
     Args:
@@ -59,7 +59,7 @@ class Scorer(Closable):
 
     Raises:
         InputError: an unusable option.
-        EngineUnavailable: the engine asked for cannot run here.
+        EngineUnavailable: the requested engine cannot run here.
     """
 
     def __init__(self, *, engine: str | Engine = AUTO, **options: Any) -> None:
@@ -81,7 +81,7 @@ class Scorer(Closable):
             plans: a plan, a list of plans, a ``PlanSet``, or a data frame with a row a box.
 
         Raises:
-            InputError: files were given, or a plan cannot be used; none is skipped.
+            InputError: the plans are files, or a plan cannot be used; no plan is skipped.
         """
         self._check_open()
         results = self._results(self._usable(plans))
@@ -97,7 +97,8 @@ class Scorer(Closable):
         return Scored(**frames)
 
     def tell(self, *, size_mm: Any, corner_mm: Any, mass_kg: Any) -> PlacementResults:
-        """The results of a score for m plans, as arrays. ``pallet`` counts the plans, and forces are those at rest.
+        """The results of a score for m plans, as arrays. ``pallet`` counts the plans, and forces are the forces at
+        rest.
 
         Args:
             size_mm, corner_mm: (m, k, 3) as in ``Plan.from_boxes``, ``mass_kg``: (m, k). Plans of fewer boxes than k

@@ -72,16 +72,17 @@ WALLS_OF_CARRIERS: Final[Mapping[Carrier, Walls]] = {
         sides=(Side.RIGHT,), height_mm=1600.0, gap_mm=0.0, thickness_mm=50.0, mass_kg_m2=30.0, material=WOOD
     ),
 }
-"""The walls of built-in carriers. Those of ``rollcontainer-grid`` are only there on sides that the user names.
+"""The walls of built-in carriers. The walls of ``rollcontainer-grid`` stand only on sides that the user names.
 ``gitterbox`` is 1200 × 800 × 800 mm inside and some 85 kg (UIC 435-3), ``container-20ft`` 5867 × 2330 × 2350 mm (least
 inner sizes of 1CC, ISO 668) and some 2.2 t. ``trailer`` has a headboard alone, at the end to which braking throws a
-load, +x; its sizes are usual ones."""
+load, +x; its sizes are usual for trailers."""
 
 TARGETS = (Carrier.EURO_PALLET, Carrier.ROLLCONTAINER)
 """Carriers that are BED-BPP's targets."""
 
 MOST_BOARDS: Final = 64
-"""Largest number of boards. Engines check every pair of a board and a box, and ``mjx-jax`` compiles code for it."""
+"""Largest number of boards. Engines check every pair of a board and a box, and ``mjx-jax`` compiles code for each
+pair."""
 
 TOUCH_MM: Final = 0.5
 """Tolerance of touching boards. Boards touch if their gap is no larger, and do not overlap if they penetrate each other
@@ -99,11 +100,11 @@ sinks into its soft contacts."""
 _LIGHTEST_KG_M3, _HEAVIEST_KG_M3 = 5.0, 12_000.0
 """Limits of a board's density. Foam has 15 kg/m³, wood 400 to 800, steel 7,850, lead 11,340."""
 _LEVEL_MM: Final = 10.0
-"""A board that bears no other board and ends less than this below the top is meant to be part of the top."""
+"""A board that bears no other board and ends less than this below the top is taken for a part of the top."""
 _ROUNDING_MM: Final = 1e-6
 _UNITS: Final = ((1000.0, "metres"), (25.4, "inches"), (10.0, "centimetres"))
 _USUAL_MM: Final = (300.0, 2500.0)
-"""Range of the longer side of usual carriers, by which a wrong unit is guessed."""
+"""Range of the longer side of usual carriers, ; outside this range another unit is suggested."""
 
 Place = Annotated[StrictFloat, Field(ge=0, le=_LONGEST_MM)]
 Length = Annotated[StrictFloat, Field(ge=_THINNEST_MM, le=_LONGEST_MM)]
@@ -162,7 +163,7 @@ class OwnCarrier(CheckedRecord):
 
     @property
     def masses_kg(self) -> tuple[float, ...]:
-        """The mass of each board, kg."""
+        """Mass of each board, kg."""
         if self.mass_kg is None:
             return tuple(board.mass_kg or 0.0 for board in self.boards)
         volume = sum(board.volume_mm3 for board in self.boards)
@@ -180,7 +181,7 @@ class OwnCarrier(CheckedRecord):
 
     @model_validator(mode="after")
     def _opens_its_walls(self) -> Self:
-        self.walls.check_open()  # here, too, so that the line names the carrier's file
+        self.walls.check_open()  # checked here, too, so that the message names the carrier's file
         return self
 
     @model_validator(mode="after")
@@ -215,11 +216,11 @@ def _check_sizes(carrier: OwnCarrier) -> None:
 
 def _check_masses(carrier: OwnCarrier) -> None:
     for number, board in enumerate(carrier.boards):
-        where = ("boards", number, "mass_kg")
+        location = ("boards", number, "mass_kg")
         if carrier.mass_kg is None and board.mass_kg is None:
-            raise complaint("is missing: the board's mass; or give the carrier's mass_kg", *where)
+            raise complaint("is missing: the board's mass; or give the carrier's mass_kg", *location)
         if carrier.mass_kg is not None and board.mass_kg is not None:
-            raise complaint("contradicts the carrier's mass_kg: drop one of them", *where)
+            raise complaint("contradicts the carrier's mass_kg: drop one of them", *location)
     for number, (board, mass_kg) in enumerate(zip(carrier.boards, carrier.masses_kg, strict=True)):
         density = mass_kg / (board.volume_mm3 / MM_PER_M**3)
         if not _LIGHTEST_KG_M3 <= density <= _HEAVIEST_KG_M3:
@@ -237,8 +238,10 @@ def _check_origin(carrier: OwnCarrier) -> None:
     for axis, name in enumerate("xyz"):
         least = min(board.corner_mm[axis] for board in carrier.boards)
         if least > _ROUNDING_MM:
-            why = "no board is on the floor, z = 0" if name == "z" else "the carrier's front-left corner is the origin"
-            raise complaint(f": the least {name} of all boards is {least:g} mm, and must be 0: {why}")
+            fault = (
+                "no board is on the floor, z = 0" if name == "z" else "the carrier's front-left corner is the origin"
+            )
+            raise complaint(f": the least {name} of all boards is {least:g} mm, and must be 0: {fault}")
 
 
 def _check_one_piece(carrier: OwnCarrier) -> None:
@@ -247,16 +250,16 @@ def _check_one_piece(carrier: OwnCarrier) -> None:
     for one, two in itertools.combinations(range(n), 2):
         shared = min(_shared_mm(carrier.boards[one], carrier.boards[two]))
         if shared > TOUCH_MM:
-            both = f"{_board_label(carrier, one)} and {_board_label(carrier, two)}"
-            raise complaint(f": {both} overlap by {shared:.3g} mm")
+            pair_text = f"{_board_label(carrier, one)} and {_board_label(carrier, two)}"
+            raise complaint(f": {pair_text} overlap by {shared:.3g} mm")
         if shared >= -TOUCH_MM:
             joined[one].add(two)
             joined[two].add(one)
-    piece, more = {0}, [0]
-    while more:
-        near = joined[more.pop()] - piece
-        piece |= near
-        more += near
+    piece, queue = {0}, [0]
+    while queue:
+        neighbours = joined[queue.pop()] - piece
+        piece |= neighbours
+        queue += neighbours
     apart = sorted(set(range(n)) - piece)
     if apart:
         raise complaint(
@@ -291,7 +294,7 @@ def _bears(lower: Board, upper: Board) -> bool:
 def _check_stand(carrier: OwnCarrier) -> None:
     """Check that the centre of mass is over the convex hull of the boards on the floor.
 
-    It is inside if, seen from the centre of mass, the directions to the corners leave no gap of 180° or more.
+    The centre of mass is inside the hull if, seen from it, the directions to the corners leave no gap of 180° or more.
     """
     masses = carrier.masses_kg
     x, y = (
@@ -311,8 +314,8 @@ def _check_stand(carrier: OwnCarrier) -> None:
     angles = sorted(math.atan2(dy, dx) for dx, dy in corners)
     widest = max(b - a for a, b in itertools.pairwise([*angles, angles[0] + 2 * math.pi]))
     if widest >= math.pi:
-        where = f"its centre of mass, at x = {x:.4g} and y = {y:.4g} mm, is not over the boards on the floor"
-        raise complaint(f": the carrier tips over: {where}")
+        place_text = f"its centre of mass, at x = {x:.4g} and y = {y:.4g} mm, is not over the boards on the floor"
+        raise complaint(f": the carrier tips over: {place_text}")
 
 
 # Carriers as options name them, and as files have them.

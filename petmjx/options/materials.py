@@ -67,8 +67,8 @@ FRICTION_OF_PAIRS: Final[Mapping[tuple[str, str], float]] = {
     **_ON_FLOORS,
     **{pair: static for pair, (static, _) in _PALLETS.items()},
 }
-"""Pair of materials in alphabetical order → coefficient of static friction between them. For cargo that slides the CTU
-Code takes 75 % of it: ``physics.kinetic_friction_share``."""
+"""Pair of materials in alphabetical order → coefficient of static friction between them. For cargo that slides, the CTU
+Code takes 75 % of this coefficient: ``physics.kinetic_friction_share``."""
 
 KINETIC_OF_PAIRS: Final[Mapping[tuple[str, str], float]] = {pair: kinetic for pair, (_, kinetic) in _PALLETS.items()}
 """Pair of materials in alphabetical order → coefficient of friction between them while they slide, if it is known."""
@@ -86,7 +86,7 @@ Name = Annotated[str, Field(min_length=1, max_length=100)]
 
 
 class FrictionPair(CheckedRecord):
-    """The coefficient of sliding friction between two materials, or of one with itself."""
+    """The coefficient of sliding friction between two materials, or of a material with itself."""
 
     between: tuple[Name, Name] = Field(description="the two materials")
     friction: Annotated[StrictFloat, Field(ge=0, le=100)] = Field(description="coefficient of sliding friction")
@@ -109,7 +109,7 @@ class FrictionPair(CheckedRecord):
 
 
 class LandingPair(CheckedRecord):
-    """How a material lands on another one, or on itself."""
+    """Landing of a material on another one, or on itself."""
 
     between: tuple[Name, Name] = Field(description="the two materials")
     restitution: Annotated[float, within(0, HIGHEST_RESTITUTION)] | None = Field(
@@ -130,7 +130,8 @@ def landing_between(one: str, other: str, user_pairs: Sequence[LandingPair]) -> 
     """The restitution of a pair of materials, and the time in which a landing stops, s; None: the value of ``Physics``.
 
     Args:
-        user_pairs: pairs of the user. They take precedence over petmjx's values, and later ones over earlier ones.
+        user_pairs: pairs of the user. A user's pairs take precedence over petmjx's values, and later pairs over earlier
+            ones.
     """
     pair = _pair(one, other)
     user_pair = next((entry for entry in reversed(user_pairs) if entry.key == pair), None)
@@ -145,7 +146,8 @@ def friction_between(one: str, other: str, user_pairs: Sequence[FrictionPair]) -
     Names are compared without case and white space around them.
 
     Args:
-        user_pairs: pairs of the user. They take precedence over petmjx's values, and later ones over earlier ones.
+        user_pairs: pairs of the user. Such pairs take precedence over petmjx's values, and later ones over earlier
+            ones.
     """
     pair = _pair(one, other)
     frictions = [friction_pair.friction for friction_pair in user_pairs if friction_pair.key == pair]
@@ -174,21 +176,23 @@ def check_pairs(boxes: Sequence[str], boards: Iterable[str], user_pairs: Sequenc
     """Check that the friction is known for each pair of materials that may touch: box on box, and box on board.
 
     Args:
-        boxes: the material of each box that has one. A box does not touch itself, so a material of one box alone makes
-            no pair with itself.
+        boxes: the materials of boxes, without boxes that have none. A box does not touch itself, so a material of one
+            box alone makes no pair with itself.
         boards: the materials of boards.
         user_pairs: pairs of the user.
 
     Raises:
-        InputError: it names the pairs whose friction is not known.
+        InputError: the friction of some pairs is not known; the message names them.
     """
     count = Counter(boxes)
     pairs = {*itertools.combinations(sorted(count), 2), *((name, name) for name, number in count.items() if number > 1)}
     pairs |= {(min(pair), max(pair)) for pair in itertools.product(count, {*boards})}
     missing = sorted(pair for pair in pairs if friction_between(*pair, user_pairs) is None)
     if missing:
-        named = ", ".join(f"{printable_name(one)} on {printable_name(other)}" for one, other in missing[:_MOST_NAMED])
-        more = f" and {count_text(len(missing) - _MOST_NAMED, 'more pair')}" if len(missing) > _MOST_NAMED else ""
+        pair_names = ", ".join(
+            f"{printable_name(one)} on {printable_name(other)}" for one, other in missing[:_MOST_NAMED]
+        )
+        more_text = f" and {count_text(len(missing) - _MOST_NAMED, 'more pair')}" if len(missing) > _MOST_NAMED else ""
         one, other = map(printable_name, missing[0])
         example = f'friction_pairs = [{{between = ["{one}", "{other}"], friction = 0.4}}]'
-        raise InputError(f"no friction is known of {named}{more}: give it, as in {example}")
+        raise InputError(f"no friction is known of {pair_names}{more_text}: give it, as in {example}")

@@ -19,7 +19,7 @@ HIGHEST_RESTITUTION: Final = 0.9
 
 LANDING_S: Final = 0.003
 """Time in which ``pallet`` stops a box that lands. Boxes that fall 10 to 300 mm then penetrate less than 1 to 9 mm, and
-one and a half steps of 2 ms resolve a landing. No measurement of the stiffness of landings is known."""
+one and a half steps of 2 ms resolve a landing. No measurement of the stiffness of cartons that land is known."""
 
 SHORTEST_LANDING_S: Final = 0.0002
 LONGEST_LANDING_S: Final = 0.02
@@ -64,7 +64,8 @@ def _contact_times(values: tuple[float, float]) -> tuple[float, float]:
 
 
 Friction = Annotated[Triple, AfterValidator(_no_negatives)]
-"""MuJoCo's sliding, torsional and rolling friction of a geom. Between two geoms the larger coefficients count."""
+"""MuJoCo's sliding, torsional and rolling friction of a geom. Of two geoms in contact, the larger coefficients
+count."""
 
 CUSTOM: Final = "custom"
 
@@ -142,8 +143,8 @@ class Physics(CheckedRecord):
     def carrier_skin_m(self) -> float:
         """Amount by which the collider enlarges the carrier, m.
 
-        It is larger than the skin of boxes. A box that stands flush with the carrier's edge then has its face inside
-        the carrier's face, and the collider finds its corners (docs/validation.md).
+        This amount is larger than the skin of boxes. A box that stands flush with the carrier's edge then has its face
+        inside the carrier's face, and the collider finds its corners (docs/validation.md).
         """
         return 2 * self.skin_m
 
@@ -197,5 +198,5 @@ PHYSICS["reference"] = Physics(
 )
 """The presets. ``reference`` is PET-Physics. ``pallet`` has contacts in which pallets come to rest
 (docs/validation.md): elliptic cones, an impedance that rises from 0.1 to 0.999 within 0.1 mm, and friction that gives
-way 250 times less than with MuJoCo's defaults. It has the friction of cardboard on a wooden pallet (CTU Code, Annex 7,
-Appendix 2)."""
+way 250 times less than with MuJoCo's defaults. The preset ``pallet`` has the friction of cardboard on a wooden pallet
+(CTU Code, Annex 7, Appendix 2)."""

@@ -105,7 +105,7 @@ Anchor = Literal["corner", "centre", "base-centre", "far-corner"]
 READING: Final = ("units", "anchor", "up", "sizes", "columns", "density", "items", "reading")
 """Fields of ``RunOptions`` that say how files are read."""
 OF_ORDERS: Final = ("units", "columns", "density", "items", "reading")
-"""Those of them that say how files of orders are read."""
+"""Fields of ``RunOptions`` that say how files of orders are read."""
 
 _BY_FILE: Final = "found out"
 _OR_BY_FILE: Final = "found out in files of other tools"
@@ -139,7 +139,7 @@ class Confidence(CheckedRecord):
 
 
 class Transport(CheckedRecord):
-    """The way that a score takes each plan after it has been placed."""
+    """The chain through which a score takes each plan after its placement."""
 
     chain: Annotated[File | None, CliFlag("--chain", "NAME|FILE")] = Field(
         None,
@@ -309,13 +309,14 @@ class RunOptions(CheckedRecord):
 
     @property
     def asked_workers(self) -> int | str | None:
-        """The workers of the run: ``workers``, or ``auto`` if only a cluster is named. None: no workers, the run is in
-        this process.
+        """The workers of the run: ``workers``, or ``auto`` if only a cluster is named. None: no workers; the run stays
+        in this process.
         """
         return AUTO if self.workers is None and self.ray is not None else self.workers
 
     def takes(self, plan_id: str) -> bool:
-        """Whether a plan is in this run's shard. Only its id decides, so that all worlds of a plan are in one shard."""
+        """Whether a plan is in this run's shard. Only the plan's id decides, so that all worlds of a plan are in one
+        shard."""
         if self.shard is None:
             return True
         share, shares = (int(number) for number in self.shard.split("/"))
@@ -330,13 +331,13 @@ def sorted_options(options: Mapping[str, Any], *more: type[CheckedRecord]) -> tu
         InputError: an option is unknown. The line suggests the most similar name.
     """
     records: tuple[type[CheckedRecord], ...] = (Simulation, RunOptions, *more)
-    ours: tuple[dict[str, Any], ...] = tuple({} for _ in records)
+    by_record: tuple[dict[str, Any], ...] = tuple({} for _ in records)
     for name, value in options.items():
         home = next((i for i, record in enumerate(records) if name in record.model_fields), None)
         if home is None:
             raise InputError(f"unknown option {name}; {_advice(name, records)}")
-        ours[home][name] = value
-    return ours
+        by_record[home][name] = value
+    return by_record
 
 
 def _advice(name: str, records: tuple[type[CheckedRecord], ...]) -> str:

@@ -1,6 +1,6 @@
 """Options of a simulation (``Simulation``): every option on which results depend.
 
-petmjx/options/run_options.py has the options that say how and where a run runs. Defaults, units, checks and
+petmjx/options/run_options.py has the options of where and how a run computes. Defaults, units, checks and
 descriptions are written only here: ``petmjx.score``, ``petmjx.sweep``, the command line and the ``[simulation]`` table
 of sweep files are made from these records. ``run.json`` has their values.
 """
@@ -20,16 +20,16 @@ from petmjx.options.placing import Placing, Way
 from petmjx.options.walls import Walls
 from petmjx.options.wrap import Wrap
 
-# Limits of physical or useful values. A value beyond them has the wrong unit or a digit too many. It would lead to an
-# infinity, to an endless run, or to tables for steps that no run has.
+# Limits of physical or useful values. A value beyond them has the wrong unit or a digit too many. Such a value would
+# lead to an infinity, to an endless run, or to tables for steps that no run has.
 LONGEST_INTERVAL_S: Final = 40.0
 LONGEST_S: Final = 600.0
 """Limit of all other times. With the shortest timestep and 512 boxes the steps of a run still fit into 32 bits."""
 MOST_STEPS: Final = 100_000
 
 SOFT_START_STEPS: Final = 100
-"""Length of each half of a soft start, which is before time counts: this many steps without gravity, then as many in
-which gravity rises, in step k to gravity × k / ``SOFT_START_STEPS``."""
+"""Length of each half of a soft start, before the clock starts: this many steps without gravity, then as many in which
+gravity rises, in step k to gravity × k / ``SOFT_START_STEPS``."""
 
 
 class Check(StrEnum):
@@ -98,7 +98,7 @@ class Quiet(CheckedRecord):
     box that begins to topple does. A box that breaks this rule creeps. Once a box has dropped or tilted too far, the
     result of the creep is known, so the schedule does not wait for it.
 
-    A box that goes to and fro without getting anywhere trembles. The schedule does not wait for it either.
+    A box that goes to and fro without getting anywhere trembles. The schedule does not wait for trembling boxes either.
 
     A world rests if no point of any box moved faster than ``still_m_s`` in the last ``still_steps`` of its rest window.
     """
@@ -126,7 +126,9 @@ class Quiet(CheckedRecord):
         50, ge=1, description="steps before a world's end for which all boxes must have been still"
     )
     tremble_steps: Annotated[int, within(1, MOST_STEPS)] = Field(
-        250, ge=1, description="steps of a wait after which it is found out which boxes tremble, again and again"
+        250,
+        ge=1,
+        description="length of the windows of a wait, in steps; at the end of each, trembling boxes are looked for",
     )
     tremble_share: Annotated[float, within(0, 1)] = Field(
         0.25, ge=0, description="a box trembles that gets no further away than this share of the way that it goes"
@@ -329,6 +331,6 @@ class Simulation(CheckedRecord):
     def waits_for_rest(self) -> bool:
         """Whether the next box (schedule adaptive), a profile and the end of the world wait for boxes that creep.
 
-        Not with pyramidal cones: with them every box creeps a little (benchmarks/notebook/performance.md).
+        Pyramidal cones are excluded: on them every box creeps a little (benchmarks/notebook/performance.md).
         """
         return self.physics.cone is Cone.ELLIPTIC

@@ -23,7 +23,7 @@ TIME_LOSS: Final = ((10.0, 0.37), (30.0, 0.40), (90.0, 0.45), (180.0, 0.50))
 
 PRESS_DAYS: Final = 1.0 / 1440
 """How long a box in a press bears its load, days: a minute, which takes nothing. From there to ten days the loss grows
-with the logarithm of time: an assumption, since what creeps does so."""
+with the logarithm of time: an assumption: creep follows such a law."""
 
 
 class Stacking(CheckedRecord):
@@ -46,7 +46,8 @@ class Stacking(CheckedRecord):
         0.26, description="share that a box on the deck loses if walls of it cross gaps between boards"
     )
     soft_deck_loss: Annotated[float, within(0, 1)] = Field(
-        0.0, description="share that boxes on the deck lose by boards that bend; stiff ones: 0, soft ones 0.21 to 0.27"
+        0.0,
+        description="share that boxes on the deck lose by boards that bend: stiff boards 0, soft ones 0.21 to 0.27",
     )
     wall_tolerance_mm: Annotated[float, within(0, 1000)] = Field(
         10.0, description="walls stand on each other, and on edges of what is below, if no further apart, mm"

@@ -1,4 +1,4 @@
-"""Options of a carrier's walls (``Walls``): which sides have one, how high they are, and which of them are open.
+"""Options of a carrier's walls (``Walls``): the sides with a wall, the height of walls, and the open walls.
 
 Defaults, units, checks and descriptions are written only here. docs/carriers.md explains them to users.
 """
@@ -36,8 +36,8 @@ class Side(StrEnum):
 class Walls(CheckedRecord):
     """Walls around a carrier's deck. Made from a list of sides, or from a table.
 
-    A wall is an upright plate along a whole side. It is rigid, and belongs to the carrier's body. None: the value of
-    the carrier itself (``petmjx.options.carriers.walls_of``), else ``USUAL``.
+    A wall is an upright plate along a whole side. A wall is rigid, and belongs to the carrier's body. None: the value
+    of the carrier itself (``petmjx.options.carriers.walls_of``), else ``USUAL``.
     """
 
     sides: Annotated[tuple[Side, ...] | None, CliFlag("--walls", "SIDE,…")] = Field(
@@ -93,7 +93,7 @@ class Walls(CheckedRecord):
         return None if value is None else tuple(side for side in Side if side in value)
 
     def or_of(self, other: Walls) -> Self:
-        """The same walls with the other's values where these have none."""
+        """The same walls, with values of ``other`` where these walls have none."""
         missing = [name for name in type(self).model_fields if getattr(self, name) is None]
         return self.model_copy(
             update={name: getattr(other, name) for name in missing} | {"open": self.open or other.open}

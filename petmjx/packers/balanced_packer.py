@@ -1,4 +1,4 @@
-"""The packer ``balanced``: best fit, with the condition that every box keeps its balance, so that plans stand.
+"""The packer ``balanced``: best fit, with the condition that the pile stays in balance, so that plans stand.
 
 At every step all kinds of remaining boxes compete for all corner points (best fit, after Allen, Burke, Kendall 2011, "A
 hybrid placement strategy for the three-dimensional strip packing problem", European J. of Operational Research 209,

@@ -75,7 +75,7 @@ def pack(
     """Place the items on a target of ``extent_mm``, in packing order. Items without a place are left out.
 
     Args:
-        as_they_come: keep the sequence of ``items``, instead of sorting large and heavy ones first.
+        as_they_come: keep the sequence of ``items``, instead of a sort by volume and mass.
     """
     pile = _Pile(len(items), extent_mm, rules)
     placed = []
@@ -115,12 +115,12 @@ class _Pile:
         self._points: dict[tuple[float, float], None] = {(0.0, 0.0): None}
 
     def find(self, item: Item) -> tuple[int, tuple[float, float, float]] | None:
-        """The best place for an item: orientation and front-left-bottom corner; None: it has no place."""
+        """The best place for an item: orientation and front-left-bottom corner; None: the item has no place."""
         points = np.array(list(self._points))
-        both = (0, 1) if item.length_mm != item.width_mm else (0,)
-        corners = np.concatenate([points] * len(both))
-        orientations = np.repeat(both, len(points))
-        bases = np.array([_base(item, o) for o in both])[orientations]
+        allowed_orientations = (0, 1) if item.length_mm != item.width_mm else (0,)
+        corners = np.concatenate([points] * len(allowed_orientations))
+        orientations = np.repeat(allowed_orientations, len(points))
+        bases = np.array([_base(item, o) for o in allowed_orientations])[orientations]
         inside = (corners + bases <= np.array(self.extent_mm) + TOUCH_MM).all(axis=1)
         corners, bases, orientations = corners[inside], bases[inside], orientations[inside]
 
@@ -138,7 +138,7 @@ class _Pile:
         x, y, z = corner_mm
         x_end, y_end, top = x + base_mm[0], y + base_mm[1], z + height_mm
         # Three corners of the box, and the same corners after they have slid towards the carrier's edges along x or y.
-        # They need not move down, since boxes are lowered anyway.
+        # These points need not move down, since boxes are lowered anyway.
         new = [(x_end, y), (x_end, self._slide(1, y, x_end, z)), (x, y_end), (self._slide(0, x, y_end, z), y_end)]
         new += [(x, y), (self._slide(0, x, y, top), y), (x, self._slide(1, y, x, top))]
         for point in new:
@@ -156,7 +156,7 @@ class _Pile:
         return float(ends.max()) if len(ends) else 0.0
 
     def _rest(self, corners: FloatArray, bases: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """(c,) heights z at which boxes rest when they are lowered, and (c,) supported shares of their bases.
+        """(c,) heights z of boxes after lowering, and (c,) supported shares of their bases.
 
         Args:
             corners, bases: (c, 2) corners and sides of the boxes, mm.
@@ -189,8 +189,8 @@ class _Pile:
 def in_hull_of_rectangles(point: FloatArray, low: FloatArray, high: FloatArray) -> bool:
     """Whether a (2,) point lies in the convex hull of rectangles, given by (n, 2) low and (n, 2) high corners.
 
-    The point is outside if all corners are on one side of a line through it. Then the directions to the corners leave a
-    gap of more than 180°.
+    The point is outside if all corners are on one side of a line through it. The point is then outside: the directions
+    to the corners leave a gap of more than 180°.
     """
     corners = np.concatenate([low, high, np.c_[low[:, 0], high[:, 1]], np.c_[high[:, 0], low[:, 1]]]) - point
     if not len(corners):

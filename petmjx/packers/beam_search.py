@@ -1,9 +1,9 @@
 """Beam search for dense packings of an order, over the candidates of ``balanced``.
 
-Every step extends ``width`` packings by the ``branch`` best candidates of each. A candidate is rated by the full
-packing that follows from it, filled up by best fit (the pilot method: Duin, Voß 1999, "The pilot method: a strategy for
-heuristic repetition with application to the Steiner problem in graphs", Networks 34, 181–191). The best ``width``
-packings are kept. Filling up is aborted as soon as the packing is higher than all of these. In large orders a step
+Every step extends ``width`` packings by the ``branch`` best candidates of each. A candidate is rated by its full
+packing, filled up by best fit (the pilot method: Duin, Voß 1999, "The pilot method: a strategy for heuristic repetition
+with application to the Steiner problem in graphs", Networks 34, 181–191). The best ``width`` packings stay. Filling up
+is aborted as soon as the packing is higher than the best ``width`` packings. In large orders a step
 places several boxes: the first is the candidate, the others follow by best fit.
 
 The search is deterministic, and does not depend on computing time.
@@ -31,7 +31,7 @@ order are then equal."""
 
 
 class PackingValue(NamedTuple):
-    """The value of a full packing; larger is better. First the volume of its boxes counts, then a low height."""
+    """The value of a full packing; larger is better. The volume of the boxes counts first, then a low height."""
 
     volume_m3: float
     below_mm: float
@@ -73,7 +73,7 @@ def search(
         extent_mm: extent of the target, mm.
         clearance_mm: free space between a box and its neighbours along x and y.
         width: number of packings that each step keeps.
-        branch: number of candidates that are tried for each of these packings.
+        branch: number of candidates tried for each packing.
     """
     best: RankedPacking | None = None
     for taste in TASTES:
@@ -91,7 +91,8 @@ Fills = Callable[[Packing, NextCandidate | None, float], FullPacking | None]
 
 
 def fills_for(start: Packing) -> Fills:
-    """The function that fills up packings of an order. It is compiled if Warp is installed; the packings are the same.
+    """The function that fills up packings of an order. The search is compiled if Warp is installed; the packings are
+    the same.
 
     Args:
         start: the empty packing of the order.
@@ -105,14 +106,14 @@ def fills_for(start: Packing) -> Fills:
 
 
 class _SearchNode(NamedTuple):
-    """A packing that the next step may extend, and the full packing that follows from it."""
+    """A packing that the next step may extend, and its full packing."""
 
     packing: Packing
     filled: RankedPacking
 
 
 class _SearchBranch(NamedTuple):
-    """A packing, a candidate for its next box (None: it is placed already), and the full packing that follows."""
+    """A packing, a candidate for its next box (None: already placed), and the full packing of both."""
 
     packing: Packing
     candidate: NextCandidate | None
@@ -143,11 +144,11 @@ def _search(
 def _step(ways: Sequence[_SearchNode], width: int, branch: int, stride: int, fills: Fills) -> list[_SearchNode]:
     """The best packings with ``stride`` more boxes, the best first; empty if no more box can be placed."""
     best: list[_SearchBranch] = []
-    known: set[frozenset[PlacedBox]] = set()
+    seen_packings: set[frozenset[PlacedBox]] = set()
     for way in ways:
         before = frozenset(way.packing.placed)
         for number, candidate in enumerate(way.packing.next(branch)):
-            packing = way.packing  # copied later, only if it is among the best
+            packing = way.packing  # copied later, only if among the best
             first: NextCandidate | None = candidate
             boxes = before | {packing.box(candidate)}
             if stride > 1:
@@ -155,10 +156,10 @@ def _step(ways: Sequence[_SearchNode], width: int, branch: int, stride: int, fil
                 packing.put(candidate)
                 packing.fill(most=stride - 1)
                 boxes = frozenset(packing.placed)
-            if boxes in known:  # the same boxes at the same places, in another order
+            if boxes in seen_packings:  # the same boxes at the same places, in another order
                 continue
-            known.add(boxes)
-            if number == 0:  # filling up begins with the best candidate, so its full packing is known
+            seen_packings.add(boxes)
+            if number == 0:  # the known full packing was filled up from this candidate
                 filled: RankedPacking | None = way.filled
             else:
                 filled = _full_packing(fills, packing, first, _worst(best, width, packing.n_items))

@@ -2,9 +2,9 @@
 
 ``python -m petmjx.packers.bundled_plans`` makes their file.
 
-The verdicts of the hand-made plans are known in closed form, for check ``one-by-one`` and carrier ``footprint``, which
-is the plan's bounding box. The simulation makes each dimension 0.1 mm smaller and keeps the corner. This changes no
-verdict, since the margins of these plans are centimetres.
+The verdicts of the hand-made plans are known in closed form, for check ``one-by-one`` and carrier ``footprint``, the
+plan's bounding box. The simulation makes each dimension 0.1 mm smaller and keeps the corner. The smaller sizes change
+no verdict, since the margins of these plans are centimetres.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ to 45 boxes, three about 30 and eight 14 to 20, so that a demo is quick."""
 
 
 def bundled_plans() -> Iterator[tuple[str, list[dict[str, Any]]]]:
-    """(plan id, placements) of each bundled plan."""
+    """(plan id, placements) of all bundled plans."""
     for plan in HANDMADE:
         yield plan.plan_id, list(plan.placements)
     for index in BUNDLED_INDICES:

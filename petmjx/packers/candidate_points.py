@@ -24,17 +24,16 @@ _OTHER = 1 - _SLIDING
 
 
 class Candidates:
-    """The table of candidates: p points × s shapes. A shape is a kind of box in one orientation.
+    """The table of candidates: p points × s shapes. A shape is one kind of box in one orientation.
 
     Attributes:
         points: (p, 2) corners, mm.
         base: (s, 2) sides of the shapes along x and y, mm.
         area: (s,) areas of the bases, mm².
         height: (s,) heights of the shapes, mm.
-        z: (p, s) height at which the shape's bottom would rest, mm.
+        z: (p, s) height of the shape's bottom at rest, mm.
         carried: (p, s) area of the base that would be supported there, mm².
-        open: (p, s) whether the shape is inside the carrier and has not been refused since a box was last placed under
-            it.
+        open: (p, s) whether the shape is inside the carrier and no box was placed under it since its last refusal.
     """
 
     def __init__(self, base: FloatArray, height: FloatArray, extent_mm: tuple[float, float], most_boxes: int) -> None:
@@ -102,7 +101,7 @@ class Candidates:
         self.open |= (higher | level) & self._inside
 
     def _add_points(self, corners: Sequence[tuple[float, float]]) -> None:
-        """Add the points that are new and at which a shape is inside the carrier."""
+        """Add the points that are new, if a shape at the point is inside the carrier."""
         fresh = [point for point in dict.fromkeys(corners) if point not in self._known]
         self._known.update(fresh)
         points = np.array(fresh, dtype=np.float64).reshape(-1, 2)
@@ -131,8 +130,8 @@ def _copied_rows(rows: FloatArray, n: int) -> FloatArray:
 def corner_points(low: FloatArray, high: FloatArray) -> FloatArray:
     """(7, m, 2) corner points of the newest box of each of m piles, mm.
 
-    They are three corners of the box, and the same corners after they have slid towards x = 0 or y = 0 until they meet
-    a box. Points slide beside the box at the level of its bottom, and on the box at the level of its top.
+    The points are three corners of the box, and the same corners after they have slid towards x = 0 or y = 0 until they
+    meet a box. Points slide beside the box at the level of its bottom, and on the box at the level of its top.
 
     Args:
         low, high: (m, n, 3) corners of the boxes of each pile, mm; the newest box is the last.
@@ -146,7 +145,7 @@ def corner_points(low: FloatArray, high: FloatArray) -> FloatArray:
 
 
 def _slid(low: FloatArray, high: FloatArray, start: FloatArray, across: FloatArray, level: FloatArray) -> FloatArray:
-    """(4, m) coordinates at which four points of each of m piles meet a box; 0: the carrier's edge.
+    """(4, m) coordinates at which the four sliding points of each of m piles meet a box; 0: the carrier's edge.
 
     The points slide along −y, −x, −x and −y.
 
@@ -165,7 +164,7 @@ def _slid(low: FloatArray, high: FloatArray, start: FloatArray, across: FloatArr
 
 
 def let_down(area: FloatArray, tops: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Heights at which boxes come to rest on n placed boxes, mm, and their supported areas, mm².
+    """Heights of boxes at rest on n placed boxes, mm, and their supported areas, mm².
 
     Args:
         area: (…, n) overlap of each box with each placed box, seen from above, mm².

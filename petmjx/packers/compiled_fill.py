@@ -1,7 +1,7 @@
 """Compiled filling of packings: :meth:`petmjx.packers.packing_state.Packing.fill` in C++ (fill.cpp).
 
-Warp compiles the code, once for a machine. It puts the same boxes into the same places as Python, to the last bit. If
-that is not certain, Python fills up the packing.
+Warp compiles the code, once for a machine. The compiled code puts the same boxes into the same places as Python, to the
+last bit. If that is not certain, Python fills up the packing.
 """
 
 from __future__ import annotations
@@ -74,7 +74,7 @@ def _kernel() -> Any:
 
 
 class FillKernel:
-    """Fills up packings of one order with one taste and one clearance. Not thread-safe.
+    """Fills up packings of one order with one set of weights and one clearance. Not thread-safe.
 
     Args:
         start: a packing of the order.

@@ -1,9 +1,10 @@
 // Fills a packing up, best fit after best fit: what Packing.fill does (packing.py), in machine code.
 //
 // Every number that decides comes from the same operations in the same order as in candidates.py and packing.py, so that
-// packings are the same to the last bit. Balances (balance.py) differ in their last bits, and one may be so near to its
-// limit that this decides: often that of the new box itself, whose weight acts on the very edge. Then Python is asked,
-// and filling goes on from there. Of a box below, the end is UNSURE, and Packing.fill has to do it all.
+// packings are the same to the last bit. Balances (balance.py) differ in their last bits, and some are so near to their
+// limits that these bits decide: often the balance of the new box itself, whose weight acts on the very edge. Then the
+// code asks Python, and continues from the answer. For a box below, the result is UNSURE, and Packing.fill packs from
+// the beginning.
 //
 // Names in capitals that are not defined here, and the tables, are those of tables.py.
 
@@ -14,7 +15,7 @@ const double ROUNDING_KG_M = 4e-10;
 
 const double NONE = 1e300;  // cost of what is no candidate
 
-// A box at a candidate: what it would stand on.
+// A box at a candidate: its supports.
 struct Rest {
     int under = 0;   // boxes below it, in t.under
     int planes = 0;  // edges of their hull, in t.new_planes
@@ -178,7 +179,7 @@ struct Filling {
         return ring;
     }
 
-    // What a box at a candidate would pass on to those below, into t.new_passed, and which it would reach at all.
+    // The load of a box at a candidate on each box below, into t.new_passed, and the boxes that the load reaches.
     CUDA_CALLABLE void pass_on(const Rest& rest, const double* rectangles) const {
         double *sum = t.new_passed.data, total[9] = {};
         for (int i = 0; i < 9 * boxes; ++i) sum[i] = 0.0;
@@ -215,8 +216,8 @@ struct Filling {
         }
     }
 
-    // Whether a box at a candidate keeps the balance, or it or a box below TIPS over. UNKNOWN: what of the box itself is
-    // (`own`) has to be asked; NEAR: what of one below is.
+    // Whether a box at a candidate keeps the balance, or it or a box below TIPS over. UNKNOWN: the balance of the box
+    // itself (`own`) is too near; NEAR: the balance of a box below is.
     CUDA_CALLABLE int balance(int point, int shape, int own, Rest& rest) const {
         const double *at = t.points.data + 2 * point, *size = t.own_base.data + 2 * shape;
         const double z = t.z.data[(size_t)point * most_shapes + shape], mass = t.weight.data[shape];
@@ -319,7 +320,7 @@ struct Filling {
                 }
     }
 
-    // What all candidates cost. From then on costs change with what is put.
+    // The costs of all candidates. From here on costs change with each placed box.
     CUDA_CALLABLE void begin() {
         for (int point = 0; point < points; ++point)
             for (int shape = 0; shape < shapes; ++shape) {
@@ -338,8 +339,8 @@ struct Filling {
         return least < NONE;
     }
 
-    // Place boxes until an end. `how` and `own` are of the first one, which is at `point` unless how is WITH_BEST: whether it
-    // keeps its own balance. If the end is ASKS, `point` and `shape` are the candidate's.
+    // Place boxes until an end. `how` and `own` belong to the first box, which is at `point` unless how is WITH_BEST;
+    // `own`: whether it keeps its own balance. If the end is ASKS, `point` and `shape` are the candidate's.
     CUDA_CALLABLE int fill(int& point, int& shape, int how, int own) {
         if (how != WITH_ANSWER) begin();
         bool chosen = how != WITH_BEST;

@@ -1,8 +1,8 @@
 """Free space that a pile leaves for future boxes: how low typical cartons could stand, and how many places are level.
 
-A policy that sees one box does not know the next ones, but cartons have much in common. The height map of the pile on a
-coarse grid, with a candidate placed, shows the lowest place for each typical carton, and the air under the carton at
-that place.
+A policy with one visible box does not know the next boxes, but cartons have much in common. The height map of the pile
+on a coarse grid, with a candidate placed, shows the lowest place for each typical carton, and the air under the carton
+at that place.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ AIR: Final = 0.5
 """Cost of a millimetre of air under the carton (the mean over its base), in mm of height."""
 
 LEVEL_MM: Final = 15.0
-"""A place with less air than this is level."""
+"""A place with less air than this counts as level."""
 
 NAMES: Final = ("room_small", "room_large", "level_small", "level_large")
 
@@ -69,7 +69,7 @@ def _wider(highest: Heights, more: int) -> Heights:
 
 
 _DEEPER: Final = {4: (1, 2), 6: (1, 2, 2), 8: (1, 2, 4), 11: (1, 2, 4, 3), 12: (1, 2, 4, 4)}
-"""Depth of a window → steps that reach it from one cell. No step is longer than the depth before it."""
+"""Depth of a window → steps from one cell to this depth. No step is longer than the depth so far."""
 
 _NOWHERE_MM: Final = 2000.0
 

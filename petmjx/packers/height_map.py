@@ -13,7 +13,7 @@ CELL_MM: Final = 25.0
 
 
 class HeightMap:
-    """The highest top in each cell of a grid. Boxes are lowered from above, so a new box is the highest in its cells.
+    """Highest top in each cell of a grid. Boxes are lowered from above, so a new box is the highest in its cells.
 
     Attributes:
         height: (nx, ny) heights, mm.
@@ -62,7 +62,7 @@ class HeightMap:
     def over(self, low: NDArray[np.intp], high: NDArray[np.intp]) -> tuple[FloatArray, FloatArray, FloatArray]:
         """(m,) number of cells, sum of heights and sum of squared heights in rectangles.
 
-        Parts outside the target do not count.
+        Parts outside the target are ignored.
 
         Args:
             low, high: (m, 2) grid lines of the rectangles' corners.

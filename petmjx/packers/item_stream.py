@@ -1,4 +1,4 @@
-"""Online packing (``ItemStream``): boxes arrive one by one, and a packer sees only the next one or the next few."""
+"""Online packing (``ItemStream``): boxes arrive one by one, and a packer sees only the next box or the next few."""
 
 from __future__ import annotations
 
@@ -45,8 +45,8 @@ class Places(NamedTuple):
 
     def take(self, rows: NDArray[np.intp]) -> Places:
         """The candidates in some rows."""
-        some: list[Any] = [values[rows] for values in self]
-        return Places(*some)
+        row_values: list[Any] = [values[rows] for values in self]
+        return Places(*row_values)
 
 
 class ItemStream(Packing):
@@ -61,7 +61,7 @@ class ItemStream(Packing):
         items: items of one order, in order of arrival.
         extent_mm: extent of the target along x and y, mm.
         clearance_mm: free space between a box and its neighbours along x and y.
-        look_ahead: number of next boxes that the packer sees. Any of them may be placed next.
+        look_ahead: number of next boxes that the packer sees. Any visible box may be placed next.
         taste: weights of the rule of ``balanced``; None: its first set.
     """
 
@@ -112,7 +112,7 @@ class ItemStream(Packing):
         return self._masses[: len(self.placed)]
 
     def worth(self, places: Places) -> FloatArray:
-        """(c,) value of each candidate's box in the rule of ``balanced``, independent of its place, mm."""
+        """(c,) value of each candidate's box in the rule of ``balanced``, without its place, mm."""
         worths: FloatArray = self._worth[places.shape]
         return worths
 
@@ -133,7 +133,7 @@ class ItemStream(Packing):
         """Leave out the next box."""
         kind = self._coming.pop(0)
         self.skipped += 1
-        # equal boxes are interchangeable in a packing, so any of them may be removed
+        # equal boxes are interchangeable in a packing, so one of them stands for all
         self._stock[kind].pop(0)
         if not self._stock[kind]:
             self._keep_shapes(self._kind_of != kind)

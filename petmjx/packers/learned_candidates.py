@@ -1,8 +1,8 @@
 """Candidates of the packer ``learned``: extreme points seen from all four corners of the target.
 
-At an extreme point (Crainic, Perboli, Tadei 2008) a box touches its neighbours on the sides that face the origin. So a
-pile grows from one corner, and leaves its free space in slivers along the opposite edges. Here the pile is also
-mirrored, so that points are found from the three other corners as well.
+At an extreme point (Crainic, Perboli, Tadei 2008) a box touches its neighbours on the sides that face the origin. With
+points of one kind a pile grows from one corner, and leaves its free space in slivers along the opposite edges. Here the
+pile is also mirrored, so that points are found from the three other corners as well.
 """
 
 from __future__ import annotations
@@ -23,8 +23,8 @@ from petmjx.packers.pile_balance import SHARE_SLACK, TOUCH_MM
 from petmjx.plans.order_generator import Item
 
 LEAST_SUPPORT: Final = 0.2
-"""Least supported share of a base. It may be low, since two other rules decide: the balance, and the chance to stand by
-the stability head."""
+"""Least supported share of a base. The least support may be low, since two other rules decide: the balance, and the
+chance to stand by the stability head."""
 
 COARSE_MM: Final = 50.0
 
@@ -80,8 +80,8 @@ class MirroredCandidates(Candidates):
             area = overlap(corner, base[None], low[:, :2], high[:, :2])[:, 0]
             z, carried = let_down(area, high[:, 2])
             parts.append((np.full(len(z), shape), corner, z, np.where(z > 0, carried / self.area[shape], 1.0)))
-        some: list[Any] = [np.concatenate(arrays) for arrays in zip(*parts, strict=True)]
-        shape, self.corners, self.rests, support = some
+        arrays_of_parts: list[Any] = [np.concatenate(arrays) for arrays in zip(*parts, strict=True)]
+        shape, self.corners, self.rests, support = arrays_of_parts
         return shape, self.corners, self.rests, support
 
     def keep_shapes(self, kept: NDArray[np.bool_]) -> None:
@@ -141,8 +141,10 @@ class FourSidedStream(ItemStream):
             least_support: least supported share of a base.
         """
         table, kinds = self._table, set(self.seen)
-        seen = np.array([column for column, kind in enumerate(self._kind_of.tolist()) if kind in kinds], np.intp)
-        shape, corner, z, support = table.candidates(seen)
+        visible_columns = np.array(
+            [column for column, kind in enumerate(self._kind_of.tolist()) if kind in kinds], np.intp
+        )
+        shape, corner, z, support = table.candidates(visible_columns)
         fits = (z + table.height[shape] <= MAX_HEIGHT_MM + TOUCH_MM) & (support >= least_support - SHARE_SLACK)
         fits[list(self._refused)] = False
         rows = np.flatnonzero(fits)
@@ -159,7 +161,7 @@ class FourSidedStream(ItemStream):
         )
 
     def keeps_balance(self, places: Places, row: int) -> NextCandidate | None:
-        """The candidate in a row, if the pile keeps its balance with it; None: a box would lose its balance."""
+        """The candidate in a row, if the pile keeps its balance with this box; None: a box would lose its balance."""
         point, shape = int(places.point[row]), int(places.shape[row])
         x, y, z = places.corner_mm[row].tolist()
         length, width = self._base[shape].tolist()

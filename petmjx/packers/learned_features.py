@@ -18,8 +18,8 @@ from petmjx.packers.learned_candidates import FourSidedStream
 from petmjx.packers.pile_balance import TOUCH_MM
 
 LATE: Final = ("z", "support", "rougher", "room_small", "room_large")
-"""Features whose weight may depend on the height of the pile. They appear a second time, multiplied by the pile's mean
-height in m."""
+"""Features whose weight may depend on the height of the pile. The features appear a second time, multiplied by the
+pile's mean height in m."""
 
 NAMES: Final = (
     *("z", "grows", "below_top"),
@@ -130,7 +130,7 @@ def _neighbour_features(
     before, after = starts - highs, lows - ends
     shared = -np.maximum(np.maximum(before, after), np.maximum(lows - highs, starts - ends))
     along, upwards = shared[:2], shared[2]
-    is_beside = along[::-1] > TOUCH_MM  # a box is beside it along x if they overlap along y
+    is_beside = along[::-1] > TOUCH_MM  # a box is a neighbour along x if both overlap along y
     is_facing = is_beside & (upwards > NEAR_MM)
     level = highs[2] - ends[2]
     is_level, is_deeper = np.abs(level) <= NEAR_MM, level > NEAR_MM
@@ -164,7 +164,7 @@ def _neighbour_features(
 
 
 def _heights(columns: dict[str, FloatArray | float], start: FloatArray, end: FloatArray, surface: HeightMap) -> None:
-    """Add the features of the height map: under the box, around it, and after it has been placed."""
+    """Add the features of the height map: under the box, around the box, and after its placement."""
     low, high = surface.lines(start), surface.lines(end)
     count, under, under_square = surface.over(low, high)
     n_outer, outer, outer_square = surface.over(low - _RING, high + _RING)

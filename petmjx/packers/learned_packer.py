@@ -1,6 +1,8 @@
-"""The packer ``learned``: learned weights rank the candidates, and a small network predicts which of them stand.
+"""The packer ``learned``: learned weights rank the candidates, and a small network predicts the chance of each to
+stand.
 
-It was trained on generated orders only (examples/train_packer), with physics in the loop. In use it runs no simulation
+The packer was trained on generated orders only (examples/train_packer), with physics in the loop. In use it runs no
+simulation
 and is deterministic: an order has one plan.
 """
 
@@ -31,7 +33,7 @@ LEARNED: Final = "learned"
 """The packer's name."""
 
 CLEARANCE_MM: Final = 4.0
-"""Free space between neighbours. With it plans stand when a robot places the boxes (docs/packers.md)."""
+"""Free space between neighbours. The free space lets plans stand when a robot places the boxes (docs/packers.md)."""
 
 MOST_PLACES: Final = 32
 LEAST_PLACES: Final = 6
@@ -42,7 +44,8 @@ SURE: Final = 0.98
 """The best candidate whose chance to stand is at least this is taken."""
 
 LEAST_SURE: Final = 0.5
-"""If no candidate reaches ``SURE``, the one with the largest chance is taken, if its chance is at least this."""
+"""If no candidate reaches ``SURE``, the candidate with the largest chance is taken if this chance is at least
+``LEAST_SURE``."""
 
 MOST_TRIED: Final = 16
 """Largest number of candidates whose chance is computed, if none reaches ``SURE``."""
@@ -66,7 +69,7 @@ class ChosenCandidate(NamedTuple):
 
 
 class Decision(NamedTuple):
-    """One step: the rated candidates, their features, and the candidate that is taken."""
+    """One step: the rated candidates, their features, and the chosen candidate."""
 
     places: Places
     rows: FloatArray
@@ -97,7 +100,7 @@ class Policy:
     def take(self, stream: FourSidedStream, places: Places, scores: FloatArray) -> ChosenCandidate | None:
         """The best candidate that keeps the balance and has at least the chance ``SURE``.
 
-        If there is none among the first ``MOST_TRIED``, the one with the largest chance. None: no chance reaches
+        Without one among the first ``MOST_TRIED``, the candidate with the largest chance. None: no chance reaches
         ``LEAST_SURE``.
         """
         surest: ChosenCandidate | None = None
@@ -128,7 +131,7 @@ class Policy:
         return None
 
     def choose(self, stream: FourSidedStream) -> NextCandidate | None:
-        """The candidate that is taken in one step; None: no visible box has a place."""
+        """The chosen candidate of one step; None: no visible box has a place."""
         decision = self.decide(stream)
         return None if decision is None else decision.chosen.next
 
@@ -143,8 +146,8 @@ class Policy:
     def load(cls, file: Path | IO[bytes]) -> Policy:
         """A policy with the weights of a file."""
         with np.load(file, allow_pickle=False) as arrays:
-            named = dict(arrays)
-        return cls(Network.of_arrays("taste", named), Network.of_arrays("head", named))
+            weights = dict(arrays)
+        return cls(Network.of_arrays("taste", weights), Network.of_arrays("head", weights))
 
 
 def placing_of(stream: FourSidedStream, places: Places, row: int, rest: Rest | None = None) -> PlacementState:
@@ -160,8 +163,8 @@ def lowest(stream: FourSidedStream, places: Places) -> Places:
     kinds = np.unique(places.kind)
     most = max(MOST_PLACES // max(len(kinds), 1), LEAST_PLACES)
     order: NDArray[np.intp] = np.argsort(cost, kind="stable")
-    kept = [order[places.kind[order] == kind][:most] for kind in kinds.tolist()]
-    return places.take(np.concatenate(kept)) if kept else places
+    lowest_rows = [order[places.kind[order] == kind][:most] for kind in kinds.tolist()]
+    return places.take(np.concatenate(lowest_rows)) if lowest_rows else places
 
 
 @functools.cache
@@ -177,8 +180,8 @@ def pack_learned(
     """Place the items on a target of ``extent_mm``, in order of arrival. Items without a place are left out.
 
     Args:
-        look_ahead: number of next boxes that the packer sees. Any of them may be placed next.
-        policy: a policy; None: the published one.
+        look_ahead: number of next boxes that the packer sees. Any visible box may be placed next.
+        policy: a policy; None: the published policy.
     """
     return pack_stream(
         FourSidedStream(items, extent_mm, CLEARANCE_MM, look_ahead), (policy or published_policy()).choose

@@ -1,12 +1,12 @@
-// What fill.cpp computes with: halves of hulls, 3 × 3 matrices, loads. Matrices have their rows one after the other.
+// The arithmetic of fill.cpp: halves of hulls, 3 × 3 matrices, loads. Matrices are stored row by row.
 
 namespace petmjx {
 
 inline CUDA_CALLABLE double min_of(double a, double b) { return a < b ? a : b; }
 inline CUDA_CALLABLE double max_of(double a, double b) { return a > b ? a : b; }
 
-// One half of the convex hull of (count, 2) points, read from `from` in steps of `step`: its corners, in `chain`, and how
-// many there are without the last, with which the other half begins.
+// One half of the convex hull of (count, 2) points, read from `from` in steps of `step`: its corners, in `chain`, and
+// their number without the last, which begins the other half.
 inline CUDA_CALLABLE int half_hull(const double* from, int count, int step, double least_turn, double* chain) {
     int length = 0;
     for (int i = 0; i < count; ++i) {
@@ -59,7 +59,7 @@ inline CUDA_CALLABLE void multiply(const double* a, const double* b, double* sum
             sum[3 * i + j] += a[3 * i] * b[j] + a[3 * i + 1] * b[3 + j] + a[3 * i + 2] * b[6 + j];
 }
 
-// Adds to a load (kg, kg·m, kg·m) what is passed on of another.
+// Adds the passed-on part of one load to another load (kg, kg·m, kg·m).
 inline CUDA_CALLABLE void load_on(const double* passed, const double* load, double* sum) {
     for (int i = 0; i < 3; ++i)
         sum[i] += passed[3 * i] * load[0] + passed[3 * i + 1] * load[1] + passed[3 * i + 2] * load[2];

@@ -94,8 +94,8 @@ class Packed:
     def save(self, path: PathArgument) -> None:
         """Write the plans to a file. An existing file is replaced.
 
-        The format is BED-BPP's JSON, or a table if the name ends in ``.csv`` or ``.parquet``. If it ends in ``.gz``,
-        the file is gzipped.
+        The format is BED-BPP's JSON, or a table if the name ends in ``.csv`` or ``.parquet``. If the name ends in
+        ``.gz``, the file is gzipped.
 
         Raises:
             InputError: there is no plan, or the file cannot be written.
@@ -134,11 +134,11 @@ def pack(
         n, seed: number and seed of the generated orders.
         packer: ``physical`` or ``learned``.
         look_ahead: number of next boxes that ``learned`` sees; None: 1.
-        workers: number of processes for the search. It changes no plan. Scripts with more than one need
+        workers: number of processes for the search. The option changes no plan. Scripts with more than one process need
             ``if __name__ == "__main__":``.
         on_bad_order: called with the error of an unusable order, which is then skipped; None: the error is raised.
-        target: what orders are packed on whose file does not say it: ``euro-pallet``, ``rollcontainer``, or sizes in mm
-            such as ``1200x1000``; None: the file's container if it is a pallet, else a Euro pallet.
+        target: carrier of orders whose file names none: ``euro-pallet``, ``rollcontainer``, or sizes in mm such as
+            ``1200x1000``; None: the file's container if it is a pallet, else a Euro pallet.
         options: ``width``, ``branch``, ``clearances_mm``, ``worlds``, ``least_share``, ``maximise`` (docs/packers.md);
             ``errors``, a sweep file; fields of ``petmjx.Simulation``; ``engine``, ``threads``, ``lanes``; how a
             file of orders is read: ``units``, ``columns``, ``density``, ``items``, ``reading``
@@ -167,20 +167,22 @@ def pack_each(
     workers: int = 1,
     **options: Any,
 ) -> Iterator[PackedOrder]:
-    """The results of ``pack``, each as soon as it is known.
+    """The results of ``pack``, each as soon as known.
 
     Args:
         orders: pairs of an id and an order.
-        options: as in ``pack``. They are checked before the first order is taken.
+        options: as in ``pack``. The options are checked before the first order is read.
     """
-    packer_options, how = _split_options(options)
+    packer_options, simulation_options = _split_options(options)
     if packer not in (PHYSICAL, LEARNED):
         raise InputError(f"packer must be {PHYSICAL} or {LEARNED}, {shown_value(packer)}")
     if packer == PHYSICAL and look_ahead is not None:
         raise InputError(f"look_ahead needs the packer {LEARNED}")
     ahead = integer_of(1 if look_ahead is None else look_ahead, "look_ahead", 1, MOST_LOOK_AHEAD)
     sees = ahead if packer == LEARNED else None
-    return pack_physical(orders, packer_options, how, integer_of(workers, "workers", 1, MOST_WORKERS), sees)
+    return pack_physical(
+        orders, packer_options, simulation_options, integer_of(workers, "workers", 1, MOST_WORKERS), sees
+    )
 
 
 def orders_of(
@@ -193,7 +195,7 @@ def orders_of(
     """The orders of a file, or generated orders.
 
     Args:
-        reading: how a file is read that is not in BED-BPP's form; None: what is most plausible.
+        reading: the reading of a file that is not in BED-BPP's form; None: the most plausible reading.
     """
     integer_of(seed, "seed", 0)
     if orders is not None:
@@ -212,7 +214,7 @@ def reading_of(
     """How a file of orders is read, and the options that are left.
 
     Args:
-        are_read: whether there is a file; without one, none of these options may be given.
+        are_read: whether there is a file; False: these options must be missing.
 
     Raises:
         InputError: an option is unusable.

@@ -17,7 +17,8 @@ SOURCE = "pack"
 """Source of the plans in messages, instead of a file's name."""
 
 FIRST_WORLDS: Final = 4
-"""Number of worlds with errors that are simulated first. They suffice to refuse most packings that fall too often."""
+"""Number of worlds with errors that are simulated first. These worlds suffice to refuse most packings that fall too
+often."""
 
 
 @dataclass(frozen=True)
@@ -29,7 +30,7 @@ class Evaluation:
         plan: the packing as a plan.
         verdict: the verdict of the nominal world, in which all boxes are placed exactly.
         n_worlds: number of worlds with errors that have a verdict.
-        n_standing: number of these worlds in which the plan stands.
+        n_standing: number of worlds with errors in which the plan stands.
         n_simulated: number of simulated worlds, including the nominal one and invalid ones.
     """
 
@@ -47,8 +48,8 @@ class Evaluation:
 
     @property
     def share(self) -> float:
-        """Share of the worlds with errors in which the plan stands. Without such worlds: 1 if it stands when placed
-        exactly, else 0.
+        """Share of the worlds with errors in which the plan stands. Without such worlds: 1 if the plan stands when
+        placed exactly, else 0.
         """
         return self.n_standing / self.n_worlds if self.n_worlds else float(self.stands)
 
@@ -112,13 +113,14 @@ def order_evaluation(
     """Evaluate the packings of an order: yields requests for worlds, and returns the evaluations.
 
     The caller resumes the generator when all requested worlds have verdicts. Packings are evaluated one after the other
-    until one is good. Each begins with a few worlds, and gets the others only if it can still be good. If no packing is
-    good, all worlds of all packings are requested, since the packing that stands most often is then taken.
+    until one is good. Each packing begins with a few worlds, and gets the remaining worlds only if it can still be
+    good. If no packing is good, all worlds of all packings are requested, since the packing that stands most often is
+    then taken.
 
     Args:
         finalists: packings of the order, the best first.
-        spare: whether the engine has spare capacity. Then worlds are requested before it is known whether they are
-            needed.
+        spare: whether the engine has spare capacity. With spare capacity, worlds are requested before they are
+            certainly needed.
     """
     tried: list[Trial] = []
     by_share = options.maximise == "share"
@@ -129,20 +131,22 @@ def order_evaluation(
         now = [Trial(plan_id, finalist) for finalist in (left if hurries or by_share else left[:1])]
         tried += now
         yield [(trial, trial.ask(first)) for trial in now]
-        if rest := [trial for trial in now if first < options.worlds and not trial.is_hopeless(options)]:
-            yield [(trial, trial.ask(options.worlds)) for trial in rest]
+        if open_trials := [trial for trial in now if first < options.worlds and not trial.is_hopeless(options)]:
+            yield [(trial, trial.ask(options.worlds)) for trial in open_trials]
         if any(trial.is_whole(options) and trial.judged.is_good(options) for trial in tried):
             break
     else:
-        if rest := [trial for trial in tried if not trial.is_whole(options)]:
-            yield [(trial, trial.ask(options.worlds)) for trial in rest]
+        if open_trials := [trial for trial in tried if not trial.is_whole(options)]:
+            yield [(trial, trial.ask(options.worlds)) for trial in open_trials]
     return [trial.judged for trial in tried]
 
 
 def decisive_evaluations(judged: Sequence[Evaluation], options: PhysicalOptions) -> Sequence[Evaluation]:
-    """The evaluations among which ``choose`` chooses. They do not depend on how many more packings were simulated.
+    """The evaluations among which ``choose`` chooses. The results do not depend on how many further packings were
+    simulated.
 
-    They end with the first good packing, since later ones are less dense. If the share is maximised, all count.
+    The evaluations end with the first good packing, since later ones are less dense. If the share is maximised, all
+    evaluations count.
     """
     good = next((number for number, packing in enumerate(judged) if packing.is_good(options)), None)
     return judged if good is None or options.maximise == "share" else judged[: good + 1]
@@ -157,18 +161,18 @@ def plan_of(plan_id: str, finalist: Finalist) -> Plan:
 def choose(judged: Sequence[Evaluation], options: PhysicalOptions) -> Evaluation:
     """The packing that is taken.
 
-    Among good packings it is the one with the largest volume, then with the largest value of ``options.maximise``. If
-    none is good, it is the one that stands most often.
+    Among good packings the choice is the largest volume, then the largest value of ``options.maximise``. Without a good
+    packing, the choice is the packing that stands most often.
 
     Args:
         judged: evaluations, at least one.
     """
-    good = [packing for packing in judged if packing.is_good(options)]
-    if not good:
+    good_packings = [packing for packing in judged if packing.is_good(options)]
+    if not good_packings:
         return max(judged, key=lambda packing: (packing.stands, packing.share, packing.finalist.volume_m3))
     by_share = options.maximise == "share"
     return max(
-        good,
+        good_packings,
         key=lambda packing: (
             packing.finalist.volume_m3,
             packing.share if by_share else 0.0,

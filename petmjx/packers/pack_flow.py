@@ -1,4 +1,4 @@
-"""Flow of orders through search and simulation (``Flow``). An order continues as soon as its own results are known."""
+"""Flow of orders through search and simulation (``Flow``). An order continues as soon as it has its own results."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ class Orders(NamedTuple):
         few: an idle engine waits until this many orders have been searched.
         most: largest number of orders in simulation; with more an engine is not faster.
         worlds: an engine with fewer worlds than this has spare capacity for worlds that may not be needed.
-        rows: least number of worlds for which the tables of ``mjx-warp`` have rows. When the tables are full, all their
+        rows: least number of worlds with rows in the tables of ``mjx-warp``. When the tables are full, all their
             worlds end before new ones begin.
     """
 
@@ -39,8 +39,8 @@ CPU: Final = Orders(4, 16, 0, 1024)
 GPU: Final = Orders(64, 1024, 256, 8192)
 
 GRANULE: Final = 96
-"""Capacities of tables, in boxes, are multiples of this. With a smaller step, an order with more boxes than the ones
-before would wait until their worlds have ended, and so would all orders after it."""
+"""Capacities of tables, as numbers of boxes, are multiples of this. With a smaller step, an order with more boxes than
+earlier orders would wait until their worlds have ended, and so would all orders after it."""
 
 FEW_ALONE: Final = 16
 """Upper limit of ``Orders.few`` if the process that simulates also searches."""
@@ -132,7 +132,7 @@ class Flow:
     def _more(self) -> list[World]:
         """The worlds requested since the last call, also the worlds of newly searched orders.
 
-        It waits for searches only if the engine has no other work, or if the search runs in this process.
+        The flow waits for searches only if the engine has no other work, or if the search runs in this process.
         """
         while self._open < self._at_a_time.most:
             idle = self._unanswered == len(self._following)
@@ -153,7 +153,7 @@ class Flow:
         return self._searched.ended and self._unanswered < self._at_a_time.worlds
 
     def _go_on(self, order: _OpenOrder) -> None:
-        """Request an order's next worlds. If it needs none, it is packed."""
+        """Request an order's next worlds. An order without missing worlds is packed."""
         try:
             requests = next(order.asking)
         except StopIteration as end:

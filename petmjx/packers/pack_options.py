@@ -49,13 +49,13 @@ class PhysicalOptions(CheckedRecord):
         2, description="packings that the search keeps at each step"
     )
     branch: Annotated[int, within(1, 64), CliFlag("--branch", "N")] = Field(
-        3, description="candidates tried for each of them"
+        3, description="candidates tried for each of these packings"
     )
     clearances_mm: Annotated[
         tuple[float, ...], BeforeValidator(_split), AfterValidator(_clearances), CliFlag("--clearances", "MM,…")
     ] = Field(
         (3.0, 6.0, 10.0),
-        description="free space between neighbours, mm; one search for each of these values",
+        description="free space between neighbours, mm; one search for each value",
     )
     worlds: Annotated[int, AfterValidator(_worlds), CliFlag("--worlds", "N")] = Field(
         16,
@@ -63,7 +63,7 @@ class PhysicalOptions(CheckedRecord):
         "least 4; 0: only placed exactly",
     )
     least_share: Annotated[float, within(0, 1), CliFlag("--least-share", "0…1")] = Field(
-        0.9, description="least share of these worlds that must stand"
+        0.9, description="least share of the worlds with errors that must stand"
     )
     maximise: Annotated[Literal["utilisation", "share"], CliFlag("--maximise", "utilisation|share")] = Field(
         "utilisation",

@@ -43,7 +43,7 @@ class WorldsOfPlans:
 
     @property
     def work(self) -> Work:
-        """The work of one plan. It would decide the engine, but here the caller has named one."""
+        """The work of one plan. The bound would only matter for ``auto``, but here the caller has named an engine."""
         return Work(self.sim, [1])
 
     def of(self, plan: Plan, variants: Iterable[int]) -> Iterator[World]:

@@ -30,10 +30,10 @@ class PackedOrder:
         n_items: number of boxes of the order.
         taken: the chosen packing; None: no box has a place.
         tried: number of packings that were evaluated until one was good.
-        n_simulated: number of simulated worlds. It may depend on other orders.
+        n_simulated: number of simulated worlds. The choice may depend on other orders.
         good: whether the plan stands as often as requested.
-        left_out: items that the packing leaves out; None: it leaves out nothing.
-        why: the reason why items are left out; "": none are.
+        left_out: items that the packing leaves out; None: no item.
+        why: the reason why items are left out; "": no item is left out.
     """
 
     order_id: str
@@ -58,7 +58,7 @@ class PackedOrder:
 
         Args:
             finalists: all packings of the order.
-            judged: the evaluations of those that were simulated.
+            judged: the evaluations of the simulated packings.
         """
         tried = decisive_evaluations(judged, options)
         packing = choose(tried, options) if tried else None

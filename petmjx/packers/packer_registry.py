@@ -31,7 +31,7 @@ class Packer(Protocol):
     def __call__(
         self, items: Sequence[Item], extent_mm: tuple[float, float], rules: PackRules | None, rng: np.random.Generator
     ) -> list[PlacedBox]:
-        """Place items on a target of ``extent_mm`` (x, y). The placed boxes hold the same objects as ``items``.
+        """Place items on a target of ``extent_mm`` (x, y). Placed boxes hold the same objects as ``items``.
 
         Args:
             rules: rules of the packer ``baseline``; None: its defaults.
@@ -68,7 +68,7 @@ PACKERS: Final[Mapping[str, Packer]] = MappingProxyType(
 WHY: Final[Mapping[str, str]] = MappingProxyType(
     {LEARNED: "when they came, no place below 2 m was in balance and likely to stand"}
 )
-"""Name of a packer → its own reason for leaving boxes out, where it has one."""
+"""Name of a packer → its own reason for leaving boxes out, if it has one."""
 
 
 def packer_named(name: str, look_ahead: int | None = None) -> Packer:
@@ -78,7 +78,7 @@ def packer_named(name: str, look_ahead: int | None = None) -> Packer:
         look_ahead: number of next boxes that the packer ``learned`` sees; None: 1.
 
     Raises:
-        InputError: no packer has this name, or it has no look-ahead.
+        InputError: no packer has this name, or the packer has no look-ahead.
     """
     if not isinstance(name, str):
         raise InputError(f"packer must be text, {shown_value(name)}")

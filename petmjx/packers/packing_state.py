@@ -33,8 +33,8 @@ class Taste:
         per_base_side: value per mm of the square root of the base area.
         per_log_weight: value per unit of the natural logarithm of the weight.
         per_height: value per mm of the box's height.
-        per_overhang: cost of a base that is not supported at all; in proportion for a part of it.
-        per_distance: cost per mm of x + y. Among equally good places, the one nearest to the corner is taken.
+        per_overhang: cost of a base without support; in proportion for a partly supported base.
+        per_distance: cost per mm of x + y. Among equally good places, the place nearest to the corner is chosen.
     """
 
     per_base_side: float = 1.4
@@ -54,7 +54,7 @@ class NextCandidate(NamedTuple):
 
 
 class FullPacking(NamedTuple):
-    """A packing on which no more box has a place. Its fields are those of ``Packing``."""
+    """A packing on which no more box has a place. The fields are those of ``Packing``."""
 
     placed: tuple[PlacedBox, ...]
     top_mm: float
@@ -183,7 +183,7 @@ class Packing:
             self._keep_shapes(self._kind_of != kind)
 
     def fill(self, highest_mm: float = inf, most: float = inf) -> bool:
-        """Place the best candidate, again and again, until none is left. Returns False if it was aborted.
+        """Place the best candidate, again and again, until none is left. Returns False after an abort.
 
         Args:
             highest_mm: abort as soon as a top is higher.
@@ -198,10 +198,10 @@ class Packing:
         return False
 
     def filled(self, first: NextCandidate | None = None, highest_mm: float = inf) -> FullPacking | None:
-        """The full packing that follows from this one, which is not changed. None: a top would be too high.
+        """The full packing that follows from this packing; this one stays unchanged. None: a top would be too high.
 
         Args:
-            first: candidate of the last call of ``next`` that is placed first; None: the best one.
+            first: candidate of the last call of ``next`` that is placed first; None: the best candidate.
             highest_mm: greatest height of a top.
         """
         twin = self.copy()
@@ -212,7 +212,7 @@ class Packing:
         return FullPacking(tuple(twin.placed), twin.top_mm, twin.volume_m3, twin.moment_kg_mm)
 
     def filled_with(self, shapes: Sequence[int], corners_mm: Sequence[Sequence[float]]) -> FullPacking:
-        """The full packing with further boxes of these shapes at these corners, in this sequence."""
+        """The full packing: this one plus boxes of these shapes at these corners, in this sequence."""
         placed, top, volume, moment = list(self.placed), self.top_mm, self.volume_m3, self.moment_kg_mm
         kinds, turned, heights = self._kind_of.tolist(), self._turned.tolist(), self._table.height.tolist()
         left = [len(same) for same in self._stock]

@@ -20,7 +20,7 @@ class End(IntEnum):
 
 
 class Begin(IntEnum):
-    """How filling up begins: with the best candidate, with a candidate that is known to keep the balance, or with the
+    """How filling up begins: with the best candidate, with a candidate that surely keeps the balance, or with the
     answer to the last question.
     """
 
@@ -28,7 +28,7 @@ class Begin(IntEnum):
 
 
 class Answer(IntEnum):
-    """What is known about a balance.
+    """Answers about a balance.
 
     ``UNKNOWN``: Python must decide whether the box itself tips over. ``NEAR``: a box below is too near to its limit.
     """
@@ -101,4 +101,4 @@ AXES: Final[Mapping[str, tuple[Any, str]]] = {
 
 ``base`` includes the free space, ``own_base`` does not. ``stock`` is the number of remaining boxes by kind. Lengths are
 in mm, but in m in the tables of the balance (``low_m`` to ``owner``). ``made_shape`` and ``made_corner`` are the placed
-boxes; all tables after them are scratch memory."""
+boxes; all later tables are scratch memory."""

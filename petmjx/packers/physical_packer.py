@@ -1,8 +1,8 @@
 """The packer ``physical``: rules find dense packings, and physics chooses among them.
 
 Rules find packings that are dense and in balance (:mod:`petmjx.packers.beam_search`), with different free spaces
-between neighbours. Simulation shows which of them stand, placed exactly and placed by a robot. Searches run in worker
-processes. One engine simulates the packings of all orders, and gets the packings of an order as soon as they are known:
+between neighbours. Simulation shows which packings stand, placed exactly and placed by a robot. Searches run in worker
+processes. One engine simulates the packings of all orders, and gets the packings of an order as soon as they exist:
 engines are fast with many worlds at a time, and no order waits for another.
 """
 
@@ -36,7 +36,7 @@ def pack_physical(
     Args:
         orders: pairs of an id and an order.
         how: options of ``petmjx.score`` for the simulation.
-        workers: number of processes for the search. It changes no plan.
+        workers: number of processes for the search. The option changes no plan.
         look_ahead: number of next boxes that the packer ``learned`` sees; its packing is simulated instead of those of
             the search. None: search.
 

@@ -2,10 +2,10 @@
 
 The criterion is mechanical equilibrium (Ramos, Oliveira, Gonçalves, Lopes 2016, "A container loading algorithm with
 static mechanical equilibrium constraints", Transportation Research Part B 91, 565–581): the resultant of a box's weight
-and of all loads on it must act within the convex hull of its contacts. Here it must be inside by at least a margin.
-Statics do not determine how a box distributes its load among the boxes below. The pressure under its base is taken as a
-plane, p = a + b·x + c·y, as on a bed of equal springs (Winkler 1867, "Die Lehre von der Elasticität und Festigkeit").
-The plane has the force and the moments of the load. On two narrow supports this is the lever rule.
+and of all loads on it must act within the convex hull of its contacts. Here the resultant must be inside by at least a
+margin. Statics do not determine how a box distributes its load among the boxes below. The pressure under its base is
+taken as a plane, p = a + b·x + c·y, as on a bed of equal springs (Winkler 1867, "Die Lehre von der Elasticität und
+Festigkeit"). The plane has the force and the moments of the load. On two narrow supports this is the lever rule.
 
 So a load is a vector (F, F·x, F·y), and the load that a box passes to a box below is linear in its own load: a 3 × 3
 matrix. ``Balance`` keeps the products of these matrices, from each box to all boxes below it. So a further box needs
@@ -26,26 +26,26 @@ from petmjx.common.units import MM_PER_M, FloatArray
 from petmjx.packers.packing_tables import Count
 
 TOUCH_MM: Final = 1e-6
-"""Tolerance for rounding errors of float64 sums. Tops closer than this have the same height, and smaller overlaps do
-not count."""
+"""Tolerance for rounding errors of float64 sums. Tops with a smaller difference count as equally high, and smaller
+overlaps do not count."""
 
 SHARE_SLACK: Final = 1e-9
 """Tolerance for rounding errors of a supported share, below the least share."""
 
 MARGIN_M: Final = 0.020
 MARGIN_SHARE: Final = 0.2
-"""Margin by which a resultant must act inside the hull: 20 mm, or for small boxes this share of the shorter side. With
-10 mm and a least support of 0.6 all of 60 plans stood as well; the larger margin is for the errors of a robot."""
+"""Margin by which a resultant must act inside the hull: 20 mm, or for small boxes a share of the shorter side. With 10
+mm and a least support of 0.6 also all of 60 plans stood; the larger margin is for the errors of a robot."""
 
 FAR_M: Final = 0.2
 """Upper limit of reported margins. A box on the carrier has this margin."""
 
 SAME_PLACE_DECIMALS: Final = 9
-"""Corners are rounded to a nanometre. The hull takes points from left to right. Without rounding it could lose a point
-that is to the left of others by less than float64 products resolve."""
+"""Corners are rounded to a nanometre. The hull takes points from left to right. Without rounding the hull could lose a
+point that is to the left of others by less than float64 products resolve."""
 
 LEAST_TURN_M2: Final = 1e-12
-"""A point at which the hull turns by less is no corner but lies on an edge: tolerance for rounding errors of products
+"""A point with a smaller turn of the hull is no corner but lies on an edge: tolerance for rounding errors of products
 of coordinates."""
 
 SLACK_KG_M: Final = 1e-9
@@ -58,7 +58,7 @@ class Rest(NamedTuple):
     Attributes:
         load: (3,) the box's own weight as a load.
         passed: (n, 3, 3) matrices from a load on the box to the load that reaches each of the n boxes placed before;
-            None: the box is on the carrier.
+            None: the box stands on the carrier.
         planes: (k, 3) edges of the box's hull, moved inward. The product with a load is ≤ 0 if it acts inside.
     """
 
@@ -71,7 +71,7 @@ class Margins(NamedTuple):
     """The margins against tipping of a pile with one more box.
 
     Attributes:
-        rest: the effect of the box on the balance; None: nothing is under it.
+        rest: the effect of the box on the balance; None: the box has no support.
         own_m: distance by which the box's weight acts inside its hull.
         pile_m: the least such distance of the loads of all boxes below.
     """
@@ -123,7 +123,8 @@ class Balance:
         return self._load[: self.n]
 
     def rest(self, corner_mm: tuple[float, float, float], base_mm: tuple[float, float], mass_kg: float) -> Rest | None:
-        """The effect of one more box that rests on the tops at its height; None: it or a box below would tip over."""
+        """The effect of one more box that rests on the tops at its height; None: the new box or a box below would tip
+        over."""
         let_down = self._let_down(corner_mm, base_mm, mass_kg)
         if corner_mm[2] <= 0:
             return let_down
@@ -147,7 +148,7 @@ class Balance:
             rest: result of the method ``rest`` for this box, if known.
         """
         let_down = rest or self._let_down(corner_mm, base_mm, mass_kg)
-        if let_down is None:  # nothing is under it
+        if let_down is None:  # the box has no support
             return Margins(let_down, -FAR_M, FAR_M)
         box_margin = pile = FAR_M
         if len(let_down.planes):
@@ -159,7 +160,7 @@ class Balance:
         return Margins(let_down, min(box_margin, FAR_M), min(pile, FAR_M))
 
     def _over_planes(self, let_down: Rest) -> FloatArray:
-        """(k,) product of each plane of the pile with its owner's load, with one more box. Above 0: the load acts
+        """(k,) product of each plane of the pile with its owner's load, including one more box. Above 0: the load acts
         outside.
         """
         assert let_down.passed is not None
@@ -170,7 +171,7 @@ class Balance:
     def _let_down(
         self, corner_mm: tuple[float, float, float], base_mm: tuple[float, float], mass_kg: float
     ) -> Rest | None:
-        """The effect of one more box, whether the pile keeps its balance or not; None: nothing is under the box."""
+        """The effect of one more box, whether the pile keeps its balance or not; None: the box has no support."""
         n = self.n
         corner = np.array(corner_mm[:2]) / MM_PER_M
         base = np.array(base_mm) / MM_PER_M
@@ -241,7 +242,7 @@ def hull_planes(low: FloatArray, high: FloatArray, margin: float) -> FloatArray:
         margin: distance, m.
 
     Returns:
-        (k, 3) rows (d, n_x, n_y). d + n · p is the distance by which a point p lies beyond the moved edge.
+        (k, 3) rows (d, n_x, n_y): a point p lies by d + n · p beyond the moved edge.
     """
     lows, highs = np.round(low, SAME_PLACE_DECIMALS).tolist(), np.round(high, SAME_PLACE_DECIMALS).tolist()
     corners = [(x, y) for (x0, y0), (x1, y1) in zip(lows, highs, strict=True) for x in (x0, x1) for y in (y0, y1)]

@@ -23,7 +23,7 @@ NAMES: Final = (
 )
 
 MOST_GAP_MM: Final = 15.0
-"""Largest gap that counts. The errors of a robot are some millimetres, so neighbours further away have no effect."""
+"""Largest gap of a contact. The errors of a robot are some millimetres, so neighbours further away have no effect."""
 
 _MARGIN_M: Final = 0.05
 
@@ -87,10 +87,10 @@ def stability_features(box: PlacementState) -> FloatArray:
     for axis, across in ((0, 1), (1, 0)):
         facing = (away[:, across] < -TOUCH_MM) & (z < -TOUCH_MM) & (away[:, axis] > -MOST_GAP_MM)
         for side, free in enumerate((start[axis] - high[:, axis], low[:, axis] - end[axis])):
-            which = facing & (free > -MOST_GAP_MM)
-            gaps[axis][side] = np.where(which, free, MOST_GAP_MM).min(initial=MOST_GAP_MM)
-        near = facing & (away[:, axis] < MOST_GAP_MM)
-        faces[axis] = float(np.where(near, shared[:, across] * shared[:, 2], 0.0).sum() / (size[across] * size[2]))
+            is_near = facing & (free > -MOST_GAP_MM)
+            gaps[axis][side] = np.where(is_near, free, MOST_GAP_MM).min(initial=MOST_GAP_MM)
+        is_close = facing & (away[:, axis] < MOST_GAP_MM)
+        faces[axis] = float(np.where(is_close, shared[:, across] * shared[:, 2], 0.0).sum() / (size[across] * size[2]))
     sides = high[:, :2] - low[:, :2]
     slim = (high[:, 2] - low[:, 2]) / sides.min(axis=1) if len(sides) else np.zeros(0)
     mass_below = float(box.masses[under].sum())

@@ -15,7 +15,7 @@ class Network:
     """score = x · linear + tanh(x · hidden + bias) · out + constant, with x = (features − mean) / scale.
 
     Attributes:
-        mean, scale: (f,) mean and scale of the features; they are not learned.
+        mean, scale: (f,) mean and scale of the features; without training.
         linear: (f,) weights of the linear part.
         hidden: (f, h) weights of the hidden units.
         bias: (h,) biases of the hidden units.

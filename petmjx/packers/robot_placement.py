@@ -16,10 +16,10 @@ def placement_stability(plan: Plan) -> FloatArray:
     """(n,) the chance of each box of a plan to stand when a robot places all boxes inexactly.
 
     A box stands if it stands to the end, or until another box fails first. The product of the chances is the chance
-    that the whole plan stands. A box has the chance 0 if it touches no top below it, or begins below the carrier's top.
+    that the whole plan stands. A box has the chance 0 if it touches no top below, or begins below the carrier's top.
 
-    A network estimates the chances, in a millisecond a box; it is no simulation. ``petmjx.score(plan, confidence=64)``
-    simulates the plan. docs/packers.md says how far the estimate can be trusted.
+    A network estimates the chances, in a millisecond a box; without a simulation. ``petmjx.score(plan, confidence=64)``
+    simulates the plan. docs/packers.md has the reliability of the estimate.
 
     Raises:
         InputError: ``plan`` is no plan.

@@ -39,7 +39,8 @@ DEFAULT_LOOSE_SHARE = 0.5
 adaptive, physics ``pallet``): 38 % fail, that is 38 of 55 loose plans and none of 45 strict ones."""
 
 MOST_SAMPLES = 200_000
-"""Largest number of plans of a set: twenty times BED-BPP's. Their file has nearly 4 GiB, the most that petmjx reads."""
+"""Largest number of plans of a set: twenty times BED-BPP's. A file of this many plans has nearly 4 GiB, the most that
+petmjx reads."""
 
 LOOSE_SUPPORT = (0.3, 0.6)
 """Range from which ``min_support`` of a loose plan is drawn. A strict plan has the default of ``PackRules``."""
@@ -54,7 +55,7 @@ class LeftOutItems:
         n_items: number of items of the order.
         numbers: keys of the left-out items in the order's ``item_sequence``, rising; in a generated order, which has no
             keys, their positions from 1.
-        why: the reason; "": there was no place below 2 m.
+        why: the reason; "": no place below 2 m.
     """
 
     order_id: str
@@ -88,12 +89,12 @@ def generate(
     """The first ``n`` plans of ``seed``: (plan id, placements in packing order). Plans are made lazily.
 
     Args:
-        loose_share: share of loose plans of the packer ``baseline``; other packers make no loose plans. None: 0 if a
-            packer is named, else ``DEFAULT_LOOSE_SHARE``.
+        loose_share: share of loose plans of the packer ``baseline``; other packers make no loose plans. None: 0 for a
+            named packer, else ``DEFAULT_LOOSE_SHARE``.
         packer: a name of ``petmjx.packers.packer_registry.PACKERS``. All packers get the same orders. None: a mixed
             set, packed by ``baseline``.
         look_ahead: number of next boxes that the packer ``learned`` sees; None: 1.
-        workers: number of processes. It changes no plan.
+        workers: number of processes. The option changes no plan.
         on_left_out: called with the items that a plan leaves out, just before the plan is yielded.
 
     Raises:
@@ -119,7 +120,7 @@ def generate_one(
 
 
 def loose_share_of(packer: str | None, share: float | None = None) -> float:
-    """The share of loose plans: ``share`` if given; else 0 for a named packer, ``DEFAULT_LOOSE_SHARE`` without one."""
+    """The share of loose plans: ``share`` if set; else 0 for a named packer, ``DEFAULT_LOOSE_SHARE`` without one."""
     if share is not None:
         return share
     return DEFAULT_LOOSE_SHARE if packer is None else 0.0
@@ -171,7 +172,7 @@ def pack_orders(
 ) -> Iterator[tuple[str, list[Placement]]]:
     """Pack a file of orders, BED-BPP's or of any other form: yields (plan id, placements), in the file's order.
 
-    Boxes that find no place below 2 m are left out. An order of which no box finds a place has no plan. A packer may
+    Boxes that find no place below 2 m are left out. An order without any placed box has no plan. A packer may
     sort the boxes, so ``sequence`` is renumbered in packing order.
 
     Args:
@@ -180,10 +181,10 @@ def pack_orders(
         packer: a name of ``petmjx.packers.packer_registry.PACKERS``; None: ``baseline``.
         rules: rules of the packer ``baseline``; None: its strict rules.
         look_ahead: number of next boxes that the packer ``learned`` sees; None: 1.
-        workers: number of processes. It changes no plan.
+        workers: number of processes. The option changes no plan.
         on_bad_order: called with the error of a bad order, which is then skipped; None: the error is raised.
         on_left_out: called with the items that a plan leaves out, just before the plan is yielded.
-        reading: how a file is read that is not in BED-BPP's form, and its target; None: what is most plausible.
+        reading: the reading of a file that is not in BED-BPP's form, and its target; None: the most plausible reading.
 
     Raises:
         InputError: the file is no orders file, the packer is unknown, or an order is bad and ``on_bad_order`` is None.
@@ -232,7 +233,7 @@ def _pack(
 
 
 def left_out_of(order_id: str, order: Order, placed: Iterable[PlacedBox], why: str = "") -> LeftOutItems | None:
-    """The items of an order that a packing leaves out; None: it leaves out nothing."""
+    """The items of an order that a packing leaves out; None: no item."""
     counts = Counter(box.item for box in placed)
     missing = []
     # generated orders have no numbers: their items count from 1

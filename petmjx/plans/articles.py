@@ -43,7 +43,7 @@ from petmjx.plans.plan import Plan
 from petmjx.plans.plan_fields import COM_FIELDS, LARGEST_MM, SPARSE, com_along_axes, joined_names, kind
 
 MCKEE: Final = 5.87
-"""Factor of McKee's formula in its simple form; it has no unit."""
+"""Factor of McKee's formula in its simple form, without a unit."""
 
 _KEYS: Final = ("article", "product_group")
 _STIFFNESS: Final = "stiffness_n_mm"
@@ -64,7 +64,7 @@ _FIELDS: Final = (*_KEYS, _MATERIAL, *_NUMBERS)
 _LONGEST_MATERIAL: Final = 100
 
 MOST_ARTICLES: Final = 1_000_000
-"""Largest number of articles of a table: more than any warehouse has. They take some 400 MB."""
+"""Largest number of articles of a table: more than any warehouse has. A table of this size takes some 400 MB."""
 
 _COMMA_NUMBER: Final = re.compile(COMMA_NUMBER)
 _TOML_TABLES: Final = {"articles": "article", "product_groups": "product_group", "materials": _MATERIAL}
@@ -78,7 +78,7 @@ class Strength:
         strength_n: strength, N; None: by McKee's formula from the board.
         ect_kn_m: edge crush strength of the board, kN/m.
         thickness_mm: thickness of the board, mm.
-        safety_factor: the strength is divided by it; None: 1.
+        safety_factor: divisor of the strength; None: 1.
     """
 
     strength_n: float | None = None
@@ -87,7 +87,7 @@ class Strength:
     safety_factor: float | None = None
 
     def of_box(self, length_mm: float, width_mm: float) -> float:
-        """The load that a box with this base bears, N."""
+        """The largest load of a box with this base, N."""
         strength = self.strength_n
         if strength is None:
             perimeter_mm = 2 * (length_mm + width_mm)
@@ -101,10 +101,10 @@ class Article:
     """The properties of an article, a product group or a material.
 
     Attributes:
-        strength: strength of its boxes; None: not given.
-        material: material of its boxes, for friction (petmjx.options.materials); None: not given.
-        com_mm: centre of mass relative to the box's middle, along length, width and height, mm; None: not given.
-        stiffness_n_mm: as in ``Plan``; None: not given.
+        strength: strength of the boxes; None: not in the table.
+        material: material of the boxes, for friction (petmjx.options.materials); None: not in the table.
+        com_mm: centre of mass relative to the box's middle, along length, width and height, mm; None: not in the table.
+        stiffness_n_mm: as in ``Plan``; None: not in the table.
     """
 
     strength: Strength | None = None
@@ -122,7 +122,8 @@ class Article:
 class Articles:
     """Properties by article, by product group and by material.
 
-    For each property the article's value counts; if it has none, the product group's; else the material's.
+    For each property the value of the article counts, otherwise the value of the product group, otherwise that of the
+    material.
     """
 
     by_article: Mapping[str, Article]
@@ -144,7 +145,7 @@ _NOTHING: Final = Article()
 
 
 def material_key(name: str) -> str:
-    """A material's name in the form in which names are compared: without case and white space around it."""
+    """A material's name in a form for comparisons: without case and white space around it."""
     return name.strip().lower()
 
 
@@ -156,8 +157,8 @@ def read_articles(path: str | Path) -> Articles:
     """
     file, name = Path(path), printable(str(path))
     try:
-        named = is_csv(file) or file.suffix.lower() == ".toml"  # their readers name other kinds themselves
-        if not named and (foreign := foreign_kind_of(file)) is not None:
+        has_own_reader = is_csv(file) or file.suffix.lower() == ".toml"  # their readers name other kinds themselves
+        if not has_own_reader and (foreign := foreign_kind_of(file)) is not None:
             raise InputError(f"{name}: {foreign}")
         if file.suffix.lower() == ".toml":
             rows = _toml_rows(read_toml(file), name)
@@ -186,18 +187,18 @@ def read_articles(path: str | Path) -> Articles:
 
 def _article(where: str, row: Mapping[str, Any]) -> tuple[str, str, Article]:
     """One checked row: the kind of its name (article, product_group or material), the name, and the properties."""
-    known = {name.strip().lower(): value for name, value in row.items() if value not in (None, "")}
-    unknown = [name for name in known if name not in _FIELDS]
+    values = {name.strip().lower(): value for name, value in row.items() if value not in (None, "")}
+    unknown = [name for name in values if name not in _FIELDS]
     if unknown:
         raise InputError(f"{where}: unknown field {printable_name(unknown[0])}; there are {', '.join(_FIELDS)}")
-    keys = [key for key in _KEYS if key in known]
-    if len(keys) == 2 or (not keys and _MATERIAL not in known):
+    keys = [key for key in _KEYS if key in values]
+    if len(keys) == 2 or (not keys and _MATERIAL not in values):
         raise InputError(f"{where}: must name either an article, a product_group, or a material alone")
-    numbers = {field: _number(where, field, known[field]) for field in _NUMBERS if field in known}
+    numbers = {field: _number(where, field, values[field]) for field in _NUMBERS if field in values}
     stiffness = numbers.pop(_STIFFNESS, None)
     com = [numbers.pop(field) if field in numbers else None for field in COM_FIELDS]
     com_mm = None if com == [None] * 3 else (com[0] or 0.0, com[1] or 0.0, com[2] or 0.0)
-    material = known.get(_MATERIAL)
+    material = values.get(_MATERIAL)
     if material is not None and not (isinstance(material, str) and len(material) <= _LONGEST_MATERIAL):
         raise InputError(
             f"{where}: {_MATERIAL} must be text of at most {_LONGEST_MATERIAL} characters, got {_shown_cell(material)}"
@@ -206,7 +207,7 @@ def _article(where: str, row: Mapping[str, Any]) -> tuple[str, str, Article]:
     bears = None if not numbers and has_other_values else _strength(where, numbers)
     if not keys and material is not None:
         return _MATERIAL, material_key(material), Article(bears, None, com_mm, stiffness)
-    return keys[0], str(known[keys[0]]), Article(bears, material, com_mm, stiffness)
+    return keys[0], str(values[keys[0]]), Article(bears, material, com_mm, stiffness)
 
 
 def _strength(where: str, numbers: Mapping[str, float]) -> Strength:
@@ -252,10 +253,10 @@ def _toml_rows(tables: Mapping[str, Any], name: str) -> Iterator[tuple[str, dict
                 f"{printable_name(table)}"
             )
         for value, row in rows.items():
-            where = f"{table}.{printable_name(value)}"
+            location = f"{table}.{printable_name(value)}"
             if not isinstance(row, Mapping):
-                raise InputError(f"{name}: {where} must be a table with {_SIMPLE}, or with {joined_names(_BOARD)}")
-            yield where, {**row, _TOML_TABLES[table]: value}
+                raise InputError(f"{name}: {location} must be a table with {_SIMPLE}, or with {joined_names(_BOARD)}")
+            yield location, {**row, _TOML_TABLES[table]: value}
 
 
 def _csv_rows(file: Path, name: str) -> Iterator[tuple[str, dict[str, Any]]]:
@@ -285,8 +286,8 @@ def _csv_rows(file: Path, name: str) -> Iterator[tuple[str, dict[str, Any]]]:
                 yield f"row {number}", _cells(name, number, names, row, commas)
     except csv.Error as error:
         unclosed = "unexpected end of data" in str(error)
-        why = "has an unclosed quotation mark" if unclosed else f"not CSV: {reason(error)}"
-        raise InputError(f"{name}: row {number + 1}: {why}") from None
+        quote_fault = "has an unclosed quotation mark" if unclosed else f"not CSV: {reason(error)}"
+        raise InputError(f"{name}: row {number + 1}: {quote_fault}") from None
 
 
 def _is_utf8(data: bytes | bytearray) -> bool:
@@ -301,8 +302,8 @@ def _cells(name: str, number: int, names: Sequence[str], row: Sequence[str], com
     if len(row) != len(names):
         raise InputError(f"{name}: row {number}: has {len(row)} fields instead of {len(names)}")
     values = dict(zip(names, row, strict=True))
-    known = [field.strip().lower() for field in names]
-    if twice := next((field for field in known if known.count(field) > 1), None):
+    field_names = [field.strip().lower() for field in names]
+    if twice := next((field for field in field_names if field_names.count(field) > 1), None):
         raise InputError(f"{name}: row 1: the column {printable_name(twice)} is repeated")
     if commas:
         for field, value in values.items():

@@ -1,7 +1,7 @@
-"""Columns of other tools' tables by what they hold (``BoxColumns``): sizes, places, turns, weights and names of boxes.
+"""Meanings of the columns of other tools' tables (``BoxColumns``): sizes, places, turns, weights and names of boxes.
 
-Here cells become numbers, and each bad cell a line that names its row and column. What the numbers mean – units, axes,
-anchors – is decided later (``petmjx.plans.readings``).
+Here cells become numbers, and each bad cell becomes a line that names row and column. What the numbers mean – units,
+axes, anchors – is decided later (``petmjx.plans.readings``).
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ ROLES: Final = (
     "length", "width", "height", "depth", "x size", "y size", "z size", "x", "y", "z", "sizes", "position", "weight",
     "rotation", "plan", "sequence", "article", "item_id",
 )  # fmt: skip
-"""What a column may be said to hold, by the option ``columns``. ``sizes`` and ``position`` are three numbers in one
+"""Roles that the option ``columns`` can give to a column. ``sizes`` and ``position`` are three numbers in one
 column."""
 IGNORED: Final = "-"
 """Instead of a column's name: no column holds this."""
@@ -47,12 +47,12 @@ def role_of(axis: str) -> str:
 
 @dataclass(frozen=True, eq=False)
 class Geometry:
-    """Sizes and places of boxes, in the file's units, as one choice of columns gives them.
+    """Sizes and places of boxes, in the file's units, by one choice of columns.
 
     Attributes:
         size: (n, 3) sizes in the order of ``axes``; NaN where a cell is bad.
         place: (n, 3) coordinates along the file's first, second and third axis; NaN where a cell is bad.
-        axes: names of the sizes' axes: words, or x, y, z, or "0", "1", "2" if they have no names.
+        axes: names of the sizes' axes: words, or x, y, z, or "0", "1", "2" without names.
         size_unit, place_unit: unit that names or cells give; "": none.
         anchor: the point that names give; "": none.
         placed: whether sizes are surely those as placed.
@@ -82,8 +82,8 @@ class Turns:
     Attributes:
         column: its name.
         rules: names of the rules that its values allow (``readings.ROTATION_RULES``).
-        codes: (n,) number of each turn: 0 to 5 as in py3dbp, or quarter turns; −1: not known.
-        letters: (n, 3) which size lies along each axis, of turns that are letters; None: there are none.
+        codes: (n,) number of each turn: 0 to 5 as in py3dbp, or quarter turns; −1: unknown.
+        letters: (n, 3) which size lies along each axis, of turns that are letters; None: no such turns.
     """
 
     column: str
@@ -97,17 +97,17 @@ class BoxColumns:
     """The boxes of a source by column.
 
     Attributes:
-        source: where they come from.
+        source: origin of the turns.
         geometries: choices of columns for sizes and places.
         turns: rotations; None: no column has any.
         weight: (n,) weights in the file's unit; None: no column has any.
         weight_unit: unit that the name or the cells give; "": none.
         weight_is_density: whether ``weight`` is a density, in units of water's or kg/m³.
         plan, article, item_id, group: (n,) names; None: no column.
-        sequence: (n,) packing order; None: no column. A running number is none: it may count in any order.
+        sequence: (n,) packing order; None: no column. A running number is no packing order: it may count in any order.
         counters: name → (n,) whole numbers, of columns whose name may be that of a packing order ("Nr", "Pick"); NaN
-            where a cell is none.
-        columns: role → name of its column, for what is not geometry.
+            for other cells.
+        columns: role → name of its column, for all roles except geometry.
         faults: row → (column, text) of its first bad cell.
         unread: names of columns that mean nothing here.
     """
@@ -134,7 +134,7 @@ class BoxColumns:
 
 
 class Extraction:
-    """The columns of one source while they are taken apart."""
+    """The columns of one source while their meanings are sought."""
 
     def __init__(self, source: BoxSource, chosen: Mapping[str, str]) -> None:
         self.source = source
@@ -146,7 +146,7 @@ class Extraction:
             self.meanings[upper["ID"]] = ColumnMeaning("article")
             self.meanings[upper["TYPE"]] = None
             self.meanings[upper.get("COPIES", upper["TYPE"])] = None
-        if source.form == BED_BPP:  # its item.sequence counts the order's items; the list is in packing order
+        if source.form == BED_BPP:  # in this form item.sequence counts the order's items; the list is in packing order
             self.meanings = [
                 None if meaning is not None and meaning.kind == "sequence" else meaning for meaning in self.meanings
             ]
@@ -175,7 +175,7 @@ class Extraction:
     def numbers(self, index: int, units: Mapping[str, float]) -> tuple[FloatArray, str]:
         """(n,) numbers of a column, NaN where a cell is bad; and the unit of its name or cells ("": none)."""
         meaning = self.meanings[index]
-        named = meaning.unit if meaning is not None and meaning.unit in units else ""
+        unit_name = meaning.unit if meaning is not None and meaning.unit in units else ""
         values = np.full(len(self.table.rows), np.nan)
         of_cells: list[str] = []
         numbers = [cell_number(cell, self.table.decimal) for cell in self.cells(index)]
@@ -191,11 +191,11 @@ class Extraction:
             of_cells.append(number.unit)
         written = {unit for unit in of_cells if unit}
         if not written:
-            return values, named
+            return values, unit_name
         target = "mm" if "mm" in units else "kg"
         for row, number in enumerate(numbers):
             if number is not None and not np.isnan(values[row]):
-                unit = number.unit or named or (written.copy().pop() if len(written) == 1 else "")
+                unit = number.unit or unit_name or (written.copy().pop() if len(written) == 1 else "")
                 if not unit:
                     self.bad(row, index, f"has no unit, unlike other rows, got {number.value:g}")
                 values[row] *= units.get(unit, 1.0)
@@ -204,9 +204,9 @@ class Extraction:
     def triples(self, index: int) -> tuple[FloatArray, str]:
         """(n, 3) numbers of a column with three in a cell; and the unit."""
         meaning = self.meanings[index]
-        named = meaning.unit if meaning is not None and meaning.unit in LENGTH_UNITS else ""
+        unit_name = meaning.unit if meaning is not None and meaning.unit in LENGTH_UNITS else ""
         values = np.full((len(self.table.rows), 3), np.nan)
-        unit = named
+        unit = unit_name
         for row, cell in enumerate(self.cells(index)):
             triple = cell_triple(cell, self.table.decimal)
             if triple is None:
@@ -232,7 +232,7 @@ class Extraction:
     # Geometry.
 
     def columns_of(self, *kinds: str) -> dict[str, list[int]]:
-        """Axis → columns of these kinds that are about boxes."""
+        """Axis → columns of these kinds that describe boxes."""
         by_axis: dict[str, list[int]] = {}
         for index, meaning in enumerate(self.meanings):
             if meaning is not None and meaning.kind in kinds and not meaning.of_container:
@@ -333,18 +333,18 @@ class Extraction:
             lows = [begin[axis][0] for axis in _XYZ]
             highs = [finish[axis][0] for axis in _XYZ]
             corner, unit = self.joined(lows)
-            far, far_unit = self.joined(highs)
+            far_corner, far_unit = self.joined(highs)
             if unit != far_unit:
-                corner, far = (
-                    values * LENGTH_UNITS.get(name, 1.0) for values, name in ((corner, unit), (far, far_unit))
+                corner, far_corner = (
+                    values * LENGTH_UNITS.get(name, 1.0) for values, name in ((corner, unit), (far_corner, far_unit))
                 )
                 unit = "mm"
             columns = {axis: header[index] for axis, index in zip(_XYZ, lows, strict=True)}
             columns |= {f"{axis} (far)": header[index] for axis, index in zip(_XYZ, highs, strict=True)}
-            size = far - corner
+            size = far_corner - corner
             for row in np.flatnonzero((size <= 0).any(axis=1)):
                 axis = int(np.flatnonzero(size[row] <= 0)[0])
-                self.bad(int(row), highs[axis], f"must be beyond {header[lows[axis]]}, got {far[row, axis]:g}")
+                self.bad(int(row), highs[axis], f"must be beyond {header[lows[axis]]}, got {far_corner[row, axis]:g}")
                 size[row] = np.nan
             return [Geometry(size, corner, _XYZ, unit, unit, "corner", True, columns)]
         return []
@@ -373,16 +373,22 @@ class Extraction:
         places_of = self.place_choices() if quaternions else []
         if not places_of:
             return []
-        named = [quaternions.get(axis, [None])[0] for axis in ("w", "x", "y", "z")]
+        components = [quaternions.get(axis, [None])[0] for axis in ("w", "x", "y", "z")]
         listed = [quaternions.get(str(axis), [None])[0] for axis in range(4)]
-        orders = [named] if None not in named else [listed, [listed[3], *listed[:3]]] if None not in listed else []
-        place, place_unit, anchor, more, _ = places_of[0]
+        orders = (
+            [components] if None not in components else [listed, [listed[3], *listed[:3]]] if None not in listed else []
+        )
+        place, place_unit, anchor, place_columns, _ = places_of[0]
         geometries: list[Geometry] = []
         poses: list[tuple[int, FloatArray, dict[str, str], int, float]] = []
         for number, order in enumerate(orders):
             indices = [index for index in order if index is not None]
             values = np.stack([self.numbers(index, LENGTH_UNITS)[0] for index in indices], axis=1)
-            all_columns = {**columns, **more, "quaternion": header[indices[0]].rpartition("[")[0] or header[indices[0]]}
+            all_columns = {
+                **columns,
+                **place_columns,
+                "quaternion": header[indices[0]].rpartition("[")[0] or header[indices[0]],
+            }
             if number == 1:
                 all_columns["order of quaternions"] = "x, y, z, w"
             rotation = _rotations_of(values)
@@ -452,8 +458,8 @@ class Extraction:
         turns, weight, is_density = None, None, False
         for index in range(max(used, default=-1) + 1, len(header)):
             values = self._quiet(index)
-            whole = bool((values == np.rint(values)).all())
-            if whole and values.min() >= 0 and values.max() <= 5:
+            is_integer = bool((values == np.rint(values)).all())
+            if is_integer and values.min() >= 0 and values.max() <= 5:
                 if values.max() > 0 and turns is None:
                     rules = ("swap", "py3dbp") if values.max() <= 1 else ("py3dbp",)
                     turns = Turns(header[index], rules, values.astype(np.int64))
@@ -470,7 +476,7 @@ class Extraction:
     # The rest.
 
     def texts(self, *kinds: str, role: str = "") -> tuple[list[str] | None, str]:
-        """(n,) names of the first column of these kinds, and its name."""
+        """(n,) names of the first column of these kinds, and the column's name."""
         index = self.fixed.get(role)
         if index is None:
             index = next(
@@ -499,7 +505,7 @@ class Extraction:
         )
 
     def counters(self, used: Collection[str]) -> dict[str, FloatArray]:
-        """Columns of whole numbers whose names may be those of a packing order, but for those that are used."""
+        """Unused columns of whole numbers whose names may stand for a packing order."""
         columns: dict[str, FloatArray] = {}
         for index, name in enumerate(self.table.header):
             if name in used or not may_count(name):
@@ -516,12 +522,12 @@ class Extraction:
         if index is None:
             return None
         cells, name = self.cells(index), self.table.header[index]
-        known = [cell for cell in cells if cell not in (None, "")]
-        if not known:
+        filled_cells = [cell for cell in cells if cell not in (None, "")]
+        if not filled_cells:
             return None
         letters = [_letters_of(cell) for cell in cells]
         codes = np.full(len(cells), -1, np.int64)
-        if sum(turn is not None for turn in letters) * 2 > len(known):
+        if sum(turn is not None for turn in letters) * 2 > len(filled_cells):
             array = np.zeros((len(cells), 3), np.int64)
             for row, turn in enumerate(letters):
                 if turn is None:
@@ -531,7 +537,7 @@ class Extraction:
             return Turns(name, ("letters",), codes, array)
         values = [_turn_number(cell, self.table.decimal) for cell in cells]
         used = {value for value in values if value is not None}
-        whole = {value for value in used if float(value).is_integer()}
+        integers = {value for value in used if float(value).is_integer()}
         in_degrees = sum(value is not None and value % 90 == 0 and abs(value) > 5 for value in values)
         if in_degrees or name.lower() in ("yaw", "angle", "winkel"):
             rules: tuple[str, ...] = ("degrees",)
@@ -543,11 +549,11 @@ class Extraction:
                 ]
             )
             kind = "a multiple of 90"
-        elif max(whole, default=0) <= 1:
+        elif max(integers, default=0) <= 1:
             rules, kind = ("swap", "py3dbp"), "0 or 1"
             allowed = [value in (0, 1) for value in values]
-        elif 0 in whole or max(whole) <= 5:
-            rules, kind = ("py3dbp",) if 0 in whole else ("py3dbp", "py3dbp from 1"), "0 to 5"
+        elif 0 in integers or max(integers) <= 5:
+            rules, kind = ("py3dbp",) if 0 in integers else ("py3dbp", "py3dbp from 1"), "0 to 5"
             allowed = [value is not None and value in range(6) for value in values]
         else:
             rules, kind = ("py3dbp from 1",), "1 to 6"
@@ -557,7 +563,7 @@ class Extraction:
                 [int(value) if ok and value is not None else -1 for value, ok in zip(values, allowed, strict=True)],
                 np.int64,
             )
-        if sum(allowed) * 2 <= len(known):
+        if sum(allowed) * 2 <= len(filled_cells):
             return None  # words of another kind; sizes are then taken as placed
         for row, ok in enumerate(allowed):
             if not ok:
@@ -566,13 +572,13 @@ class Extraction:
 
 
 _DENSEST: Final = 1.5
-"""Largest density in a column without a name, in that of water; denser than any carton."""
+"""Largest density in a column without a name, relative to water; denser than any carton."""
 _LEVEL: Final = 2e-3
 """Largest difference of a rotation matrix from right angles: 3.6°. Poses are written with three digits."""
 
 
 _MOST_SOUND: Final = 0.9
-"""Least share of rows without a header that must be what a column is taken for; the others have bad cells."""
+"""Least share of rows without a header that must fit the guessed meaning of a column; all other rows have bad cells."""
 
 
 def _mostly(rows: NDArray[np.bool_]) -> bool:
@@ -593,15 +599,16 @@ def _role_of(meaning: ColumnMeaning) -> str:
 
 
 def _same_prefix(header: Sequence[str], picked: Sequence[Sequence[int]]) -> list[tuple[int, ...]]:
-    """Three columns of one object, such as ``dimensions.width`` … If none share an object, the first of each."""
+    """Three columns of one object, such as ``dimensions.width`` … If no three share an object, the first column of each
+    size."""
     by_prefix: dict[str, list[int]] = {}
     for number, columns in enumerate(picked):
         for index in columns:
             by_prefix.setdefault(header[index].rpartition(".")[0], [-1] * len(picked))
             slots = by_prefix[header[index].rpartition(".")[0]]
             slots[number] = index if slots[number] < 0 else slots[number]
-    whole = [tuple(slots) for slots in by_prefix.values() if -1 not in slots]
-    return whole[:1] or [tuple(columns[0] for columns in picked)]
+    full_triples = [tuple(slots) for slots in by_prefix.values() if -1 not in slots]
+    return full_triples[:1] or [tuple(columns[0] for columns in picked)]
 
 
 def _is_matrix(cell: Any) -> bool:
@@ -641,7 +648,7 @@ def _rotations_of(quaternion: FloatArray) -> FloatArray:
 
 
 def _letters_of(cell: Any) -> tuple[int, int, int] | None:
-    """Which size lies along x, y and z, of three letters such as "YXZ" or "WLH"; None: they are no turn."""
+    """Which size lies along x, y and z, of three letters such as "YXZ" or "WLH"; None: the letters are no turn."""
     text = cell_text(cell).upper().removeprefix("ROTATIONTYPE.").removeprefix("RT_").removeprefix("ORIENTATION.")
     for letters in ("XYZ", "LWH", "WHD", "LBH", "LHD", "WDH", "ABC"):
         if sorted(text) == sorted(letters):
@@ -670,7 +677,7 @@ def _shown_turn(cell: Any, kind: str) -> str:
 
 
 def box_columns(source: BoxSource, chosen: Mapping[str, str] | None = None) -> BoxColumns:
-    """The columns of a source by what they hold.
+    """The columns of a source by their meanings.
 
     Args:
         chosen: role (``ROLES``) → name of the column that holds it, or "-".

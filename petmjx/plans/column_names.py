@@ -2,7 +2,7 @@
 
 A name may be a header of a sheet ("Länge [mm]", "Pos. X", "Gewicht (kg)"), or the path of a value in JSON
 ("position.x", "stackable.dx", "WHD[0]"). English, German, French, Spanish, Italian and Polish words are known, with and
-without accents, and the letters that people write for them (L, B, H).
+without accents, and their usual letters (L, B, H).
 """
 
 from __future__ import annotations
@@ -19,9 +19,9 @@ Kind = Literal[
     "rotation", "quantity", "layers", "plan", "sequence", "number", "article", "item_id", "group", "material",
     "row_kind", "strength",
 ]  # fmt: skip
-"""What a column holds. ``sizes`` and ``positions`` are three numbers in one cell; ``low`` and ``high`` are coordinates
+"""Meaning of a column. ``sizes`` and ``positions`` are three numbers in one cell; ``low`` and ``high`` are coordinates
 of the corners with the smallest and the largest x, y and z; ``sequence`` is a packing order, ``number`` a running
-number that may be one."""
+number, which may be a packing order."""
 
 LENGTH_UNITS: Final = {
     "mm": 1.0, "millimeter": 1.0, "millimeters": 1.0, "millimetre": 1.0, "millimetres": 1.0, "milimetry": 1.0,
@@ -133,7 +133,7 @@ _LETTERS: Final[tuple[tuple[tuple[str, ...], tuple[str, ...]], ...]] = (
     (("d", "s", "w"), ("length", "width", "height")),
     (("l", "a", "h"), ("length", "width", "height")),
 )
-"""Letters of three columns → what they stand for: longueur, largeur, hauteur; Länge, Breite, Höhe; Breite, Höhe, Tiefe;
+"""Letters of three columns → their meanings: longueur, largeur, hauteur; Länge, Breite, Höhe; Breite, Höhe, Tiefe;
 largeur, hauteur, profondeur; larghezza, profondità, altezza; długość, szerokość, wysokość; largo, ancho, and H. The
 first rows tell capitals from small letters."""
 
@@ -154,18 +154,18 @@ _ORDER: Final = re.compile(
 
 @dataclass(frozen=True, slots=True)
 class ColumnMeaning:
-    """What the name of a column says.
+    """Meaning of a column's name.
 
     Attributes:
-        kind: what the column holds.
-        axis: of sizes: length, width, height, depth, or x, y, z (``dx``, ``LX``); of positions: x, y, z, or the word of
-            a size; of both: "0", "1", "2" for the members of a list, from 0; "": no axis.
-        unit: name of the unit in ``LENGTH_UNITS`` or ``MASS_UNITS``; "": none is named.
-        anchor: for positions, the point that the name says (``centre``, ``base-centre``, ``corner``); "": none.
-        placed: whether the name says that sizes are those of the box as placed.
+        kind: role of the column.
+        axis: for sizes length, width, height, depth, or x, y, z (``dx``, ``LX``); for positions x, y, z, or the word of
+            a size; for both "0", "1", "2" for the members of a list; "": no axis.
+        unit: name of the unit in ``LENGTH_UNITS`` or ``MASS_UNITS``; "": no unit.
+        anchor: for positions, the point in the name (``centre``, ``base-centre``, ``corner``); "": none.
+        placed: whether by the name sizes are those of the box as placed.
         half: whether sizes are half extents.
         of_container: whether the column is about the container or pallet, not about the box.
-        letter: whether the axis was found from a single letter.
+        letter: whether a single letter means the axis.
         order: for three numbers in one cell, their axes, such as ("length", "width", "height"); empty: not named.
     """
 
@@ -211,7 +211,7 @@ def is_unit(text: str) -> bool:
 
 
 def column_meanings(names: Sequence[str]) -> list[ColumnMeaning | None]:
-    """What the names of a table's columns mean, in their order; None: the name is not known.
+    """Meanings of the names of a table's columns, in order; None: an unknown name.
 
     Single letters are read together: L, B and H are length, width and height, but B, H and T width, height and depth.
     """
@@ -247,7 +247,7 @@ _COUNTER: Final = re.compile(
 
 
 def may_count(name: str) -> bool:
-    """Whether a name may be that of a column that counts boxes, in whatever order: "N°", "Lfd. Nr.", "#", "Pick"."""
+    """Whether a name may mean a column that counts boxes, in any order: "N°", "Lfd. Nr.", "#", "Pick"."""
     return bool(_COUNTER.match(" ".join(re.findall(r"[a-z]+|#", plain_text(name.rpartition("[")[0] or name).lower()))))
 
 
@@ -289,7 +289,7 @@ def _meaning(name: str) -> ColumnMeaning | None:
 
 
 def _geometry(tail: list[str], path: list[str], index: str, of_sharp: bool) -> ColumnMeaning | None:
-    """The meaning of a name that is a size or a coordinate; None: it is none."""
+    """The meaning of a name for a size or a coordinate; None: the name means something else."""
     words, context = set(tail), set(path)
     everything = words | context
     placed = bool(words & _PLACED or context & _PLACED)
@@ -379,10 +379,10 @@ def _orders(words: set[str]) -> tuple[str, ...]:
 
 def _letters_order(letters: str) -> tuple[str, ...]:
     """The sizes that three letters name, as "WHD" does; empty: they name none."""
-    for known, axes in _LETTERS:
-        if sorted(known) == sorted(letters):
-            return tuple(axes[known.index(letter)] for letter in letters)
-        plain = [letter.lower() for letter in known]
+    for initials, axes in _LETTERS:
+        if sorted(initials) == sorted(letters):
+            return tuple(axes[initials.index(letter)] for letter in letters)
+        plain = [letter.lower() for letter in initials]
         if sorted(plain) == sorted(letters.lower()) and len(set(plain)) == 3:
             return tuple(axes[plain.index(letter)] for letter in letters.lower())
     return ()
@@ -400,7 +400,7 @@ _FIRST: Final[tuple[Kind, ...]] = (
 
 
 def _kind_of(tail: list[str], path: list[str]) -> Kind | None:
-    """What a name without axes means."""
+    """The meaning of a name without axes."""
     words = set(tail)
     joined = "".join(tail)
     if joined == "m":

@@ -1,7 +1,7 @@
 """Detection of plans in another convention: centres for corners, metres for millimetres, z and y swapped.
 
-A plan is odd if boxes float or overlap. An odd plan is read in other conventions. If it is no longer odd in one of
-them, it probably follows that one. Plans that really have odd boxes stay odd in every convention. A wrong unit of all
+A plan is odd if boxes float or overlap. An odd plan is read in other conventions. A plan that is no longer odd in one
+convention probably follows it. Plans that really have odd boxes stay odd in every convention. A wrong unit of all
 lengths, or of masses, leaves the layout right; it is recognised by the density of the boxes.
 """
 
@@ -35,16 +35,16 @@ from petmjx.plans.plan_warnings import (
 MOST_UNEXPLAINED: Final = 100
 ONE_IN: Final = 50
 """Limits of the search, since reading a plan in all conventions takes 2 ms. After ``MOST_UNEXPLAINED`` odd plans that
-no convention explains, only one in ``ONE_IN`` of such plans is read in all conventions. The other odd plans are read
-only in conventions that explain earlier plans."""
+no convention explains, only every ``ONE_IN``-th odd plan is read in all conventions. The other odd plans are read only
+in conventions that explain earlier plans."""
 
 LIGHTEST_KG_M3: Final = 2.0
 HEAVIEST_KG_M3: Final = 20_000.0
 """Densities of whole plans: air has 1.2 kg/m³, crisps in cartons 30, gold 19,300."""
 _USUAL_KG_M3: Final = 300.0
 _USUAL_M3: Final = 0.015
-"""Usual density and volume of a carton, from BED-BPP's orders. They distinguish grams from centimetres: both make plans
-a thousand times too dense."""
+"""Usual density and volume of a carton, from BED-BPP's orders. These limits distinguish grams from centimetres: both
+make plans a thousand times too dense."""
 
 LEAST_SHARE: Final = 0.25
 """Least share of the plans with an odd layout that a convention must explain to be reported. A packer that makes a
@@ -52,8 +52,8 @@ mistake makes it in all plans. By chance, one in 300 plans with three floating b
 swapped."""
 
 _LEAST_FILLED: Final = 0.3
-"""Least share of a plan's bounding box that boxes fill in a convention that explains the plan. Without it, larger
-coordinates would explain any plan: they also separate boxes that really overlap."""
+"""Least share of a plan's bounding box filled by boxes in a convention that explains the plan. Without this rule,
+larger coordinates would explain any plan: they also separate boxes that really overlap."""
 
 _MM3_PER_M3: Final = 1e9
 
@@ -66,17 +66,18 @@ _Layout = tuple[FloatArray, FloatArray]
 
 @dataclass(frozen=True, eq=False)
 class Convention:
-    """A convention other than petmjx's, in which a plan may be read.
+    """A convention other than petmjx's, for a second reading of a plan.
 
     Attributes:
-        looks: how plans look that follow it, for messages.
+        looks: appearance of plans in this convention, for messages.
         advice: how to correct it, for messages. ``{lowest}`` stands for the z of the lowest box, ``{x}`` and ``{y}``
             for the middle of the carrier, mm.
-        read: converts corners and sizes to petmjx's convention. None: corners and sizes do not differ.
+        read: converts corners and sizes to petmjx's convention. None: reading the plan in this convention changes
+            nothing.
         least_odd: least number of floating boxes and overlaps of a plan that it explains, if the lowest box does not
             float.
         of_turned: apply ``read`` only to boxes that are turned by an orientation; all other boxes stay as they are.
-        of_some: of these boxes, apply ``read`` only to the ones that then overlap less.
+        of_some: apply ``read`` only to those of these boxes that then overlap less.
         least_share: least share of the boxes above the carrier that float or overlap; at least one of them by more than
             ``_SMALL_MM``.
     """
@@ -100,7 +101,7 @@ class Convention:
 
 
 def _scale_convention(unit: str, sizes: bool) -> Convention:
-    """The convention in which only sizes, or only coordinates, are in a unit."""
+    """The convention in which only sizes, or only coordinates, have another unit."""
     factor, name = LENGTHS_MM[unit]
     subject, other = ("sizes", "coordinates") if sizes else ("coordinates", "sizes")
     return Convention(
@@ -117,7 +118,7 @@ def _anchor_convention(anchor: str, looks: str) -> Convention:
 
 CENTRES: Final = _anchor_convention("centre", "coordinates look like those of centres, not of corners")
 _TURNED: Final = (
-    "lengths and widths of boxes that an orientation says are turned look swapped",
+    "lengths and widths of boxes that are turned by their orientation look swapped",
     "give the item's own length and width beside an orientation, or extents along x and y and no orientation",
 )
 _YZ: Final = ("y and z look swapped", "give heights as z")
@@ -125,10 +126,10 @@ _MOST: Final = 0.5
 """Least share of the boxes above the carrier that float or overlap if y and z are swapped. If rows are flush in y,
 nothing floats or overlaps after a swap even in a right plan. So a few odd boxes are no evidence."""
 _SMALL_MM: Final = 20.0
-"""Gaps and overlaps up to this come from sheets, rounded heights or careless packers, not from a convention."""
+"""Gaps and overlaps up to this size come from sheets, rounded heights or careless packers, not from a convention."""
 
 _WALL: Final = Convention(*_YZ, lambda corner, size: (corner[:, [0, 2, 1]], size[:, [0, 2, 1]]), least_share=_MOST)
-"""A wall or a row of boxes of which all heights are given in y: nothing floats or overlaps, but it is too long."""
+"""A wall or a row of boxes with all heights in y: nothing floats or overlaps, but it is too long."""
 
 LAYOUTS: Final[tuple[Convention, ...]] = (
     Convention(*_TURNED, lambda corner, size: (corner, size[:, [1, 0, 2]]), least_odd=1, of_turned=True),
@@ -143,7 +144,7 @@ LAYOUTS: Final[tuple[Convention, ...]] = (
     ),
     Convention(
         "the packing order looks reversed",
-        "begin with what is placed first",
+        "begin with the box that is placed first",
         lambda corner, size: (corner[::-1], size[::-1]),
         least_odd=1,
     ),
@@ -179,7 +180,7 @@ TONNES: Final = Convention("masses look as if they were in tonnes", "give units 
 
 @dataclass
 class _ConventionMatch:
-    """The plans that follow one convention: a line about the first one, and their number."""
+    """The plans that follow one convention: a line about the first plan, and their number."""
 
     example: str
     advice: str
@@ -225,8 +226,8 @@ class _Search:
             self._add(MIDDLE, plan, f"{_box(plan, int(odd.outside[0]))} is outside the carrier")
 
     def _layout_of(self, plan: Plan, odd: PlanWarnings, ways: Sequence[Convention]) -> Convention | None:
-        """The convention that explains an odd layout; None: none does. The last one that explained a plan is tried
-        first.
+        """The convention that explains an odd layout; None: no such convention. The last one that explained a plan is
+        tried first.
         """
         n_odd = odd.n_floating + odd.n_overlapping_pairs
         if not n_odd:
@@ -261,7 +262,7 @@ def with_conventions(plan_set: PlanSet, extent_mm: tuple[float, float] | None) -
     """
     odd = odd_layouts(plan_set.plans, extent_mm)
     readings = [f"{source}: {reading.line()}" for source, reading in plan_set.readings.items()]
-    own = [plan for plan in plan_set.plans if plan.source not in plan_set.readings]  # of the others they are known
+    own = [plan for plan in plan_set.plans if plan.source not in plan_set.readings]  # others have known conventions
     own_odd = [layout for layout in odd if layout.source not in plan_set.readings]
     conventions = _find_conventions(own, own_odd, extent_mm)
     return replace(plan_set, warnings=odd, conventions=[*readings, *conventions])
@@ -293,7 +294,7 @@ def _find_conventions(
 
 
 def warn(lines: Iterable[str]) -> None:
-    """Issue a ``PlanWarning`` for each line. Its place is the caller outside petmjx."""
+    """Issue a ``PlanWarning`` for each line. The warning points at the caller outside petmjx."""
     frame, depth = sys._getframe(1), 2
     while frame.f_back is not None and frame.f_globals.get("__name__", "").partition(".")[0] == "petmjx":
         frame, depth = frame.f_back, depth + 1
@@ -302,7 +303,7 @@ def warn(lines: Iterable[str]) -> None:
 
 
 def _explains(way: Convention, plan: Plan, n_odd: int) -> bool:
-    """Whether at most a tenth of the odd boxes and pairs is left when a plan is read in another convention."""
+    """Whether at most a tenth of the odd boxes and pairs remains in another reading of a plan."""
     if n_odd < way.least_odd and plan.corner_mm[:, 2].min() <= DEFAULT_TOLERANCE_MM:
         return False
     if way.of_turned and not plan.turned.any():
@@ -322,7 +323,7 @@ def _explains(way: Convention, plan: Plan, n_odd: int) -> bool:
 def _overlapping_less(plan: Plan, size: FloatArray) -> NDArray[np.bool_]:
     """(n,) whether a turned box overlaps fewer boxes with another size (``size``: (n, 3), mm).
 
-    Boxes are changed one after the other, in passes, until a pass changes none.
+    Boxes are changed one by one, in passes, until a pass changes no box.
     """
     chosen, sizes, low = np.zeros(plan.n_boxes, bool), plan.size_mm.copy(), plan.corner_mm
     turned = np.flatnonzero(plan.turned & (plan.size_mm != size).any(axis=1))
@@ -346,7 +347,7 @@ def _overlapping_less(plan: Plan, size: FloatArray) -> NDArray[np.bool_]:
 
 def _is_mostly_odd(plan: Plan, least_share: float) -> bool:
     """Whether at least this share of the boxes above the carrier floats or overlaps, one by more than ``_SMALL_MM``. If
-    all boxes stand on the carrier, all of them count."""
+    all boxes stand on the carrier, all boxes count."""
     gap, overlap = gaps_mm(plan.corner_mm, plan.size_mm), overlaps_mm(plan.corner_mm, plan.size_mm)
     above = plan.corner_mm[:, 2] > DEFAULT_TOLERANCE_MM
     above |= not above.any()
@@ -357,13 +358,13 @@ def _is_mostly_odd(plan: Plan, least_share: float) -> bool:
 
 def _is_wall_lying(plan: Plan, odd: PlanWarnings, extent_mm: tuple[float, float]) -> bool:
     """Whether a plan whose boxes all have z = 0 is a wall with y and z swapped: a box lies wholly beside the carrier in
-    y, and after a swap boxes lie on boxes, all are supported and none is outside. A layer that fits if it is turned is
-    none."""
+    y, and after a swap boxes lie on boxes, all have support and no box is outside. A layer that would fit after a turn
+    is not odd."""
     if odd.n_floating or odd.n_overlapping_pairs or plan.corner_mm[:, 2].max() > DEFAULT_TOLERANCE_MM:
         return False
     length, width = np.array(extent_mm) + DEFAULT_TOLERANCE_MM
-    far = (plan.corner_mm + plan.size_mm).max(axis=0)
-    if plan.corner_mm[:, 1].max() < width or (far[0] <= width and far[1] <= length):
+    high_mm = (plan.corner_mm + plan.size_mm).max(axis=0)
+    if plan.corner_mm[:, 1].max() < width or (high_mm[0] <= width and high_mm[1] <= length):
         return False
     corner, size = _WALL.layout_of(plan)
     bounds = (corner + size).max(axis=0) - corner.min(axis=0)
@@ -396,13 +397,13 @@ def _odd_densities(plans: Sequence[Plan]) -> dict[str, tuple[Convention, str]]:
         plan, light = plans[index], density[index] < LIGHTEST_KG_M3
         of_boxes = plan.mass_kg / (plan.size_mm.prod(axis=1) / _MM3_PER_M3)
         box = int(of_boxes.argmin() if light else of_boxes.argmax())
-        why = TONNES if light else _why_dense(density[index], volume[index] / plan.n_boxes)
-        reasons[plan.plan_id] = why, f"{_box(plan, box)} has {three_digits(of_boxes[box])} kg/m³"
+        reason = TONNES if light else _why_dense(density[index], volume[index] / plan.n_boxes)
+        reasons[plan.plan_id] = reason, f"{_box(plan, box)} has {three_digits(of_boxes[box])} kg/m³"
     return reasons
 
 
 def _why_dense(density: float, volume_m3: float) -> Convention:
-    """The convention in which a plan's density and its boxes' mean volume are most usual."""
+    """The convention with the most usual density of a plan and mean volume of its boxes."""
 
     def unusual(length: float, mass: float) -> float:
         of_volume = length**3

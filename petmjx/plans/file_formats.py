@@ -25,11 +25,11 @@ class SupportsArrow(Protocol):
 
 
 class NoBoxes(InputError):
-    """A file has nothing like boxes: it may be of another kind."""
+    """The error of a file without boxes: it may be of another kind."""
 
 
 def is_csv(path: Path) -> bool:
-    """Whether a file is CSV by its name. Its content would not distinguish it from damaged JSON."""
+    """Whether a file is CSV by its name. The content alone would not distinguish such a file from damaged JSON."""
     return path.name.lower().endswith(CSV_SUFFIXES)
 
 
@@ -71,7 +71,7 @@ _GROUPED: Final = re.compile(
 
 
 def foreign_kind_of(path: Path) -> str | None:
-    """The format of a file that is neither text nor Parquet, as :func:`foreign_kind` says it.
+    """The format of a file that is neither text nor Parquet, by :func:`foreign_kind`.
 
     Raises:
         OSError: the file cannot be read, or is no regular file.
@@ -97,7 +97,7 @@ _SCENE: Final = re.compile(rb"<mujoco[\s>/]")
 
 
 def looks_like_own_json(data: bytes | bytearray) -> bool:
-    """Whether a text has fields of BED-BPP's plans or orders, usually near its beginning, and not in other units."""
+    """Whether a text has fields of BED-BPP's plans or orders, usually near its beginning, and only in usual units."""
     if _OWN_JSON.search(data, 0, _LOOKED_AT_TEXT) is not None:
         return True
     if _OTHER_UNITS.search(data, 0, _LOOKED_AT_TEXT) is not None:
@@ -116,7 +116,8 @@ def looks_like_json(data: bytes | bytearray) -> bool:
 
 
 def separator_mark(header: bytes | bytearray) -> str | None:
-    """The error text for a first row that is Excel's mark of the separator, such as "sep=;". None: it is none."""
+    """The error text for a first row that is Excel's mark of the separator, such as "sep=;". None: the content is text
+    or Parquet."""
     if not _SEPARATOR_MARK.fullmatch(header):
         return None
     mark = header.decode("utf-8", "replace").strip().strip('"')[:5]
@@ -124,9 +125,10 @@ def separator_mark(header: bytes | bytearray) -> str | None:
 
 
 def other_encoding(text: str) -> str:
-    """The end of a message about a text that is not UTF-8: its probable content. Its bytes are lone surrogates."""
+    """The end of a message about a text that is not UTF-8: its probable content. Bytes that are no UTF-8 become lone
+    surrogates."""
     if not all(character.isascii() or is_surrogate(character) for character in text):
-        return ""  # the rest is UTF-8: the text is damaged, not in another encoding
+        return ""  # all other bytes are UTF-8: the text is damaged, not in another encoding
     try:
         read = text.encode("utf-8", "surrogateescape").decode("cp1252")
     except UnicodeEncodeError:  # a surrogate that JSON wrote as an escape stands for no byte
@@ -165,12 +167,12 @@ def point_fault(field: str, value: object) -> str | None:
     plain = value.strip()
     with_comma = plain.replace(".", ",")
     if _POINTS.fullmatch(plain):
-        whole = plain.replace(".", "")
+        joined_digits = plain.replace(".", "")
         if plain.count(".") > 1:
-            return f'{field} must be a number, got "{plain}": it has marks between its thousands; write {whole}'
+            return f'{field} must be a number, got "{plain}": it has marks between its thousands; write {joined_digits}'
         return (
             f'{field} must be a number, got "{plain}": other numbers of this file have decimal commas; '
-            f"write {whole} or {with_comma}, whichever it is"
+            f"write {joined_digits} or {with_comma}, whichever it is"
         )
     if number_in(plain) is None:
         return None

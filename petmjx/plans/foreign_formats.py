@@ -1,5 +1,5 @@
-"""Forms of other tools (``BoxSource``): a file's bytes, an array or a Python object becomes lists of boxes, with what
-is known of the form.
+"""Forms of other tools (``BoxSource``): a file's bytes, an array or a Python object becomes lists of boxes, with the
+known facts about the form.
 
 Sources of the forms: py3dbp (``Item.string``, ``get_dimension``; github.com/enzoruiz/3dbinpacking) and its fork with a
 web API (github.com/jerry800416/3D-bin-packing), packingsolver's certificates, 3d-bin-container-packing's placements,
@@ -36,14 +36,14 @@ from petmjx.plans.workbooks import RawFile, check_archive, read_raw_tables
 
 @dataclass(frozen=True, slots=True)
 class KnownForm:
-    """What is known of a form. Empty values are not known, and found by plausibility.
+    """Known facts about a form. Empty values are unknown, and chosen by plausibility.
 
     Attributes:
         name: the form in words.
         units: name of the unit of lengths; masses: of masses (``column_names``).
         anchor: point of a box to which coordinates refer.
         up: the vertical axis, "y" or "z".
-        sizes: "placed": sizes are those of the box as placed; "item": before it is turned.
+        sizes: "placed": of the box as placed; "item": before turning.
         rule: how a column of rotations turns a box (``readings.ROTATION_RULES``).
     """
 
@@ -58,12 +58,12 @@ class KnownForm:
 
 @dataclass(frozen=True, eq=False)
 class BoxSource:
-    """The boxes of a file, before they are understood.
+    """The boxes of a file, before their columns are understood.
 
     Attributes:
         boxes: list of boxes with places.
-        form: what is known of it.
-        notes: lines about how the file was taken apart.
+        form: known facts about the form.
+        notes: lines about the reading of the file.
     """
 
     boxes: BoxList
@@ -115,7 +115,7 @@ def sources_of_bytes(data: bytes | bytearray, path: Path) -> list[BoxSource]:
         try:
             value = decoded_json(start)
         except InputError as error:
-            if start.startswith("{") or "nested" in str(error):  # of which another reader says more
+            if start.startswith("{") or "nested" in str(error):  # another reader's error says more about it
                 raise NoBoxes(str(error)) from None
             raise
         sources = [_with_known_form(boxes) for boxes in box_lists(value)]
@@ -179,7 +179,7 @@ def _containers_above(table: RawTable) -> Mapping[str, Mapping[str, float]]:
 
 
 def _with_known_form(boxes: BoxList, kind: str = "JSON") -> BoxSource:
-    """A list of boxes with what is known of its form, by the names of its fields. Rows of totals are left out."""
+    """A list of boxes with the facts that the names of its fields reveal. Rows of totals are left out."""
     boxes = _without_totals(boxes)
     names = {name.lower() for name in boxes.table.header}
     plain = {re.sub(r"[^a-z0-9]", "", name) for name in names}
@@ -191,10 +191,10 @@ def _with_known_form(boxes: BoxList, kind: str = "JSON") -> BoxSource:
     if "stackable.dx" in names:
         return BoxSource(boxes, JAVA)
     if "rotationtype" in plain and (names & {"width", "whd[0]", "whd"}):
-        kept, left = _without_corner_posts(boxes)
+        boxes_only, left = _without_corner_posts(boxes)
         lines = (f"{count_text(left, 'corner post is', 'corner posts are')} left out",) if left else ()
         name = "py3dbp's web API" if "fititem" in boxes.path.lower() else f"py3dbp ({kind})"
-        return BoxSource(kept, replace(PY3DBP, name=name), lines)
+        return BoxSource(boxes_only, replace(PY3DBP, name=name), lines)
     if {"item_type", "dimensions.length", "position.x", "orientation"} <= names:
         return BoxSource(boxes, PACKVIUM)
     of_benchmark = {"position.x", "dimensions.width", "dimensions.depth", "dimensions.height", "rotation"} <= names
@@ -222,11 +222,11 @@ def _without_totals(boxes: BoxList) -> BoxList:
     computed = {rows[-1]: what for rows in parts.values() if (what := computed_row(table, rows))}
     if not computed:
         return boxes
-    kept = rows_of(boxes, [index for index in range(len(table.rows)) if index not in computed])
+    without_totals = rows_of(boxes, [index for index in range(len(table.rows)) if index not in computed])
     notes = [
         f"{table.places[index]} has {what} of the rows above it, and is left out" for index, what in computed.items()
     ]
-    return replace(kept, table=replace(kept.table, notes=(*table.notes, *notes)))
+    return replace(without_totals, table=replace(without_totals.table, notes=(*table.notes, *notes)))
 
 
 def _without_corner_posts(boxes: BoxList) -> tuple[BoxList, int]:
@@ -234,8 +234,8 @@ def _without_corner_posts(boxes: BoxList) -> tuple[BoxList, int]:
     if "type" not in boxes.table.header:
         return boxes, 0
     kinds = boxes.table.column("type")
-    kept = [index for index, kind in enumerate(kinds) if kind != "corner"]
-    return (rows_of(boxes, kept), len(kinds) - len(kept)) if kept else (boxes, 0)
+    box_rows = [index for index, kind in enumerate(kinds) if kind != "corner"]
+    return (rows_of(boxes, box_rows), len(kinds) - len(box_rows)) if box_rows else (boxes, 0)
 
 
 def rows_of(boxes: BoxList, kept: Sequence[int]) -> BoxList:
@@ -269,19 +269,20 @@ def _certificate(boxes: BoxList) -> BoxSource:
             notes.append(
                 f"container {cell_text(row[upper['BIN']])} stands for {copies.value:g} alike, and is read once"
             )
-    kept = rows_of(boxes, items)
-    return BoxSource(replace(kept, containers=containers), PACKINGSOLVER, tuple(notes))
+    item_boxes = rows_of(boxes, items)
+    return BoxSource(replace(item_boxes, containers=containers), PACKINGSOLVER, tuple(notes))
 
 
 def _of_d_wave(boxes: BoxList) -> BoxSource:
-    """The solution of D-Wave's example. Its bins stand one behind the other along x: each is moved to x = 0."""
+    """The solution of D-Wave's example. The bins of such a file stand one behind the other along x: the boxes of each
+    bin are moved to x = 0."""
     dashes = re.compile(r"^[-=]{2,}$")
-    kept = [
+    box_lines = [
         index
         for index, row in enumerate(boxes.table.rows)
         if not all(cell is None or dashes.match(str(cell)) for cell in row)
     ]
-    boxes = rows_of(boxes, kept)
+    boxes = rows_of(boxes, box_lines)
     table = boxes.table
     x = next((index for index, name in enumerate(table.header) if name.strip().lower() == "x"), None)
     bins = next((index for index, name in enumerate(table.header) if name.lower().startswith("bin")), None)
@@ -317,7 +318,7 @@ _PRINTED: Final = ("name", "width", "height", "depth", "weight", "pos x", "pos y
 
 
 def _printed(text: str) -> BoxSource | None:
-    """The boxes in text that py3dbp or its fork printed; None: it is no such text."""
+    """The boxes in text that py3dbp or its fork printed; None: another text."""
     if "pos(" not in text and "W*H*D" not in text:
         return None
     rows: list[tuple[Any, ...]] = []
@@ -327,7 +328,7 @@ def _printed(text: str) -> BoxSource | None:
     containers: dict[str, Mapping[str, float]] = {}
     part, unfitted, fitted = "", False, 0
     fields: dict[str, str] = {}
-    begun = 0
+    first_line = 0
     bins = 0
 
     def end_fields() -> None:
@@ -337,10 +338,10 @@ def _printed(text: str) -> BoxSource | None:
             name = fields.get("partno") or fields.get("part no") or fields.get("name")
             if len(sizes) == 3 and len(triple) == 3:
                 rows.append((name, *sizes, fields.get("weight"), *triple, fields.get("rotation type")))
-                places.append(f"line {begun}")
+                places.append(f"line {first_line}")
                 parts.append(part)
             else:
-                lost.append((f"line {begun}", "has no three sizes and coordinates"))
+                lost.append((f"line {first_line}", "has no three sizes and coordinates"))
         fields.clear()
 
     for number, line in enumerate(text.splitlines(), start=1):
@@ -372,7 +373,7 @@ def _printed(text: str) -> BoxSource | None:
         elif (entry := _FIELD_LINE.match(plain)) is not None:
             if entry[1] in ("name", "partno", "part no") and fields:
                 end_fields()
-            begun = begun if fields else number
+            first_line = first_line if fields else number
             fields[entry[1]] = entry[2].strip()
         elif plain.startswith("***"):
             end_fields()
@@ -403,31 +404,31 @@ _MOST_HEADER: Final = 10_000
 
 
 def _loaded_array(data: bytes | bytearray, name: str = "") -> Any:
-    """The array of .npy bytes. Its header is compared with the bytes before memory is taken for what it says.
+    """The array of .npy bytes. The header is compared with the number of bytes before memory is reserved.
 
     Args:
         name: name of the member of an archive, for errors; "": the file itself.
     """
-    where = f"{printable_name(name)} " if name else ""
+    prefix = f"{printable_name(name)} " if name else ""
     try:
         dtype, shape, begin = _array_header(data)
     except (ValueError, TypeError, SyntaxError, KeyError, IndexError, struct.error, MemoryError, RecursionError):
-        raise InputError(f"{where}is no whole NumPy array: its header cannot be read") from None
+        raise InputError(f"{prefix}is no whole NumPy array: its header cannot be read") from None
     if dtype.hasobject:
-        raise InputError(f"{where}is an array of Python objects, which may hold code, and is not read")
+        raise InputError(f"{prefix}is an array of Python objects, which may hold code, and is not read")
     n_bytes = len(data) - begin
     expected = math.prod(shape) * dtype.itemsize
     if expected != n_bytes:
         raise InputError(
-            f"{where}is no whole NumPy array: its header says {shape} of {dtype.str}, {expected:,} bytes, "
+            f"{prefix}is no whole NumPy array: its header says {shape} of {dtype.str}, {expected:,} bytes, "
             f"but {count_text(n_bytes, 'byte follows', 'bytes follow')}"
         )
     if math.prod(max(extent, 1) for extent in shape) > MOST_BYTES:
-        raise InputError(f"{where}is an array {shape} without values")
+        raise InputError(f"{prefix}is an array {shape} without values")
     try:
         return np.load(io.BytesIO(data), allow_pickle=False)
     except (ValueError, OSError, EOFError) as error:
-        raise InputError(f"{where}is not a whole NumPy array: {error}") from error
+        raise InputError(f"{prefix}is not a whole NumPy array: {error}") from error
 
 
 def _array_header(data: bytes | bytearray) -> tuple[np.dtype[Any], tuple[int, ...], int]:
@@ -464,8 +465,8 @@ def _sources_of_arrays(arrays: Mapping[str, Any]) -> list[BoxSource]:
     Raises:
         InputError: no array has rows of boxes.
     """
-    named = {name: array for name, array in arrays.items() if getattr(array, "ndim", 0) >= 1}
-    for name, array in named.items():
+    row_arrays = {name: array for name, array in arrays.items() if getattr(array, "ndim", 0) >= 1}
+    for name, array in row_arrays.items():
         if array.dtype.names:
             header = tuple(array.dtype.names)
             rows = [tuple(_cell_of(value) for value in row) for row in array.ravel().tolist()]
@@ -474,7 +475,7 @@ def _sources_of_arrays(arrays: Mapping[str, Any]) -> list[BoxSource]:
     containers = _containers_in(arrays)
     columns = {
         name: array
-        for name, array in named.items()
+        for name, array in row_arrays.items()
         if (array.ndim <= 2 or array.shape[1:] in ((4, 4), (3, 4))) and not _is_container(name)
     }
     lengths = Counter(len(array) for array in columns.values())
@@ -496,7 +497,7 @@ def _sources_of_arrays(arrays: Mapping[str, Any]) -> list[BoxSource]:
         table = RawTable(tuple(header_list), rows, [f"row {index}" for index in range(n_rows)])
         return [_with_known_form(BoxList(table, "", ("",) * n_rows, containers), "NumPy arrays")]
     sources = []
-    for name, array in named.items():
+    for name, array in row_arrays.items():
         if _is_container(name) or array.dtype.kind not in "fiu":
             continue
         if array.ndim == 3 and array.shape[1:] in ((4, 4), (3, 4)):
@@ -514,7 +515,7 @@ def _sources_of_arrays(arrays: Mapping[str, Any]) -> list[BoxSource]:
                 rows.append(tuple(plan[index]))
                 places.append(f"row {index}" if array.ndim == 2 else f"plan {number}, row {index}")
                 parts.append("" if array.ndim == 2 else str(number))
-        if len(named) > 1:
+        if len(row_arrays) > 1:
             parts = ["/".join(filter(None, (name, part))) for part in parts]
         header = tuple(f"column {index}" for index in range(plans.shape[2]))
         table = RawTable(header, rows, places, title=name, has_header=False)
@@ -526,7 +527,7 @@ def _sources_of_arrays(arrays: Mapping[str, Any]) -> list[BoxSource]:
 
 
 def _as_plans(sources: Sequence[BoxSource]) -> list[BoxSource]:
-    """Lists of boxes, those with the same columns as one list of several plans; the longest first."""
+    """Lists of boxes, the longest first; lists with the same columns are joined to one list of several plans."""
     groups: dict[tuple[str, ...], list[BoxSource]] = {}
     for source in sources:
         groups.setdefault(source.boxes.table.header, []).append(source)
@@ -588,7 +589,7 @@ def _scene(text: str) -> BoxSource:
     data = mujoco.MjData(model)
     mujoco.mj_kinematics(model, data)
     rows, places, pallets = [], [], 0
-    others: list[str] = []
+    other_bodies: list[str] = []
     for body in range(1, model.nbody):
         joints = range(model.body_jntadr[body], model.body_jntadr[body] + model.body_jntnum[body])
         if not any(model.jnt_type[joint] == mujoco.mjtJoint.mjJNT_FREE for joint in joints):
@@ -602,7 +603,7 @@ def _scene(text: str) -> BoxSource:
             pallets += 1
             continue
         if len(solid) != 1 or model.geom_type[solid[0]] != mujoco.mjtGeom.mjGEOM_BOX:
-            others.append(name)
+            other_bodies.append(name)
             continue
         shape = solid[0]
         size = 2 * model.geom_size[shape]
@@ -611,8 +612,8 @@ def _scene(text: str) -> BoxSource:
         matrix[:3, 3] = data.geom_xpos[shape]
         rows.append((name, *map(float, size), matrix.tolist(), float(model.body_mass[body])))
         places.append(f"body {name}")
-    if others:
-        raise InputError(f"is a MuJoCo scene with free bodies that are not one box each: {first_names(others)}")
+    if other_bodies:
+        raise InputError(f"is a MuJoCo scene with free bodies that are not one box each: {first_names(other_bodies)}")
     if not rows:
         raise InputError("is a MuJoCo scene without a free body that is one box")
     notes = []
@@ -674,7 +675,7 @@ def _plain(cell: Any) -> Any:
 
 
 def _bins_of(value: Any) -> list[Any]:
-    """The bins of py3dbp's objects; empty: the object is none of them."""
+    """The bins of py3dbp's objects; empty: another object."""
     if isinstance(value, Mapping | str | bytes | np.ndarray) or value is None:
         return []
     if isinstance(value, list | tuple):

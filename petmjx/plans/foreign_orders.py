@@ -87,8 +87,8 @@ def _has_three_places(source: BoxSource) -> bool:
 
 
 def _with_articles(sources: Sequence[BoxSource], items: Path | None) -> BoxSource | None:
-    """Lines of orders, with the sizes of their articles from another table of the file, or of a file of items; None:
-    there are no such lines.
+    """Lines of orders, with the sizes of their articles from another table of the file, or of a file of items; None: no
+    such lines.
 
     Raises:
         InputError: the file of items cannot be read, or its items are not those of the orders.
@@ -129,12 +129,12 @@ def _best_source(sources: Sequence[BoxSource], items: Path | None = None) -> Box
 def _without_gaps(source: BoxSource, columns: Sequence[str]) -> BoxSource:
     """A source without rows that lack a value."""
     cells = [source.boxes.table.column(name) for name in columns]
-    whole = np.array([all(cell not in (None, "") for cell in row) for row in zip(*cells, strict=True)], bool)
-    left = int((~whole).sum())
+    is_full = np.array([all(cell not in (None, "") for cell in row) for row in zip(*cells, strict=True)], bool)
+    left = int((~is_full).sum())
     if not left:
         return source
     verb = "lacks" if left == 1 else "lack"
-    return with_rows(source, whole, (f"{count_text(left, 'row')} that {verb} a value left out",))
+    return with_rows(source, is_full, (f"{count_text(left, 'row')} that {verb} a value left out",))
 
 
 def _array_of_sizes(data: bytes | bytearray) -> BoxSource | None:
@@ -144,7 +144,7 @@ def _array_of_sizes(data: bytes | bytearray) -> BoxSource | None:
     try:
         array = np.load(io.BytesIO(data), allow_pickle=False)
     except (ValueError, OSError, EOFError):
-        return None  # the next reader's error says so
+        return None  # the next reader reports the error
     if array.ndim not in (2, 3) or array.shape[-1] != 3 or array.dtype.kind not in "fiu":
         return None
     rows: list[tuple[float, ...]] = []
@@ -159,7 +159,7 @@ def _array_of_sizes(data: bytes | bytearray) -> BoxSource | None:
 
 
 def _sheet_of_deli(data: bytes | bytearray) -> BoxSource | None:
-    """The articles of RoboBPP's ``deli.xlsx``, whose columns have Chinese names; None: it is another file."""
+    """The articles of RoboBPP's ``deli.xlsx``, whose columns have Chinese names; None: another file."""
     if bytes(data[:2]) != b"PK":
         return None
     from openpyxl import load_workbook
@@ -170,18 +170,18 @@ def _sheet_of_deli(data: bytes | bytearray) -> BoxSource | None:
     try:
         book = load_workbook(io.BytesIO(data), read_only=True, data_only=True)
         rows = list(book.worksheets[0].iter_rows(values_only=True))
-    except Exception:  # whatever a damaged workbook raises; the first reader's error says so
+    except Exception:  # a damaged workbook may raise anything; the first reader reports the error
         return None
     head = next((number for number, row in enumerate(rows[:60]) if set(_DELI) <= set(row)), None)
     if head is None:
         return None
     picked = [rows[head].index(name) for name in _DELI]
     cells = [(number, tuple(row[index] for index in picked)) for number, row in enumerate(rows) if number > head]
-    good = [(number, row) for number, row in cells if all(cell_number(cell) is not None for cell in row)]
-    table = RawTable(_LENGTHS, [row for _, row in good], [f"row {number + 1}" for number, _ in good])
-    parts = tuple(str(number // SET_ITEMS + 1) for number in range(len(good)))
+    good_rows = [(number, row) for number, row in cells if all(cell_number(cell) is not None for cell in row)]
+    table = RawTable(_LENGTHS, [row for _, row in good_rows], [f"row {number + 1}" for number, _ in good_rows])
+    parts = tuple(str(number // SET_ITEMS + 1) for number in range(len(good_rows)))
     notes = [f"in orders of {SET_ITEMS} boxes"]
-    if left := len(cells) - len(good):
+    if left := len(cells) - len(good_rows):
         notes.append(f"{count_text(left, 'row')} without three sizes left out")
     return BoxSource(BoxList(table, "", parts), DELI, tuple(notes))
 
@@ -221,9 +221,10 @@ def _orders_of_plans(path: Path, source: str, reading: OrderReading) -> ForeignO
     refused = tuple((skip.plan_id or "", str(skip)) for skip in plan_set.skipped)
     if not orders and refused:
         raise InputError(refused[0][1].removeprefix(f"{source}: "))
-    how = next((text.line() for text in plan_set.readings.values()), "read as petmjx's plans")
+    reading_line = next((text.line() for text in plan_set.readings.values()), "read as petmjx's plans")
     line = (
-        f"{source}: holds plans: the boxes of each are an order, their places are not used; {how}; packed on {target}"
+        f"{source}: holds plans: the boxes of each are an order, their places are not used; {reading_line}; "
+        f"packed on {target}"
     )
     return ForeignOrders(tuple(orders), refused, line)
 

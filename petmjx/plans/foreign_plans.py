@@ -41,11 +41,11 @@ from petmjx.plans.reading_choice import TIE, choose_reading, container_of
 from petmjx.plans.readings import AmbiguousFile, Reading, Wishes
 
 USUAL_KG_M3: Final = 300.0
-"""Density of boxes if a file has no weights, that of cartons in BED-BPP's orders. Verdicts hardly depend on it, where
-all boxes have the same."""
+"""Density of boxes if a file has no weights, that of cartons in BED-BPP's orders. Verdicts hardly depend on a density
+that is the same for all boxes."""
 _WATER_KG_M3: Final = 1000.0
 _RELATIVE: Final = 1.5
-"""Densities up to this are in those of water."""
+"""Densities up to this are relative to water."""
 _LIGHTEST, _HEAVIEST = 2.0, 5000.0
 """Median densities beyond which weights or lengths are hardly right, kg/m³: below foam, above iron parts."""
 _DECK: Final = re.compile(
@@ -59,16 +59,16 @@ _HIGHEST_DECK_MM: Final = 250.0
 _NUMBERS_OF_A_BOX: Final = 6
 """Least number of numbers in a row of a box: three sizes, three coordinates."""
 _MANY_OVERLAP: Final = 0.3
-"""Least share of boxes that overlap if two pallets are read as one."""
+"""Least share of boxes that overlap that shows two pallets read as one."""
 _LEAST_OF_PALLETS: Final = 4
-"""Least number of boxes of several pallets whose column is found out."""
+"""Least number of boxes of several pallets for a guess of the column of pallets."""
 _OF_PALLETS: Final = word_set(
     "pallet pallets palette paletten palet paleta pale palety bancale bancali pal palno palnr palletno palletid palid "
     "lu hu su sscc lpn uld stop unit nosnik ladungstrager ladetrager ladeeinheit carrier container bin"
 )
 """Words for pallets in names of columns that are none of ``column_names``."""
 _MATCHED: Final = 0.9
-"""Least share of boxes whose item is in a table of items that belongs to them."""
+"""Least share of boxes with an item in a table, if the table belongs to the boxes."""
 PACK: Final = "pack them first: petmjx samples --orders {file} -o plans.json"
 
 
@@ -77,10 +77,10 @@ class ForeignPlans:
     """The plans of a file of another tool.
 
     Attributes:
-        table: the good plans, as a table of placements in millimetres and kilograms; None: there are none.
+        table: the good plans, as a table of placements in millimetres and kilograms; None: no good plan.
         refused: plans and rows that cannot be used.
         reading: how the file was read.
-        containers: plan id → x, y and z size of its container, mm; NaN where not known.
+        containers: plan id → x, y and z size of its container, mm; NaN where unknown.
     """
 
     table: Table | None
@@ -96,7 +96,8 @@ def read_foreign(
 
     Args:
         source: name of the file in messages.
-        items: file with the sizes and weights of items, for files of places alone; None: none, or the one beside.
+        items: file with the sizes and weights of items, for files of places alone; None: no file, or the file beside
+            it.
 
     Raises:
         AmbiguousFile: the file can be read in two ways.
@@ -120,9 +121,9 @@ def plans_of_sources(
         second = _plans_of(_with_decimal(chosen, GROUPED), sources, path, source, wishes)
     except InputError:
         second = None
-    both = [plans for plans in (first, second) if plans is not None]
-    best = min(both, key=lambda plans: plans.reading.cost, default=None)
-    if best is None or (len(both) == 2 and abs(both[0].reading.cost - both[1].reading.cost) < TIE):
+    parts = [plans for plans in (first, second) if plans is not None]
+    best = min(parts, key=lambda plans: plans.reading.cost, default=None)
+    if best is None or (len(parts) == 2 and abs(parts[0].reading.cost - parts[1].reading.cost) < TIE):
         return _plans_of(chosen, sources, path, source, wishes)  # names a number that may be two
     return best
 
@@ -148,8 +149,8 @@ def _plans_of(
     rows = [row for row in range(columns.n_boxes) if row not in builder.decks]
     lines = [f"{chosen.boxes.table.places[row]} is the pallet, and left out" for row in sorted(builder.decks)]
     shown = lines if len(lines) < 3 else [f"{len(lines):,} rows are pallets, and left out"]
-    rest = replace(chosen, boxes=rows_of(chosen.boxes, rows), notes=(*chosen.notes, *shown))
-    return _plans_of(rest, sources, path, source, wishes)
+    box_source = replace(chosen, boxes=rows_of(chosen.boxes, rows), notes=(*chosen.notes, *shown))
+    return _plans_of(box_source, sources, path, source, wishes)
 
 
 # Items beside the places.
@@ -180,11 +181,11 @@ def _with_items(sources: Sequence[BoxSource], path: Path | None, items: Path | N
 
 _OF_ITEMS: Final = re.compile(r"item|article|artikel|sku|product|produkt", re.IGNORECASE)
 _MOST_BESIDE: Final = 20
-"""Most files of items that are looked at beside a file of places alone."""
+"""Largest number of files of items that are tried beside a file of places alone."""
 
 
 def _with_articles_beside(best: BoxSource, path: Path) -> BoxSource:
-    """Boxes with the sizes of the items in a file beside theirs, if exactly one such file has them."""
+    """Boxes with the sizes of the items in a file beside it, if exactly one file fits."""
     try:
         beside = sorted(file for file in path.parent.iterdir() if file != path and _OF_ITEMS.search(file.name))
     except OSError:
@@ -195,8 +196,8 @@ def _with_articles_beside(best: BoxSource, path: Path) -> BoxSource:
             source = sources_of_bytes(bytes_of(file), file)[0]
         except InputError:
             continue  # another file
-        if source.boxes.has_sizes and (whole := with_items_of(best, source, file.name)) is not None:
-            joined.append(whole)
+        if source.boxes.has_sizes and (completed := with_items_of(best, source, file.name)) is not None:
+            joined.append(completed)
     return joined[0] if len(joined) == 1 else best
 
 
@@ -211,7 +212,7 @@ def bytes_of(path: Path) -> bytearray:
 
 
 def _with_items_beside(best: BoxSource, path: Path) -> BoxSource:
-    """packingsolver's certificate with the weights of the items file beside it, if their sizes agree."""
+    """packingsolver's certificate with the weights of the items file beside it, if the sizes in both files agree."""
     stem = re.sub(r"_?(solution|certificate|output|result)s?$", "", path.stem, flags=re.IGNORECASE)
     for name in dict.fromkeys((f"{path.stem}_items.csv", f"{stem}_items.csv", "items.csv")):
         beside = path.with_name(name)
@@ -249,8 +250,8 @@ def with_items_of(best: BoxSource, items: BoxSource, name: str, by_number: bool 
 
 def _rows_by_number(table: RawTable, other: RawTable) -> list[int | None] | None:
     upper = {name.upper(): index for index, name in enumerate(table.header)}
-    theirs = {name.upper(): index for index, name in enumerate(other.header)}
-    if not {"X", "Y", "Z"} <= theirs.keys():
+    item_columns = {name.upper(): index for index, name in enumerate(other.header)}
+    if not {"X", "Y", "Z"} <= item_columns.keys():
         return None
     rows: list[int | None] = []
     alike = 0
@@ -260,32 +261,34 @@ def _rows_by_number(table: RawTable, other: RawTable) -> list[int | None] | None
         rows.append(index)
         if index is not None:
             one = sorted(number.value for name in ("LX", "LY", "LZ") if (number := cell_number(row[upper[name]])))
-            two = sorted(number.value for name in "XYZ" if (number := cell_number(other.rows[index][theirs[name]])))
+            two = sorted(
+                number.value for name in "XYZ" if (number := cell_number(other.rows[index][item_columns[name]]))
+            )
             alike += len(one) == len(two) and bool(np.allclose(one, two))
     return rows if alike >= _MATCHED * max(len(table.rows), 1) else None
 
 
 def _rows_by_name(table: RawTable, other: RawTable) -> list[int | None] | None:
-    """The row of each box's item, by the pair of columns whose values agree most."""
+    """The row of each box's item, by the pair of columns with the best agreement of values."""
     best, most = None, _MATCHED * max(len(table.rows), 1)
-    for theirs in range(len(other.header)):
+    for item_column in range(len(other.header)):
         names: dict[str, int] = {}
         for number, row in enumerate(other.rows):
-            names.setdefault(cell_text(row[theirs]), number)
+            names.setdefault(cell_text(row[item_column]), number)
         names.pop("", None)
         if len(names) < len(other.rows):
             continue
-        for ours in range(len(table.header)):
-            rows = [names.get(cell_text(row[ours])) for row in table.rows]
+        for box_column in range(len(table.header)):
+            rows = [names.get(cell_text(row[box_column])) for row in table.rows]
             matched = sum(row is not None for row in rows)
-            text = any(not cell_text(row[ours]).replace(".", "").isdigit() for row in table.rows[:5])
+            text = any(not cell_text(row[box_column]).replace(".", "").isdigit() for row in table.rows[:5])
             if matched + 0.5 * text > most:
                 best, most = rows, matched + 0.5 * text
     return best
 
 
 def _no_geometry(columns: BoxColumns, sources: Sequence[BoxSource], path: Path | None, source: str) -> InputError:
-    """Why a file has no places or sizes, and what to do. ``NoBoxes``: it seems to be no file of boxes at all."""
+    """The reason why a file has no places or sizes, and advice. ``NoBoxes``: it seems to be no file of boxes at all."""
     boxes = columns.source.boxes
     kinds = set().union(*(other.boxes.kinds for other in sources))
     file = source if path is None else printable(str(path))
@@ -301,8 +304,8 @@ def _no_geometry(columns: BoxColumns, sources: Sequence[BoxSource], path: Path |
         return InputError("holds no box")
     items_of_packingsolver = {name.upper() for name in boxes.table.header} >= {"X", "Y", "Z", "COPIES"}
     if quantities and (items_of_packingsolver or (some_sizes and not places_named)):
-        what = "quantities and layers" if "layers" in kinds else "quantities"
-        return InputError(f"has types of boxes with {what}, and no places: {PACK.format(file=file)}")
+        content = "quantities and layers" if "layers" in kinds else "quantities"
+        return InputError(f"has types of boxes with {content}, and no places: {PACK.format(file=file)}")
     names = f"there are {', '.join(map(printable_name, boxes.table.header[:20]))}"
     if places_named and not sized:
         return InputError(f"has places of boxes, but no sizes: name a file that has them with --items FILE; {names}")
@@ -310,13 +313,13 @@ def _no_geometry(columns: BoxColumns, sources: Sequence[BoxSource], path: Path |
         return InputError(f"has sizes of boxes, but no places (x, y, z): {PACK.format(file=file)}; {names}")
     if sized:
         return InputError(f"lacks one of the sizes or coordinates; {names}; say which with --columns x=NAME,…")
-    which = "say which with --columns length=NAME,width=NAME,height=NAME,x=NAME,y=NAME,z=NAME"
+    advice = "say which with --columns length=NAME,width=NAME,height=NAME,x=NAME,y=NAME,z=NAME"
     if some_sizes:
-        return InputError(f"lacks some of the sizes, and places (x, y, z) of boxes; {names}; {which}")
+        return InputError(f"lacks some of the sizes, and places (x, y, z) of boxes; {names}; {advice}")
     table = boxes.table
     if table.has_header and path is not None and are_numbers(table.rows, _NUMBERS_OF_A_BOX):
-        return InputError(f"no column is known as a size or a place of boxes; {names}; {which}")
-    return NoBoxes(f"lacks places (x, y, z) and sizes of boxes; {names}; {which}")
+        return InputError(f"no column is known as a size or a place of boxes; {names}; {advice}")
+    return NoBoxes(f"lacks places (x, y, z) and sizes of boxes; {names}; {advice}")
 
 
 # Rows become plans.
@@ -343,12 +346,12 @@ class _Builder:
         plans = _rows_by(names)
         try:
             lost = self._plans_with_lost(names)
-            known = self.of_one if len(plans) == 1 and not lost else None
-            reading, candidate = known or choose_reading(self.columns, plans, self.wishes, lost)
+            single_name = self.of_one if len(plans) == 1 and not lost else None
+            reading, candidate = single_name or choose_reading(self.columns, plans, self.wishes, lost)
         except AmbiguousFile:
             if not self.boxes.table.lost:
                 raise
-            place, fault = self.boxes.table.lost[0]  # what is missing makes the rest implausible
+            place, fault = self.boxes.table.lost[0]  # missing rows make the other boxes implausible
             raise InputError(f"{place}: {fault}") from None
         self.faults = {row: f"{column} {text}" for row, (column, text) in self.columns.faults.items()}
         size, low, containers = self._geometry(reading, candidate, plans)
@@ -356,28 +359,32 @@ class _Builder:
         self._check_ranges(reading, candidate, size, low)
         mass = self._masses(reading, size)
         refused: list[RefusedPlan] = []
-        good: dict[str, NDArray[np.int64]] = {}
+        good_rows: dict[str, NDArray[np.int64]] = {}
         sequences: list[NDArray[np.int64]] = []
         orders: list[str] = []
         for name, rows in plans.items():
-            where = f"{self.source}: plan {printable_name(name)}"
+            location = f"{self.source}: plan {printable_name(name)}"
             if name in lost:
                 place, fault = lost[name]
-                refused.append(RefusedPlan(name, f"{where}, {place}: {fault}"))
+                refused.append(RefusedPlan(name, f"{location}, {place}: {fault}"))
                 continue
-            bad = [row for row in rows.tolist() if row in self.faults]
-            if bad:
-                more = f" (and {count_text(len(bad) - 1, 'more row')})" if len(bad) > 1 else ""
-                refused.append(RefusedPlan(name, f"{where}, {self._place_of(bad[0])}: {self.faults[bad[0]]}{more}"))
+            bad_rows = [row for row in rows.tolist() if row in self.faults]
+            if bad_rows:
+                more_text = f" (and {count_text(len(bad_rows) - 1, 'more row')})" if len(bad_rows) > 1 else ""
+                refused.append(
+                    RefusedPlan(
+                        name, f"{location}, {self._place_of(bad_rows[0])}: {self.faults[bad_rows[0]]}{more_text}"
+                    )
+                )
                 continue
             if (twice := self._repeated(rows)) is not None:
-                refused.append(RefusedPlan(name, f"{where}, {twice}"))
+                refused.append(RefusedPlan(name, f"{location}, {twice}"))
                 continue
             sequence, order = self._sequence(rows, low[rows], size[rows])
-            good[name] = rows
+            good_rows[name] = rows
             sequences.append(sequence)
             orders.append(order)
-        order = self._order_note(orders, list(good))
+        order = self._order_note(orders, list(good_rows))
         if self.columns.unread and self.boxes.table.has_header and not self.columns.source.form.anchor:
             self.notes.append(f"not read: {first_names(self.columns.unread, 4)}")
         if set(orders) == {"sequence"} and len(self.counters) == 1:
@@ -390,20 +397,24 @@ class _Builder:
             odd=self._odd(size, mass),
             density_kg_m3=self._density() if self._lacks_masses() else None,
         )
-        table = self._table(list(good.values()), sequences, names, size, low, mass) if good else None
+        table = self._table(list(good_rows.values()), sequences, names, size, low, mass) if good_rows else None
         return ForeignPlans(table, tuple(refused), reading, containers)
 
     def _find_pallets(self) -> None:
-        """Take a column as that of the plans if it alone separates pallets that are on top of each other else.
+        """Take a column for that of the plans if no other column separates pallets that would otherwise overlap.
 
         Raises:
-            InputError: a column does so whose name is no word for pallets, or several do.
+            InputError: such a column has a name that is no word for pallets, or there are several such columns.
         """
         columns = self.columns
         rows = np.arange(columns.n_boxes)
         faultless = not columns.faults
-        again = columns.sequence is not None and len(set(columns.sequence.tolist())) < len(rows)
-        if len(rows) < _LEAST_OF_PALLETS or not faultless or not (again or self._overlaps({"": rows}, _MANY_OVERLAP)):
+        repeats_numbers = columns.sequence is not None and len(set(columns.sequence.tolist())) < len(rows)
+        if (
+            len(rows) < _LEAST_OF_PALLETS
+            or not faultless
+            or not (repeats_numbers or self._overlaps({"": rows}, _MANY_OVERLAP))
+        ):
             return
         used = {name for geometry in columns.geometries for name in geometry.columns.values()}
         used |= {columns.columns.get(role, "") for role in ("weight", "density", "rotation", "sequence")}
@@ -419,13 +430,13 @@ class _Builder:
             separating.setdefault(tuple(numbers[text] for text in texts), []).append(name)
         if not separating:
             return
-        named = [[name for name in names if _OF_PALLETS & set(words_of(name))] for names in separating.values()]
-        sure = [names[0] for names in named if names]
+        pallet_names = [[name for name in names if _OF_PALLETS & set(words_of(name))] for names in separating.values()]
+        sure = [names[0] for names in pallet_names if names]
         if len(sure) != 1:
             names = [names[0] for names in separating.values()]
-            why = "numbers of the packing order are there twice" if again else "boxes overlap"
+            cause = "numbers of the packing order occur twice" if repeats_numbers else "boxes overlap"
             raise InputError(
-                f"{why}, but not if {' or '.join(map(printable_name, names))} separates pallets; say which with "
+                f"{cause}, but not if {' or '.join(map(printable_name, names))} separates pallets; say which with "
                 f"{' or '.join(f'--columns plan={printable_name(name)}' for name in (*names, IGNORED))} (one pallet)"
             )
         texts = [cell_text(cell) for cell in self.boxes.table.column(sure[0])]
@@ -433,7 +444,7 @@ class _Builder:
         self.notes.append(f"several pallets, by {printable_name(sure[0])}")
 
     def _overlaps(self, plans: Mapping[str, NDArray[np.int64]], share: float) -> bool:
-        """Whether more than a share of the boxes overlap others in the most plausible reading, or some float."""
+        """Whether more than a share of the boxes overlap other boxes in the most plausible reading, or some float."""
         try:
             choice = choose_reading(self.columns, plans, self.wishes)
             evidence = choice[0].evidence
@@ -453,7 +464,7 @@ class _Builder:
     def _plans_with_lost(self, names: Sequence[str]) -> dict[str, tuple[str, str]]:
         """Name of a plan that lacks a row → (place, fault) of the first such row.
 
-        A row that cannot be read may belong to the plan before it or after it; both are refused.
+        An unreadable row may belong to the plan before it or after it; both plans are refused.
         """
         numbers = [_number_of(place, row) for row, place in enumerate(self.places)]
         lost: dict[str, tuple[str, str]] = {}
@@ -466,8 +477,8 @@ class _Builder:
         return lost
 
     def _plan_names(self) -> list[str]:
-        """(n,) the name of each row's plan. Numbers of containers follow the file's name, so that files do not share
-        them.
+        """(n,) the name of the plan of each row. Numbers of containers follow the file's name, so that files do not
+        share them.
         """
         parts = self.boxes.parts or ("",) * self.columns.n_boxes
         column = self.columns.plan
@@ -488,7 +499,7 @@ class _Builder:
         return [f"{stem}/{name}" if name.isdigit() else name or stem for name in names]
 
     def _decks(self, plans: Mapping[str, NDArray[np.int64]], size: FloatArray, low: FloatArray) -> set[int]:
-        """Rows that are the pallet of a plan: named so, as large as one, and below all other boxes."""
+        """Rows of pallets instead of boxes: named so, as large as a pallet, and below all other boxes."""
         decks = set()
         for rows in plans.values():
             if len(rows) < 2 or np.isnan(low[rows]).any():
@@ -518,13 +529,13 @@ class _Builder:
         size, low = np.full((n, 3), np.nan), np.full((n, 3), np.nan)
         containers: dict[str, FloatArray] = {}
         moved = set()
-        whole = layout_of(self.columns, candidate)
+        layout = layout_of(self.columns, candidate)
         for name, rows in plans.items():
             container = layout_of(self.columns, candidate, container_of(self.boxes.containers, name)).container * factor
             if self.wishes.deck_mm is not None and np.isnan(container[:2]).any():
                 container = np.array([*self.wishes.deck_mm, np.nan])
             containers[name] = container
-            size[rows], low[rows] = whole.size[rows] * factor, whole.low[rows] * factor
+            size[rows], low[rows] = layout.size[rows] * factor, layout.low[rows] * factor
             moved.add(self._move(low, rows, size, container, reading))
         for note in sorted(filter(None, moved)):
             self.notes.append(note)
@@ -574,14 +585,14 @@ class _Builder:
         smallest, largest, _ = size_limits
         low_place, high_place, _ = place_limits
         with np.errstate(invalid="ignore"):
-            bad = (raw_size < smallest) | (raw_size > largest)
-            far = (raw_place < low_place) | (raw_place > high_place)
-        for row in np.flatnonzero(bad.any(axis=1) | far.any(axis=1)).tolist():
+            bad_sizes = (raw_size < smallest) | (raw_size > largest)
+            far_places = (raw_place < low_place) | (raw_place > high_place)
+        for row in np.flatnonzero(bad_sizes.any(axis=1) | far_places.any(axis=1)).tolist():
             for axis in range(3):
                 fault = None
-                if bad[row, axis]:
+                if bad_sizes[row, axis]:
                     fault = positive_fault(named_sizes[axis], float(raw_size[row, axis]), *size_limits)
-                elif far[row, axis]:
+                elif far_places[row, axis]:
                     fault = coordinate_fault(named_places[axis], float(raw_place[row, axis]), *place_limits)
                 if fault is not None:
                     self.faults.setdefault(row, fault)
@@ -602,7 +613,7 @@ class _Builder:
             return np.asarray(volume * density)
         if columns.weight_is_density:
             relative = np.nanmax(columns.weight) <= _RELATIVE
-            self.notes.append(f"weights by density, {'in that of water' if relative else 'kg/m³'}")
+            self.notes.append(f"weights by density, {'relative to water' if relative else 'kg/m³'}")
             return np.asarray(volume * columns.weight * (_WATER_KG_M3 if relative else 1.0))
         name = columns.columns["weight"]
         mass = columns.weight * MASS_UNITS[reading.masses]
@@ -638,7 +649,7 @@ class _Builder:
         return (f"{line}: weights or lengths in another unit? (--units)",)
 
     def _sequence(self, rows: NDArray[np.int64], low: FloatArray, size: FloatArray) -> tuple[NDArray[np.int64], str]:
-        """(n,) packing order of a plan's rows, from 1, and where it is from."""
+        """(n,) packing order of a plan's rows, from 1, and the origin of this order."""
         if self.columns.sequence is not None:
             return self.columns.sequence[rows].astype(np.int64), "sequence"
         order = np.arange(1, len(rows) + 1)
@@ -650,7 +661,7 @@ class _Builder:
             if not _can_be_placed(counted, low, size):
                 continue
             if not possible:
-                self.notes.append(f"packing order by {printable_name(name)}: rows are not in one")
+                self.notes.append(f"packing order by {printable_name(name)}: rows are not in packing order")
                 self.counters.add(name)
                 return counted.astype(np.int64), "sequence"
             self.notes.append(
@@ -662,27 +673,29 @@ class _Builder:
         return order, "rows"
 
     def _repeated(self, rows: NDArray[np.int64]) -> str | None:
-        """The fault of a plan whose packing order has a number twice, or one that is not whole; None: it has none."""
+        """The fault of a plan whose packing order has a number twice, or a fraction; None: no fault."""
         sequence = self.columns.sequence
         if sequence is None:
             return None
-        name, seen = self.columns.columns["sequence"], dict[float, int]()
+        name, first_rows = self.columns.columns["sequence"], dict[float, int]()
         for row in rows.tolist():
             value = float(sequence[row])
             if not value.is_integer():
                 return f"{self.places[row]}: {name} must be a whole number, got {value:g}"
-            if value in seen:
+            if value in first_rows:
                 plans = "" if self.columns.plan else "; several plans? then name their column: --columns plan=NAME"
-                return f"{self.places[seen[value]]} and {self.places[row]}: {name} {value:g} is there twice{plans}"
-            seen[value] = row
+                return (
+                    f"{self.places[first_rows[value]]} and {self.places[row]}: {name} {value:g} is there twice{plans}"
+                )
+            first_rows[value] = row
         return None
 
     def _order_note(self, orders: Sequence[str], names: Sequence[str]) -> str:
-        """Where the packing order is from, with a note if it is not the column of one."""
+        """Origin of the packing order, with a note if no column is named so."""
         sorted_plans = [name for name, order in zip(names, orders, strict=False) if order == "height"]
         if sorted_plans:
-            some = "" if len(orders) == 1 else f" in {first_names(sorted_plans, 3)}"
-            self.notes.append(f"rows are not in packing order{some}: boxes are placed from the ground up")
+            plans_text = "" if len(orders) == 1 else f" in {first_names(sorted_plans, 3)}"
+            self.notes.append(f"rows are not in packing order{plans_text}: boxes are placed from the ground up")
             return "height"
         if "rows" in orders or not orders:
             self.notes.append("no sequence: the order of rows")
@@ -734,7 +747,7 @@ def _counts_all(values: FloatArray) -> bool:
 
 
 def _can_be_placed(order: NDArray[Any], low: FloatArray, size: FloatArray) -> bool:
-    """Whether in an order each box that lies on another one comes after one that it lies on."""
+    """Whether in this order each box on other boxes is placed after at least one of them."""
     by_order = np.argsort(order, kind="stable")
     low, size = low[by_order], size[by_order]
     in_order = gaps_mm(low, size) > DEFAULT_TOLERANCE_MM

@@ -34,7 +34,7 @@ class Limits(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class InputConventions:
-    """The units of plans, and the point of a box to which their coordinates refer.
+    """The units of plans, and the point of a box to which coordinates refer.
 
     Attributes:
         units: units of lengths and masses, such as "cm,g".
@@ -53,22 +53,22 @@ class InputConventions:
         """
         units, anchor = PLAN_UNITS if units is None else units, "corner" if anchor is None else anchor
         text_of(units, "units")
-        known = next((name for name in ANCHORS if isinstance(anchor, str) and name == anchor), None)
-        if known is None:
+        known_anchor = next((name for name in ANCHORS if isinstance(anchor, str) and name == anchor), None)
+        if known_anchor is None:
             raise InputError(f"anchor must be one of {', '.join(ANCHORS)}, {shown_value(anchor)}")
         try:
-            return cls(",".join(plan_units(units)), known)
+            return cls(",".join(plan_units(units)), known_anchor)
         except ValueError as error:
             raise InputError(f"units {error}, {shown_value(units)}") from None
 
     @property
     def length_mm(self) -> float:
-        """One unit of length, mm."""
+        """A unit of length, mm."""
         return LENGTHS_MM[plan_units(self.units)[0]][0]
 
     @property
     def mass_kg(self) -> float:
-        """One unit of mass, kg."""
+        """A unit of mass, kg."""
         return MASSES_KG[plan_units(self.units)[1]][0]
 
     @property

@@ -25,8 +25,8 @@ from petmjx.plans.order_generator import MOST_ITEMS
 from petmjx.plans.raw_cells import cell_number, cell_text
 
 ITEM_ROLES: Final = ("quantity", "layers", "per layer", "total weight")
-"""Roles of columns that only orders have, beside ``ROLES``. ``quantity`` counts all boxes of a row, ``per layer`` those
-of one of its ``layers``; ``weight`` is of a box, ``total weight`` of all boxes of a row."""
+"""Roles of columns that only orders have, beside ``ROLES``. ``quantity`` counts all boxes of a row, ``per layer`` the
+boxes of one of its ``layers``; ``weight`` means one box, ``total weight`` all boxes of a row."""
 TWO_WAYS: Final = "can be read in two ways:"
 _KINDS: Final[dict[str, Kind]] = {
     "quantity": "quantity", "layers": "layers", "per layer": "quantity", "total weight": "weight",
@@ -46,7 +46,7 @@ _WEIGHT: Final = word_set(
     "weight mass gewicht poids peso waga masa ciezar gesamtgewicht totalgewicht positionsgewicht zeilengewicht"
 )
 _GROSS: Final = word_set("gross brutto bruttogewicht bruto brut lordo")
-"""Words of weights with the packaging, which are taken where there are net weights beside."""
+"""Words of gross weights, which are preferred to net weights."""
 _PIECES: Final = word_set(
     "boxes cartons kartons kartonanzahl cases packages colli packstucke packstuecke stuck stueck cajas bultos colis "
     "scatole kartony kartonow paczki units unit einheiten items cs ctn ctns szt pz pzas st"
@@ -88,22 +88,23 @@ class ItemColumns:
     """The items of a source by column.
 
     Attributes:
-        source: where they come from.
+        source: origin of the items.
         size: (n, 3) length, width and height in the file's unit; NaN where a cell is bad.
         size_unit: unit that names or cells give; "": none.
-        size_names: columns of the three sizes; one, if they are in one column.
+        size_names: columns of the three sizes; or of the one column with all three.
         weight: (n,) weights in the file's unit; None: no column has any.
         weight_unit: unit that the name or the cells give; "": none.
-        weight_is: what ``weight`` is of: "box", "row", or "density"; "": the name does not say whether of a box or row.
+        weight_is: meaning of ``weight``: of a "box", of a "row", or a "density"; "": box or row, the name leaves it
+            open.
         quantity: (n,) whole numbers of boxes; NaN where a cell is bad; None: one box a row.
         layers: (n,) whole numbers of layers; None: no column.
-        per_layer: whether ``quantity`` counts the boxes of a layer; None: the name does not say.
+        per_layer: whether ``quantity`` counts the boxes of a layer; None: the name leaves it open.
         order, article, item_id, group: (n,) names; None: no column.
         sequence: (n,) order of arrival; None: no column.
         columns: role → name of its column.
         faults: row → (column, text) of its first bad cell.
         unread: names of columns that are not used, though they hold something.
-        maybe_quantity: the unknown column that may hold quantities, if none is known; "": there is none.
+        maybe_quantity: the unknown column that may hold quantities, if no column is known; "": no such column.
     """
 
     source: BoxSource
@@ -148,14 +149,14 @@ def _is_of_packingsolver(header: Sequence[str]) -> bool:
 
 
 class _ItemExtraction(Extraction):
-    """The columns of one source while they are taken apart, with those that only orders have."""
+    """The columns of one source while their meanings are sought, with the columns of orders alone."""
 
     def __init__(self, source: BoxSource, chosen: Mapping[str, str]) -> None:
         header = source.boxes.table.header
         for role, name in chosen.items():
             if role not in ROLES and role not in ITEM_ROLES:
                 known = ", ".join((*ROLES, *ITEM_ROLES))
-                raise InputError(f"columns: unknown {printable_name(role)}; there are {known}")
+                raise InputError(f"columns: unknown {printable_name(role)}; known are {known}")
             if role in ITEM_ROLES and name not in (*header, IGNORED):
                 names = ", ".join(map(printable_name, header[:20]))
                 raise InputError(f"has no column {printable_name(name)} ({role}); there are {names}")
@@ -182,7 +183,7 @@ class _ItemExtraction(Extraction):
 
     def _take_names_of_orders(self) -> None:
         """The meanings of names that only orders have."""
-        known = {meaning.kind for meaning in self.meanings if meaning is not None}
+        kinds = {meaning.kind for meaning in self.meanings if meaning is not None}
         for index, name in enumerate(self.table.header):
             base, unit = split_unit(name)
             words = set(words_of(base))
@@ -197,9 +198,9 @@ class _ItemExtraction(Extraction):
             elif words & _LAYER and words & _PER:
                 self.meanings[index] = ColumnMeaning("quantity")
                 self.of_layer.add(index)
-            elif "quantity" not in known and self._is_quantity(words, joined) and self._is_whole(index):
+            elif "quantity" not in kinds and self._is_quantity(words, joined) and self._is_whole(index):
                 self.meanings[index] = ColumnMeaning("quantity")
-            elif ("plan" not in known and words & _ORDERS and words & _NUMBERED and words <= _ORDERS | _NUMBERED) or (
+            elif ("plan" not in kinds and words & _ORDERS and words & _NUMBERED and words <= _ORDERS | _NUMBERED) or (
                 meaning is None and joined in _ORDERS
             ):
                 self.meanings[index] = ColumnMeaning("plan")
@@ -213,18 +214,18 @@ class _ItemExtraction(Extraction):
         return joined in _QUANTITY | _PIECES or bool(words & _PIECES and words <= _COUNTED)
 
     def _is_whole(self, index: int) -> bool:
-        """Whether most cells of a column are whole numbers which are no names: these count up, or are all large."""
+        """Whether most cells of a column are whole numbers, but no names: names count up, or are all large."""
         numbers = [cell_number(cell, self.table.decimal) for cell in self.cells(index)]
-        whole = [number.value for number in numbers if number is not None and number.value.is_integer()]
-        if len(whole) * 2 <= len(numbers):
+        integers = [number.value for number in numbers if number is not None and number.value.is_integer()]
+        if len(integers) * 2 <= len(numbers):
             return False
-        steps = np.diff(whole)
-        return not (len(whole) > 2 and bool((steps > 0).all())) and min(whole) <= MOST_ITEMS
+        steps = np.diff(integers)
+        return not (len(integers) > 2 and bool((steps > 0).all())) and min(integers) <= MOST_ITEMS
 
     def maybe_quantity(self) -> str:
-        """The column without a known name whose cells may be quantities: small whole numbers; "": there is none.
+        """The column without a known name whose cells may be quantities: small whole numbers; "": no such column.
 
-        Rows of boxes repeat their articles: there such a column is none.
+        Rows of boxes repeat their articles: among them such a column holds no quantities.
         """
         articles = next((texts for kind in ("article", "item_id") if (texts := self.texts(kind)[0])), None)
         if (
@@ -238,15 +239,15 @@ class _ItemExtraction(Extraction):
                 continue
             numbers = [cell_number(cell, self.table.decimal) for cell in self.cells(index)]
             values = [number.value for number in numbers if number is not None and not number.unit]
-            whole = len(values) == len(numbers) and all(value.is_integer() for value in values)
-            if whole and self._is_whole(index) and 1 < max(values) <= MOST_ITEMS and min(values) >= 0:
+            all_integers = len(values) == len(numbers) and all(value.is_integer() for value in values)
+            if all_integers and self._is_whole(index) and 1 < max(values) <= MOST_ITEMS and min(values) >= 0:
                 return name
         return ""
 
     def role(
         self, role: str, kind: str, *, within: set[int] | None = None, without: set[int] | None = None
     ) -> int | None:
-        """The column of a role: the chosen one, else the first of its kind; None: there is none."""
+        """The column of a role: the chosen one, else the first of its kind; None: no such column."""
         name = self.chosen.get(role)
         if name is not None:
             return None if name == IGNORED else self.table.header.index(name)
@@ -268,7 +269,7 @@ class _ItemExtraction(Extraction):
         """(n,) whole numbers of a column; NaN where a cell is bad.
 
         Args:
-            otherwise: the number of empty cells; None: they are bad.
+            otherwise: the number for empty cells; None: empty cells are bad.
         """
         values = np.full(len(self.table.rows), np.nan)
         for row, cell in enumerate(self.cells(index)):
@@ -285,13 +286,13 @@ class _ItemExtraction(Extraction):
         return values
 
     def _check_single(self, columns: Mapping[str, str]) -> None:
-        """Refuse tables with two different columns of a size, such as those of a carton and of what is in it.
+        """Refuse tables with two different columns of a size, such as the sizes of a carton and of its content.
 
         Args:
             columns: role → name of the chosen column.
 
         Raises:
-            InputError: there are two, and no option says which is right.
+            InputError: two columns are possible, and no option says which is right.
         """
         for role, name in columns.items():
             index = self.table.header.index(name)
@@ -321,12 +322,12 @@ class _ItemExtraction(Extraction):
         self._check_single(columns)
         upright = next((axis for axis in ("height", "z", "2", "depth") if axis in axes), axes[2])
         order = [index for index, axis in enumerate(axes) if axis != upright] + [axes.index(upright)]
-        named = tuple(columns.values())
-        return values[:, order], unit, tuple(named[index] for index in order) if len(named) == 3 else named
+        names = tuple(columns.values())
+        return values[:, order], unit, tuple(names[index] for index in order) if len(names) == 3 else names
 
 
 def item_columns(source: BoxSource, chosen: Mapping[str, str] | None = None) -> ItemColumns | None:
-    """The columns of a source of items; None: it has no sizes.
+    """The columns of a source of items; None: a source without sizes.
 
     Args:
         chosen: role (``ROLES``, ``ITEM_ROLES``) → name of the column that holds it, or "-".
@@ -391,7 +392,7 @@ def item_columns(source: BoxSource, chosen: Mapping[str, str] | None = None) -> 
 
 
 def _weight(work: _ItemExtraction, columns: dict[str, str]) -> tuple[FloatArray | None, str, str]:
-    """(n,) weights or densities, their unit, and of what they are (``ItemColumns.weight_is``)."""
+    """(n,) weights or densities, their unit, and their meaning (``ItemColumns.weight_is``)."""
     header = work.table.header
     row_index = work.role("total weight", "weight", within=work.totals)
     index = work.fixed.get("weight")
@@ -419,8 +420,8 @@ def _weight(work: _ItemExtraction, columns: dict[str, str]) -> tuple[FloatArray 
 
 
 def _orders_in(work: _ItemExtraction, index: int) -> list[str] | None:
-    """(n,) customers' orders in a column called "order", whose values are no packing order: some are there twice, or
-    are no numbers; None: it is a packing order."""
+    """(n,) customers' orders in a column called "order", if its values are no packing order: some occur twice, or are
+    no numbers; None: a packing order."""
     if not _ORDER.intersection(words_of(work.table.header[index])) or "sequence" in work.fixed:
         return None
     cells = [cell_text(cell) for cell in work.cells(index)]
@@ -434,7 +435,7 @@ def with_rows(source: BoxSource, kept: NDArray[np.bool_], notes: tuple[str, ...]
     """A source with some of its rows, and more notes.
 
     Args:
-        kept: (n,) whether a row is kept.
+        kept: (n,) True: the row stays.
     """
     table = source.boxes.table
 

@@ -1,7 +1,7 @@
-"""Items by column become orders (``orders_of_items``): units, masses, quantities and targets are found out.
+"""Items by column become orders (``orders_of_items``): units, masses, quantities and targets are chosen.
 
-Where names leave the unit open, sizes and densities decide, and what can be read in two ways is refused. Items without
-weights get a density.
+Where names leave the unit open, sizes and densities decide, and files with two possible readings are refused. Items
+without weights get a density.
 """
 
 from __future__ import annotations
@@ -36,12 +36,12 @@ SET_KG_M3: Final = 200.0
 """Density of boxes of RoboBPP's sets, which have no masses: an assumption, about the mean of BED-BPP's boxes."""
 EURO: Final = "euro-pallet"
 _PALLET_MM: Final = (300.0, 1700.0)
-"""Sides of what may be a pallet: a container of a file outside of this is none, and its boxes go on a Euro pallet."""
+"""Sides of what may be a pallet: a larger or smaller container is no pallet, and its boxes go on a Euro pallet."""
 
 _LENGTH_PRIOR: Final = {"mm": 0.0, "cm": 0.0, "m": 0.0, "in": 0.7, "ft": 3.0}
 _MASS_PRIOR: Final = {"kg": 0.0, "g": 0.0, "lb": 0.7, "t": 3.0}
 _MIXED: Final = 1.5
-"""Cost of inches with kilograms, or of pounds with metric lengths, where names do not say so."""
+"""Cost of inches with kilograms, or of pounds with metric lengths, without names of units."""
 _DENSEST_KG_M3: Final = 1e6
 """Densities above this are no evidence of a unit, but damaged weights."""
 _BIN_PRIOR: Final = {"mm": 0.0, "cm": 0.0, "dm": 0.0}
@@ -49,11 +49,11 @@ _BIN_PRIOR: Final = {"mm": 0.0, "cm": 0.0, "dm": 0.0}
 _LIST_PRIOR: Final = {"cm": -1.5, "mm": 0.0, "m": 0.0}
 """Units of lists of lengths, which are those of RoboBPP, in cm, unless the sizes say otherwise."""
 ROW_LEAD: Final = 0.75
-"""Cost by which densities are more plausible if weights are of rows than if they are of boxes, from which on both are
-possible: boxes of 1,500 kg/m³, of which ten make up a row. Weights of boxes are usual."""
+"""If weights of rows are more plausible than weights of boxes by this cost, both readings are possible: boxes of 1,500
+kg/m³, of which ten make up a row. Weights of boxes are usual."""
 _WATER_KG_M3: Final = 1000.0
 _RELATIVE: Final = 1.5
-"""Densities up to this are in those of water."""
+"""Densities up to this are relative to water."""
 _FULL: Final = 1.02
 """Largest share of a target that a layer may cover."""
 
@@ -63,17 +63,17 @@ SIZES: Final = KnownForm("an array of sizes")
 _WITHOUT_MASSES: Final = (LENGTHS.name, DELI.name)
 """Forms with ``SET_KG_M3``."""
 _NUMBERED: Final = (THPACK.name, MPV.name, LENGTHS.name, DELI.name, SIZES.name)
-"""Forms whose orders have numbers for names, before which the file's name is put."""
+"""Forms whose orders are named by numbers; the file's name is put before these."""
 
 
 @dataclass(frozen=True)
 class OrderReading:
-    """What a caller says about a file of orders. BED-BPP's own form needs none of it.
+    """Options of a caller about a file of orders. BED-BPP's own form needs no options.
 
     Attributes:
-        wishes: columns, units and density; empty values are found out.
-        target: what orders are packed on that do not say it themselves: "euro-pallet", "rollcontainer", or sizes in
-            millimetres, "1200x1000"; "": the file's container if it is a pallet, else a Euro pallet.
+        wishes: columns, units and density; empty values are chosen by plausibility.
+        target: carrier of orders that name no carrier: "euro-pallet", "rollcontainer", or sizes in millimetres,
+            "1200x1000"; "": the file's container if it is a pallet, else a Euro pallet.
         most_items: largest number of items of an order.
         items: file with the sizes and weights of articles, for orders that name articles alone; None: none.
     """
@@ -85,7 +85,7 @@ class OrderReading:
 
     @classmethod
     def of(cls, options: RunOptions, target: str | None = None) -> OrderReading:
-        """What options of a run say about files of orders: units, columns, density, items and a written reading.
+        """The options of a run about files of orders: units, columns, density, items and a written reading.
 
         Raises:
             InputError: the target is unknown, or the written reading cannot be read.
@@ -98,8 +98,8 @@ class ForeignOrders:
     """The orders of a file.
 
     Attributes:
-        orders: (id, order) of the good ones, in the order of the file.
-        refused: (id, line) of the others.
+        orders: (id, order) of each good order, in the order of the file.
+        refused: (id, line) of each refused order.
         line: how the file was read.
     """
 
@@ -124,7 +124,7 @@ def orders_of_items(columns: ItemColumns, source: str, reading: OrderReading) ->
         source: name of the file in messages.
 
     Raises:
-        InputError: the items can be read in two ways, or none is good. The line does not name the file.
+        InputError: the items can be read in two ways, or no item is good. The line does not name the file.
     """
     return _OrderBuilder(columns, source, reading).orders()
 
@@ -156,20 +156,20 @@ class _OrderBuilder:
         counts = self._counts(size, targets, names)
         mass = self._masses(units, size, counts)
         lost = self._lost(names)
-        good: list[tuple[str, Order]] = []
+        good_orders: list[tuple[str, Order]] = []
         refused: list[tuple[str, str]] = []
         for name, rows in rows_of.items():
-            where = f"{self.source}: order {printable_name(name)}"
+            location = f"{self.source}: order {printable_name(name)}"
             if (fault := self._fault(rows, lost.get(name), counts)) is not None:
-                refused.append((name, f"{where}{fault}"))
+                refused.append((name, f"{location}{fault}"))
                 continue
-            good.append((name, self._order(targets[name], self._sorted(rows), counts, size, mass)))
-        return ForeignOrders(tuple(good), tuple(refused), self._line(units, targets, good))
+            good_orders.append((name, self._order(targets[name], self._sorted(rows), counts, size, mass)))
+        return ForeignOrders(tuple(good_orders), tuple(refused), self._line(units, targets, good_orders))
 
     # Names and rows.
 
     def _names(self) -> list[str]:
-        """(n,) the id of each row's order."""
+        """(n,) the id of the order of each row."""
         parts = self.columns.boxes.parts or ("",) * self.columns.n_rows
         column = self.columns.order
         stem = Path(self.source).name.split(".")[0] or "order"
@@ -194,13 +194,13 @@ class _OrderBuilder:
         return lost
 
     def _fault(self, rows: Sequence[int], lost: str | None, counts: NDArray[np.int64]) -> str | None:
-        """Why an order is refused; None: it is good."""
+        """The reason for the refusal of an order; None: a good order."""
         if lost is not None:
             return lost
-        bad = [row for row in rows if row in self.faults]
-        if bad:
-            more = f" (and {count_text(len(bad) - 1, 'more row')})" if len(bad) > 1 else ""
-            return f", {self.table.places[bad[0]]}: {self.faults[bad[0]]}{more}"
+        bad_rows = [row for row in rows if row in self.faults]
+        if bad_rows:
+            more_text = f" (and {count_text(len(bad_rows) - 1, 'more row')})" if len(bad_rows) > 1 else ""
+            return f", {self.table.places[bad_rows[0]]}: {self.faults[bad_rows[0]]}{more_text}"
         n_items = int(counts[list(rows)].sum())
         if not n_items:
             return ": must have at least one item: all quantities are 0"
@@ -240,32 +240,32 @@ class _OrderBuilder:
             InputError: two units of lengths, or weights of boxes and of rows, are possible; or no row is good.
         """
         columns, wishes = self.columns, self.reading.wishes
-        good = np.array([row not in self.faults for row in range(columns.n_rows)])
+        is_good = np.array([row not in self.faults for row in range(columns.n_rows)])
         with np.errstate(invalid="ignore"):
-            good &= (columns.size > 0).all(axis=1)
-        if not good.any():
+            is_good &= (columns.size > 0).all(axis=1)
+        if not is_good.any():
             row = min(self.faults, default=0)
             names = columns.size_names
             axis = int(np.argmin(np.nan_to_num(columns.size[row], nan=1.0)))
             value = columns.size[row, axis]
             fault = self.faults.get(row, f"{names[axis if len(names) == 3 else 0]} must be > 0, got {value:g}")
             raise InputError(f"{self.table.places[row]}: {fault}")
-        named = wishes.units or columns.size_unit or self.form.units
+        unit_text = wishes.units or columns.size_unit or self.form.units
         prior = _BIN_PRIOR if self.form in (MPV, SIZES) else _LIST_PRIOR if self.form is LENGTHS else _LENGTH_PRIOR
-        lengths = {named: 0.0} if named else dict(prior)
+        lengths = {unit_text: 0.0} if unit_text else dict(prior)
         masses: dict[str, float] = {"kg": 0.0}
         weighed = columns.weight is not None and columns.weight_is != "density"
         if weighed:
-            known = wishes.masses or columns.weight_unit or self.form.masses
-            masses = {known: 0.0} if known else dict(_MASS_PRIOR)
+            mass_unit = wishes.masses or columns.weight_unit or self.form.masses
+            masses = {mass_unit: 0.0} if mass_unit else dict(_MASS_PRIOR)
         of_rows = [False]
         if weighed and columns.weight_is == "row":
             of_rows = [True]
-        elif weighed and columns.weight_is == "" and self._has_quantities(good):
+        elif weighed and columns.weight_is == "" and self._has_quantities(is_good):
             of_rows = [False, True]
         costs = sorted(
-            (self._unit_cost(length, mass, rows, good) + more + extra, length, mass, rows)
-            for length, more in lengths.items()
+            (self._unit_cost(length, mass, rows, is_good) + prior_cost + extra, length, mass, rows)
+            for length, prior_cost in lengths.items()
             for mass, extra in masses.items()
             for rows in of_rows
         )
@@ -280,7 +280,8 @@ class _OrderBuilder:
         close = [entry for entry in costs if entry[3] == best[3] and entry[0] < best[0] + TIE]
         if (other := next((entry for entry in close if entry[1] != best[1]), None)) is not None:
             ways = (
-                f"lengths in {_UNIT_NAMES.get(unit, unit)} ({self._shown(unit, good)})" for unit in (best[1], other[1])
+                f"lengths in {_UNIT_NAMES.get(unit, unit)} ({self._shown(unit, is_good)})"
+                for unit in (best[1], other[1])
             )
             raise InputError(f"{TWO_WAYS} {', or '.join(ways)}; say which with --units")
         return _Units(best[1], best[2], best[3])
@@ -329,7 +330,7 @@ class _OrderBuilder:
         return np.array([*level, math.nan if upright is None else sizes[upright]])
 
     def _target(self, name: str, row: int, unit: str) -> str:
-        """What an order is packed on."""
+        """The carrier of an order."""
         if self.reading.target:
             return target_named(self.reading.target)
         parts = self.columns.boxes.parts
@@ -337,9 +338,9 @@ class _OrderBuilder:
         if container is None:
             return EURO
         level = container[:2] * LENGTH_UNITS[unit]
-        for known, extent in TARGET_EXTENT_MM.items():
+        for target_name, extent in TARGET_EXTENT_MM.items():
             if np.allclose(sorted(level), sorted(extent), rtol=0.005):
-                return known
+                return target_name
         low, high = _PALLET_MM
         if ((level >= low) & (level <= high)).all():
             return target_named(f"{level[0]:g}x{level[1]:g}")
@@ -398,7 +399,7 @@ class _OrderBuilder:
             return by_density
         if columns.weight_is == "density":
             relative = float(np.nanmax(columns.weight)) <= _RELATIVE
-            self._note(f"weights by density, {'in that of water' if relative else 'kg/m³'}")
+            self._note(f"weights by density, {'relative to water' if relative else 'kg/m³'}")
             of_columns: FloatArray = volume * columns.weight * (_WATER_KG_M3 if relative else 1.0)
             return of_columns
         name = columns.columns["total weight" if "total weight" in columns.columns else "weight"]
@@ -415,8 +416,8 @@ class _OrderBuilder:
             return np.where(empty, volume * density, mass)
         limits = _limits(SMALLEST_KG, LARGEST_KG, units.mass, MASS_UNITS)
         with np.errstate(invalid="ignore"):
-            bad = (mass < SMALLEST_KG) | (mass > LARGEST_KG)
-        for row in np.flatnonzero(bad).tolist():
+            is_bad = (mass < SMALLEST_KG) | (mass > LARGEST_KG)
+        for row in np.flatnonzero(is_bad).tolist():
             fault = positive_fault(name, float(columns.weight[row]), *limits)
             self.faults.setdefault(row, fault or f"{name} must be the weight of {counts[row]:,} boxes")
         return mass
@@ -426,9 +427,9 @@ class _OrderBuilder:
         limits = _limits(SMALLEST_MM, LARGEST_MM, unit, LENGTH_UNITS)
         size, names = self.columns.size, self.columns.size_names
         with np.errstate(invalid="ignore"):
-            bad = (size < limits[0]) | (size > limits[1])
-        for row in np.flatnonzero(bad.any(axis=1)).tolist():
-            axis = int(np.flatnonzero(bad[row])[0])
+            is_bad = (size < limits[0]) | (size > limits[1])
+        for row in np.flatnonzero(is_bad.any(axis=1)).tolist():
+            axis = int(np.flatnonzero(is_bad[row])[0])
             fault = positive_fault(names[axis if len(names) == 3 else 0], float(size[row, axis]), *limits)
             if fault is not None:
                 self.faults.setdefault(row, fault)
@@ -457,7 +458,7 @@ class _OrderBuilder:
 
 
 _SHOWN: Final = ("weight", "total weight", "density", "quantity", "per layer", "layers", "plan")
-"""Roles whose columns the line names after those of sizes."""
+"""Roles whose columns the message names after the sizes."""
 
 
 def _number_of(place: str) -> int:

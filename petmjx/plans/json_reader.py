@@ -44,7 +44,7 @@ def read_text_bytes(path: Path) -> tuple[bytearray, str | None]:
 
 
 def unpacked_bytes(path: Path) -> tuple[bytearray, str | None]:
-    """The bytes of a file, unpacked if they are gzip, and an error of the packing (None: no error).
+    """The bytes of a file, unpacked if they are gzip, and an error of gzip (None: no error).
 
     Raises:
         OSError, ValueError: as :func:`read_text_bytes`.
@@ -115,10 +115,10 @@ numbers."""
 
 
 class DuplicateFieldObject(dict[str, Any]):
-    """A JSON object that has a field twice. It keeps the field's last value.
+    """A JSON object that has a field twice. A repeated field keeps its last value.
 
     Attributes:
-        field: the first field that is there twice.
+        field: the first field that occurs twice.
     """
 
     def __init__(self, pairs: list[tuple[str, Any]]) -> None:
@@ -146,8 +146,8 @@ def scan_plans(data: bytes | bytearray, of: str = "plan id → placements", noun
         noun: name of an entry in messages.
 
     Raises:
-        MalformedPlans: the text is not JSON from some point on (raised after the entries before it), or the file is
-            empty or has no object. The error does not name the file.
+        MalformedPlans: a part of the text is not JSON (raised after the entries before it), or the file is empty or has
+            no object. The error does not name the file.
     """
     at = _after_space(data, 0)
     if at == len(data):
@@ -159,8 +159,8 @@ def scan_plans(data: bytes | bytearray, of: str = "plan id → placements", noun
         raise _not_json(data, at, "expected {")
     at = _after_space(data, at + 1)
     window = _FIRST_WINDOW
-    more = data[at : at + 1] != b"}"
-    while more:
+    has_more = data[at : at + 1] != b"}"
+    while has_more:
         key = _KEY.match(data, at)
         if key is None:
             cut_off = _CUT_KEY.match(data, at) is not None
@@ -172,8 +172,8 @@ def scan_plans(data: bytes | bytearray, of: str = "plan id → placements", noun
         yield Entry(plan_id, value)
         del value
         at = _after_space(data, end)
-        more = data[at : at + 1] == b","
-        if more:
+        has_more = data[at : at + 1] == b","
+        if has_more:
             at = _after_space(data, at + 1)
         elif data[at : at + 1] != b"}":
             cut_off = at == len(data)
@@ -196,13 +196,13 @@ def _decoded_value(data: bytes | bytearray, begin: int, window: int, where: str)
     """One JSON value and the position of its end.
 
     The decoder gets a window of the text, and a larger one if the value does not fit. Small windows are cheap: the
-    decoder's errors count the lines of all text that it gets, and text that is not ASCII takes up to four times its
+    decoder's errors count the lines of all text in the window, and text that is not ASCII takes up to four times its
     size while it is decoded.
 
     Args:
         begin: position of the value.
-        window: length of the first window, bytes. It is twice the length of the value before, so that the total of all
-            windows is linear in the text.
+        window: length of the first window, bytes. A window is twice as long as the value before, so that the total of
+            all windows is linear in the text.
         where: the plan, for errors.
     """
     while True:
@@ -241,7 +241,7 @@ def _after_space(data: bytes | bytearray, position: int) -> int:
 def _text(data: bytes | bytearray) -> str:
     """Text of bytes. Bytes that are no UTF-8 become lone surrogates.
 
-    So the JSON around them can still be read, and the error about a plan with such names can name the plan.
+    So the JSON around such names can still be read, and the error about a plan with such a name can name the plan.
     """
     return data.decode("utf-8", "surrogateescape")
 
@@ -271,5 +271,5 @@ def _decode_start(text: str) -> tuple[Any, int]:
     except json.JSONDecodeError:
         raise
     except ValueError:
-        # Python refuses integers of more than 4,300 digits. The plan is to be named and skipped; the run goes on.
+        # Python refuses integers of more than 4,300 digits. the plan is named and skipped; the run goes on
         return _PATIENT_DECODER.raw_decode(text)

@@ -30,7 +30,7 @@ def write_plans(
 ) -> None:
     """Write (plan id, placements) pairs as one BED-BPP object, one line per placement.
 
-    The file appears only when it is complete. Its bytes depend only on the plans: the gzip header has no time stamp.
+    The file appears only when complete. The bytes depend only on the plans: the gzip header has no time stamp.
 
     Raises:
         InputError: there is no plan, or the file cannot be written.
@@ -39,7 +39,7 @@ def write_plans(
 
 
 def write_orders(path: Path | str, orders: Iterable[tuple[str, Order]]) -> None:
-    """Write (id, order) pairs as BED-BPP's orders, one line per item. They are read again to the last bit.
+    """Write (id, order) pairs as BED-BPP's orders, one line per item. Numbers are read back to the last bit.
 
     Raises:
         InputError: there is no order, or the file cannot be written.

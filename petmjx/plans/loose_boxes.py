@@ -25,7 +25,7 @@ def first_loose(plan: Plan) -> int:
     """The first box, in packing order, whose centre of mass is not over its supports; n if there is none.
 
     The supports of a box are the highest tops of earlier boxes under it, or the carrier. The centre of mass is over the
-    supports if it is within the x–y extents of their contact areas. This is less strict than their convex hull.
+    supports if it lies within the x–y extents of their contact areas. This rule is less strict than the convex hull.
     """
     low, high = plan.corner_mm, plan.corner_mm + plan.size_mm
     along = [shared_length(low[:, axis], high[:, axis]) for axis in (0, 1)]
@@ -33,8 +33,8 @@ def first_loose(plan: Plan) -> int:
     under = (along[0] > _BESIDE_MM) & (along[1] > _BESIDE_MM) & (numbers[None, :] < numbers[:, None])
     under &= high[None, :, 2] <= low[:, None, 2] + _LEVEL_MM
     tops = np.where(under, high[None, :, 2], 0.0)
-    rest = tops.max(axis=1, initial=0.0)
-    bears = under & (tops >= rest[:, None] - _LEVEL_MM)
+    rest_mm = tops.max(axis=1, initial=0.0)
+    bears = under & (tops >= rest_mm[:, None] - _LEVEL_MM)
     centre = (low + high) / 2 if plan.mass_center_mm is None else (low + high) / 2 + plan.mass_center_mm
     over = np.ones(plan.n_boxes, bool)
     for axis in (0, 1):
@@ -43,14 +43,14 @@ def first_loose(plan: Plan) -> int:
             axis=1, initial=-np.inf
         )
         over &= (centre[:, axis] >= begins) & (centre[:, axis] <= ends)
-    loose = np.flatnonzero(~over & (rest > 0))
+    loose = np.flatnonzero(~over & (rest_mm > 0))
     return int(loose[0]) if len(loose) else plan.n_boxes
 
 
 def placed_shares(plans: Sequence[Plan]) -> FloatArray:
-    """(n,) the share of each plan's boxes that are placed up to its first loose box, inclusive; 1 if none is loose.
+    """(n,) the share of each plan's boxes up to its first loose box, inclusive; 1 without a loose box.
 
-    Of more than ``MOST_LOOKED_AT`` plans only some are checked. Their shares are repeated for all plans.
+    Of more than ``MOST_LOOKED_AT`` plans only some are checked. The shares of these plans are repeated for all plans.
     """
     looked_at = (
         [plans[k] for k in np.unique(np.linspace(0, len(plans) - 1, MOST_LOOKED_AT).astype(int))] if plans else []

@@ -1,8 +1,8 @@
 """Boxes nested anywhere in JSON, NumPy arrays or Python objects: lists of boxes become raw tables.
 
 A list of boxes is a list (or an object) of objects with the same fields, one object of lists, or a list of lists of
-numbers. Fields of fields are named by their path: ``position.x``, ``stackable.dx``, ``WHD[0]``. What is around a list
-names its plan and its container.
+numbers. Fields of fields are named by their path: ``position.x``, ``stackable.dx``, ``WHD[0]``. The objects around a
+list name its plan and its container.
 """
 
 from __future__ import annotations
@@ -50,12 +50,12 @@ _LISTED: Final = 16
 
 @dataclass(frozen=True, eq=False)
 class BoxList:
-    """A list of boxes, as a raw table with what is around it.
+    """A list of boxes as a raw table, with the objects around it.
 
     Attributes:
         table: the boxes.
         path: path of the list, with [] for any member: "containers[].stack.placements[]".
-        parts: (n,) name of each row's plan; "" where nothing names it.
+        parts: (n,) name of each row's plan; "" for a plan without a name.
         containers: name of a plan → axis (as in ``ColumnMeaning``) → size of its container, in the file's unit.
         left_out: a line about boxes that are not placed.
         around: fields of the objects around the list, of the first box.
@@ -128,8 +128,8 @@ def decoded_json(text: str) -> Any:
 
 
 def _json_value(text: str) -> Any:
-    """The value of JSON. Whole numbers of thousands of digits, which Python refuses, become infinite: they are later
-    refused as not finite, with their row and column."""
+    """The value of JSON. Whole numbers of thousands of digits, which Python refuses, become infinite: a later check
+    refuses them as not finite, with their row and column."""
     try:
         return json.loads(text)
     except json.JSONDecodeError:
@@ -140,13 +140,13 @@ def _json_value(text: str) -> Any:
 
 @dataclass(frozen=True, eq=False)
 class _Member:
-    """One object of a list, and where it is.
+    """One object of a list, and its path.
 
     Attributes:
         value: the object.
         place: its path in the file: "containers[0].boxes[3]".
-        around: (step, object) pairs from the outermost on: the name or number under which each object around it is
-            found, and the object.
+        around: (step, object) pairs from the outermost object: the name or number of each object around it, and the
+            object.
     """
 
     value: Mapping[str, Any]
@@ -261,7 +261,8 @@ _FORM_WORDS: Final = word_set(
 
 
 def _is_plan_key(value: Mapping[str, Any]) -> bool:
-    """Whether the fields of an object are names of plans: all hold lists, and none is a word of a form."""
+    """Whether the fields of an object are names of plans: all fields hold lists, and no field's name is a word of a
+    form."""
     lists = [inner for inner in value.values() if isinstance(inner, list) and inner]
     if len(lists) != len(value) or not lists:
         return False
@@ -276,7 +277,8 @@ _LEAST_COLUMNS: Final = 5
 
 
 def _columnar(value: Mapping[str, Any]) -> list[dict[str, Any]] | None:
-    """The rows of an object of lists of one length, or of pandas' form with ``columns`` and ``data``; None: none."""
+    """The rows of an object of lists of one length, or of pandas' form with ``columns`` and ``data``; None: no such
+    rows."""
     names, data = value.get("columns"), value.get("data")
     if isinstance(names, list) and isinstance(data, list) and data and all(isinstance(row, list) for row in data):
         if all(isinstance(name, str) for name in names) and all(len(row) == len(names) for row in data):
@@ -284,8 +286,8 @@ def _columnar(value: Mapping[str, Any]) -> list[dict[str, Any]] | None:
         return None
     lists = {name: list(inner) for name, inner in value.items() if isinstance(inner, list | tuple | np.ndarray)}
     lengths = {len(inner) for inner in lists.values()}
-    known = sum(meaning is not None for meaning in column_meanings(list(lists)))
-    if len(lengths) != 1 or 0 in lengths or known < 2:
+    n_known = sum(meaning is not None for meaning in column_meanings(list(lists)))
+    if len(lengths) != 1 or 0 in lengths or n_known < 2:
         return None
     if any(isinstance(inner[0], Mapping) for inner in lists.values()):
         return None
@@ -315,7 +317,8 @@ def _rows_of_numbers(value: Sequence[Any]) -> list[dict[str, Any]] | None:
 
 
 def flattened(value: Mapping[str, Any], prefix: str = "", depth: int = 0) -> dict[str, Any]:
-    """Path → value of an object: objects in it by ".", short lists of numbers by "[0]". Longer lists are left out."""
+    """Path → value of an object: a "." leads into an object, "[0]" into a short list of numbers. Longer lists are left
+    out."""
     flat: dict[str, Any] = {}
     for name, inner in value.items():
         path = f"{prefix}{name}"
@@ -337,7 +340,7 @@ def flattened(value: Mapping[str, Any], prefix: str = "", depth: int = 0) -> dic
 
 
 def _quantity(value: Mapping[str, Any]) -> Any:
-    """The text of an object that is a number with a unit: {"value": "400", "unit": "mm"}; None: it is none."""
+    """The text of an object that is a number with a unit: {"value": "400", "unit": "mm"}; None: another object."""
     if "value" in value and isinstance(value.get("unit"), str) and len(value) <= 4:
         return f"{value['value']} {value['unit']}"
     if set(value) == {"ticks"}:
@@ -350,7 +353,7 @@ def _is_matrix(value: Sequence[Any]) -> bool:
 
 
 def _box_list(path: str, members: Sequence[_Member]) -> BoxList | None:
-    """A list of objects as a table; None: they are no boxes."""
+    """A list of objects as a table; None: the objects are no boxes."""
     flat = [flattened(member.value) for member in members]
     counts: dict[str, int] = {}
     for row in flat:
@@ -365,19 +368,19 @@ def _box_list(path: str, members: Sequence[_Member]) -> BoxList | None:
     triples = sum(kind in ("sizes", "positions") for kind in kinds)
     if not (geometric >= 3 or triples or matrices or numbered):
         return None
-    kept, left = [], 0
+    box_members, left = [], 0
     for number, row in enumerate(flat):
         flags = [value for name, value in row.items() if name.lower() in _PLACED_FLAGS and isinstance(value, bool)]
         if flags and not all(flags):
             left += 1
         else:
-            kept.append(number)
-    rows = [tuple(_cell(flat[number].get(name)) for name in header) for number in kept]
-    places = [members[number].place or f"[{number}]" for number in kept]
+            box_members.append(number)
+    rows = [tuple(_cell(flat[number].get(name)) for name in header) for number in box_members]
+    places = [members[number].place or f"[{number}]" for number in box_members]
     table = RawTable(header, rows, places, decimal_of(rows) or "", title=path, has_header=not numbered)
-    parts = _parts([members[number] for number in kept])
+    parts = _parts([members[number] for number in box_members])
     containers: dict[str, Mapping[str, float]] = {}
-    for number, part in zip(kept, parts, strict=True):
+    for number, part in zip(box_members, parts, strict=True):
         if part not in containers:
             containers[part] = _container_of(members[number])
     lines = (f"{count_text(left, 'box is', 'boxes are')} not placed, and left out",) if left else ()
@@ -394,7 +397,7 @@ def _cell(value: Any) -> Any:
 
 
 def _parts(members: Sequence[_Member]) -> list[str]:
-    """The name of each member's plan: those of the objects around it which differ, else the innermost name."""
+    """The name of each member's plan: the names of the objects around it that differ, else the innermost name."""
     depth = max((len(member.around) for member in members), default=0)
     levels = [
         [member.around[level] if level < len(member.around) else ("", {}) for member in members]
@@ -431,7 +434,7 @@ def _only_name(around: Sequence[tuple[str, Mapping[str, Any]]]) -> str:
 
 
 def _names_of(holders: Sequence[tuple[str, Mapping[str, Any]]]) -> list[str]:
-    """The names of objects around boxes: of each the first field whose text no other has, else its place."""
+    """The names of objects around boxes: the text of the first field that is unique, else the object's place."""
     texts = {name: [_name_text(holder.get(name)) for _, holder in holders] for name in _NAMES}
     counts = {name: Counter(values) for name, values in texts.items()}
     names = []
@@ -452,7 +455,7 @@ def _name_text(value: Any) -> str:
 
 
 def _container_of(member: _Member) -> dict[str, float]:
-    """The size of the container around a box, by axis; empty: none is named."""
+    """The size of the container around a box, by axis; empty: no size."""
     for step, holder in reversed(member.around):
         for name, inner in holder.items():
             words = words_of(str(name))
@@ -482,7 +485,7 @@ def _holds_objects(value: Sequence[Any]) -> bool:
 
 
 def _sizes_in(value: Mapping[str, Any]) -> dict[str, float]:
-    """Axis → size among the fields of an object; empty: it has no three sizes."""
+    """Axis → size among the fields of an object; empty: no three sizes."""
     flat = flattened(value)
     sizes: dict[str, float] = {}
     for name, meaning in zip(flat, column_meanings(list(flat)), strict=True):

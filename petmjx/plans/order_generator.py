@@ -1,7 +1,7 @@
 """Generator of synthetic orders with BED-BPP's statistics: number of boxes, number of distinct articles, cartons.
 
 BED-BPP (Kagerer et al. 2023, "BED-BPP: Benchmarking dataset for robotic bin packing problems", Int. J. of Robotics
-Research 42(11)) has 10,003 grocery orders of 43±14 items for two targets. Here a catalogue of articles stands for the
+Research 42(11)) has 10,003 grocery orders of 43±14 items for two targets. Here a catalogue of articles replaces the
 warehouse, and an order draws articles from it. Names and ids are invented.
 
 Order i depends only on (seed, i), so the orders of a smaller set are the first orders of a larger set.
@@ -92,9 +92,9 @@ class Item:
     """One box of an order, with BED-BPP's fields.
 
     Attributes:
-        com_mm: centre of mass relative to the item's middle, along length, width and height, mm; None: not given.
-        stiffness_n_mm: as in ``Plan``; None: not given.
-        kind: "box", "sheet" or "" (not given).
+        com_mm: centre of mass relative to the item's middle, along length, width and height, mm; None: in the middle.
+        stiffness_n_mm: as in ``Plan``; None: rigid.
+        kind: "box", "sheet" or "" (a box).
     """
 
     article: str
@@ -130,7 +130,7 @@ def target_named(text: str) -> str:
     """The name of a target: "euro-pallet", "rollcontainer", or its sizes along x and y, mm, as in "1200x1000".
 
     Raises:
-        InputError: it is none.
+        InputError: the value is no target.
     """
     if text in TARGET_EXTENT_MM:
         return text
@@ -197,7 +197,7 @@ def draw_order(seed: int, index: int) -> Order:
     of_all = _volumes_m3(seed)
     volumes = of_all[chosen]
     while float(volumes @ quantity) > budget_m3:
-        # Too much for one target: replace the article that takes the largest volume in the order by a smaller one.
+        # Too much for one target: replace the article with the largest volume in the order by a smaller article.
         bulkiest = int(np.argmax(volumes * quantity))
         free = of_all < volumes[bulkiest]
         free[chosen] = False

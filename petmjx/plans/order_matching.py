@@ -1,16 +1,17 @@
 """Matching of plans with their orders (``match``, ``check_orders``).
 
-``match`` finds the item of each box. Boxes are matched by ``id`` and ``article`` together, by the one of them that is
-present, or, if a box has neither, by size, mass and properties. An item matches one box at most: if an item is packed
-twice, the second box was not ordered. ``sequence`` is ignored, since packers renumber boxes. Sizes are compared in any
+``match`` finds the item of each box. Boxes are matched by ``id`` and ``article`` together, by the single name that is
+present, or without names by size, mass and properties. An item matches one box at most: if an item is packed twice, the
+second box was not ordered. ``sequence`` is ignored, since packers renumber boxes. Sizes are compared in any
 orientation.
 
-Properties of goods are the order's, and no matter of a packer: a box whose centre of mass, stiffness or kind is another
-one than its item's differs like a box of another size. An item has the properties that the order gives, else those of
-the user's table of articles (:func:`with_properties`), else none: its centre of mass is in its middle, and it is rigid.
+Properties of goods belong to the order, not to the packer: a box with another centre of mass, stiffness or kind than
+its item differs like a box of another size. The properties of an item are those of the order, else those of the user's
+table of articles (:func:`with_properties`). Without both the item's centre of mass is in its middle, and the item is
+rigid.
 
-``check_orders`` compares plans with a file of orders: which items were left out, which boxes were not ordered, and
-which have another size or mass than ordered.
+``check_orders`` compares plans with a file of orders: items left out, boxes not ordered, and boxes with another size or
+mass than ordered.
 """
 
 from __future__ import annotations
@@ -47,7 +48,7 @@ MASS_TOLERANCE_KG: Final = 0.0005
 """Tolerance of equal masses that also holds for small masses: half a gram, since small masses are rounded."""
 
 _ROUNDING: Final = 1e-9
-"""Allowance for float64: a difference that is exactly a tolerance may come out slightly larger."""
+"""Allowance for float64: a difference that is exactly a tolerance may become slightly larger."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -87,7 +88,7 @@ class Matching:
 
 
 class _Names(NamedTuple):
-    """The names of a box or an item; "" where it has no such name."""
+    """The names of a box or an item; "" for a missing name."""
 
     item_id: str
     article: str
@@ -101,7 +102,7 @@ class _MatchKey(NamedTuple):
     """One way to match: boxes and items with the same key match.
 
     Attributes:
-        key: the key of a box or an item; None: it has none, and does not match.
+        key: the key of a box or an item; None: no key, and no match.
         boxes, items: whether a box or an item takes part.
         named: whether the key alone identifies the item, whatever the box's size.
     """
@@ -125,8 +126,8 @@ _WAYS: Final = (
     _MatchKey(lambda names: (), lambda box: not any(box), _any, named=False),
     _MatchKey(lambda names: (), _any, lambda item: not any(item), named=False),
 )
-"""Ways to match, in order; each takes the boxes and items that the ways before have left. All ways are tried first with
-equal size and mass, then those with ``named`` without. A name that one side lacks is not compared."""
+"""Ways to match, in order; each with the boxes and items that earlier ways left unmatched. All ways are tried first
+with equal size and mass, then those with ``named`` without. A name that one side lacks is not compared."""
 
 
 def match(plan: Plan, order: Order) -> Matching:
@@ -149,10 +150,12 @@ def match(plan: Plan, order: Order) -> Matching:
             if not left or not free:
                 break
             items_by_key = _groups(free, items, way.items, way.key)
-            for key, some in _groups(left, boxes, way.boxes, way.key).items():
+            for key, group_boxes in _groups(left, boxes, way.boxes, way.key).items():
                 same_items = items_by_key.get(key, [])
                 pairs = (
-                    _equal_pairs(some, same_items, of_boxes, of_items) if alike else zip(some, same_items, strict=False)
+                    _equal_pairs(group_boxes, same_items, of_boxes, of_items)
+                    if alike
+                    else zip(group_boxes, same_items, strict=False)
                 )
                 for box, item in pairs:
                     matched[box], resized[box], by_size[box] = item, not alike, not way.named
@@ -165,13 +168,13 @@ def match(plan: Plan, order: Order) -> Matching:
 def _match_equal(
     boxes: list[_Names], of_boxes: FloatArray, items: list[_Names], of_items: FloatArray, matched: NDArray[np.int64]
 ) -> None:
-    """Match boxes whose names, size and mass are exactly those of an item. This is fast, and matches most boxes."""
+    """Match boxes whose names, size and mass are exactly those of an item. This way is fast, and matches most boxes."""
     free: dict[Hashable, list[int]] = defaultdict(list)
     for number in reversed(range(len(items))):
         free[items[number], *of_items[number].tolist()].append(number)
     for box, (names, measures) in enumerate(zip(boxes, of_boxes.tolist(), strict=True)):
-        if any(names) and (same := free.get((names, *measures))):
-            matched[box] = same.pop()
+        if any(names) and (same_items := free.get((names, *measures))):
+            matched[box] = same_items.pop()
 
 
 def _groups(numbers: list[int], names: list[_Names], takes: _Takes, key: _Key) -> dict[Hashable, list[int]]:
@@ -185,14 +188,14 @@ def _groups(numbers: list[int], names: list[_Names], takes: _Takes, key: _Key) -
 def _equal_pairs(
     boxes: list[int], items: list[int], of_boxes: FloatArray, of_items: FloatArray
 ) -> list[tuple[int, int]]:
-    """Pairs (box, item) of equal size and mass. A box and an item are in one pair at most."""
+    """Pairs (box, item) of equal size and mass. A box and an item belong to at most one pair."""
     if not items:
         return []
-    same = _equal_measures(of_boxes[boxes][:, None], of_items[items][None])
+    is_equal = _equal_measures(of_boxes[boxes][:, None], of_items[items][None])
     free = np.ones(len(items), bool)
     pairs = []
     for row, box in enumerate(boxes):
-        if (fits := same[row] & free).any():
+        if (fits := is_equal[row] & free).any():
             column = int(fits.argmax())
             free[column] = False
             pairs.append((box, items[column]))
@@ -200,7 +203,7 @@ def _equal_pairs(
 
 
 def _equal_measures(box: FloatArray, item: FloatArray) -> NDArray[np.bool_]:
-    """Whether sizes and masses, and properties if they are there, are equal within the tolerances."""
+    """Whether sizes and masses, and properties if present, are equal within the tolerances."""
     apart = np.abs(box - item)
     sizes = (apart[..., :3] <= SIZE_TOLERANCE_MM + _ROUNDING).all(axis=-1)
     masses = apart[..., 3] <= np.maximum(MASS_TOLERANCE * item[..., 3], MASS_TOLERANCE_KG) + _ROUNDING
@@ -236,7 +239,7 @@ _ROTATIONS: Final = tuple(
     for signs in product((1, -1), repeat=3)
     if _parity(axes) * signs[0] * signs[1] * signs[2] == 1
 )
-"""The 24 ways to turn a box: its axes in another order, and their signs. None of them is a mirror image."""
+"""The 24 ways to turn a box: its axes in another order, and their signs. No rotation is a mirror image."""
 
 _N_PLAIN: Final = 4
 """Number of columns of :func:`_measures`."""
@@ -281,9 +284,9 @@ def with_properties(order: Order, articles: Articles | None) -> Order:
 
 
 def _filled_up(item: Item, articles: Articles) -> Item:
-    known = articles.find(item.article, item.product_group)
-    com_mm = known.com_mm if item.com_mm is None else item.com_mm
-    stiffness = known.stiffness_n_mm if item.stiffness_n_mm is None else item.stiffness_n_mm
+    article = articles.find(item.article, item.product_group)
+    com_mm = article.com_mm if item.com_mm is None else item.com_mm
+    stiffness = article.stiffness_n_mm if item.stiffness_n_mm is None else item.stiffness_n_mm
     return replace(item, com_mm=com_mm, stiffness_n_mm=stiffness)
 
 
@@ -329,11 +332,11 @@ class OrderCounts:
         orders: usable orders of the file.
         ordered_boxes, left_out, not_ordered, resized: boxes (see :class:`PlanOrderCounts`) of all plans that have an
         order.
-        matched_by_size: boxes of these plans without id and article, which were matched by size and mass.
+        matched_by_size: boxes of these plans without id and article, which are matched by size and mass.
         plans_leaving_out: plans that leave out at least one box.
         plans_without_order: plans without a usable order in the file.
-        orders_without_plan, boxes_without_plan: orders without a usable plan, and their boxes; None: not known, since
-            not all plans were read.
+        orders_without_plan, boxes_without_plan: orders without a usable plan, and their boxes; None: unknown, since not
+            all plans were read.
         unusable_orders: orders of the file that were not compared.
     """
 
@@ -387,8 +390,8 @@ def check_orders(
     Args:
         path: the file, gzipped or not.
         plans: all plans of the run, with distinct ids.
-        takes: whether the plan or order with an id is in this shard.
-        all_plans: whether ``plans`` has all plans. If not, orders without a plan are not counted.
+        takes: returns whether the plan or order with an id is in this shard.
+        all_plans: whether ``plans`` has all plans. False: orders without a plan are not counted.
         strict: raise at the first unusable order, instead of leaving it out of the comparison.
         articles: the user's table of articles, for properties that orders do not give.
 
@@ -467,11 +470,11 @@ def difference_in_words(plan: Plan, order: Order, matching: Matching) -> str:
         verb = "was" if ordered.not_ordered == 1 else "were"
         names = [_name_of_box(plan, box) for box in np.flatnonzero(matching.not_ordered).tolist()]
         parts.append(f"{count_text(ordered.not_ordered, 'box', 'boxes')} {verb} not ordered ({_in_words(names)})")
-    for some, one, many in (
+    for counts, one, many in (
         (matching.resized & ~matching.same_size, *_RESIZED),
         (matching.same_size, *_ALTERED),
     ):
-        if numbers := np.flatnonzero(some).tolist():
+        if numbers := np.flatnonzero(counts).tolist():
             names = [f"{_name_of_box(plan, box)}: {_pair(plan, order, matching, box)}" for box in numbers]
             verb = one if len(numbers) == 1 else many
             parts.append(f"{count_text(len(numbers), 'box', 'boxes')} {verb} ({_in_words(names, '; ')})")
@@ -481,8 +484,8 @@ def difference_in_words(plan: Plan, order: Order, matching: Matching) -> str:
 def on_target(plan: Plan, order: Order) -> NDArray[np.bool_]:
     """(n,) whether a box of a plan is on the order's target.
 
-    If the plan's bounding box fits on the target, also turned, all boxes are on it, wherever the plan has its origin.
-    Else a box is on it if its middle is over the target with its corner at the origin.
+    If the plan's bounding box fits on the target, also turned, all boxes count as on the target, for any origin of the
+    plan. Otherwise a box is on the target if its middle is over the target with its corner at the origin.
     """
     extent = np.array(target_extent_mm(order.target), float)
     low, high = plan.corner_mm[:, :2], plan.corner_mm[:, :2] + plan.size_mm[:, :2]
@@ -495,7 +498,8 @@ def on_target(plan: Plan, order: Order) -> NDArray[np.bool_]:
 
 @dataclass(eq=False)
 class OddBoxes:
-    """Differences between many plans and their orders: the number of boxes of each kind, and the first in words."""
+    """Differences between many plans and their orders: the number of boxes of each kind, and the first boxes in
+    words."""
 
     counts: Counter[str] = field(default_factory=Counter)
     first: dict[str, str] = field(default_factory=dict)
@@ -510,17 +514,17 @@ class OddBoxes:
             "off_target": ~on_target(plan, order) & (matching.item >= 0),
         }
         for kind, boxes in kinds.items():
-            if not (some := np.flatnonzero(boxes).tolist()):
+            if not (box_numbers := np.flatnonzero(boxes).tolist()):
                 continue
-            self.counts[kind] += len(some)
+            self.counts[kind] += len(box_numbers)
             if kind not in self.first:
-                words = f"plan {printable_name(plan.plan_id)}, {_name_of_box(plan, some[0])}"
+                words = f"plan {printable_name(plan.plan_id)}, {_name_of_box(plan, box_numbers[0])}"
                 if kind in ("resized", "altered"):
-                    words += f": {_pair(plan, order, matching, some[0])}"
+                    words += f": {_pair(plan, order, matching, box_numbers[0])}"
                 self.first[kind] = words
 
     def lines(self, whose: str = "") -> Iterator[str]:
-        """A line for each kind that has boxes.
+        """A line for each kind with at least one box.
 
         Args:
             whose: "of NAME", the name of a packer; may be empty.
@@ -595,8 +599,8 @@ def _measures_in_words(sizes_mm: Iterable[float], kg: float) -> str:
 def _in_words(names: Iterable[str], between: str = ", ") -> str:
     """Names with their counts: "2 × bread-00105329, 1 × carton (77)"."""
     counts = [f"{number:,} × {name}" for name, number in Counter(names).items()]
-    more = [count_text(len(counts) - MOST_ARTICLES, "more article")] if len(counts) > MOST_ARTICLES else []
-    return between.join([*counts[:MOST_ARTICLES], *more])
+    more_words = [count_text(len(counts) - MOST_ARTICLES, "more article")] if len(counts) > MOST_ARTICLES else []
+    return between.join([*counts[:MOST_ARTICLES], *more_words])
 
 
 def _list(lines: list[str], line: str) -> None:

@@ -56,12 +56,12 @@ def read_orders(
 ) -> Iterator[tuple[str, Order]]:
     """Yield (order id, order) for each order of a file, gzipped or not. Items are sorted by sequence number.
 
-    BED-BPP's orders are read as they are. A file of another form is read as ``petmjx.plans.foreign_orders`` finds out,
-    and a ``PlanWarning`` says how.
+    Orders in BED-BPP's form are read directly. A file of another form is read by ``petmjx.plans.foreign_orders``, and a
+    ``PlanWarning`` says how.
 
     Args:
         on_bad_order: called with the error of a bad order, which is then skipped; None: the error is raised.
-        reading: how files of other forms are read, and their target; None: what is most plausible.
+        reading: how files of other forms are read, and their target; None: the most plausible way.
 
     Raises:
         InputError: the file cannot be read, or has no orders (raised before the first order); or an order is bad and
@@ -76,11 +76,11 @@ def read_orders(
             yield from _good_orders(orders, on_bad_order)
             return
         data = _own_bytes(path, name, is_own=True)
-    seen: set[str] = set()
+    order_ids: set[str] = set()
     for entry in scan_plans(data):
         where = f"{name}: order {printable_name(entry.plan_id)}"
         try:
-            if entry.plan_id in seen:
+            if entry.plan_id in order_ids:
                 raise InputError(f"{where}: repeated order id")
             order = _order(entry, where)
         except InputError as error:
@@ -88,7 +88,7 @@ def read_orders(
                 raise
             on_bad_order(error)
         else:
-            seen.add(entry.plan_id)
+            order_ids.add(entry.plan_id)
             yield entry.plan_id, order
 
 
@@ -134,10 +134,10 @@ def _own_bytes(path: Path, name: str) -> bytearray | None: ...
 
 
 def _own_bytes(path: Path, name: str, is_own: bool = False) -> bytearray | None:
-    """The bytes of a file of orders in BED-BPP's form; None: it has another form.
+    """The bytes of a file of orders in BED-BPP's form; None: another form.
 
     Args:
-        is_own: whether the file is known to be JSON of no other form.
+        is_own: whether the file is certainly JSON in BED-BPP's form.
 
     Raises:
         InputError: the file is damaged or has no order.
@@ -145,8 +145,8 @@ def _own_bytes(path: Path, name: str, is_own: bool = False) -> bytearray | None:
     try:
         data, fault = read_text_bytes(path)
         if fault is not None and not data:
-            whole, packing_fault = unpacked_bytes(path)
-            if packing_fault is None and is_of_other_tools(whole):
+            content, packing_fault = unpacked_bytes(path)
+            if packing_fault is None and is_of_other_tools(content):
                 return None
     except (OSError, ValueError) as error:
         raise InputError(f"{name}: cannot be read: {reason(error)}") from error
@@ -165,7 +165,7 @@ def _own_bytes(path: Path, name: str, is_own: bool = False) -> bytearray | None:
 
 
 def _foreign(path: Path, name: str, reading: OrderReading | None) -> ForeignOrders | None:
-    """The orders of a file of another form; None: it is JSON that holds nothing like boxes.
+    """The orders of a file of another form; None: JSON without boxes.
 
     Raises:
         InputError: the file cannot be read as orders.
@@ -196,10 +196,10 @@ def _good_orders(
 ) -> Iterator[tuple[str, Order]]:
     """The good orders of a file. Errors are those of :func:`read_orders`."""
     for _, line in orders.refused:
-        bad = InputError(line)
+        error = InputError(line)
         if on_bad_order is None:
-            raise bad
-        on_bad_order(bad)
+            raise error
+        on_bad_order(error)
     yield from orders.orders
 
 

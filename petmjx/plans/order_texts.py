@@ -31,7 +31,7 @@ _LINES_BEFORE: Final = 5
 
 @dataclass
 class _Rows:
-    """Boxes while they are gathered."""
+    """Boxes gathered so far."""
 
     header: tuple[str, ...]
     rows: list[tuple[Any, ...]] = field(default_factory=list)
@@ -95,7 +95,7 @@ class _Line:
 
 
 def order_source(data: bytes | bytearray) -> BoxSource | None:
-    """The boxes of a text of numbers; None: it is none of the known forms.
+    """The boxes of a text of numbers; None: an unknown form.
 
     Raises:
         InputError: a text of a known form is damaged. The error names the line, and not the file.
@@ -125,7 +125,7 @@ def order_source(data: bytes | bytearray) -> BoxSource | None:
 
 
 def _flags_at(line: _Line) -> int | None:
-    """Where the box type's length is in its line, by the marks 0 and 1 behind the sizes; None: it is no such line."""
+    """Position of a box type's length in its line, by the marks 0 and 1 behind the sizes; None: another line."""
     for begin in (1, 0):  # with the number of the type, or without
         marks = line.words[begin + 1 : begin + 6 : 2]
         if len(line) >= begin + 7 and len(marks) == 3 and sum(mark in ("0", "1") for mark in marks) >= 2:
@@ -150,7 +150,8 @@ def _thpack(lines: Sequence[_Line]) -> BoxSource:
 
     The line of a type is its number, length, mark, width, mark, height, mark, quantity, and in ``wtpack`` (which has no
     numbers of types) the weight, kg, and load bearing strengths. The marks say whether a size may be upright. petmjx
-    turns boxes about the vertical alone: the height is upright if it may, else the first size that may.
+    turns boxes about the vertical alone: the height is upright if its mark allows it, else the first size with such a
+    mark.
     """
     weighted = any(len(line) - (_flags_at(line) or 0) >= 8 and _flags_at(line) == 0 for line in lines)
     rows = _Rows(("type", "length", "width", "height", "quantity", *(("weight per box",) if weighted else ())))
@@ -175,8 +176,8 @@ def _thpack(lines: Sequence[_Line]) -> BoxSource:
             at = (1 if len(line) in (8, 9) else 0) if at is None else at
             marks = line.words[at + 1 : at + 6 : 2]
             if not set(marks) <= {"0", "1"}:
-                bad = next(mark for mark in marks if mark not in ("0", "1"))
-                rows.lost.append((line.place, f"marks of upright sizes must be 0 or 1, got {printable_name(bad)}"))
+                bad_mark = next(mark for mark in marks if mark not in ("0", "1"))
+                rows.lost.append((line.place, f"marks of upright sizes must be 0 or 1, got {printable_name(bad_mark)}"))
                 continue
             sizes = list(line.words[at : at + 6 : 2])
             upright = next((axis for axis in (2, 1, 0) if marks[axis] == "1"), 2)
@@ -184,8 +185,10 @@ def _thpack(lines: Sequence[_Line]) -> BoxSource:
             free += sum(mark == "1" for mark in marks) > 1
             sizes = [size for axis, size in enumerate(sizes) if axis != upright] + [sizes[upright]]
             quantity = line.words[at + 6]
-            more = (line.words[at + 7] if len(line) > at + 7 else None,) if weighted else ()
-            rows.add((f"{part}/{line.words[0] if at else position - begin}", *sizes, quantity, *more), line, part)
+            extra_words = (line.words[at + 7] if len(line) > at + 7 else None,) if weighted else ()
+            rows.add(
+                (f"{part}/{line.words[0] if at else position - begin}", *sizes, quantity, *extra_words), line, part
+            )
         if position - begin < n_types:
             where = lines[position].place if position < len(lines) else "the end"
             raise InputError(
@@ -219,7 +222,7 @@ def _problem_head(lines: Sequence[_Line], position: int) -> tuple[dict[str, floa
     """The container and the number of types of a problem, and the position of the first type.
 
     Raises:
-        InputError: the lines are none of them.
+        InputError: the lines have another form.
     """
     if position + 1 >= len(lines):
         raise InputError(f"{lines[-1].place}: ends within a problem")
@@ -278,20 +281,20 @@ def _bin_packing(lines: Sequence[_Line]) -> BoxSource | None:
 
 def _bin_head(lines: Sequence[_Line], position: int) -> tuple[int, list[float], int] | None:
     """Number of boxes, bin and position of the first box; None: there is no head."""
-    here = lines[position]
+    head_line = lines[position]
     after = lines[position + 1] if position + 1 < len(lines) else _Line(0, ())
-    if len(here) == 4 and here.is_numeric:
-        rest = lines[position + 1 :]
-        count, *sizes = here.values
+    if len(head_line) == 4 and head_line.is_numeric:
+        later_lines = lines[position + 1 :]
+        count, *sizes = head_line.values
         if count is None or not (count.is_integer() and 0 < count <= MOST_ROWS):
             return None
         n_boxes = int(count)
-        widths = {len(line) for line in rest[:n_boxes]}
-        fits = len(rest) >= n_boxes and widths == {4} and _counts_up(rest[:n_boxes])
+        widths = {len(line) for line in later_lines[:n_boxes]}
+        fits = len(later_lines) >= n_boxes and widths == {4} and _counts_up(later_lines[:n_boxes])
         if fits or 3 in widths:
             return n_boxes, [size for size in sizes if size is not None], position + 1
         return None
-    for number, size in ((here, after), (after, here)):
+    for number, size in ((head_line, after), (after, head_line)):
         if len(number) == 1 and len(size) == 3 and number.is_numeric and size.is_numeric:
             n_boxes = number.whole(0, "the number of boxes")
             return n_boxes, [value for value in size.values if value is not None], position + 2

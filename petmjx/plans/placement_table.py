@@ -60,7 +60,7 @@ class InputColumn:
     Attributes:
         values: an Arrow array; or Python objects, if they are of several types.
         is_text: whether numbers are texts, as in CSV. Empty text is then a missing value.
-        decimal: the decimal mark of numbers that are texts. If it is a comma, they have no point.
+        decimal: the decimal mark of numbers that are texts. Numbers with a decimal comma have no point.
     """
 
     values: pa.Array | Sequence[Any]
@@ -68,7 +68,7 @@ class InputColumn:
     decimal: str = "."
 
     def raw(self, row: int, number: bool = False) -> Any:
-        """The value of a row as messages show it; None: it is missing.
+        """The value of a row in messages; None: a missing value.
 
         Args:
             number: whether the column should have numbers. A number that is text is then shown as a number.
@@ -96,7 +96,7 @@ class InputColumn:
         return np.asarray(array.is_null())
 
     def numbers(self) -> tuple[FloatArray, NDArray[np.bool_]]:
-        """(n,) numbers, NaN where there is none; and the mask of usable numbers. Ranges are not checked."""
+        """(n,) numbers, NaN for a missing number; and the mask of usable numbers. Ranges are not checked."""
         array = self.values
         if not isinstance(array, pa.Array):
             return _converted_objects(array, _float, np.nan, np.float64)
@@ -108,7 +108,7 @@ class InputColumn:
         return np.asarray(numbers.fill_null(np.nan)), np.asarray(numbers.is_valid())
 
     def whole(self) -> tuple[NDArray[np.int64], NDArray[np.bool_]]:
-        """(n,) whole numbers, 0 where there is none; and the mask of rows that have one."""
+        """(n,) whole numbers, 0 for a missing number; and the mask of rows with a number."""
         numbers, usable = self.numbers()
         usable &= (np.abs(numbers) <= _MOST_EXACT) & (numbers == np.rint(numbers))
         integers = np.where(usable, numbers, 0).astype(np.int64)
@@ -120,7 +120,7 @@ class InputColumn:
         return np.where(known, np.asarray(exact.fill_null(0)), integers), known | usable
 
     def texts(self) -> tuple[NDArray[np.object_], NDArray[np.bool_]]:
-        """(n,) names, "" where there is none; and the mask of usable names. Equal names share one string."""
+        """(n,) names, "" for a missing name; and the mask of usable names. Equal names share one string."""
         array = self.values
         if not isinstance(array, pa.Array):
             return _converted_objects(array, _name, "", np.object_)
@@ -162,13 +162,13 @@ def _is_number(kind: pa.DataType) -> bool:
 
 
 def _trimmed_text(array: pa.Array) -> pa.Array:
-    """Text without white space around it; null where it is empty."""
+    """Text without white space around it; null for empty text."""
     text = pc.ascii_trim_whitespace(array)
     return pc.if_else(pc.equal(text, ""), None, text)
 
 
 def _exact(array: pa.Array) -> pa.Array:
-    """Whole numbers as int64, since float64 would lose digits; null where there is none."""
+    """Whole numbers as int64, since float64 would lose digits; null for a missing number."""
     try:
         return pc.cast(array, pa.int64())
     except pa.ArrowInvalid:
@@ -180,7 +180,7 @@ def _exact(array: pa.Array) -> pa.Array:
 
 
 def _numeric_text(array: pa.Array, decimal: str) -> pa.Array:
-    """The numbers in texts, as float64; null where a text is no number."""
+    """The numbers in texts, as float64; null for other texts."""
     text = _trimmed_text(array)
     if decimal != ".":
         text = pc.if_else(pc.match_substring(text, "."), "", pc.replace_substring(text, decimal, "."))
@@ -191,7 +191,7 @@ def _numeric_text(array: pa.Array, decimal: str) -> pa.Array:
 
 
 def _as_number(text: str, decimal: str) -> Any:
-    """The number in a text. A text that is no number is returned unchanged; None: it is empty."""
+    """The number in a text. A text that is no number is returned unchanged; None: an empty text."""
     if not text:
         return None
     if _WHOLE.fullmatch(text) and len(text) < 300:
@@ -207,7 +207,7 @@ def _converted_objects(
 
     Args:
         read: converts a value; None: it cannot be used.
-        otherwise: stands for values that cannot be used.
+        otherwise: value in place of unusable ones.
         kind: type of the array.
     """
     readings = [read(value.item() if isinstance(value, np.generic) else value) for value in values]
@@ -260,7 +260,7 @@ class TableError(InputError):
 
     Attributes:
         n_known: number of its columns that have petmjx's names.
-        is_own: whether it surely is one of petmjx's tables.
+        is_own: whether the table is surely one of petmjx's own.
     """
 
     def __init__(self, message: str, n_known: int = 0, is_own: bool = False) -> None:
@@ -276,7 +276,7 @@ class RefusedPlan(NamedTuple):
 
 
 class LostRow(NamedTuple):
-    """A row that cannot be read. ``plan_id`` is None if it is not known."""
+    """A row that cannot be read. ``plan_id`` is None if unknown."""
 
     number: int
     plan_id: str | None
@@ -290,7 +290,7 @@ class Table:
     Attributes:
         columns: name, of `NEEDED` or `OPTIONAL` → column of n rows.
         unread: names of columns that are not read.
-        numbers: (n,) the number of each row in messages.
+        numbers: (n,) the number of each row for messages.
         lost: rows that could not be read, and are not in the columns.
         cut_off: whether the table ends too early, so that the last plan may lack rows.
     """
@@ -308,7 +308,7 @@ def sorted_columns(names: Sequence[str]) -> tuple[dict[str, int], list[str]]:
     Case, and white space around a name, are ignored.
 
     Raises:
-        TableError: a column is there twice, or is missing. The error does not name the file.
+        TableError: a column occurs twice, or is missing. The error does not name the file.
     """
     positions: dict[str, int] = {}
     unread = []
@@ -338,7 +338,7 @@ def table_plans(
         source: name of the file in messages.
         max_boxes: plans with more boxes are refused.
         notes: gets a line about plans whose ``sequence`` has gaps.
-        given: units and anchor of the table's numbers.
+        given: the user's units and anchor of the table's numbers.
     """
     return _TableReader(table, source, max_boxes, notes, given).plans()
 
@@ -370,8 +370,8 @@ class _TableReader:
         begins = np.flatnonzero(np.diff(self._codes[self._order], prepend=-2))
         known = begins[self._codes[self._order][begins] >= 0]
         ends = np.append(known[1:], len(self._order))
-        bad = np.logical_or.reduceat(bad_rows, known).tolist()
-        for plan_id, begin, end, is_bad in zip(self._plan_ids, known.tolist(), ends.tolist(), bad, strict=True):
+        has_bad_row = np.logical_or.reduceat(bad_rows, known).tolist()
+        for plan_id, begin, end, is_bad in zip(self._plan_ids, known.tolist(), ends.tolist(), has_bad_row, strict=True):
             fault = refused.get(plan_id) or self._fault(begin, end, is_bad)
             if fault is None:
                 yield self._plan(plan_id, begin, end)
@@ -398,7 +398,7 @@ class _TableReader:
 
     @cached_property
     def _com(self) -> dict[str, FloatArray]:
-        """Centres of mass along the items' sides, mm; 0 where not given, NaN where a value cannot be used."""
+        """Centres of mass along the items' sides, mm; 0 without a value, NaN for an unusable value."""
         columns = {}
         for name, of in zip(COM_FIELDS, _SIZE, strict=True):
             if name in self.table.columns:
@@ -428,20 +428,20 @@ class _TableReader:
 
     @cached_property
     def _bad(self) -> NDArray[np.bool_]:
-        bad = np.zeros(len(self.table.numbers), dtype=bool)
+        is_bad = np.zeros(len(self.table.numbers), dtype=bool)
         for name, (_, usable) in (*self._texts.items(), *self._whole.items()):
             if name != "plan_id":
-                bad |= ~usable & ~self._missing[name] if name in _MAY_LACK else ~usable
+                is_bad |= ~usable & ~self._missing[name] if name in _MAY_LACK else ~usable
         for numbers in (*self._numbers.values(), *self._com.values()):
-            bad |= np.isnan(numbers)
+            is_bad |= np.isnan(numbers)
         for name, sparse in self._sparse.items():
-            bad |= np.isnan(sparse) & ~self._missing[name]
+            is_bad |= np.isnan(sparse) & ~self._missing[name]
         if "kind" in self._texts:
             names = self._texts["kind"][0]
-            bad |= np.array([kind_fault(name) is not None for name in names], bool)
+            is_bad |= np.array([kind_fault(name) is not None for name in names], bool)
             for row in np.flatnonzero([name in PALLETS for name in names]):
-                bad[row] |= pallet_fault(names[row], self._size_mm(row)) is not None
-        return bad
+                is_bad[row] |= pallet_fault(names[row], self._size_mm(row)) is not None
+        return is_bad
 
     @cached_property
     def _sparse(self) -> dict[str, FloatArray]:
@@ -455,13 +455,13 @@ class _TableReader:
 
     @cached_property
     def _missing(self) -> dict[str, NDArray[np.bool_]]:
-        """Name of a column → (n,) whether a row has no value in it."""
+        """Name of a column → (n,) whether the row lacks a value."""
         names = [name for name in (*NEEDED, *OPTIONAL) if name in self.table.columns]
         return {name: self.table.columns[name].missing(number=name not in NAMES) for name in names}
 
     @cached_property
     def _coded(self) -> tuple[NDArray[np.int64], list[str]]:
-        """(n,) the number of each row's plan, −1 if the plan id cannot be used; and the ids of the plans.
+        """(n,) the number of each row's plan, −1 for an unusable plan id; and the ids of the plans.
 
         Plans are numbered in order of appearance.
         """
@@ -534,7 +534,7 @@ class _TableReader:
         }
 
     def _fault(self, begin: int, end: int, bad: bool) -> str | None:
-        """Why a plan is refused; None: it is fine. Begins with ", row" if the fault is in a row."""
+        """The reason for the refusal of a plan; None: a good plan. Begins with ", row" if the fault is in a row."""
         if end - begin > self.max_boxes:
             return too_many_boxes(end - begin, self.max_boxes)
         rows = np.sort(self._order[begin:end])
@@ -548,7 +548,7 @@ class _TableReader:
         return f", rows {first} and {second}: sequence {numbers[twice[0]]} is there twice"
 
     def _fault_of_rows(self, rows: NDArray[np.int64]) -> str:
-        """The fault of bad rows: all missing values if several rows lack some, or else the first fault."""
+        """The fault of bad rows: all missing values if several rows lack some, otherwise the first fault."""
         numbers = self.table.numbers
         needed = {name: empty[rows] for name, empty in self._missing.items() if name not in _MAY_LACK}
         missing = {name: numbers[rows[empty]].tolist() for name, empty in needed.items() if empty.any()}
@@ -559,7 +559,7 @@ class _TableReader:
         return next(faults, "is unusable")
 
     def _fault_of(self, row: np.int64) -> str | None:
-        """The first fault of a row, in the order of the columns; None: it has none."""
+        """The first fault of a row, in the order of the columns; None: no fault."""
         missing = [name for name, empty in self._missing.items() if empty[row] and name not in _MAY_LACK]
         if missing:
             return missing_fault(missing)

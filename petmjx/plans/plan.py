@@ -30,18 +30,18 @@ class Plan:
         mass_kg: (n,) masses, kg.
         item_ids, articles: n names each.
         sequence: (n,) number of each item in the customer's order.
-        orientation: (n,) 0: the item's length lies along x; 1: along y. None: not given, and the extents are taken as
-            the item's length and width.
-        product_groups: n names, "" where an item has none; empty: no item has one.
-        materials: n names of materials, which determine friction (petmjx.options.materials); "" where not given; empty:
-            given for no box.
+        orientation: (n,) 0: the item's length lies along x; 1: along y. None: unknown, and the extents are taken as the
+            item's length and width.
+        product_groups: n names, "" for an item without a group; empty: no item has a group.
+        materials: n names of materials, which determine friction (petmjx.options.materials); "": unknown for this box;
+            empty: unknown for all boxes.
         mass_center_mm: (n, 3) centres of mass relative to the middles of the boxes, along x, y and z; None: all in the
             middles.
-        approach_deg: (n,) horizontal direction in which each box moves to its place, from +x to +y, degrees; NaN where
-            not given; None: given for no box. Used if boxes are carried (``petmjx.options.placing``).
+        approach_deg: (n,) horizontal direction in which each box moves to its place, from +x to +y, degrees; NaN: free
+            for this box; None: free for all boxes. Used if boxes are carried (``petmjx.options.placing``).
         stiffness_n_mm: (n,) force on the box's top per compression, as in a press, N/mm; NaN: the box is rigid; None:
             all boxes are rigid.
-        strength_n: (n,) load that the box bears on its top, N; NaN where not given; None: given for no box.
+        strength_n: (n,) load that the box bears on its top, N; NaN: unknown for this box; None: unknown for all boxes.
         kinds: n times "box", "sheet" (an interlayer sheet) or the name of a pallet, such as "epal-1"; empty: all are
             boxes.
     """
@@ -147,7 +147,8 @@ class Plan:
                 ``com_length_mm``, ``com_width_mm``, ``com_height_mm``, ``stiffness_n_mm``, ``strength_n`` and ``kind``.
                 ``sequence`` sets another packing order.
             size_mm: instead of lengths, widths and heights: (n, 3) extents along x, y, z as placed, mm, as in
-                ``Plan.size_mm``. An ``orientation`` beside it only says how the boxes were turned; it turns nothing.
+                ``Plan.size_mm``. An ``orientation`` only records how the boxes were turned; the sizes are already those
+                after the turn.
             corner_mm: instead of x, y and z: (n, 3) front-left-bottom corners, mm; z = 0 is the top of the carrier.
             mass_kg: instead of weights: (n,) masses, kg.
             units: units of all these lengths (mm, cm, m or in) and masses (kg, g, lb or t), such as "cm,g".
@@ -180,11 +181,11 @@ class Plan:
         ``Plan.of_units("two", [plan, plan], [(0, 0, 0), (0, 0, 1344)])`` has the second pallet on a load of 1,200 mm.
 
         Args:
-            loads: a plan for each pallet, whose z = 0 is the pallet's top, and whose origin is its corner.
+            loads: the plan of each pallet's load: z = 0 is the pallet's top, and the origin is its corner.
             corner_mm: (u, 3) front-left-bottom corner of each pallet, mm.
             pallet: the kind of the pallets, "epal-1" or "gma-48x40".
-            pallet_kg: mass of each, kg.
-            material: what the pallets are made of, for friction by materials; "": not given.
+            pallet_kg: mass of each pallet, kg.
+            material: material of the pallets, for friction by materials; "": unknown.
 
         Raises:
             InputError: an argument is unusable.
@@ -223,7 +224,7 @@ class Plan:
 
     @property
     def item_size_mm(self) -> NDArray[np.float64]:
-        """(n, 3) length, width and height of the items, before they are turned."""
+        """(n, 3) length, width and height of the items before turning."""
         return np.where(self.turned[:, None], self.size_mm[:, [1, 0, 2]], self.size_mm)
 
     def __repr__(self) -> str:

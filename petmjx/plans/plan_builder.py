@@ -106,12 +106,12 @@ def fields_of_units(
 
 
 def _joined(of_pallets: Sequence[Any], of_loads: Sequence[Any]) -> Any:
-    """A value of each pallet and those of its load, pallet after pallet."""
+    """A value of each pallet followed by the values of its load, pallet after pallet."""
     return np.concatenate([part for one, load in zip(of_pallets, of_loads, strict=True) for part in ([one], load)])
 
 
 def _filled(values: Any, usual: Any, count: int) -> Any:
-    """The values, or ``count`` usual ones where there are none."""
+    """The values, or ``count`` usual values without them."""
     return np.array([usual] * count) if values is None else values
 
 
@@ -135,7 +135,7 @@ def _columns_of_arrays(arrays: Mapping[str, Any], where: str) -> dict[str, Any]:
             continue
         try:
             values = np.asarray(arrays[argument])
-        except Exception:  # whatever an object raises when it is turned into an array
+        except Exception:  # converting an object of any class may raise anything
             raise InputError(
                 f"{where}: {argument} must be an array of numbers, {shown_value(arrays[argument])}"
             ) from None

@@ -42,7 +42,7 @@ class SparseField(NamedTuple):
         low, high: its limits.
         unit: its unit in columns of files.
         units: its unit in sentences.
-        reaches_results: whether a simulation depends on it.
+        reaches_results: whether results depend on the field.
     """
 
     low: float
@@ -67,7 +67,7 @@ PALLETS: Final[Mapping[str, tuple[float, float, float]]] = {
 }
 """Kinds of items that are pallets, which bear other boxes → their extents, mm. Carriers have the same names."""
 PALLET_SIZE_MM: Final = 1.0
-"""How far an item's sizes may be from those of its pallet, mm: the last digit of plans."""
+"""Largest difference between an item's sizes and those of its pallet, mm: the last digit of plans."""
 KINDS: Final = ("box", SHEET, *PALLETS)
 """Kinds of items; the default is a box."""
 KINDS_IN_WORDS: Final = f"{', '.join(KINDS[:-1])} or {KINDS[-1]}"
@@ -79,8 +79,7 @@ _LIKE: Final = {
     ("kilograms", False): (1000.0, "tonnes? then give units t"),
     ("kilograms", True): (0.001, "grams? then give units g"),
 }
-"""Unit of a value out of range, and whether it is too large → factor that would bring it into range, and the unit that
-the value then probably has."""
+"""Unit of a value, and whether the value is too large → factor that brings it into range, and its probable unit."""
 
 _NUMBERS: Final = {int, float}
 _INT64: Final = np.iinfo(np.int64)
@@ -89,7 +88,7 @@ _MOST_NAMED: Final = 8
 
 
 def text_fault(field: str, value: object) -> str | None:
-    """The error text for a name; None if it is fine."""
+    """The error text for a name; None for a good name."""
     if not isinstance(value, str):
         return f"{field} must be a string, got {kind(value)}"
     if len(value) > LONGEST_NAME:
@@ -98,7 +97,7 @@ def text_fault(field: str, value: object) -> str | None:
 
 
 def plan_id_fault(value: str) -> str | None:
-    """The error text for a plan id; None if it is fine."""
+    """The error text for a plan id; None for a good id."""
     if not value:
         return "the plan id must be text and not empty"
     if not is_text(value):
@@ -109,7 +108,7 @@ def plan_id_fault(value: str) -> str | None:
 
 
 def number_fault(field: str, value: object) -> str | None:
-    """The error text for a value that must be a finite number; None if it is fine."""
+    """The error text for a value that must be a finite number; None for a finite number."""
     if type(value) not in _NUMBERS:
         return f"{field} must be a number, got {kind(value)}{number_hint(value) if isinstance(value, str) else ''}"
     try:
@@ -120,7 +119,7 @@ def number_fault(field: str, value: object) -> str | None:
 
 
 def positive_fault(field: str, value: Any, smallest: float, largest: float, unit: str) -> str | None:
-    """The error text for a size or mass; None if it is fine. Value and limits are in ``unit``."""
+    """The error text for a size or mass; None for a good value. Value and limits are in ``unit``."""
     fault = number_fault(field, value)
     if fault is not None:
         return fault
@@ -134,7 +133,7 @@ def positive_fault(field: str, value: Any, smallest: float, largest: float, unit
 
 
 def coordinate_fault(field: str, value: Any, smallest: float, largest: float, unit: str) -> str | None:
-    """The error text for a coordinate; None if it is fine."""
+    """The error text for a coordinate; None for a good value."""
     fault = number_fault(field, value)
     if fault is None and not smallest <= value <= largest:
         return _out_of_range(field, value, smallest, largest, unit)
@@ -146,10 +145,10 @@ def _out_of_range(field: str, value: Any, smallest: float, largest: float, unit:
 
 
 def com_fault(field: str, value: Any, size: float) -> str | None:
-    """The error text for a centre of mass along one side of a box; None if it is fine.
+    """The error text for a centre of mass along one side of a box; None for a good value.
 
     Args:
-        size: length of that side, in the unit of the value.
+        size: length of this side, in the unit of the value.
     """
     fault = number_fault(field, value)
     if fault is None and not 2 * abs(value) < size:
@@ -167,33 +166,33 @@ def com_along_axes(item_com_mm: FloatArray, turned: NDArray[np.bool_]) -> FloatA
 
 
 def integer_fault(field: str, value: object) -> str | None:
-    """The error text for a sequence number; None if it is fine."""
+    """The error text for a sequence number; None for a good value."""
     if type(value) is not int:
         return f"{field} must be an integer, got {kind(value)}"
     return None if _INT64.min <= value <= _INT64.max else f"{field} is too large, got {kind(value)}"
 
 
 def orientation_fault(value: object) -> str | None:
-    """The error text for an orientation; None if it is fine."""
-    known = type(value) is int and value in (0, 1)
-    return None if known else f"orientation must be 0 or 1, got {kind(value)}"
+    """The error text for an orientation; None for a good value."""
+    is_valid = type(value) is int and value in (0, 1)
+    return None if is_valid else f"orientation must be 0 or 1, got {kind(value)}"
 
 
 def sparse_fault(field: str, value: object) -> str | None:
-    """The error text for an optional number (`SPARSE`); None if it is fine."""
+    """The error text for an optional number (`SPARSE`); None for a good value."""
     known = SPARSE[field]
     return None if value is None else coordinate_fault(field, value, known.low, known.high, known.units)
 
 
 def kind_fault(value: object) -> str | None:
-    """The error text for the kind of an item; None if it is fine."""
+    """The error text for the kind of an item; None for a good value."""
     if value is None or value == "" or (isinstance(value, str) and value in KINDS):
         return None
     return f"kind must be {KINDS_IN_WORDS}, got {kind(value)}"
 
 
 def pallet_fault(name: str | None, size_mm: Sequence[float]) -> str | None:
-    """The error text for an item whose kind is a pallet of other sizes; None if it is fine.
+    """The error text for an item that is a pallet of wrong sizes; None for right sizes.
 
     Args:
         name: the item's kind.
@@ -219,15 +218,15 @@ def missing_anywhere(missing: Mapping[str, Sequence[int]], noun: str) -> str | N
 
     Args:
         missing: field → numbers of the placements that lack it.
-        noun: name of what the numbers count, such as "row".
+        noun: name of the counted things, such as "row".
     """
     if len({index for indices in missing.values() for index in indices}) < 2:
         return None
-    named = [
+    field_names = [
         f"{field} in {noun} {indices[0]}" + (f" and {len(indices) - 1:,} more" if len(indices) > 1 else "")
         for field, indices in missing.items()
     ]
-    return f"fields are missing: {', '.join(named)}"
+    return f"fields are missing: {', '.join(field_names)}"
 
 
 def too_many_boxes(n_boxes: int, most: int) -> str:
@@ -254,20 +253,20 @@ def joined_names(names: Sequence[str]) -> str:
 
 
 class UnreadFields(Counter[str]):
-    """Fields of plans that petmjx does not read: name → number of placements that have it."""
+    """Fields of plans that petmjx does not read: name → number of placements with this field."""
 
     def notes(self) -> list[str]:
         """A list with one line that names the fields; empty if there are none."""
         if not self:
             return []
-        named = [
+        field_names = [
             f"{printable_name(name)} ({count_text(number, 'placement')})"
             for name, number in self.most_common(_MOST_NAMED)
         ]
         if len(self) > _MOST_NAMED:
-            named.append(f"{len(self) - _MOST_NAMED:,} more")
-        return [f"fields of plans that petmjx does not read: {joined_names(named)}"]
+            field_names.append(f"{len(self) - _MOST_NAMED:,} more")
+        return [f"fields of plans that petmjx does not read: {joined_names(field_names)}"]
 
     def add(self, names: Iterable[str], known: frozenset[str], prefix: str = "") -> None:
-        """Count the unknown names of one placement."""
+        """Count the unknown fields of one placement."""
         self.update(prefix + name for name in names if name not in known)

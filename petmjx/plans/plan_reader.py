@@ -49,10 +49,10 @@ if TYPE_CHECKING:
 
 DEFAULT_MAX_BOXES: Final = 512
 """Default limit of a plan's boxes: twelve times BED-BPP's mean of 43, and twice the largest known plan of other
-packers. The model of a plan of this size declares 132,000 pairs of geoms on C MuJoCo."""
+packers. With this number of boxes a model declares 132,000 pairs of geoms on C MuJoCo."""
 
 MOST_LINES: Final = 100_000
-"""Largest number of unusable entries of a file that are listed one by one. Further ones are counted."""
+"""Largest number of unusable entries of a file that are listed one by one. Further entries are only counted."""
 FRAME: Final = "data frame"
 OBJECT: Final = "python"
 """Names of a data frame, and of another object, in messages."""
@@ -80,7 +80,7 @@ def load_plans(
     """Read and validate packing plans.
 
     A ``PlanWarning`` is issued if plans seem to follow another convention, such as coordinates of centres, and for each
-    file of another tool, with how it was read.
+    file of another tool, with its reading.
 
     Args:
         paths: a file, a folder, or several of them; or a table of placements, as a pandas data frame or any object with
@@ -92,16 +92,16 @@ def load_plans(
         limit: stop after this many good plans.
         strict: raise an error instead of skipping anything.
         max_boxes: plans with more boxes are skipped.
-        carrier_extent_mm: x–y extent of the carrier; boxes beyond it are reported as outside. None: the plan's
-            footprint.
+        carrier_extent_mm: x–y extent of the carrier; boxes beyond it are reported as outside. None: the extent of the
+            plan's boxes.
         units: units of the plans' lengths (mm, cm, m or in) and masses (kg, g, lb or t), such as "cm,g"; None: mm and
-            kg, and in files of other tools what is most plausible.
+            kg, in files of other tools the most plausible units.
         anchor: the point of a box to which the plans' coordinates refer: ``corner`` (front-left-bottom), ``centre``,
-            ``base-centre`` or ``far-corner`` (with the largest x, y and z); None: the corner, and in files of other
-            tools what is most plausible.
-        up: the vertical axis of files of other tools; None: what is most plausible. The following, too, are for files
-            of other tools.
-        sizes: ``placed``: sizes are those of boxes as placed; ``item``: before they are turned.
+            ``base-centre`` or ``far-corner`` (with the largest x, y and z); None: the corner, in files of other tools
+            the most plausible point.
+        up: the vertical axis of files of other tools; None: the most plausible axis. The following arguments, too, are
+            for files of other tools.
+        sizes: ``placed``: of boxes as placed; ``item``: before turning.
         columns: role (``length``, ``x``, ``weight`` …, see docs/plan-format.md) → name of its column, or "-".
         density: density of boxes without a weight, kg/m³; None: 300.
         items: file with sizes and weights of items, for files of places alone.
@@ -109,11 +109,11 @@ def load_plans(
 
     Returns:
         The good plans. Bad plans, damaged parts and unusable files are in ``skipped``. If several plans have the same
-        id, the first good one is kept.
+        id, the first good plan counts.
 
     Raises:
         InputError: a path does not exist, a folder has no plan files, a data frame lacks columns, or an argument is
-            invalid. With ``strict`` also if anything would be skipped.
+            invalid. With ``strict`` also if a plan would be skipped.
     """
     if limit is not None:
         integer_of(limit, "limit", 1)
@@ -124,12 +124,14 @@ def load_plans(
             raise InputError(f"carrier_extent_mm must be two numbers, {shown_value(carrier_extent_mm)}")
         for length in carrier_extent_mm:
             number_of(length, "carrier_extent_mm", 0)
-    written, known = (reading, None) if reading is None or isinstance(reading, str | PathLike) else (None, reading)
+    reading_file, chosen_reading = (
+        (reading, None) if reading is None or isinstance(reading, str | PathLike) else (None, reading)
+    )
     options = RunOptions(
         limit=limit, strict=strict, units=units, anchor=anchor, up=up, sizes=sizes, columns=columns, density=density,
-        items=items, reading=written,
+        items=items, reading=reading_file,
     )  # fmt: skip
-    plan_set = read_plans(paths, options, max_boxes=max_boxes, extent_mm=carrier_extent_mm, reading=known)
+    plan_set = read_plans(paths, options, max_boxes=max_boxes, extent_mm=carrier_extent_mm, reading=chosen_reading)
     warn(plan_set.conventions)
     return plan_set
 
@@ -152,7 +154,7 @@ def read_plans(
     if options.reading is not None:
         from petmjx.plans.reading_files import read_reading
 
-        read_reading(options.reading)  # an error in it is one of the call, and not of each file
+        read_reading(options.reading)  # an error in this argument is an error of the call, not of each file
     loading = _PlanLoader(options.limit, options.strict, max_boxes, extent_mm, given, options, reading)
     if is_box_object(paths):
         loading.read_object(paths)
@@ -179,7 +181,7 @@ def is_box_object(value: Any) -> bool:
 
 
 _OF_A_RUN: Final = "petmjx convert writes its plans to a file"
-"""What to do with the folder of a run, where only files of plans are read."""
+"""Advice for the folder of a run, where only files of plans are read."""
 
 
 def _list_files(paths: list[Path]) -> list[Path]:
@@ -222,7 +224,7 @@ class _PlanLoader:
         found: plans, skipped entries and notes so far.
         source_of: plan id → name of its file.
         names: name → the same name, so that equal names share one string.
-        unread: counts of fields that petmjx does not read.
+        unread: counts of the fields that petmjx ignores.
         unlisted: unusable entries of the current file that are only counted.
         most_skipped: limit of ``found.skipped`` for the current file.
     """
@@ -288,7 +290,8 @@ class _PlanLoader:
         self._count_unlisted(FRAME)
 
     def _read_foreign_parquet(self, source: str, path: Path) -> InputError | None:
-        """Read a Parquet file with other names of columns. Returns why it cannot be read; None: it was read."""
+        """Read a Parquet file with other names of columns. Returns the reason for a failure; None: the file was
+        read."""
         from petmjx.plans.table_files import parquet_frame
 
         try:
@@ -336,7 +339,7 @@ class _PlanLoader:
         return None
 
     def _take_foreign(self, source: str, read: Callable[[Wishes, Path | None], ForeignPlans]) -> None:
-        """Take the plans of another tool's form. A tie is asked, if somebody answers.
+        """Take the plans of another tool's form. A tie becomes a question if the caller can answer.
 
         Args:
             read: reads them, from wishes and the file with the items.
@@ -364,9 +367,9 @@ class _PlanLoader:
     def _read_text(self, source: str, path: Path) -> None:
         data, fault = read_text_bytes(path)
         if fault is not None and not data:
-            whole, packing_fault = unpacked_bytes(path)
-            if packing_fault is None and is_of_other_tools(whole):
-                error = self._read_foreign(source, path, whole)
+            content, packing_fault = unpacked_bytes(path)
+            if packing_fault is None and is_of_other_tools(content):
+                error = self._read_foreign(source, path, content)
                 fault = None if error is None else str(error)
             if fault is not None:
                 self._skip(source, None, f"{source}: {fault}")
@@ -391,7 +394,8 @@ class _PlanLoader:
         """Read a table.
 
         Args:
-            otherwise: reads it as one of another tool if it is none of petmjx's; returns why it cannot.
+            otherwise: reads the text as a file of another tool if it has no form of petmjx; returns the reason for a
+                failure.
         """
         from petmjx.plans.placement_table import TableError
 
@@ -422,14 +426,14 @@ class _PlanLoader:
                     break
 
     def _read_json(self, source: str, path: Path, data: bytearray, damaged: bool) -> None:
-        """Read the plans of a text. If it turns out to be no JSON, its plans are removed again.
+        """Read the plans of a text. If a text turns out to be no JSON, its plans are removed again.
 
         Args:
-            damaged: whether the text is known to be damaged. Then the plans before the damage are kept.
+            damaged: whether the text is certainly damaged. In this case the plans before the damage count.
         """
         if not damaged and not looks_like_own_json(data) and not self._is_left_to_own(source, path, data):
             return
-        kept, skipped = len(self.found.plans), len(self.found.skipped)
+        n_good, skipped = len(self.found.plans), len(self.found.skipped)
         n_plans, unread = self.n_plans, self.unread.copy()
         n_entries = n_orders = 0
         first_order = ""
@@ -440,8 +444,8 @@ class _PlanLoader:
                 self._take_all(source, entries)
                 return
             self.unread = unread.copy()
-        named = source.lower().endswith((".json", ".json.gz"))
-        if not damaged and (kind := _kind_of_text(data, named)) is not None:
+        has_json_name = source.lower().endswith((".json", ".json.gz"))
+        if not damaged and (kind := _kind_of_text(data, has_json_name)) is not None:
             self._skip(source, None, f"{source}: {kind}")
             return
         try:
@@ -456,9 +460,9 @@ class _PlanLoader:
                     break
         except MalformedPlans as error:
             if not damaged:
-                for plan in self.found.plans[kept:]:
+                for plan in self.found.plans[n_good:]:
                     del self.source_of[plan.plan_id], self.found.numbers[plan.plan_id]
-                del self.found.plans[kept:], self.found.skipped[skipped:]
+                del self.found.plans[n_good:], self.found.skipped[skipped:]
                 self.n_plans, self.unread, self.unlisted = n_plans, unread, 0
                 self._skip(source, None, f"{source}: {error}", error)
                 return
@@ -468,8 +472,8 @@ class _PlanLoader:
             self._skip(source, None, _orders_message(source, first_order, n_orders))
 
     def _is_left_to_own(self, source: str, path: Path, data: bytearray) -> bool:
-        """Read a text that is not BED-BPP's as one of another tool. Returns whether it is JSON without any list of
-        boxes, of which the reader of BED-BPP's JSON says what is wrong.
+        """Read a text that is not BED-BPP's as a file of another tool. Returns whether the text is JSON without any
+        list of boxes; the reader of BED-BPP's JSON then explains the error.
         """
         fault = self._read_foreign(source, path, data)
         if fault is None:
@@ -481,8 +485,8 @@ class _PlanLoader:
 
     def _count_unlisted(self, source: str) -> None:
         if self.unlisted:
-            more = count_text(self.unlisted, "more entry is", "more entries are")
-            self.found.skipped.append(Skipped(source, None, f"{source}: {more} unusable"))
+            count_words = count_text(self.unlisted, "more entry is", "more entries are")
+            self.found.skipped.append(Skipped(source, None, f"{source}: {count_words} unusable"))
 
     def _take(self, source: str, plan_id: str, value: object) -> None:
         try:
@@ -508,9 +512,9 @@ class _PlanLoader:
         source, plan_id = plan.source, plan.plan_id
         first_source = self.source_of.get(plan_id)
         if first_source is not None:
-            where = "in this file" if first_source == source else f"in {first_source}"
+            place_text = "in this file" if first_source == source else f"in {first_source}"
             self._skip(
-                source, plan_id, f"{source}: plan {printable_name(plan_id)}: repeated plan id, first used {where}"
+                source, plan_id, f"{source}: plan {printable_name(plan_id)}: repeated plan id, first used {place_text}"
             )
             return
         self.source_of[plan_id] = source
@@ -532,10 +536,10 @@ class _PlanLoader:
 
 
 def _kind_of_text(data: bytearray, named: bool) -> str | None:
-    """The error text for a text that does not begin like JSON; None: it begins so, or is damaged JSON.
+    """The error text for a text that does not begin like JSON; None: JSON, or damaged JSON.
 
     Args:
-        named: whether the file's name is that of JSON. Then only a table is told from damaged JSON.
+        named: whether the file's name is that of JSON. Without such a name, only a table is told from damaged JSON.
     """
     if looks_like_table(data):
         return "looks like a table as text: it is read as one if its name ends in .csv or .tsv"

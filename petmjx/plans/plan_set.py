@@ -59,8 +59,8 @@ class PlanSet:
         skipped: an entry for each skipped plan, damaged part or file.
         warnings: an entry for each plan of ``plans`` with an overlap, a box outside the carrier or a floating box.
         notes: lines about the whole input, such as ignored fields.
-        conventions: a line for each file of another tool, and for each other convention that plans seem to follow.
-        readings: name of a file of another tool → how it was read.
+        conventions: a line for each file of another tool, and for each foreign convention that plans seem to follow.
+        readings: name of a file of another tool → its reading.
         numbers: plan id → number of the plan in the input, from 0, skipped plans included; empty: the order of
             ``plans``.
     """

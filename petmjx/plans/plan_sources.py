@@ -78,30 +78,31 @@ def are_files(plans: PlanSource | None) -> bool:
 def gather_plans(plans: PlanSource | None, sim: Simulation, options: RunOptions) -> PlanSet:
     """All plans of a source, with the properties of their boxes from the table of articles.
 
-    Files are read and checked. Plan objects are taken as they are; if an id is repeated, the plan gets a new id.
+    Files are read and checked. Plan objects are used unchanged; a plan with a repeated id gets a new id.
     """
     plan_set = _gather_plans(plans, sim, options)
     return plan_set if options.articles is None else _with_articles(plan_set, options.articles, options.strict)
 
 
 def _with_articles(plan_set: PlanSet, file: Path, strict: bool) -> PlanSet:
-    """Plans with the properties of their boxes from a table of articles. Plans that contradict it are skipped."""
+    """Plans with the properties of their boxes from a table of articles. Plans that contradict the table are
+    skipped."""
     from petmjx.plans.articles import read_articles, with_articles
 
     articles = read_articles(file)
-    kept, skipped, changed = [], list(plan_set.skipped), 0
+    plans, skipped, changed = [], list(plan_set.skipped), 0
     for plan in plan_set.plans:
         try:
-            kept.append(with_articles(plan, articles))
+            plans.append(with_articles(plan, articles))
         except InputError as error:
-            why = Skipped.plan(plan, str(error), strict)
-            skipped.append(replace(why, number=plan_set.numbers.get(plan.plan_id)))
+            skip = Skipped.plan(plan, str(error), strict)
+            skipped.append(replace(skip, number=plan_set.numbers.get(plan.plan_id)))
         else:
-            changed += kept[-1] is not plan
+            changed += plans[-1] is not plan
     name = printable(str(file))
     idle = [f"{name}: has nothing about the boxes of these plans"]
-    notes = _idle_rows(articles, [*plan_set.plans, *kept], name) if changed else idle
-    return replace(plan_set, plans=kept, skipped=skipped, notes=[*plan_set.notes, *notes])
+    notes = _idle_rows(articles, [*plan_set.plans, *plans], name) if changed else idle
+    return replace(plan_set, plans=plans, skipped=skipped, notes=[*plan_set.notes, *notes])
 
 
 def _idle_rows(articles: Articles, plans: Sequence[Plan], name: str) -> list[str]:
@@ -144,11 +145,11 @@ def _gather_plans(plans: PlanSource | None, sim: Simulation, options: RunOptions
         return _load(plans, sim, options)
     alone = isinstance(plans, str | PathLike | Plan)
     given: list[Any] = [plans] if alone else list_of(plans, "plans", object, _SOURCES)
-    ready = [plan for plan in given if isinstance(plan, Plan)]
-    if ready:
-        if len(ready) != len(given):
+    plan_objects = [plan for plan in given if isinstance(plan, Plan)]
+    if plan_objects:
+        if len(plan_objects) != len(given):
             raise InputError("plans: give either paths or plans, not both")
-        return with_conventions(_distinct_plan_ids(PlanSet(ready), options), _extent_mm(sim))
+        return with_conventions(_distinct_plan_ids(PlanSet(plan_objects), options), _extent_mm(sim))
     return _load([path_of(path, "plans") for path in given], sim, options)
 
 
@@ -164,17 +165,17 @@ def _extent_mm(sim: Simulation) -> tuple[float, float] | None:
 def _distinct_plan_ids(plan_set: PlanSet, options: RunOptions) -> PlanSet:
     """The same plans with distinct ids, since ids are keys of tables. The second plan with the id ID is renamed "ID#2".
 
-    In files an id names one plan, and a plan that repeats it is skipped (petmjx.plans.plan_reader). But a caller who
-    passes plan objects expects a result for each of them.
+    In files an id names one plan, and a second plan with this id is skipped (petmjx.plans.plan_reader). But a caller
+    with plan objects expects a result for each of them.
     """
     given = plan_set.plans[: options.limit]
     plan_ids = {plan.plan_id for plan in given}
-    seen: Counter[str] = Counter()
+    id_counts: Counter[str] = Counter()
     plans, renamed = [], []
     for plan in given:
-        seen[plan.plan_id] += 1
-        if seen[plan.plan_id] > 1:
-            name = next(name for n in count(seen[plan.plan_id]) if (name := f"{plan.plan_id}#{n}") not in plan_ids)
+        id_counts[plan.plan_id] += 1
+        if id_counts[plan.plan_id] > 1:
+            name = next(name for n in count(id_counts[plan.plan_id]) if (name := f"{plan.plan_id}#{n}") not in plan_ids)
             plan_ids.add(name)
             renamed.append(name)
             plan = replace(plan, plan_id=name)
@@ -227,22 +228,22 @@ def without_narrow_walls(
 
 def _without_faults(plan_set: PlanSet, fault_of: Callable[[Plan], str | None], strict: bool) -> PlanSet:
     """Skip plans with a fault. ``fault_of`` has the message after the plan's id, or None."""
-    kept, skipped = [], list(plan_set.skipped)
+    good_plans, skipped = [], list(plan_set.skipped)
     for plan in plan_set.plans:
         fault = fault_of(plan)
         if fault is None:
-            kept.append(plan)
+            good_plans.append(plan)
             continue
-        why = Skipped.plan(plan, fault, strict)
-        skipped.append(replace(why, number=plan_set.numbers.get(plan.plan_id)))
-    return replace(plan_set, plans=kept, skipped=skipped)
+        skip = Skipped.plan(plan, fault, strict)
+        skipped.append(replace(skip, number=plan_set.numbers.get(plan.plan_id)))
+    return replace(plan_set, plans=good_plans, skipped=skipped)
 
 
 def find_plan(plan_set: PlanSet, plan_id: str) -> Plan:
     """The plan with an id.
 
     Raises:
-        InputError: no plan has this id. If it was skipped, the line says why.
+        InputError: no plan has this id. If the plan was skipped, the line has the reason.
     """
     for plan in plan_set.plans:
         if plan.plan_id == plan_id:
@@ -250,7 +251,7 @@ def find_plan(plan_set: PlanSet, plan_id: str) -> Plan:
     reasons = [skipped.message for skipped in plan_set.skipped if skipped.plan_id == plan_id]
     if reasons:
         raise InputError(reasons[0])
-    others = similar(plan_id, (plan.plan_id for plan in plan_set.plans))
+    similar_text = similar(plan_id, (plan.plan_id for plan in plan_set.plans))
     raise InputError(
-        f"plan {printable_name(plan_id)} is not among the {count_text(len(plan_set.plans), 'plan')} read{others}"
+        f"plan {printable_name(plan_id)} is not among the {count_text(len(plan_set.plans), 'plan')} read{similar_text}"
     )

@@ -72,11 +72,12 @@ def parse_plan(
         max_boxes: a plan with more boxes is refused, never cut.
         names: names read so far (item ids, articles, groups, materials), so that equal names share one string. BED-BPP
             repeats each about 20 times.
-        unread: gets the counts of fields of a good plan that petmjx does not read.
-        given: units and anchor of the plan's numbers.
+        unread: receives the counts of a good plan's fields that petmjx ignores.
+        given: the user's units and anchor of the plan's numbers.
 
     Raises:
-        PlanError: the plan is refused. The line names file, plan, placement (counted from 0, like all boxes) and field.
+        PlanError: the plan is refused. The message names file, plan, placement (counted from 0, like all boxes) and
+            field.
     """
     where = f"{source}: plan {printable_name(plan_id)}"
     fault = plan_id_fault(plan_id)
@@ -130,11 +131,13 @@ def _parse_columns(
         groups = ["" if (group := item.get("product_group")) is None else group for item in items]
         approaches = [placement.get("approach_deg") for placement in value]
         corner_lengths = set(map(len, corners))
-        more = not all(map(_MORE.isdisjoint, items))
-        materials = [_value_or_default(item, "material", "") for item in items] if more else []
-        kinds = [_value_or_default(item, "kind", "") for item in items] if more else []
-        offsets = [[_value_or_default(item, field, 0.0) for field in COM_FIELDS_JSON] for item in items] if more else []
-        sparse = {name: [item.get(name) for item in items] for name in _SPARSE_OF_ITEM} if more else {}
+        has_extra = not all(map(_MORE.isdisjoint, items))
+        materials = [_value_or_default(item, "material", "") for item in items] if has_extra else []
+        kinds = [_value_or_default(item, "kind", "") for item in items] if has_extra else []
+        offsets = (
+            [[_value_or_default(item, field, 0.0) for field in COM_FIELDS_JSON] for item in items] if has_extra else []
+        )
+        sparse = {name: [item.get(name) for item in items] for name in _SPARSE_OF_ITEM} if has_extra else {}
         sparse["approach_deg"] = approaches
     except (AttributeError, KeyError, TypeError, IndexError):
         return None
@@ -157,7 +160,7 @@ def _parse_columns(
         numbers = np.array(columns, dtype=np.float64)
         point = np.array(coordinates, dtype=np.float64).reshape(-1, 3) * given.length_mm
         sequence = np.array(sequences, dtype=np.int64)
-        com = np.array(offsets, dtype=np.float64) * given.length_mm if more else None
+        com = np.array(offsets, dtype=np.float64) * given.length_mm if has_extra else None
         numbers_of = {
             name: np.array([np.nan if value is None else value for value in values], dtype=np.float64)
             for name, values in sparse.items()
@@ -207,7 +210,7 @@ def _value_or_default(item: dict[str, Any], field: str, otherwise: Any) -> Any:
 
 
 def find_fault(placement: object, given: InputConventions = USUAL) -> str | None:
-    """The error text for the first bad field of a placement; None if it is fine."""
+    """The error text for the first bad field of a placement; None for a good placement."""
     if not isinstance(placement, dict):
         return f"must be an object, got {kind(placement)}"
     for record, of in ((placement, ""), (placement.get("item"), "item.")):
@@ -256,7 +259,7 @@ def _missing(placement: dict[str, Any]) -> list[str]:
 
 
 def _all_missing(placements: list[Any]) -> str | None:
-    """The error text for missing fields, if more than one placement lacks some; else None."""
+    """The error text for missing fields, if several placements lack fields; else None."""
     missing: dict[str, list[int]] = {}
     for index, placement in enumerate(placements):
         for field in _missing(placement) if isinstance(placement, dict) else ():

@@ -1,11 +1,11 @@
 """Warnings about odd plans (``PlanWarnings``): overlapping and floating boxes, and boxes outside the carrier.
 
-Packing algorithms produce such plans, and physics is to judge them. So odd boxes are counted, and the plan is never
+Packing algorithms produce such plans, and physics is to judge them. So odd boxes are only counted, and the plan is not
 refused. Functions work on plain arrays of one plan: ``corner_mm`` and ``size_mm``, both (n, 3), rows in packing order,
 sizes as placed.
 
-``shared_length`` and ``meets`` say where two boxes overlap along an axis, and whether one's top is at the other's
-bottom. Their callers add conditions of their own: the order of placement, the carrier, or a least width.
+``shared_length`` and ``meets`` compute where two boxes overlap along an axis, and whether the top of one is at the
+bottom of the other. The callers add conditions: the order of placement, the carrier, or a least width.
 """
 
 from __future__ import annotations
@@ -36,7 +36,28 @@ def shared_length(low: FloatArray, high: FloatArray) -> FloatArray:
     return length
 
 
-def meets(low: FloatArray, high: FloatArray, tolerance: float, most_gap: float | None = None) -> NDArray[np.bool_]:
+def overlap(low: FloatArray, high: FloatArray, tolerance: float = 0.0) -> NDArray[np.bool_]:
+    """(…, n, n) whether two boxes overlap along an axis by more than a tolerance: ``shared_length > tolerance``,
+    without a matrix of lengths. Their overlap is the least of the four distances from a lower to an upper end of the
+    two.
+
+    Args:
+        low, high: (…, n) lower and upper ends of the boxes along the axis.
+    """
+    over: NDArray[np.bool_]
+    if tolerance == 0.0:  # a difference of floats is positive exactly if the first one is larger
+        over = high[..., :, None] > low[..., None, :]
+        thick = high > low
+    else:
+        over = high[..., :, None] - low[..., None, :] > tolerance
+        thick = high - low > tolerance
+    over &= thick[..., :, None]
+    return over & np.swapaxes(over, -1, -2)
+
+
+def meets(
+    low: FloatArray, high: FloatArray, tolerance: float, most_gap: float | FloatArray | None = None
+) -> NDArray[np.bool_]:
     """(…, n, n) whether the upper end of the row's box meets the lower end of the column's box.
 
     Args:
@@ -45,17 +66,19 @@ def meets(low: FloatArray, high: FloatArray, tolerance: float, most_gap: float |
         most_gap: the upper end may be below the lower end by at most this; None: ``tolerance``.
     """
     over = high[..., :, None] - low[..., None, :]
-    touching: NDArray[np.bool_] = (over <= tolerance) & (over >= -(tolerance if most_gap is None else most_gap))
+    touching: NDArray[np.bool_] = (over <= tolerance) & (
+        over >= np.negative(tolerance if most_gap is None else most_gap)
+    )
     return touching
 
 
 DEFAULT_TOLERANCE_MM: Final = 0.5
-"""Gaps and overlaps up to this count as touching. Plans have whole millimetres, in which neighbours touch. Half of the
+"""Gaps and overlaps up to this count as touching. Plans have whole millimetres, with neighbours that touch. Half of the
 last digit separates rounding from intent."""
 
 
 _MOST_PAIRS: Final = 1 << 17
-"""Pairs of boxes that are looked at together: a matrix of numbers takes 1 MB then, which caches hold."""
+"""Pairs of boxes that are compared together: a matrix of numbers takes 1 MB then, which caches hold."""
 
 MOST_NAMED: Final = 3
 """Largest number of boxes, or of pairs, that a warning names."""
@@ -63,14 +86,15 @@ MOST_NAMED: Final = 3
 
 @dataclass(frozen=True, slots=True)
 class PlanWarnings:
-    """The odd boxes of one plan: counts, and the first boxes in packing order.
+    """The odd boxes of one plan: their counts, and the names of the first ones.
 
     Attributes:
         plan_id, source: id of the plan, and its file.
         n_overlapping_pairs: pairs of boxes that overlap by more than the tolerance along all three axes.
         n_outside: boxes that reach beyond the carrier or below its top.
-        n_floating: boxes with nothing under them when they are placed.
-        overlapping, outside, floating: the first ``MOST_NAMED`` of each, in words: "3 and 7", "3", "3 by 100 mm".
+        n_floating: boxes without support at their placement.
+        overlapping, outside, floating: the first ``MOST_NAMED`` boxes or pairs of each kind, in words: "3 and 7", "3",
+            "3 by 100 mm".
     """
 
     plan_id: str
@@ -143,11 +167,11 @@ def odd_layouts(plans: Sequence[Plan], carrier_extent_mm: tuple[float, float] | 
     for n_boxes, alike in numbers.items():
         most = max(_MOST_PAIRS // n_boxes**2, 1)
         for first in range(0, len(alike), most):
-            some = alike[first : first + most]
-            corner = np.stack([plans[number].corner_mm for number in some])
-            size = np.stack([plans[number].size_mm for number in some])
+            group_plans = alike[first : first + most]
+            corner = np.stack([plans[number].corner_mm for number in group_plans])
+            size = np.stack([plans[number].size_mm for number in group_plans])
             is_odd = _are_odd(corner, size, carrier_extent_mm)
-            odd += [number for number, flag in zip(some, is_odd.tolist(), strict=True) if flag]
+            odd += [number for number, flag in zip(group_plans, is_odd.tolist(), strict=True) if flag]
     return [
         check_layout(plan.plan_id, plan.source, plan.corner_mm, plan.size_mm, carrier_extent_mm)
         for plan in (plans[number] for number in sorted(odd))
@@ -172,7 +196,7 @@ def gaps_mm(corner_mm: FloatArray, size_mm: FloatArray, in_order: bool = True) -
     """(n,) gap between each box and its support, a box or the carrier's top, mm; 0 if the support reaches into it.
 
     Args:
-        in_order: whether only boxes placed earlier can be supports; else all can.
+        in_order: whether only boxes placed earlier can be supports; False: all boxes can.
     """
     low, high = corner_mm.T, (corner_mm + size_mm).T
     side_by_side, _ = _overlaps(low, high, DEFAULT_TOLERANCE_MM)
@@ -180,7 +204,7 @@ def gaps_mm(corner_mm: FloatArray, size_mm: FloatArray, in_order: bool = True) -
 
 
 def overlaps_mm(corner_mm: FloatArray, size_mm: FloatArray) -> FloatArray:
-    """(n,) largest penetration of each box into another box, mm; 0 if it overlaps none.
+    """(n,) largest penetration of each box into another box, mm; 0 without an overlap.
 
     The penetration of two boxes is their overlap along the axis with the smallest overlap.
     """
@@ -192,14 +216,14 @@ def overlaps_mm(corner_mm: FloatArray, size_mm: FloatArray) -> FloatArray:
 
 
 def _overlaps(low: FloatArray, high: FloatArray, tolerance_mm: float) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
-    """(…, n, n) whether two boxes overlap seen from above, and whether they overlap. The matrices are symmetric. Their
-    diagonals are true for boxes that overlap themselves, that is, for those that are thick enough.
+    """(…, n, n) whether two boxes overlap seen from above, and whether they overlap. The matrices are symmetric. The
+    diagonals are true for boxes that overlap themselves, that is, for boxes that are thick enough.
 
     Args:
         low, high: (3, …, n) ends of the boxes along the axes.
     """
-    side_by_side = (shared_length(low[0], high[0]) > tolerance_mm) & (shared_length(low[1], high[1]) > tolerance_mm)
-    return side_by_side, side_by_side & (shared_length(low[2], high[2]) > tolerance_mm)
+    side_by_side = overlap(low[0], high[0], tolerance_mm) & overlap(low[1], high[1], tolerance_mm)
+    return side_by_side, side_by_side & overlap(low[2], high[2], tolerance_mm)
 
 
 def _thick_enough(low: FloatArray, high: FloatArray, tolerance_mm: float) -> NDArray[np.bool_]:
@@ -233,10 +257,10 @@ def _gaps(
     the box under it floats: placed one by one, it falls.
     """
     bottom, top = low[2], high[2]
-    # Row: the supporting box, column: the box above it. Supporting boxes are earlier in packing order.
+    # Row: the supporting box; column: the upper box. Supporting boxes are earlier in packing order.
     below = side_by_side & (bottom[..., :, None] < bottom[..., None, :])
     if in_order:
-        below = np.triu(below, k=1)
+        below &= ~np.tri(bottom.shape[-1], dtype=bool)
     support = np.where(below, top[..., :, None], 0.0).max(axis=-2, initial=0.0)
     gap: FloatArray = np.maximum(bottom - support, 0.0)
     return gap

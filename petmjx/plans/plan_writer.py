@@ -41,13 +41,12 @@ _UNITS: Final = {
 
 
 def save_plans(plans: Plan | Iterable[Plan], path: str | os.PathLike[str]) -> None:
-    """Write plans to one file. Its suffix sets the format: ``.json``, ``.csv`` (both also ``.gz``) or ``.parquet``.
+    """Write plans to one file. The suffix sets the format: ``.json``, ``.csv`` (both also ``.gz``) or ``.parquet``.
 
-    The file appears whole or not at all. Numbers are written so that they are read back to the last bit.
+    The file appears whole or not at all. Numbers are read back to the last bit.
 
     Raises:
-        InputError: the suffix is another one, there is no plan, two plans have the same id, or the file cannot be
-            written.
+        InputError: the suffix is unknown, there is no plan, two plans have the same id, or the file cannot be written.
     """
     file = path_of(path, "path")
     chosen = [plans] if isinstance(plans, Plan) else list_of(plans, "plans", Plan, "Plan objects")
@@ -150,7 +149,7 @@ def _write_parquet(plans: Sequence[Plan], file: Path) -> None:
 
 @dataclass(frozen=True)
 class _Columns:
-    """The optional columns of a table: a column is left out if it would be empty or have only its default."""
+    """The optional columns of a table: a column is left out if all its values are missing or the default."""
 
     item_id: bool
     product_group: bool

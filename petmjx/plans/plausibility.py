@@ -22,7 +22,7 @@ _TOLERANCE: Final = 0.01
 """Tolerance of touching, as a share of the median of the boxes' smallest sides: 2 mm for cartons of 200 mm. Centres are
 often rounded to centimetres or half millimetres."""
 _SMALL_LOAD: Final = 160
-"""Boxes of one plan by which it is judged; of larger plans the first ones that are packed count, from the ground up."""
+"""Number of boxes by which a plan is judged: the first boxes in packing order, from the ground up."""
 _CARTON_MM, _CARTON_SPREAD = 280.0, 0.75
 """Geometric mean of a carton's sides and its spread (of the logarithm), from BED-BPP's 1.5 million boxes."""
 _CARTON_KG_M3, _DENSITY_SPREAD = 250.0, 1.1
@@ -34,12 +34,13 @@ _DECKS_MM: Final = (
 )  # fmt: skip
 """Usual carriers: pallets of Europe, America and Asia, the roll container, sea containers and a trailer."""
 _PALLETS: Final = 10
-"""The first of the carriers are pallets; on the others a load lies only if the file says so."""
+"""The first of the carriers are pallets; the other carriers count only if the file names them."""
 _DECK_SPREAD: Final = 0.6
 _LARGE_MM: Final = 1000.0
-"""Least length of a carrier that a load's footprint is evidence of: two cartons also have that of a small one."""
+"""Least length of a carrier for evidence by a load's footprint: two cartons also have the footprint of a small
+carrier."""
 _NEAR: Final = 0.03
-"""Share by which a deck may differ from a usual one."""
+"""Largest relative difference between a deck and a usual deck."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -48,7 +49,7 @@ class Layout:
 
     Attributes:
         low, size: (n, 3) corners and sizes.
-        container: sizes of the container along x, y, z; NaN where not known.
+        container: sizes of the container along x, y, z; NaN where unknown.
     """
 
     low: FloatArray
@@ -60,7 +61,7 @@ def layout_cost(layout: Layout) -> tuple[float, str, tuple[int, int, int, float]
     """How implausible a layout is, where its origin is, and (overlapping, floating, outside boxes, sum of supported
     shares).
 
-    Heights count from the lowest box. If that is not at 0, the reading costs more.
+    Heights count from the lowest box. If the lowest box is not at 0, the reading costs more.
     """
     low, size = layout.low, layout.size
     tolerance = _TOLERANCE * float(np.median(size.min(axis=1)))
@@ -105,17 +106,17 @@ def layout_cost(layout: Layout) -> tuple[float, str, tuple[int, int, int, float]
 
 
 _NEGATIVE: Final = 1.0
-"""Cost of corners with negative coordinates, where no container is known: the origin is then no corner of the deck."""
+"""Cost of corners with negative coordinates, without a known container: the origin is no corner of the deck."""
 _FIRST_ODD, _MORE_ODD = 3.0, 1.5
-"""Most that the first odd box costs, and each further one: one plan in 20 has a box that a packer put wrong. In a plan
-of few boxes a share says less."""
+"""Largest cost of the first odd box, and of each further one: one plan in 20 has a box that a packer placed wrong. In a
+plan of few boxes a share is weaker evidence."""
 
 
 def _odd_cost(odd: NDArray[np.bool_], weight: float) -> float:
     """Cost of boxes that are odd in one way.
 
     Args:
-        weight: cost if all are.
+        weight: cost if all boxes are odd.
     """
     count = int(np.count_nonzero(odd))
     return min(weight * count / len(odd), _FIRST_ODD + _MORE_ODD * (count - 1)) if count else 0.0
@@ -124,8 +125,8 @@ def _odd_cost(odd: NDArray[np.bool_], weight: float) -> float:
 def _contacts(
     low: FloatArray, high: FloatArray, tolerance: float
 ) -> tuple[NDArray[np.bool_], NDArray[np.bool_], FloatArray, NDArray[np.bool_]]:
-    """(n,) whether boxes overlap another one, float, the supported share of their bases, and whether they touch another
-    one at a side or have none beside them. The deck is at height 0."""
+    """(n,) four arrays: whether boxes overlap another box, whether they float, the supported share of their bases,
+    whether they touch a box at a side or have no neighbours. The deck is at height 0."""
     common = [
         np.minimum.outer(high[:, axis], high[:, axis]) - np.maximum.outer(low[:, axis], low[:, axis])
         for axis in range(3)
@@ -156,7 +157,7 @@ def _contacts(
 def _outside(
     low: FloatArray, high: FloatArray, container: FloatArray, tolerance: float
 ) -> tuple[NDArray[np.bool_], float, str]:
-    """(n,) boxes outside the container, the cost of the origin, and where that is."""
+    """(n,) boxes outside the container, the cost of the origin, and the origin's place."""
     n = len(low)
     if np.isnan(container[:2]).any():
         around = bool((low[:, :2].min(axis=0) < -tolerance).all()) and bool((high[:, :2].max(axis=0) > tolerance).all())
@@ -230,7 +231,8 @@ def _squared(value: float, usual: float, spread: float) -> float:
 
 
 def deck_cost(deck_mm: FloatArray, known: bool) -> float:
-    """How unusual a deck is (known), or a load's footprint (not known): a load may be smaller than its deck."""
+    """Cost of an unusual deck (known), or of an unusual footprint of a load (deck unknown): a load may be smaller than
+    its deck."""
     long, short = float(deck_mm.max()), float(deck_mm.min())
     usual = any(
         abs(long / side - 1) < _NEAR and abs(short / other - 1) < (_NEAR if known else 0.12)
@@ -256,8 +258,8 @@ _OF_PALLET_MM: Final = (580.0, 1500.0, 380.0, 1320.0)
 
 
 def load_fit(side_mm: float, load_mm: FloatArray, deck_mm: FloatArray, known: bool) -> int:
-    """How well boxes and their load fit a carrier in one unit: 0 not at all, 1 as on one of another size, 2 as on a
-    usual one that is known, or that the load fills. Masses say nothing here.
+    """Fit of boxes and load to a carrier in one unit: 0 no fit, 1 to a carrier of another size, 2 to a usual carrier
+    that is known or filled. Masses do not count here.
 
     Args:
         side_mm: geometric mean of the boxes' sides.
@@ -283,5 +285,6 @@ _WHOLE_MM: Final = 0.03
 
 
 def converted_share(lengths_mm: FloatArray) -> float:
-    """Share of lengths that are whole millimetres. Of whole inches few are; of "23.622" as inches, 600 mm, all."""
+    """Share of lengths that are whole millimetres. Few whole inches are whole millimetres; of sizes such as 23.622
+    inches, 600 mm, all are."""
     return float(np.mean(np.abs(lengths_mm - np.rint(lengths_mm)) <= _WHOLE_MM))

@@ -15,7 +15,7 @@ from petmjx.plans.column_names import LENGTH_UNITS, MASS_UNITS, plain_text
 from petmjx.plans.file_formats import number_hint
 
 GROUPED: Final = "grouped"
-"""As a decimal sign: there is none, and points and commas stand between thousands."""
+"""Value instead of a decimal sign: no number has one, and points and commas stand between thousands."""
 
 
 class CellNumber(NamedTuple):
@@ -36,7 +36,7 @@ def cell_number(cell: Any, decimal: str = ".") -> CellNumber | None:
     """The number in a cell; None: there is none. NaN and infinite numbers are numbers.
 
     Args:
-        decimal: the decimal sign of numbers that are text; "": not known. With "," a point may only stand between
+        decimal: the decimal sign of numbers that are text; "": unknown. With "," a point may only stand between
             thousands, and only beside a decimal comma: "1.234,5".
     """
     if isinstance(cell, bool) or cell is None:
@@ -76,7 +76,7 @@ def cell_number(cell: Any, decimal: str = ".") -> CellNumber | None:
 
 
 def number_fault_of(cell: Any, decimal: str) -> str:
-    """The end of a message about a cell that should be a number: what it is, and how to write it."""
+    """The end of a message about a cell that should be a number: its fault, and advice."""
     if cell is None or cell == "":
         return "is missing"
     if not isinstance(cell, str):
@@ -91,7 +91,7 @@ def number_fault_of(cell: Any, decimal: str) -> str:
 
 
 def cell_text(cell: Any) -> str:
-    """A cell as a name: text without white space around it, whole numbers without a point; "" where it is empty."""
+    """A cell as a name: text without white space around it, whole numbers without a point; "" for an empty cell."""
     if cell is None:
         return ""
     if isinstance(cell, float) and cell.is_integer() and abs(cell) < 2**53:
@@ -130,7 +130,7 @@ _MAYBE: Final = re.compile(r"^[+-]?\d{1,3}([.,])\d{3}$")
 
 
 def decimal_of(rows: Sequence[Sequence[Any]]) -> str:
-    """The decimal sign of the numbers in cells that are text; "": it cannot be told, and "1,200" may be 1200 or 1.2.
+    """The decimal sign of the numbers in cells that are text; "": undecided, and "1,200" may be 1200 or 1.2.
 
     "1,200" has a decimal comma if other numbers have no mark between their thousands. "1.200" may be 1200 if numbers of
     its column have no decimals.
@@ -139,7 +139,7 @@ def decimal_of(rows: Sequence[Sequence[Any]]) -> str:
     maybe = {",": False, ".": False}
     long_whole = beside_whole = False
     for column in zip(*rows, strict=False):
-        whole = grouped = False
+        has_groups = grouped = False
         for cell in column:
             if not isinstance(cell, str) or len(cell) >= 40:
                 continue
@@ -150,8 +150,8 @@ def decimal_of(rows: Sequence[Sequence[Any]]) -> str:
                 grouped |= match[1] == "."
             elif cell.isdigit():
                 long_whole |= len(cell) > 3
-                whole |= len(cell) > 2
-        beside_whole |= whole and grouped
+                has_groups |= len(cell) > 2
+        beside_whole |= has_groups and grouped
     if commas or points:
         return "," if commas > points else "."
     if maybe[","]:

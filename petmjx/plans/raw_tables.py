@@ -36,19 +36,19 @@ _SPACES: Final = " "
 
 @dataclass(frozen=True, eq=False)
 class RawTable:
-    """A table as it is in a file.
+    """A table as a file has it.
 
     Attributes:
         header: names of the columns; of a table without a header "column 1", "column 2" …
         rows: rows of cells, each as long as the header. A cell is text, a number or None (empty).
         places: where each row is, for messages: "row 5", "boxes[4]".
-        decimal: decimal sign of numbers that are text; "": not known.
+        decimal: decimal sign of numbers that are text; "": unknown.
         title: name of the sheet, or the path of the list in JSON.
         above: lines above the header.
         lost: place and fault of rows that cannot be read, and are not in ``rows``.
         notes: how the table was read, where that is not obvious ("Windows-1252", "the header is row 4").
-        has_header: whether the names come from the file.
-        part: name of the plan, where tables of one file are plans of their own; "": the table may hold several.
+        has_header: whether the file has the names.
+        part: name of the plan, if each table of a file is a plan; "": the table may hold several plans.
     """
 
     header: tuple[str, ...]
@@ -80,8 +80,8 @@ class RawTable:
 def decoded_text(data: bytes | bytearray) -> tuple[str, str]:
     """The text of bytes, and a note about its encoding ("": UTF-8).
 
-    UTF-8 and UTF-16 are certain. Bytes that are neither are Windows-1252, or Windows-1250 if more words of headers are
-    known then.
+    UTF-8 and UTF-16 are certain. All other bytes are Windows-1252, or Windows-1250 if more words of headers are known
+    in it.
     """
     raw = bytes(data)
     if raw.startswith(b"\xef\xbb\xbf"):
@@ -104,7 +104,7 @@ def decoded_text(data: bytes | bytearray) -> tuple[str, str]:
 
 
 def _known_in_lines(text: str) -> int:
-    """The most known names in one of the first lines."""
+    """Largest number of known names in one of the first lines."""
     lines = text[:20_000].splitlines()[:_SEARCHED_ROWS]
     return max((_n_known(re.split(r"[,;\t|]", line)) for line in lines), default=0)
 
@@ -147,7 +147,7 @@ def tables_of_text(data: bytes | bytearray) -> list[RawTable]:
 
 
 def _without_unclosed(text: str, lost: list[tuple[str, str]], begin: int) -> str:
-    """The text with empty lines for those that have an unclosed quotation mark, which are added to ``lost``."""
+    """The text with lines emptied that have an unclosed quotation mark; these lines are added to ``lost``."""
     lines = text.split("\n")
     for index, line in enumerate(lines):
         if line.count('"') % 2:
@@ -172,7 +172,7 @@ _RULE: Final = re.compile(r"^[\s|+]*[-=]{2,}(?:[\s|+]+[-=]{2,})+[\s|+]*$")
 
 def _spaced_fields(lines: Sequence[str]) -> Iterator[list[str]]:
     """Fields between white space. Under a line of dashes the dashes say where columns are, so that a cell may be empty;
-    else fields stand between two or more spaces, if that makes more rows alike, or between any.
+    otherwise fields stand between two or more spaces, or between any spaces, whichever makes more rows alike.
     """
     rule = next((index for index, line in enumerate(lines) if _RULE.match(line)), None)
     if rule is not None:
@@ -199,7 +199,7 @@ def _spaced_fields(lines: Sequence[str]) -> Iterator[list[str]]:
 
 
 def _delimiter_of(text: str) -> str:
-    """The separator of a text: the one with which most names of a header are known, then with the most even rows."""
+    """The separator of a text: with it most names of a header are known, and rows are most alike."""
     sample = text[:200_000]
     if len(text) > len(sample):
         sample = sample[: sample.rfind("\n") + 1] or sample
@@ -212,8 +212,8 @@ def _delimiter_of(text: str) -> str:
         counts = Counter(len(row) for row in rows)
         width, most = max(counts.items(), key=lambda entry: (entry[1], entry[0]), default=(0, 0))
         even = most / max(len(rows), 1) if width > 1 else 0.0
-        known = max((_n_known(row) for row in rows[:_SEARCHED_ROWS]), default=0)
-        return (known if known >= _LEAST_KNOWN else 0), even
+        n_known = max((_n_known(row) for row in rows[:_SEARCHED_ROWS]), default=0)
+        return (n_known if n_known >= _LEAST_KNOWN else 0), even
 
     lines = [line for line in sample.splitlines()[:_SEARCHED_ROWS] if line.strip()]
     marked = any(sum(mark in line for line in lines) * 2 > len(lines) for mark in (";", "\t", "|"))
@@ -224,7 +224,7 @@ _NUMERIC: Final = re.compile(r"\s*[+-]?[.,]?\d")
 
 
 def _n_known(cells: Sequence[Any]) -> int:
-    """How many cells of a row are names of columns that are known."""
+    """Number of cells of a row that are known names of columns."""
     names = [cell if isinstance(cell, str) and len(cell) < 100 and not _NUMERIC.match(cell) else "" for cell in cells]
     if sum(map(bool, names)) < _LEAST_KNOWN or len(names) > MOST_COLUMNS:
         return 0
@@ -238,7 +238,7 @@ def _n_known(cells: Sequence[Any]) -> int:
 def tables_of_rows(
     rows: Sequence[Sequence[Any]], begin: int = 1, title: str = "", lost: Sequence[tuple[str, str]] = ()
 ) -> list[RawTable]:
-    """The tables in rows of cells. The header of each is searched; rows of numbers alone have none.
+    """The tables in rows of cells. The header of each table is searched; rows of numbers alone have none.
 
     Args:
         begin: number of the first row.
@@ -286,18 +286,18 @@ def _line(row: Sequence[Any]) -> str:
 
 def _header_rows(rows: Sequence[tuple[Any, ...]]) -> list[int]:
     """Indices of the rows that are headers: the first row with the most known names, and its repetitions."""
-    known = [_n_known(row) for row in rows[:_SEARCHED_ROWS]]
-    most = max(known, default=0)
+    counts = [_n_known(row) for row in rows[:_SEARCHED_ROWS]]
+    most = max(counts, default=0)
     if most < _LEAST_KNOWN:
         first = next((index for index, row in enumerate(rows) if any(cell is not None for cell in row)), None)
         return [] if first is None or not _heads_numbers(rows, first) else [first]
-    head = known.index(most)
+    head = counts.index(most)
     header = rows[head]
     return [index for index in range(head, len(rows)) if index == head or rows[index] == header]
 
 
 def _heads_numbers(rows: Sequence[tuple[Any, ...]], head: int) -> bool:
-    """Whether a row has names that are not known: text alone, above rows of numbers enough for boxes."""
+    """Whether a row has unknown names: text alone, above rows with enough numbers for boxes."""
     names = rows[head]
     texts = [cell for cell in names if isinstance(cell, str) and not _NUMERIC.match(cell)]
     below = [row for row in rows[head + 1 : head + 20] if any(cell is not None for cell in row)]
@@ -306,7 +306,7 @@ def _heads_numbers(rows: Sequence[tuple[Any, ...]], head: int) -> bool:
 
 
 def are_numbers(rows: Sequence[Sequence[Any]], least: int) -> bool:
-    """Whether most of the first rows have so many numbers."""
+    """Whether most of the first rows have at least this many numbers."""
     first = rows[:20]
     counts = [sum(cell_number(cell) is not None or cell_number(cell, ",") is not None for cell in row) for row in first]
     return sum(count >= least for count in counts) * 2 > len(first)
@@ -315,7 +315,7 @@ def are_numbers(rows: Sequence[Sequence[Any]], least: int) -> bool:
 def _table_below(
     rows: Sequence[tuple[Any, ...]], head: int, end: int, begin: int, title: str, above: tuple[str, ...], more: bool
 ) -> tuple[list[RawTable], list[str]]:
-    """The tables below a header, one for each named section, and the lines after them, of the next header."""
+    """The tables below a header, one for each named section, and the remaining lines, from the next header on."""
     names = [cell_text(cell) for cell in rows[head]]
     while names and not names[-1]:
         names.pop()
@@ -358,7 +358,7 @@ def _table_below(
 
 
 _Section = tuple[str, list[tuple[tuple[Any, ...], str]]]
-"""A line between rows that names what follows ("": none), and the rows with their places."""
+"""A line between rows with the name of the next section ("": no name), and the section's rows with their places."""
 
 
 def _sections(
@@ -403,7 +403,7 @@ def _geometric(header: Sequence[str]) -> list[int]:
 
 
 def _is_total(row: Sequence[Any], geometric: Sequence[int]) -> bool:
-    """Whether a row is a total or a mean: its first text says only that, or begins with it and the row lacks a size or
+    """Whether a row is a total or a mean: its first text is such a word, or begins with one and the row lacks a size or
     a place. A box may be called "Total fruit"."""
     text = next(
         (
@@ -422,13 +422,14 @@ def _is_total(row: Sequence[Any], geometric: Sequence[int]) -> bool:
 
 
 def computed_row(table: RawTable, rows: Sequence[int]) -> str:
-    """What the last of some rows has of the rows above it: "the total", "the sums", "the means"; "": it is a box.
+    """Relation of a last row to the rows above it: "the total", "the sums", "the means"; "": the row is a box.
 
     Args:
         rows: indices of the rows of one plan.
 
-    Sizes, places and weights that the last row has must all be sums, or all means, and two of them must tell. Of a box
-    on two smaller ones the length may be the sum, and of a box in the middle of a layer of equal ones the mean place.
+    Sizes, places and weights of the last row must all be sums, or all means, and two of them must be clear. A box on
+    two smaller boxes may have the sum of their lengths, and a box in the middle of a layer of equal boxes has their
+    mean place.
     """
     if len(rows) > 1 and _is_total(table.rows[rows[-1]], _geometric(table.header)):
         return "the total"
@@ -454,7 +455,7 @@ def computed_row(table: RawTable, rows: Sequence[int]) -> str:
         if len(values) < len(rows) - 1 or not np.isfinite(values).all():
             return ""
         total, mean = float(values.sum()), float(values.mean())
-        if kind not in ("sequence", "number"):  # of these a line of sums may have anything
+        if kind not in ("sequence", "number"):  # in these columns a line of sums may have any value
             sums &= _as_written(number.value, total)
             n_sums += total != 0.0
         means &= _as_written(number.value, mean)
@@ -472,7 +473,7 @@ _COMPUTED: Final = ("size", "weight", "volume", "sequence", "number", *_PLACES)
 
 
 def _as_written(value: float, exact: float) -> bool:
-    """Whether a number of a cell is another one, rounded to as many decimals as the cell has."""
+    """Whether the number of a cell equals another number, rounded to the cell's decimals."""
     decimals = next((count for count in range(7) if round(value, count) == value), 6)
     return abs(value - exact) <= 0.5000001 * 10.0**-decimals + 1e-9 * abs(exact)
 
@@ -489,8 +490,8 @@ def _with_groups(names: list[str], group: Sequence[Any]) -> list[str]:
         cell = group[index] if index < len(group) else None
         heading = cell_text(cell) if cell is not None else heading
         joined.append(f"{heading} {name}".strip() if heading and name else name)
-    known = sum(meaning is not None for meaning in column_meanings(joined))
-    return joined if known >= sum(meaning is not None for meaning in column_meanings(names)) else names
+    n_known = sum(meaning is not None for meaning in column_meanings(joined))
+    return joined if n_known >= sum(meaning is not None for meaning in column_meanings(names)) else names
 
 
 def _is_unit_cell(cell: Any) -> bool:
@@ -506,16 +507,16 @@ def _distinct(names: Sequence[str]) -> list[str]:
     """Names without repetitions; a name that is empty is "column 3".
 
     Raises:
-        InputError: a name that is known is there twice.
+        InputError: a known name occurs twice.
     """
-    seen: Counter[str] = Counter()
+    name_counts: Counter[str] = Counter()
     distinct = []
     for number, name in enumerate(names, start=1):
         name = name or f"column {number}"
-        seen[name] += 1
-        if seen[name] == 2 and column_meanings([name])[0] is not None:
+        name_counts[name] += 1
+        if name_counts[name] == 2 and column_meanings([name])[0] is not None:
             raise InputError(f"column {printable_name(name)} is there twice")
-        distinct.append(name if seen[name] == 1 else f"{name} again")
+        distinct.append(name if name_counts[name] == 1 else f"{name} again")
     return distinct
 
 
@@ -548,28 +549,28 @@ def _without_header(
     used = [(index, row) for index, row in enumerate(rows) if any(cell is not None for cell in row)]
     widths = Counter(len(row) for _, row in used)
     width = widths.most_common(1)[0][0] if widths else 0
-    good = [(index, row) for index, row in used if len(row) == width]
-    numeric = sum(_mostly_numbers(row) for _, row in good)
+    good_rows = [(index, row) for index, row in used if len(row) == width]
+    numeric = sum(_mostly_numbers(row) for _, row in good_rows)
     if [len(row) for _, row in used[:4]] == [1, 2, 3, 1]:
         raise InputError(
             "looks like Bischoff and Ratcliff's orders (thpack): types of boxes with quantities, and no places: "
             "pack them first with petmjx samples --orders"
         )
-    if width < 6 or numeric < 0.8 * max(len(good), 1):
+    if width < 6 or numeric < 0.8 * max(len(good_rows), 1):
         raise NoBoxes("has no header with known names of columns")
-    bad = [
+    bad_rows = [
         (f"row {index + begin}", f"has {len(row)} fields instead of {width}")
         for index, row in used
         if len(row) != width
     ]
-    body = [row for _, row in good]
+    body = [row for _, row in good_rows]
     return RawTable(
         tuple(f"column {number}" for number in range(1, width + 1)),
         body,
-        [f"row {index + begin}" for index, _ in good],
+        [f"row {index + begin}" for index, _ in good_rows],
         decimal_of(body),
         title,
-        lost=(*lost, *bad),
+        lost=(*lost, *bad_rows),
         notes=("there is no header",),
         has_header=False,
     )

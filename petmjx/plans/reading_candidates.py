@@ -1,4 +1,4 @@
-"""Candidates of readings: all ways in which names of columns, the form and the caller let numbers be read."""
+"""Candidates of readings: all ways to read numbers that names of columns, the form and the caller allow."""
 
 from __future__ import annotations
 
@@ -21,13 +21,13 @@ _SIX: Final = np.array([(0, 1, 2), (1, 0, 2), (1, 2, 0), (2, 1, 0), (2, 0, 1), (
 
 _ANCHOR_PRIOR: Final = {"corner": 0.0, "centre": 1.0, "base-centre": 1.8, "far-corner": 2.5}
 _FIRM: Final = 3.0
-"""Cost of going against what is known of a form."""
+"""Cost of a contradiction to known facts about a form."""
 _WORDS: Final = ("length", "width", "height", "depth")
 
 
 @dataclass(frozen=True, eq=False)
 class Candidate:
-    """One way to read a geometry, before units."""
+    """One way to read a geometry, without units."""
 
     geometry: Geometry
     pair: tuple[int, int, int]
@@ -36,7 +36,7 @@ class Candidate:
     rule: str
     prior: float
     scale: float = 1.0
-    """One unit of sizes in units of coordinates."""
+    """Unit of sizes divided by the unit of coordinates."""
 
     @property
     def along(self) -> tuple[str, str, str]:
@@ -81,7 +81,7 @@ def layout_of(columns: BoxColumns, candidate: Candidate, container: Mapping[str,
 
 
 def _container_along(candidate: Candidate, container: Mapping[str, float], order: Sequence[int]) -> FloatArray:
-    """Sizes of a container along the plan's axes; NaN where it is not known."""
+    """Sizes of a container along the plan's axes; NaN where unknown."""
     axes = candidate.geometry.axes
     if all(axis in container for axis in axes):
         along = np.array([container[axis] for axis in axes], float)[list(candidate.pair)]
@@ -118,9 +118,9 @@ def _ups(geometry: Geometry, columns: BoxColumns, wishes: Wishes) -> list[tuple[
     if wishes.up:
         return [(wishes.up, 0.0)]
     form = columns.source.form
-    known = form.up or geometry.named_up
-    if known:
-        return [(up, 0.0 if up == known else _FIRM) for up in ("z", "y")]
+    named_axis = form.up or geometry.named_up
+    if named_axis:
+        return [(up, 0.0 if up == named_axis else _FIRM) for up in ("z", "y")]
     if form.rule == "py3dbp" or set(geometry.axes) == {"width", "height", "depth"}:
         return [("z", 0.2), ("y", 0.2)]
     return [("z", 0.0), ("y", 1.0)]
@@ -145,9 +145,9 @@ def _pairs(
     pairs = []
     vertical = 2 if up == "z" else 1
     for pair in permutations(range(3)):
-        named = [axes[index] for index in pair]
-        level = [name for name in named if name != upright]
-        if named[vertical] == upright:
+        pair_axes = [axes[index] for index in pair]
+        level = [name for name in pair_axes if name != upright]
+        if pair_axes[vertical] == upright:
             usual_level = ["length", "width"] if "length" in level and "width" in level else ["width", "depth"]
             if "length" in level and "depth" in level:
                 usual_level = ["length", "depth"]
@@ -167,8 +167,8 @@ def _pairs(
 def _order_in_file(columns: BoxColumns, axes: Sequence[str]) -> tuple[str, ...]:
     """The words of the sizes in the order of their columns: width, height, depth is the order of axes in py3dbp."""
     header = columns.source.boxes.table.header
-    named = {axis: columns.geometries[0].columns.get(role_of(axis), "") for axis in axes}
-    return tuple(sorted(axes, key=lambda axis: header.index(named[axis]) if named[axis] in header else 0))
+    column_names = {axis: columns.geometries[0].columns.get(role_of(axis), "") for axis in axes}
+    return tuple(sorted(axes, key=lambda axis: header.index(column_names[axis]) if column_names[axis] in header else 0))
 
 
 def _rules(geometry: Geometry, columns: BoxColumns, wishes: Wishes) -> list[tuple[str, float]]:
@@ -179,7 +179,7 @@ def _rules(geometry: Geometry, columns: BoxColumns, wishes: Wishes) -> list[tupl
     if wishes.rule and (wishes.rule == "none" or wishes.rule in columns.turns.rules):
         return [(wishes.rule, 0.0)]
     form = columns.source.form
-    known = wishes.sizes or form.sizes or ("placed" if geometry.placed else "")
+    named_rule = wishes.sizes or form.sizes or ("placed" if geometry.placed else "")
     rules = []
     for number, rule in enumerate(columns.turns.rules):
         if form.rule and rule != form.rule:
@@ -189,21 +189,21 @@ def _rules(geometry: Geometry, columns: BoxColumns, wishes: Wishes) -> list[tupl
         rules.append((rule, 0.5 * bool(number)))
     if wishes.sizes == "item":
         return rules
-    placed = _FIRM if known == "item" else 0.0
-    turned = _FIRM if known == "placed" else 0.0
-    if not known:
+    placed = _FIRM if named_rule == "item" else 0.0
+    turned = _FIRM if named_rule == "placed" else 0.0
+    if not named_rule:
         hint = _sizes_by_article(columns, geometry)
         placed, turned = placed + (2.5 if hint == "item" else 0.0), turned + (2.5 if hint == "placed" else 0.0)
     return [("none", placed), *((rule, prior + turned) for rule, prior in rules)]
 
 
 def _sizes_by_article(columns: BoxColumns, geometry: Geometry) -> str:
-    """Whether sizes are as placed or of the item, by boxes of one article that are turned differently; "": unknown."""
+    """Whether sizes are as placed or of the item, by boxes of one article in different turns; "": unknown."""
     turns, names = columns.turns, columns.article
     if turns is None or names is None:
         return ""
     codes = turns.codes if turns.letters is None else turns.letters @ np.array([9, 3, 1])
-    same = other = 0
+    n_same = n_other = 0
     first: dict[str, int] = {}
     for row, name in enumerate(names):
         begin = first.setdefault(name, row)
@@ -213,10 +213,10 @@ def _sizes_by_article(columns: BoxColumns, geometry: Geometry) -> str:
         if np.isnan(one).any() or np.isnan(two).any() or np.allclose(one[0], one[1]):
             continue
         if np.allclose(one, two):
-            same += 1
+            n_same += 1
         elif np.allclose(np.sort(one), np.sort(two)):
-            other += 1
-    return "item" if same > 3 * other else "placed" if other > 3 * same else ""
+            n_other += 1
+    return "item" if n_same > 3 * n_other else "placed" if n_other > 3 * n_same else ""
 
 
 def _anchors(geometry: Geometry, known: str, wishes: Wishes) -> list[tuple[str, float]]:

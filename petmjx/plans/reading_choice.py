@@ -30,14 +30,15 @@ from petmjx.plans.readings import AmbiguousFile, Evidence, Reading, Wishes, tie_
 TIE: Final = 1.5
 """Readings whose costs differ by less are a tie. Costs are like negative log likelihoods: 1.5 is odds of 4 to 1."""
 _FEW_BOXES, _FEW_MORE = 6, 0.8
-"""In files of fewer boxes a tie is wider by this: a wrong reading of three boxes is often as plausible by chance."""
+"""The range of a tie is wider by this in files of few boxes: a wrong reading of three boxes is often as plausible by
+chance."""
 WEAK: Final = 5.0
 """Cost of a layout above which a reading is weak: a fifth of the boxes overlap, or a quarter float."""
 WEAK_LEAD: Final = 3.0
 """Least lead of a weak reading over all others. A plan that really has odd boxes is odder in every other reading."""
 _MOST_BOXES: Final = 400
 _MOST_PLANS: Final = 12
-"""Boxes and plans by which readings are judged. All others are read in the same way."""
+"""Boxes and plans by which readings are judged. All other boxes are read in the same way."""
 
 _LOWEST_UNIT_COST: Final = -2.5
 """Least cost of units: boxes of usual sizes and densities on a usual carrier."""
@@ -58,7 +59,7 @@ class _Judged:
     rows: NDArray[np.int64]
     """The rows of the boxes of all layouts."""
     unit_cost: float = 0.0
-    """Cost of the most plausible units: it differs by which sides lie on the deck."""
+    """Cost of the most plausible units, which depends on the sides that lie on the deck."""
 
     @property
     def cost(self) -> float:
@@ -74,34 +75,34 @@ class _Sample:
 
 
 def _sample_of(columns: BoxColumns, plans: Mapping[str, NDArray[np.int64]], damaged: Collection[str] = ()) -> _Sample:
-    """The first plans that are whole; if none is, the rows without faults of the first plans.
+    """The first plans without faults; without such plans, the rows without faults of the first plans.
 
     Args:
         damaged: names of plans that lack rows.
     """
-    good = np.ones(columns.n_boxes, bool)
+    is_good = np.ones(columns.n_boxes, bool)
     for row in columns.faults:
-        good[row] = False
+        is_good[row] = False
     for geometry in columns.geometries:
         with np.errstate(invalid="ignore"):
-            good &= (geometry.size > 0).all(axis=1) & ~np.isnan(geometry.place).any(axis=1)
+            is_good &= (geometry.size > 0).all(axis=1) & ~np.isnan(geometry.place).any(axis=1)
     chosen: list[NDArray[np.int64]] = []
     containers: list[Mapping[str, float]] = []
     taken = 0
-    known = columns.source.boxes.containers
-    whole = {name: rows for name, rows in plans.items() if name not in damaged and good[rows].all()}
-    for name, rows in (whole or plans).items():
-        used = rows[good[rows]]
+    containers_by_plan = columns.source.boxes.containers
+    good_plans = {name: rows for name, rows in plans.items() if name not in damaged and is_good[rows].all()}
+    for name, rows in (good_plans or plans).items():
+        used = rows[is_good[rows]]
         if not len(used) or len(chosen) >= _MOST_PLANS or taken >= _MOST_BOXES:
             continue
         chosen.append(used)
-        containers.append(container_of(known, name))
+        containers.append(container_of(containers_by_plan, name))
         taken += len(used)
     return _Sample(tuple(chosen), tuple(containers))
 
 
 def container_of(containers: Mapping[str, Mapping[str, float]], name: str) -> Mapping[str, float]:
-    """The container of a plan: its own, the one of the file, or none."""
+    """The container of a plan: its own, that of the file, or None."""
     return (
         containers.get(name) or containers.get("") or (next(iter(containers.values())) if len(containers) == 1 else {})
     )
@@ -113,8 +114,8 @@ def _judge(columns: BoxColumns, candidate: Candidate, sample: _Sample) -> _Judge
     sums = np.zeros(5)
     origins: list[str] = []
     for rows, container in zip(sample.rows, sample.containers, strict=True):
-        whole = layout_of(columns, candidate, container)
-        layout = Layout(whole.low[rows], whole.size[rows], whole.container)
+        whole_layout = layout_of(columns, candidate, container)
+        layout = Layout(whole_layout.low[rows], whole_layout.size[rows], whole_layout.container)
         layouts.append(layout)
         cost, origin, counts = layout_cost(layout)
         costs.append(cost * len(rows))
@@ -136,14 +137,14 @@ def _unit_costs(judged: _Judged, columns: BoxColumns, wishes: Wishes) -> list[tu
     size = np.concatenate([layout.size for layout in judged.layouts])
     side = float(np.exp(np.log(size).mean(axis=1)).mean())
     volume = size.prod(axis=1)
-    named = wishes.units or geometry.place_unit or geometry.size_unit or form.units
-    lengths = {named: 0.0} if named else dict(_UNIT_PRIOR)
-    if not named and not columns.source.boxes.table.has_header:
+    size_unit = wishes.units or geometry.place_unit or geometry.size_unit or form.units
+    lengths = {size_unit: 0.0} if size_unit else dict(_UNIT_PRIOR)
+    if not size_unit and not columns.source.boxes.table.has_header:
         lengths["dm"] = 0.3
     masses: dict[str, float] = {"kg": 0.0}
     if columns.weight is not None and not columns.weight_is_density:
-        known = wishes.masses or columns.weight_unit or form.masses
-        masses = {known: 0.0} if known else dict(_MASS_PRIOR)
+        mass_unit = wishes.masses or columns.weight_unit or form.masses
+        masses = {mass_unit: 0.0} if mass_unit else dict(_MASS_PRIOR)
     costs = []
     deck = _deck_of(judged, wishes)
     for length, length_prior in lengths.items():
@@ -171,7 +172,7 @@ def _unit_costs(judged: _Judged, columns: BoxColumns, wishes: Wishes) -> list[tu
 
 
 def _deck_of(judged: _Judged, wishes: Wishes) -> tuple[FloatArray, bool]:
-    """x–y size of the container if it is known, else of the load, in the file's unit; and whether it is known."""
+    """x–y size of the container if known, else of the load, in the file's unit; and whether the container is known."""
     layout = judged.layouts[0]
     if not np.isnan(layout.container[:2]).any():
         return layout.container[:2], True
@@ -190,7 +191,7 @@ def choose_reading(
         damaged: names of plans that lack rows.
 
     Raises:
-        AmbiguousFile: two readings are about as plausible, or none is.
+        AmbiguousFile: two readings are about as plausible, or no reading is plausible.
         InputError: no row can be used.
     """
     sample = _sample_of(columns, plans, damaged)
@@ -212,7 +213,7 @@ def choose_reading(
     units = _units_of(best, columns, wishes)
     if len(units) > 1:
         first, second = units[0], units[1]
-        others = [
+        other_readings = [
             replace(
                 reading,
                 units=_unit_text(best, columns, entry[1]),
@@ -221,7 +222,7 @@ def choose_reading(
             )
             for entry in (first, second)
         ]
-        raise AmbiguousFile(tie_text(others, weak=False), others)
+        raise AmbiguousFile(tie_text(other_readings, weak=False), other_readings)
     if (rival := _other_mass(best, columns, wishes)) is not None:
         reading = replace(reading, notes=(f"weights may be in {rival}, too (--units)",))
     alternatives = tuple(_reading(one, columns, wishes) for one in judged[1:4])
@@ -229,7 +230,7 @@ def choose_reading(
 
 
 def _judged_candidates(columns: BoxColumns, wishes: Wishes, sample: _Sample) -> list[_Judged]:
-    """Candidates with their costs, cheapest first. Those that cannot win by their priors are left out."""
+    """Candidates with their costs, cheapest first. Candidates that cannot win by their priors are left out."""
     ranked = sorted(candidates(columns, wishes), key=lambda candidate: candidate.prior)
     judged: list[_Judged] = []
     lowest = math.inf
@@ -254,10 +255,10 @@ def _with_units(judged: _Judged, columns: BoxColumns, wishes: Wishes) -> _Judged
 
 
 def _units_of(best: _Judged, columns: BoxColumns, wishes: Wishes) -> list[tuple[float, str, str, float, float]]:
-    """The units of a reading; two if they are a tie.
+    """The units of a reading; two units of a tie.
 
-    Lengths are a tie if boxes and load fit a carrier equally well in two units, whatever the masses say; or if costs
-    are about equal. Beside inches pounds and kilograms are one. Other masses change no verdict, and are no tie.
+    Lengths are a tie if boxes and load fit a carrier equally well in two units, whatever the masses; or if costs are
+    about equal. With inches, pounds and kilograms are a tie. Other masses change no verdict, and are no tie.
     """
     costs = _unit_costs(best, columns, wishes)
     first = costs[0]
@@ -270,10 +271,10 @@ def _units_of(best: _Judged, columns: BoxColumns, wishes: Wishes) -> list[tuple[
         most = max(fits.values())
         equal = [unit for unit, fit in fits.items() if fit == most]
         if most and equal != [first[1]]:
-            others = [cheapest[unit] for unit in equal if unit != first[1]]
-            rivals = others if not _are_converted(best, first[1], [entry[1] for entry in others]) else []
+            other_units = [cheapest[unit] for unit in equal if unit != first[1]]
+            rivals = other_units if not _are_converted(best, first[1], [entry[1] for entry in other_units]) else []
         elif most > 1:
-            rivals = []  # the load fills a pallet in this unit alone
+            rivals = []  # only in this unit the load fills a pallet
     if not rivals and LENGTH_UNITS[first[1]] == LENGTH_UNITS["in"]:
         rivals = [entry for entry in costs[1:] if entry[1] == first[1] and {first[2], entry[2]} == {"kg", "lb"}]
         rivals = [entry for entry in rivals if _THIN < entry[3] < _DENSE]
@@ -285,7 +286,7 @@ _TRIED: Final = ("mm", "cm", "m", "in")
 _THIN, _DENSE = 20.0, 2000.0
 """Densities between which a unit of masses is plausible, kg/m³: crisps, and bricks."""
 _CONVERTED, _NOT_CONVERTED = 0.95, 0.6
-"""Least share of lengths that are whole millimetres in a unit if they were converted to it, and most in another one."""
+"""Least share of lengths in whole millimetres for a conversion from this unit, and largest share in another unit."""
 
 
 def _fit(best: _Judged, unit: str, wishes: Wishes) -> int:
@@ -293,15 +294,15 @@ def _fit(best: _Judged, unit: str, wishes: Wishes) -> int:
     factor = LENGTH_UNITS[unit]
     size = np.concatenate([layout.size for layout in best.layouts])
     load = np.max([(one.low + one.size).max(axis=0) - one.low.min(axis=0) for one in best.layouts], axis=0)
-    deck, known = _deck_of(best, wishes)
+    deck, is_deck = _deck_of(best, wishes)
     side = float(np.exp(np.log(size).mean(axis=1)).mean())
-    return load_fit(side * factor, load * factor, deck * factor, known)
+    return load_fit(side * factor, load * factor, deck * factor, is_deck)
 
 
 def _are_converted(best: _Judged, unit: str, others: Collection[str]) -> bool:
-    """Whether sizes are whole millimetres in inches alone: they were converted to inches.
+    """Whether sizes are whole millimetres in inches alone: such sizes were converted to inches.
 
-    Whole centimetres are whole millimetres, too, and say nothing: boxes have whole inches as well.
+    Whole centimetres are whole millimetres, too, and no evidence: boxes have whole inches as well.
     """
     if unit != "in":
         return False
@@ -312,9 +313,9 @@ def _are_converted(best: _Judged, unit: str, others: Collection[str]) -> bool:
 
 
 def _other_mass(best: _Judged, columns: BoxColumns, wishes: Wishes) -> str | None:
-    """Another unit of masses that no name excludes and that is plausible; None: there is none.
+    """Another unit of masses that is plausible and that no name excludes; None: no other unit.
 
-    It is only said: a verdict hardly depends on it, since all boxes have it.
+    The other unit is only mentioned: a verdict hardly depends on a factor of all masses.
     """
     costs = _unit_costs(best, columns, wishes)
     first = costs[0]

@@ -31,7 +31,7 @@ _FIELDS: Final = ("form", "units", "along", "density", "columns", *_TEXTS)
 
 
 def wishes_of_reading(reading: Reading) -> Wishes:
-    """A reading as what a caller says: nothing is left open."""
+    """A reading as the options of a caller: nothing is left open."""
     return Wishes(
         columns=_choosable(reading.columns),
         exact=dict(reading.columns),
@@ -51,7 +51,7 @@ def reading_toml(reading: Reading, source: str) -> str:
     """A reading as text for :func:`read_reading`.
 
     Args:
-        source: the file that it is of, for a comment.
+        source: name of the file, for a comment.
     """
     lines = [
         f"# How petmjx reads {printable(source)}",
@@ -72,7 +72,7 @@ def _quoted(text: str) -> str:
 
 
 def read_reading(path: Path) -> Wishes:
-    """What a written reading says.
+    """Content of a written reading.
 
     Raises:
         InputError: the file cannot be read, or has an unknown field or value; the line names file and field.
@@ -85,9 +85,9 @@ def read_reading(path: Path) -> Wishes:
     for field in table:
         if field not in _FIELDS:
             raise InputError(f"{name}: unknown field {printable_name(field)}; there are {', '.join(_FIELDS)}")
-    for field, known in _TEXTS.items():
-        if field in table and table[field] not in known:
-            raise InputError(f"{name}: {field} must be one of {', '.join(known)}, {shown_value(table[field])}")
+    for field, allowed_values in _TEXTS.items():
+        if field in table and table[field] not in allowed_values:
+            raise InputError(f"{name}: {field} must be one of {', '.join(allowed_values)}, {shown_value(table[field])}")
     units = table.get("units", "")
     if not isinstance(units, str) or not set(filter(None, units.split("/"))) <= LENGTH_UNITS.keys():
         raise InputError(f"{name}: units must be a unit of length, such as mm, {shown_value(units)}")
@@ -112,10 +112,10 @@ def _choosable(columns: Mapping[str, str]) -> dict[str, str]:
 def wishes_of(
     options: RunOptions, deck_mm: tuple[float, float] | None = None, reading: Reading | None = None
 ) -> Wishes:
-    """What options say about files of other tools. Single options change a written reading.
+    """Options about files of other tools. Single options change a written reading.
 
     Args:
-        deck_mm: x–y size of the carrier; None: not known.
+        deck_mm: x–y size of the carrier; None: unknown.
         reading: instead of the written reading of the options.
 
     Raises:
@@ -140,7 +140,7 @@ def wishes_of(
 
 
 def named_units(units: str | None) -> tuple[str, str]:
-    """The unit of lengths and the unit of masses in a text such as "cm" or "cm,g"; "": it names none."""
+    """The unit of lengths and the unit of masses in a text such as "cm" or "cm,g"; "": no unit in the text."""
     if not units:
         return "", ""
     plan_units(units)

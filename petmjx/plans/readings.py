@@ -1,9 +1,9 @@
-"""Readings of other tools' numbers (``Reading``): which units, axes, anchor, turns and origin they have.
+"""Readings of other tools' numbers (``Reading``): their units, axes, anchor, turns and origin.
 
-Names of columns leave several readings open. All that they allow are tried, and the most plausible wins: boxes do not
+Names of columns leave several readings open. All possible readings are tried, and the most plausible wins: boxes do not
 overlap or float, stand on boxes, touch their neighbours, and fit the carrier; they have sizes and densities of cartons.
-Two readings that are about as plausible, and differ in more than a shift or a mirror image, are a tie: it is asked or
-refused, never decided in silence.
+Two readings that are about as plausible, and differ in more than a shift or a mirror image, are a tie: the user is
+asked or the file is refused, never is a tie decided in silence.
 """
 
 from __future__ import annotations
@@ -21,24 +21,24 @@ ROTATION_RULES: Final = {
     "none": "sizes are as placed",
     "swap": "1 swaps the two level sizes",
     "degrees": "90 and 270 degrees swap the two level sizes",
-    "letters": "letters say which size lies along x, y and z",
+    "letters": "letters mean which size lies along x, y and z",
     "py3dbp": "0 WHD, 1 HWD, 2 HDW, 3 DHW, 4 DWH, 5 WDH",
     "py3dbp from 1": "1 WHD, 2 HWD, 3 HDW, 4 DHW, 5 DWH, 6 WDH",
     "pose": "the matrix or quaternion turns the box",
 }
 """Rule of turning → in words."""
 ORIGINS: Final = ("given", "middle", "floor")
-"""Where the origin of the file is: a corner of the deck, the middle of the deck, or below it; see ``Reading``."""
+"""The place of the file's origin: a corner of the deck, the middle of the deck, or below it; see ``Reading``."""
 
 
 @dataclass(frozen=True)
 class Evidence:
-    """What speaks for or against a reading.
+    """Evidence for or against a reading.
 
     Attributes:
         n_boxes: boxes that were looked at.
-        n_overlapping, n_floating, n_outside: boxes that overlap another one, have nothing below them, reach beyond the
-            carrier.
+        n_overlapping, n_floating, n_outside: numbers of boxes that overlap another box, that have no support, that
+            reach beyond the carrier.
         supported: mean share of the boxes' bases that lies on something.
         density_kg_m3: median density; NaN: no weights
         side_mm: geometric mean of the boxes' sides.
@@ -53,7 +53,7 @@ class Evidence:
     side_mm: float = math.nan
 
     def of_units(self) -> str:
-        """What the units of a reading make of the boxes."""
+        """The boxes in the units of a reading."""
         density = "" if math.isnan(self.density_kg_m3) else f", {three_digits(self.density_kg_m3)} kg/m³"
         return f"boxes with sides of about {three_digits(self.side_mm)} mm{density}"
 
@@ -72,23 +72,23 @@ class Reading:
     """How a file's numbers are read.
 
     Attributes:
-        form: what the file is, in words.
+        form: name of the file's form, in words.
         columns: role → name of its column.
         units: unit of lengths; masses: of masses. If sizes and coordinates have two units, "cm/mm".
         anchor: point of a box to which coordinates refer.
         up: the file's vertical axis, "y" or "z".
         along: names of the sizes that lie along the plan's x, y and z before boxes are turned.
-        sizes: "placed", or "item": before they are turned.
+        sizes: "placed", or "item": before turning.
         rule: how boxes are turned (``ROTATION_RULES``).
-        origin: "given": coordinates are kept; "middle": half the carrier is added to x and y; "floor": heights are
-            counted from the lowest box.
+        origin: "given": coordinates stay; "middle": half the carrier is added to x and y; "floor": heights are counted
+            from the lowest box.
         order: "sequence": by a column; "rows": of the rows; "height": rows from the ground up.
-        density_kg_m3: density of boxes without a weight; None: all have one.
-        notes: lines about what was filled in or left out.
+        density_kg_m3: density of boxes without a weight; None: all boxes have weights.
+        notes: lines about values that were filled in or left out.
         unused: names of columns that are not used.
-        odd: lines about what is hardly right, whatever the reading.
-        cost: how implausible it is; layout_cost: without names and units.
-        evidence: by what it was judged.
+        odd: lines about values that are hardly right in any reading.
+        cost: cost of the reading (an implausible one is expensive); layout_cost: cost without names and units.
+        evidence: grounds of the judgement.
         alternatives: other readings that were close, most plausible first.
     """
 
@@ -150,7 +150,7 @@ _ANCHOR_WORDS: Final = {
 
 @dataclass(frozen=True)
 class Wishes:
-    """What a caller says about a file. Empty values are found out.
+    """Options of a caller about a file. Empty values are chosen by plausibility.
 
     Attributes:
         columns: role → name of the column, for roles that can be chosen.
@@ -217,11 +217,11 @@ _OF_COLUMNS: Final = (
     (("along",), "--columns", lambda reading: f"{', '.join(reading.along)} along x, y, z"),
     (("columns",), "--columns", _column_words),
 )
-"""The same of columns: a difference of these follows from the others, if there are any."""
+"""The fields about columns: a difference in these follows from a difference in the other fields, if any."""
 
 
 def tie_text(readings: Sequence[Reading], weak: bool) -> str:
-    """The line about a tie: the two readings, where they differ, and the options that decide."""
+    """The line about a tie: the two readings, their differences, and the options that decide."""
     one, two = readings[0], readings[1]
 
     def parts_of(differences: Sequence[Any]) -> list[tuple[str, str, str]]:
@@ -234,13 +234,13 @@ def tie_text(readings: Sequence[Reading], weak: bool) -> str:
     parts = parts_of(_DIFFERENCES) or parts_of(_OF_COLUMNS)
     first, second = (", ".join(part[index] for part in parts) for index in (1, 2))
     options = " or ".join(dict.fromkeys(part[0] for part in parts))
-    why = "no reading is plausible; the best are" if weak else "can be read in two ways:"
+    reason = "no reading is plausible; the best are" if weak else "can be read in two ways:"
     boxes = one.units != two.units or one.masses != two.masses
     evidence = [reading.evidence.of_units() if boxes else str(reading.evidence) for reading in (one, two)]
     ways = f"{first} ({evidence[0]}), or {second} ({evidence[1]})"
-    return f"{why} {ways}; say which with {options}, or with --as FILE.toml"
+    return f"{reason} {ways}; say which with {options}, or with --as FILE.toml"
 
 
 CHOOSER: ContextVar[Callable[[str, AmbiguousFile], Reading | None] | None] = ContextVar("CHOOSER", default=None)
-"""Asks which reading of a file is right: name of the file, its readings → the right one (None: nobody knows). None:
-nobody is asked, and the file is refused."""
+"""Asks which reading of a file is right: name of the file, its readings → the right reading (None: unknown). None: the
+file is refused without a question."""

@@ -30,7 +30,8 @@ _MOST_LOST: Final = 100_000
 
 
 def parse_csv(data: bytearray, cut_off: bool = False) -> Table:
-    """The table of a CSV text with a header. The separator is the most frequent of comma, semicolon and tab in it.
+    """The table of a CSV text with a header. The separator is the most frequent of comma, semicolon and tab in the
+    text.
 
     With semicolons, numbers may have a decimal comma. If one has, no number may have a point.
 
@@ -88,12 +89,12 @@ class _CsvReader:
     def __init__(self, delimiter: str, names: list[str], plan_column: int) -> None:
         self.lost: list[LostRow] = []
         self._lost_numbers: list[int] = []
-        """Numbers of the rows that Arrow could not use, counted in the text that Arrow got."""
+        """Numbers of the rows that Arrow could not use, counted in the text for Arrow."""
         self._plans_with_lost: set[str | None] = set()
         self._delimiter, self._names, self._plan_column = delimiter, names, plan_column
 
     def read(self, data: bytearray) -> tuple[pa.Table, np.ndarray[Any, np.dtype[np.int64]]]:
-        """All columns as text, and the number of each row. The header is row 1.
+        """All columns as text, and the row numbers. The header is row 1.
 
         Raises:
             TableError: Arrow cannot read the text.
@@ -108,10 +109,10 @@ class _CsvReader:
             raise TableError(f"not CSV: {reason(error)}") from error
         lost = np.array(self._lost_numbers, dtype=np.int64)
         numbers = np.setdiff1d(np.arange(2, rows.num_rows + len(lost) + 2), lost, assume_unique=True)
-        if len(damaged):  # row numbers also count the lines that were removed before
-            kept = np.setdiff1d(np.arange(1, rows.num_rows + len(lost) + len(damaged) + 2), damaged)
-            numbers = kept[numbers - 1]
-            self.lost[before:] = [row._replace(number=int(kept[row.number - 1])) for row in self.lost[before:]]
+        if len(damaged):  # row numbers also count the removed lines
+            row_numbers = np.setdiff1d(np.arange(1, rows.num_rows + len(lost) + len(damaged) + 2), damaged)
+            numbers = row_numbers[numbers - 1]
+            self.lost[before:] = [row._replace(number=int(row_numbers[row.number - 1])) for row in self.lost[before:]]
         return rows, numbers
 
     def _parse(self, data: bytearray) -> pa.Table:
@@ -144,21 +145,21 @@ class _CsvReader:
     def _without_damaged_lines(self, data: bytearray) -> tuple[bytearray, np.ndarray[Any, np.dtype[np.int64]]]:
         """The text without its damaged lines, and their numbers.
 
-        Damaged lines are not UTF-8, or have a quotation mark that is not closed in the line. They are added to
+        Damaged lines are not UTF-8, or have a quotation mark that is not closed in the line. The lost rows are added to
         ``lost``.
         """
-        kept, damaged = [], []
+        good_lines, damaged = [], []
         for number, line in enumerate(data.split(b"\n"), start=1):
             fault = None if number == 1 else self._line_fault(line)
             if fault is None:
-                kept.append(line)
+                good_lines.append(line)
                 continue
             damaged.append(number)
             self._add_lost(number, line.decode("utf-8", "surrogateescape"), fault)
-        return bytearray(b"\n").join(kept), np.array(damaged, dtype=np.int64)
+        return bytearray(b"\n").join(good_lines), np.array(damaged, dtype=np.int64)
 
     def _line_fault(self, line: bytearray) -> str | None:
-        """Why a line cannot be a whole row; None: it may be one."""
+        """The reason why a line cannot be a whole row; None: it can be one."""
         if not _is_utf8(line):
             text = line.decode("utf-8", "surrogateescape")
             try:

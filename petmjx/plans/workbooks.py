@@ -16,7 +16,7 @@ from petmjx.plans.raw_tables import MOST_COLUMNS, MOST_ROWS, RawTable, tables_of
 
 
 def tables_of_xlsx(data: bytes | bytearray) -> list[RawTable]:
-    """The tables of a workbook (.xlsx), one or more a sheet. Formulas count with the values that the file keeps.
+    """The tables of a workbook (.xlsx), one or more a sheet. Formulas count with the values stored in the file.
 
     Raises:
         InputError: the file is damaged or too large, or holds no table. The error does not name the file.
@@ -131,11 +131,11 @@ def _tables_of_sheets(sheets: dict[str, list[list[Any]]]) -> list[RawTable]:
 
 @dataclass(frozen=True, eq=False)
 class RawFile:
-    """The raw tables of one file.
+    """The raw tables of one workbook.
 
     Attributes:
-        tables: tables with headers first come first.
-        kind: what the file is, in words: "a table as text", "a workbook (.xlsx)".
+        tables: tables with headers stand first.
+        kind: kind of the file, in words: "a table as text", "a workbook (.xlsx)".
     """
 
     tables: list[RawTable] = field(default_factory=list)

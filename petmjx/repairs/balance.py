@@ -1,7 +1,8 @@
-"""Balance of drafts by statics: which loads are beyond edges while a plan is built, and how bad that is.
+"""Balance of drafts by statics: the loads beyond edges while a plan is built, and a measure of their harm.
 
-It takes half a millisecond a draft, where a simulation takes a tenth of a second and more. So it says which of many
-changes are worth a simulation. It never decides: a load beyond an edge may lean on a neighbour, and stand.
+The balance takes half a millisecond per draft, a simulation a tenth of a second and more. So the balance tells which of
+many changes are worth a simulation. The balance never decides: a load beyond an edge may lean on a neighbour, and
+stand.
 """
 
 from __future__ import annotations
@@ -16,28 +17,28 @@ from petmjx.options.simulation import Simulation
 from petmjx.repairs.drafts import BoolArray, Draft, IntArray
 from petmjx.world.edge_distances import bearing_in_order, building_loads_of, depends_on_sharing
 from petmjx.world.scene import build_scene
-from petmjx.world.supports import find_bearings, joined_bearing
+from petmjx.world.supports import find_bearings
 
 AT_ONCE: Final = 128
 """Drafts that are computed at once."""
 
 DEEP_MM: Final = 50.0
-"""A load this far beyond an edge counts twice as much as one on the edge, and one further beyond no more."""
+"""A load this far beyond an edge counts twice as much as one on the edge, and a load further beyond counts no more."""
 
 PERHAPS: Final = 0.5
-"""Weight of a load that is beyond an edge by one way to share loads, while another way may have it inside."""
+"""Weight of a load that is beyond an edge under one sharing of loads, but possibly inside under another."""
 
 
 class Balance(NamedTuple):
     """The loads of one draft that are beyond edges while it is built.
 
     Attributes:
-        box: (k,) numbers of the boxes that have them, in the order in which they go beyond.
-        step: (k,) position in packing order of the box with whose placement they do.
+        box: (k,) numbers of the boxes with such loads, in order of time.
+        step: (k,) position in packing order of the box whose placement moves the load beyond.
         cause: (k,) number of that box.
-        depth_mm: (k,) how far they are beyond, at most.
+        depth_mm: (k,) largest distance of each load beyond the edge.
         last_mm: (k,) distance from the edge once all is placed, positive inside.
-        trouble: the sum of weights of these loads: 1 to 2 for each.
+        trouble: the sum of weights of these loads: 1 to 2 for each load.
     """
 
     box: IntArray
@@ -48,7 +49,7 @@ class Balance(NamedTuple):
     trouble: float
 
     def depth_of(self, box: int) -> float:
-        """How far the load of a box is beyond an edge, mm; 0: it is not."""
+        """Distance of a box's load beyond an edge, mm; 0: inside."""
         rows = np.flatnonzero(self.box == box)
         return float(self.depth_mm[rows[0]]) if len(rows) else 0.0
 
@@ -63,8 +64,7 @@ def balances(drafts: Sequence[Draft], sim: Simulation) -> list[Balance]:
 
 def _balances(drafts: Sequence[Draft], sim: Simulation) -> list[Balance]:
     scenes = [build_scene(draft.as_plan(), sim) for draft in drafts]
-    bearings = [bearing_in_order(bearing) for bearing in find_bearings(scenes, [scene.target for scene in scenes])]
-    bearing = joined_bearing(bearings)
+    bearing = bearing_in_order(find_bearings(scenes, [scene.target for scene in scenes]))
     built = building_loads_of(bearing, [scene.n_boxes for scene in scenes])
     perhaps = depends_on_sharing(bearing, built)
     first = bearing.boxes.first

@@ -1,4 +1,4 @@
-"""Changes of a plan: what they do to a draft, what they cost, and how they read.
+"""Changes of a plan: their effect on a draft, their cost, and their words.
 
 Boxes have the numbers of the plan, counted from 0 in its packing order. Left is −x, right +x, front −y and back +y.
 """
@@ -18,7 +18,7 @@ from petmjx.repairs.drafts import TOLERANCE_MM, Draft
 
 
 class Kind(StrEnum):
-    """Kinds of changes. Any of them can be forbidden."""
+    """Kinds of changes. Each kind can be forbidden."""
 
     ORDER = "order"
     MOVE = "move"
@@ -40,18 +40,17 @@ COST: Final = {
     Kind.FILM: 1.0,
     Kind.LEAVE_OUT: 20.0,
 }
-"""Cost of a change of each kind: an assumption about the work that it makes. Another order is the least of them; a box
-that is left out has to be shipped on another pallet."""
+"""Cost of a change of each kind: an assumption about its work. Another order costs least; a box that is left out has to
+be shipped on another pallet."""
 
 COST_PER_MM: Final = 0.002
-"""Cost of a millimetre by which a box is moved, so that shorter ways are preferred: 100 mm count as a fifth of a
-change."""
+"""Cost of a millimetre of a box's move, so that shorter moves are preferred: 100 mm count as a fifth of a change."""
 
 COST_PER_TURN: Final = 0.25
 """Cost of a turn of film."""
 
 COST_PER_BOX: Final = 0.1
-"""Cost of each further box that is moved together with one."""
+"""Cost of each further box in the same move."""
 
 
 @dataclass(frozen=True)
@@ -62,7 +61,7 @@ class Change(ABC):
 
     @abstractmethod
     def applied(self, draft: Draft) -> Draft | None:
-        """The draft with this change; None if it cannot be made. Whether the result is allowed is not checked."""
+        """The draft with this change; None if impossible. Whether the result is allowed is not checked."""
 
     @property
     @abstractmethod
@@ -103,7 +102,7 @@ class Order(Change):
 
 @dataclass(frozen=True)
 class Move(Change):
-    """A box is moved along x and y, perhaps together with others: those that stand on it, or are in its way."""
+    """A box is moved along x and y, perhaps together with boxes that stand on it, or are in its way."""
 
     kind: ClassVar[Kind] = Kind.MOVE
     box: int
@@ -137,11 +136,11 @@ class Move(Change):
         return COST[self.kind] + COST_PER_MM * self.length_mm + COST_PER_BOX * len(self.others)
 
     def joined(self, other: Move) -> Move | None:
-        """Both moves as one; None if other boxes are moved, or nothing is."""
+        """Both moves as one; None if the moves are of different boxes, or cancel out."""
         if self.boxes != other.boxes:
             return None
-        both = replace(self, dx_mm=self.dx_mm + other.dx_mm, dy_mm=self.dy_mm + other.dy_mm)
-        return both if both.length_mm > 0 else None
+        sum_of_moves = replace(self, dx_mm=self.dx_mm + other.dx_mm, dy_mm=self.dy_mm + other.dy_mm)
+        return sum_of_moves if sum_of_moves.length_mm > 0 else None
 
 
 @dataclass(frozen=True)
@@ -170,8 +169,8 @@ class Turn(Change):
 
 @dataclass(frozen=True)
 class Place(Change):
-    """A box gets another place, and perhaps another turn, with what stands on it (``others``). They are placed directly
-    after a box, or before one."""
+    """A box gets another place, and perhaps another turn, with the boxes on it (``others``). The boxes are then placed
+    directly after a box, or before one."""
 
     kind: ClassVar[Kind] = Kind.PLACE
     box: int
@@ -192,9 +191,9 @@ class Place(Change):
             return draft
         if self.neighbour not in draft.order:
             return None
-        rest = [box for box in draft.order if box not in moved]
-        at = rest.index(self.neighbour) + int(self.after)
-        return replace(draft, order=(*rest[:at], *moved, *rest[at:]))
+        other_boxes = [box for box in draft.order if box not in moved]
+        at = other_boxes.index(self.neighbour) + int(self.after)
+        return replace(draft, order=(*other_boxes[:at], *moved, *other_boxes[at:]))
 
     @property
     def words(self) -> str:
@@ -202,8 +201,8 @@ class Place(Change):
         turn = ", turned by 90°" if self.differs else ""
         stand = "stands" if len(self.others) == 1 else "stand"
         on_it = f", with {_boxes(self.others)}, which {stand} on it," if self.others else ""
-        when = "" if self.neighbour is None else f", {'after' if self.after else 'before'} box {self.neighbour}"
-        return f"put box {self.box}{on_it} at x {x}, y {y}, z {z} mm{turn}{when}"
+        time_text = "" if self.neighbour is None else f", {'after' if self.after else 'before'} box {self.neighbour}"
+        return f"put box {self.box}{on_it} at x {x}, y {y}, z {z} mm{turn}{time_text}"
 
     @property
     def boxes(self) -> tuple[int, ...]:
@@ -219,7 +218,7 @@ class Exchange(Change):
     """Two boxes get each other's place, and each other's turn in the order.
 
     Attributes:
-        corners_mm: the corner of each of the two afterwards.
+        corners_mm: the new corner of each of both boxes.
         turns: whether each of the two is then turned by 90° against the plan.
         differ: whether each of the two is turned by the exchange.
     """
@@ -318,7 +317,7 @@ class LeaveOut(Change):
 
 
 def applied(draft: Draft, changes: Sequence[Change]) -> Draft | None:
-    """The draft with all changes, one after the other; None if one cannot be made."""
+    """The draft with all changes, in order; None if a change is impossible."""
     result: Draft | None = draft
     for change in changes:
         if result is None:
@@ -328,8 +327,8 @@ def applied(draft: Draft, changes: Sequence[Change]) -> Draft | None:
 
 
 def with_change(changes: Sequence[Change], change: Change) -> tuple[Change, ...]:
-    """A list of changes with one more. Two moves of the same boxes become one, and a box that is put elsewhere, or is
-    left out, needs no earlier changes of its own."""
+    """A list of changes with one more. Two moves of the same boxes become one, and earlier changes of a box are dropped
+    if it is then put elsewhere or left out."""
     if isinstance(change, Move) and changes and isinstance(changes[-1], Move):
         joined = changes[-1].joined(change)
         if joined is not None:
@@ -349,9 +348,9 @@ def cost_of(changes: Sequence[Change]) -> float:
 def _ways(dx_mm: float, dy_mm: float) -> str:
     """A way in words: "22 mm to the left and 5 mm to the back"."""
     ways = []
-    for length, less, more in ((dx_mm, "left", "right"), (dy_mm, "front", "back")):
+    for length, negative_side, positive_side in ((dx_mm, "left", "right"), (dy_mm, "front", "back")):
         if abs(length) > 0:
-            ways.append(f"{_mm(abs(length))} mm to the {less if length < 0 else more}")
+            ways.append(f"{_mm(abs(length))} mm to the {negative_side if length < 0 else positive_side}")
     return " and ".join(ways)
 
 

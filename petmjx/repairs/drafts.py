@@ -1,9 +1,9 @@
-"""A plan while it is being changed (``Draft``), and what a changed plan may not do (``Rules``).
+"""A plan while it is being changed (``Draft``), and the limits of changed plans (``Rules``).
 
 A draft keeps the numbers that boxes have in the plan, whatever their order is now. Sheets that are added have the next
 numbers. A draft is allowed if no fault of its layout is worse than in the plan: boxes that overlap, that float when
-they are placed, that reach beyond the carrier, or that come under a box that already stands above their place. So an
-odd plan can be repaired step by step, but never becomes odder. A box that is moved aside or turned ends outside walls.
+they are placed, that reach beyond the carrier, or that would be placed under a box that already stands. So an odd plan
+can be repaired step by step, but never becomes odder. A box that is moved aside or turned ends outside walls.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ TOLERANCE_MM: Final = DEFAULT_TOLERANCE_MM
 """Gaps and overlaps up to this count as touching, as in the warnings about a plan."""
 
 _ROUNDING_MM: Final = 1e-6
-"""A layout is worse than the plan's only by more than this: sums of millimetres are rounded."""
+"""A fault counts as worse than in the plan only if it is larger by more than this: sums of millimetres are rounded."""
 
 IntArray = NDArray[np.intp]
 BoolArray = NDArray[np.bool_]
@@ -40,11 +40,11 @@ class Draft:
     """A changed plan. Rows are the n boxes of the plan in its order, then the added sheets, m in all.
 
     Attributes:
-        plan: the plan as it was.
+        plan: the plan before the changes.
         size_mm, corner_mm: (m, 3) extents and front-left-bottom corners.
         turned: (m,) whether a box is turned by 90° against the plan.
         order: numbers of the boxes that are placed, in packing order.
-        moved: numbers of the boxes that are no longer approached as in the plan, since they have another place or turn.
+        moved: numbers of the boxes with another place or turn, which lose the plan's approach.
         sheet_kg: masses of the added sheets.
         film_turns: turns of film around the pallet.
     """
@@ -67,7 +67,7 @@ class Draft:
 
     @cached_property
     def rank(self) -> FloatArray:
-        """(m,) position of each box in packing order; infinite if it is left out."""
+        """(m,) position of each box in packing order; infinite if left out."""
         rank = np.full(len(self.size_mm), np.inf)
         rank[list(self.order)] = np.arange(len(self.order))
         return rank
@@ -93,15 +93,15 @@ class Draft:
         return np.asarray(~self.on_top.any(axis=1))
 
     def above(self, box: int) -> list[int]:
-        """Numbers of the boxes that lie on a box, or on boxes that do."""
+        """Numbers of the boxes that lie on a box, directly or through others."""
         return _closure(self.on_top, box)
 
     def below(self, box: int) -> list[int]:
-        """Numbers of the boxes on which a box lies, and of those on which these lie."""
+        """Numbers of the boxes that bear a box, directly or through others."""
         return _closure(self.on_top.T, box)
 
     def with_places(self, boxes: Sequence[int], corner_mm: FloatArray, *, anew: bool = True) -> Draft:
-        """The draft with other corners of some boxes. ``anew``: whether a robot has to find another way to them."""
+        """The draft with other corners of some boxes. ``anew``: whether a robot needs another approach to them."""
         corners = self.corner_mm.copy()
         corners[list(boxes)] = corner_mm
         return replace(self, corner_mm=corners, moved=self.moved | frozenset(boxes) if anew else self.moved)
@@ -116,15 +116,15 @@ class Draft:
         return replace(self, size_mm=sizes, turned=turns, moved=self.moved | {box})
 
     def with_order(self, box: int, neighbour: int, *, after: bool) -> Draft | None:
-        """The draft with a box that is placed directly before or after another one; None if one is left out."""
+        """The draft with a box that is placed directly before or after another one; None if one of both is left out."""
         if box == neighbour or box not in self.order or neighbour not in self.order:
             return None
-        rest = [number for number in self.order if number != box]
-        rest.insert(rest.index(neighbour) + int(after), box)
-        return replace(self, order=tuple(rest))
+        other_boxes = [number for number in self.order if number != box]
+        other_boxes.insert(other_boxes.index(neighbour) + int(after), box)
+        return replace(self, order=tuple(other_boxes))
 
     def without(self, box: int) -> Draft | None:
-        """The draft without a box; None if it has no such box, or no other one."""
+        """The draft without a box; None if the draft has no such box, or no other box."""
         if box not in self.order or len(self.order) == 1:
             return None
         return replace(self, order=tuple(number for number in self.order if number != box))
@@ -218,7 +218,7 @@ class Oddities(NamedTuple):
     """Faults of the layouts of c drafts with m boxes each.
 
     Attributes:
-        overlap_mm: (c, m, m) depth by which two boxes overlap, along the axis where that is least; 0: they do not.
+        overlap_mm: (c, m, m) depth by which two boxes overlap, along the axis of least depth; 0: no overlap.
         gap_mm: (c, m) height of each box above its support when it is placed.
         blocked: (c, m, m) whether the row's box is placed before the column's, above its place.
         outside_mm: (c, m) distance by which each box reaches beyond the limits of the rules.
@@ -233,13 +233,13 @@ class Oddities(NamedTuple):
 
 
 class Rules:
-    """What a changed plan may not do.
+    """Limits of a changed plan.
 
     Args:
         plan: the plan as it was.
         sim: options of the simulation. Boxes may overhang the carrier's edges as far as boxes of the plan do.
         max_height_mm: highest top of a box; the plan's own height if that is greater.
-        built: number of boxes that stand already. They are not changed.
+        built: number of boxes that stand already. These boxes stay unchanged.
     """
 
     def __init__(self, plan: Plan, sim: Simulation, max_height_mm: float, built: int) -> None:
@@ -262,12 +262,12 @@ class Rules:
 
     @property
     def floating(self) -> list[int]:
-        """Boxes of the plan with nothing under them when they are placed."""
+        """Boxes of the plan without support at their placement."""
         return np.flatnonzero(self._before.gap_mm[0] > TOLERANCE_MM).tolist()
 
     @property
     def overlapping(self) -> list[int]:
-        """Boxes of the plan that overlap others, the later one of each pair."""
+        """Boxes of the plan that overlap other boxes, the later box of each pair."""
         pairs = np.argwhere(np.triu(self._before.overlap_mm[0] > TOLERANCE_MM, k=1))
         return list(dict.fromkeys(pairs[:, 1].tolist()))
 
@@ -279,8 +279,8 @@ class Rules:
             sizes.setdefault(len(draft.size_mm), []).append(number)
         for numbers in sizes.values():
             for begin in range(0, len(numbers), AT_ONCE):
-                some = numbers[begin : begin + AT_ONCE]
-                allowed[some] = self._allow([drafts[number] for number in some])
+                chunk = numbers[begin : begin + AT_ONCE]
+                allowed[chunk] = self._allow([drafts[number] for number in chunk])
         return allowed
 
     def _allow(self, drafts: Sequence[Draft]) -> BoolArray:
@@ -298,7 +298,7 @@ class Rules:
         return allowed
 
     def _shifted(self, drafts: Sequence[Draft]) -> BoolArray:
-        """(c, n) which boxes of the plan are moved along x or y, or turned."""
+        """(c, n) whether each box of the plan is moved along x or y, or turned."""
         n = self.plan.n_boxes
         aside = np.stack([draft.corner_mm[:n, :2] for draft in drafts]) != self.plan.corner_mm[:, :2]
         turned = np.stack([draft.turned[:n] for draft in drafts])
@@ -316,12 +316,12 @@ class Rules:
         high = low + np.stack([draft.size_mm for draft in drafts])
         rank = np.stack([draft.rank for draft in drafts])
         present = np.isfinite(rank)
-        both = present[:, :, None] & present[:, None, :]
+        is_pair = present[:, :, None] & present[:, None, :]
         shared = [shared_length(low[..., axis], high[..., axis]) for axis in range(3)]
-        depth = np.where(both, np.maximum(np.minimum.reduce(shared), 0.0), 0.0)
+        depth = np.where(is_pair, np.maximum(np.minimum.reduce(shared), 0.0), 0.0)
         m = low.shape[1]
         depth[:, np.arange(m), np.arange(m)] = 0.0
-        beside = both & (shared[0] > TOLERANCE_MM) & (shared[1] > TOLERANCE_MM)
+        beside = is_pair & (shared[0] > TOLERANCE_MM) & (shared[1] > TOLERANCE_MM)
         beside[:, np.arange(m), np.arange(m)] = False
         earlier = rank[:, :, None] < rank[:, None, :]
         lower = low[:, :, None, 2] < low[:, None, :, 2]
@@ -334,7 +334,7 @@ class Rules:
         return Oddities(depth, gap, blocked, np.where(present, outside, 0.0), through)
 
     def _through_mm(self, low: FloatArray, high: FloatArray) -> FloatArray:
-        """(c, m) as of ``Oddities``, for boxes with these (c, m, 3) corners."""
+        """(c, m) as in ``Oddities``, for boxes with these (c, m, 3) corners."""
         if self._room is None:
             return np.zeros(low.shape[:2])
         middle_m, half_m = (low + high) / 2 / MM_PER_M, (high - low) / 2 / MM_PER_M
@@ -347,7 +347,8 @@ AT_ONCE: Final = 256
 
 
 def _worse(now: FloatArray, before: FloatArray, n: int) -> BoolArray:
-    """(c, …) which faults count and are greater than in the plan, whose n boxes come first along each axis."""
+    """(c, …) whether a fault counts and is larger than in the plan; the n boxes of the plan stand first along each
+    axis."""
     limit = np.full(now.shape[1:], TOLERANCE_MM)
     old = limit[tuple(slice(n) for _ in limit.shape)]
     np.maximum(old, before[0] + _ROUNDING_MM, out=old)

@@ -1,8 +1,8 @@
-"""Changes that may help where a plan fails (``proposals``): the cause says which boxes are changed, and how.
+"""Changes that may repair a plan (``proposals``): the cause of its failure determines boxes and changes.
 
-A load that goes beyond an edge has a box that bears it, the box with whose placement it goes beyond, the supports, and
-the boxes on top. These are moved, turned, exchanged, placed elsewhere or at another time; other boxes are put under an
-overhang. Statics and simulation judge the proposals, so a proposal need only be possible, not good.
+To a load beyond an edge belong its box, the box whose placement moves it beyond, the supports, and the boxes on top.
+These boxes are moved, turned, exchanged, placed elsewhere or at another time; other boxes are put under an overhang.
+Statics and simulation judge the proposals, so a proposal need only be possible, not good.
 """
 
 from __future__ import annotations
@@ -33,10 +33,10 @@ SPARE_MM: Final = (2.0, 6.0, 12.0, 25.0)
 """How far inside the edge a load is moved. A robot's places have an error of 2 mm (docs/confidence.md)."""
 
 STEPS_MM: Final = (10.0, 20.0, 30.0, 45.0, 60.0, 80.0, 100.0, 130.0, 160.0, 200.0)
-"""Further ways by which boxes are moved."""
+"""Further ways for moves of boxes."""
 
 MOST_PLACES: Final = 12
-"""Other places for one box: the lowest ones, and among these those with the largest support."""
+"""Other places for one box: the lowest places, and of equal heights those with the largest support."""
 
 LEAST_SUPPORT: Final = 0.5
 """Smallest supported share of a base at another place."""
@@ -50,8 +50,8 @@ class Target(NamedTuple):
 
     Attributes:
         box: number of the box that does not hold.
-        cause: number of the box with whose placement it no longer does; the same box if its own weight is enough.
-        depth_mm: how far its load is beyond the edge; 0: statics knows of none.
+        cause: number of the box whose placement moves the load beyond the edge; the same box for its own weight.
+        depth_mm: distance of the load beyond the edge; 0: no such load by statics.
     """
 
     box: int
@@ -61,11 +61,11 @@ class Target(NamedTuple):
 
 @dataclass(frozen=True)
 class Limits:
-    """What proposals may use.
+    """Limits and inputs of proposals.
 
     Attributes:
         kinds: kinds of changes that are allowed.
-        most_move_mm: the longest way along x or y by which a box is moved.
+        most_move_mm: the longest move of a box along x or y.
         sheet_mm, sheet_kg_m2: thickness and mass of a tie sheet.
     """
 
@@ -80,21 +80,21 @@ def targets(
 ) -> list[Target]:
     """The causes of a failure, the likeliest first.
 
-    Loads that went beyond an edge before the world ended count if the culprit or another box that fell lies on their
-    box, or is it. Boxes that float or overlap in the plan count, too. If there is nothing of the kind, the culprit and
-    its supports count.
+    Loads that went beyond an edge before the world ended count if their box is, or bears, the culprit or another fallen
+    box. Boxes that float or overlap in the plan count, too. Without such loads or boxes, the culprit and its supports
+    count.
 
     Args:
-        culprit: number of the first box over a limit; None: not known.
+        culprit: number of the first box over a limit; None: unknown.
         fallen: numbers of all boxes over a limit.
         n_placed: boxes that were placed in the simulation.
     """
     losers = [*([] if culprit is None else [culprit]), *(box for box in fallen if box != culprit)]
     first = losers[:1]
-    near = set(itertools.chain(first, *(draft.below(box) for box in first if box in draft.order)))
+    nearby_boxes = set(itertools.chain(first, *(draft.below(box) for box in first if box in draft.order)))
     wide = set(itertools.chain(losers, *(draft.below(box) for box in losers if box in draft.order)))
     rows = [
-        (box not in near, box not in wide, int(step), Target(int(box), int(cause), float(depth)))
+        (box not in nearby_boxes, box not in wide, int(step), Target(int(box), int(cause), float(depth)))
         for box, step, cause, depth in zip(balance.box, balance.step, balance.cause, balance.depth_mm, strict=True)
         if step < n_placed
     ]
@@ -115,16 +115,16 @@ def targets(
 
 def proposals(draft: Draft, rules: Rules, target: Target, limits: Limits) -> Iterator[Proposal]:
     """Changes that may help with a cause. Some cannot be made; ``Rules.allow`` finds out."""
-    near = _near(draft, rules, target)
+    nearby_boxes = _near(draft, rules, target)
     makers: tuple[tuple[Kind, Callable[[], Iterator[Proposal]]], ...] = (
         (Kind.ORDER, lambda: _orders(draft, target)),
-        (Kind.MOVE, lambda: _moves(draft, near, target, limits.most_move_mm)),
+        (Kind.MOVE, lambda: _moves(draft, nearby_boxes, target, limits.most_move_mm)),
         (Kind.MOVE, lambda: _pushes(draft, rules, target, limits.most_move_mm)),
-        (Kind.TURN, lambda: _turns(draft, near)),
-        (Kind.EXCHANGE, lambda: _exchanges(draft, rules, near)),
-        (Kind.PLACE, lambda: itertools.chain(_places(draft, rules, near), _props(draft, rules, target))),
+        (Kind.TURN, lambda: _turns(draft, nearby_boxes)),
+        (Kind.EXCHANGE, lambda: _exchanges(draft, rules, nearby_boxes)),
+        (Kind.PLACE, lambda: itertools.chain(_places(draft, rules, nearby_boxes), _props(draft, rules, target))),
         (Kind.SHEET, lambda: _sheets(draft, limits.sheet_mm, limits.sheet_kg_m2)),
-        (Kind.LEAVE_OUT, lambda: _omissions(draft, rules, near)),
+        (Kind.LEAVE_OUT, lambda: _omissions(draft, rules, nearby_boxes)),
     )
     for kind, make in makers:
         if kind in limits.kinds:
@@ -132,7 +132,7 @@ def proposals(draft: Draft, rules: Rules, target: Target, limits: Limits) -> Ite
 
 
 def _near(draft: Draft, rules: Rules, target: Target) -> list[int]:
-    """Boxes to change for a cause: its box, the box that comes too much, its supports, and the boxes on it."""
+    """Boxes to change for a cause: its box, the box that is too much, its supports, and the boxes on it."""
     box = target.box
     supports = np.flatnonzero(draft.on_top[:, box]).tolist()
     riders = sorted(np.flatnonzero(draft.on_top[box]).tolist(), key=lambda rider: draft.rank[rider])
@@ -150,9 +150,9 @@ def _orders(draft: Draft, target: Target) -> Iterator[Proposal]:
         if len(needed) <= 2:
             yield (*(Order(low, cause) for low in needed), Order(number, cause))
         yield (Order(cause, number, after=True),)
-        late = [high for high in draft.above(cause) if draft.rank[high] < draft.rank[number]]
-        if 0 < len(late) <= 2:
-            after = [number, cause, *late]
+        late_supports = [high for high in draft.above(cause) if draft.rank[high] < draft.rank[number]]
+        if 0 < len(late_supports) <= 2:
+            after = [number, cause, *late_supports]
             yield tuple(Order(moved, last, after=True) for last, moved in itertools.pairwise(after))
     for support in np.flatnonzero(draft.on_top[:, box]).tolist():
         if draft.rank[support] > draft.rank[box]:
@@ -161,7 +161,7 @@ def _orders(draft: Draft, target: Target) -> Iterator[Proposal]:
 
 
 def _neighbours(draft: Draft, box: int) -> list[int]:
-    """Boxes that stand beside a box, on supports of it or on the carrier."""
+    """Boxes that stand beside a box, on the same supports or on the carrier."""
     low, high = draft.corner_mm, draft.corner_mm + draft.size_mm
     gap = np.maximum(low[box] - high, low - high[box])
     beside = (gap.max(axis=1) <= 5 * TOLERANCE_MM) & np.isfinite(draft.rank)
@@ -170,7 +170,7 @@ def _neighbours(draft: Draft, box: int) -> list[int]:
 
 
 def _moves(draft: Draft, near: Sequence[int], target: Target, most_mm: float) -> Iterator[Proposal]:
-    """Boxes alone, and with what stands on them, along x and y, and along both at once."""
+    """Moves of boxes alone, and with the boxes on them, along x and y, and along both at once."""
     needed = [math.ceil(target.depth_mm + spare) for spare in SPARE_MM] if target.depth_mm > 0 else []
     for box in near:
         riders = tuple(sorted(rider for rider in draft.above(box) if rider < draft.plan.n_boxes))
@@ -194,7 +194,7 @@ def _moves(draft: Draft, near: Sequence[int], target: Target, most_mm: float) ->
 
 
 def _pushes(draft: Draft, rules: Rules, target: Target, most_mm: float) -> Iterator[Proposal]:
-    """Boxes with what stands on them and with all that is in their way."""
+    """Moves of boxes with the boxes on them and with all boxes in their way."""
     depth = target.depth_mm
     lengths = [length for length in (*(math.ceil(depth + spare) for spare in SPARE_MM[:3]), 45.0) if length <= most_mm]
     supports = np.flatnonzero(draft.on_top[:, target.box]).tolist()
@@ -211,8 +211,8 @@ def _pushes(draft: Draft, rules: Rules, target: Target, most_mm: float) -> Itera
 
 
 def _pushed(draft: Draft, box: int, dx_mm: float, dy_mm: float, *, alone: bool) -> set[int]:
-    """Numbers of the boxes that move if a box does: what stands on it (unless it is moved ``alone``), and what is in
-    the way, with what stands on that."""
+    """Numbers of the boxes that move if a box does: the boxes on it (unless it is moved ``alone``), and the boxes in
+    the way, with all boxes on those."""
     low, high = draft.corner_mm, draft.corner_mm + draft.size_mm
     way = np.array([dx_mm, dy_mm, 0.0])
     present = np.isfinite(draft.rank)
@@ -221,24 +221,23 @@ def _pushed(draft: Draft, box: int, dx_mm: float, dy_mm: float, *, alone: bool) 
     while front and len(moved) <= MOST_TOGETHER:
         deep = np.minimum(high[front, None] + way, high) - np.maximum(low[front, None] + way, low)
         hit = (deep > TOLERANCE_MM).all(axis=2).any(axis=0) & present
-        more = {int(number) for number in np.flatnonzero(hit)} - moved
+        pushed_boxes = {int(number) for number in np.flatnonzero(hit)} - moved
         if not alone:
-            more |= {rider for number in more for rider in draft.above(number)} - moved
-        moved |= more
-        front = sorted(more)
+            pushed_boxes |= {rider for number in pushed_boxes for rider in draft.above(number)} - moved
+        moved |= pushed_boxes
+        front = sorted(pushed_boxes)
     return moved
 
 
 def _free_ways_mm(draft: Draft, box: int, riders: Sequence[int]) -> tuple[float, float, float, float]:
-    """How far a box can be moved to the left, right, front and back until it meets another one; infinite: nothing is in
-    the way."""
+    """Free ways of a box to the left, right, front and back until it meets another box; infinite: no box in the way."""
     low, high = draft.corner_mm, draft.corner_mm + draft.size_mm
-    others = np.isfinite(draft.rank)
-    others[[box, *riders]] = False
+    is_placed = np.isfinite(draft.rank)
+    is_placed[[box, *riders]] = False
     ways = []
     for axis in (0, 1):
         across = [2, 1 - axis]
-        beside = others & (
+        beside = is_placed & (
             (low[:, across] < high[box, across] - TOLERANCE_MM) & (high[:, across] > low[box, across] + TOLERANCE_MM)
         ).all(axis=1)
         before = (low[box, axis] - high[:, axis])[beside]
@@ -250,7 +249,7 @@ def _free_ways_mm(draft: Draft, box: int, riders: Sequence[int]) -> tuple[float,
 
 
 def _turns(draft: Draft, near: Sequence[int]) -> Iterator[Proposal]:
-    """Boxes turned about their middles, and with one of their corners kept."""
+    """Boxes turned about their middles, and about one of their corners."""
     for box in near:
         x, y = draft.corner_mm[box, :2].tolist()
         length, width = draft.size_mm[box, :2].tolist()
@@ -263,13 +262,14 @@ def _turns(draft: Draft, near: Sequence[int]) -> Iterator[Proposal]:
 
 
 def _exchanges(draft: Draft, rules: Rules, near: Sequence[int]) -> Iterator[Proposal]:
-    """Boxes exchanged with any other one, each as it lies or turned, at the left or the right of the other's place."""
+    """Boxes exchanged with any other box, both with or without a turn, at the left or the right of the other's
+    place."""
     for box, other in itertools.product(near, draft.order):
         if other == box or other < rules.built or other >= draft.plan.n_boxes or (other in near and other < box):
             continue
         uneven = abs(draft.size_mm[box, 2] - draft.size_mm[other, 2]) > TOLERANCE_MM
         if _alike(draft, box, other) or (uneven and not (draft.is_bare[box] and draft.is_bare[other])):
-            continue  # what lies on one of two boxes of different heights would float, or overlap
+            continue  # a box on one of two boxes of different heights would float, or overlap
         for turn, other_turn in itertools.product((False, True), repeat=2):
             size, other_size = _size(draft, box, turn), _size(draft, other, other_turn)
             if (turn and size[0] == size[1]) or (other_turn and other_size[0] == other_size[1]):
@@ -293,7 +293,7 @@ def _exchanges(draft: Draft, rules: Rules, near: Sequence[int]) -> Iterator[Prop
 
 
 def _alike(draft: Draft, box: int, other: int) -> bool:
-    """Whether two boxes are the same but for their names, so that exchanging them changes nothing."""
+    """Whether two boxes are equal except for their names, so that their exchange has no effect."""
     same_size = (np.abs(draft.size_mm[box] - draft.size_mm[other]) <= TOLERANCE_MM).all()
     return bool(same_size and abs(draft.mass_kg[box] / draft.mass_kg[other] - 1) < 0.01)
 
@@ -311,8 +311,8 @@ def _triple(values: FloatArray) -> tuple[float, float, float]:
 
 
 def _places(draft: Draft, rules: Rules, near: Sequence[int]) -> Iterator[Proposal]:
-    """Boxes on which nothing stands, at other places, placed when they were or as the last ones; and boxes that hang in
-    the air, where they would come to lie."""
+    """Boxes with free tops, at other places, placed at the same time as before or last; and floating boxes, at the
+    place where they would come to lie."""
     free = draft.is_bare
     for box in near:
         if not free[box]:
@@ -329,28 +329,28 @@ def _places(draft: Draft, rules: Rules, near: Sequence[int]) -> Iterator[Proposa
 
 
 def _pile_places(draft: Draft, rules: Rules, box: int) -> Iterator[Proposal]:
-    """A box with all that stands on it alone at other places."""
+    """A box with all boxes that stand on it alone, at other places."""
     pile = lifted_with(draft, box)
-    rest = [number for number in draft.order if number not in pile]
-    if len(pile) > MOST_TOGETHER or not rest or min(pile) < rules.built or max(pile) >= draft.plan.n_boxes:
+    other_boxes = [number for number in draft.order if number not in pile]
+    if len(pile) > MOST_TOGETHER or not other_boxes or min(pile) < rules.built or max(pile) >= draft.plan.n_boxes:
         return
-    others = tuple(sorted(pile[1:]))
-    for turn, corner in _resting_corners(replace(draft, order=tuple(rest)), rules, box):
+    riders = tuple(sorted(pile[1:]))
+    for turn, corner in _resting_corners(replace(draft, order=tuple(other_boxes)), rules, box):
         if not turn:
-            for last in (None, rest[-1]):
-                yield (Place(box, corner, bool(draft.turned[box]), last, others=others),)
+            for last in (None, other_boxes[-1]):
+                yield (Place(box, corner, bool(draft.turned[box]), last, others=riders),)
 
 
 def _resting_corners(
     draft: Draft, rules: Rules, box: int, below: int | None = None
 ) -> Iterator[tuple[bool, tuple[float, float, float]]]:
-    """Places where a box would rest on the carrier or on other boxes: whether it is turned there, and its corner.
+    """Places of rest for a box on the carrier or on other boxes: whether it is turned, and its corner.
 
     Args:
-        below: a box under which it must fit; None: it comes to lie on top.
+        below: the box above the place; None: the place is on top.
     """
-    others = np.array([number for number in draft.order if number not in (box, below)], int)
-    low, high = draft.corner_mm[others], (draft.corner_mm + draft.size_mm)[others]
+    other_boxes = np.array([number for number in draft.order if number not in (box, below)], int)
+    low, high = draft.corner_mm[other_boxes], (draft.corner_mm + draft.size_mm)[other_boxes]
     ceiling = math.inf if below is None else float(draft.corner_mm[below, 2])
     lower = low[:, 2] < ceiling - TOLERANCE_MM
     low, high = low[lower], high[lower]
@@ -375,11 +375,11 @@ def _resting_corners(
         x, y = (grid.ravel() for grid in np.meshgrid(*axes, indexing="ij"))
         z, share = _rest(x, y, size, low, high)
         if below is None:
-            good = (share >= LEAST_SUPPORT) & (z + size[2] <= rules.high_mm[2] + TOLERANCE_MM)
+            is_good = (share >= LEAST_SUPPORT) & (z + size[2] <= rules.high_mm[2] + TOLERANCE_MM)
         else:
-            good = (share >= LEAST_SUPPORT) & (np.abs(z + size[2] - ceiling) <= TOLERANCE_MM)
-            good &= _shared_mm2(x, y, size, draft.corner_mm[below], draft.size_mm[below]) > 0
-        chosen = np.flatnonzero(good)
+            is_good = (share >= LEAST_SUPPORT) & (np.abs(z + size[2] - ceiling) <= TOLERANCE_MM)
+            is_good &= _shared_mm2(x, y, size, draft.corner_mm[below], draft.size_mm[below]) > 0
+        chosen = np.flatnonzero(is_good)
         chosen = chosen[np.lexsort((-share[chosen], z[chosen]))][:MOST_PLACES]
         for k in chosen.tolist():
             yield turn, (float(x[k]), float(y[k]), float(z[k]))
@@ -400,7 +400,7 @@ def _rest(
 
 
 def _shared_mm2(x: FloatArray, y: FloatArray, size: FloatArray, corner: FloatArray, other: FloatArray) -> FloatArray:
-    """(p,) area that a box at corners shares with another one, seen from above, mm²."""
+    """(p,) area that a box at corners shares with another box, seen from above, mm²."""
     shared_x = np.minimum(x + size[0], corner[0] + other[0]) - np.maximum(x, corner[0])
     shared_y = np.minimum(y + size[1], corner[1] + other[1]) - np.maximum(y, corner[1])
     area: FloatArray = np.maximum(shared_x, 0.0) * np.maximum(shared_y, 0.0)
@@ -408,7 +408,7 @@ def _shared_mm2(x: FloatArray, y: FloatArray, size: FloatArray, corner: FloatArr
 
 
 def _props(draft: Draft, rules: Rules, target: Target) -> Iterator[Proposal]:
-    """Boxes on which nothing stands, put under a box that hangs over, before it is placed."""
+    """Boxes with free tops, put under a box that hangs over, before it is placed."""
     free = draft.is_bare
     sizes = dict.fromkeys((*map(float, draft.size_mm[box]), float(draft.mass_kg[box])) for box in draft.order)
     for size in sizes:
@@ -420,7 +420,7 @@ def _props(draft: Draft, rules: Rules, target: Target) -> Iterator[Proposal]:
             and box != target.box
             and rules.built <= box < draft.plan.n_boxes
         ]
-        for box in alike[-1:]:  # the last one of boxes that are alike
+        for box in alike[-1:]:  # the last of several equal boxes
             for turn, corner in itertools.islice(_resting_corners(draft, rules, box, target.box), MOST_PLACES // 2):
                 turned = bool(draft.turned[box]) != turn
                 yield (Place(box, corner, turned, target.box, after=False, differs=turn),)
@@ -442,25 +442,25 @@ def _sheets(draft: Draft, thick_mm: float, kg_m2: float) -> Iterator[Proposal]:
 
 
 def lifted_with(draft: Draft, box: int) -> list[int]:
-    """A box and all that would have nothing under it without it, the supports first."""
+    """A box and all boxes that would lose their support without it, the supports first."""
     lifted = [box]
-    kept = [number for number in draft.order if number != box]
+    remaining = [number for number in draft.order if number != box]
     while True:
         bare = [
             number
-            for number in kept
+            for number in remaining
             if draft.corner_mm[number, 2] > TOLERANCE_MM
             and draft.on_top[:, number].any()
-            and not draft.on_top[kept, number].any()
+            and not draft.on_top[remaining, number].any()
         ]
         if not bare:
             return lifted
         lifted += bare
-        kept = [number for number in kept if number not in bare]
+        remaining = [number for number in remaining if number not in bare]
 
 
 def _omissions(draft: Draft, rules: Rules, near: Sequence[int]) -> Iterator[Proposal]:
-    """Boxes left out, with all that would then have nothing under it."""
+    """Boxes left out, with all boxes that would lose their support."""
     for box in near:
         left = lifted_with(draft, box)
         if len(left) < len(draft.order) and min(left) >= rules.built:
@@ -468,8 +468,8 @@ def _omissions(draft: Draft, rules: Rules, near: Sequence[int]) -> Iterator[Prop
 
 
 def relocation(draft: Draft, rules: Rules, sim: Simulation, box: int) -> Proposal | None:
-    """A box and all that stands on it alone, lifted off and put elsewhere one after the other, each at the lowest place
-    at which by statics nothing goes beyond an edge; None: there is no such place for one of them."""
+    """A box and all boxes that stand on it alone, put elsewhere one by one, each at the lowest place at which statics
+    finds no load beyond an edge; None: a box without such a place."""
     lifted = lifted_with(draft, box)
     if len(lifted) > MOST_TOGETHER or min(lifted) < rules.built or max(lifted) >= draft.plan.n_boxes:
         return None
@@ -488,10 +488,10 @@ def relocation(draft: Draft, rules: Rules, sim: Simulation, box: int) -> Proposa
         drafts = [placed for place in places if (placed := place.applied(waiting)) is not None]
         allowed = np.flatnonzero(rules.allow(drafts)).tolist() if drafts else []
         after = balances([drafts[k] for k in allowed], sim)
-        good = [(b.trouble, places[k].corner_mm[2], k) for k, b in zip(allowed, after, strict=True)]
-        if not good or min(good)[0] > balance.trouble:
+        balanced_places = [(b.trouble, places[k].corner_mm[2], k) for k, b in zip(allowed, after, strict=True)]
+        if not balanced_places or min(balanced_places)[0] > balance.trouble:
             return None
-        chosen = min(good)[2]
+        chosen = min(balanced_places)[2]
         balance, pile = after[allowed.index(chosen)], drafts[chosen]
         changes.append(places[chosen])
     return tuple(changes)

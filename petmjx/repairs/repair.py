@@ -1,4 +1,4 @@
-"""``petmjx.repair``: what to change in plans so that they stand."""
+"""``petmjx.repair``: changes that make plans stand."""
 
 from __future__ import annotations
 
@@ -28,13 +28,14 @@ from petmjx.results.plan_lookup import plans_in_place
 from petmjx.results.share_intervals import wilson_interval
 
 OF_READING: Final = (*READING, "articles", "limit", "strict")
-"""Fields of ``RunOptions`` that say how plans are read."""
+"""Fields of ``RunOptions`` about the reading of plans."""
 
 AT_ONCE: Final = 64
 """Plans that are repaired at the same time: their trials share runs of the engine, which fills a GPU."""
 
 GOOD_SHARE: Final = 0.75
-"""A repair that stands in this share of worlds with errors is taken without comparing it with others as short."""
+"""A repair that stands in this share of worlds with errors is chosen without a comparison with equally short
+repairs."""
 
 SHOWN: Final = (
     ShownColumn("plan_id", "plan"),
@@ -55,12 +56,12 @@ class Repaired:
     """One plan and its repair.
 
     Attributes:
-        before: the plan as it was.
-        plan: the repaired plan; the plan as it was if it stands already, or if no repair is known.
-        changes: the changes, in the order in which they are made. Undoing any one of them gives a plan that falls, or
-            that is not allowed (boxes overlap, float, …).
+        before: the plan before the repair.
+        plan: the repaired plan; the plan itself if it stands already, or without a known repair.
+        changes: the changes, in order. Without any one of them the plan falls, or is not allowed (boxes overlap, float,
+            …).
         trial_before, trial_after: the simulation of both; after: None if no repair is known.
-        share_before, share_after: worlds with errors in which both stand; None: not simulated.
+        share_before, share_after: shares of worlds with errors in which the two plans stand; None: not simulated.
         n_trials: plans that were simulated.
     """
 
@@ -85,19 +86,19 @@ class Repaired:
 
     @property
     def left_out(self) -> tuple[int, ...]:
-        """Boxes that are left out: their numbers in the plan as it was."""
+        """Boxes that are left out: their numbers in the original plan."""
         return tuple(box for change in self.changes if change.kind is Kind.LEAVE_OUT for box in change.boxes)
 
     @property
     def film_turns(self) -> float | None:
-        """Turns of film that the repair asks for; None: it asks for none. A plan does not hold them."""
+        """Turns of film that the repair needs; None: no film. A plan does not hold them."""
         return next((change.turns for change in reversed(self.changes) if hasattr(change, "turns")), None)
 
     def undone(self, number: int) -> Plan | None:
-        """The plan with all changes but one; None if the others cannot be made without it.
+        """The plan with all changes but one; None if the others are impossible without it.
 
         Raises:
-            InputError: there is no such change.
+            InputError: no such change.
         """
         if not 0 <= number < len(self.changes):
             raise InputError(f"number must be from 0 to {len(self.changes) - 1}, {shown_value(number)}")
@@ -152,8 +153,8 @@ class Repairs:
     """The result of ``petmjx.repair``.
 
     Attributes:
-        each: the result of each plan, in the order of the input.
-        skipped: a line for each plan that could not be read.
+        each: the result for each plan, in the order of the input.
+        skipped: a line for each unreadable plan.
         how: the options of the simulation, for pages and pictures.
     """
 
@@ -163,7 +164,7 @@ class Repairs:
 
     @property
     def plans(self) -> list[Plan]:
-        """All plans, repaired where a repair is known, for ``petmjx.score`` and ``petmjx.save_plans``."""
+        """All plans, repaired if a repair is known, for ``petmjx.score`` and ``petmjx.save_plans``."""
         return [repaired.plan for repaired in self.each]
 
     @property
@@ -186,13 +187,15 @@ class Repairs:
     def summary(self) -> str:
         """The result in one line."""
         fell = [repaired for repaired in self.each if not repaired.trial_before.stands]
-        good = [repaired for repaired in fell if repaired.stands]
+        mended = [repaired for repaired in fell if repaired.stands]
         if not fell:
             return f"{count_text(len(self.each), 'plan')}: all stand as they are"
-        left = sum(bool(repaired.left_out) for repaired in good)
-        changes = sorted(len(repaired.changes) for repaired in good)
+        left = sum(bool(repaired.left_out) for repaired in mended)
+        changes = sorted(len(repaired.changes) for repaired in mended)
         verb = "does" if len(fell) == 1 else "do"
-        text = f"{count_text(len(fell), 'plan')} of {len(self.each):,} {verb} not stand; {len(good):,} can be repaired"
+        text = (
+            f"{count_text(len(fell), 'plan')} of {len(self.each):,} {verb} not stand; {len(mended):,} can be repaired"
+        )
         if left:
             text += f", {left:,} of them only without some boxes"
         return text + (f"; changes: {changes[len(changes) // 2]} in the median" if len(changes) > 1 else "")
@@ -242,8 +245,8 @@ def repair(
         )
     repair_options = RepairOptions(**of_repair)
     reading = RunOptions(**{name: value for name, value in of_run.items() if name in OF_READING})
-    how = {**of_simulation, **sure, **{name: value for name, value in of_run.items() if name in OF_RUN}}
-    question = Question(how, repair_options)
+    score_options = {**of_simulation, **sure, **{name: value for name, value in of_run.items() if name in OF_RUN}}
+    question = Question(score_options, repair_options)
     plan_set = usable_plans(plans_in_place(plans, reading.strict), question.sim, reading)
     for plan in plan_set:
         if repair_options.built >= plan.n_boxes:
@@ -259,7 +262,7 @@ def repair(
                 watch(len(results), len(plan_set.plans))
     finally:
         question.close()
-    shown = {name: value for name, value in how.items() if name in Simulation.model_fields or name in OF_RUN}
+    shown = {name: value for name, value in score_options.items() if name in Simulation.model_fields or name in OF_RUN}
     return Repairs(tuple(results), tuple(str(line) for line in plan_set.skipped), shown)
 
 
@@ -315,11 +318,11 @@ def _with_shares(searches: Sequence[Search], question: Question, options: Repair
 
 
 def _likeliest(searches: Sequence[Search], question: Question) -> list[State | None]:
-    """The repair of each search that is chosen; None: there is none.
+    """The repair of each search chosen; None: no repair.
 
-    Of repairs with the same number of changes it is the cheapest one that stands often enough with errors; if none
-    does, the one that stands most often. What is chosen as the best of several looks better than it is. So these errors
-    are others than those of the shares that are reported: errors depend on the plan's id.
+    Of repairs with the same number of changes, the cheapest that stands often enough with errors is chosen; without
+    one, the repair that stands most often. The best of several looks better than it is. So the choice uses other random
+    errors than the reported shares: errors depend on the plan's id.
     """
     shares: list[list[Share]] = [[] for _ in searches]
     rows = [row for row, search in enumerate(searches) if len(search.repairs) > 1]
@@ -329,10 +332,13 @@ def _likeliest(searches: Sequence[Search], question: Question) -> list[State | N
         for row, share in zip(rows, question.shares(plans), strict=True):
             shares[row].append(share)
         rows = [row for row in rows if len(shares[row]) < len(searches[row].repairs) and not _is_good(shares[row][-1])]
-    best = [max(range(len(some)), key=lambda k: (some[k].n_standing, -k)) if some else 0 for some in shares]
+    best = [
+        max(range(len(plan_shares)), key=lambda k: (plan_shares[k].n_standing, -k)) if plan_shares else 0
+        for plan_shares in shares
+    ]
     return [search.repairs[k] if search.repairs else None for search, k in zip(searches, best, strict=True)]
 
 
 def _is_good(share: Share) -> bool:
-    """Whether a repair stands often enough with errors, so that no other one is tried."""
+    """Whether a repair stands often enough with errors, so that no other repair is tried."""
     return share.n_worlds > 0 and share.value >= GOOD_SHARE

@@ -1,4 +1,4 @@
-"""Options of a repair (``RepairOptions``): which changes are allowed, what must hold, and how long is searched.
+"""Options of a repair (``RepairOptions``): allowed changes, requirements, and limits of the search.
 
 Defaults, units, checks and descriptions are written only here. docs/repair.md explains them to users.
 """
@@ -52,7 +52,7 @@ class RepairOptions(CheckedRecord):
         150.0, description="longest way by which a box is moved along x or y, mm"
     )
     max_height_mm: Annotated[float, within(0, 100_000), CliFlag("--max-height-mm", "MM")] = Field(
-        2000.0, description="highest top of a box that is placed elsewhere, mm; the plan's own height if that is more"
+        2000.0, description="highest top of a box that is placed elsewhere, mm; at least the plan's own height"
     )
     most_changes: Annotated[int, within(1, 100), CliFlag("--most-changes", "N")] = Field(
         24, description="changes at most, boxes left out not counted"
@@ -74,7 +74,7 @@ class RepairOptions(CheckedRecord):
         0.5, description="mass of a tie sheet by its area, kg/m²: single-wall board has about 0.5"
     )
     profile: Annotated[str | None, CliFlag("--profile", "NAME", default="at rest")] = Field(
-        None, description="what the pallet must survive, such as eumos-40509; without one it must stand at rest"
+        None, description="profile that the pallet must survive, such as eumos-40509; by default it must stand at rest"
     )
     level: Annotated[float, within(0, 1000), CliFlag("--level", "LEVEL")] = Field(
         1.0, gt=0, description="strength of the profile: a level in g, or a scale"

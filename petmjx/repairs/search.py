@@ -1,11 +1,11 @@
 """The search for the smallest change that makes a plan stand.
 
-A beam of changed plans is simulated, until one stands. Each step changes a plan where it fails: statics ranks what may
-help there, and the best ranked changes are judged at once, by one short simulation each. What stands is scored. Then
-changes that are not needed are taken back, so that without any one of those that are left the plan falls.
+A beam of changed plans is simulated, until one stands. Each step changes a plan at the place of its failure: statics
+ranks the possible changes, and the best ranked are judged at once, by one short simulation each. Standing plans are
+scored. Then needless changes are taken back, so that the plan falls without any one of the remaining changes.
 
 ``search`` is a generator: it yields drafts to be simulated and is sent their trials. So the searches of many plans can
-share runs of an engine. What is simulated depends on the plan and the options alone, not on the time that it takes.
+share runs of an engine. The simulated plans depend only on the plan and the options, not on time.
 """
 
 from __future__ import annotations
@@ -32,11 +32,11 @@ from petmjx.repairs.trials import Asked, Trial
 Asking = Generator[list[Asked], list[Trial], None]
 
 BEAM: Final = 4
-"""Changed plans that are changed further in each step."""
+"""Number of changed plans that are changed further in each step."""
 
 AT_ONCE: Final = (24, 48, 96)
-"""Changed plans that are judged at once in a step: the best ranked ones, then more as long as none of these has more
-standing boxes. Where one stands as many as at first are judged besides, for the choice by errors."""
+"""Number of changed plans that are judged at once in a step: the best ranked first, then more until one has more
+standing boxes. If one stands, this many more are judged for the choice by errors."""
 
 CONFIRMED_AT_ONCE: Final = 6
 """Plans that stand when judged, and are scored at once."""
@@ -45,20 +45,20 @@ MOST_FINALISTS: Final = 4
 """Repairs with the least number of changes that are compared with errors."""
 
 MOST_UNDONE: Final = 8
-"""Changes of all these repairs together, each of which is undone and scored: of long repairs fewer are compared."""
+"""Limit of changes in all compared repairs, each of which is undone and scored: of long repairs fewer are compared."""
 
 PER_DRIVE: Final = 6
-"""Trials as which a plan counts that is scored with a drive: such plans cannot be judged in less time."""
+"""A plan that is scored with a drive counts as this many trials: no short simulation can judge it."""
 
 PER_COST: Final = 0.3
 """Weight of a change's cost in the ranking, against loads beyond edges."""
 
 SAME_COST: Final = 0.1
-"""Repairs whose costs differ by less count as equally cheap: 50 mm of a way. The one that is likelier to stand with
-errors is taken."""
+"""Repairs whose costs differ by less count as equally cheap: 50 mm of a move. The state that is likelier to stand with
+errors is chosen."""
 
 UNSOLVED: Final = 3.0
-"""Weight of the first cause if it is still there."""
+"""Weight of the first cause if it remains."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -103,9 +103,9 @@ class Search:
 
     Attributes:
         plan: the plan.
-        before: its simulation; None: not known yet.
-        repairs: the repairs with the fewest changes, the best first; empty: there is none. Undoing any one change of a
-            repair gives a plan that falls, or that is not allowed.
+        before: the simulation of the plan; None: unknown yet.
+        repairs: the repairs with the fewest changes, the best first; empty: there is none. Without any one change of a
+            repair the plan falls, or is not allowed.
         n_trials: simulated plans.
     """
 
@@ -135,12 +135,12 @@ class Search:
         standing: list[State] = []
         if Kind.FILM in kinds:
             standing = yield from self._wrapped(start)
-        beam, whole = [start], kinds - {Kind.FILM, Kind.LEAVE_OUT}
+        beam, kinds_with_all_boxes = [start], kinds - {Kind.FILM, Kind.LEAVE_OUT}
         most = self.options.trials if self.options.profile is None else self.options.trials // PER_DRIVE
-        if not standing and whole:
-            standing, beam = yield from self._changed(beam, whole, most)
-        if not standing and Kind.PLACE in whole:
-            standing, beam = yield from self._changed(beam, whole, most // 4, rebuilds=True)
+        if not standing and kinds_with_all_boxes:
+            standing, beam = yield from self._changed(beam, kinds_with_all_boxes, most)
+        if not standing and Kind.PLACE in kinds_with_all_boxes:
+            standing, beam = yield from self._changed(beam, kinds_with_all_boxes, most // 4, rebuilds=True)
         if not standing and Kind.LEAVE_OUT in kinds:
             self._seen.clear()
             standing, beam = yield from self._changed(beam, kinds - {Kind.FILM}, most // 2)
@@ -158,35 +158,35 @@ class Search:
     # ------------------------------------------------------------------ film
 
     def _wrapped(self, start: State) -> Generator[list[Asked], list[Trial], list[State]]:
-        """The fewest turns of film with which the plan survives the profile; empty: there is no such number."""
+        """The fewest turns of film with which the plan survives the profile; empty: no such number."""
         low, high = math.floor(self.film_turns), self.options.most_turns
         if high <= low:
             return []
-        kept: State | None = None
+        best: State | None = None
         tried = [high]
         while tried:
             films = [Film(float(turns)) for turns in tried]
             drafts = [draft for film in films if (draft := film.applied(start.draft)) is not None]
             trials = yield from self._simulated(drafts)
             for film, draft, trial in zip(films, drafts, trials, strict=True):
-                if trial.stands and (kept is None or film.turns < high or kept is None):
-                    kept, high = State(draft, (film,), trial), int(film.turns)
+                if trial.stands and (best is None or film.turns < high or best is None):
+                    best, high = State(draft, (film,), trial), int(film.turns)
                 elif not trial.stands:
                     low = max(low, int(film.turns))
-            if kept is None or high - low <= 1:
+            if best is None or high - low <= 1:
                 break
             tried = [(low + high) // 2]
-        return [] if kept is None else [kept]
+        return [] if best is None else [best]
 
     # ------------------------------------------------------------------ changes
 
     def _changed(
         self, beam: list[State], kinds: frozenset[Kind], most_trials: int, *, rebuilds: bool = False
     ) -> Generator[list[Asked], list[Trial], tuple[list[State], list[State]]]:
-        """Plans that stand after changes of these kinds, and the plans with the most standing boxes if none does.
+        """Plans that stand after changes of these kinds, and without such plans those with the most standing boxes.
 
         Args:
-            rebuilds: whether piles may be put elsewhere box by box, with a change for each.
+            rebuilds: whether piles may be put elsewhere box by box, with one change per box.
         """
         options = self.options
         limits = Limits(kinds, options.most_move_mm, options.sheet_mm, options.sheet_kg_m2)
@@ -199,9 +199,9 @@ class Search:
             for count in AT_ONCE:
                 batch = _batch(queues, min(count, last - self.n_trials))
                 states = yield from self._judged(batch)
-                if any(state.trial.stands for state in states):  # further ones may stand more often with errors
-                    more = _batch(queues, min(AT_ONCE[0], last - self.n_trials))
-                    batch, states = batch + more, states + (yield from self._judged(more))
+                if any(state.trial.stands for state in states):  # further plans may stand more often with errors
+                    next_candidates = _batch(queues, min(AT_ONCE[0], last - self.n_trials))
+                    batch, states = batch + next_candidates, states + (yield from self._judged(next_candidates))
                     standing = yield from self._confirmed(states)
                     if standing:
                         return standing, best
@@ -222,8 +222,8 @@ class Search:
         return [State(c.draft, c.changes, trial) for c, trial in zip(batch, trials, strict=True)]
 
     def _stripped(self, state: State) -> Generator[list[Asked], list[Trial], list[State]]:
-        """The state without the boxes that fall, left out one after the other with all that stands on them, until the
-        rest stands; empty: boxes that stand already fall. It always ends, since each step leaves out a box."""
+        """The state without the boxes that fall, left out one by one with all boxes on them, until the remaining boxes
+        stand; empty: boxes that stand already fall. The loop always ends, since each step leaves out a box."""
         while not state.trial.stands:
             box = state.trial.culprit
             if box is None:
@@ -242,14 +242,14 @@ class Search:
         return [state]
 
     def _confirmed(self, states: list[State]) -> Generator[list[Asked], list[Trial], list[State]]:
-        """Score states that stand when judged, those with few changes first, until some are confirmed. Returns those;
-        the others that were scored get the trial of the score. With a drive all were scored."""
+        """Score states that stand when judged, those with few changes first, until some are confirmed. Returns the
+        standing ones; other scored states get the trial of the score. With a drive all trials are scores."""
         ways: Counter[tuple[object, ...]] = Counter()
         queue = []
         numbers = [k for k, state in enumerate(states) if state.trial.stands]
         for k in sorted(numbers, key=lambda k: (len(states[k].changes), -self._chance(states[k]), states[k].cost)):
             way = _way(states[k])
-            queue.append((len(states[k].changes), ways[way], k))  # one of each way first
+            queue.append((len(states[k].changes), ways[way], k))  # one change of each way first
             ways[way] += 1
         queue.sort(key=lambda place: place[:2])
         if self.options.profile is not None:
@@ -278,8 +278,10 @@ class Search:
         drafts: list[Draft] = []
         origins: list[Proposal] = []
         for cause in causes:
-            some = proposals(state.draft, self.rules, cause, limits)
-            for proposal in itertools.chain(some, self._relocations(state.draft, cause)) if rebuilds else some:
+            candidates = proposals(state.draft, self.rules, cause, limits)
+            for proposal in (
+                itertools.chain(candidates, self._relocations(state.draft, cause)) if rebuilds else candidates
+            ):
                 draft = applied(state.draft, proposal)
                 if draft is None:
                     continue
@@ -296,7 +298,7 @@ class Search:
             for change in proposal:
                 changes = with_change(changes, change)
             draft = drafts[number]
-            if len(changes) < len(state.changes) + len(proposal):  # some became one: the whole list says the same
+            if len(changes) < len(state.changes) + len(proposal):  # some changes became one
                 merged = applied(self._start, changes)
                 if merged is None or _key(merged) != _key(draft):
                     changes = (*state.changes, *proposal)
@@ -308,7 +310,8 @@ class Search:
         return ranked
 
     def _relocations(self, draft: Draft, cause: Target) -> Iterator[Proposal]:
-        """Piles put elsewhere box by box: that of the box that does not hold, and that of the box that is too much."""
+        """Piles put elsewhere box by box: the pile of the box that does not hold, and the pile of the box that is too
+        much."""
         for box in dict.fromkeys((cause.box, cause.cause)):
             if box in draft.order and draft.on_top[box].any():
                 relocated = relocation(draft, self.rules, self.sim, box)
@@ -318,7 +321,7 @@ class Search:
     # ------------------------------------------------------------------ the end
 
     def _finished(self, standing: Sequence[State]) -> Asking:
-        """Take back what is not needed, and keep the repairs with the fewest changes."""
+        """Take back needless changes, and keep the repairs with the fewest changes."""
         fewest = min(len(state.changes) for state in standing)
         short = [state for state in standing if len(state.changes) == fewest]
         pruned = []
@@ -330,13 +333,13 @@ class Search:
         self.repairs = tuple(sorted(different.values(), key=lambda state: math.floor(state.cost / SAME_COST)))
 
     def _reduced(self, state: State) -> Generator[list[Asked], list[Trial], State]:
-        """The state without groups of changes that are not needed: halves first, then smaller ones."""
+        """The state without groups of needless changes: halves first, then smaller groups."""
         size = len(state.changes) // 2
         shorter = state
         while size > 1:
             changes = shorter.changes
-            some = [(*changes[:k], *changes[k + size :]) for k in range(0, len(changes), size)]
-            standing = [one for one in (yield from self._trials_of(some, judged=True)) if one.trial.stands]
+            change_lists = [(*changes[:k], *changes[k + size :]) for k in range(0, len(changes), size)]
+            standing = [one for one in (yield from self._trials_of(change_lists, judged=True)) if one.trial.stands]
             if standing:
                 shorter = min(standing, key=lambda one: one.cost)
             size = min(size if standing else size // 2, len(shorter.changes) // 2)
@@ -349,20 +352,20 @@ class Search:
     def _trials_of(
         self, lists: Sequence[tuple[Change, ...]], *, judged: bool = False
     ) -> Generator[list[Asked], list[Trial], list[State]]:
-        """The states with these lists of changes, of which some cannot be made and others are not allowed."""
+        """The states with these lists of changes, without impossible and forbidden ones."""
         made = [(draft, changes) for changes in lists if (draft := applied(self._start, changes)) is not None]
         allowed = self.rules.allow([draft for draft, _ in made])
-        made = [pair for pair, good in zip(made, allowed, strict=True) if good]
+        made = [pair for pair, is_allowed in zip(made, allowed, strict=True) if is_allowed]
         if not made:
             return []
         trials = yield from self._simulated([draft for draft, _ in made], judged=judged)
         return [State(draft, changes, trial) for (draft, changes), trial in zip(made, trials, strict=True)]
 
     def _pruned(self, state: State) -> Generator[list[Asked], list[Trial], State]:
-        """The state without changes that are not needed, one by one."""
+        """The state without needless changes, tried one by one."""
         while len(state.changes) > 1:
-            some = [(*state.changes[:k], *state.changes[k + 1 :]) for k in range(len(state.changes))]
-            standing = [shorter for shorter in (yield from self._trials_of(some)) if shorter.trial.stands]
+            change_lists = [(*state.changes[:k], *state.changes[k + 1 :]) for k in range(len(state.changes))]
+            standing = [shorter for shorter in (yield from self._trials_of(change_lists)) if shorter.trial.stands]
             if not standing:
                 break
             state = min(standing, key=lambda shorter: shorter.cost)
@@ -374,13 +377,13 @@ class Search:
 
 
 def _way(state: State) -> tuple[object, ...]:
-    """Equal for repairs that change the same boxes in the same ways, by other amounts."""
+    """Equal for repairs that change the same boxes in the same ways by different amounts."""
     return tuple((change.kind, change.boxes) for change in state.changes)
 
 
 def _batch(queues: Sequence[list[_Candidate]], count: int) -> list[_Candidate]:
-    """Take candidates off ranked queues, as many off each: the first one of each way to change a box, then the second
-    one of each. What statics ranks first are often many amounts of one move."""
+    """Take equally many candidates off each ranked queue: the first of each way to change a box, then the second of
+    each. The first candidates by statics are often one move by many amounts."""
     batch = []
     for queue in queues:
         ways: Counter[tuple[object, ...]] = Counter()
@@ -398,7 +401,7 @@ def _batch(queues: Sequence[list[_Candidate]], count: int) -> list[_Candidate]:
 
 
 def _different(states: Sequence[State], count: int) -> list[State]:
-    """The first states, of those with the same changes by other amounts only the first one."""
+    """The first states; of states with the same changes by different amounts only one."""
     return [*{_way(state): state for state in reversed(states)}.values()][::-1][:count]
 
 

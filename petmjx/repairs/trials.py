@@ -39,10 +39,10 @@ OF_RUN: Final = ("engine", "threads", "lanes", "world_timeout_s")
 
 
 LONGEST_WAIT_S: Final = 2.0
-"""Longest wait for a pallet to come to rest where a draft is only judged."""
+"""Longest wait for a pallet to come to rest for a draft that is only judged."""
 
 Asked = tuple[Draft, bool]
-"""A draft, and whether it is only judged: simulated once, until a box is lost. Else it is scored."""
+"""A draft, and whether it is only judged, that is simulated once until a box is lost. Otherwise the draft is scored."""
 
 
 class Trial(NamedTuple):
@@ -51,9 +51,9 @@ class Trial(NamedTuple):
     Attributes:
         verdict, reason: as in the table ``worlds``.
         culprit: number of the box that first crossed a limit; None: none did.
-        fallen: numbers of all boxes that crossed one.
+        fallen: numbers of all boxes that crossed a threshold.
         n_placed: boxes that were placed before the world ended.
-        margin: as in the table ``worlds``; NaN: there is none.
+        margin: as in the table ``worlds``; NaN: no margin.
     """
 
     verdict: str
@@ -75,7 +75,7 @@ class Trial(NamedTuple):
 
 
 class Share(NamedTuple):
-    """Worlds with errors: those that have a verdict, and those in which the plan stands."""
+    """Worlds with errors: the number with a verdict, and the number in which the plan stands."""
 
     n_worlds: int
     n_standing: int
@@ -87,7 +87,7 @@ class Share(NamedTuple):
 
 
 class Question:
-    """What is asked of plans: whether they stand at rest, or after a drive.
+    """The requirement on plans: to stand at rest, or after a drive.
 
     Attributes:
         sim: options of the simulation.
@@ -123,11 +123,11 @@ class Question:
 
     @property
     def film_turns(self) -> float:
-        """Turns of film around plans as they are."""
+        """Turns of film around unchanged plans."""
         return self.sim.wrap.turns
 
     def trials(self, asked: Sequence[Asked]) -> list[Trial]:
-        """The trial of each draft. All are simulated at once, but for those with other turns of film. If pallets must
+        """The trial of each draft. All are simulated at once, except those with other turns of film. If pallets must
         survive a profile, all are scored."""
         drafts = [draft for draft, _ in asked]
         self.n_simulated += len(drafts)
@@ -158,9 +158,9 @@ class Question:
     def _judged(self, asked: Sequence[Asked]) -> dict[int, Trial]:
         """Trials of the drafts that are only judged, by their numbers.
 
-        Most drafts fall, and a box on its way down is the dearest part of a simulation: such a world takes a quarter of
-        the time if it ends when a box is lost, as worlds with errors do. What a score would simulate again with other
-        settings (docs/rules.md, section 9) is not. So a draft that stands has to be scored before that is said.
+        Most drafts fall, and falling boxes are the costliest part of a simulation: a world that ends when a box is lost
+        takes a quarter of the time, as worlds with errors do. No draft is simulated again with other settings, as a
+        score would do (docs/rules.md, section 9). So a standing draft is scored before it counts as standing.
         """
         jobs: dict[int, list[tuple[int, Job]]] = {}
         engines: dict[int, Engine] = {}
@@ -178,7 +178,7 @@ class Question:
         return results
 
     def close(self) -> None:
-        """Free what the engine holds."""
+        """Free the engine's resources."""
         if self._owns:
             self._engine.close()
 
@@ -203,7 +203,7 @@ class Question:
         return simulate(partial(SweepStudy, sweep), sweep.simulation, plans, run)
 
     def _drive_sweep(self, film_turns: float) -> Sweep | None:
-        """The sweep with the one drive that is asked about; None: the question is about pallets at rest."""
+        """The sweep with the one drive of the requirement; None: pallets must stand at rest."""
         options = self._options
         if options.profile is None:
             return None
@@ -219,10 +219,10 @@ class Question:
 
 
 def _engines(run: RunOptions) -> tuple[Engine, RunOptions | None]:
-    """The engine of all trials, and the options of the second opinion on what stands; None: there is none.
+    """The engine of all trials, and the options of the second opinion on standing plans; None: no second opinion.
 
-    ``auto`` takes the kernels of Warp, on a GPU or on CPU threads, since hundreds of plans are simulated. A score of
-    one plan takes C MuJoCo. So what stands must stand there, too.
+    ``auto`` takes the kernels of Warp, on a GPU or on CPU threads, since hundreds of plans are simulated. A score of a
+    single plan uses C MuJoCo. So a plan must stand there, too.
     """
     if not isinstance(run.engine, str):
         return run.engine, None
@@ -256,11 +256,11 @@ def _trial_of(outcome: Outcome, order: tuple[int, ...], sim: Simulation) -> Tria
 def _trial(world: Any, fallen: Sequence[int], order: tuple[int, ...]) -> Trial:
     """A trial from a row of ``worlds``. Rows of boxes become numbers of the plan."""
     culprit = world["culprit"]
-    known = not pd.isna(culprit)
+    has_culprit = not pd.isna(culprit)
     return Trial(
         str(world["verdict"]),
         str(world["reason"] or ""),
-        order[int(culprit)] if known else None,
+        order[int(culprit)] if has_culprit else None,
         tuple(order[row] for row in fallen),
         int(world["n_placed"]),
         float(world["margin"]),

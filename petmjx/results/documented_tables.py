@@ -42,10 +42,10 @@ def write_documented_tables(
 ) -> None:
     """Write tables as ``NAME.parquet`` and ``NAME.csv`` into a folder: all of them or none.
 
-    The folder is made if it does not exist. Existing files are replaced, so call :func:`check_tables_free` first.
+    The folder is made if missing. Existing files are replaced, so call :func:`check_tables_free` first.
 
     Args:
-        others: file name → content of further files.
+        others: name of each further file → its content.
 
     Raises:
         OSError: a file cannot be written.
@@ -66,8 +66,8 @@ def check_tables_free(
     inputs: Iterable[Path] = (),
     others: Mapping[str, IsOurs] | None = None,
 ) -> None:
-    """Check that :func:`write_documented_tables` would only replace files that it may replace. It is called before the
-    work that makes the tables, which can take minutes.
+    """Check that :func:`write_documented_tables` would only replace files that it may replace. The check comes before
+    the work that makes the tables, which can take minutes.
 
     Args:
         tables: names of the tables.
@@ -107,8 +107,8 @@ def has_keys(file: Path, keys: Iterable[str]) -> bool:
 
 
 def _documented_columns(file: Path) -> list[str] | None:
-    """The columns of a Parquet file if each of them has a unit and a description, else None. None for parts of runs,
-    too."""
+    """The columns of a Parquet file if each of them has a unit and a description, else None. None also for parts of
+    runs."""
     try:
         with open_for_arrow(file) as stream:
             schema = pq.read_schema(stream)

@@ -1,7 +1,7 @@
-"""A lock that lets one run at a time write into a folder. It ends with its process, even if that is killed.
+"""A lock that lets one run at a time write into a folder. The lock ends with its process, even if that is killed.
 
-The package ``filelock`` does not do this: it takes any file of the lock's name for a lock, does not say which process
-holds it, and where a file system has no locks it falls back to a file that outlives a kill.
+The package ``filelock`` does less: it takes any file of the lock's name for a lock, does not say which process holds
+it, and where a file system has no locks it falls back to a file that outlives a kill.
 """
 
 from __future__ import annotations
@@ -81,7 +81,8 @@ def _not_ours(folder: Path) -> InputError:
 
 
 def _take(descriptor: int, folder: Path) -> bool:
-    """Lock the file. Returns whether it is still the file in the folder, since its last holder may have removed it."""
+    """Lock the file. Returns whether the locked file is still in the folder, since its last holder may have removed
+    it."""
     while True:
         try:
             fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
@@ -89,9 +90,9 @@ def _take(descriptor: int, folder: Path) -> bool:
             raise _in_use(descriptor, folder) from None
         if _is_in(descriptor, folder):
             return True
-        again = _lock_descriptor(folder)
-        os.dup2(again, descriptor, inheritable=False)
-        os.close(again)
+        second_descriptor = _lock_descriptor(folder)
+        os.dup2(second_descriptor, descriptor, inheritable=False)
+        os.close(second_descriptor)
 
 
 def _is_in(descriptor: int, folder: Path) -> bool:

@@ -30,14 +30,14 @@ _KEY = ("plan_id", "variant")
 
 @dataclass(frozen=True)
 class Recording:
-    """What a run records.
+    """What a run records of its worlds.
 
     Whether a world fails is known only at its end. So with ``failed_only`` all worlds are recorded, and the history of
     a stable world is dropped as soon as it ends. No world is simulated twice, and memory holds only the histories of
     worlds in flight.
 
     Attributes:
-        record: what the engine records; None: nothing.
+        record: the engine's recording; None: no recording.
         plan_ids: plans whose worlds are recorded; None: all.
         failed_only: keep the histories of worlds that are not stable.
     """
@@ -47,11 +47,11 @@ class Recording:
     failed_only: bool = False
 
     def of(self, plan: Plan) -> Record | None:
-        """What is recorded of the worlds of a plan; None: nothing."""
+        """The recording of the worlds of a plan; None: no recording."""
         return self.record if self.plan_ids is None or plan.plan_id in self.plan_ids else None
 
     def kept(self, outcome: Outcome) -> Outcome:
-        """The outcome, without its history if that is not kept."""
+        """The outcome, without its history if the run drops it."""
         if outcome.history is None or not self.failed_only or outcome.verdict is not Verdict.STABLE:
             return outcome
         return replace(outcome, history=None)
@@ -76,13 +76,13 @@ NO_RECORDING = Recording()
 
 
 def recording_of(options: RunOptions, engine: str, plans: Sequence[Plan]) -> Recording:
-    """What a run of these plans records.
+    """The recording of a run of these plans.
 
     Args:
         engine: name of the engine.
 
     Raises:
-        InputError: a plan to record is not among ``plans``, or the engine cannot record what the options ask for.
+        InputError: a plan to record is not among ``plans``, or the engine cannot record these details.
     """
     choice = options.record
     if choice is None:
@@ -92,11 +92,13 @@ def recording_of(options: RunOptions, engine: str, plans: Sequence[Plan]) -> Rec
     record = Record(options.record_interval_s, options.record_details)
     if choice in (ALL, FAILED):
         return Recording(record, failed_only=choice == FAILED)
-    known = {plan.plan_id for plan in plans}
-    ids = frozenset(choice if not isinstance(choice, str) else [choice] if choice in known else _split(choice))
-    unknown = sorted(ids - known)
+    plan_ids = {plan.plan_id for plan in plans}
+    ids = frozenset(choice if not isinstance(choice, str) else [choice] if choice in plan_ids else _split(choice))
+    unknown = sorted(ids - plan_ids)
     if unknown:
-        raise InputError(f"record: {first_names(unknown)}: not among the {count_text(len(known), 'plan')} of the run")
+        raise InputError(
+            f"record: {first_names(unknown)}: not among the {count_text(len(plan_ids), 'plan')} of the run"
+        )
     return Recording(record, ids)
 
 
@@ -229,7 +231,7 @@ def read_history(run: RunResults, plan_id: str, variant: int, n_boxes: int) -> H
 
 
 def _components(name: str, values: FloatArray, parts: str, end: str = "") -> dict[str, FloatArray]:
-    """A column for each component of (rows, components) values."""
+    """One column for each component of (rows, components) values."""
     return {f"{name}_{part}{end}": values[:, i] for i, part in enumerate(parts)}
 
 
@@ -239,7 +241,7 @@ def _vector(columns: Mapping[str, FloatArray], name: str, parts: str, end: str =
 
 
 def _or_null(values: FloatArray | None, indices: tuple[NDArray[np.intp], NDArray[np.intp]], width: int) -> FloatArray:
-    """(rows, width) values of frames and boxes; NaN if they were not recorded."""
+    """(rows, width) values of frames and boxes; NaN if not recorded."""
     if values is None:
         return np.full((len(indices[0]), width), np.nan)
     return values[indices].reshape(-1, width)

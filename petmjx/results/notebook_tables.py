@@ -1,16 +1,17 @@
-"""Tables as short HTML for notebooks. They have no styles, so that they follow the notebook's theme."""
+"""Tables as short HTML for notebooks. The tables have no styles, so that they follow the notebook's theme."""
 
 from __future__ import annotations
 
 import html
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any, Final
-
-import pandas as pd
+from typing import TYPE_CHECKING, Any, Final
 
 from petmjx.common.text import count_text
 from petmjx.common.units import MM_PER_M
+
+if TYPE_CHECKING:
+    import pandas as pd
 
 MOST_ROWS: Final = 20
 """Largest number of rows that a table shows."""
@@ -58,8 +59,8 @@ def worlds_as_html(title: str, worlds: pd.DataFrame) -> str:
 
 def block_as_html(lines: Sequence[str], tables: Sequence[str]) -> str:
     """Lines of text, the first as code, and tables that :func:`table_as_html` made."""
-    first, *others = map(html.escape, lines)
-    texts = "".join(f"<p>{line}</p>" for line in others)
+    first, *other_lines = map(html.escape, lines)
+    texts = "".join(f"<p>{line}</p>" for line in other_lines)
     return f"<div><p><code>{first}</code></p>{texts}{''.join(tables)}</div>"
 
 
@@ -74,11 +75,13 @@ def table_as_html(frame: pd.DataFrame, columns: Sequence[ShownColumn], attribute
     records = frame[[column.name for column in columns]].head(MOST_ROWS).to_dict("records")
     rows = "".join(f"<tr>{''.join(_cell(row[column.name], column) for column in columns)}</tr>" for row in records)
     left = len(frame) - MOST_ROWS
-    more = f"<p>… and {count_text(left, 'row')} more in <code>.{attribute}</code></p>" if left > 0 else ""
-    return f"<table><thead><tr>{heads}</tr></thead><tbody>{rows}</tbody></table>{more}"
+    more_text = f"<p>… and {count_text(left, 'row')} more in <code>.{attribute}</code></p>" if left > 0 else ""
+    return f"<table><thead><tr>{heads}</tr></thead><tbody>{rows}</tbody></table>{more_text}"
 
 
 def _cell(value: Any, column: ShownColumn) -> str:
+    import pandas as pd  # loaded with the frame; not before there is one
+
     if pd.isna(value):
         return "<td></td>"
     if isinstance(value, float):

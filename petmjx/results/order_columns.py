@@ -12,7 +12,7 @@ from petmjx.results.run_tables import Parts
 
 
 def orders_block(check: OrderCheck) -> dict[str, Any]:
-    """The block ``orders`` of ``run.json``. Its numbers are in ``counts``."""
+    """The block ``orders`` of ``run.json``. ``counts`` has the numbers of the order."""
     return {
         "file": check.file,
         "digest": check.digest,
@@ -76,6 +76,6 @@ def joined_check(checks: Sequence[OrderCheck]) -> OrderCheck:
 
 
 def _sum(values: Sequence[int | None]) -> Any:
-    """The sum; None if one of the values is not known."""
-    known = [value for value in values if value is not None]
-    return sum(known) if len(known) == len(values) else None
+    """The sum; None if one of the values is unknown."""
+    values_with_number = [value for value in values if value is not None]
+    return sum(values_with_number) if len(values_with_number) == len(values) else None

@@ -27,13 +27,13 @@ from petmjx.results.run_reader import RunResults, load_run
 
 @dataclass(frozen=True, eq=False)
 class PlanLookup:
-    """The plans of a run, as far as they were found.
+    """The plans of a run, if they could be found.
 
     Attributes:
-        plans: plans that equal those that the run simulated, by id.
+        plans: by id, the plans that equal the simulated ones.
         missing: ids of plans that were not read, sorted.
         changed: ids of plans that were read but have changed since, sorted.
-        gone: files that the run names but that no longer exist.
+        gone: files in the run that no longer exist.
     """
 
     plans: Mapping[str, Plan]
@@ -48,47 +48,47 @@ def find_plans(
     wanted: Collection[str],
     given: PlanSource | None = None,
 ) -> PlanLookup:
-    """Find the plans of a run. Only plans that equal the simulated ones are taken.
+    """Find the plans of a run. Only plans that equal the simulated ones count.
 
     Args:
         records: the run's records of its plans, by id. A plan without a record is taken in any version.
         wanted: ids of the plans to find.
-        given: where the plans are now; None: the plans that the run was given or keeps, and for the rest the files that
-            it names.
+        given: the present place of the plans; None: the plan objects of the run, else the plans in its table, else the
+            files that it names.
 
     Raises:
         InputError: ``given`` cannot be used.
     """
-    gone: list[str] = []
-    kept: dict[str, Plan] = {}
+    missing_files: list[str] = []
+    found_plans: dict[str, Plan] = {}
     if given is None:
-        kept = {plan_id: run.held[plan_id] for plan_id in wanted if plan_id in run.held}
-        if len(kept) < len(wanted):
-            kept |= kept_plans(run.parts, records, [plan_id for plan_id in wanted if plan_id not in kept])
-        left = [records[plan_id] for plan_id in wanted if plan_id not in kept and plan_id in records]
+        found_plans = {plan_id: run.held[plan_id] for plan_id in wanted if plan_id in run.held}
+        if len(found_plans) < len(wanted):
+            found_plans |= kept_plans(run.parts, records, [plan_id for plan_id in wanted if plan_id not in found_plans])
+        left = [records[plan_id] for plan_id in wanted if plan_id not in found_plans and plan_id in records]
         files = {source: plan_file(source) for source in dict.fromkeys(record.source for record in left)}
-        gone = [source for source, file in files.items() if file is None]
+        missing_files = [source for source, file in files.items() if file is None]
         given = [file for file in files.values() if file is not None]
     read: dict[str, Plan] = {}
     if not isinstance(given, list) or given:
         read = {plan.plan_id: plan for plan in gather_plans(given, Simulation(), how_read(run.info))}
-    read |= kept
+    read |= found_plans
     plans = {plan_id: read[plan_id] for plan_id in wanted if plan_id in read}
     changed = {name for name, plan in plans.items() if name in records and records[name].digest != plan_digest(plan)}
     return PlanLookup(
         plans={plan_id: plan for plan_id, plan in plans.items() if plan_id not in changed},
         missing=tuple(sorted(set(wanted) - plans.keys())),
         changed=tuple(sorted(changed)),
-        gone=tuple(gone),
+        gone=tuple(missing_files),
     )
 
 
 def plans_in_place(plans: PlanSource | None, strict: bool = False) -> PlanSource | None:
-    """The plans of a source; if that is the folder of a run, or several, the plans that the runs simulated.
+    """The plans of a source; of the folders of runs, the plans that they simulated.
 
     Raises:
-        InputError: a run cannot be read, or none of its plans is kept or in a file any more; with ``strict``, a plan is
-            not.
+        InputError: a run cannot be read, or none of its plans is in its tables or in a file any more; with ``strict``,
+            one plan is missing.
     """
     several: Any = [plans] if isinstance(plans, str | PathLike) else plans
     if not isinstance(several, list | tuple) or not several or not all(map(is_run, several)):
@@ -110,7 +110,7 @@ def is_run(source: object) -> bool:
 
 
 def plans_of(run: RunResults, strict: bool = False) -> PlanSet:
-    """The plans that a run simulated. Those that are neither kept nor in a file any more are skipped.
+    """The plans that a run simulated. Missing plans are skipped.
 
     Raises:
         InputError: the run lists no plans, or keeps none; with ``strict``, a plan would be skipped.
@@ -119,8 +119,8 @@ def plans_of(run: RunResults, strict: bool = False) -> PlanSet:
     simulated = set(run.worlds["plan_id"])
     lookup = find_plans(run, records, [plan_id for plan_id in records if plan_id in simulated])
     skipped = [
-        Skipped(records[plan_id].source, plan_id, f"{run.path}: plan {printable_name(plan_id)} {why}")
-        for plan_ids, why in (
+        Skipped(records[plan_id].source, plan_id, f"{run.path}: plan {printable_name(plan_id)} {reason}")
+        for plan_ids, reason in (
             (lookup.missing, "is neither in the run nor in a file any more"),
             (lookup.changed, "is no longer the one that the run simulated: its file changed"),
         )
@@ -135,7 +135,7 @@ def plans_of(run: RunResults, strict: bool = False) -> PlanSet:
 
 
 def how_read(info: Mapping[str, Any]) -> RunOptions:
-    """The options with which a run read its plans: units, anchor, articles …
+    """The options by which a run read its plans: units, anchor, articles …
 
     Raises:
         InputError: the options are damaged.

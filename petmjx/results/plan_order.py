@@ -1,7 +1,7 @@
-"""The order of a run's worlds: plan by plan in the order given, then by variant.
+"""The order of a run's worlds: plan by plan in the order of the input, then by variant.
 
-Worlds end in any order, and rows are written as worlds end. Their rank is in the column ``rank``, and readers sort by
-it. Runs of petmjx before 0.3 have no ranks: their rows are sorted by the order of the table ``plans``.
+Worlds end in any order, and rows are written as worlds end. The rank of a world is in the column ``rank``, and readers
+sort by it. Runs of petmjx before 0.3 have no ranks: their rows are sorted by the order of the table ``plans``.
 """
 
 from __future__ import annotations
@@ -9,16 +9,18 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Final, Self
+from typing import TYPE_CHECKING, Final, Self
 
 import numpy as np
-import pandas as pd
 import pyarrow as pa
 import pyarrow.compute as pc
 from numpy.typing import NDArray
 
 from petmjx.results.run_tables import Parts
 from petmjx.results.schema import RANK, RANK_COLUMN
+
+if TYPE_CHECKING:
+    import pandas as pd
 
 _MOST_VARIANTS: Final = 1 << 32
 
@@ -28,9 +30,9 @@ class WorldRanks:
     without a gap; in a search they have gaps.
 
     Args:
-        plan_ids: all plans in the order given, including those of other shards. Other plans follow, in the order in
-            which they are first ranked.
-        variants: numbers of each plan's variants; None: not known, as in a search.
+        plan_ids: all plans in the order of the input, including those of other shards. Other plans follow, in the order
+            of their first rank.
+        variants: numbers of each plan's variants; None: unknown, as in a search.
     """
 
     def __init__(self, plan_ids: Iterable[str] = (), variants: range | None = None) -> None:
@@ -43,14 +45,14 @@ class WorldRanks:
         return place * len(self._variants) + variant - self._variants.start
 
     def ranks(self, table: pa.Table) -> NDArray[np.int64]:
-        """(n,) rank of each row's world."""
+        """(n,) rank of the world of each row."""
         plans = table["plan_id"].combine_chunks().dictionary_encode()
         first = np.array([self.rank(plan_id, 0) for plan_id in plans.dictionary.to_pylist()], dtype=np.int64)
         ranks: NDArray[np.int64] = first[np.asarray(plans.indices)] + np.asarray(table["variant"], dtype=np.int64)
         return ranks
 
     def ranked(self, table: pa.Table) -> pa.Table:
-        """The rows with their ranks, sorted by them. The rows of one world keep their order."""
+        """The rows with their ranks, sorted by rank. The rows of one world keep their order."""
         ranks = self.ranks(table)
         place = table.schema.get_field_index(RANK)
         if place >= 0:
@@ -60,14 +62,14 @@ class WorldRanks:
 
 
 def is_ranked(parts: Parts, plan_ids: Sequence[str]) -> bool:
-    """Whether the rows of a run have ranks, and these follow plans in this order. All tables of a run have ranks, or
+    """Whether the rows of a run have ranks that follow this order of plans. All tables of a run have ranks, or
     none."""
     ranked = all(RANK in parts.columns(file) for file in parts.files("worlds"))
     return ranked and PlanOrder.of(parts).plan_ids == plan_ids
 
 
 def rows_in_order(parts: Parts, table: str, columns: Sequence[str] | None = None) -> pa.Table | None:
-    """The rows of a table of worlds in the order of the run; None if it has no part. The rows of one world keep their
+    """The rows of a table of worlds in the order of the run; None without a part. The rows of one world keep their
     order.
 
     Args:
@@ -92,11 +94,11 @@ def _joined(tables: Sequence[pa.Table]) -> pa.Table:
 
 @dataclass(frozen=True, eq=False)
 class PlanOrder:
-    """The plans of a run in the order in which they were given.
+    """The plans of a run in the order of its input.
 
     Attributes:
-        plan_ids: ids of all plans; empty if the run does not say.
-        numbers: place of each plan among the plans given, counting skipped plans.
+        plan_ids: ids of all plans; empty if unknown.
+        numbers: place of each plan in the input, counting skipped plans.
     """
 
     plan_ids: Sequence[str]
@@ -121,7 +123,7 @@ class PlanOrder:
         return pa.array(self.plan_ids, pa.string())
 
     def places(self, plan_ids: pa.ChunkedArray) -> NDArray[np.int64]:
-        """(n,) places of plans in the order given; unknown plans come last."""
+        """(n,) places of plans in the order of the input; unknown plans come last."""
         places = pc.index_in(plan_ids, value_set=self._ids)
         return np.asarray(pc.fill_null(places, len(self.plan_ids)), dtype=np.int64)
 
@@ -138,6 +140,8 @@ class PlanOrder:
 
     def index(self, plan_ids: pd.Series) -> pd.Index:
         """The numbers of plans, as the index of a frame with one row per plan."""
+        import pandas as pd  # loaded with the ids; not before there are any
+
         number_of = dict(zip(self.plan_ids, self.numbers, strict=True))
         numbers = [number_of.get(plan_id, -1) for plan_id in plan_ids]
         plain = not number_of or numbers == list(range(len(numbers)))

@@ -1,7 +1,7 @@
 """The table ``placements``: all fields of a run's plans, with one row per box.
 
 With this table a run can be shown and reported from its folder alone, even if the files of its plans are gone or the
-folder was moved. Null means that a value was not given. NaN is a value of its own.
+folder was moved. Null means that the plan has no such value. NaN is another value than null.
 """
 
 from __future__ import annotations
@@ -57,9 +57,9 @@ def _texts(values: Sequence[tuple[str, ...]], counts: Sequence[int]) -> list[str
 
 def _numbers(values: Sequence[Any], counts: Sequence[int]) -> tuple[Any, Any]:
     """The numbers of all boxes, and a mask of the boxes of plans without this field."""
-    known = [np.zeros(count) if array is None else array for array, count in zip(values, counts, strict=True)]
+    filled_arrays = [np.zeros(count) if array is None else array for array, count in zip(values, counts, strict=True)]
     lacks = np.repeat([array is None for array in values], counts) if values else np.zeros(0, bool)
-    return np.concatenate(known) if known else np.zeros(0), lacks
+    return np.concatenate(filled_arrays) if filled_arrays else np.zeros(0), lacks
 
 
 def _array(values: Any, kind: pa.DataType) -> pa.Array:

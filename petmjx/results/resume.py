@@ -29,10 +29,10 @@ class CompletedWorlds:
 
     Args:
         parts: files of the run; None: no world is completed.
-        columns: columns of ``worlds`` to read, in addition to those that every run has.
+        columns: columns of ``worlds`` to read, in addition to the columns of every run.
 
     Raises:
-        InputError: a part is damaged or missing, or a world is there twice.
+        InputError: a part is damaged or missing, or a world occurs twice.
     """
 
     def __init__(self, parts: Parts | None = None, columns: Sequence[str] = ()) -> None:
@@ -48,8 +48,8 @@ class CompletedWorlds:
             self._index(self._table, parts)
 
     def _index(self, table: pa.Table, parts: Parts | None) -> None:
-        """Sort the rows by plan and variant. This takes a few bytes per world; a dictionary of all worlds would take
-        hundreds."""
+        """Sort the rows by plan and variant. The index takes a few bytes per world; a dictionary of all worlds would
+        take hundreds."""
         plans = table["plan_id"].combine_chunks().dictionary_encode()
         plan = np.asarray(plans.indices, dtype=np.int64)
         variant = np.asarray(table["variant"], dtype=np.int64)
@@ -76,7 +76,7 @@ class CompletedWorlds:
         return end - first
 
     def _rows_of(self, plan_id: str) -> dict[int, int]:
-        """Variant → row, for the worlds of a plan. Runs ask plan by plan, so the result for the last plan is kept."""
+        """Variant → row, for the worlds of a plan. Runs ask plan by plan, so the result for the last plan is cached."""
         if self._last[0] != plan_id:
             span = slice(*self._spans.get(plan_id, (0, 0)))
             rows = dict(zip(self._variants[span].tolist(), self._sorted[span].tolist(), strict=True))
@@ -84,7 +84,7 @@ class CompletedWorlds:
         return self._last[1]
 
     def row(self, plan_id: str, variant: int) -> dict[str, Any] | None:
-        """Column → value of one world, with null as None; None if the world is not completed."""
+        """Column → value of one world, with null as None; None for a world that is not completed."""
         row = self._rows_of(plan_id).get(variant)
         return None if row is None else {name: values[row] for name, values in self._values.items()}
 
@@ -143,8 +143,8 @@ def resume_state(
             )
         before = sum(len(table) for table in parts.table("worlds", ("variant",)))
         parts = parts.without_numbers(lacking)
-        again = before - sum(len(table) for table in parts.table("worlds", ("variant",)))
+        n_rerun = before - sum(len(table) for table in parts.table("worlds", ("variant",)))
         warnings.append(
-            f"{count_text(again, 'world')} had no boxes, and {'was' if again == 1 else 'were'} simulated again"
+            f"{count_text(n_rerun, 'world')} had no boxes, and {'was' if n_rerun == 1 else 'were'} simulated again"
         )
     return info, parts, warnings

@@ -1,4 +1,4 @@
-"""Checks ``run.json`` before petmjx uses its entries. The file may have been edited, or come from elsewhere."""
+"""Checks ``run.json`` before petmjx uses its entries. The file may have been edited, or copied from elsewhere."""
 
 from __future__ import annotations
 
@@ -87,9 +87,9 @@ class RunFile(_PartialRecord):
     skipped: list[_Skipped] = []
     warnings: list[str] = []
     orders: _Orders | None = None
-    """Only in runs that were compared with orders, like ``counts.orders``."""
+    """Only in runs with orders, like ``counts.orders``."""
     parts: dict[TableName, dict[PartName, Digest]]
-    """Table → file name → digest, for the files that count."""
+    """Table → file name → digest, for the files that belong to the run."""
     digest: Digest | None = None
     """Digest of all other entries."""
 
@@ -98,10 +98,10 @@ _OPTIONAL: Final = ("orders", "digest")
 
 
 def run_digest(info: Mapping[str, Any]) -> str:
-    """Digest of all entries of a ``run.json`` except ``digest``. It does not depend on their order or on white
-    space."""
-    rest = {name: value for name, value in info.items() if name != "digest"}
-    text = json.dumps(rest, sort_keys=True, ensure_ascii=True)
+    """Digest of all entries of a ``run.json`` except ``digest``. The digest does not depend on the order of entries or
+    on white space."""
+    other_entries = {name: value for name, value in info.items() if name != "digest"}
+    text = json.dumps(other_entries, sort_keys=True, ensure_ascii=True)
     return hashlib.blake2b(text.encode(), digest_size=DIGEST_BYTES).hexdigest()
 
 

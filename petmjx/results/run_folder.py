@@ -60,7 +60,7 @@ MOST_RUN_FILE_BYTES: Final = 1 << 30
 
 
 def part_name(number: int) -> str:
-    """File name of a part. It is the same in ``worlds``, ``boxes`` and all other tables of worlds."""
+    """File name of a part. A part has the same number in ``worlds``, ``boxes`` and all other tables of worlds."""
     return f"part-{number:05d}.parquet"
 
 
@@ -98,7 +98,7 @@ def text(content: str) -> Write:
 
 
 def write_together(files: Mapping[Path, Write]) -> None:
-    """Write several files. Each appears whole, and none appears before all are on disk. Folders are not made.
+    """Write several files. Each file appears whole, and no file appears before all are on disk. Folders are not made.
 
     Raises:
         OSError: a file cannot be written; existing files are unchanged.
@@ -147,7 +147,8 @@ def copy_file(source: Path, path: Path) -> str:
 
 
 def digest_of(stream: BinaryIO) -> str:
-    """Hexadecimal digest (BLAKE2b) of the rest of a file, from its current position. It reads a gigabyte per second."""
+    """Hexadecimal digest (BLAKE2b) of the rest of a file, from its current position. The function reads a gigabyte per
+    second."""
     digest = hashlib.blake2b(digest_size=DIGEST_BYTES)
     while block := stream.read(_BLOCK):
         digest.update(block)
@@ -155,7 +156,7 @@ def digest_of(stream: BinaryIO) -> str:
 
 
 def holds_run(folder: Path) -> bool:
-    """Whether a folder has a run, or parts of one. The tables of plans alone do not count: they are written before
+    """Whether a folder has a run, or parts of one. Tables of plans alone are no parts of a run: they are written before
     ``run.json``."""
     tables = (table for table in TABLES if table not in ("plans", "placements"))
     return (folder / RUN_FILE).exists() or any(part_files(folder, table) for table in tables)
@@ -184,7 +185,7 @@ def check_run_folder(folder: Path, overwrite: bool = False, resume: bool = False
     def check(*files: Path) -> None:
         check_outputs(files, overwrite=True, folder=folder, is_ours=is_ours)
 
-    # folders that are to be made are checked, too: ``check`` walks down each path from the top
+    # folders to be made are checked, too: ``check`` walks down each path from the top
     check(folder / RUN_FILE, *(folder / table / "x" for table in TABLES))
     listed = _listed_parts(folder / RUN_FILE) or ()
     check(*parts, *hidden)
@@ -206,7 +207,7 @@ def _listed_parts(run_file: Path) -> frozenset[Path] | None:
 
 
 def _is_part_of(table: str, file: Path) -> bool:
-    """Whether the metadata of a file says that it is a part of this table, of any run."""
+    """Whether the metadata of a file names a part of this table, of any run."""
     try:
         with open_for_arrow(file) as stream:
             metadata = pq.read_schema(stream).metadata or {}
@@ -262,8 +263,8 @@ def _hidden_path(path: Path) -> Path:
 def _write(path: Path, write: Write) -> str:
     """Write a new file and flush it to disk; returns its digest."""
     # the name is secret and an existing file is never opened, so nobody can plant a file or a link in its place
-    how = os.O_RDWR | os.O_CREAT | os.O_EXCL | os.O_NOFOLLOW | os.O_CLOEXEC
-    with open(os.open(path, how, 0o666), "w+b") as file:
+    open_flags = os.O_RDWR | os.O_CREAT | os.O_EXCL | os.O_NOFOLLOW | os.O_CLOEXEC
+    with open(os.open(path, open_flags, 0o666), "w+b") as file:
         write(file)
         file.flush()
         os.fsync(file.fileno())

@@ -27,8 +27,8 @@ class RunInfo:
         warnings: warnings about the whole run, each once.
         odd_plans: a line for each plan with overlapping, floating or outside boxes.
         timings: seconds by name.
-        earlier_s: timings of the resumed run, to which ``timings`` are added.
-        head: entries that are known when the run begins.
+        earlier_s: timings of the earlier, resumed run, to which ``timings`` are added.
+        head: entries with values known at the beginning of the run.
     """
 
     def __init__(

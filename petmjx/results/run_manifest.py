@@ -7,6 +7,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Final, NamedTuple
 
+import numpy as np
 import pyarrow as pa
 
 from petmjx.common.errors import InputError
@@ -27,7 +28,7 @@ DIGEST_BYTES: Final = 8
 million runs."""
 
 MOST_NAMED: Final = 4
-"""Most differences that a message names; further ones are only counted."""
+"""Largest number of differences in a message; further ones are only counted."""
 
 
 def plan_digest(plan: Plan) -> str:
@@ -49,7 +50,7 @@ def plan_digest(plan: Plan) -> str:
 
 
 class PlanRecord(NamedTuple):
-    """A run's record of one plan.
+    """The record of one plan in a run.
 
     Attributes:
         digest: digest of everything in the plan that affects the results.
@@ -57,7 +58,7 @@ class PlanRecord(NamedTuple):
         volume_m3: volume of its boxes.
         extent_x_m, extent_y_m: extents of its bounding box.
         height_m: height of its highest box above the carrier.
-        number: its place among the plans given, counting skipped plans; None: not known.
+        number: its place in the input, counting skipped plans; None: unknown.
     """
 
     digest: str
@@ -68,24 +69,52 @@ class PlanRecord(NamedTuple):
     height_m: float
     number: int | None = None
 
-    @classmethod
-    def of(cls, plan: Plan, number: int | None = None) -> PlanRecord:
-        """The record of a plan."""
-        size, low = mm_to_m(plan.size_mm), mm_to_m(plan.corner_mm)
-        high = low + size
-        extent_x, extent_y, _ = (high.max(axis=0) - low.min(axis=0)).tolist()
-        volume, height = float(size.prod(axis=1).sum()), float(high[:, 2].max())
-        return cls(plan_digest(plan), plan.source, volume, extent_x, extent_y, height, number)
-
 
 def records_of(plans: Sequence[Plan], numbers: Mapping[str, int] | None = None) -> dict[str, PlanRecord]:
-    """The records of plans by id, in the order given.
+    """The records of plans by id, in the order of the input.
 
     Args:
-        numbers: plan id → its place among the plans given; None: no plan was skipped.
+        numbers: plan id → its place in the input; None: no plan was skipped.
     """
+    if not plans:
+        return {}
     numbers = numbers or {plan.plan_id: number for number, plan in enumerate(plans)}
-    return {plan.plan_id: PlanRecord.of(plan, numbers.get(plan.plan_id)) for plan in plans}
+    ends = np.cumsum([plan.n_boxes for plan in plans])
+    begins = [0, *ends.tolist()[:-1]]
+    size, low = (mm_to_m(np.concatenate([getattr(plan, name) for plan in plans])) for name in ("size_mm", "corner_mm"))
+    high = low + size
+    highest = np.maximum.reduceat(high, begins)
+    extent = (highest - np.minimum.reduceat(low, begins)).tolist()
+    volume_of_box = size.prod(axis=1)
+    return {
+        plan.plan_id: PlanRecord(
+            plan_digest(plan),
+            plan.source,
+            # not reduceat, which adds in another order
+            float(volume_of_box[begin:end].sum()),
+            extent_x,
+            extent_y,
+            height,
+            numbers.get(plan.plan_id),
+        )
+        for plan, begin, end, (extent_x, extent_y, _), height in zip(
+            plans, begins, ends.tolist(), extent, highest[:, 2].tolist(), strict=True
+        )
+    }
+
+
+def _arrow_column(values: Sequence[Any], kind: pa.DataType) -> pa.Array:
+    """``pyarrow.array`` of texts or numbers, which would first load pandas: a run has no time for it before its first
+    world."""
+    if None in values:
+        return pa.array(values, kind)
+    if kind != pa.string():
+        return pa.Array.from_buffers(kind, len(values), [None, pa.py_buffer(np.array(values, kind.to_pandas_dtype()))])
+    texts = [text.encode() for text in values]
+    ends = np.cumsum([0, *(len(text) for text in texts)])
+    if ends[-1] > np.iinfo(np.int32).max:
+        return pa.array(values, kind)
+    return pa.StringArray.from_buffers(len(texts), pa.py_buffer(ends.astype(np.int32)), pa.py_buffer(b"".join(texts)))
 
 
 @dataclass(frozen=True, eq=False)
@@ -94,8 +123,8 @@ class Manifest:
 
     Attributes:
         settings: JSON-like: command, simulation, sweep, engine, shard.
-        plans: all plans by id, also those of other shards, in the order given.
-        placements: makes the table ``placements`` of the plans of this run; None: the run keeps none.
+        plans: all plans by id, also those of other shards, in the order of the input.
+        placements: makes the table ``placements`` of the plans of this run; None: no such table.
     """
 
     settings: Mapping[str, Any]
@@ -104,7 +133,7 @@ class Manifest:
 
     @property
     def identity(self) -> dict[str, Any]:
-        """The identity as written to ``run.json``. Its digest does not depend on the order of plans."""
+        """The identity as written to ``run.json``. The digest does not depend on the order of plans."""
         lines = "\n".join(f"{record.digest} {plan_id!r}" for plan_id, record in sorted(self.plans.items()))
         digest = hashlib.blake2b(lines.encode("utf-8", "backslashreplace"), digest_size=16).hexdigest()
         return {**self.settings, "plans": {"count": len(self.plans), "digest": digest}}
@@ -123,7 +152,7 @@ class Manifest:
             rows = [ordered.get(plan_id) for plan_id in self.plans]
             columns |= {name: [row and getattr(row, name) for row in rows] for name in PlanOrderCounts._fields}
         schema = plans_schema(ordered is not None)
-        arrays = [pa.array(columns[column.name], column.type) for column in schema]
+        arrays = [_arrow_column(columns[column.name], column.type) for column in schema]
         return pa.Table.from_arrays(arrays, schema=schema)
 
     @classmethod
@@ -145,7 +174,7 @@ class Manifest:
         return cls({name: value for name, value in info["identity"].items() if name != "plans"}, plans)
 
     def difference_from(self, earlier: Manifest, without: Sequence[str] = ()) -> str:
-        """The differences from an earlier manifest, in one line; empty if there is none.
+        """The differences from an earlier manifest, in one line; empty without a difference.
 
         Args:
             without: settings that may differ.
@@ -156,19 +185,19 @@ class Manifest:
             *self._plan_differences(earlier),
         ]
         differences = [difference for difference in differences if difference.partition(" ")[0] not in without]
-        more = [f"{len(differences) - MOST_NAMED} more"] if len(differences) > MOST_NAMED else []
-        return "; ".join([*differences[:MOST_NAMED], *more])
+        more_words = [f"{len(differences) - MOST_NAMED} more"] if len(differences) > MOST_NAMED else []
+        return "; ".join([*differences[:MOST_NAMED], *more_words])
 
     def _plan_differences(self, earlier: Manifest) -> Iterator[str]:
         for plan_id, record in self.plans.items():
             if plan_id in earlier.plans and earlier.plans[plan_id].digest != record.digest:
                 yield f"plan {printable_name(plan_id)} differs"
         new = len(self.plans.keys() - earlier.plans.keys())
-        gone = len(earlier.plans.keys() - self.plans.keys())
+        n_removed = len(earlier.plans.keys() - self.plans.keys())
         if new:
             yield f"{count_text(new, 'plan')} more"
-        if gone:
-            yield f"{count_text(gone, 'plan')} fewer"
+        if n_removed:
+            yield f"{count_text(n_removed, 'plan')} fewer"
 
 
 _NOTHING: Final = object()
@@ -176,7 +205,7 @@ _NOTHING: Final = object()
 
 def _settings_of_command(settings: Mapping[str, Any]) -> Mapping[str, Any]:
     """Settings with the names that the command uses. The sweep of a score is written as its number of worlds and its
-    errors. An entry that is only written if its option is on counts as false if it is missing."""
+    errors. An entry that is only written if its option is on counts as false if missing."""
     settings = {"force_intervals": False, "keep": ALL, **settings}
     if isinstance(simulation := settings.get("simulation"), Mapping):
         settings["simulation"] = _with_later_fields(simulation)
@@ -184,8 +213,8 @@ def _settings_of_command(settings: Mapping[str, Any]) -> Mapping[str, Any]:
     if settings.get("command") != "score" or not isinstance(sweep, Mapping):
         return settings
     errors = {name: value for name, value in sweep.items() if name != "replicates"}
-    others = {name: value for name, value in settings.items() if name != "sweep"}
-    return {**others, "confidence": sweep.get("replicates"), "errors": errors}
+    other_settings = {name: value for name, value in settings.items() if name != "sweep"}
+    return {**other_settings, "confidence": sweep.get("replicates"), "errors": errors}
 
 
 def _with_later_fields(simulation: Mapping[str, Any]) -> dict[str, Any]:

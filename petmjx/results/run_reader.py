@@ -13,10 +13,9 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
-from typing import Any, Final
+from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
-import pandas as pd
 import pyarrow as pa
 import pyarrow.compute as pc
 from numpy.typing import NDArray
@@ -42,19 +41,22 @@ from petmjx.results.run_table_files import MemoryParts, Tables
 from petmjx.results.run_tables import LISTED, Parts
 from petmjx.results.schema import RANK, check_version, data_frame, placements_schema, plans_schema, schemas
 
+if TYPE_CHECKING:
+    import pandas as pd
+
 _NAMES_WORLDS: Final = {"histories": "frames", "frames": "frames", "contacts": "frames"}
-"""Table → the table that tells which worlds a part of it has, by the part with the same number. For tables that are not
-named here it is ``worlds``."""
+"""Table → the table whose part of the same number has the same worlds. For tables without an entry here it is
+``worlds``."""
 
 
 def world_row(run: RunResults, plan_id: str, variant: int) -> dict[str, Any] | None:
-    """A world's row of ``worlds``: column → value, with null as None. None if the world does not exist."""
+    """A world's row of ``worlds``: column → value, with null as None. None if the world is not in the run."""
     rows = rows_of(run, "worlds", plan_id, variant)
     return None if rows is None else dict(rows.to_pylist()[0])
 
 
 def read_outcome(run: RunResults, plan_id: str, variant: int) -> Outcome | None:
-    """A world's outcome, as far as the tables have it; None if the world does not exist.
+    """A world's outcome, with the values in the tables; None if the world is not in the run.
 
     Values of boxes that were never placed are NaN. Measured values have the precision of the table ``boxes``.
     """
@@ -86,7 +88,7 @@ def read_outcome(run: RunResults, plan_id: str, variant: int) -> Outcome | None:
 
 
 def rows_of(run: RunResults, table: str, plan_id: str, variant: int) -> pa.Table | None:
-    """The rows of one world in a table of a run; None if it has none.
+    """The rows of one world in a table of a run; None without rows.
 
     Raises:
         InputError: a damaged or missing part.
@@ -101,7 +103,7 @@ def rows_of(run: RunResults, table: str, plan_id: str, variant: int) -> pa.Table
 
 
 def rows_of_worlds(run: RunResults, table: str, worlds: pd.DataFrame, columns: Sequence[str]) -> pd.DataFrame:
-    """The rows of some worlds in a table of a run, part by part: the rest is never in memory.
+    """The rows of some worlds in a table of a run, part by part, so that only one part is in memory.
 
     Args:
         worlds: ``plan_id`` and ``variant`` of each world.
@@ -138,12 +140,12 @@ FINISHED: Final = "finished"
 
 @dataclass(frozen=True, eq=False)
 class RunResults:
-    """The results of a run. Tables are read when they are first used.
+    """The results of a run. Tables are read on first use.
 
     Attributes:
-        parts: the files of the tables; with it a caller can read single columns.
+        parts: the files of the tables; callers use it to read single columns.
         info: ``run.json``.
-        held: the plans by id, if they were given as objects and not as files.
+        held: the plans by id, if they are objects and not files.
     """
 
     parts: Parts
@@ -163,7 +165,7 @@ class RunResults:
 
     @property
     def where(self) -> str:
-        """The run's folder as text, or a text that says that it has none."""
+        """The run's folder as text, or a text for a run without folder."""
         return "in memory" if isinstance(self.parts, MemoryParts) else str(self.path)
 
     @property
@@ -174,12 +176,12 @@ class RunResults:
 
     @property
     def carrier(self) -> Carrier | OwnCarrier:
-        """What the boxes stood on; ``footprint`` if the run names no known carrier."""
+        """The carrier under the boxes; ``footprint`` if the run names no known carrier."""
         return self._carrying.carrier
 
     @property
     def walls(self) -> Walls:
-        """The walls that the run's options give the carrier, which may have walls of its own."""
+        """The walls from the run's options; the carrier may have walls of its own."""
         return self._carrying.walls
 
     @property
@@ -192,7 +194,7 @@ class RunResults:
             return Simulation()
 
     def doubts(self, name: str) -> list[str]:
-        """A line that calls the run ``name`` if it is not finished; else an empty list."""
+        """A line about a run that is not finished, with its ``name``; else an empty list."""
         return [f"{name} is not finished ({self.unfinished})"] if self.unfinished else []
 
     @cached_property
@@ -220,12 +222,11 @@ class RunResults:
 
     @cached_property
     def worlds(self) -> pd.DataFrame:
-        """One row per world, in the order in which plans were given. ``culprit`` is a nullable integer; other missing
+        """One row per world, in the order of the input. ``culprit`` is a nullable integer; other missing
         numbers are NaN.
 
-        In a score without ``confidence`` the index is the number of the plan: ``worlds.verdict[k]`` is the verdict of
-        plan k. It raises a KeyError if plan k has no row, because it was skipped, belongs to another shard, or was not
-        reached.
+        In a score without ``confidence`` the index is the plan's number: ``worlds.verdict[k]`` is the verdict of plan
+        k. A KeyError is raised if plan k has no row: skipped, of another shard, or not reached.
         """
         frame = self._read("worlds")
         frame["culprit"] = frame["culprit"].astype("Int32")
@@ -238,6 +239,8 @@ class RunResults:
         """Plans and files that were not simulated, with the reason: ``number`` (of the plan, as in ``plans``; null for
         other entries, such as a damaged file), ``plan_id``, ``source``, ``error``."""
         columns = ["number", "plan_id", "source", "error"]
+        import pandas as pd  # not at the top of the module: a run needs it when it has ended
+
         frame = pd.DataFrame(self.info.get("skipped", []), columns=columns)
         return frame.astype({"number": "Int32"} | dict.fromkeys(columns[1:], "str"))
 
@@ -254,7 +257,7 @@ class RunResults:
 
     @property
     def boxes_if_kept(self) -> pd.DataFrame:
-        """As ``boxes``, but without rows if the run did not keep the table."""
+        """As ``boxes``, but without rows if the run has no such table."""
         return self.boxes if self.keeps_boxes else self._read("boxes")
 
     @property
@@ -284,7 +287,7 @@ class RunResults:
 
     @cached_property
     def plans(self) -> pd.DataFrame:
-        """One row per plan in the order given, including the plans of other shards. Missing counts are null."""
+        """One row per plan in the order of the input, including the plans of other shards. Missing counts are null."""
         parts = self.parts.table("plans")
         frame: pd.DataFrame = pa.concat_tables(parts or [plans_schema().empty_table()]).to_pandas()
         return frame.astype({name: "Int32" for name in frame.columns if name in ("number", *PlanOrderCounts._fields)})
@@ -304,7 +307,7 @@ class RunResults:
         return pa.concat_tables(parts).to_pandas() if parts else None
 
     def units(self, table: str) -> dict[str, str]:
-        """Column → unit of a table: ``""`` for text, ``"1"`` for counts; empty if the run has no such table."""
+        """Column → unit of a table: ``""`` for text, ``"1"`` for counts; empty for a missing table."""
         files = self.parts.files(table)
         schema = self.parts.read(files[0]).schema if files else pa.schema([])
         return {
@@ -326,11 +329,11 @@ def load_run(path: str | Path, held: Mapping[str, Plan] | None = None) -> RunRes
     """Open the folder of a run.
 
     Args:
-        held: plans of the run by id, if they are in no file.
+        held: plans of the run by id, for plans in no file.
 
     Raises:
         InputError: the folder has no run, ``run.json`` cannot be read, or a newer petmjx wrote the results. Reading a
-            table raises it, too, if a part is damaged or missing.
+            table also raises this error if a part is damaged or missing.
     """
     folder = path_of(path, "path")
     info = read_info(folder)

@@ -24,7 +24,7 @@ class Tables:
     killed run is then either in the old or in the new state.
 
     Attributes:
-        parts: the files that count.
+        parts: the files that belong to the run.
     """
 
     def __init__(self, folder: Path, parts: Parts | None = None) -> None:
@@ -32,26 +32,26 @@ class Tables:
         self.parts = parts or Parts(folder, {})
 
     def write(self, table: str, number: int, content: pa.Table) -> dict[Path, str]:
-        """Write a part of a table. It does not count yet. Returns the digest of its file."""
+        """Write a part of a table. The file does not belong to the run yet. Returns the digest of its file."""
         path = self._folder / table / part_name(number)
         return {path: write_table(content, path)}
 
     def add(self, digests: Mapping[Path, str]) -> None:
-        """Let files count, by their digests."""
+        """Add files to the run, by their digests."""
         self.parts = self.parts.plus(digests)
 
     def replace_worlds(self, digests: Mapping[Path, str]) -> None:
-        """Let files count instead of the present tables of worlds."""
+        """Add files to the run instead of its present tables of worlds."""
         self.parts = self.parts.without(*OF_WORLDS).plus(digests)
 
     def write_only(self, table: str, content: pa.Table) -> None:
-        """Write the only part of a table. An earlier one no longer counts."""
+        """Write the only part of a table. An earlier file no longer belongs to the run."""
         digests = self.write(table, self.parts.next_number(table), content)
         self.parts = self.parts.without(table).plus(digests)
 
     def copies(self, others: Parts, ranks: WorldRanks | None) -> Iterator[tuple[Path, str]]:
-        """Copy the tables of worlds of a run, this or another one, file by file, under numbers that no file has. The
-        copies do not count yet. Yields each file with its digest.
+        """Copy the tables of worlds of this or another run, file by file, under numbers that no file has. The
+        copies do not belong to the run yet. Yields each file with its digest.
 
         Args:
             ranks: ranks to give to the rows; None: they keep theirs, and files are copied byte by byte.
@@ -74,7 +74,7 @@ class Tables:
                     raise InputError(f"{file}: missing, though the worlds of this part are there") from None
 
     def drop_others(self) -> None:
-        """Delete the parts that do not count."""
+        """Delete the parts that do not belong to the run."""
         drop_parts(self._folder, self.parts.files)
 
 
@@ -98,11 +98,11 @@ class MemoryParts(Parts):
         return with_columns(self.tables[file], file, columns)
 
     def plus(self, digests: Mapping[Path, str]) -> Parts:
-        """The same tables: they count when they are written, and have no digests."""
+        """The same tables: they belong to the run when written, and have no digests."""
         return self
 
     def without(self, *tables: str) -> Parts:
-        """The same tables: none replaces an earlier one."""
+        """The same tables: no table replaces an earlier one."""
         return self
 
     def write(self, folder: Path) -> dict[Path, str]:

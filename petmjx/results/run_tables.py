@@ -23,21 +23,22 @@ MOST_AT_ONCE: Final = 8
 """Number of parts that are read at the same time."""
 
 LISTED: Final = "parts"
-"""Entry of ``run.json``: table → file name → digest. Files that it does not list were left by a killed run and are not
-read."""
+"""Entry of ``run.json``: table → file name → digest. Files that are not in the list were left by a killed run, and are
+not read."""
 
 
 FREE_BYTES: Final = 256 << 20
-"""Memory that the tables of a run may always take, bytes. Above it the general limit holds, relative to their size on
-disk. Boxes at rest and columns without values are packed to a hundredth, so small files may unpack to large tables."""
+"""Memory that the tables of a run may take in any case, bytes. Above it the general limit holds, relative to their size
+on disk. Boxes at rest and columns without values are packed to a hundredth, so small files may unpack to large
+tables."""
 
 MOST_TABLE_BYTES: Final = 1 << 40
-"""Largest memory of a table, bytes. It is so high because the real bound of large runs is the machine's memory."""
+"""Largest memory of a table, bytes. The bound is high because the real bound of large runs is the machine's memory."""
 
 
 @dataclass(frozen=True, eq=False)
 class Parts:
-    """The files of a run's tables. Each is checked once, when it is first read.
+    """The files of a run's tables. Each file is checked once, when first read.
 
     Attributes:
         folder: the run's folder.
@@ -54,11 +55,11 @@ class Parts:
         return cls(folder, info[LISTED])
 
     def files(self, table: str) -> list[Path]:
-        """The listed files of a table, in order. They may be missing on disk."""
+        """The listed files of a table, in order. The files may be missing on disk."""
         return sorted((self.folder / table / name for name in self.digests.get(table, ())), key=part_number)
 
     def read(self, file: Path, columns: Sequence[str] | None = None) -> pa.Table:
-        """One of these files as a table, or some of its columns.
+        """One file of these as a table, or some of its columns.
 
         Raises:
             InputError: the file is missing, is not what the run wrote, lacks one of the columns, or is of a newer
@@ -68,14 +69,14 @@ class Parts:
         return read_part(file, columns)
 
     def columns(self, file: Path) -> list[str]:
-        """The names of the columns of one of these files. Raises InputError as :meth:`read`."""
+        """The names of the columns of one file. Raises InputError as :meth:`read`."""
         self.check(file)
         with open_part(file) as parquet:
             names: list[str] = parquet.schema_arrow.names
         return names
 
     def table(self, table: str, columns: Sequence[str] | None = None) -> list[pa.Table]:
-        """All parts of a table, as :meth:`read`; they are read in parallel."""
+        """All parts of a table, as :meth:`read`; read in parallel."""
         files = self.files(table)
         if len(files) < 2:
             return [self.read(file, columns) for file in files]
@@ -100,38 +101,42 @@ class Parts:
             self.check(file)
 
     def plus(self, digests: Mapping[Path, str]) -> Parts:
-        """The files and others that were just written, with their digests."""
+        """The files plus new files, with their digests."""
         listed = {table: dict(files) for table, files in self.digests.items()}
         for file, digest in digests.items():
             listed.setdefault(file.parent.name, {})[file.name] = digest
         return Parts(self.folder, listed, {*self._checked, *digests})
 
     def without(self, *tables: str) -> Parts:
-        """The files without those of these tables."""
-        kept = {table: dict(files) for table, files in self.digests.items() if table not in tables}
-        return Parts(self.folder, kept, set(self._checked))
+        """The files without the files of these tables."""
+        remaining = {table: dict(files) for table, files in self.digests.items() if table not in tables}
+        return Parts(self.folder, remaining, set(self._checked))
 
     def without_numbers(self, numbers: Collection[int]) -> Parts:
         """The files without the parts of worlds with these numbers."""
-        gone = {part_name(number) for number in numbers}
-        kept = {
-            table: {name: digest for name, digest in files.items() if table not in OF_WORLDS or name not in gone}
+        removed_names = {part_name(number) for number in numbers}
+        remaining = {
+            table: {
+                name: digest for name, digest in files.items() if table not in OF_WORLDS or name not in removed_names
+            }
             for table, files in self.digests.items()
         }
-        return Parts(self.folder, kept, set(self._checked))
+        return Parts(self.folder, remaining, set(self._checked))
 
     def with_worlds(self) -> Parts:
-        """The files without those whose part of ``worlds`` was deleted. A user deletes such a part to have its worlds
-        simulated again.
+        """The files without those whose part of ``worlds`` was deleted. A user deletes such a part to simulate its
+        worlds again.
         """
-        gone = {file.name for file in self.files("worlds") if not file.exists()}
-        if not gone or self.files("frames"):  # it is not known which histories belong to these worlds
+        missing_names = {file.name for file in self.files("worlds") if not file.exists()}
+        if not missing_names or self.files("frames"):  # the histories of these worlds are unknown
             return self
-        kept = {
-            table: {name: digest for name, digest in files.items() if table not in OF_WORLDS or name not in gone}
+        remaining = {
+            table: {
+                name: digest for name, digest in files.items() if table not in OF_WORLDS or name not in missing_names
+            }
             for table, files in self.digests.items()
         }
-        return Parts(self.folder, kept)
+        return Parts(self.folder, remaining)
 
     def lacking_boxes(self) -> list[int]:
         """Numbers of parts that ``worlds`` has and ``boxes`` lacks."""
@@ -143,7 +148,7 @@ class Parts:
         return 1 + max((part_number(file) for table in tables for file in self.files(table)), default=-1)
 
     def check(self, file: Path) -> None:
-        """Check that a file is what the run wrote.
+        """Check that a file is as the run wrote it.
 
         Raises:
             InputError: the file is missing or has changed.

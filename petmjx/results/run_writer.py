@@ -1,8 +1,8 @@
 """Writes the folder of a run while worlds finish. Its layout: petmjx.results.run_folder.
 
 One thread owns the folder. Other threads put finished worlds and requests into its queue, and it takes them in order.
-It gathers worlds into parts, and writes each part once: when the part is full, when a world has waited for a minute,
-when it is asked to, and at the end. Signals interrupt only the main thread, so they never interrupt a write.
+The thread gathers worlds into parts, and writes each part once: when the part is full, when a world has waited for a
+minute, on request, and at the end. Signals interrupt only the main thread, so they never interrupt a write.
 """
 
 from __future__ import annotations
@@ -51,13 +51,17 @@ BYTES_PER_PART: Final = 64 << 20
 """Memory at which a part is full: 4,000 worlds of 43 boxes, 60 with histories, 20 with histories in detail."""
 
 SECONDS_PER_PART: Final = 60.0
-"""Longest time that a world waits for its part to be written. It holds even if no other world finishes."""
+"""Longest time that a world waits for its part to be written. The bound also holds if no other world finishes."""
 
 MOST_WAITING_BYTES: Final = 4 * BYTES_PER_PART
-"""Memory of worlds that wait to be written. If they take more, ``add`` waits."""
+"""Memory of worlds that wait to be written. If waiting worlds take more, ``add`` waits."""
 
 RETRY_S: Final = 10.0
 """Time between an error and the next attempt, s. On a full disk at most one part is packed in this time."""
+
+PLACEMENTS_S: Final = 2.0
+"""Time between the begin of a run and its table ``placements``, s, unless worlds are written before. Until then the
+first worlds are made, which would wait for it: it takes 0.3 s for 10,003 plans."""
 
 LOOK_S: Final = 1.0
 """Time between two looks at whether the thread still runs, while another thread waits for its answer, s."""
@@ -77,25 +81,25 @@ class _CutShortError(Exception):
 class RunWriter(RunInfo):
     """Writes one run's results as its worlds finish. A context manager.
 
-    At the end, also after Ctrl-C or an error, the waiting worlds are written, and ``run.json`` says how the run ended:
+    At the end, also after Ctrl-C or an error, the waiting worlds are written, and ``run.json`` has the run's end:
     ``finished``, ``interrupted`` or ``failed``. Memory holds at most ``MOST_WAITING_BYTES`` of worlds. After an error
     of the disk the thread tries again every ``RETRY_S``; ``add`` raises the error once that many bytes wait.
 
     Rows are written in the order in which worlds finish, in each part sorted by rank (petmjx.results.plan_order).
 
     Args:
-        out_dir: the run's folder; it is made if it does not exist. None: a run of at most one part stays in memory. A
+        out_dir: the run's folder; made if missing. None: a run of at most one part stays in memory. A
             larger run is written to a temporary folder, which is removed together with its results.
         config: all options with their values, as plain JSON values (``Simulation.model_dump(mode="json")`` and others).
         params: parameters of a sweep's variants; each is a column of ``worlds``.
-        variants: numbers of each plan's variants, if all plans have the same: ranks then have no gaps.
+        variants: numbers of each plan's variants, if all plans have the same variants: ranks then have no gaps.
         dynamic, force_intervals: as in ``petmjx.results.schema.schemas``.
-        boxes: whether the table ``boxes`` is kept.
+        boxes: whether the run has the table ``boxes``.
         versions: package → version; the version of Python is added.
         device: name of the device on which the worlds ran.
         expected_worlds: number of worlds of the run, if known.
         manifest: settings and plans of the run; a run without it cannot be resumed.
-        orders: how its plans compare with their orders. A resumed run takes this check, not the earlier one.
+        orders: how its plans compare with their orders. A resumed run uses this check, not the earlier one.
         overwrite: replace a run in the folder.
         resume: continue the run in the folder, if it has the same manifest.
         worlds_per_part, seconds_per_part: a part is written when one of these limits is reached.
@@ -147,19 +151,20 @@ class RunWriter(RunInfo):
         self._thread = threading.Thread(target=self._work, name="petmjx-writer", daemon=True)
         self._added_bytes = 0  # changed by the thread that adds
         self._cut_short = False  # set by the main thread
-        # all that follows belongs to the writer's thread, once it has begun
+        # all attributes below belong to the writer's thread, once it has begun
         self._tables: Tables = MemoryTables() if self._in_memory else Tables(self.out_dir)
         self._temporary: tempfile.TemporaryDirectory[str] | None = None
         self._rows: list[Row] = []
         self._row_bytes = self._written_bytes = 0
         self._lacks_placements = False  # whether the table ``placements`` must still be written
+        self._opened_s = 0.0  # when the table ``plans`` was written (monotonic clock)
         self._is_behind = False  # whether run.json must still be written
         self._trouble: Exception | None = None  # why the last attempt at writing failed
-        self._retry_s = 0.0  # no attempt before this time (monotonic clock)
+        self._retry_s = 0.0  # no attempt at writing before this time (monotonic clock)
         self._until_end = contextlib.ExitStack()
         self._ended = False
 
-    # What other threads call. Only these methods, ``warnings`` and the like are used outside the writer's thread.
+    # Calls of other threads. Only these methods, ``warnings`` and the like are used outside the writer's thread.
 
     def __enter__(self) -> Self:
         self._thread.start()
@@ -183,16 +188,16 @@ class RunWriter(RunInfo):
         params: Mapping[str, Any] | None = None,
         interval_n: FloatArray | None = None,
     ) -> None:
-        """Add one finished world. It waits while too many worlds are not written yet.
+        """Add one finished world. The call waits while too many worlds are not written yet.
 
         Args:
             plan: plan of the world; ``outcome`` has the same boxes in the same order.
             variant: 0 is nominal.
             schedule: name of the schedule, as in the results.
-            outcome: copied; its arrays may be reused, and its ``state`` is not kept.
+            outcome: copied; its arrays may be reused, and its ``state`` is dropped.
             attempts: all attempts in order, if the world needed more than one.
-            params: parameter → value; missing ones become null.
-            interval_n: (boxes, 2) least and most force on the top of each box at rest, N; None: not known.
+            params: parameter → value; missing values become null.
+            interval_n: (boxes, 2) least and most force on the top of each box at rest, N; None: unknown.
 
         Raises:
             ValueError: the outcome is of another plan, or the run does not have a parameter.
@@ -211,7 +216,7 @@ class RunWriter(RunInfo):
         self._queue.put(row)
 
     def flush(self) -> None:
-        """Write all worlds that were added, so that they can be read before the run ends.
+        """Write all added worlds, so that they can be read before the run ends.
 
         Raises:
             PetmjxError: they cannot be written.
@@ -241,10 +246,10 @@ class RunWriter(RunInfo):
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, traceback: TracebackType | None
     ) -> None:
-        if self.status != RUNNING:  # it has ended, and another run may have the folder by now
+        if self.status != RUNNING:  # the run has ended, and another run may have the folder by now
             return
         self._cut_short = error is not None
-        # the first of several Ctrl-C ends the run; the later ones must not end the process before the rest is written
+        # the first of several Ctrl-C ends the run; later ones must not end the process before all worlds are written
         with defer_signals(afterwards=error is None):
             trouble = self._ask(lambda: self._end(error))
             self._joined()
@@ -255,7 +260,7 @@ class RunWriter(RunInfo):
         """The results of the run, after its end.
 
         Args:
-            held: the run's plans by id, if they are in no file.
+            held: the run's plans by id, for plans in no file.
         """
         if self._in_memory:
             return RunResults(self.parts, to_json(self.info), held or {})
@@ -284,7 +289,7 @@ class RunWriter(RunInfo):
                 result, error = request.reply.get(timeout=LOOK_S)
                 break
             if not self._thread.is_alive() and request.reply.empty():
-                raise _CutShortError  # it ended before it came to this request
+                raise _CutShortError  # the thread ended before this request
         if error is not None:
             raise error
         return result
@@ -321,20 +326,21 @@ class RunWriter(RunInfo):
 
     def _due_s(self) -> float | None:
         """Time until something must be written though nothing else comes, s; None: nothing waits."""
-        if self._is_full or self._is_behind or self._lacks_placements:
-            due_s = 0.0
-        elif self._rows and not self._in_memory:
-            due_s = self._rows[0].ended_s + self._seconds_per_part
-        else:
-            return None
-        return max(max(due_s, self._retry_s) - time.monotonic(), 0.0)
+        due_s = []
+        if self._is_full or self._is_behind:
+            due_s.append(0.0)
+        if self._lacks_placements:
+            due_s.append(self._opened_s + min(PLACEMENTS_S, self._seconds_per_part))
+        if self._rows and not self._in_memory:
+            due_s.append(self._rows[0].ended_s + self._seconds_per_part)
+        return max(max(min(due_s), self._retry_s) - time.monotonic(), 0.0) if due_s else None
 
     @property
     def _is_full(self) -> bool:
         return len(self._rows) >= self._worlds_per_part or self._row_bytes >= BYTES_PER_PART
 
     def _try_to_write(self) -> None:
-        """Write what waits. An error is kept; the thread tries again after a while."""
+        """Write what waits. An error is stored; the thread tries again after a while."""
         try:
             self._write_waiting()
         except Exception as error:
@@ -364,7 +370,7 @@ class RunWriter(RunInfo):
                 self._write_part(begin)
             except PetmjxError:  # the disk: other parts would fail, too
                 raise
-            except Exception as error:  # rows that cannot be packed keep no others from disk
+            except Exception as error:  # rows that cannot be packed do not stop other rows
                 begin, failure = begin + self._worlds_per_part, failure or error
         if self._is_behind:
             self._write_info()
@@ -372,7 +378,7 @@ class RunWriter(RunInfo):
             raise failure
 
     def _write_part(self, begin: int) -> None:
-        """Write waiting rows from number ``begin`` on as a part. They wait on if this fails."""
+        """Write waiting rows from number ``begin`` on as a part. On failure the worlds wait on."""
         rows = self._rows[begin : begin + self._worlds_per_part]
         number = self.parts.next_number(*OF_WORLDS)
         digests: dict[Path, str] = {}
@@ -395,7 +401,7 @@ class RunWriter(RunInfo):
             self._is_behind = False
 
     def _write_placements(self) -> None:
-        """Write the table ``placements``, while the first worlds are simulated."""
+        """Write the table ``placements``, while worlds are simulated."""
         content = self._manifest.placements() if self._manifest else None
         if content is not None:
             with self._writing():
@@ -404,16 +410,17 @@ class RunWriter(RunInfo):
         self._lacks_placements = False
 
     def _write_plans(self) -> None:
-        """Write the table ``plans``, unless it is there already."""
+        """Write the table ``plans``, unless it exists."""
         if self._manifest is None:
             return
         plans = self._manifest.table(self.orders.of_plan if self.orders else None)
         if [plans] != self.parts.table("plans"):
             self._tables.write_only("plans", plans)
         self._lacks_placements = not (self._in_memory or self.parts.files(PLACEMENTS))
+        self._opened_s = time.monotonic()
 
     def _open(self) -> None:
-        """Lock the folder, and write everything that is known before the first world.
+        """Lock the folder, and write the files that need no world.
 
         Raises:
             InputError: the folder cannot be written, or has a run that is not to be replaced or resumed.
@@ -455,9 +462,7 @@ class RunWriter(RunInfo):
         self._tables.drop_others()
         ranked = is_ranked(parts, list(self._manifest.plans if self._manifest else ()))
         self._write_plans()
-        if (
-            not ranked
-        ):  # of petmjx before 0.3, or the plans come in another order: the only time that rows are rewritten
+        if not ranked:  # a run of petmjx before 0.3, or plans in another order: only then are rows rewritten
             self._tables.replace_worlds(self._copies(self.parts, self._ranks))
         self._write_info()
         self._tables.drop_others()
@@ -473,7 +478,7 @@ class RunWriter(RunInfo):
         self._in_memory, self._lacks_placements, self._is_behind = False, self._manifest is not None, True
 
     def _adopt(self, parts: Parts, ranked: bool) -> None:
-        """Copy the worlds of another run. They count when all of them are there."""
+        """Copy the worlds of another run. The files belong to the run once all of them exist."""
         counts = [WorldCounts.of(worlds) for worlds in parts.table("worlds", COUNTED)]
         with self._writing():
             digests = self._copies(parts, None if ranked else self._ranks)
@@ -482,7 +487,7 @@ class RunWriter(RunInfo):
         self._write_info()
 
     def _copies(self, parts: Parts, ranks: WorldRanks | None) -> dict[Path, str]:
-        """Copy tables of worlds; returns the digest of each file. They do not count yet."""
+        """Copy tables of worlds; returns the digest of each file. The files do not belong to the run yet."""
         digests: dict[Path, str] = {}
         for path, digest in self._tables.copies(parts, ranks):
             digests[path] = digest
@@ -498,13 +503,13 @@ class RunWriter(RunInfo):
             self._tables.drop_others()
 
     def _end(self, error: BaseException | None) -> Exception | None:
-        """Write the rest, say in ``run.json`` how the run ended, and leave the folder.
+        """Write the remaining worlds and the run's end in ``run.json``, and leave the folder.
 
         Args:
             error: the error that ended the run; None: it came to its end.
 
         Returns:
-            The error of writing the rest, if there was one.
+            The error at writing the remaining worlds, if any.
         """
         trouble: Exception | None = None
         try:
@@ -519,7 +524,7 @@ class RunWriter(RunInfo):
         else:
             self.status, self.error = "failed", one_line(cause)
         if error is not None and trouble is not None:
-            # the error that ended the body is raised; this one is only noted in run.json, until the run is resumed
+            # the error that ended the body is raised; this error is only noted in run.json, until the run is resumed
             also = f"the last part could not be written: {one_line(trouble)}"
             self.error = f"{self.error}; {also}" if self.error else also
         try:

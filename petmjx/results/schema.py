@@ -2,8 +2,8 @@
 
 Types, and why:
 
-- Texts are plain strings. Parquet encodes them with a dictionary on disk anyway. In memory they have the same type for
-  all readers; two pandas categoricals with different categories could not even be compared.
+- Texts are plain strings. On disk, Parquet encodes such texts with a dictionary anyway. In memory they have the same
+  type for all readers; two pandas categoricals with different categories could not even be compared.
 - ``worlds`` is float64: times are float64 sums of the timestep, and are compared to the step. ``boxes`` is forty times
   as long: measured values are float32, only times are float64.
 - A value that does not exist (no culprit, a box that was never placed, a world that never came to rest) is null. The
@@ -15,9 +15,8 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Final
+from typing import TYPE_CHECKING, Any, Final
 
-import pandas as pd
 import pyarrow as pa
 
 from petmjx.common.errors import InputError
@@ -26,6 +25,9 @@ from petmjx.engines.metrics import DIMENSIONLESS, TEXT
 from petmjx.engines.verdict import Flag, Verdict
 from petmjx.options.simulation import Schedule
 from petmjx.plans.plan_fields import SPARSE
+
+if TYPE_CHECKING:
+    import pandas as pd
 
 SCHEMA_VERSION: Final = 2
 """Increase it when a column is renamed or removed, or when its meaning changes. New columns do not need it."""
@@ -161,7 +163,7 @@ _CONTACT_COLUMNS = (
 
 
 _NUMBER = _counts(number="number of the plan among those given, from 0, counting skipped ones")
-"""Column of ``plans``, whose rows are in that order."""
+"""Column of ``plans``, which has its rows in this order."""
 
 _EXTENT_COLUMNS = (
     _column("volume_m3", pa.float64(), "m^3", "sum of its boxes' volumes"),
@@ -207,7 +209,7 @@ def schemas(params: Iterable[Param] = (), dynamic: bool = False, force_intervals
     one), and for the tables of recorded worlds: ``histories``, ``frames``, ``contacts``.
 
     Args:
-        params: parameters of a sweep's variants; they are the last columns of ``worlds``.
+        params: parameters of a sweep's variants; the last columns of ``worlds``.
         dynamic: whether the run has profiles; ``boxes`` then has additional metrics.
         force_intervals: whether ``boxes`` has intervals of the forces at rest.
 

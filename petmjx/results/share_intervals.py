@@ -26,7 +26,7 @@ ONE_PLAN = "plan"
 one plan."""
 
 KEYS = ("scope", "plan_id", "axis", "value")
-"""Columns that say what a summary row is about."""
+"""Columns that name the subject of a summary row."""
 
 
 def wilson_interval(
@@ -34,8 +34,8 @@ def wilson_interval(
 ) -> tuple[FloatArray, FloatArray]:
     """Wilson's score interval of a share, element by element; (0, 1) where n is 0.
 
-    Source: Wilson (1927), J. Am. Stat. Assoc. 22, 209-212. The interval is always inside [0, 1]. It also has a width at
-    shares of 0 and 1, where the usual ± interval has none.
+    Source: Wilson (1927), J. Am. Stat. Assoc. 22, 209-212. The interval is always inside [0, 1]. The Wilson interval
+    also has a width at shares of 0 and 1, where the usual ± interval has none.
 
     Raises:
         ValueError: successes outside 0 … n, or a confidence outside (0, 1).
@@ -46,10 +46,10 @@ def wilson_interval(
     if np.any(k < 0) or np.any(k > total):
         raise ValueError("successes must be between 0 and n")
     z = NormalDist().inv_cdf(0.5 + confidence / 2)
-    known = np.maximum(total, 1.0)
-    share = k / known
-    centre = (share + z * z / (2 * known)) / (1 + z * z / known)
-    half = z / (1 + z * z / known) * np.sqrt(share * (1 - share) / known + z * z / (4 * known * known))
+    n_or_one = np.maximum(total, 1.0)
+    share = k / n_or_one
+    centre = (share + z * z / (2 * n_or_one)) / (1 + z * z / n_or_one)
+    half = z / (1 + z * z / n_or_one) * np.sqrt(share * (1 - share) / n_or_one + z * z / (4 * n_or_one * n_or_one))
     # At shares of 0 and 1 the bound is exactly that share; rounding must not move it.
     low = np.where((total == 0) | (k == 0), 0.0, centre - half)
     high = np.where((total == 0) | (k == total), 1.0, centre + half)
@@ -57,15 +57,14 @@ def wilson_interval(
 
 
 def by_plan_and_axis(worlds: pd.DataFrame, axes: Sequence[str], **columns: tuple[str, str]) -> pd.DataFrame:
-    """Aggregate worlds in groups: over all plans and for each plan, and in each case over all worlds (axis "") and by
-    axis value.
+    """Aggregate worlds in groups: over all plans and for each plan, both over all worlds (axis "") and by axis value.
 
     Args:
         columns: aggregates of each group, as pandas' ``agg`` takes them: name=(column, function).
 
     Returns:
-        The columns ``KEYS`` and the aggregates. Rows over all plans come first; the column ``scope`` tells them from
-        rows about a plan, whatever its id.
+        The columns ``KEYS`` and the aggregates. Rows over all plans come first; the column ``scope`` distinguishes them
+        from rows about a plan.
     """
     parts = []
     for scope, rows in ((ALL_PLANS, worlds.assign(plan_id="")), (ONE_PLAN, worlds)):
@@ -84,16 +83,16 @@ def share_standing(worlds: pd.DataFrame, axes: Sequence[str]) -> pd.DataFrame:
     """The share of worlds that stand, for every value of every axis. Shares with random draws have a Wilson 95 %
     interval.
 
-    Invalid worlds say nothing about the pallet: they are counted separately and are not in the share. Worlds without a
-    value on an axis (the nominal world) are left out of the rows of this axis.
+    Invalid worlds are no evidence about the pallet: they are counted separately and are not in the share. Worlds
+    without a value on an axis (the nominal world) are left out of the rows of this axis.
 
-    A world without anything random has the same outcome every time, so a row with such a world has no interval. Worlds
+    A world without random values has the same outcome every time, so a row with such a world has no interval. Worlds
     of one draw are not independent of each other. So the number of trials is the number of draws, whatever the number
-    of worlds: the mean over the worlds of a draw varies at most as much as one world does.
+    of worlds: the mean over the worlds of a draw varies at most as much as one world.
 
     Args:
-        worlds: rows with ``plan_id``, ``verdict`` and a column for each axis; ``draw``, if it is there, is equal for
-            worlds that share their random numbers, and null for worlds without any.
+        worlds: rows with ``plan_id``, ``verdict`` and a column for each axis; ``draw``, if present, is equal for worlds
+            that share their random numbers, and null for worlds without any.
         axes: parameter columns; a row of the summary is about one value of one axis, over all values of the other axes.
 
     Returns:
@@ -112,10 +111,10 @@ def share_standing(worlds: pd.DataFrame, axes: Sequence[str]) -> pd.DataFrame:
     n_worlds, n_standing, n_invalid, n_draws = (summary[name].to_numpy(np.int64) for name in [*counts][:4])
     n_draws = np.where(summary["drawn"].astype(bool), n_draws, 0)
     n_judged = n_worlds - n_invalid
-    known = np.where(n_judged > 0, n_judged, 1)
-    bounds = wilson_interval(n_standing * n_draws / known, n_draws)
+    n_or_one = np.where(n_judged > 0, n_judged, 1)
+    bounds = wilson_interval(n_standing * n_draws / n_or_one, n_draws)
     low, high = (np.where(n_draws > 0, bound, np.nan) for bound in bounds)
-    share = np.where(n_judged > 0, n_standing / known, np.nan)
+    share = np.where(n_judged > 0, n_standing / n_or_one, np.nan)
     world_counts = {"n_worlds": n_worlds, "n_standing": n_standing, "n_invalid": n_invalid}
     return summary[[*KEYS]].assign(**world_counts, share=share, n_draws=n_draws, low=low, high=high)
 
@@ -170,7 +169,7 @@ def newcombe_interval(counts: PairedCounts, confidence: float = DEFAULT_CONFIDEN
 
 
 def _correlation(counts: PairedCounts) -> float:
-    """Newcombe's corrected φ of the four counts; 0 where one of the two shares is 0 or 1."""
+    """Newcombe's corrected φ of the four counts; 0 if one of the two shares is 0 or 1."""
     hits_a, hits_b = counts.both + counts.only_a, counts.both + counts.only_b
     product = hits_a * (counts.n - hits_a) * hits_b * (counts.n - hits_b)
     if product == 0:
@@ -201,7 +200,7 @@ def holm(p_values: Sequence[float]) -> FloatArray:
     """P-values corrected for the number of tests, so that the chance of any false alarm stays below the level.
 
     Source: Holm (1979), "A simple sequentially rejective multiple test procedure", Scandinavian Journal of Statistics
-    6, 65–70: the smallest of m is multiplied by m, the next one by m − 1, …; none becomes smaller than one before it.
+    6, 65–70: the smallest of m is multiplied by m, the next one by m − 1, …; none becomes smaller than its predecessor.
     """
     p = np.asarray(p_values, dtype=np.float64)
     order = np.argsort(p, kind="stable")

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import math
+import sys
 from collections.abc import Mapping
 from enum import Enum
 from typing import Any
 
 import numpy as np
-import pandas as pd
 
 
 def to_json(value: Any) -> Any:
@@ -21,7 +21,8 @@ def to_json(value: Any) -> Any:
         return {str(to_json(key)): to_json(item) for key, item in value.items()}
     if isinstance(value, list | tuple | set | frozenset):
         return [to_json(item) for item in value]
-    if isinstance(value, pd.DataFrame):
+    pandas = sys.modules.get("pandas")  # without it there is no data frame; it takes 0.2 s to load
+    if pandas is not None and isinstance(value, pandas.DataFrame):
         return to_json(value.to_dict("records"))
     if isinstance(value, np.ndarray | np.generic):
         return to_json(value.tolist())
@@ -29,6 +30,6 @@ def to_json(value: Any) -> Any:
         return to_json(value.value)
     if isinstance(value, float):
         return value if math.isfinite(value) else None
-    if value is None or value is pd.NA:
+    if value is None or (pandas is not None and value is pandas.NA):
         return None
     return value if isinstance(value, bool | int | str) else str(value)

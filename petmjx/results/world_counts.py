@@ -12,16 +12,16 @@ import pyarrow.compute as pc
 from petmjx.engines.verdict import Flag, Reason, Verdict
 
 COUNTED: Final = ("verdict", "reason", "attempt", "flags")
-"""The columns of ``worlds`` that are counted."""
+"""The counted columns of ``worlds``."""
 
 
 @dataclass(frozen=True)
 class WorldCounts:
     """Counts of worlds by verdict and reason, and of worlds that needed more than one attempt.
 
-    The verdict of a world that still moves at its end may change with time. ``moving`` counts such worlds that are
-    stable, ``moving_by_shift`` such worlds that are unstable by shift. ``leans`` counts stable worlds that are not as
-    planned.
+    The verdict of a world that still moves at its end may change with time. ``moving`` counts stable worlds that still
+    moved at their end, ``moving_by_shift`` such worlds that are unstable by shift. ``leans`` counts stable worlds that
+    lean or lie lower than planned.
     """
 
     verdicts: Counter[tuple[Verdict, Reason]] = field(default_factory=Counter)

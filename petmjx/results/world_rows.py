@@ -26,7 +26,7 @@ _OF_OUTCOME: Final = ("engine", "solver", "attempt", "n_boxes", "n_placed", "ver
 
 
 def _block_columns() -> list[Column]:
-    """The metrics kept for each box. The schema of ``boxes`` says which of them are written."""
+    """Metrics with a value for each box. The schema of ``boxes`` decides which of them are written."""
     return [*box_columns(), *FORCE_INTERVAL]
 
 
@@ -38,7 +38,7 @@ class Row:
         cells: columns of ``worlds`` that are not reductions over boxes.
         block: (boxes, columns) metrics of boxes, in the order of ``_block_columns``.
         attempts: all attempts; empty if the world needed only one.
-        recorded: the recorded world with its history; None if it has none.
+        recorded: the recorded world with its history; None without a recording.
         ended_s: when the world ended (monotonic clock).
     """
 
@@ -72,7 +72,7 @@ class Row:
         params: Mapping[str, Any],
         interval_n: FloatArray | None = None,
     ) -> Row:
-        """Copy what is written from an outcome. Its ``state`` is not kept.
+        """Copy the written values of an outcome. The outcome's ``state`` is dropped.
 
         Raises:
             ValueError: the outcome does not belong to the plan (another number of boxes).
@@ -98,13 +98,12 @@ class Row:
 
 @dataclass(frozen=True)
 class Part:
-    """The rows of one part of a run, in the order in which they are written."""
+    """The rows of one part of a run, in the order of writing."""
 
     rows: Sequence[Row]
 
     def tables(self, schemas: Mapping[str, pa.Schema]) -> Iterator[tuple[str, pa.Table]]:
-        """(name, table) of every table of the part; ``worlds`` comes last. ``boxes`` is left out if it has no
-        schema."""
+        """(name, table) of every table of the part; ``worlds`` comes last. ``boxes`` is left out without a schema."""
         recorded = [row.recorded for row in self.rows if row.recorded is not None]
         for name, columns_of in history_tables.TABLES.items() if recorded else ():
             columns = columns_of(recorded)
@@ -127,8 +126,8 @@ class Part:
             first += len(metric.columns)
             if metric.of_world is not None:
                 columns[metric.of_world.name] = reduce_boxes(metric.of_world.reduction, values, starts)
-        rest = [name for name in schema.names if name not in columns]
-        return _typed_table(columns | {name: [row.cells[name] for row in self.rows] for name in rest}, schema)
+        other_names = [name for name in schema.names if name not in columns]
+        return _typed_table(columns | {name: [row.cells[name] for row in self.rows] for name in other_names}, schema)
 
     def boxes(self, schema: pa.Schema) -> pa.Table:
         """The ``boxes`` table: world after world, boxes in packing order."""

@@ -1,4 +1,5 @@
-"""The legs of a chain: the tables ``[[legs]]`` and ``[[remedies]]`` of sweep files, and what a world is after a leg.
+"""The legs of a chain: the tables ``[[legs]]`` and ``[[remedies]]`` of sweep files, and the outcome of a world after a
+leg.
 
 A chain is the way of a pallet: it is placed, and then shaken leg by leg. Users read about it in docs/chains.md.
 """
@@ -114,15 +115,15 @@ def check_chain(legs: Sequence[Leg], remedies: Sequence[Remedy], defined: Mappin
     for number, name in enumerate(names):
         check_name(name, "legs", number)
         if name == PLACING or name in names[:number]:
-            why = "the part before the first leg" if name == PLACING else "another leg"
-            raise complaint(f": {name!r} is already {why}", "legs", number, "name")
+            conflict = "the part before the first leg" if name == PLACING else "another leg"
+            raise complaint(f": {name!r} is already {conflict}", "legs", number, "name")
     if legs and not any(leg.events or leg.open_walls for leg in legs):
         raise complaint("have no events: nothing shakes the pallet", "legs")
     for number, leg in enumerate(legs):
         for place, event in enumerate(leg.events):
             _check_event(event, defined, ("legs", number, "events", place))
     if remedies and not legs:
-        raise complaint("need [[legs]], of which they change one", "remedies")
+        raise complaint("need [[legs]], because a remedy changes a leg", "remedies")
     for number, remedy in enumerate(remedies):
         check_name(remedy.name, "remedies", number)
         if remedy.name in [other.name for other in remedies[:number]]:
@@ -166,7 +167,7 @@ def profiles_of_legs(legs: Sequence[Leg], defined: Mapping[str, Profile]) -> dic
 
 
 def legs_with(legs: Sequence[Leg], remedy: Remedy | None, defined: Mapping[str, Profile]) -> tuple[LegSpec, ...]:
-    """The legs that shake the pallet, with the film that is around it then, and with a remedy."""
+    """The legs that shake the pallet, with the film around it, and with a remedy."""
     return tuple(_specs(legs, remedy, defined))
 
 
@@ -202,13 +203,13 @@ def in_a_row(name: str, drives: Sequence[Drive], pause_s: float, timestep_s: flo
 
 
 def after(before: Outcome, leg: Outcome, timestep_s: float) -> Outcome:
-    """The outcome of a world after one more leg: its metrics since the first box was placed, its time since then.
+    """The outcome of a world after one more leg: metrics and time count from the first placement.
 
     Largest values are those of the whole way, the place of the boxes and their forces at rest those of the end.
 
     Args:
-        before: the outcome after the legs before, in which the world stood.
-        leg: the outcome of the leg alone, whose clock begins where the placement ended.
+        before: the outcome after the earlier legs, which the world survived.
+        leg: the outcome of the leg alone, whose clock begins at the end of the placement.
     """
     since_s = before.n_steps * timestep_s
     boxes, old = leg.boxes, before.boxes

@@ -1,4 +1,4 @@
-"""The answers of a chain: how likely a pallet arrives, which leg is the weakest, and what a remedy gains.
+"""The answers of a chain: how likely a pallet arrives, the weakest leg, and the gain by a remedy.
 
 Users read about the columns in docs/chains.md.
 """
@@ -25,7 +25,7 @@ WHOLE_WAY: Final = ""
 """``leg`` of the rows about the whole way."""
 
 OF_WORLDS: Final = ("plan_id", "variant", "verdict", "culprit", "leg", "remedy")
-"""Columns of ``worlds`` from which the summary is made."""
+"""Columns of ``worlds`` for the summary."""
 
 _KEYS: Final = ["scope", "plan_id", "remedy", "leg"]
 _COUNTS: Final = ["n_worlds", "n_standing", "n_invalid"]
@@ -55,7 +55,7 @@ _TEXTS: Final = frozenset({"scope", "plan_id", "remedy", "leg", "weakest_leg"})
 
 @dataclass(frozen=True)
 class ChainColumns:
-    """What the summary of a chain needs to know. ``run.json`` has it, so that shards can be joined.
+    """Facts about a chain that its summary needs. ``run.json`` has it, so that shards can be joined.
 
     Attributes:
         legs: names of the legs that shake the pallet, in order.
@@ -86,26 +86,26 @@ def summarise_chain(worlds: pd.DataFrame, chain: ChainColumns) -> pd.DataFrame:
     ways, legs = [AS_IS, *chain.remedies], [WHOLE_WAY, PLACING, *chain.legs]
     worlds = worlds[worlds["variant"] > 0]
     worlds = worlds.assign(verdict=worlds["verdict"].astype(str), draw=(worlds["variant"] - 1) // len(ways))
-    both = pd.concat(
+    parts = pd.concat(
         [worlds.assign(scope=ALL_PLANS, plan_id="", pair=worlds["plan_id"]), worlds.assign(scope=ONE_PLAN, pair="")],
         ignore_index=True,
     )
     for name, order in (("plan_id", ["", *worlds["plan_id"].unique()]), ("remedy", ways), ("leg", legs)):
-        both[name] = pd.Categorical(both[name], categories=order)
-    summary = _leg_counts(both, legs)
+        parts[name] = pd.Categorical(parts[name], categories=order)
+    summary = _leg_counts(parts, legs)
     judged = (summary["n_worlds"] - summary["n_invalid"]).to_numpy()
     drawn = (judged > 0) & chain.random
     low, high = wilson_interval(summary["n_standing"], judged)
     summary["share"] = np.where(judged > 0, summary["n_standing"] / np.maximum(judged, 1), np.nan)
     summary["low"], summary["high"] = np.where(drawn, low, np.nan), np.where(drawn, high, np.nan)
-    summary = summary.merge(_weakest_legs(summary, both), on=_KEYS, how="left")
-    summary = summary.merge(_gains(both, random=chain.random), on=_KEYS, how="left")
+    summary = summary.merge(_weakest_legs(summary, parts), on=_KEYS, how="left")
+    summary = summary.merge(_gains(parts, random=chain.random), on=_KEYS, how="left")
     for name in ("plan_id", "remedy", "leg"):
         summary[name] = summary[name].astype(object)
     summary.loc[summary["scope"] == ALL_PLANS, "plan_id"] = None
-    whole = summary["leg"] == WHOLE_WAY
+    is_whole_way = summary["leg"] == WHOLE_WAY
     weakest = summary["weakest_leg"].astype(object)
-    summary["weakest_leg"] = weakest.where(weakest.notna(), "").where(whole, None)
+    summary["weakest_leg"] = weakest.where(weakest.notna(), "").where(is_whole_way, None)
     for name in ("box", "only_with", "only_without"):
         summary[name] = summary[name].astype("Int32")
     return summary[[*_DESCRIPTIONS]]
@@ -118,9 +118,9 @@ def _leg_counts(worlds: pd.DataFrame, legs: Sequence[str]) -> pd.DataFrame:
     end = worlds["leg"].cat.codes.where(~arrives, len(legs))
     parts = []
     for number, leg in enumerate(legs):
-        here = pd.Series(True, index=worlds.index) if leg == WHOLE_WAY else end >= number
+        reached = pd.Series(True, index=worlds.index) if leg == WHOLE_WAY else end >= number
         counted = {
-            "n_worlds": here,
+            "n_worlds": reached,
             "n_standing": arrives if leg == WHOLE_WAY else end > number,
             "n_invalid": invalid if leg == WHOLE_WAY else invalid & (end == number),
         }
@@ -131,8 +131,8 @@ def _leg_counts(worlds: pd.DataFrame, legs: Sequence[str]) -> pd.DataFrame:
 
 
 def _weakest_legs(summary: pd.DataFrame, worlds: pd.DataFrame) -> pd.DataFrame:
-    """The leg in which most worlds failed, for each row about the whole way, and the box that failed there most often.
-    Of equal ones the first counts."""
+    """The leg in which most worlds failed, for each row about the whole way, and the box that failed most often in that
+    leg. Of equal numbers the first counts."""
     way = _KEYS[:3]
     failed = summary.assign(n=summary["n_worlds"] - summary["n_standing"] - summary["n_invalid"])
     failed = failed[(failed["leg"] != WHOLE_WAY) & (failed["n"] > 0)]
@@ -146,7 +146,7 @@ def _weakest_legs(summary: pd.DataFrame, worlds: pd.DataFrame) -> pd.DataFrame:
 
 
 def _gains(worlds: pd.DataFrame, *, random: bool) -> pd.DataFrame:
-    """What each remedy gains, for rows about the whole way."""
+    """The gain by each remedy, for rows about the whole way."""
     judged = worlds[worlds["verdict"] != Verdict.INVALID.value]
     pairs = ["scope", "plan_id", "pair", "draw"]
     without = judged.loc[judged["remedy"] == AS_IS, [*pairs, "verdict"]]
@@ -191,7 +191,8 @@ def arrivals(summary: pd.DataFrame, remedy: str = AS_IS) -> pd.DataFrame:
 
 
 def shares_by_leg(summary: pd.DataFrame) -> pd.DataFrame:
-    """P(stands after a leg, if it was reached) of each plan without remedies: a row a plan, a column a leg in order."""
+    """P(stands after a leg, given that it was reached) of each plan without remedies: one row per plan, one column per
+    leg in order."""
     chosen = summary[(summary["scope"] == ONE_PLAN) & (summary["remedy"] == AS_IS) & (summary["leg"] != WHOLE_WAY)]
     return chosen.pivot(index="plan_id", columns="leg", values="share")[chosen["leg"].unique().tolist()]
 

@@ -1,7 +1,7 @@
 """Scores with confidence: the share of worlds that stand with the errors of a stated robot and its cartons.
 
-It is a sweep of single errors with replicates and the nominal world, with a summary of its own. Users read about it in
-docs/confidence.md.
+A score with confidence is a sweep of single errors with replicates and the nominal world, with a summary of its own.
+Users read about it in docs/confidence.md.
 """
 
 from __future__ import annotations
@@ -32,10 +32,10 @@ READY_MADE: Final = "confidence"
 EVEN: Final = 0.5
 
 SIGNIFICANCE: Final = 0.05
-"""Chance of at least one false alarm in a run if no plan's share depends on how boxes are placed."""
+"""Chance of at least one false alarm in a run if no plan's share depends on the way of placing."""
 
 PLACING: Final = "placing"
-"""The axis, and the column of worlds, that says how boxes with errors were placed."""
+"""The axis, and the column of worlds, for the way in which boxes with errors were placed."""
 
 _DESCRIPTIONS: Final = {
     "plan_id": "id of the packing plan",
@@ -76,7 +76,7 @@ def confidence_sweep(
     """The sweep of a score with confidence.
 
     Args:
-        n_worlds: worlds with errors for each plan, beside the nominal one.
+        n_worlds: worlds with errors for each plan, in addition to the nominal world.
         errors: a sweep file of errors, or the name of a ready-made one; None: ``READY_MADE``.
         simulation: fields of ``Simulation`` that replace those of the file.
         exact_too: as in ``petmjx.options.run_options.Confidence``: each world with errors is simulated twice.
@@ -117,7 +117,7 @@ def _error_sweep_fault(sweep: Sweep) -> str:
 
 
 def summarise_confidence(parts: Parts, *, both: bool = False) -> pd.DataFrame:
-    """One row per plan, in the order given: its nominal verdict, and the share that stands with errors.
+    """One row per plan, in the order of the input: its nominal verdict, and the share that stands with errors.
 
     Columns: docs/confidence.md.
 
@@ -163,8 +163,8 @@ def _failures(drawn: pd.DataFrame) -> pd.DataFrame:
 def _paired_draws(carried: pd.DataFrame, exact: pd.DataFrame) -> pd.DataFrame:
     """For each plan, the draws that stand with only one way of placing, among draws with a verdict for both ways, and
     the test of these numbers."""
-    both = carried.merge(exact, on=["plan_id", "replicate"], suffixes=("_carried", "_exact"))
-    one, other = (both[f"verdict_{way}"].astype(str) for way in ("carried", "exact"))
+    pairs = carried.merge(exact, on=["plan_id", "replicate"], suffixes=("_carried", "_exact"))
+    one, other = (pairs[f"verdict_{way}"].astype(str) for way in ("carried", "exact"))
     stands, stands_exact = one == Verdict.STABLE.value, other == Verdict.STABLE.value
     judged = (one != Verdict.INVALID.value) & (other != Verdict.INVALID.value)
     outcomes = {
@@ -173,7 +173,7 @@ def _paired_draws(carried: pd.DataFrame, exact: pd.DataFrame) -> pd.DataFrame:
         "only_exact": ~stands & stands_exact,
         "neither": ~stands & ~stands_exact,
     }
-    counted = pd.DataFrame({"plan_id": both["plan_id"], **{name: judged & row for name, row in outcomes.items()}})
+    counted = pd.DataFrame({"plan_id": pairs["plan_id"], **{name: judged & row for name, row in outcomes.items()}})
     pair_counts = counted.groupby("plan_id", observed=True).sum().reset_index()
     trials = pair_counts[[*outcomes]].astype(int).itertuples(index=False, name=None)
     pair_counts["p_value"] = holm([mcnemar_p(PairedCounts(*counts)) for counts in trials])

@@ -1,4 +1,4 @@
-"""The search for the largest level survived, and the way in which a plan failed above it."""
+"""The search for the largest level survived, and the mode of failure above it."""
 
 from __future__ import annotations
 
@@ -16,15 +16,15 @@ from petmjx.options.simulation import Thresholds
 DEFAULT_TILT_DEG = float(Thresholds().tilt_deg)
 
 MODES: Mapping[Reason, str] = {Reason.SHIFT: "slide", Reason.TILT: "tilt", Reason.DROP: "drop"}
-"""Reason of an unstable world → the way in which it failed, as in the column ``mode``."""
+"""Reason of an unstable world → its mode of failure, as in the column ``mode``."""
 
 
 def failure_mode(outcome: Outcome, tilt_deg: float = DEFAULT_TILT_DEG) -> str:
     """How the first box failed: "slide", "tilt" or "drop".
 
-    "drop" if it dropped, else "tilt" if it tilted by more than ``tilt_deg``, else "slide". A search reads this at the
-    lowest level that fails. There it usually says how the failure began; far above that level, a box that slides also
-    falls. For invalid worlds: the reason; for stable worlds: "".
+    "drop" if the box dropped, else "tilt" if it tilted by more than ``tilt_deg``, else "slide". A search reads this at
+    the lowest level that fails. Just above the survived level the mode usually shows how the failure began; far above
+    that level, a box that slides also falls. For invalid worlds: the reason; for stable worlds: "".
     """
     if outcome.verdict is not Verdict.UNSTABLE or outcome.culprit < 0:
         return MODES.get(outcome.reason, str(outcome.reason))
@@ -36,13 +36,13 @@ def failure_mode(outcome: Outcome, tilt_deg: float = DEFAULT_TILT_DEG) -> str:
 
 @dataclass(frozen=True)
 class Probe:
-    """The values of a world that a search needs. Its row in ``worlds`` has the same values, so that a search can be
-    resumed.
+    """The values of a world that a search needs. The row of a test in ``worlds`` has the same values, so that a search
+    can be resumed.
 
     Attributes:
         culprit: the box that failed first; −1 for none.
-        mode: the way in which it failed (`failure_mode`).
-        moving: whether boxes still moved when its time was up, so that longer waiting may change its verdict.
+        mode: the mode of failure (`failure_mode`).
+        moving: whether boxes still moved when the world's time was up, so that longer waiting may change the verdict.
         values: columns that the sweep adds to ``worlds``.
     """
 
@@ -67,15 +67,15 @@ class Probe:
 
 @dataclass
 class SearchBracket:
-    """What a search knows about one item: a placement, a profile and a direction.
+    """Knowledge of a search about one item: a placement, a profile and a direction.
 
     Attributes:
         stands_at_rest: whether the placement stood before any profile; if not, nothing is tested.
         survived: index of the largest level survived below every failure; −1: none.
-        failed: index of the smallest level that failed; the number of levels if none failed; 0 if it does not stand at
+        failed: index of the smallest level that failed; the number of levels if none failed; 0 if the pallet falls at
             rest.
         highest: index of the largest level survived, even above a failure.
-        box, mode: the box that failed first at ``failed`` (or at rest), −1 for none, and the way in which it failed.
+        box, mode: the box that failed first at ``failed`` (or at rest), −1 for none, and its mode of failure.
     """
 
     stands_at_rest: bool
@@ -101,14 +101,14 @@ class Bisection:
     order of answers. In each round up to ``sections`` levels of an item are tested side by side, evenly spread between
     the largest survived and the smallest failed level. Items do not wait for one another.
 
-    It assumes that a pallet that survives a level survives all lower ones. This can be wrong: a stronger push may press
-    a box against its neighbour, where it jams. If a tested level above a failed one was survived, the answer is the
-    largest level below every failure, and ``monotone`` is False for that item.
+    The search assumes that a pallet that survives a level survives all lower ones. This assumption can be wrong: a
+    stronger push may press a box against its neighbour, where it jams. If a tested level above a failed one was
+    survived, the answer is the largest level below every failure, and ``monotone`` is False for that item.
 
     Args:
         levels: (n_levels,) rising; g, or scale.
         at_rest: for each item, its world before any profile. Items that do not stand are finished at once, with no
-            level survived. Where ``levels[0]`` is 0, standing at rest counts as surviving it.
+            level survived. Where ``levels[0]`` is 0, standing at rest counts as surviving level 0.
         sections: levels of an item tested at a time, ≥ 1; 1 is plain bisection.
 
     Attributes:
@@ -161,10 +161,10 @@ class Bisection:
         return [(item, bracket.survived + step) for step in steps.tolist()]
 
     def record(self, tests: Sequence[tuple[int, int]], worlds: Sequence[Probe]) -> None:
-        """Record the worlds of tests. They must cover all levels that were requested for an item; any number of items
-        is allowed.
+        """Record the worlds of tests. The answers must cover all requested levels of an item; any number of items is
+        allowed.
 
-        An invalid world has not survived; its mode is the reason why it is invalid.
+        An invalid world has not survived; its mode is the reason for ``invalid``.
         """
         if len(tests) != len(worlds):
             raise ValueError("record needs one answer for each test")

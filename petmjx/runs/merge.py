@@ -29,7 +29,7 @@ from petmjx.runs.confidence import write_confidence
 from petmjx.runs.sweep_summary import ShareColumns, summarise_shares
 
 _ANSWER: Final = ("plan_id", "placement", "profile", "direction_deg")
-"""Columns that identify a row of a search's summary, and by which rows are sorted."""
+"""Columns that identify a row of a search's summary, and sort its rows."""
 
 
 def merge_runs(shards: Iterable[str | Path], out: str | Path, *, overwrite: bool = False) -> RunResults:
@@ -131,8 +131,8 @@ def _check_worlds(runs: Sequence[RunResults], manifest: Manifest) -> None:
         for keys in run.parts.table("worlds", ("plan_id", "variant")):
             for key in zip(keys["plan_id"].to_pylist(), keys["variant"].to_pylist(), strict=True):
                 if key in home:
-                    where = f"{home[key]} and {run.path}" if home[key] != run.path else f"{run.path}"
-                    raise InputError(f"plan {printable_name(key[0])}, variant {key[1]} twice: in {where}")
+                    runs_text = f"{home[key]} and {run.path}" if home[key] != run.path else f"{run.path}"
+                    raise InputError(f"plan {printable_name(key[0])}, variant {key[1]} twice: in {runs_text}")
                 home[key] = run.path
     lacking = sorted(manifest.plans.keys() - {plan_id for plan_id, _ in home})
     if lacking:
@@ -153,7 +153,7 @@ def _variants(runs: Sequence[RunResults]) -> range:
 
 
 def _placements(runs: Sequence[RunResults]) -> pa.Table | None:
-    """The table ``placements`` of all plans; None if a shard has not kept it."""
+    """The table ``placements`` of all plans; None if a shard lacks it."""
     tables = [run.parts.table(PLACEMENTS) for run in runs]
     return pa.concat_tables(itertools.chain.from_iterable(tables)) if all(tables) else None
 
@@ -171,8 +171,8 @@ def _orders(runs: Sequence[RunResults]) -> OrderCheck | None:
                 f"{run.path}: compared with other orders than {runs[0].path}; use {option('--resume', 'True')} on one "
                 f"of them with the {option('--orders')} of the other; nothing is simulated again"
             )
-    known = [check for check in checks if check is not None]
-    return joined_check(known) if known else None
+    order_checks = [check for check in checks if check is not None]
+    return joined_check(order_checks) if order_checks else None
 
 
 def _of_shard(run: RunResults) -> dict[str, Any]:
@@ -210,14 +210,16 @@ def _other_versions(runs: Sequence[RunResults]) -> Iterator[str]:
         versions = run.info["versions"]
         for name in sorted({*first, *versions}):
             if first.get(name) != versions.get(name):
-                had, others = (version_by_package.get(name) or "none" for version_by_package in (versions, first))
+                had, other_version = (
+                    version_by_package.get(name) or "none" for version_by_package in (versions, first)
+                )
                 shard, other = (shard_run.info["identity"]["shard"] for shard_run in (run, runs[0]))
-                yield f"shard {shard} was simulated with {name} {had}, shard {other} with {others}"
+                yield f"shard {shard} was simulated with {name} {had}, shard {other} with {other_version}"
 
 
 def _write_summary(writer: RunWriter, runs: Sequence[RunResults]) -> None:
-    """Write the table ``summary``. Shares are computed again from all worlds. Answers of searches are joined, since
-    each belongs to one plan."""
+    """Write the table ``summary``. Shares are computed again from all worlds. Answers of searches are concatenated,
+    since each belongs to one plan."""
     tables = [table for run in runs for table in run.parts.table("summary")]
     shares = runs[0].info["config"].get("shares")
     if shares is None:

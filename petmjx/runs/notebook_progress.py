@@ -51,13 +51,13 @@ class NotebookBar:
 
     @property
     def _left(self) -> int | None:
-        """Worlds that this run simulates; None if their number is not known."""
+        """Worlds that this run simulates; None if unknown."""
         start = self._start
         return None if start is None or start.total is None else start.total - start.recorded
 
     def _as_html(self) -> str:
         start, left = self._start, self._left
-        assert start is not None  # the run begins before it shows anything
+        assert start is not None  # the run begins before the first drawing
         self._pace.update(self._done)
         parts = self._pace.words
         if self._done != left and start.progress.message:
@@ -69,8 +69,8 @@ class NotebookBar:
 
 
 class ScriptLines:
-    """Watches a run from a script: a line at its beginning, one every ``LINE_S`` seconds, and a last one. A thread
-    writes them, so they also come while no world ends.
+    """Watches a run from a script: a line at its beginning, every ``LINE_S`` seconds, and at its end. A thread
+    writes the lines, so they also appear while no world ends.
 
     Args:
         write: takes each line; by default standard error.
@@ -117,7 +117,7 @@ class ScriptLines:
 
 
 def notebook_bar() -> NotebookBar | None:
-    """A bar if this process is the kernel of a notebook, else None. It does not import IPython."""
+    """A bar if this process is the kernel of a notebook, else None. The module does not import IPython."""
     ipython: Any = sys.modules.get("IPython")
     shell = None if ipython is None else ipython.get_ipython()
     if shell is None or not hasattr(shell, "kernel"):  # IPython in a terminal has no kernel

@@ -1,4 +1,4 @@
-"""The options of ``petmjx.score`` and ``petmjx.sweep`` for type checkers: their names, and what each takes.
+"""The options of ``petmjx.score`` and ``petmjx.sweep`` for type checkers: their names and types.
 
 Written by ``make options`` (tools/option_types.py) from the records in petmjx/options, which check the values and
 say what they mean. Do not edit.

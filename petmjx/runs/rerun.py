@@ -29,7 +29,7 @@ def plan_of_run(run: RunResults, plan_id: str, plans: PlanSource | None = None) 
     """A plan as the run simulated it.
 
     Args:
-        plans: where to look for the plan; None: the plan that the run was given or keeps, or the file that it read.
+        plans: source of the plan; None: the plan object of the run, its table of plans, or the file that it read.
 
     Raises:
         InputError: the run has no such plan, or the plan's file is gone or has changed.
@@ -38,14 +38,14 @@ def plan_of_run(run: RunResults, plan_id: str, plans: PlanSource | None = None) 
     if plan_id not in manifest.plans:
         among = f"is not among its {count_text(len(manifest.plans), 'plan')}{similar(plan_id, manifest.plans)}"
         raise InputError(f"{run.path}: plan {printable_name(plan_id)} {among}")
-    known = manifest.plans[plan_id]
+    record = manifest.plans[plan_id]
     if plans is None:
-        kept = run.held if plan_id in run.held else kept_plans(run.parts, manifest.plans, [plan_id])
-        if plan_id in kept:
-            return kept[plan_id]
-        plans = _file(run, plan_id, known.source)
+        stored_plans = run.held if plan_id in run.held else kept_plans(run.parts, manifest.plans, [plan_id])
+        if plan_id in stored_plans:
+            return stored_plans[plan_id]
+        plans = _file(run, plan_id, record.source)
     plan = find_plan(gather_plans(plans, Simulation(), how_read(run.info)), plan_id)
-    if plan_digest(plan) != known.digest:
+    if plan_digest(plan) != record.digest:
         raise InputError(
             f"{plan.source}: plan {printable_name(plan_id)} is no longer the one that {run.path} simulated: it changed"
         )
@@ -56,15 +56,15 @@ def _file(run: RunResults, plan_id: str, source: str) -> Path:
     file = plan_file(source)
     if file is None:
         name = printable_name(plan_id)
-        gone = f"plan {name} came from {printable(source)}, which is not there: give its file, or the plan"
-        raise InputError(f"{run.path}: {gone}")
+        missing_text = f"plan {name} came from {printable(source)}, which is not there: give its file, or the plan"
+        raise InputError(f"{run.path}: {missing_text}")
     return file
 
 
 def worlds_of_run(
     run: RunResults, plan_id: str, plans: PlanSource | None = None, variant: int | None = None
 ) -> tuple[SweepPlan, int]:
-    """The worlds of a plan in a run, and the index of the requested one: by default the nominal one.
+    """The worlds of a plan in a run, and the index of the requested world: by default the nominal world.
 
     Raises:
         InputError: as :func:`plan_of_run` and :func:`sweep_of_run`; or the variant does not exist.
@@ -100,24 +100,26 @@ def sweep_of_run(run: RunResults) -> Sweep:
         return nominal_sweep(sim)
     changes, worlds = dict(sim), config.get("confidence")
     try:
-        named, tables = Path(config["sweep"]["file"]), config["sweep"].get("tables")
+        sweep_path, tables = Path(config["sweep"]["file"]), config["sweep"].get("tables")
     except (TypeError, KeyError, AttributeError):
         raise InputError(f"{file}: damaged: config.sweep.file is missing") from None
     if isinstance(tables, dict):
         with suppress(InputError):  # the file of a profile is gone; the sweep's own file may still exist
-            kept = sweep_of_tables(tables, named, True, changes)
-            kept = kept.model_copy(update={"nominal": True, "replicates": worlds}) if worlds else kept
-            if sweep_identity(kept) == _identity(run.info):
-                return kept
+            stored_sweep = sweep_of_tables(tables, sweep_path, True, changes)
+            stored_sweep = (
+                stored_sweep.model_copy(update={"nominal": True, "replicates": worlds}) if worlds else stored_sweep
+            )
+            if sweep_identity(stored_sweep) == _identity(run.info):
+                return stored_sweep
     try:
-        sweep_file = named if named.is_file() else find_sweep(named.stem)
+        sweep_file = sweep_path if sweep_path.is_file() else find_sweep(sweep_path.stem)
     except InputError:
         raise InputError(f"{run.path}: the sweep file it was made of is not there") from None
-    both = PLACING in config["sweep"].get("axes", {})  # not an axis of the sweep of errors itself
+    has_both_ways = PLACING in config["sweep"].get("axes", {})  # not an axis of the sweep of errors itself
     sweep = (
         chain_sweep(sweep_file, worlds, changes)
         if is_chain(run.info) and worlds
-        else confidence_sweep(worlds, sweep_file, changes, exact_too=both)
+        else confidence_sweep(worlds, sweep_file, changes, exact_too=has_both_ways)
         if worlds
         else load_sweep(sweep_file, True, changes)
     )

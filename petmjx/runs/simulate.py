@@ -5,10 +5,12 @@ The study of the run makes the worlds of its plans (petmjx.runs.study).
 
 from __future__ import annotations
 
+import threading
 import time
 from array import array
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from importlib import import_module
 from typing import TYPE_CHECKING, Any, Protocol
 
 from petmjx.common.machine import package_versions
@@ -42,16 +44,16 @@ if TYPE_CHECKING:
     from petmjx.plans.articles import Articles
 
 Intervals = Callable[[Scene, Physics, BoxMetrics], FloatArray | None]
-"""Computes (n, 2) least and largest force on the top of each box at rest, N; None if a world has none."""
+"""Computes (n, 2) least and largest force on the top of each box at rest, N; None for a world without intervals."""
 
 
 @dataclass(frozen=True)
 class RunStart:
-    """What is known when a run begins.
+    """Facts at the beginning of a run.
 
     Attributes:
-        what: the user's word for a world: "plan", or "world" where plans have several.
-        total: number of worlds; None if it is not known (searches).
+        what: the noun for a world in messages: "plan", or "world" if plans have several.
+        total: number of worlds; None if unknown (searches).
         size: one line with the number of worlds and steps, and the estimated time.
         choice: the engine, and the reason for it.
         progress: updated by the engine.
@@ -67,7 +69,7 @@ class RunStart:
 
 
 class Watcher(Protocol):
-    """Follows a run. The progress bar of the command line is one."""
+    """Follows a run. The progress bar of the command line is such a watcher."""
 
     def begin(self, start: RunStart) -> None:
         """The run starts."""
@@ -94,10 +96,10 @@ def simulate(
 
     Raises:
         InputError: unusable plans or options.
-        EngineUnavailable: the engine asked for cannot run here.
+        EngineUnavailable: the requested engine cannot run here.
     """
     plans = plans_in_place(plans, options.strict)
-    with engine_warmup(options, plans) as ahead:
+    with engine_warmup(options, plans, sim) as ahead:
         plan_set = usable_plans(plans, sim, options)
         study = ask(plan_set.plans, options)
         orders = None
@@ -111,13 +113,13 @@ def simulate(
                 strict=strict,
                 articles=_articles(options),
             )
-        late = (
+        later_inputs = (
             replace(skipped_plan, number=plan_set.numbers.get(skipped_plan.plan_id or ""))
             for skipped_plan in study.skipped
         )
         about = notes_about(sim, study.everything, axes=study.axes, errors=study.has_errors, driven=study.dynamic)
         notes = [*plan_set.notes, *about]
-        plan_set = replace(plan_set, skipped=[*plan_set.skipped, *late], notes=notes)
+        plan_set = replace(plan_set, skipped=[*plan_set.skipped, *later_inputs], notes=notes)
         records = records_of(study.everything, plan_set.numbers)
     earlier = engine_of_run(options.out) if options.resume and options.out is not None else None
     hands_over = not options.record_details  # only C MuJoCo records them
@@ -128,8 +130,8 @@ def simulate(
 
 
 def _last_permille_s(ends_s: Sequence[float]) -> float:
-    """Time from the end of the first 99.9 % of the worlds to the end of the last one, s: what a run waits for few
-    worlds. Of fewer than 1,000 worlds it is the time for the last one."""
+    """Time from the end of the first 99.9 % of the worlds to the end of the last one, s: the wait of a run for its last
+    worlds. For fewer than 1,000 worlds, the time for the last world."""
     last = -(-len(ends_s) // 1000)
     return round(ends_s[-1] - ends_s[-1 - last], 3) if len(ends_s) > last else 0.0
 
@@ -148,7 +150,7 @@ class _Run:
     """A run with valid input and an available engine.
 
     Attributes:
-        found: the result of reading the plans, with skipped entries and warnings.
+        found: the read plans, with skipped entries and warnings.
         records: the run's records of its plans, by id.
         intervals_s: time spent on intervals of forces, s.
     """
@@ -166,7 +168,7 @@ class _Run:
     intervals_s: float = 0.0
 
     def identity(self) -> dict[str, Any]:
-        """The settings that must be the same in a run that resumes."""
+        """The settings that must be equal in a resumed run."""
         return {
             "command": self.study.command,
             "simulation": self.study.sim.model_dump(mode="json"),
@@ -213,11 +215,13 @@ class _Run:
             resume=options.resume,
         ) as writer:
             self._note_input(writer)
-            self.progress.notes = writer.warnings  # one place for both
+            self.progress.notes = writer.warnings  # the same place for score and sweep
             if watcher is not None:
                 watcher.begin(self._start(len(writer.recorded)))
             ends_s = array("d")
             for world in study.worlds(self.engine, writer.recorded, self.recording, self.progress):
+                if not ends_s:  # results need it when the run ends; the engine works by now
+                    threading.Thread(target=import_module, args=("pandas",), name="petmjx-tables").start()
                 self._write(writer, world)
                 ends_s.append(time.monotonic())
                 if watcher is not None:
@@ -263,8 +267,8 @@ class _Run:
             writer.warn(f"plan {printable_name(plan.plan_id)}{variant}: {failed}{world.outcome.message}")
 
     def _interval_n(self, world: FinishedWorld) -> FloatArray | None:
-        """(n, 2) least and largest force on the top of each box, N. None if it is not requested, and after a drive,
-        since the place of the carrier is then not known."""
+        """(n, 2) least and largest force on the top of each box, N. None without a request, and after a drive, since
+        the place of the carrier is then unknown."""
         if self.intervals is None or world.driven:
             return None
         start = time.perf_counter()

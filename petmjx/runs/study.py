@@ -1,6 +1,6 @@
-"""``Study``: which worlds a run makes of its plans, and how it summarises them.
+"""``Study``: the worlds that a run makes of its plans, and their summary.
 
-The study of a score is here: one world per plan, the plan as it is. Studies with variants build on it
+The study of a score is here: one unchanged world per plan. Studies with variants build on it
 (petmjx.runs.sweep_study).
 """
 
@@ -10,6 +10,8 @@ from abc import ABC, abstractmethod
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, Final
+
+import numpy as np
 
 from petmjx.common.checked_records import option
 from petmjx.common.errors import InputError
@@ -40,7 +42,7 @@ NOMINAL: Final = Variant(0, UNCHANGED)
 
 @dataclass(frozen=True)
 class LegEnd:
-    """The leg of a chain after which a world does not go on.
+    """The leg of a chain that ends a world.
 
     Attributes:
         began_s: when the leg began, in the world's time, s; 0 for the placing.
@@ -55,11 +57,10 @@ class FinishedWorld:
     """One world with its final outcome.
 
     Attributes:
-        placement: the outcome of the placement from which the world was forked; None if it was simulated from its
-            beginning.
+        placement: the outcome of the placement from which the world was forked; None for a world without a fork.
         driven: whether the drive was simulated. If the placement does not stand, the world has the outcome of the
-            placement. Without early stop it is still shaken, but it is not stable.
-        ended_in: of a chain: where it ended. None: it arrived, or is no chain.
+            placement. Without early stop such a world is still shaken, but it is not stable.
+        ended_in: of a chain: where it ended. None: the pallet arrived, or the world has no chain.
     """
 
     plan: Plan
@@ -74,7 +75,7 @@ class FinishedWorld:
 
 @dataclass(eq=False, kw_only=True)
 class Study(ABC):
-    """What a run asks of its plans: the worlds that it makes of them, and their summary.
+    """The worlds that a run makes of its plans, and their summary.
 
     Attributes:
         sim: the options of every world, before attempts change them.
@@ -82,11 +83,11 @@ class Study(ABC):
         plans: the plans of this run.
         work: the amount of work of all worlds, for estimates of time.
         n_worlds: largest possible number of worlds.
-        known: whether this is the exact number, whatever the outcomes: not in a search.
+        known: whether the number is exact for any outcomes, as it is except in searches.
         first_variant: variant of each plan's first world. Further variants follow without a gap if ``known``.
         amount: the amount of simulation in words.
         command: "score" or "sweep", as the results name it.
-        what: the user's word for a world.
+        what: the noun for a world in messages.
         skipped: plans that this study cannot simulate.
         notes: warnings about the whole run.
         params: columns of ``worlds`` that tell a plan's worlds apart.
@@ -118,12 +119,12 @@ class Study(ABC):
 
     @property
     def total(self) -> int | None:
-        """Number of worlds; None if it is not known."""
+        """Number of worlds; None if unknown."""
         return self.n_worlds if self.known else None
 
     @property
     def variants(self) -> range | None:
-        """Numbers of each plan's variants; None if plans have different ones, in a search."""
+        """Numbers of each plan's variants; None if they differ between plans, as in a search."""
         if not self.known:
             return None
         return range(self.first_variant, self.first_variant + self.n_worlds // max(len(self.plans), 1))
@@ -132,8 +133,8 @@ class Study(ABC):
         """One line with the number of worlds, and the expected number of steps and time.
 
         Args:
-            seconds: expected time of all worlds, s; None: not known.
-            recorded: number of completed worlds. Steps and time are those of the other worlds.
+            seconds: expected time of all worlds, s; None: unknown.
+            recorded: number of completed worlds. Completed worlds are left out of steps and time.
         """
         share = 1 - recorded / max(self.n_worlds, 1)
         left = " left" if recorded else ""
@@ -166,7 +167,7 @@ class Study(ABC):
 
 
 class Nominal(Study):
-    """The study of a score: one world per plan, the plan as it is.
+    """The study of a score: one unchanged world per plan.
 
     Raises:
         InputError: more than a million plans, without ``allow_large``.
@@ -196,7 +197,7 @@ class Nominal(Study):
     def worlds(
         self, engine: Engine, recorded: CompletedWorlds, recording: Recording, progress: Progress
     ) -> Iterator[FinishedWorld]:
-        missing = [plan for plan in self.plans if (plan.plan_id, NOMINAL.index) not in recorded]
+        missing = [plan for plan in self._longest_first() if (plan.plan_id, NOMINAL.index) not in recorded]
         worlds = (
             World(plan, NOMINAL.index, Job(scene, record=recording.of(plan)))
             for plan, scene in zip(missing, build_scenes(missing, self.sim), strict=True)
@@ -204,3 +205,9 @@ class Nominal(Study):
         for scored_world in score_worlds(worlds, self.sim, engine, progress=progress):
             world = scored_world.world
             yield FinishedWorld(world.plan, NOMINAL, world.job.scene, scored_world.outcome, scored_world.attempts)
+
+    def _longest_first(self) -> Iterator[Plan]:
+        """The plans, those with the most boxes that are placed first: a run whose long worlds begin early does not
+        wait for one of them at its end."""
+        placed = np.asarray(self.work.boxes) * self.work.share
+        return (self.plans[number] for number in np.argsort(-placed, kind="stable").tolist())

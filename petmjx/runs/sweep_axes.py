@@ -61,11 +61,11 @@ def _distinct_values(values: tuple[T, ...]) -> tuple[T, ...]:
         raise ValueError("is empty: give at least one value, or leave the axis out")
     if len(values) > MAX_AXIS_VALUES:
         raise ValueError(f"has {len(values):,} values, more than {MAX_AXIS_VALUES:,}")
-    seen = set()
+    distinct = set()
     for value in values:
-        if value in seen:
+        if value in distinct:
             raise ValueError(f"holds {_axis_text(value)} twice")
-        seen.add(value)
+        distinct.add(value)
     return values
 
 
@@ -90,7 +90,7 @@ Ways = OneOrMore[Literal["exact", "drop", "hand", "tines"]]
 
 
 def degrees(value: object) -> object:
-    """The degrees of a direction such as "+x"; other values as they are."""
+    """The degrees of a direction such as "+x"; other values unchanged."""
     if isinstance(value, str):
         if value not in DIRECTIONS_DEG:
             raise ValueError(f"must be degrees or one of {', '.join(DIRECTIONS_DEG)}, {shown_value(value)}")
@@ -107,7 +107,7 @@ Number = TypeVar("Number", bound=float)
 
 
 class Range(CheckedRecord, Generic[Number]):
-    """A range of numbers: with a step, with a count, or (mode ``sample``) all numbers between its ends."""
+    """A range of numbers: with a step, with a count, or (mode ``sample``) a continuous one between its ends."""
 
     low: Number = Field(alias="from", description="the first value")
     high: Number = Field(alias="to", description="the last value, if the steps reach it")
@@ -156,7 +156,7 @@ Directions = Annotated[
 
 
 Strengths = Annotated[Annotated[Range[Positive], Tag(TABLE)] | Annotated[Positive, Tag(VALUE)], _value_or(TABLE)]
-"""A level or a scale, or a range from which it is drawn."""
+"""A level or a scale, or a range for random draws."""
 
 
 def _value_list(setting: Any) -> tuple[Any, ...]:
@@ -247,7 +247,7 @@ Heights = OneOrMore[Annotated[_Table | _Height, Discriminator(shape)]]
 
 
 def _up_to(largest: float) -> AfterValidator:
-    """A check that errors lie in ±``largest``, a smaller range than that of places."""
+    """A check that errors lie in ±``largest``, which is smaller than the range of places."""
 
     def check(setting: Any) -> Any:
         for error in _value_list(setting):
@@ -265,7 +265,7 @@ YawErrors = Annotated[Errors, _up_to(MAX_YAW_ERROR_DEG)]
 
 @dataclass(frozen=True)
 class AxisKind:
-    """The values of an axis, what they change, and its column in the results.
+    """The values of an axis, the fields that they change, and the axis's column in the results.
 
     Attributes:
         unit: of its column in the results; "1" for factors, "" for names.
@@ -274,7 +274,7 @@ class AxisKind:
         changes: fields of `PlacementChange` that get the value of the axis; empty: the axis changes the drive.
         suffix: end of the column's name, after the name of the axis.
         plain: for axes of errors: the distribution that a plain number means. Normal: the number is the standard
-            deviation, around 0. Fixed: it is the value itself.
+            deviation, around 0. Fixed: the number is the value itself.
     """
 
     name: str
@@ -369,7 +369,7 @@ class Axis:
         return any(isinstance(value, Distribution) and value.random for value in self.values)
 
     def pick(self, key: WorldKey) -> Value:
-        """A random value. It depends only on the key and the axis."""
+        """A random value. The random stream depends only on the key and the axis."""
         rng = key.rng(f"design:{self.name}")
         if self.continuous:
             return float(rng.uniform(self.low, self.high))
@@ -406,7 +406,7 @@ def read_axes(tables: Any, sampled: bool) -> dict[str, Axis]:
         sampled: whether {from, to} without step or count is allowed (mode ``sample``).
 
     Raises:
-        ValidationError: names the axis and what it should be.
+        ValidationError: the text names the axis and the allowed values.
     """
     checked = _Axes.model_validate(tables)
     settings = {name: getattr(checked, name) for name in tables}

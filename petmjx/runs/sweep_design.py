@@ -28,12 +28,12 @@ REMEDY: Final = "remedy"
 """Column of the worlds of a chain."""
 
 Point = Mapping[str, Value]
-"""A value on each axis, by the axis's name."""
+"""A value for each axis, by the axis's name."""
 
 
 @dataclass(frozen=True)
 class SearchItem:
-    """One question of a search: how much of this profile in this direction does a placement survive?"""
+    """One question of a search: up to which level of this profile in this direction does a placement survive?"""
 
     profile: str
     direction_deg: float
@@ -43,8 +43,8 @@ class SearchItem:
 class Design:
     """The variants of a sweep.
 
-    They are numbered from 1, in the order of the axes. Number 0 is the nominal world, which is simulated only if the
-    sweep asks for it. A grid is counted without enumerating it, so that one that is too large is refused at once.
+    Variants are numbered from 1, in the order of the axes. Number 0 is the nominal world, which is simulated only on
+    request. A grid is counted without enumerating it, so that a too large grid is refused at once.
     """
 
     sweep: Sweep
@@ -70,7 +70,8 @@ class Design:
 
     @property
     def n_variants(self) -> int:
-        """Variants per plan, with the nominal one. In a search: at most, if every item takes all its rounds."""
+        """Variants per plan, with the nominal one. In a search the number is an upper bound: every item takes all its
+        rounds."""
         sweep = self.sweep
         nominal = int(sweep.nominal)
         if sweep.sample is not None:
@@ -82,8 +83,8 @@ class Design:
         total = 0
         for points, repeats in self._placement_counts():
             for profile in profiles:
-                again = sweep.replicates if repeats == 1 and profile is not None and profile.random else 1
-                total += points * repeats * again * per_profile
+                n_repeats = sweep.replicates if repeats == 1 and profile is not None and profile.random else 1
+                total += points * repeats * n_repeats * per_profile
         if sweep.search is not None:
             total *= sweep.search.tests(len(sweep.search_levels))
         return total + nominal
@@ -103,7 +104,7 @@ class Design:
         return sum(points * repeats for points, repeats in self._placement_counts()[1:])
 
     def _placement_counts(self) -> tuple[tuple[int, int], ...]:
-        """(points, replicates of each): points with a random error are repeated, the others are not."""
+        """(points, replicates of each): points with a random error are repeated, all others occur once."""
         if not self.sweep.axes and not self.sweep.legs:
             return ()
         axes = self._axes(placement=True)
@@ -116,7 +117,7 @@ class Design:
 
     @cached_property
     def ways(self) -> Mapping[str, tuple[LegSpec, ...]]:
-        """Name of each remedy of a chain → its legs. The chain as the file describes it is the first (``AS_IS``)."""
+        """Name of each remedy of a chain → its legs. The chain without remedies is the first (``AS_IS``)."""
         sweep = self.sweep
         remedies: tuple[Remedy | None, ...] = (None, *sweep.remedies)
         return {
@@ -126,7 +127,7 @@ class Design:
 
     @property
     def _chain_replicates(self) -> int:
-        """Worlds of a chain without remedies: one, if nothing in it is random."""
+        """Worlds of a chain without remedies: one world without random values."""
         random = [axis.random for axis in self.sweep.axes.values()]
         random += [self._is_drawn(drive) for legs in self.ways.values() for leg in legs for drive in leg.drives]
         return self.sweep.replicates if any(random) else 1
@@ -154,7 +155,7 @@ class Design:
     # Enumeration.
 
     def placements(self) -> Iterator[tuple[Variant, tuple[Variant, ...]]]:
-        """Each placement with the worlds that share it. In a search there are none: they are made level by level."""
+        """Each placement with its worlds. A search has no such worlds: they are made level by level."""
         return iter(self._kept_placements if self.n_variants <= MOST_KEPT else self._placements())
 
     @cached_property
@@ -184,21 +185,21 @@ class Design:
                     yield placement, ()
                     continue
                 if sweep.legs:
-                    again = (replicate,) if change.random else range(self._chain_replicates)
-                    yield placement, tuple(self._ways_from(placement, again))
+                    drive_replicates = (replicate,) if change.random else range(self._chain_replicates)
+                    yield placement, tuple(self._ways_from(placement, drive_replicates))
                     continue
                 variants = tuple(
-                    self._variant(next(index), {**point, **drive_point}, again, change)
+                    self._variant(next(index), {**point, **drive_point}, drive_replicates, change)
                     for drive_point in _points(self._axes(placement=False))
-                    for again in self._drive_replicates(drive_point, replicate, change)
+                    for drive_replicates in self._drive_replicates(drive_point, replicate, change)
                 )
                 yield placement, variants
 
     def draws(self) -> dict[int, int]:
         """Index of each variant with random values → its draw. Variants of one draw share their random numbers.
 
-        In a grid a draw is a replicate, with random numbers of each plan's own. In a sample it is the variant itself,
-        whose parameters are the same for every plan.
+        In a grid a draw is a replicate, with different random numbers for each plan. In a sample a draw is the variant
+        itself, whose parameters are the same for every plan.
         """
         sweep = self.sweep
         if sweep.sample is not None:
@@ -228,7 +229,7 @@ class Design:
         return (replicate,)
 
     def _sampled(self) -> Iterator[Variant]:
-        """Variants drawn from the axes, the same for every plan. Each has its own replicate number."""
+        """Variants drawn from the axes, the same for every plan. Each question has a replicate number of its own."""
         axes = [*self._axes(placement=True), *self._axes(placement=False)]
         for number in range(1, (self.sweep.sample or 0) + 1):
             key = WorldKey(self.sweep.seed, "", number)
@@ -276,7 +277,7 @@ def _n_points(axes: Iterable[Axis]) -> int:
 
 
 _BESIDE = {"name", "description", "plans", "simulation", "axes", "own_profiles"}
-"""Fields of a sweep file that change no world, or that are compared separately."""
+"""Fields of a sweep file that change no world, or that a resumed run compares separately."""
 
 
 def sweep_identity(sweep: Sweep) -> dict[str, Any]:

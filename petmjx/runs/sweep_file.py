@@ -1,6 +1,6 @@
 """Reads and checks sweep files (``sweeps/*.toml``), and finds ready-made ones by name.
 
-Ready-made files are in ``sweeps/`` of a checkout, or copied into an installed package. What sweep files may contain:
+Ready-made files are in ``sweeps/`` of a checkout, or copied into an installed package. Allowed content of sweep files:
 docs/sweeps.md.
 """
 
@@ -42,7 +42,8 @@ from petmjx.world.profiles.profile_tables import MAX_NAME, FileName, define_prof
 
 _PACKAGE = Path(__file__).resolve().parents[1]
 _FOLDERS = (_PACKAGE / "ready_sweeps", _PACKAGE.parent / "sweeps")
-"""The wheel has ``sweeps/`` as ``petmjx/ready_sweeps`` (pyproject.toml). In a checkout it is beside the package."""
+"""The wheel has ``sweeps/`` as ``petmjx/ready_sweeps`` (pyproject.toml). In a checkout this folder is beside the
+package."""
 
 
 def ready_sweeps() -> dict[str, Path]:
@@ -52,19 +53,19 @@ def ready_sweeps() -> dict[str, Path]:
 
 
 def find_sweep(name_or_path: str | Path) -> Path:
-    """The file of a sweep: a path to one, or the name of a ready-made one such as ``eumos``.
+    """The file of a sweep: its path, or the name of a ready-made one such as ``eumos``.
 
     Raises:
-        InputError: there is no such file or name; the line lists the ready-made names.
+        InputError: no such file or name; the line lists the ready-made names.
     """
     path = Path(name_or_path)
     with suppress(OSError, ValueError):  # a name that is too long, for instance, or holds a zero
         if path.is_file():
             return path
-    ready = ready_sweeps()
-    if str(name_or_path) in ready:
-        return ready[str(name_or_path)]
-    ready_names = ", ".join(ready) or "not installed"
+    files_by_name = ready_sweeps()
+    if str(name_or_path) in files_by_name:
+        return files_by_name[str(name_or_path)]
+    ready_names = ", ".join(files_by_name) or "not installed"
     raise InputError(f"{printable_name(str(name_or_path))}: no such sweep file; ready-made sweeps are {ready_names}")
 
 
@@ -207,7 +208,8 @@ class Sweep(CheckedRecord):
 
     @property
     def strength(self) -> Strength:
-        """The quantity that a search looks for: a level, or a scale. Its value is the name of the axis."""
+        """The quantity that a search looks for: a level, or a scale. The value of this field is the name of the
+        axis."""
         levels = any(profile.strength is Strength.LEVEL for profile in self.profiles.values())
         return Strength.LEVEL if levels else Strength.SCALE
 
@@ -314,12 +316,12 @@ class Sweep(CheckedRecord):
             wrong = next((other for other in ("scale", "level") if other in axes and other != profile.strength), None)
             if wrong is None:
                 continue
-            why = {
+            faults = {
                 Strength.ANGLE: "whose strength is its angle",
                 Strength.LEVEL: "whose strength is a level in g: use axes.level",
                 Strength.SCALE: "which has no level in g: use axes.scale",
             }
-            raise _contradiction(wrong, f"profile {name!r}, {why[profile.strength]}")
+            raise _contradiction(wrong, f"profile {name!r}, {faults[profile.strength]}")
         return self
 
     @model_validator(mode="after")
@@ -432,11 +434,11 @@ def nominal_sweep(sim: Simulation) -> Sweep:
 
 
 def chain_sweep(file: str | Path, n_worlds: int | None, simulation: Mapping[str, Any]) -> Sweep:
-    """The sweep of a score with a chain: its worlds, and the nominal one, which is placed alone.
+    """The sweep of a score with a chain: its worlds, and the nominal one, which is only placed.
 
     Args:
         file: a sweep file with legs, or the name of a ready-made one.
-        n_worlds: worlds with errors for each plan; None: as many as the file says.
+        n_worlds: worlds with errors for each plan; None: the number in the file.
         simulation: fields of ``Simulation`` that replace those of the file.
 
     Raises:

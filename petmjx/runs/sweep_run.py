@@ -10,7 +10,6 @@ import time
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from itertools import chain, islice
 from typing import Any
 
 import numpy as np
@@ -39,14 +38,16 @@ from petmjx.world.variants import LegSpec, Variant
 
 @dataclass(frozen=True)
 class Batching:
-    """How much of a sweep is in memory and in the engine at the same time. None of it changes a result.
+    """How much of a sweep is in memory and in the engine at the same time. No result depends on these bounds.
 
     Attributes:
-        undriven: most worlds without a drive in one call of the engine. Their states are not kept.
-        placements: most settled states that are kept. A state with 43 boxes takes 10 to 20 KB.
-        worlds: most variants into which the kept states are forked (a single placement may have more).
-        drives: most forked worlds in one call of the engine. In a search these are the first tests of all items.
-        histories: most settled states that are kept together with their histories. A history with 43 boxes takes 1 MB.
+        undriven: largest number of worlds without a drive in one call of the engine. The states of these worlds are
+            dropped.
+        placements: largest number of stored settled states. A state with 43 boxes takes 10 to 20 KB.
+        worlds: largest number of variants forked from stored states (a single placement may have more).
+        drives: largest number of forked worlds in one call of the engine. In a search these are the first tests of all
+            items.
+        histories: largest number of settled states stored with their histories. A history with 43 boxes takes 1 MB.
     """
 
     undriven: int = MOST_PENDING
@@ -58,7 +59,7 @@ class Batching:
 
 @dataclass
 class Tally:
-    """The cost of a sweep so far. Steps are world-steps after the soft start, in the last attempt of each world."""
+    """The cost of a sweep up to now. Steps are world-steps after the soft start, in the last attempt of each world."""
 
     placements: int = 0
     placement_steps: int = 0
@@ -77,15 +78,16 @@ class SettledPlacement:
     outcome: Outcome
     attempts: tuple[Attempt, ...]
     _of_legs: dict[tuple[float | None, tuple[Side, ...]], Scene] = field(default_factory=dict, init=False)
-    """Turns of film and open walls → the scene with these."""
+    """Turns of film and open walls → the scene with both."""
 
     @cached_property
     def load_height_m(self) -> float:
-        """Height of the load at rest, m. It is the same for all drives of the placement."""
+        """Height of the load at rest, m. The settled state is the same for all drives of the placement."""
         return load_height_m(self.outcome.boxes.pos, self.scene.half_size)
 
     def shaken(self, outcome: Outcome, thresholds: Thresholds) -> Outcome:
-        """The outcome of a fork, judged together with its placement. Its history begins with that of the placement."""
+        """The outcome of a fork, judged together with its placement. The history of a fork begins with that of the
+        placement."""
         placed = self.outcome
         if outcome.verdict is Verdict.STABLE and placed.verdict is not Verdict.STABLE:
             judge_args = outcome.flags, outcome.boxes, outcome.n_placed, thresholds
@@ -103,7 +105,7 @@ class SettledPlacement:
         return replace(outcome, history=placed.history.then(outcome.history))
 
     def undriven(self, variant: Variant) -> FinishedWorld:
-        """A world with the outcome of the placement. No step was simulated for it."""
+        """A world with the outcome of the placement. No step was simulated for such a world."""
         outcome = replace(self.outcome, flags=self.outcome.flags | Flag.FORKED, n_steps=0, state=None)
         end = LegEnd(PLACING, 0.0) if variant.legs else None
         return FinishedWorld(self.group.plan, variant, self.scene, outcome, self.attempts, self.outcome, ended_in=end)
@@ -129,7 +131,7 @@ class Answer:
 
     Attributes:
         largest_survived, first_failed: level in g, or scale; None if there is none.
-        at_largest, at_failure: probes of the worlds at these two levels; None if no world was simulated there.
+        at_largest, at_failure: probes of the worlds at these two levels; None if no world was simulated at that level.
     """
 
     group: PlacementGroup
@@ -142,7 +144,7 @@ class Answer:
 
 
 SAME_STEP_ATTEMPTS = tuple(attempt for attempt in ATTEMPTS if attempt.timestep_divisor == 1 and not attempt.soft)
-"""The attempts for placements whose states are kept, and for their forks. The attempt with half the timestep is left
+"""The attempts for placements with stored states, and for their forks. The attempt with half the timestep is left
 out: a state counts time in steps, so no world can start from a state that was reached with half the timestep."""
 
 Test = tuple[int, int]
@@ -170,9 +172,9 @@ class _LegWorld(World):
     """A leg of a chain as a world that the engine simulates.
 
     Attributes:
-        changes: the worlds whose chains are the same up to this leg.
+        changes: worlds with equal chains up to this leg.
         number: of the leg in their chains.
-        before: the outcome after the legs before; None: this is the first one.
+        before: the outcome after the legs before; None: this is the first leg.
     """
 
     settled: SettledPlacement
@@ -190,13 +192,15 @@ class SweepRun:
     """One sweep on one engine. Iterate over :meth:`worlds` once; ``tally`` fills meanwhile.
 
     Args:
-        plan: what to simulate.
-        engine: runs placements and drives. One object does both, since no other can use its states.
-        progress: updated meanwhile. While boxes are placed, its message says how many placements have ended.
-        on_answer: called with each answer of a search.
-        values_of: gives the columns that the sweep adds to a world's row (column → value). Answers are made from them.
-        recorded: the completed worlds of the run. They are not simulated again.
-        recording: which worlds' histories are recorded, and kept.
+        plan: the worlds to simulate.
+        engine: runs placements and drives. One object simulates placements and drives, since no other object can use
+            its states.
+        progress: updated meanwhile. While boxes are placed, the message counts ended placements.
+        on_answer: called for each answer of a search.
+        values_of: gives the columns that the sweep adds to a world's row (column → value). Answers are computed from
+            these completed worlds.
+        recorded: the completed worlds of the run. The completed worlds are not simulated again.
+        recording: choice of the worlds with recorded and stored histories.
     """
 
     plan: SweepPlan
@@ -216,10 +220,10 @@ class SweepRun:
         return self.plan.sweep.simulation
 
     def worlds(self) -> Iterator[FinishedWorld]:
-        """Simulate everything that is missing; yield each world when it is final, in any order."""
+        """Simulate all missing worlds; yield each world when it is final, in any order."""
         # many drives may end soon after they begin, so the check pool is started while boxes are placed
-        known = self.plan.sweep.search is None
-        self._check_pool = check_pool_for(self.engine, self.plan.n_worlds - len(self.recorded)) if known else None
+        is_counted = self.plan.sweep.search is None
+        self._check_pool = check_pool_for(self.engine, self.plan.n_worlds - len(self.recorded)) if is_counted else None
         try:
             yield from self._all_worlds()
         finally:
@@ -262,14 +266,14 @@ class SweepRun:
         return world
 
     def _groups(self) -> Iterator[PlacementGroup]:
-        """Placements with missing worlds. In a search these are all placements, since its worlds follow from each
+        """Placements with missing worlds. For a search all placements count, since its worlds follow from each
         other."""
-        return (group for group in self.plan.groups(self._whole) if not group.variants or self._missing(group))
+        return (group for group in self.plan.groups(self._has_all_worlds) if not group.variants or self._missing(group))
 
-    def _whole(self, plan: Plan) -> bool:
-        """Whether no world of a plan is missing, so that its worlds need not be checked one by one."""
-        known = self.plan.sweep.search is None
-        return known and self.recorded.n_of(plan.plan_id) == self.plan.n_variants
+    def _has_all_worlds(self, plan: Plan) -> bool:
+        """Whether a plan has no missing world, which saves the check of each world."""
+        is_counted = self.plan.sweep.search is None
+        return is_counted and self.recorded.n_of(plan.plan_id) == self.plan.n_variants
 
     def _missing(self, group: PlacementGroup) -> list[Variant]:
         """The worlds of a placement that are not completed."""
@@ -286,14 +290,14 @@ class SweepRun:
         chunk: list[PlacementGroup] = []
         worlds = histories = 0
         for group in (group for group in self._groups() if group.driven):
-            more = len(group.variants) or per_search
+            n_forks = len(group.variants) or per_search
             more_histories = int(self.recording.of(group.plan) is not None)
-            full = worlds + more > most or len(chunk) >= self.batching.placements
+            full = worlds + n_forks > most or len(chunk) >= self.batching.placements
             if chunk and (full or histories + more_histories > self.batching.histories):
                 yield chunk
                 chunk, worlds, histories = [], 0, 0
             chunk.append(group)
-            worlds += more
+            worlds += n_forks
             histories += more_histories
         if chunk:
             yield chunk
@@ -325,21 +329,27 @@ class SweepRun:
         self, groups: Iterable[PlacementGroup], most_pending: int, keep_state: bool
     ) -> Iterator[SettledPlacement]:
         begin = time.perf_counter()
-        worlds = (
+        for result in self._score(self._placements(groups, keep_state), most_pending, forks=keep_state):
+            yield self._settled(result)
+        self.tally.placement_s += time.perf_counter() - begin
+
+    def _placements(self, groups: Iterable[PlacementGroup], keep_state: bool) -> Iterator[_PlacementWorld]:
+        return (
             _PlacementWorld(group.plan, group.index, self._placement(group, scene, keep_state), group)
             for group, scene in self.plan.scenes(groups)
         )
-        for result in self._score(worlds, most_pending, forks=keep_state):
-            self.tally.placements += 1
-            self.tally.placement_steps += result.outcome.n_steps
-            yield SettledPlacement(result.world.group, result.world.job.scene, result.outcome, result.attempts)
-        self.tally.placement_s += time.perf_counter() - begin
+
+    def _settled(self, result: WorldResult[Any]) -> SettledPlacement:
+        self.tally.placements += 1
+        self.tally.placement_steps += result.outcome.n_steps
+        return SettledPlacement(result.world.group, result.world.job.scene, result.outcome, result.attempts)
 
     def _placement(self, group: PlacementGroup, scene: Scene, keep_state: bool) -> Job:
         return self.plan.job(group, scene, keep_state=keep_state, record=self.recording.of(group.plan))
 
     def _run_placements(self, groups: Iterable[PlacementGroup]) -> Iterator[FinishedWorld]:
-        """Simulate placements without drives. Their worlds have the placement's outcome, with rest window."""
+        """Simulate placements without drives. The worlds of these placements have the placement's outcome, with rest
+        window."""
         for placed in self._place(groups, self.batching.undriven, keep_state=False):
             for variant in self._missing(placed.group):
                 if variant is placed.group.variants[0]:
@@ -370,22 +380,32 @@ class SweepRun:
     # Drives.
 
     def _fork(self, groups: Sequence[PlacementGroup]) -> Iterator[FinishedWorld]:
-        """Fork placements into all their variants. While later placements are simulated, the first drives are prepared,
-        since a device waits for them, and worlds of placements that are not driven are yielded."""
-        drives: dict[int, Iterable[_DriveWorld]] = {}
-        n_ready = 0
-        for start in self._settling(groups):
-            if not self._can_be_driven(start):
-                for variant in self._missing(start.group):
-                    yield start.undriven(variant)
+        """Fork placements into all their variants. Drives begin when their placement has settled, beside placements
+        that take longer."""
+        begin = time.perf_counter()
+        n_settled = 0
+        ready_drives: list[_DriveWorld] = []
+
+        def following() -> list[_DriveWorld]:
+            drives = ready_drives.copy()
+            ready_drives.clear()
+            return drives
+
+        worlds: Iterator[_PlacementWorld | _DriveWorld] = self._placements(groups, keep_state=True)
+        for result in self._score(worlds, self.batching.drives, forks=True, following=following):
+            if isinstance(result.world, _DriveWorld):
+                yield self._driven(result)
                 continue
-            of_start = self._drives_of(start)
-            ready = list(islice(of_start, self.batching.drives - n_ready))
-            drives[id(start.group)] = chain(ready, of_start)
-            n_ready += len(ready)
-        in_order = (drive for group in groups for drive in drives.pop(id(group), ()))
-        for _, world in self._drive(in_order):
-            yield world
+            start, n_settled = self._settled(result), n_settled + 1
+            self.progress.message = f"placed {n_settled:,} of {len(groups):,}" if n_settled < len(groups) else ""
+            if n_settled == len(groups):
+                self.tally.placement_s += time.perf_counter() - begin
+                begin = time.perf_counter()
+            if self._can_be_driven(start):
+                ready_drives += self._drives_of(start)
+            else:
+                yield from map(start.undriven, self._missing(start.group))
+        self.tally.drive_s += time.perf_counter() - begin
 
     def _drives_of(self, start: SettledPlacement) -> Iterator[_DriveWorld]:
         return (self._driving(start, variant) for variant in self._missing(start.group))
@@ -403,20 +423,22 @@ class SweepRun:
         begin = time.perf_counter()
         most = self.batching.drives  # all at once, since their scenes already exist
         for result in self._score(worlds, most, forks=True, begin_with=most, following=following):
-            world, outcome = result.world, result.outcome
-            self.tally.drives += 1
-            self.tally.drive_steps += outcome.n_steps
-            final = world.settled.shaken(outcome, self.sim.thresholds)
-            swept = FinishedWorld(
-                world.plan, world.change, world.job.scene, final, result.attempts, world.settled.outcome, driven=True
-            )
-            yield world.test, swept
+            yield result.world.test, self._driven(result)
         self.tally.drive_s += time.perf_counter() - begin
+
+    def _driven(self, result: WorldResult[Any]) -> FinishedWorld:
+        world, outcome = result.world, result.outcome
+        self.tally.drives += 1
+        self.tally.drive_steps += outcome.n_steps
+        final = world.settled.shaken(outcome, self.sim.thresholds)
+        return FinishedWorld(
+            world.plan, world.change, world.job.scene, final, result.attempts, world.settled.outcome, driven=True
+        )
 
     # Chains.
 
     def _chain(self, groups: Sequence[PlacementGroup]) -> Iterator[FinishedWorld]:
-        """Take placements through the legs of their chains, each leg from the end of the one before."""
+        """Take placements through the legs of their chains, each leg from the end of the leg before."""
         first: list[_LegWorld] = []
         for start in self._settling(groups):
             missing = self._missing(start.group)
@@ -429,17 +451,18 @@ class SweepRun:
     def _legs_of(
         self, start: SettledPlacement, changes: Iterable[Variant], number: int, before: Outcome | None
     ) -> Iterator[_LegWorld]:
-        """The legs with this number of some worlds, after the same outcome. Worlds with the same leg share it."""
+        """The legs with this number of some worlds, which had the same outcome so far. Worlds with the same leg share a
+        drive."""
         plan, record = start.group.plan, self.recording.of(start.group.plan)
         alike: dict[tuple[LegSpec, int], list[Variant]] = {}
         for change in changes:
             alike.setdefault((change.legs[number], change.replicate), []).append(change)
-        for (leg, _), same in alike.items():
-            drive = self.plan.leg_drive(plan, same[0], leg, start.load_height_m)
+        for (leg, _), changes_of_leg in alike.items():
+            drive = self.plan.leg_drive(plan, changes_of_leg[0], leg, start.load_height_m)
             poses = None if before is None else np.concatenate([before.boxes.pos, before.boxes.quat], axis=1)
             scene = start.scene_of(leg)
             job = Job(scene, drive=drive, start=start.outcome.state, poses=poses, record=record)
-            yield _LegWorld(plan, same[0].index, job, start, tuple(same), number, before)
+            yield _LegWorld(plan, changes_of_leg[0].index, job, start, tuple(changes_of_leg), number, before)
 
     def _through_legs(self, first: Iterable[_LegWorld]) -> Iterator[FinishedWorld]:
         """Simulate legs, and those that follow them; yield each world at the end of its way."""
@@ -461,11 +484,11 @@ class SweepRun:
             else:
                 outcome = after(world.before, result.outcome, self.sim.physics.timestep_s)
             on = outcome.verdict is Verdict.STABLE
-            more = [change for change in world.changes if on and len(change.legs) > world.number + 1]
-            next_ones += self._legs_of(start, more, world.number + 1, outcome)
+            further_changes = [change for change in world.changes if on and len(change.legs) > world.number + 1]
+            next_ones += self._legs_of(start, further_changes, world.number + 1, outcome)
             end = None if on else self._end(world, outcome, result.outcome.n_steps)
             for change in world.changes:
-                if change not in more:
+                if change not in further_changes:
                     yield FinishedWorld(
                         world.plan, change, world.job.scene, outcome, result.attempts, start.outcome, True, end
                     )
@@ -484,7 +507,7 @@ class SweepRun:
 
         When all tests of an item have ended, its next tests begin, while tests of other items still run. A placement
         that does not stand has one row per profile and direction, at the lowest level, with the outcome of the
-        placement. Nothing more is simulated for it.
+        placement. No further leg of such a world is simulated.
         """
         items, tilt_deg = self.plan.search_items(), self.sim.thresholds.tilt_deg
         searches = [(start, number) for start in settled for number in range(len(items))]
@@ -507,9 +530,9 @@ class SweepRun:
         def next_drives(which: int) -> list[_DriveWorld]:
             """The drives that an item needs next; empty if the item is finished."""
             while tests := bisection.next_tests(which):
-                known = {test: probe for test in tests if (probe := tested.get(test) or recorded(*test)) is not None}
-                tested.update(known)
-                if missing_now := [test for test in tests if test not in known]:
+                probes = {test: probe for test in tests if (probe := tested.get(test) or recorded(*test)) is not None}
+                tested.update(probes)
+                if missing_now := [test for test in tests if test not in probes]:
                     missing[which] = set(missing_now)
                     return [self._driving(searches[which][0], variant(*test), test) for test in missing_now]
                 # only the worlds at the bounds of an item's search can still become its answer
@@ -567,22 +590,23 @@ class SweepRun:
         if any(
             bracket.stands_at_rest and not bisection.next_tests(which) for which, bracket in enumerate(bisection.items)
         ):
-            return False  # a search of one level, in which no world shows that the placement stood
+            return False  # a search of one level, without a world that shows that the placement stood
         tested: dict[Test, Probe] = {}
         for which in range(len(bisection.items)):
             while tests := bisection.next_tests(which):
                 worlds = [self._recorded_test(group, *test) for test in tests]
-                known = [world for world in worlds if world is not None]
-                if len(known) < len(tests):
+                stored_worlds = [world for world in worlds if world is not None]
+                if len(stored_worlds) < len(tests):
                     return False
-                tested |= zip(tests, known, strict=True)
-                bisection.record(tests, known)
+                tested |= zip(tests, stored_worlds, strict=True)
+                bisection.record(tests, stored_worlds)
         self._answer([(group, number) for number in numbers], bisection, tested)
         return True
 
     def _recorded_rest(self, group: PlacementGroup, number: int) -> Probe:
-        """The outcome of a placement, as far as its worlds show it. A placement that did not stand has one world,
-        without steps. A failed test may have no steps either, but then the other first tests of the search exist, too.
+        """The outcome of a placement, as far as completed worlds show it. A placement that did not stand has one world,
+        without steps. A failed test may have no steps either, but then the results also have the other first tests of
+        the search.
         """
         row = self._row(group, number, 0)
         first = self._bisection([Probe(Verdict.STABLE)]).next_tests(0)

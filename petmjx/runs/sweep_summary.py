@@ -1,4 +1,4 @@
-"""What a sweep adds to the results: columns of ``worlds`` for parameters and answers, and the table ``summary``."""
+"""Additions of a sweep to the results: columns of ``worlds`` for parameters and answers, and the table ``summary``."""
 
 from __future__ import annotations
 
@@ -63,14 +63,14 @@ class SweepColumns:
         return columns
 
     def of(self, world: FinishedWorld) -> dict[str, Any]:
-        """Column → value of one world; missing ones become null."""
+        """Column → value of one world; missing values become null."""
         values: dict[str, Any] = dict(world.variant.parameters)
         values[MODE.name] = failure_mode(world.outcome, self._sim.thresholds.tilt_deg)
         values |= self.during_drive(world)
         return values
 
     def during_drive(self, world: FinishedWorld) -> dict[str, Any]:
-        """The values that come from the drive."""
+        """The values of the drive."""
         values: dict[str, Any] = {}
         if world.variant.legs:
             return self._of_leg(world)
@@ -88,7 +88,7 @@ class SweepColumns:
         return values
 
     def _of_leg(self, world: FinishedWorld) -> dict[str, Any]:
-        """The leg in which a world of a chain ended, and when a box crossed a threshold in it."""
+        """The leg in which a world of a chain ended, and the time at which a box crossed a threshold."""
         end = world.ended_in
         if end is None or end.leg == PLACING:
             return {LEG.name: end.leg if end is not None else ""}
@@ -161,8 +161,8 @@ class ShareColumns:
 def summarise_shares(parts: Parts, columns: ShareColumns) -> pd.DataFrame:
     """The summary of a grid or a sample: the share that stands by axis value, over all plans and for each plan.
 
-    Continuous ranges are divided into ``RANGE_BINS`` equal parts. With EUMOS's profile there is also the share that
-    passes the standard's limits, and with ``tilt`` the smallest angle at which a world failed.
+    Continuous ranges are divided into ``RANGE_BINS`` equal parts. With EUMOS's profile the summary also has the share
+    that passes the standard's limits, and with ``tilt`` the smallest angle at which a world failed.
 
     Args:
         parts: files of the run, all written.
@@ -205,8 +205,8 @@ def _binned_values(values: pd.Series[float], lowest: float, highest: float) -> p
     edges = np.linspace(lowest, highest, RANGE_BINS + 1)
     labels = [f"{low:.4g} to {high:.4g}" for low, high in itertools.pairwise(edges)]
     place = np.clip(np.searchsorted(edges, values.to_numpy(), side="right") - 1, 0, RANGE_BINS - 1)
-    named = pd.Series(pd.Categorical.from_codes(place, labels, ordered=True), index=values.index)
-    return named.where(values.notna())
+    labelled = pd.Series(pd.Categorical.from_codes(place, labels, ordered=True), index=values.index)
+    return labelled.where(values.notna())
 
 
 # Searches.

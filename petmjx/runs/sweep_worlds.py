@@ -34,8 +34,8 @@ _TILTED: Final = 0.5
 """Expected share of the steps of a tilt that are simulated, since pallets slide or topple before its end."""
 
 _ERRORS: Final = frozenset({"size_mm", "size_rel", "x_mm", "y_mm", "yaw_deg"})
-"""Fields that axes with errors of places or sizes change. Boxes are then placed by hand, unless the options say
-otherwise."""
+"""Fields that axes with errors of places or sizes change. Boxes are then placed by hand, unless the options name a way
+of placing."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -61,7 +61,7 @@ class PlacementGroup:
 
     @property
     def driven(self) -> bool:
-        """Whether its worlds have drives: all of them or none. True for a search."""
+        """Whether the worlds have drives: all of them or none. True for a search."""
         return all(variant.drive is not None or variant.legs for variant in self.variants)
 
 
@@ -107,14 +107,14 @@ class SweepPlan(Design):
         if self.sweep.legs:
             sim = self.sweep.simulation
             if sim.total_time_factor is not None:
-                raise InputError(f"{file}: legs contradict total_time_factor, which ends a world before they do")
+                raise InputError(f"{file}: legs contradict total_time_factor, which would end a world before its legs")
             if sim.has_soft:
                 raise InputError(f"{file}: legs contradict soft boxes: no leg can begin where another one left them")
             sides = walls_of(sim.carrier, sim.walls).sides or ()
             for place, leg in enumerate(self.sweep.legs):
                 if missing := [side.value for side in leg.open_walls if side not in sides]:
-                    why = f"the carrier has no wall {missing[0]!r}; simulation.walls or another carrier gives it one"
-                    raise InputError(f"{file}: legs[{place}].open_walls: {why}")
+                    reason = f"the carrier has no wall {missing[0]!r}; simulation.walls or another carrier gives it one"
+                    raise InputError(f"{file}: legs[{place}].open_walls: {reason}")
         # made once before the run, because this raises if a profile's frequencies are too high for the timestep
         for profile in self.sweep.profiles.values():
             try:
@@ -128,8 +128,8 @@ class SweepPlan(Design):
         if left is None or left > 0:
             return True
         at = f"at {self.sweep.simulation.total_time_factor:g} times the placement time (total_time_factor)"
-        why = f": the run ends before its profile begins, {at}"
-        self.skipped.append(Skipped.plan(plan, why, self.strict))
+        reason = f": the run ends before its profile begins, {at}"
+        self.skipped.append(Skipped.plan(plan, reason, self.strict))
         return False
 
     @property
@@ -138,8 +138,8 @@ class SweepPlan(Design):
         return len(self.plans) * self.n_variants
 
     def groups(self, without: Callable[[Plan], bool] = lambda plan: False) -> Iterator[PlacementGroup]:
-        """Every placement of every plan with its worlds, plan by plan. Plans for which ``without`` is true are left
-        out."""
+        """Every placement of every plan with its worlds, plan by plan. Plans are left out if ``without`` is true for
+        them."""
         for plan in (plan for plan in self.plans if not without(plan)):
             for number, (placement, variants) in enumerate(self.placements()):
                 yield PlacementGroup(plan, number, placement, variants)
@@ -163,7 +163,8 @@ class SweepPlan(Design):
         raise InputError(f"{self.sweep.file}: plan {printable_name(plan_id)} has no variant {index}")
 
     def search_variant(self, group: PlacementGroup, item: int, level_index: int) -> Variant:
-        """The world of a placement that tests one level of an item of a search. Its index is the same in any order."""
+        """The world of a placement that tests one level of an item of a search. The index of a world does not depend on
+        the order of its computation."""
         items, levels = self.search_items(), self.sweep.search_levels
         search_item, level = items[item], float(levels[level_index])
         index = 1 + (group.number * len(items) + item) * len(levels) + level_index
@@ -181,9 +182,9 @@ class SweepPlan(Design):
 
     def scenes(self, groups: Iterable[PlacementGroup]) -> Iterator[tuple[PlacementGroup, Scene]]:
         """Groups with the scenes of their placements. Scenes of consecutive groups of one plan are made together."""
-        for plan, some in itertools.groupby(groups, key=lambda group: group.plan):
-            these, same = itertools.tee(some)
-            placements = (group.placement for group in same)
+        for plan, plan_groups in itertools.groupby(groups, key=lambda group: group.plan):
+            these, groups_again = itertools.tee(plan_groups)
+            placements = (group.placement for group in groups_again)
             nominal = build_scene(plan, self.sweep.simulation)
             yield from zip(these, apply_all(nominal, plan.plan_id, placements, self.sweep.seed), strict=True)
 
@@ -208,7 +209,8 @@ class SweepPlan(Design):
         """The drive of one world. Worlds with the same samples share the array.
 
         Args:
-            load_height_m: height of the settled load, m. EUMOS's test limits the sway of boxes to a share of it.
+            load_height_m: height of the settled load, m. EUMOS's test limits the sway of boxes to a share of the load's
+                height.
         """
         spec = variant.drive
         if spec is None:
@@ -228,8 +230,8 @@ class SweepPlan(Design):
         return Drive(unit.excitation, spec.scale, yaw_rad, unit.rest_s, allowed_m)
 
     def leg_drive(self, plan: Plan, variant: Variant, leg: LegSpec, load_height_m: float = 0.0) -> Drive:
-        """All drives of a leg of one world, as one drive; without any, the pallet is left alone. Worlds with the same
-        samples share the array."""
+        """All drives of a leg of one world, as one drive; without drives, the pallet is not shaken. Worlds with the
+        same samples share the array."""
         sim = self.sweep.simulation
         made = (
             self.drive(plan, replace(variant, drive=self._with_strength(plan, variant, leg, place)), load_height_m)
@@ -250,7 +252,7 @@ class SweepPlan(Design):
         return Drive(self._rows[key], rest_s=rest_s, allowed_sway_m=allowed_m)
 
     def _with_strength(self, plan: Plan, variant: Variant, leg: LegSpec, place: int) -> DriveSpec:
-        """A drive of a leg with the strength that it has in one world. Remedies share the random number."""
+        """A drive of a leg with its strength in one world. Remedies share the random number."""
         spec = leg.drives[place]
         if spec.scale_to is None:
             return spec
@@ -267,7 +269,7 @@ class SweepPlan(Design):
         timestep_s = sim.physics.timestep_s
         excitation = profile.excitation(timestep_s, start_s, world)
         if profile.strength is Strength.ANGLE and sim.physics.gravity_m_s2 != STANDARD_GRAVITY:
-            # a tilt turns gravity, whatever its value; accelerations in m/s² do not depend on it
+            # a tilt turns gravity of any value; accelerations in m/s² do not depend on it
             turned = excitation.samples * (sim.physics.gravity_m_s2 / STANDARD_GRAVITY)
             excitation = replace(excitation, samples=turned)
         left = self._drive_steps_left(plan)
@@ -322,7 +324,7 @@ class SweepPlan(Design):
 
     @property
     def amount(self) -> str:
-        """What is simulated, in words."""
+        """Description of the simulated worlds."""
         if not self.sweep.axes and not self.sweep.legs:
             return count_text(len(self.plans), "plan")
         most = "at most " if self.sweep.search is not None else ""
@@ -336,7 +338,7 @@ class SweepPlan(Design):
 
     @property
     def _displaced(self) -> int:
-        """Placements per plan in which boxes appear at places with errors, and the schedule waits for them."""
+        """Placements per plan in which boxes appear at places with errors, with waits of the schedule."""
         sim = self.sweep.simulation
         waits = sim.check is Check.ONE_BY_ONE and sim.schedule is Schedule.ADAPTIVE
         if "placing" in self.sweep.axes:

@@ -54,10 +54,11 @@ def eumos_assessment(boxes: BoxMetrics, settled_pos: FloatArray, half_size: Floa
 
     Elastic deformation at most 10 % of the load's height during the test; permanent deformation at most 5 %
     of it, and at most 4 cm in the lowest 20 cm, after it. Displacements are those of box centres from their settled
-    places. The load's height counts from the carrier's top, z = 0. The elastic deformation includes the permanent one,
-    since on film the two cannot be distinguished before the end. A world in which a box fell never passes, however
-    small the shares, nor does a world with a NaN, because its profile never ran to the end. Source: EUMOS 40509:2020,
-    criteria as published by ESTL, the laboratory behind the standard.
+    places. The load's height counts from the carrier's top, z = 0. The elastic deformation includes the permanent
+    deformation, since on film the two cannot be distinguished before the end. A world in which a box fell never passes,
+    however
+    small the shares, nor does a world with a NaN: its profile never ran to its end. Source: EUMOS 40509:2020, criteria
+    as published by ESTL, the laboratory behind the standard.
 
     Args:
         settled_pos: (n, 3) centres before the profile, m.
@@ -101,9 +102,9 @@ def slide_m(
     against the sliding. Exact for an acceleration along one line that is constant within each step, except for the
     steps in which the block stops or its friction changes.
 
-    A whole load slides about as far, if not farther: on a load that touches nothing but the carrier's top, the
-    horizontal force is at most friction × the vertical one, as on the block. So its centre of mass, and with it at
-    least one box, moves as far.
+    A whole load slides about as far or farther: on a load that touches only the carrier's top, the horizontal force is
+    at most friction × the vertical force, as on the block. So the centre of mass of a load, and with it at least one
+    box, moves at least this far.
 
     Args:
         acceleration: (n_steps, 3) acceleration of the carrier, m/s².
@@ -129,10 +130,10 @@ def slide_m(
         held = float(grip[step] * friction_share(np.array(math.hypot(vx, vy)), kinetic))
         pushed_x, pushed_y = (v - float(a) * timestep_s for v, a in zip((vx, vy), acceleration[step, :2], strict=True))
         speed = math.hypot(pushed_x, pushed_y)
-        kept = max(1.0 - held * timestep_s / speed, 0.0) if speed > 0 else 0.0
-        x += (vx + pushed_x * kept) / 2 * timestep_s
-        y += (vy + pushed_y * kept) / 2 * timestep_s
-        vx, vy = pushed_x * kept, pushed_y * kept
+        remaining_share = max(1.0 - held * timestep_s / speed, 0.0) if speed > 0 else 0.0
+        x += (vx + pushed_x * remaining_share) / 2 * timestep_s
+        y += (vy + pushed_y * remaining_share) / 2 * timestep_s
+        vx, vy = pushed_x * remaining_share, pushed_y * remaining_share
         farthest = max(farthest, math.hypot(x, y))
         step += 1
     return farthest
@@ -141,8 +142,8 @@ def slide_m(
 def hopeless_profiles(sweep: Sweep) -> list[str]:
     """A line for each profile that slides every unsecured load farther than the shift threshold, from some strength on.
 
-    It is about accelerations only, which are the same for every plan. Searches find such a strength themselves. Runs
-    that end at a multiple of their placement time may end before the load slides that far, and are left out.
+    The line is about accelerations only, which are the same for every plan. Searches find this strength themselves.
+    Runs that end at a multiple of their placement time may end before the load slides that far, and are left out.
     """
     sim, axes = sweep.simulation, sweep.axes
     if sweep.search is not None or sim.total_time_factor is not None:
@@ -161,13 +162,15 @@ def hopeless_profiles(sweep: Sweep) -> list[str]:
         factors = axes[name].values or np.linspace(axes[name].low, axes[name].high, RANGE_POINTS).tolist()
         return sorted(value for value in factors if isinstance(value, float))
 
-    both = values("friction_factor")
+    common_factors = values("friction_factor")
     box, carrier = (values(f"{side}_friction_factor") for side in ("box", "carrier"))
     # MuJoCo takes the larger coefficient of two partners
-    friction = both[-1] * max(sim.physics.box_friction[0] * box[-1], carrier_friction(sim) * carrier[-1])
+    friction = common_factors[-1] * max(sim.physics.box_friction[0] * box[-1], carrier_friction(sim) * carrier[-1])
     errors = _friction_errors(sweep)
     friction *= max(1.0 + max(map(_largest, errors), default=0.0), MIN_FRICTION_FRACTION)
-    varies = any(len(factors) > 1 for factors in (both, box, carrier, errors)) or any(error.random for error in errors)
+    varies = any(len(factors) > 1 for factors in (common_factors, box, carrier, errors)) or any(
+        error.random for error in errors
+    )
     up_to = "up to " if varies else ""
     lines = []
     shaken = [(name, profile, values(profile.strength)) for name, profile in sweep.profiles.items()]
@@ -185,8 +188,8 @@ def hopeless_profiles(sweep: Sweep) -> list[str]:
         peak_g = strengths[first] * float(np.hypot(unit[:, 0], unit[:, 1]).max()) / STANDARD_GRAVITY
         peak = f"{profile.max_deg:g}°" if isinstance(profile, Tilt) else f"{peak_g:.3g} g"
         since = f" from {profile.strength} {strengths[first]:g} on" if len(strengths) > 1 else ""
-        why = f"with friction {up_to}{friction:.3g} no unsecured load stays in place"
-        lines.append(f"{name} reaches {peak}{since}: {why}")
+        reason = f"with friction {up_to}{friction:.3g} no unsecured load stays in place"
+        lines.append(f"{name} reaches {peak}{since}: {reason}")
     return lines
 
 
@@ -201,9 +204,9 @@ def _largest(error: Distribution) -> float:
 
 
 def _first_hopeless(unit: FloatArray, strengths: Sequence[float], friction: float, sim: Simulation) -> int:
-    """Index of the first of rising strengths that slides a block too far; the number of strengths if none does.
+    """Index of the first of rising strengths that slides a block too far; the number of strengths if no strength does.
 
-    Every strength above one that slides the block also slides it.
+    If one strength slides the block, every larger strength does so, too.
     """
     physics, limit_m = sim.physics, sim.thresholds.shift_m
 

@@ -16,7 +16,7 @@ from petmjx.show.table_layout import FittedTable, TableColumn, line, number
 
 
 def comparison_tables(comparison: Comparison, max_rows: int = 40) -> Iterator[RenderableType]:
-    """All tables and lines. At most ``max_rows`` worlds are listed as flipped, or as being in one run only."""
+    """All tables and lines. At most ``max_rows`` worlds are listed as flipped, or as present in one run only."""
     yield line(f"a  {comparison.a}")
     yield line(f"b  {comparison.b}")
     for note in comparison.notes:
@@ -24,8 +24,8 @@ def comparison_tables(comparison: Comparison, max_rows: int = 40) -> Iterator[Re
     for name, frame in (("a", comparison.only_a), ("b", comparison.only_b)):
         if len(frame):
             shown = ", ".join(f"{row.plan_id}/{row.variant}" for row in frame.head(max_rows).itertuples())
-            more = ", …" if len(frame) > max_rows else ""
-            yield line(f"{count_text(len(frame), 'world')} only in {name}: {shown}{more}")
+            more_text = ", …" if len(frame) > max_rows else ""
+            yield line(f"{count_text(len(frame), 'world')} only in {name}: {shown}{more_text}")
     yield ""
     yield _confusion_table(comparison)
     if comparison.n_not_stable:

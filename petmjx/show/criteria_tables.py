@@ -14,14 +14,14 @@ from petmjx.engines.metrics import DIMENSIONLESS
 from petmjx.show.table_layout import FittedTable, TableColumn, line, number, percent
 
 SHOWN_SKIPPED = 10
-"""Most skipped plans that are shown; ``criteria.json`` has all of them."""
+"""Largest number of skipped plans shown; ``criteria.json`` has all of them."""
 
 
 def criteria_tables(results: CriteriaResults, out: str | None = None) -> Iterator[RenderableType]:
     """All tables and lines: the answers of the criteria, and with a run their comparison with physics.
 
     Args:
-        out: the folder with the tables, if they were written.
+        out: the folder with the tables, if written.
     """
     skipped = results.info["skipped"]
     for message in skipped[:SHOWN_SKIPPED]:
@@ -54,7 +54,7 @@ def _says_table(results: CriteriaResults) -> FittedTable:
         TableColumn("least\nslack"),
         TableColumn("", "left"),
         TableColumn("in plan", "left", least=12, middle=True, spare=1),
-        title="what the criteria say: a plan is accepted if all its boxes are stable at their placement",
+        title="answers of the criteria: a plan is accepted if all its boxes are stable at their placement",
     )
     for criterion in results.criteria:
         accepted = results.plans[criterion.name]
@@ -75,7 +75,7 @@ def _says_table(results: CriteriaResults) -> FittedTable:
 
 def _criteria_vs_physics_table(judged: pd.DataFrame) -> FittedTable:
     first = judged.iloc[0]
-    known = count_text(int(first["n_plans"]), "plan")
+    plan_count = count_text(int(first["n_plans"]), "plan")
     stand, fall = (first[f"accepted_{outcome}"] + first[f"refused_{outcome}"] for outcome in ("stands", "falls"))
     alike = (
         "" if stand and fall else "; all stand, so there is no MCC" if stand else "; none stands, so there is no MCC"
@@ -90,7 +90,7 @@ def _criteria_vs_physics_table(judged: pd.DataFrame) -> FittedTable:
         TableColumn("recall", "left", spare=4),
         TableColumn("MCC", "left"),
         TableColumn("same\nfirst box", spare=3),
-        title=f"judged by physics on {known}{alike}",
+        title=f"judged by physics on {plan_count}{alike}",
         caption="precision: share of the accepted that stand; recall: share of the standing that are accepted; "
         "95 % intervals",
     )

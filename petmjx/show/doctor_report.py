@@ -129,11 +129,11 @@ def _caches() -> dict[str, str]:
 
 
 def _cache(kind: Kind) -> str:
-    """The folder of a cache, with the reason if it is not the requested one."""
-    if why := why_no_folder(kind):
-        return why
-    why = why_not_written(kind)
-    return f"{cache_folder(kind)} (since {why})" if why else str(cache_folder(kind))
+    """The folder of a cache, with the reason if another folder was requested."""
+    if fault := why_no_folder(kind):
+        return fault
+    fault = why_not_written(kind)
+    return f"{cache_folder(kind)} (since {fault})" if fault else str(cache_folder(kind))
 
 
 def doctor_table(report: Report, why_no_pictures: str) -> Table:

@@ -1,4 +1,4 @@
-"""What files of packing plans are, how they are read and what is odd: records and lines of ``petmjx info``."""
+"""The kind of files of packing plans, their reading and their oddities: records and lines of ``petmjx info``."""
 
 from __future__ import annotations
 
@@ -47,13 +47,13 @@ def file_infos(paths: Sequence[Path], options: Mapping[str, Any]) -> tuple[list[
 
 
 def _orders_line(path: Path, options: Mapping[str, Any]) -> str:
-    """How a file without plans is read as orders, or in which two ways; "": it holds no orders."""
-    bad: list[InputError] = []
+    """The reading of a file without plans as orders, or its two possible readings; "": no orders."""
+    errors: list[InputError] = []
     try:
         reading = OrderReading.of(RunOptions(**{name: options[name] for name in OF_ORDERS if name in options}))
         with warnings.catch_warnings(record=True) as notes:
             warnings.simplefilter("always", PlanWarning)
-            sizes = [len(order.items) for _, order in read_orders(path, bad.append, reading)]
+            sizes = [len(order.items) for _, order in read_orders(path, errors.append, reading)]
     except InputError as error:
         line = str(error).removeprefix(f"{printable(str(path))}: ")
         return line if line.startswith(TWO_WAYS) else ""
@@ -61,7 +61,7 @@ def _orders_line(path: Path, options: Mapping[str, Any]) -> str:
         return ""
     plain = f"read as BED-BPP's orders; {count_text(len(sizes), 'order')}, {count_text(sum(sizes), 'box', 'boxes')}"
     line = str(notes[0].message).removeprefix(f"{printable(str(path))}: ") if notes else plain
-    return f"{line}; unusable: {bad[0]}" if bad else line
+    return f"{line}; unusable: {errors[0]}" if errors else line
 
 
 def _info(plan_set: PlanSet, source: str) -> dict[str, Any]:
@@ -69,7 +69,7 @@ def _info(plan_set: PlanSet, source: str) -> dict[str, Any]:
     reading = plan_set.readings.get(source)
     sizes = [float((plan.corner_mm + plan.size_mm).max(axis=0)[axis]) for plan in plans for axis in range(3)]
     form = "petmjx's own form" if plans else "cannot be read"
-    ready = [line for line in plan_set.conventions if reading is None and source in line]
+    lines = [line for line in plan_set.conventions if reading is None and source in line]
     record: dict[str, Any] = {
         "file": source,
         "form": form if reading is None else reading.form,
@@ -81,7 +81,7 @@ def _info(plan_set: PlanSet, source: str) -> dict[str, Any]:
         "skipped": [skipped.message for skipped in plan_set.skipped if skipped.source == source],
         "odd": [
             *(str(odd) for odd in plan_set.warnings if odd.source == source),
-            *ready,
+            *lines,
             *(() if reading is None else reading.odd),
         ],
         "reading": None,
@@ -110,10 +110,15 @@ def _info(plan_set: PlanSet, source: str) -> dict[str, Any]:
 
 
 def _why_worse(reading: Reading, other: Reading) -> str:
-    """Why another reading is less plausible than the one that was chosen: what its names, units or boxes cost more."""
-    more, of_layout = other.cost - reading.cost, other.layout_cost - reading.layout_cost
-    what = "by its boxes" if of_layout > more / 2 else "by names, units and what is usual"
-    return f"less plausible {what} (cost {reading.cost:.1f} against {other.cost:.1f})" if more > 0 else "as plausible"
+    """The reason why another reading is less plausible than the chosen one: its larger costs of names, units or
+    boxes."""
+    extra_cost, of_layout = other.cost - reading.cost, other.layout_cost - reading.layout_cost
+    cause = "by its boxes" if of_layout > extra_cost / 2 else "by names, units and usual values"
+    return (
+        f"less plausible {cause} (cost {reading.cost:.1f} against {other.cost:.1f})"
+        if extra_cost > 0
+        else "as plausible"
+    )
 
 
 def info_lines(infos: Sequence[Mapping[str, Any]]) -> Iterator[str]:

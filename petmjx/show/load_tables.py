@@ -16,7 +16,7 @@ from petmjx.show.table_layout import FittedTable, TableColumn, line, number, per
 
 
 def load_tables(loads: Loads, out: str | None = None) -> Iterator[RenderableType]:
-    """The worlds with the largest loads relative to the strength of a box, and a line with the counts.
+    """The worlds with the largest ratios of load to strength of a box, and a line with the counts.
 
     Args:
         out: folder of the files, if any were written.
@@ -37,8 +37,8 @@ def load_tables(loads: Loads, out: str | None = None) -> Iterator[RenderableType
         yield line(f"{surely:,} surely, {possibly:,} possibly: by the least and the most force that statics allows")
     counts = {name: int((loads.plans["crushed"] == name).sum()) for name in (SURELY, POSSIBLY, NOT)}
     unsure = len(loads.plans) - sum(counts.values())
-    named = ", ".join(f"{count:,} {name}" for name, count in counts.items())
-    yield line(f"crushed: {named}, {unsure:,} not known")
+    count_words = ", ".join(f"{count:,} {name}" for name, count in counts.items())
+    yield line(f"crushed: {count_words}, {unsure:,} not known")
     if loads.ways is not None:
         yield ""
         yield _ways_table(loads.ways)
@@ -86,8 +86,8 @@ def _table(loads: Loads) -> FittedTable:
     )
     forces = loads.boxes.set_index(["plan_id", "variant", "box"])[["rest_top_force_n", "strength_n"]]
     for row in ranked.head(FEW_ROWS).to_dict("records"):
-        known = not pd.isna(row["box"])
-        force = forces.loc[(row["plan_id"], row["variant"], row["box"])] if known else None
+        has_box = not pd.isna(row["box"])
+        force = forces.loc[(row["plan_id"], row["variant"], row["box"])] if has_box else None
         table.add(
             row["plan_id"],
             *([str(row["variant"])] if with_variants else []),
@@ -98,7 +98,7 @@ def _table(loads: Loads) -> FittedTable:
             f"{row['n_unknown']:,}",
             percent(row["max_load_share"]),
             percent(row["max_peak_share"]),
-            box_label(row["box"], row["article"]) if known else "-",
+            box_label(row["box"], row["article"]) if has_box else "-",
             "-" if force is None else number(force["rest_top_force_n"], "z.0f"),
             "-" if force is None else number(force["strength_n"], ".0f"),
         )

@@ -17,14 +17,14 @@ from petmjx.show.table_layout import FittedTable, TableColumn, line, number, per
 
 
 def packer_tables(comparison: PackerComparison, max_rows: int = 40) -> Iterator[RenderableType]:
-    """All tables and lines. For each two packers at most ``max_rows`` orders are named as won or lost."""
+    """All tables and lines. For each pair of packers at most ``max_rows`` orders are named as won or lost."""
     for name, folder in comparison.runs.items():
         yield line(f"{printable_name(name)}  {folder}")
     for note in comparison.notes:
         yield line(f"note: {note}", style="yellow")
     yield from _not_compared(comparison)
     if not comparison.packers["n"].any():
-        return  # a note says why
+        return  # a note has the reason
     yield ""
     yield _packers_table(comparison)
     if KPIS[0] in comparison.packers:
@@ -130,7 +130,7 @@ def _pairs_table(comparison: PackerComparison) -> FittedTable:
 
 
 def _arrival_tables(comparison: PackerComparison) -> Iterator[RenderableType]:
-    """How likely plans arrive, if they were taken through a chain: by packer, and differences of each two."""
+    """The chance of plans in a chain to arrive: by packer, and differences of pairs."""
     table = FittedTable(
         TableColumn("packer", "left", least=8, middle=True),
         TableColumn("P"),
@@ -192,8 +192,8 @@ def _reasons_table(reasons: pd.DataFrame) -> FittedTable:
 def _decided_lines(decided: pd.DataFrame, max_rows: int) -> Iterator[RenderableType]:
     for (winner, loser), rows in decided.groupby(["won_by", "lost_by"], sort=False):
         ids = ", ".join(map(printable_name, rows["plan_id"].head(max_rows)))
-        more = f" and {len(rows) - max_rows:,} more (all with -o)" if len(rows) > max_rows else ""
-        yield line(f"{printable_name(winner)} stands, {printable_name(loser)} does not: {ids}{more}")
+        more_text = f" and {len(rows) - max_rows:,} more (all with -o)" if len(rows) > max_rows else ""
+        yield line(f"{printable_name(winner)} stands, {printable_name(loser)} does not: {ids}{more_text}")
 
 
 def _left_out(comparison: PackerComparison) -> list[TableColumn]:

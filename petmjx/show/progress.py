@@ -22,7 +22,7 @@ from petmjx.runs.simulate import RunStart
 from petmjx.runs.study import FinishedWorld
 
 REFRESH_S: Final = 0.5
-"""Time after which the bar is drawn again while no world finishes, s, since its message may have changed."""
+"""Without finished worlds, the bar is drawn again after this time, s, since its message may have changed."""
 
 LINE_S: Final = 10.0
 """Time between two lines if there is no terminal, s."""
@@ -40,8 +40,8 @@ def progress(total: int | None, what: str = "plan", console: Console | None = No
     """Shows the number of finished worlds, worlds per second, the time left and a message.
 
     Args:
-        total: number of worlds; None if it is not known.
-        what: the user's word for a world: ``plan``, or ``world`` in sweeps.
+        total: number of worlds; None if unknown.
+        what: the noun for a world in messages: ``plan``, or ``world`` in sweeps.
         console: the console to write to; by default standard error, so that standard output only has results.
     """
     console = console or Console(stderr=True, force_interactive=None if _is_terminal() else False)
@@ -66,7 +66,7 @@ def _wrapped_line(text: str) -> str:
 
 
 class ProgressLines:
-    """Writes a line every ``LINE_S`` seconds, and a last one. If lines cannot be written, the run continues."""
+    """Writes a line every ``LINE_S`` seconds, and a last line. If lines cannot be written, the run continues."""
 
     def __init__(
         self, total: int | None, what: str, write: Callable[[str], object], clock: Callable[[], float] = time.monotonic
@@ -126,11 +126,11 @@ class _Bar(RichProgress):
 
 
 class BarWatcher(AbstractContextManager["BarWatcher"]):
-    """Prints to standard error what a run will do, and shows its progress.
+    """Prints to standard error the work of a run, and shows its progress.
 
     Attributes:
-        what: the user's word for a world: "plan", or "world" in sweeps.
-        total: number of worlds; None before the run begins, and if it is not known.
+        what: the noun for a world in messages: "plan", or "world" in sweeps.
+        total: number of worlds; None before the run begins, and if unknown.
     """
 
     def __init__(self) -> None:

@@ -1,4 +1,4 @@
-"""Repairs in a terminal: what is changed in each plan, and how often it stands before and after."""
+"""Repairs in a terminal: the changes of each plan, and its share of standing worlds before and after."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from petmjx.repairs.trials import Share
 from petmjx.show.table_layout import line
 
 MOST_STANDING: Final = 20
-"""Most plans that stand as they are and get a line each."""
+"""Largest number of plans that stand unchanged and get a line each."""
 
 
 def repair_tables(repairs: Repairs) -> Iterator[RenderableType]:

@@ -26,13 +26,13 @@ SHOWN_PLANS: Final = 10
 """Most plans that a line names."""
 
 SHOWN_SKIPPED: Final = 10
-"""Most skipped plans that are shown; ``run.json`` has all of them."""
+"""Largest number of skipped plans shown; ``run.json`` has all of them."""
 
 _STYLES: Final = {Verdict.STABLE.value: "green", Verdict.UNSTABLE.value: "red", Verdict.INVALID.value: "yellow"}
 
 
 def run_tables(results: RunResults) -> Iterator[RenderableType]:
-    """All tables and lines: the answers of a sweep or of a score with confidence, or the worlds if there are few; then
+    """All tables and lines: the answers of a sweep or of a score with confidence, or the worlds if these are few; then
     skipped plans and the counts."""
     config = results.info["config"]
     sweep = config["command"] == "sweep"
@@ -88,25 +88,25 @@ def _confidence_tables(results: RunResults, summary: pd.DataFrame) -> Iterator[R
 
 
 def _why_they_fail(summary: pd.DataFrame) -> Iterator[RenderableType]:
-    """Lines on worlds in which a box could not be placed, and on plans whose share depends on how boxes are placed."""
+    """Lines on worlds in which a box could not be placed, and on plans whose share depends on the way of placing."""
     missed = summary["n_not_placed"] > summary["n_fell"]
     if missed.any():
-        named = _plan_id_list(summary.loc[missed, "plan_id"].tolist())
-        yield line(f"most worlds that do not stand have a box that could not be placed: {named}", style="yellow")
+        plan_names = _plan_id_list(summary.loc[missed, "plan_id"].tolist())
+        yield line(f"most worlds that do not stand have a box that could not be placed: {plan_names}", style="yellow")
     if "placing_matters" not in summary:
         return
     for placing, way in (("carried", ">"), ("exact", "<")):
-        more = summary.eval(f"only_carried {way} only_exact") & summary["placing_matters"]
-        if more.any():
+        is_significant = summary.eval(f"only_carried {way} only_exact") & summary["placing_matters"]
+        if is_significant.any():
             placing_text = "carried to their places" if placing == "carried" else "placed exactly"
-            named = _plan_id_list(summary.loc[more, "plan_id"].tolist())
-            yield line(f"stands more often, beyond chance, if boxes are {placing_text}: {named}", style="yellow")
+            plan_names = _plan_id_list(summary.loc[is_significant, "plan_id"].tolist())
+            yield line(f"stands more often, beyond chance, if boxes are {placing_text}: {plan_names}", style="yellow")
 
 
 def _plan_id_list(plan_ids: list[str]) -> str:
-    """The first ``SHOWN_PLANS`` plans, and how many more there are."""
-    more = f" and {len(plan_ids) - SHOWN_PLANS:,} more, in summary" if len(plan_ids) > SHOWN_PLANS else ""
-    return ", ".join(map(printable_name, plan_ids[:SHOWN_PLANS])) + more
+    """The first ``SHOWN_PLANS`` plans, and the number of further plans."""
+    more_text = f" and {len(plan_ids) - SHOWN_PLANS:,} more, in summary" if len(plan_ids) > SHOWN_PLANS else ""
+    return ", ".join(map(printable_name, plan_ids[:SHOWN_PLANS])) + more_text
 
 
 def notes(info: Mapping[str, Any]) -> Iterator[RenderableType]:
@@ -132,7 +132,7 @@ def summary_table(info: Mapping[str, Any], what: str = "plans") -> Table:
 
     Args:
         info: ``run.json``, or ``RunWriter.info``.
-        what: the user's word for worlds: ``plans``, or ``worlds`` in sweeps.
+        what: the noun for worlds in messages: ``plans``, or ``worlds`` in sweeps.
     """
     counts = info.get("counts", {})
     worlds = int(counts.get("worlds", 0))
@@ -156,7 +156,7 @@ def summary_table(info: Mapping[str, Any], what: str = "plans") -> Table:
 
 
 def search_table(info: Mapping[str, Any], summary: pd.DataFrame) -> Table:
-    """The short table of a search. Answers are counted, since verdicts of tests only show where the search looked.
+    """The short table of a search. Answers are counted, since verdicts of tests only show the path of the search.
 
     Args:
         info: ``run.json``.
@@ -233,12 +233,12 @@ def _add_end(table: Table, info: Mapping[str, Any], what: str, done: int) -> Non
 
 
 def _edge_cells(row: Mapping[Any, Any], of_boxes: pd.DataFrame | None) -> tuple[str, str]:
-    """The distance of a load from an edge, mm, and the box that it belongs to: of the load that set the flag
-    ``knife-edge``; without the flag, of the load with the smallest distance.
+    """The distance of a load from an edge, mm, and its box: for the load that set the flag ``knife-edge``; without the
+    flag, of the load with the smallest distance.
 
     Args:
         row: the world.
-        of_boxes: its rows of ``boxes``; None: they are not kept.
+        of_boxes: its rows of ``boxes``; None: no such table.
     """
     flagged = bool(int(row["flags"]) & Flag.KNIFE_EDGE)
     plan_edge_m, rest_edge_m = (
@@ -246,11 +246,11 @@ def _edge_cells(row: Mapping[Any, Any], of_boxes: pd.DataFrame | None) -> tuple[
         else of_boxes.sort_values("box")[name].to_numpy(float, na_value=np.nan)
         for name in ("plan_edge_m", "rest_edge_m")
     )  # fmt: skip
-    kept = kept_edges(row, plan_edge_m, rest_edge_m)
+    table_edges = kept_edges(row, plan_edge_m, rest_edge_m)
     edge = (
-        nearest_edge(kept, Verdict(row["verdict"]))
+        nearest_edge(table_edges, Verdict(row["verdict"]))
         if flagged
-        else min(kept, key=lambda edge: edge.edge_m, default=None)
+        else min(table_edges, key=lambda edge: edge.edge_m, default=None)
     )
     if edge is None:
         return "", ""
@@ -258,11 +258,11 @@ def _edge_cells(row: Mapping[Any, Any], of_boxes: pd.DataFrame | None) -> tuple[
 
 
 def worlds_table(worlds: pd.DataFrame, boxes: pd.DataFrame, orders: pd.DataFrame | None = None) -> FittedTable:
-    """One row per plan of a score: its verdict, the first box to fail and when, and its largest metrics. If a world is
-    on a knife's edge, the table also has distances of loads from edges, and their boxes.
+    """One row per plan of a score: its verdict, the first box to fail and its time, and its largest metrics. If a world
+    is on a knife's edge, the table also has distances of loads from edges, and their boxes.
 
     Args:
-        worlds, boxes: tables of the run. Without boxes the article of the first box to fail is not known.
+        worlds, boxes: tables of the run. Without boxes the article of the first box to fail is unknown.
         orders: its table ``plans``, if that has the number of boxes left out, which becomes another column.
     """
     on_edge = any(int(flags) & Flag.KNIFE_EDGE for flags in worlds["flags"])

@@ -19,10 +19,10 @@ from petmjx.runs.sweep_axes import AXIS_KINDS
 from petmjx.show.table_layout import FittedTable, TableColumn, number, percent
 
 FEW_ROWS: Final = 40
-"""Most worlds or searches for which a table with one row each is shown."""
+"""Largest number of worlds or searches for a table with one row each."""
 
 MAX_VALUES: Final = 50
-"""Most axis values that are shown; ``summary`` has all of them."""
+"""Largest number of axis values shown; ``summary`` has all of them."""
 
 _QUANTILES: Final = {"min": 0.0, "25 %": 0.25, "median": 0.5, "75 %": 0.75, "max": 1.0}
 
@@ -62,8 +62,10 @@ def sweep_tables(summary: pd.DataFrame) -> Iterator[FittedTable]:
 
 def _varied_columns(summary: pd.DataFrame) -> list[str]:
     """The columns of placement axes, such as turns of film, that have several values in a search."""
-    known = (kind.column for kind in AXIS_KINDS.values())
-    return [name for name in known if name in summary and name not in _STANDARD_AXES and summary[name].nunique() > 1]
+    axis_columns = (kind.column for kind in AXIS_KINDS.values())
+    return [
+        name for name in axis_columns if name in summary and name not in _STANDARD_AXES and summary[name].nunique() > 1
+    ]
 
 
 def _headers(names: Sequence[str]) -> list[TableColumn]:
@@ -73,8 +75,7 @@ def _headers(names: Sequence[str]) -> list[TableColumn]:
 def shares_table(summary: pd.DataFrame) -> FittedTable:
     """The share that stands, for each value of each axis with several values, over all plans.
 
-    A share refers to the worlds in the column before it: worlds with a verdict, or worlds that EUMOS's limits were
-    applied to.
+    A share refers to the worlds in the column before it: worlds with a verdict, or worlds checked by EUMOS's limits.
     """
     overall = summary[summary["scope"] == ALL_PLANS]
     several = overall.groupby("axis")["value"].transform("size") > 1
@@ -111,9 +112,9 @@ def shares_table(summary: pd.DataFrame) -> FittedTable:
 
 def confidence_table(summary: pd.DataFrame) -> FittedTable:
     """One row per plan of a score with confidence: its nominal verdict, and the share that stands with errors. If boxes
-    could not be placed, also in how many worlds, and in how many other worlds boxes fell."""
+    could not be placed, also the number of such worlds, and of other worlds in which boxes fell."""
     tosses = bool(summary["coin_toss"].any())
-    fails, both = bool(summary[["n_not_placed", "n_fell"]].any(axis=None)), "share_exact" in summary
+    fails, has_exact = bool(summary[["n_not_placed", "n_fell"]].any(axis=None)), "share_exact" in summary
     table = FittedTable(
         TableColumn("plan", "left", least=20, middle=True),
         TableColumn("nominal", "left"),
@@ -122,33 +123,33 @@ def confidence_table(summary: pd.DataFrame) -> FittedTable:
         TableColumn("share", spare=1),
         TableColumn("95 %"),
         *([TableColumn("could not\nbe placed"), TableColumn("fell")] if fails else []),
-        *([TableColumn("share,\nexact")] if both else []),
+        *([TableColumn("share,\nexact")] if has_exact else []),
         *([TableColumn("", "left")] if tosses else []),
         title="worlds with errors",
         caption="* differs beyond chance from boxes that are carried"
-        if both and summary["placing_matters"].any()
+        if has_exact and summary["placing_matters"].any()
         else "",
     )
     for row in summary.to_dict("records"):
         judged = row["n_worlds"] - row["n_invalid"]
-        known = judged > 0
+        is_judged = judged > 0
         table.add(
             str(row["plan_id"]),
             str(row["verdict"]),
             number(row["margin"], ".2f"),
             f"{row['n_standing']} of {judged}",
             percent(row["share"]),
-            f"{percent(row['low'])} to {percent(row['high'])}" if known else "",
+            f"{percent(row['low'])} to {percent(row['high'])}" if is_judged else "",
             *([f"{row[name] or ''}" for name in ("n_not_placed", "n_fell")] if fails else []),
-            *([percent(row["share_exact"]) + (" *" if row["placing_matters"] else "")] if both else []),
+            *([percent(row["share_exact"]) + (" *" if row["placing_matters"] else "")] if has_exact else []),
             *(["coin toss" if row["coin_toss"] else ""] if tosses else []),
         )
     return table
 
 
 def chain_tables(summary: pd.DataFrame) -> Iterator[FittedTable]:
-    """The tables of a chain: a row for each plan, if there are few; then all plans leg by leg, and what remedies
-    gain."""
+    """The tables of a chain: a row for each plan, if these are few; then all plans leg by leg, and the gains by
+    remedies."""
     of_plans = arrivals(summary)
     if len(of_plans) <= FEW_ROWS:
         yield arrivals_table(summary, of_plans)
@@ -161,8 +162,8 @@ def chain_tables(summary: pd.DataFrame) -> Iterator[FittedTable]:
 
 
 def arrivals_table(summary: pd.DataFrame, of_plans: pd.DataFrame) -> FittedTable:
-    """One row per plan: how likely it arrives, its share of worlds that stand after each leg that they reached, and
-    where most of them fail."""
+    """One row per plan: its chance to arrive, the share that stands after each leg among the worlds that reached it,
+    and the leg of most failures."""
     shares = shares_by_leg(summary)
     drawn = bool(of_plans["low"].notna().any())
     table = FittedTable(
@@ -210,7 +211,7 @@ def legs_table(legs: pd.DataFrame) -> FittedTable:
 
 
 def remedies_table(remedies: pd.DataFrame) -> FittedTable:
-    """One row per remedy over all plans, the one that gains most first."""
+    """One row per remedy over all plans, the largest gain first."""
     table = FittedTable(
         TableColumn("remedy", "left", least=16),
         TableColumn("P"),
@@ -270,7 +271,7 @@ def _cell(value: object) -> str:
 
 
 def _quantile(levels: FloatArray, q: float) -> str:
-    """A quantile of rising levels. NaN levels come first and count as below all others."""
+    """A quantile of rising levels. NaN levels stand first and count as below all other levels."""
     if not len(levels):
         return "-"
     place = q * (len(levels) - 1)
@@ -307,7 +308,7 @@ def answers_table(summary: pd.DataFrame) -> FittedTable:
 
 
 def laboratory_table(summary: pd.DataFrame) -> FittedTable:
-    """One row per search with EUMOS's test: what a laboratory reports of the largest level survived."""
+    """One row per search with EUMOS's test: the values that a laboratory reports at the largest level survived."""
     varied = _varied_columns(summary)
     table = FittedTable(
         TableColumn("plan", "left", least=20, middle=True),
@@ -339,8 +340,8 @@ LABORATORY_LEVELS_G: Final = (0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8)
 
 
 def turns_table(summary: pd.DataFrame) -> FittedTable:
-    """How many turns of film each plan needs: the fewest of those tried with which it survives a level in every
-    direction. "none": it does not with any."""
+    """The turns of film that each plan needs: the smallest tested number with which it survives a level in every
+    direction. "none": the plan survives with no tested number."""
     least = summary.fillna({"largest_level_g": 0.0}).groupby(["plan_id", "wrap_turns"], sort=False)["largest_level_g"]
     survived = least.min().unstack("wrap_turns")
     tested = np.fmax(summary["largest_level_g"].max(), summary["first_failed_level_g"].max())

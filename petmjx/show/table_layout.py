@@ -23,7 +23,7 @@ class TableColumn:
     Attributes:
         header: heading, which may have several lines.
         justify: alignment of its cells.
-        least: shortest length to which its texts may be cut, in characters; None: its cells are never cut.
+        least: shortest length of cut texts, in characters; None: cells are never cut.
         middle: whether texts are cut in the middle, for names that differ at the end. Otherwise they are cut at the
             end.
         spare: 0: the column always stays. Otherwise it may be left out; columns with the largest value go first.
@@ -39,8 +39,8 @@ class TableColumn:
 class FittedTable:
     """A table without lines that is never wider than the terminal.
 
-    If the terminal is too narrow, texts are cut first. Then spare columns are left out, and a line below the table
-    names them. Numbers are cut only if even the remaining columns do not fit.
+    If the terminal is too narrow, texts are cut first. If cells are still too wide, spare columns are left out, and a
+    line below the table names them. Numbers are cut only if even the remaining columns do not fit.
     """
 
     def __init__(self, *columns: TableColumn, title: str = "", caption: str = "") -> None:
@@ -83,17 +83,17 @@ class FittedTable:
 def _column_widths(columns: Sequence[TableColumn], natural: Sequence[int], width: int) -> dict[int, int]:
     """Index of each shown column → its width. Remaining space goes to the narrowest cut columns."""
     least = [min(n, n if column.least is None else column.least) for column, n in zip(columns, natural, strict=True)]
-    kept = list(range(len(columns)))
+    shown_columns = list(range(len(columns)))
 
     def room() -> int:
-        return width - sum(least[number] for number in kept) - (len(kept) - 1)
+        return width - sum(least[number] for number in shown_columns) - (len(shown_columns) - 1)
 
-    for number in sorted(kept, key=lambda n: -columns[n].spare):
+    for number in sorted(shown_columns, key=lambda n: -columns[n].spare):
         if room() < 0 and columns[number].spare:
-            kept.remove(number)
-    widths = {number: least[number] for number in kept}
+            shown_columns.remove(number)
+    widths = {number: least[number] for number in shown_columns}
     for _ in range(room()):
-        short = [number for number in kept if widths[number] < natural[number]]
+        short = [number for number in shown_columns if widths[number] < natural[number]]
         if not short:
             break
         widths[min(short, key=lambda number: widths[number])] += 1
@@ -117,7 +117,7 @@ def _fits(text: Iterable[str], width: int) -> int:
 
 
 def line(text: str, style: str = "") -> Text:
-    """A line, or a long text in a cell. It is wrapped if it does not fit."""
+    """A line, or a long text in a cell. The line is wrapped if too long."""
     return Text(printable(text), style=style, overflow="fold")
 
 

@@ -1,8 +1,8 @@
 """Approach paths: where a box begins, how it moves to its place, and the hand that holds it on the way.
 
-A box begins above its place. A carried box also begins beside it, away from its neighbours. The way is straight: a
-spring and a damper draw the box to a point that moves smoothly from the begin to the place. Boxes that appear at their
-places have no path. The rules: docs/rules.md, section 4.
+A box begins above its place. A carried box also begins beside its place, away from its neighbours. The way is straight:
+a spring and a damper draw the box to a point that moves smoothly from the begin to the place. Boxes that appear at
+their places have no path. The rules: docs/rules.md, section 4.
 """
 
 from __future__ import annotations
@@ -28,8 +28,8 @@ contacts. The stiffness is m · 50² / s²: a box that lags 1 mm behind on its w
 
 MOST_RATE_PER_STEP: Final = 0.1
 """Largest natural frequency × timestep. The hand's forces are computed at the beginning of a step. With semi-implicit
-Euler they are stable below 2 (√2 − 1) = 0.83 (Jury's criterion on z² − (2 − 2h − h²) z + 1 − 2h). At 0.1 they follow
-the continuous forces to a tenth."""
+Euler, steps of the damped hand are stable below 2 (√2 − 1) = 0.83 (Jury's criterion on z² − (2 − 2h − h²) z + 1 − 2h).
+At 0.1 the steps follow the continuous forces to a tenth."""
 
 MOST_WAY_S: Final = 2.0
 """Longest time of a way. A box that begins so high that its way would take longer moves faster instead."""
@@ -43,8 +43,9 @@ AT_PLACE_M: Final = 0.0002
 millimetre."""
 
 MISSED_M: Final = 0.01
-"""A box could not be placed if the hand lets it go further than this from its place. A box that finds room is within
-5 mm of its place. A box that stands on the edge of a neighbour is too high by the neighbour's height or half of it."""
+"""A box could not be placed if the hand releases the box further than this from its place. A box that finds room is
+within 5 mm of its place. A box that stands on the edge of a neighbour is too high by the neighbour's height or half of
+it."""
 
 LOWERING_RATE_1_S: Final = 400.0
 MOST_LOWERING_PER_STEP: Final = 0.8
@@ -53,11 +54,11 @@ MOST_LOWERING_PER_STEP: Final = 0.8
 this speed a contact of ``pallet`` gives way by a quarter of a millimetre."""
 
 LOWERING_STEPS: Final = 5
-"""Fewest steps of setting down. After these a box without a support is faster than a quiet one."""
+"""Fewest steps of setting down. Beyond these a box without a support is faster than a quiet box."""
 
 FREE_M: Final = 0.0003
-"""Boxes that overlap by no more than this are free of one another. It is twice the distance by which soft contacts may
-move neighbours that stand flush, and too little to push them apart visibly."""
+"""Boxes that overlap by no more than this are free of one another. This amount is twice the distance by which soft
+contacts may move neighbours that stand flush, and too little to push neighbours apart visibly."""
 
 MOST_TILTED: Final = 0.5
 """Tines tilt a box by at most this share of the threshold of tilt, so that its release is not taken for a first
@@ -67,7 +68,7 @@ MOST_SIDESTEPS: Final = 8
 """How often a box goes aside before it goes up."""
 
 ASIDE_SHARE: Final = 2.0
-"""How far aside a box goes at most, as a share of how far beside its place it begins: errors of two places may add."""
+"""Largest move aside, as a share of the distance between a box's begin and its place: errors of two places may add."""
 
 CLEARANCE_M: Final = 0.001
 """Height of a box's bottom above the bodies in its way when it begins above them."""
@@ -78,18 +79,18 @@ have errors."""
 
 
 class ApproachPath(NamedTuple):
-    """How the n boxes of a scene come to their places.
+    """The ways on which the n boxes of a scene come to their places.
 
     For several stackable scenes every array has a leading axis of the scenes. Places are those of the boxes' middles,
     m.
 
     Attributes:
-        lift: (n, 3) from the place at which a box would rest to the place at which it is let go.
+        lift: (n, 3) from the place at which a box would rest to its release.
         quat: (n, 4) orientation of the box on its way.
-        offset: (n, 3) from the place at which it is let go to the place at which it begins, if that is free.
+        offset: (n, 3) from a box's release to the begin of its way, if the begin is free.
         steps: (n,) number of steps of its way; 0: the box is not carried, but falls.
-        falls: (n,) True: the box is let go at the end of its way and falls. False: the hand sets it down first.
-        aside: (n, 2, 2) how far a box may go aside from where it begins to the low and the high end of x and y, m.
+        falls: (n,) True: the box is released at the end of its way and falls. False: the hand sets it down first.
+        aside: (n, 2, 2) free moves of a box from its begin towards the low and the high end of x and y, m.
     """
 
     lift: FloatArray
@@ -155,13 +156,13 @@ def approach_paths_of(scenes: Sequence[Scene], sim: Simulation) -> ApproachPath 
 def _between_walls(
     room: Room, end: FloatArray, offset: FloatArray, reaches: FloatArray, aside: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
-    """(…, n, 2) offsets with which boxes begin between the walls, and (…, n, 2, 2) how far they may go aside there.
+    """(…, n, 2) offsets with which boxes begin between the walls, and (…, n, 2, 2) the room for moves aside there.
 
-    A box for which there is no room begins in the middle.
+    A box without enough room between the walls begins in the middle.
 
     Args:
-        end: (…, n, 3) where the boxes are let go, m.
-        offset: (…, n, 2) from there to where they would begin, m.
+        end: (…, n, 3) the ends of the ways, where boxes are released, m.
+        offset: (…, n, 2) from the ends of the ways to their begins, m.
         reaches: (…, n, 3) half extents of the boxes along the axes, m.
         aside: as of ``ApproachPath``, without walls.
     """
@@ -169,15 +170,15 @@ def _between_walls(
     low, high = -gap[..., 0, :], gap[..., 1, :]
     narrow = low > high
     middle = (np.where(narrow, low, 0.0) + np.where(narrow, high, 0.0)) / 2
-    kept = np.where(narrow, middle, np.clip(offset, np.minimum(low, high), high))
-    free = np.maximum(np.stack([kept - low, high - kept], axis=-2), 0.0)
-    return kept, np.minimum(aside, free)
+    clipped = np.where(narrow, middle, np.clip(offset, np.minimum(low, high), high))
+    free = np.maximum(np.stack([clipped - low, high - clipped], axis=-2), 0.0)
+    return clipped, np.minimum(aside, free)
 
 
 def way_steps(
     length_m: FloatArray | float, mass_kg: FloatArray | float, placing: Placing, timestep_s: float
 ) -> NDArray[np.int64]:
-    """Number of steps of ways of these lengths.
+    """Number of steps of ways with these lengths.
 
     The largest speed, 1.5 × length / time, is at most that of the options. Half of the hand's force is enough for the
     largest acceleration, 6 × length / time². No way takes longer than ``MOST_WAY_S``.
@@ -188,7 +189,7 @@ def way_steps(
 
 
 def progress(step: int, steps: int) -> float:
-    """Share of the way that is done after ``step`` of its ``steps``: 3t² − 2t³ with t = step / steps, at rest at both
+    """Share of the way behind a box after ``step`` of its ``steps``: 3t² − 2t³ with t = step / steps, at rest at both
     ends."""
     share = min(max(step / steps, 0.0), 1.0)
     return share * share * (3.0 - 2.0 * share)
@@ -205,7 +206,7 @@ def lowering_rate_1_s(timestep_s: float) -> float:
 
 
 def most_aside_m(placing: Placing) -> float:
-    """How far a box goes aside along x and y each at most, m."""
+    """Largest move aside of a box along x and y each, m."""
     return ASIDE_SHARE * placing.side_mm / MM_PER_M
 
 
@@ -224,9 +225,9 @@ def free_begin(
 ) -> FloatArray:
     """(3,) the place nearest to ``begin`` at which a box overlaps no other box, m: ``begin`` itself, aside, or above.
 
-    The box goes aside from the first box that it overlaps, along x or y, whichever overlap is less. This is repeated at
-    most ``MOST_SIDESTEPS`` times. If the box would have to go aside by more than ``most_m``, or is still not free, it
-    goes up from ``begin`` instead. ``begin`` is between the carrier's walls, and ``most_m`` ends at them.
+    The box goes aside from the first box that it overlaps, along x or y, whichever overlap is less. The move aside is
+    repeated at most ``MOST_SIDESTEPS`` times. If the box would have to go aside by more than ``most_m``, or is still
+    not free, it goes up from ``begin`` instead. ``begin`` is between the carrier's walls, and ``most_m`` ends at them.
 
     Args:
         begin: (3,) planned begin of the box, m.
@@ -258,7 +259,7 @@ def free_begin(
 def _overlap(
     place: FloatArray, own_reach: FloatArray, pos: FloatArray, reaches: FloatArray
 ) -> tuple[FloatArray, NDArray[np.bool_]]:
-    """(k, 3) overlap of a box with k other boxes along each axis, m, and (k,) whether the box is in the other one."""
+    """(k, 3) overlap of a box with k other boxes along each axis, m, and (k,) whether it overlaps each box."""
     shared = reaches + own_reach - np.abs(pos - place)
     return shared, np.asarray((shared > FREE_M).all(axis=1))
 
@@ -271,14 +272,14 @@ def _approaches(scene: Scene, room: Room | None) -> tuple[FloatArray, FloatArray
 def _approaches_of(beside: NDArray[np.bool_], approaches: FloatArray | None) -> tuple[FloatArray, FloatArray]:
     """(…, n, 2) horizontal directions in which boxes go to their places, and (…, n, 2) unit vectors along an axis.
 
-    The directions are shares of the distance aside of the options. If the plan gives none, a box goes along x, and
-    likewise along y, towards the side with a neighbour, provided that the other side has none. So a box without
-    neighbours, or between two, comes from straight above. The unit vector is the axis of the box that is nearest to the
-    direction. Without a direction it is an axis along which the box has no neighbour, +x before +y.
+    The directions are shares of the distance aside of the options. If the plan gives none, a box goes along x, towards
+    the side with a neighbour if the other side has no neighbour; likewise along y. So a box without neighbours, or
+    between two, comes from straight above. The unit vector is the axis of the box that is nearest to the direction.
+    Without any direction, the unit vector is an axis along which the box has no neighbour, +x before +y.
 
     Args:
         beside: the mask of ``_neighbour_mask``.
-        approaches: (n, 2) directions of the plan; None: it has none.
+        approaches: (n, 2) directions of the plan; None: the plan has no directions.
     """
     towards = beside[..., 1, :].astype(float) - beside[..., 0, :]
     if approaches is not None:
@@ -295,13 +296,13 @@ def _approaches_of(beside: NDArray[np.bool_], approaches: FloatArray | None) -> 
 def _neighbour_mask(
     place: FloatArray, half: FloatArray, placing: Placing, room: Room | None = None
 ) -> NDArray[np.bool_]:
-    """(…, n, 2, 2) which sides of each box have a neighbour, by the plan, when the box is placed: (low and high side, x
-    and y). A neighbour, a box or a wall, is no further away than the box may go aside.
+    """(…, n, 2, 2) whether each side of a box has a neighbour, by the plan, when the box is placed: (low and high side,
+    x and y). A neighbour, a box or a wall, is no further away than the box may go aside.
 
     Args:
         place: (…, n, 3) planned middles, m.
         half: (…, n, 3) half extents, m.
-        room: the room between the carrier's walls; None: it has none.
+        room: the room between the carrier's walls; None: no walls.
     """
     near_m = most_aside_m(placing)
     lifted_m = placing.height_mm / MM_PER_M

@@ -1,13 +1,13 @@
 """Loads that a stack can balance, by a linear programme with vertical forces.
 
-Statics does not determine how a box shares its load among several supports. One way to share may have a load beyond the
-edge of its supports, while another has all loads inside: rigid boxes then stand. The unknowns are forces at the corners
-of all contact areas of boxes with several supports. The forces must push and balance every box. Of all feasible forces
-the programme takes those with which the load nearest to an edge is as far inside as possible. If no forces are
+Statics does not determine how a box shares its load among several supports. Under one sharing of the loads a load may
+be beyond the edge of its supports, under another all loads inside: rigid boxes then stand. The unknowns are forces at
+the corners of all contact areas of boxes with several supports. The forces must push and balance every box. The
+programme picks feasible forces so that the load nearest to an edge is as far inside as possible. If no forces are
 feasible, loads are as little beyond edges as possible. (Forces of this kind: Livesley 1978, "Limit analysis of
 structures formed from rigid blocks", International Journal for Numerical Methods in Engineering 12(12).)
 
-Boxes on one support pass on their load to it. They add no unknown forces, only their edges.
+Boxes on one support pass on their load to it. Such boxes add no unknown forces, only their edges.
 """
 
 from __future__ import annotations
@@ -25,10 +25,11 @@ FAR_M: Final = 0.1
 """Loads are not moved further inside than this."""
 
 BEYOND_M: Final = 1e-6
-"""A load is beyond the edge if it must be further outside than this. The solver's own tolerance is a tenth of it."""
+"""A load is beyond the edge only if the programme cannot bring it nearer than this. The solver's own tolerance is a
+tenth of this."""
 
 _OUTSIDE: Final = 10.0
-"""Cost of a metre outside relative to one inside, and of a moment that nothing bears relative to a metre outside."""
+"""Cost of a metre outside relative to one inside, and of a moment without a support relative to a metre outside."""
 
 _ALONG: Final = np.array([[1.0, 0.0], [0.0, 1.0], [-1.0, 0.0], [0.0, -1.0]])
 """Normals of a rectangle's edges: two at the lowest corner, then two at the highest."""
@@ -37,12 +38,12 @@ _ALONG: Final = np.array([[1.0, 0.0], [0.0, 1.0], [-1.0, 0.0], [0.0, -1.0]])
 def balanced_loads(
     bearing: Bearing, load: FloatArray, edge_m: FloatArray, placed: NDArray[np.bool_]
 ) -> tuple[FloatArray, FloatArray] | None:
-    """(n, 3) loads of one scene's boxes that balance it as well as possible, and (n,) how far they must at least be
+    """(n, 3) loads of one scene's boxes that balance it as well as possible, and (n,) their least possible distance
     beyond edges, m; None if no load outside an edge can change.
 
     Args:
         bearing: the bearing of one scene.
-        load: (n, 3) or more columns: loads by one way to share them; 0 for boxes that are not placed.
+        load: (n, 3) or more columns: loads by one sharing among supports; 0 for boxes that are not placed.
         edge_m: (n,) distances of these loads from the edges, positive inside.
         placed: (n,) which boxes are placed.
     """
@@ -50,7 +51,7 @@ def balanced_loads(
     passed, fixed = _fixed_forces(bearing, placed)
     several = np.flatnonzero(placed & (bearing.n_supports > 1))
     together = np.flatnonzero((placed & (bearing.n_supports > 1))[bearing.upper])
-    # the loads that a box with several supports may change: those of boxes below it, and formally its own
+    # the loads that a box with several supports may change: the loads of boxes below it, and formally its own
     of_box = np.zeros((len(several), len(placed)), bool)
     np.logical_or.at(of_box, np.searchsorted(several, bearing.upper[together]), passed[together])
     of_box[np.arange(len(several)), several] = True
@@ -71,7 +72,8 @@ def balanced_loads(
 
 
 def _fixed_forces(bearing: Bearing, placed: NDArray[np.bool_]) -> tuple[NDArray[np.bool_], FloatArray]:
-    """(c, n) which loads always contain the force at a contact, and (n, 3) the part of loads that always is own weight.
+    """(c, n) whether each load always contains the force at a contact, and (n, 3) the part of loads that is always own
+    weight.
 
     A force at a contact is in the load of the box below and, as long as boxes have one support, in the loads of the
     boxes further below. Own weights are passed on in the same way.
@@ -99,9 +101,9 @@ def _solved_loads(
     load: FloatArray,
     weights: FloatArray,
 ) -> tuple[FloatArray, FloatArray] | None:
-    """(n, 3) loads, the ``changed`` ones solved, and (n,) how far they are beyond edges; None: no solution.
+    """(n, 3) loads, the ``changed`` ones solved, and (n,) their distance beyond edges; None: no solution.
 
-    Unknowns: the forces at the four corners of each contact; how far each load is outside; moments that nothing bears,
+    Unknowns: the forces at the four corners of each contact; each load's distance outside; moments without a support,
     for boxes with several supports whose load is beyond their hull; and how far inside all loads are.
     """
     middle = load[changed, 1:].sum(axis=0) / load[changed, 0].sum()
@@ -163,7 +165,8 @@ def _edges_of(bearing: Bearing, boxes: IntArray) -> tuple[IntArray, FloatArray, 
 def _least(
     cost: FloatArray, rows: FloatArray, least: FloatArray, most: FloatArray, bound: FloatArray
 ) -> FloatArray | None:
-    """The x of least ``cost @ x`` with least ≤ rows @ x ≤ most and 0 ≤ x ≤ bound, by HiGHS; None if it gives up."""
+    """The x that minimises ``cost @ x`` subject to least ≤ rows @ x ≤ most and 0 ≤ x ≤ bound, by HiGHS; None if it
+    gives up."""
     from scipy.optimize import Bounds, LinearConstraint, milp  # takes a second to load; few plans need it
     from scipy.sparse import csc_array
 

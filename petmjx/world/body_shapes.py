@@ -1,8 +1,7 @@
 """Bodies of a scene and their shapes. A shape is a solid box that is fixed to its body.
 
-The origin of a body's frame is the centre of mass. Its axes are those of the shapes, which are taken for the principal
-axes. So the inertia matrix of any number of bodies is diagonal, and MuJoCo's qpos and qvel are those of the centre of
-mass.
+The origin of a body's frame is the centre of mass. The axes are those of the shapes, which count as the principal axes.
+So the inertia matrix of any number of bodies is diagonal, and MuJoCo's qpos and qvel are those of the centre of mass.
 """
 
 from __future__ import annotations
@@ -32,7 +31,7 @@ class Body:
         inertia_box: (3,) half extents of the solid box that has the body's mass and moments of inertia, m: MuJoCo's
             equivalent inertia box.
         surface: (s,) numbers of their surfaces (petmjx/world/friction_pairs.py); None: all 0.
-        walls: sides of a carrier on which it has walls. They are its last shapes, in this order; all others are boards.
+        walls: sides of a carrier with a wall. Walls are the last shapes, in this order; all others are boards.
     """
 
     pos: FloatArray
@@ -53,9 +52,10 @@ class Body:
     def of_boards(cls, center: FloatArray, half_size: FloatArray, mass: FloatArray, friction: FloatArray) -> Body:
         """Boards that are solid boxes.
 
-        Their axes are taken for the principal axes of the body. Products of inertia of boards that do not balance are
-        left out: a few per cent of the moments for a pallet without one of its outer deck boards. They would matter
-        only if the carrier turned, and it stands on the floor.
+        The axes of the shapes count as the principal axes of the body. Products of inertia of boards that do not
+        balance are
+        left out: a few per cent of the moments for a pallet without one of its outer deck boards. Principal axes would
+            matter only if the carrier turned, and it stands on the floor.
 
         Args:
             center: (s, 3) of each board, m.
@@ -73,16 +73,16 @@ class Body:
     ) -> Body:
         """The body with walls, one for each side. Arguments as for ``of_boards``."""
         boards = self.pos + self.shape_pos
-        whole = Body.of_boards(
+        body = Body.of_boards(
             np.vstack([self.pos, center]),
             np.vstack([self.inertia_box, half_size]),
             np.append(self.mass, mass),
             np.vstack([self.friction[:1], friction]),
         )
         return replace(
-            whole,
+            body,
             half_size=np.vstack([self.half_size, half_size]),
-            shape_pos=np.vstack([boards, center]) - whole.pos,
+            shape_pos=np.vstack([boards, center]) - body.pos,
             friction=np.vstack([self.friction, friction]),
             walls=tuple(sides),
         )
@@ -94,25 +94,26 @@ class Body:
 
     @property
     def n_boards(self) -> int:
-        """Number of its shapes that are no walls: the first ones."""
+        """Number of shapes that are no walls: the first ones of the body."""
         return len(self.half_size) - len(self.walls)
 
     def without_walls(self, sides: Collection[Side]) -> Body:
-        """The body with the walls of these sides open. Their mass stays, so that its frame is the same.
+        """The body with the walls of these sides open. The mass of open walls stays, so that the body's frame is the
+        same.
 
         Raises:
-            ValueError: it has no wall on one of the sides.
+            ValueError: the body has no wall on one of the sides.
         """
         if missing := [side for side in sides if side not in self.walls]:
             raise ValueError(f"the carrier has no wall on the side {missing[0]}")
-        kept = np.array([True] * self.n_boards + [side not in sides for side in self.walls])
-        of_shapes = {name: getattr(self, name)[kept] for name in ("half_size", "shape_pos", "friction")}
-        surface = None if self.surface is None else self.surface[kept]
+        stays_closed = np.array([True] * self.n_boards + [side not in sides for side in self.walls])
+        of_shapes = {name: getattr(self, name)[stays_closed] for name in ("half_size", "shape_pos", "friction")}
+        surface = None if self.surface is None else self.surface[stays_closed]
         return replace(self, **of_shapes, surface=surface, walls=tuple(s for s in self.walls if s not in sides))
 
     @property
     def boards(self) -> FloatArray:
-        """(s, 6) extents of its shapes and their places in the body's frame, m, as pages and tables have them."""
+        """(s, 6) extents of its shapes and their places in the body's frame, m, in the form of pages and tables."""
         return np.hstack([2 * self.half_size, self.shape_pos])
 
     @property
@@ -162,19 +163,19 @@ class Room:
 
     def gaps(self, place: FloatArray, half: FloatArray, least_m: float) -> FloatArray:
         """(…, n, 2, 2) gaps between boxes and walls, m; negative: a box is in a wall. Infinite where there is no wall,
-        and where a box is above it, or with its middle beyond it.
+        and where a box is above the wall, or with its middle beyond it.
 
         Args:
             place, half: (…, n, 3) middles and half extents of the boxes along the axes, m.
-            least_m: a box is beside a wall if it reaches below its top by more than this.
+            least_m: a box is beside a wall if the box reaches below the wall's top by more than this.
         """
         inwards, beside = self._inwards(place, half, least_m)
         gap: FloatArray = np.where(beside & (inwards > 0), inwards - half[..., None, :2], np.inf)
         return gap
 
     def depths(self, place: FloatArray, half: FloatArray, least_m: float) -> FloatArray:
-        """(…, n, 2, 2) how far boxes reach beyond the inner faces of walls, m; 0 where they do not. Unlike those of
-        ``gaps``, boxes count wherever their middles are, also those that stand wholly behind a wall.
+        """(…, n, 2, 2) lengths by which boxes reach beyond the inner faces of walls, m; 0 for boxes that do not reach
+        the faces. Unlike in ``gaps``, every box counts wherever its middle is, also a box wholly behind a wall.
 
         Args:
             place, half, least_m: as of ``gaps``.
@@ -184,7 +185,7 @@ class Room:
         return depth
 
     def _inwards(self, place: FloatArray, half: FloatArray, least_m: float) -> tuple[FloatArray, NDArray[np.bool_]]:
-        """(…, n, 2, 2) how far the middles of boxes are inside the faces, m, and which boxes reach below the tops."""
+        """(…, n, 2, 2) distances of boxes' middles inside the faces, m, and whether boxes reach below the tops."""
         inwards = (place[..., None, :2] - self.face[..., None, :, :]) * np.array([[1.0], [-1.0]])
         return inwards, (place - half)[..., None, None, 2] < self.top[..., None, :, :] - least_m
 

@@ -32,8 +32,8 @@ class Pallet:
     Attributes:
         boards: corner and size of each board, mm.
         masses_kg: mass of each board.
-        frictions: coefficient of sliding friction of each board; None: that of the physics' carrier. Empty: None for
-            all boards.
+        frictions: coefficient of sliding friction of each board; None: that of the physics' carrier. Empty: no board
+            has a value of its own.
         materials: material of each board; empty: all boards are of wood.
     """
 
@@ -117,8 +117,8 @@ def _pet_eur() -> Pallet:
 def _rollcontainer_grid() -> Pallet:
     """The base of a roll container: 14 bars of 8 mm with gaps of 53 mm, on four tubes of 30 mm; 200 mm high, 25 kg.
 
-    A typical base, not that of a certain maker: no source was found for the bars of one. Its extents are those of the
-    target ``rollcontainer``. Its castors are blocks, which roll no more than the feet of a pallet.
+    A typical base of no certain maker: no source was found for the bars. The extents are those of the target
+    ``rollcontainer``. Castors are modelled as blocks, and roll no more than the feet of a pallet.
     """
     length, width, bar, tube, castor, top = 800.0, 700.0, 8.0, 30.0, 60.0, 200.0
     under = top - bar - tube
@@ -188,7 +188,7 @@ def body_of(board_pallet: Pallet, physics: Physics) -> Body:
 
 
 WALL_DEPTH_M: Final = 0.02
-"""How far walls reach below the carrier's top at most, so that no box gets under them."""
+"""Largest depth of walls below the carrier's top, so that no box gets under them."""
 
 
 def has_walls(sim: Simulation) -> bool:
@@ -226,8 +226,8 @@ def with_walls(carrier: Body, sim: Simulation) -> Body:
     friction = np.tile(sim.physics.carrier_friction, (len(half), 1))
     if walls.friction is not None:
         friction[:, 0] = walls.friction
-    whole = carrier.with_walls(center, half, (walls.mass_kg_m2 or 0.0) * area_m2, friction, walls.sides)
-    return whole.without_walls(walls.open)
+    body = carrier.with_walls(center, half, (walls.mass_kg_m2 or 0.0) * area_m2, friction, walls.sides)
+    return body.without_walls(walls.open)
 
 
 def carrier_surfaces(sim: Simulation) -> list[tuple[float | None, str]]:
@@ -252,8 +252,8 @@ def carrier_notes(sim: Simulation) -> Iterator[str]:
         yield f"{these} {verb} no effect: {name} is made of boards, which have their own height and mass"
     frictions = [friction for friction in board_pallet.frictions if friction is not None]
     if not physics.has_own_friction and frictions and min(frictions) < physics.box_friction[0]:
-        why = f"the larger of two coefficients counts, and boxes have {physics.box_friction[0]:g}"
-        yield f"friction {min(frictions):g} of boards of {name} has no effect with pyramidal cones: {why}"
+        reason = f"the larger of two coefficients counts, and boxes have {physics.box_friction[0]:g}"
+        yield f"friction {min(frictions):g} of boards of {name} has no effect with pyramidal cones: {reason}"
 
 
 def carrier_friction(sim: Simulation) -> float:

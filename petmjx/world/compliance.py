@@ -1,10 +1,10 @@
 """Compliance of boxes: contacts are springs, as stiff as the two boxes that touch.
 
-A box of stiffness k gives way by F/k between a load F on its top and its support. Half of that is at either face, as in
-a column, so that the box comes down by m·g/2k under its own weight. A face is a bed of springs (Winkler 1867, "Die
-Lehre von der Elasticität und Festigkeit"), 2k/A for each area of the face A. If two faces press on one another, their
-beds are in series. Their common area, as planned, determines how stiff the contact is. So a box sinks deeper if less of
-its base is supported, and a narrow box presses deeper into its support.
+A box of stiffness k gives way by F/k between a load F on its top and its support. Half of the compression is at either
+face, as in a column, so that the box comes down by m·g/2k under its own weight. A face is a bed of springs (Winkler
+1867, "Die Lehre von der Elasticität und Festigkeit"), 2k/A for each area of the face A. If two faces press on one
+another, their beds are in series. The common area of two faces, as planned, determines how stiff the contact is. So a
+box sinks deeper if less of its base is supported, and a narrow box presses deeper into its support.
 
 MuJoCo's contact of impedance d and time constant τ at rest is the spring f = x / (τ²·ζ²·(1 − d)·A), with A the sum of
 the inverse masses (petmjx/world/contact_laws.py). So a stiffness is an impedance. If the impedance would be below
@@ -36,21 +36,21 @@ their places is no bed of springs."""
 
 
 POINTS_PER_BED: Final = 4
-"""Number of contacts between two faces that press on one another, if one of them gives."""
+"""Number of contacts between two faces that press on one another, if at least one of the faces gives."""
 
 EDGE_SHARE: Final = 2 / 3
-"""Smallest pressed share of the common area of two faces that counts for stiffness: less pressed area is as stiff as
-this share. On springs alone a load near an edge would sink in without end. A carton spreads it, and its edges bear more
-than its middle. Up to 0.28 of the width from the middle, a load leans as on springs."""
+"""Least share of the common area of two faces that counts as pressed: a smaller share is as stiff as this one. On
+springs alone a load near an edge would sink in without end. A carton spreads it, and its edges bear more than its
+middle. Up to 0.28 of the width from the middle, a load leans as on springs."""
 
 OUTWARD: Final = 0.6
-"""If the pressed share is below ``EDGE_SHARE``, the pressure also goes outward: by this times ``EDGE_SHARE`` / share −
-1 of the way to the deepest line. At a quarter of the face it reaches that line. The lean is then 12 F / (k·L), at which
-only the edge ones of Simpson's nine points bear."""
+"""If the pressed share is below ``EDGE_SHARE``, the pressure also moves outward: by this factor times ``EDGE_SHARE`` /
+share − 1 of the way to the deepest line. At a quarter of the face the pressure reaches the deepest line. The lean is
+then 12 F / (k·L), at which only the points at one edge, of Simpson's nine, bear."""
 
 FACE_COSINE: Final = 0.5
-"""Two faces press on one another if the cosine between one normal and the reverse of the other is at least this. Else
-an edge presses on a body."""
+"""Two faces press on one another if the cosine between one normal and the reverse of the other is at least this.
+Otherwise an edge presses on a body."""
 
 
 @dataclass(frozen=True)
@@ -58,9 +58,9 @@ class Face:
     """The values of a shape that determine the law of its contacts.
 
     Attributes:
-        give: area of its face over twice the stiffness, A/2k, m³/N; 0: it is rigid.
+        give: area of its face over twice the stiffness, A/2k, m³/N; 0: the face is rigid.
         middle, half: planned middle and half extents, m.
-        inverse_mass: 1 / mass of its body, 1/kg; 0: it does not move.
+        inverse_mass: 1 / mass of its body, 1/kg; 0: the body does not move.
     """
 
     give: float
@@ -76,7 +76,8 @@ def compliances(stiffness_n_m: FloatArray, half_size: FloatArray) -> FloatArray:
 
 
 def shared_area_m2(one: Face, two: Face) -> float:
-    """Planned area in which two shapes press on one another; that of the smaller one if neither is above the other."""
+    """Planned area in which two shapes press on one another; the area of the smaller shape if neither is above the
+    other."""
     (ax, ay, az), (bx, by, bz) = one.middle, two.middle
     (al, aw, ah), (bl, bw, bh) = one.half, two.half
     smaller = 4.0 * min(al * aw, bl * bw)
@@ -123,10 +124,10 @@ def law_between(physics: Physics, one: Face, two: Face | None) -> tuple[tuple[fl
 
 
 def bed_depth_m(scene: Scene, load_n: FloatArray) -> FloatArray:
-    """(n,) how deep the bed of springs below each box gives way under its load, by the plan, m; 0 if nothing gives.
+    """(n,) planned compression of the springs below each box, m; 0 if nothing gives.
 
     Args:
-        load_n: (n,) weight of each box with all that it bears, N.
+        load_n: (n,) weight of each box plus its load, N.
     """
     if scene.stiffness is None:
         return np.zeros(scene.n_boxes)
@@ -142,9 +143,9 @@ def bed_depth_m(scene: Scene, load_n: FloatArray) -> FloatArray:
 
 @lru_cache(maxsize=256)
 def sinks_m(scene: Scene, gravity_m_s2: float) -> FloatArray | None:
-    """(n,) how far each box should come down once all boxes are placed, m; None if no box gives.
+    """(n,) expected descent of each box once all boxes are placed, m; None if no box gives.
 
-    It is the sum of what its own face and the boxes below give under the planned loads.
+    The descent is the sum of the compressions of its own face and of the boxes below under the planned loads.
     """
     if scene.stiffness is None:
         return None

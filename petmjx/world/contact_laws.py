@@ -9,8 +9,8 @@ and A the sum of the partners' inverse masses, d₁ the impedance beyond the wid
 ratio. Beyond the width that is x = (1 − d₁) · τ² · ζ² · A · f. So a light box gives way under a heavy load, however
 stiff it is meant to be: with the values of ``pallet`` and four contacts a face by 0.003 mm × load / own mass.
 
-**Sliding.** Friction of a sliding contact leaves its pressure alone. It may be smaller than that of a contact that
-sticks.
+**Sliding.** Friction of a sliding contact leaves its pressure alone. The coefficient of kinetic friction may be
+smaller than that of static friction.
 
 MuJoCo's friction is associated: pressure and friction of a sliding contact minimise one cost together (its
 documentation, chapter Computation, "Constraint model"). With j the acceleration beyond the reference, R the
@@ -19,18 +19,18 @@ regularisation, n and t normal and tangent, the minimum of a sliding contact is
     j_n + R_n · f_n = μ · (|j_t| − R_t · |f_t|)
 
 Coulomb's law has 0 on the right instead. |j_t| is about the reference acceleration that would end the slip,
-|aref_t| = |v_t| · 2 / time constant of friction. So a slip raises the normal force: sliding boxes hop. They hop the
-higher, the faster they slide and the shorter that time constant is. De Saxcé's correction removes this: the reference
-acceleration along the normal is lowered by the right-hand side (G. de Saxcé and Z.-Q. Feng, "The bipotential method",
-Mathematical and Computer Modelling 28, 1998; V. Acary and B. Brogliato, "Numerical Methods for Nonsmooth Dynamical
-Systems", 2008, section 3.9),
+|aref_t| = |v_t| · 2 / time constant of friction. So a slip raises the normal force: sliding boxes hop. Boxes hop the
+higher, the faster they slide and the shorter the contact's time constant is. De Saxcé's correction removes this: the
+reference acceleration along the normal is lowered by the right-hand side (G. de Saxcé and Z.-Q. Feng, "The bipotential
+method", Mathematical and Computer Modelling 28, 1998; V. Acary and B. Brogliato, "Numerical Methods for Nonsmooth
+Dynamical Systems", 2008, section 3.9),
 
     aref_n ← aref_n − μ · e,    e = max(|j_t| − R_t · |f_t| − slack, 0)
 
-The excess e depends on accelerations and forces, and these depend on e. So e is found by iteration. The iteration
-begins with the accelerations of the step before; boxes that slide steadily need no more. While a box lands and slides,
-friction ends a part of the slip, and e is smaller. Without the iteration the pressure was too low in that case, and
-boxes slid two and three times as far.
+The excess e depends on accelerations and forces, and these depend on e. So the excess e is found by iteration. The
+iteration begins with the accelerations of the step before; boxes that slide steadily need no more. While a box lands
+and slides, friction ends a part of the slip, and e is smaller. Without the iteration the pressure was too low in such
+contacts, and boxes slid two and three times as far.
 
 The correction is the same on all engines: petmjx/engines/mujoco/slip.py, petmjx/engines/mjx/slip.py, and in the kernels
 petmjx/engines/warp/kernels/constraint.py and ``respond`` in petmjx/engines/warp/solver/contact.cuh.
@@ -41,15 +41,16 @@ MuJoCo's contacts have reference accelerations: the relative accelerations of th
 In ``pallet`` contacts are nearly hard, so that two bodies in contact accelerate relative to one another by the
 reference acceleration, whatever their masses. The law:
 
-- A box begins to land in the step in which one of its contacts closes faster than ``FAST_M_S``. If it lands on a box,
-  that box lands, too. For ``lasts_steps`` the velocities of both before that step are remembered.
-- v is the speed at which a contact closes, v₀ the one with the velocities before. In the end the contact should open by
-  e·v₀ (Newton's law of impact; e is ``restitution``, or that of the pair of materials), plus the speed that takes the
-  box out of the depth that it has reached. The contact is decelerated by (1 + e)·v₀ / ``landing_s``, or by less if that
-  is enough in this step. So the force is constant in a landing and does not depend on the timestep. A box goes
-  v₀·``landing_s`` / 2 / (1 + e) deep, plus the distance that it passes in a step before.
-- Meanwhile all contacts of the world are as stiff as beyond the width of ``solimp``. Else boxes below, whose contacts
-  carry little, would be pressed in before these became stiff.
+- A box begins to land in the step in which one of its contacts closes faster than ``FAST_M_S``. If the landing box
+  lands on another, the box below lands, too. For ``lasts_steps`` the velocities of both before that step are
+  remembered.
+- v is the speed at which a contact closes, v₀ the one with the velocities before. At the end of a landing the contact
+  should open by e·v₀ (Newton's law of impact; e is ``restitution``, or that of the pair of materials), plus the speed
+  that takes the box out of the depth that it has reached. The contact is decelerated by (1 + e)·v₀ / ``landing_s``, or
+  by less if that is enough in this step. So the force is constant in a landing and does not depend on the timestep. A
+  box goes v₀·``landing_s`` / 2 / (1 + e) deep, plus the distance that it passes in a step before.
+- Meanwhile all contacts of the world are as stiff as beyond the width of ``solimp``. Otherwise boxes below, whose
+  contacts carry little, would be pressed in before these contacts became stiff.
 
 Bodies at rest are not changed: their contacts close more slowly than ``FAST_M_S``.
 """
@@ -74,7 +75,7 @@ MOST_IMPEDANCE = 0.9999
 """Largest impedance that MuJoCo takes (mjMAXIMP): contacts are 10 times as stiff as with 0.999."""
 
 DEPTHS_M = np.geomspace(1e-9, 1e3, 2000)
-"""Depths for which the force is computed. Between them it is interpolated, to 0.02 %."""
+"""Depths for which the force is computed. Between these depths the force is interpolated, to 0.02 %."""
 
 
 def is_stiff(physics: Physics) -> bool:
@@ -114,9 +115,9 @@ def cone_factor(physics: Physics, one: FloatArray | float, two: FloatArray | flo
 
 
 SLACK_M_S2: Final = 5.0
-"""Excess that is not corrected: that of a slip of 1 cm/s with friction's time constant of 4 ms. It raises a contact by
-less than the hundredth of a millimetre, within its soft onset. With this slack pallets at rest are the same as without
-the correction, to the last bit. Stiff contacts have no soft onset, and no slack."""
+"""Excess that is left uncorrected: that of a slip of 1 cm/s with friction's time constant of 4 ms. This excess raises a
+contact by less than the hundredth of a millimetre, within its soft onset. With this slack pallets at rest are the same
+as without the correction, to the last bit. Stiff contacts have no soft onset, and no slack."""
 
 STICKS_M_S: Final = 0.01
 """Up to this slip a contact has the whole friction; at twice this slip it has the kinetic friction. So friction does
@@ -124,8 +125,8 @@ not jump if boxes creep (petmjx.Quiet calls a box quiet at far smaller speeds)."
 
 RELAXATION: Final = 0.8
 """Share of the change of an excess that an iteration takes. The whole change converges while μ² times the ratio of the
-inverse masses along tangent and normal is below 1, which excludes tall boxes with friction above 0.5. This share
-converges up to 1.5, and nearly as quickly."""
+inverse masses along tangent and normal is below 1, which excludes tall boxes with friction above 0.5. With this share
+the iteration converges for ratios up to 1.5, and nearly as quickly."""
 
 ENOUGH_M_S2: Final = 0.1
 """Iteration ends when no normal reference acceleration changes by more than this: a hundredth of gravity. With 5 a box
@@ -138,7 +139,7 @@ median."""
 
 
 FIRST_SHARE: Final = 1.1
-"""Share of the first change of an excess in a step that is taken, if later shares are chosen for each contact by
+"""Share of the first change of an excess that is applied in a step, if later shares are chosen for each contact by
 ``next_share``. Bricks that slide and tip are then solved 2.4 times a step; with 0.8 2.6 times, with ``RELAXATION``
 alone 3.1 times."""
 
@@ -147,7 +148,7 @@ LEAST_M_S2: Final = ENOUGH_M_S2 / 10
 tolerance."""
 
 MOST_LEFT: Final = 0.6
-"""Largest part of a change that may be left after a share of it was taken. If more seems to be left, other contacts
+"""Largest part of a change that may be left after a share of it was applied. If more seems to be left, other contacts
 have moved the excess."""
 
 
@@ -164,7 +165,7 @@ def kinetic_share(physics: Physics) -> float:
 
 
 def next_share(share: FloatArray, change: FloatArray, last: FloatArray) -> FloatArray:
-    """(k,) shares of the change of an excess that the next iteration takes, for each contact by itself.
+    """(k,) shares of the change of an excess that the next iteration applies, for each contact by itself.
 
     With this share the last iteration would have left no change, if the excess is linear (Aitken's delta-squared
     process).
@@ -231,7 +232,7 @@ def pull(
 
     Args:
         closing_m_s: (k,) how fast the contacts close.
-        before_m_s: (k,) how fast they would close with the velocities before the landing.
+        before_m_s: (k,) speeds at which contacts would close with the velocities before the landing.
         depth_m: (k,) depths of the contacts.
         normal_z: (k,) z component of the unit normal.
         of_pair: (k, 2) as in ``petmjx.world.scene.Scene.pair_landing``.
@@ -239,7 +240,8 @@ def pull(
     usual, step_s = (physics.restitution, physics.landing_s), physics.timestep_s
     share, landing_s = np.where(of_pair == USUAL, usual, of_pair).T
     fall = np.abs(normal_z) * physics.gravity_m_s2
-    # a step moves by the velocity at its end, so that what leaves with v rises by v² / 2g + v · timestep / 2
+    # a step moves by the velocity at its end, so that a body that leaves with speed v rises by v² / 2g + v · timestep /
+    # 2
     energy = np.maximum((share * before_m_s) ** 2 + 2 * fall * (depth_m - AT_REST * physics.solimp[2]), 0.0)
     opening = np.where(share > 0, np.sqrt((fall * step_s / 2) ** 2 + energy) - fall * step_s / 2, 0.0)
     enough = (closing_m_s + opening) / step_s

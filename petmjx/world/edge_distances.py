@@ -1,23 +1,24 @@
 """Distances of loads from the edges of the boxes' supports, by the plan: when it is complete, and while it is built.
 
-The load of a box is its own weight and all that rests on it. By springs, the shared loads may put a load beyond an edge
-although another balance has it inside. So such a balance is searched for (petmjx.world.balance_programme): a load is
-beyond an edge only if vertical forces cannot balance the boxes.
+The load of a box is its own weight plus the weight that rests on it. By springs, the shared loads may put a load beyond
+an edge although another balance has it inside. So the balance with all loads inside is searched for
+(petmjx.world.balance_programme): a load is beyond an edge only if vertical forces cannot balance the boxes.
 
-While the plan is built: a counterweight that comes too late holds nothing. All loads of a plan may be inside when it is
+While the plan is built, a counterweight that comes too late holds nothing. All loads of a plan may be inside when it is
 complete, and yet it may fall while it is built. So the load of every box is checked after each placement that changes
 it.
 
 The part of an upper box's weight that a box bears does not depend on other boxes, as long as no support pulls. So the
-own weight of each box is passed down once. The load of a box after a placement is the sum of the parts of the boxes
-that are placed. Only boxes with a support that pulls, and the boxes below them, are computed placement by placement.
+weight of each box is passed down once, on its own. The load of a box after a placement is the sum of the parts of the
+boxes that are placed. Only boxes with a support that pulls, and the boxes below them, are computed placement by
+placement.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from itertools import pairwise
-from typing import Final, NamedTuple
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -27,7 +28,7 @@ from petmjx.world.balance_programme import BEYOND_M, balanced_loads
 from petmjx.world.history import CARRIER
 from petmjx.world.load_sharing import IntArray, pulls
 from petmjx.world.scene import Scene
-from petmjx.world.supports import Bearing, bearing_of, joined_bearing
+from petmjx.world.supports import Bearing, bearing_of, spans
 
 ROUNDING_M: Final = 1e-9
 """A load beyond an edge by less than this lies on the edge: rounding errors of sums of millimetres."""
@@ -36,10 +37,10 @@ ROUNDING_M: Final = 1e-9
 class Edges(NamedTuple):
     """Distances of n boxes' loads from the nearest edge of their supports, m: positive inside, negative beyond.
 
-    NaN: nothing bears the box, or it is not placed.
+    NaN: the box has no support, or is not placed.
 
     Attributes:
-        by_weight: (n,) distances of their own weights alone.
+        by_weight: (n,) distances of the boxes' own weights alone.
         by_load: (n,) distances of their loads.
     """
 
@@ -55,29 +56,20 @@ class Edges(NamedTuple):
         return nearer
 
 
-def edges_of(bearings: Sequence[Bearing], placed: Sequence[int], joined: Bearing | None = None) -> list[Edges]:
+def edges_of(bearing: Bearing, placed: Sequence[int]) -> list[Edges]:
     """The edges of the boxes of each scene, once its first ``placed`` boxes are placed.
 
     Args:
-        bearings: one for each scene.
         placed: number of placed boxes of each scene.
-        joined: all bearings joined, if the caller has that; None: it is computed.
     """
-    if not bearings:
-        return []
-    bearing = joined or joined_bearing(bearings)
-    _, by_weight, by_load = loads_and_edges(bearings, bearing, placed)
+    _, by_weight, by_load = loads_and_edges(bearing, placed)
     return [Edges(by_weight[i:k], by_load[i:k]) for i, k in pairwise(bearing.boxes.first.tolist())]
 
 
-def loads_and_edges(
-    bearings: Sequence[Bearing], bearing: Bearing, placed: Sequence[int]
-) -> tuple[FloatArray, FloatArray, FloatArray]:
+def loads_and_edges(bearing: Bearing, placed: Sequence[int]) -> tuple[FloatArray, FloatArray, FloatArray]:
     """(n, 4) loads of all boxes as of ``Bearing.loads``, (n,) edges of their own weights and (n,) edges of their loads.
 
     Args:
-        bearings: one for each scene.
-        bearing: the bearings joined.
         placed: number of placed boxes of each scene.
     """
     among, load = bearing.boxes.among(placed), bearing.loads(placed)
@@ -89,8 +81,7 @@ def loads_and_edges(
         _scenes(bearing, (by_load < 0) & open_), _scenes(bearing, (by_load < 0) & ~open_)
     ).tolist():
         boxes = slice(*bearing.boxes.first[number : number + 2].tolist())
-        one = bearings[number]
-        bearing.share_hulls(number, one)
+        one = bearing.of_scene(number)
         load[boxes, :3], by_load[boxes] = rebalanced_loads(one, load[boxes], by_load[boxes], among[boxes])
     return load, by_weight, by_load
 
@@ -117,14 +108,14 @@ def rebalanced_loads(
         return load[:, :3], edge_m
     balancing, beyond = result
     # without a balance, a load that is inside keeps its distance
-    kept = (edge_m >= 0) if (beyond > BEYOND_M).any() else (balancing == load[:, :3]).all(axis=1)
-    edges = np.where(~placed | kept, edge_m, np.maximum(bearing.edges_m(balancing), 0.0))
+    is_unchanged = (edge_m >= 0) if (beyond > BEYOND_M).any() else (balancing == load[:, :3]).all(axis=1)
+    edges = np.where(~placed | is_unchanged, edge_m, np.maximum(bearing.edges_m(balancing), 0.0))
     edges = np.where(beyond > BEYOND_M, np.minimum(bearing.edges_m(balancing), -beyond), edges)
     return balancing, edges
 
 
 def below_several(bearing: Bearing, among: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """(n,) which boxes bear part of a box with several supports, so that their loads depend on how it shares its load.
+    """(n,) whether a box bears part of a box with several supports, so that its load depends on the sharing.
 
     Args:
         among: (n,) the boxes that count.
@@ -138,9 +129,9 @@ def below_several(bearing: Bearing, among: NDArray[np.bool_]) -> NDArray[np.bool
 
 
 MOST_PROGRAMMES: Final = 2
-"""Largest number of placements of a plan for which a linear programme is solved. One takes a few milliseconds, and more
-for a hundred boxes on several supports. Loads that seem to be beyond edges after further placements are left out:
-nothing shows that they are beyond."""
+"""Largest number of placements of a plan for which a linear programme is solved. One programme takes a few
+milliseconds, and more for a hundred boxes on several supports. Loads that seem to be beyond edges after further
+placements are left out: without a programme this stays unproven."""
 
 
 class BuildingLoads(NamedTuple):
@@ -148,7 +139,7 @@ class BuildingLoads(NamedTuple):
 
     Attributes:
         box: (p,) the box that has the load.
-        step: (p,) the box after whose placement it has this load.
+        step: (p,) number of the box after whose placement this load acts.
         load: (p, 3) as in ``Bearing.loads``, without the height.
         edge_m: (p,) distance of the load from the nearest edge, positive inside; NaN if nothing bears the box.
     """
@@ -165,10 +156,10 @@ class LeastBuildingEdge(NamedTuple):
     Attributes:
         edge_m: distance from the edge, positive inside; NaN: there is no load.
         box: the box that has the load; -1: there is no load.
-        step: the box after whose placement it has this load; -1: there is no load.
+        step: number of the box after whose placement this load acts; -1: no load.
         nearest_m: distance of the load that is nearest to an edge, on either side.
-        nearest_box: the box that has that load.
-        nearest_step: the box after whose placement it has that load.
+        nearest_box: the box with the load nearest to an edge.
+        nearest_step: number of the box after whose placement this load acts.
     """
 
     edge_m: float
@@ -179,42 +170,34 @@ class LeastBuildingEdge(NamedTuple):
     nearest_step: int
 
 
-def building_edges(
-    bearings: Sequence[Bearing], placed: Sequence[int], joined: Bearing | None = None
-) -> list[LeastBuildingEdge]:
+_NO_EDGE: Final = LeastBuildingEdge(np.nan, -1, -1, np.nan, -1, -1)
+
+
+def building_edges(bearing: Bearing, placed: Sequence[int]) -> list[LeastBuildingEdge]:
     """The least edge of each scene over the placements of its first ``placed`` boxes.
 
     Args:
-        bearings: one for each scene.
         placed: number of placed boxes of each scene.
-        joined: all bearings joined, perhaps with further ones after them; None: it is computed.
     """
-    if not bearings:
-        return []
-    bearing, in_order = joined or joined_bearing(bearings), list(bearings)
-    theirs = bearing.upper < bearing.boxes.first[len(bearings)]
-    if not (bearing.lower < bearing.upper)[theirs].all():
-        in_order = [bearing_in_order(one) for one in bearings]
-        bearing = joined_bearing(in_order)
-    others = len(bearing.boxes.first) - 1 - len(bearings)
-    built = building_loads_of(bearing, [*placed, *[0] * others])
+    bearing = bearing_in_order(bearing)
+    n_scenes = len(bearing.boxes.first) - 1
+    built = building_loads_of(bearing, placed)
     beyond, depends = built.edge_m < 0, depends_on_sharing(bearing, built)
     scene = np.searchsorted(bearing.boxes.first, built.box, side="right") - 1
-    surely, perhaps = (np.bincount(scene[beyond & which], minlength=len(bearings)) > 0 for which in (~depends, depends))
+    surely, perhaps = (np.bincount(scene[beyond & which], minlength=n_scenes) > 0 for which in (~depends, depends))
     edge = np.where(beyond & depends & surely[scene], np.nan, built.edge_m)
-    begins = np.searchsorted(scene, np.arange(len(bearings) + 1)).tolist()
-    least = []
-    for number, one in enumerate(in_order):
+    begins = np.searchsorted(scene, np.arange(n_scenes + 1)).tolist()
+    least = _least_of_scenes(built._replace(edge_m=edge), scene, bearing.boxes.first)
+    for number in np.flatnonzero(perhaps & ~surely).tolist():
         pairs, first = slice(begins[number], begins[number + 1]), int(bearing.boxes.first[number])
         of_one = BuildingLoads(built.box[pairs] - first, built.step[pairs] - first, built.load[pairs], edge[pairs])
-        looked = perhaps[number] and not surely[number]
-        least.append(_exact_least_edge(one, of_one) if looked else _least(of_one))
+        least[number] = _exact_least_edge(bearing.of_scene(number), of_one)
     return least
 
 
 def steps_beyond(scene: Scene, box: int) -> tuple[int, int]:
-    """The placement after which the load of a box is beyond an edge while a plan is built, and the one after which it
-    is inside again: numbers of the placed boxes, -1 for none."""
+    """The placement after which the load of a box is beyond an edge while a plan is built, and the placement after
+    which the load is inside again: numbers of the placed boxes, -1 for none."""
     built = building_loads_of(bearing_in_order(bearing_of(scene)), [scene.n_boxes])
     steps, edge = built.step[built.box == box], built.edge_m[built.box == box]
     beyond = np.flatnonzero(edge < 0)
@@ -225,8 +208,7 @@ def steps_beyond(scene: Scene, box: int) -> tuple[int, int]:
 
 
 def bearing_in_order(bearing: Bearing) -> Bearing:
-    """The bearing of a scene, without supports that are placed after the box that they bear: until then that box has
-    fallen."""
+    """A bearing without supports that are placed after the box that they bear: until then that box has fallen."""
     before = bearing.lower < bearing.upper
     if before.all():
         return bearing
@@ -255,7 +237,8 @@ def building_loads_of(bearing: Bearing, placed: Sequence[int]) -> BuildingLoads:
 
 
 def _parts(bearing: Bearing, among: NDArray[np.bool_]) -> tuple[IntArray, IntArray, FloatArray]:
-    """(p,) and (p,) sorted pairs of a box and a box of which it bears a part, itself included, and (p, 3) the parts."""
+    """(p,) and (p,) sorted pairs of a box and a box whose weight it bears in part, itself included, and (p, 3) the
+    parts."""
     n, boxes = len(among), np.flatnonzero(among)
     between = np.flatnonzero(bearing.lower != CARRIER)
     count = np.bincount(bearing.upper[between], minlength=n)
@@ -266,18 +249,18 @@ def _parts(bearing: Bearing, among: NDArray[np.bool_]) -> tuple[IntArray, IntArr
     def wait(key: IntArray, part: FloatArray) -> None:
         level = bearing.level[key // n]
         for number in np.unique(level).tolist():
-            here = level == number
-            waiting[number].append((key[here], part[here]))
+            in_level = level == number
+            waiting[number].append((key[in_level], part[in_level]))
 
     wait(boxes * n + boxes, bearing.weights[boxes, :3])
-    done = []
+    finished_parts = []
     for level in waiting:
         if not level:
             continue
         keys, parts = (np.concatenate(arrays) for arrays in zip(*level, strict=True))
         key, place = np.unique(keys, return_inverse=True)
         part = np.stack([np.bincount(place, weights=column, minlength=len(key)) for column in parts.T], axis=1)
-        done.append((key, part))
+        finished_parts.append((key, part))
         upper = key // n
         times = count[upper]
         rows = np.repeat(np.arange(len(key)), times)
@@ -285,9 +268,9 @@ def _parts(bearing: Bearing, among: NDArray[np.bool_]) -> tuple[IntArray, IntArr
         if len(rows):
             passed = np.einsum("cij,cj->ci", bearing.shares[contact], part[rows])
             wait(bearing.lower[contact] * n + key[rows] % n, passed)
-    all_keys = np.concatenate([boxes[:0], *(key for key, _ in done)])
+    all_keys = np.concatenate([boxes[:0], *(key for key, _ in finished_parts)])
     order = np.argsort(all_keys)
-    sums: FloatArray = np.concatenate([np.zeros((0, 3)), *(part for _, part in done)])[order]
+    sums: FloatArray = np.concatenate([np.zeros((0, 3)), *(part for _, part in finished_parts)])[order]
     return all_keys[order] // n, all_keys[order] % n, sums
 
 
@@ -303,7 +286,7 @@ def _running_sums(part: FloatArray, begins: IntArray) -> FloatArray:
 def _without_pulls(bearing: Bearing, begins: IntArray, step: IntArray, load: FloatArray) -> None:
     """Correct the loads of boxes on which a support would pull, and of all boxes below them."""
     several = np.flatnonzero(bearing.n_supports > 1)
-    contacts = _spans(bearing.n_supports, several)
+    contacts = spans(bearing.n_supports, several)
     times = np.diff(begins)[bearing.upper[contacts]]
     pair = np.arange(times.sum()) - np.repeat(np.cumsum(times) - times, times)
     contact = np.repeat(contacts, times)
@@ -320,15 +303,15 @@ def _without_pulls(bearing: Bearing, begins: IntArray, step: IntArray, load: Flo
     n_above = np.bincount(bearing.lower[bearing.lower != CARRIER], minlength=n)
     above = above[np.count_nonzero(bearing.lower == CARRIER) :]
     key = np.repeat(np.arange(n), count) * n + step  # in order
-    # forces at the contacts of corrected boxes, one for each load of the box
+    # forces at the contacts of corrected boxes: one force for each load of the box
     size = np.where(pulled[bearing.upper], count[bearing.upper], 0)
     first, forces = np.cumsum(size) - size, np.zeros((size.sum(), 3))
     weights, boxes = bearing.weights[:, :3], np.flatnonzero(pulled)
     level = bearing.level[boxes]
     for number in np.unique(level).tolist():
         some = boxes[level == number]
-        pairs, owner = _spans(count, some), np.repeat(some, count[some])
-        rows, contact = np.repeat(np.arange(len(pairs)), n_above[owner]), above[_spans(n_above, owner)]
+        pairs, owner = spans(count, some), np.repeat(some, count[some])
+        rows, contact = np.repeat(np.arange(len(pairs)), n_above[owner]), above[spans(n_above, owner)]
         upper = bearing.upper[contact]
         last = np.searchsorted(key, upper * n + step[pairs[rows]], side="right") - 1
         placed = last >= begins[upper]
@@ -339,7 +322,7 @@ def _without_pulls(bearing: Bearing, begins: IntArray, step: IntArray, load: Flo
         passed[~through] = np.einsum("cij,cj->ci", bearing.shares[contact[~through]], load[last[~through]])
         load[pairs] = np.where((step[pairs] >= owner)[:, None], weights[owner], 0.0)
         np.add.at(load, pairs[rows], passed)
-        rows, contact = np.repeat(np.arange(len(pairs)), bearing.n_supports[owner]), _spans(bearing.n_supports, owner)
+        rows, contact = np.repeat(np.arange(len(pairs)), bearing.n_supports[owner]), spans(bearing.n_supports, owner)
         place = first[contact] + (pairs - begins[owner])[rows]
         forces[place] = _contact_pushes(bearing, owner, load[pairs], rows, contact)
 
@@ -361,23 +344,16 @@ def _contact_pushes(
     pulled = np.zeros(len(owner), bool)
     pulled[rows[several & pulls(force, low, high, under[:, 0])]] = True
     if pulled.any():
-        some = pulled[rows]
-        number = (np.cumsum(pulled) - 1)[rows[some]]
-        force[some] = bearing.pushed(load[pulled], owner[pulled], number, low[some], high[some])
+        pulled_rows = pulled[rows]
+        number = (np.cumsum(pulled) - 1)[rows[pulled_rows]]
+        force[pulled_rows] = bearing.pushed(load[pulled], owner[pulled], number, low[pulled_rows], high[pulled_rows])
     return force
 
 
-def _spans(count: IntArray, chosen: IntArray) -> IntArray:
-    """The numbers of all members of the chosen groups. ``count`` has the number of members of each group."""
-    first, times = (np.cumsum(count) - count)[chosen], count[chosen]
-    spans: IntArray = np.arange(times.sum()) + np.repeat(first - (np.cumsum(times) - times), times)
-    return spans
-
-
 def _exact_least_edge(bearing: Bearing, built: BuildingLoads) -> LeastBuildingEdge:
-    """The least edge of one scene in which all loads that seem to be beyond edges depend on how boxes share loads.
+    """The least edge of one scene, if every load that seems to be beyond an edge depends on the sharing of loads.
 
-    A linear programme decides whether the furthest of them are.
+    A linear programme decides whether the furthest loads are beyond.
     """
     edge = built.edge_m.copy()
     for _ in range(MOST_PROGRAMMES):
@@ -387,7 +363,7 @@ def _exact_least_edge(bearing: Bearing, built: BuildingLoads) -> LeastBuildingEd
         last, seen = balanced_after(bearing, built, step)
         if (seen < 0).any():
             box = int(np.nanargmin(seen))
-            return LeastBuildingEdge(float(seen[box]), box, step, *_nearest(built._replace(edge_m=edge)))
+            return LeastBuildingEdge(float(seen[box]), box, step, *_least(built._replace(edge_m=edge))[3:])
         edge[last] = np.where(edge[last] < 0, seen[built.box[last]], edge[last])
     edge[edge < 0] = np.nan
     return _least(built._replace(edge_m=edge))
@@ -401,29 +377,51 @@ def balanced_after(bearing: Bearing, built: BuildingLoads, step: int) -> tuple[I
     last = now[np.flatnonzero(np.diff(built.box[now], append=n))]
     load, edge = np.zeros((n, 3)), np.full(n, np.nan)
     load[built.box[last]], edge[built.box[last]] = built.load[last], built.edge_m[last]
-    _, seen = rebalanced_loads(bearing, load, edge, np.arange(n) <= step)
-    return last, seen
+    _, edges = rebalanced_loads(bearing, load, edge, np.arange(n) <= step)
+    return last, edges
 
 
 def _least(built: BuildingLoads) -> LeastBuildingEdge:
     """The least of one scene's edges."""
-    known = np.where(np.isnan(built.edge_m), np.inf, built.edge_m)
-    if not (known < np.inf).any():
-        return LeastBuildingEdge(np.nan, -1, -1, np.nan, -1, -1)
-    place = int(known.argmin())
-    return LeastBuildingEdge(
-        float(built.edge_m[place]), int(built.box[place]), int(built.step[place]), *_nearest(built)
-    )
+    return _least_of_scenes(built, np.zeros(len(built.box), np.intp), np.array([0, 0]))[0]
 
 
-def _nearest(built: BuildingLoads) -> tuple[float, int, int]:
-    """Distance, box and step of the load of one scene that is nearest to an edge, on either side."""
-    place = int(np.nanargmin(np.abs(built.edge_m)))
-    return float(built.edge_m[place]), int(built.box[place]), int(built.step[place])
+def _least_of_scenes(built: BuildingLoads, scene: IntArray, first: IntArray) -> list[LeastBuildingEdge]:
+    """The least edge of each scene.
+
+    Args:
+        scene: (p,) the scene of each pair, in order.
+        first: (s + 1,) first box of each scene.
+    """
+    least, columns = [_NO_EDGE] * (len(first) - 1), list[list[Any]]()
+    numbers: IntArray = scene[:0]
+    for distance in (built.edge_m, np.abs(built.edge_m)):  # the furthest beyond, and the nearest on either side
+        numbers, place = first_least(distance, scene)
+        columns.append(built.edge_m[place].tolist())
+        columns += [(values[place] - first[numbers]).tolist() for values in (built.box, built.step)]
+    for number, *values in zip(numbers.tolist(), *columns, strict=True):
+        least[number] = LeastBuildingEdge(*values)
+    return least
+
+
+def first_least(values: FloatArray, group: IntArray) -> tuple[IntArray, IntArray]:
+    """(g,) the groups with a value that is not NaN, and (g,) the place of the first of the least values of each.
+
+    Args:
+        group: (p,) the group of each value, in order.
+    """
+    known = np.flatnonzero(~np.isnan(values))
+    if not len(known):
+        return known, known
+    values, group = values[known], group[known]
+    begins = np.flatnonzero(np.diff(group, prepend=-1))
+    least = np.repeat(np.minimum.reduceat(values, begins), np.diff(begins, append=len(group)))
+    at = np.flatnonzero(values == least)
+    return group[begins], known[at[np.flatnonzero(np.diff(group[at], prepend=-1))]]
 
 
 def depends_on_sharing(bearing: Bearing, built: BuildingLoads) -> NDArray[np.bool_]:
-    """(p,) which loads depend on how a box with several supports shares its load."""
+    """(p,) whether a load depends on the sharing of a box with several supports."""
     shares = (bearing.n_supports[built.step] > 1) & (built.step != built.box)
     first = np.full(len(bearing.boxes.mass), len(bearing.boxes.mass))
     np.minimum.at(first, built.box[shares], built.step[shares])

@@ -7,8 +7,8 @@ A model with three numbers, for a pallet that is wrapped to its carrier:
   the load is pressed inwards by T at either end, 2·T in all, which is spread over the outer faces of that side.
   If nothing stands behind a box, film draws it in and slackens: after ``SLACK_M`` nothing presses on the box.
 - **Hold.** Film sticks to an outer face with a force of at most friction × that pressure. A box that moves against the
-  carrier is held by a spring up to this force. Beyond it the film slips.
-- **A hat** presses on the tops on which nothing stands.
+  carrier is held by a spring, with this force at most. Beyond it the film slips.
+- **A hat** presses on the tops on which no box stands.
 
 Faces that stand back from the outermost face of their side by more than ``MOST_BACK_M`` touch no film. Forces act in
 the boxes' centres of mass. Stretching, tearing and creeping of the film are not modelled. Source of the linearity:
@@ -47,7 +47,7 @@ class Film(NamedTuple):
 
     Attributes:
         press: (n, 3) force on each box, N.
-        hold: (n,) largest force with which the film holds each box, N.
+        hold: (n,) largest holding force of the film on each box, N.
     """
 
     press: FloatArray
@@ -82,7 +82,7 @@ def film_of(scene: Scene) -> Film:
 
 
 def _hat(low: FloatArray, high: FloatArray) -> FloatArray:
-    """(n,) area of each box's top, 0 if a box stands on it, as a share of the sum of these areas."""
+    """(n,) each box's share of the free top area; 0 if a box stands on it."""
     over = (low[:, None, :2] < high[None, :, :2]) & (high[:, None, :2] > low[None, :, :2])
     is_under = (over.all(axis=2) & (low[None, :, 2] >= high[:, None, 2] - 1e-3)).any(axis=1)
     area = np.where(is_under, 0.0, (high - low)[:, :2].prod(axis=1))

@@ -1,4 +1,4 @@
-"""Boxes that are let go with any pose and velocity, in worlds without rules, for ``petmjx.release``."""
+"""Boxes released with any pose and velocity, in worlds without rules, for ``petmjx.release``."""
 
 from __future__ import annotations
 
@@ -18,14 +18,14 @@ from petmjx.world.scene import Scene
 
 _BURIED_M: Final = -100.0
 """Height of the carrier's centre, m, if the ground is a plane. Every scene has a carrier; it is buried so deep that no
-box comes near. It is held there, so that the floor does not push it out."""
+box comes near. The carrier is held there, so that the floor does not push it out."""
 
 _BURIED_HALF_M: Final = 0.1
 
 
 @dataclass(frozen=True, eq=False)
 class Ground:
-    """The ground on which boxes fall. Its top is at z = 0, and it does not move.
+    """The ground on which boxes fall. The top of the ground is at z = 0, and it does not move.
 
     Attributes:
         carrier: carrier of each scene.
@@ -65,7 +65,8 @@ class Ground:
 
     @property
     def smooth(self) -> Ground:
-        """The ground with a sliding friction of 0. The larger of two coefficients counts, so the boxes' one does."""
+        """The ground with a sliding friction of 0. The larger of two coefficients counts, so the coefficient of the
+        boxes does."""
         friction = self.carrier.friction.copy()
         friction[:, 0] = 0.0
         return replace(
@@ -78,7 +79,7 @@ class FreeBodies:
     """Worlds with equal numbers of boxes, and the steps after which poses are recorded.
 
     Attributes:
-        scenes: n worlds. Boxes are let go at ``start_pos``, turned by ``start_quat``; the carriers are held.
+        scenes: n worlds. Boxes are released at ``start_pos``, turned by ``start_quat``; the carriers are held.
         velocity: (n, k, 6) velocities at release: m/s along the world's axes, and rad/s about the boxes' own.
         steps: (s,) rising numbers of steps after which poses are recorded; 0: at release.
         on_plane: True: boxes touch the floor alone, so that engines may ignore the carrier.
@@ -100,7 +101,7 @@ class FreeBodies:
 
     @property
     def pose(self) -> FloatArray:
-        """(n, k, 7) positions at which boxes are let go, m, and quaternions (w, x, y, z)."""
+        """(n, k, 7) positions of release, m, and quaternions (w, x, y, z)."""
         return np.array([np.hstack([scene.start_pos, scene.start_quat]) for scene in self.scenes])
 
 

@@ -26,11 +26,11 @@ MOST_SURFACES: Final = 16
 """Rows of a world's table on devices, surface 0 included."""
 
 LARGER: Final = -1.0
-"""Entry instead of a coefficient: the larger one of the two shapes counts, as everywhere in MuJoCo."""
+"""Marks an entry without a coefficient: the larger one of the two shapes counts, as everywhere in MuJoCo."""
 
 
 USUAL: Final = -1.0
-"""Entry instead of a restitution, a time of a landing, or a share of kinetic friction: the value of the physics
+"""Marks an entry without a restitution, a time of a landing, or a share of kinetic friction: the value of the physics
 counts."""
 
 
@@ -52,7 +52,7 @@ def scaled_pairs(
     Between two surfaces the larger factor counts, as the larger coefficient does for a pair without an entry.
 
     Args:
-        of_boards: the surfaces of the carrier's boards; None: they have none of their own.
+        of_boards: the surfaces of the carrier's boards; None: the boards have no surfaces of their own.
     """
     if table is None:
         return None
@@ -93,7 +93,7 @@ def filled_up_landings(table: FloatArray | None) -> FloatArray:
 
 
 _NOT_SAID: Final = ""
-"""The material of a box for which none is given."""
+"""The material of a box without a material in the plan."""
 
 
 class Surfaces(NamedTuple):
@@ -104,7 +104,8 @@ class Surfaces(NamedTuple):
         of_boards: (s,) surface of each board and wall of the carrier.
         friction: (k, k) coefficients between surfaces, or ``LARGER``.
         landing: (k, k, 2) restitution and time of a landing, s, between surfaces.
-        kinetic: (k, k) friction while they slide, as a share of that at rest, or ``USUAL``; None: no pair has its own.
+        kinetic: (k, k) friction of sliding surfaces, as a share of that at rest, or ``USUAL``; None: no pair has its
+            own.
     """
 
     of_boxes: NDArray[np.intp]
@@ -118,8 +119,8 @@ def find_surfaces(plan: Plan, sim: Simulation) -> Surfaces | None:
     """The surfaces of a plan's boxes and of its carrier's boards and walls.
 
     None if boxes have no materials and boards have no friction of their own, and with pyramidal cones, which have no
-    friction by pairs. Between a box and a board the board's own friction counts, if it has one, else that of their
-    materials. If a box has no material, the larger coefficient of two shapes counts.
+    friction by pairs. Between a box and a board the friction of the board counts if it has one, otherwise the friction
+    of the two materials. If a box has no material, the larger coefficient of two shapes counts.
 
     Raises:
         InputError: friction between two of the materials is not known, or there are too many surfaces.

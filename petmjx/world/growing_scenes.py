@@ -1,7 +1,7 @@
 """Scenes of worlds to which boxes are added one by one, and arrays of the next box of each world.
 
-A packer adds thousands of boxes at a time and reads few scenes. So boxes are kept in arrays, and a scene is made when
-it is read.
+A packer adds thousands of boxes at a time and reads few scenes. So boxes are kept in arrays, and a scene is made only
+on access.
 """
 
 from __future__ import annotations
@@ -45,9 +45,9 @@ class OpenScenes:
     def __getitem__(self, world: int) -> Scene:
         scene, n = self._scenes[world], int(self._count[world])
         if scene.n_boxes < n:
-            rest = NextBoxes(*(values[world, scene.n_boxes : n] for values in self._columns))
-            for row in range(len(rest)):
-                scene = self._blank.with_box(scene, rest, row)
+            added_boxes = NextBoxes(*(values[world, scene.n_boxes : n] for values in self._columns))
+            for row in range(len(added_boxes)):
+                scene = self._blank.with_box(scene, added_boxes, row)
             self._scenes[world] = scene
         return scene
 
@@ -176,7 +176,8 @@ class EmptyCarrier:
         self.surface = 0 if self._one.surface is None else int(self._one.surface[0])
 
     def with_box(self, scene: Scene, boxes: NextBoxes, row: int) -> Scene:
-        """The scene with one more box: ``row`` of ``boxes``, which have only extents, place and mass."""
+        """The scene with one more box: row ``row`` of ``boxes``, which have no fields beyond extents, place and
+        mass."""
         place = boxes.target[row]
         box_values = {"half_size": boxes.half_size[row], "mass": boxes.mass[row], "target": place, "start_pos": place}
         grown: dict[str, Any] = {}

@@ -57,16 +57,16 @@ class Contacts:
         return cls(np.zeros(0, np.int32), np.zeros((0, 2), np.int32), vectors, vectors, vectors, np.zeros(0))
 
     def of_frames(self, kept: NDArray[np.bool_], shift: int) -> Contacts:
-        """The contacts of the frames that are kept, with ``shift`` added to the frame numbers."""
+        """The contacts of the remaining frames, with ``shift`` added to the frame numbers."""
         rows = kept[self.frame]
-        some = {field.name: getattr(self, field.name)[rows] for field in fields(self)}
-        return Contacts(**some | {"frame": some["frame"] + np.int32(shift)})
+        field_rows = {field.name: getattr(self, field.name)[rows] for field in fields(self)}
+        return Contacts(**field_rows | {"frame": field_rows["frame"] + np.int32(shift)})
 
     def __repr__(self) -> str:
         return f"Contacts({count_text(len(self.frame), 'contact')})"
 
     def then(self, later: Contacts) -> Contacts:
-        """These contacts and later ones."""
+        """These contacts followed by later contacts."""
         names = [field.name for field in fields(self)]
         return Contacts(**{name: np.concatenate((getattr(self, name), getattr(later, name))) for name in names})
 
@@ -75,9 +75,9 @@ class Contacts:
 class History:
     """One world's f frames of n boxes, in packing order. Values of boxes that are not placed yet are NaN.
 
-    A frame is taken after a step. Its poses are those after the step. Forces, accelerations, contacts and drives are
-    those during the step; MuJoCo evaluates them at the beginning of the step. They are 0 for a box that was placed
-    after the step.
+    A frame is taken after a step. The poses of a frame are those after the step. Forces, accelerations, contacts and
+    drives are those during the step; MuJoCo evaluates them at the beginning of the step. Forces and accelerations are 0
+    for a box that was placed after the step.
 
     Attributes:
         time_s: (f,) time since the soft start; the first frame is the first placement or, with check ``static``, 0.
@@ -114,12 +114,12 @@ class History:
         return f"History({count_text(frames, 'frame')} of {count_text(boxes, 'box', 'boxes')}, {span})"
 
     def then(self, later: History) -> History:
-        """This history up to the first frame of a later one, and then the later one.
+        """This history up to the first frame of a later one, followed by the later history.
 
-        At a moment at which both have a frame, the frame of this history counts: the later world began there, and does
-        not know the forces before.
+        Where both histories have a frame of the same moment, the frame of this one counts: the later world began there,
+        and does not know the forces before.
         """
-        kept, after = self.time_s <= later.time_s[0], later.time_s > later.time_s[0]
+        is_before, is_after = self.time_s <= later.time_s[0], later.time_s > later.time_s[0]
         joined: dict[str, Any] = {}
         for field in fields(self):
             ours, theirs = getattr(self, field.name), getattr(later, field.name)
@@ -128,8 +128,8 @@ class History:
             elif ours is None or theirs is None:
                 joined[field.name] = None
             elif isinstance(ours, Contacts):
-                first = int(kept.sum()) - int((~after).sum())
-                joined[field.name] = ours.of_frames(kept, 0).then(theirs.of_frames(after, first))
+                first = int(is_before.sum()) - int((~is_after).sum())
+                joined[field.name] = ours.of_frames(is_before, 0).then(theirs.of_frames(is_after, first))
             else:
-                joined[field.name] = np.concatenate((ours[kept], theirs[after]))
+                joined[field.name] = np.concatenate((ours[is_before], theirs[is_after]))
         return History(**joined)

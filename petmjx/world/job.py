@@ -49,15 +49,15 @@ class Drive:
     rest_s: float = 1.0
     """Time to come to rest after the last sample of the excitation."""
     allowed_sway_m: float = 0.0
-    """A culprit that tilts too far is not lost until it has swayed by this distance. Until then a test that allows this
-    sway may still be passed."""
+    """A culprit that tilts too far counts as lost only after a sway of this distance. Until this sway the test may
+    still be passed."""
 
     def unit(self, total_mass: float) -> float:
         """The unit of the excitation's samples, in N for forces and in m/s² for accelerations (1).
 
         The unit of forces is ``total_mass`` (boxes and carrier, kg) × 9.81 m/s², on all engines, and also if the
-        physics has another gravity. It is the unit of the reference implementation; a push must not become weaker
-        because boxes weigh less.
+        physics has another gravity. The total weight is the unit of the reference implementation; a push must not
+        become weaker because boxes weigh less.
         """
         return total_mass * STANDARD_GRAVITY if self.excitation.kind == FORCE else 1.0
 
@@ -85,7 +85,8 @@ class EngineState(Protocol):
 
 @dataclass(frozen=True, eq=False)
 class KeptState:
-    """A settled state and the name of the engine that made it. Only this engine can start from it."""
+    """A settled state and the name of the engine that made it. Only the engine that made the state can start from its
+    state."""
 
     engine: str
     state: EngineState
@@ -97,18 +98,21 @@ class Job:
 
     ``start`` is the ``state`` of an earlier outcome: the world then skips soft start and placement, and begins with its
     drive. The engine gets its own state; outside the engine it is a ``KeptState``. ``keep_state`` asks for a state,
-    taken when the placement has settled. A job with ``keep_state`` and no drive may end at that moment, without a rest
-    window. ``record`` asks for the world's history; it changes nothing else. ``has_errors``: boxes are not exactly at
-    their planned places, and may stand on a neighbour that is a little higher (``petmjx.engines.contact_tilt``).
+    taken when the placement has settled. A job with ``keep_state`` and no drive may end when the placement has settled,
+    without a rest window. ``record`` asks for the world's history; no other result changes. ``has_errors``: boxes are
+    not exactly at their planned places, and may stand on a neighbour that is a little higher
+    (``petmjx.engines.contact_tilt``).
 
     With early stop a world with errors ends when a box is *lost*, which means tilted by more than the threshold, and
-    not only when a box has dropped. The largest tilt counts, so the verdict is known then. The rest would be the
-    dearest part of the simulation. A large shift decides nothing: a board that tips under one load is level again under
-    the next one. A world with a drive ends when its culprit is lost: then it is also known how the first box failed.
+    not only when a box has dropped. The largest tilt counts, so the verdict is known when a box is lost. The rest would
+    be the dearest part of the simulation. A large shift decides nothing: a board that tips under one load is level
+    again under the next one. A world with a drive ends when its culprit is lost: only by then is the way in which the
+    first box failed known.
 
-    ``poses``, (n, 7): middles, m, and orientations (w, x, y, z) of the boxes when the drive begins. They are at rest
-    there. So a drive goes on where another one left the boxes, on any engine: the carrier is where the placement left
-    it, since it is clamped in drives of accelerations. None: the boxes are where the placement left them.
+    ``poses``, (n, 7): middles, m, and orientations (w, x, y, z) of the boxes when the drive begins. The boxes are at
+    rest at these poses. So a drive continues from the poses that another drive left, on any engine: the carrier is
+    where the placement left it, since drives of accelerations clamp it. None: the boxes are where the placement left
+    them.
     """
 
     scene: Scene

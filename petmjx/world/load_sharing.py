@@ -1,10 +1,10 @@
-"""Load sharing: the forces by which supports that can only push bear a box.
+"""Load sharing: the forces with which supports bear a box, if supports can only push.
 
 The pressure of a box on a bed of equal springs is a plane (petmjx.world.supports). If a load is far from the middle of
 the supports, the plane pulls: springs on the opposite side would be stretched. Real supports only push. So the solution
 is the forces that push, each within its own contact area, and balance the load with the least energy of the springs
 (Menabrea 1858, "Nouveau principe sur la distribution des tensions dans les systèmes élastiques"). If the plane pulls
-nowhere, it is the solution.
+nowhere, the plane is the solution.
 
 A contact's force F and its moments about the middle of its area A, of half lengths a and b, have the energy
 
@@ -33,15 +33,15 @@ PULL: Final = 1e-9
 Less is rounding."""
 
 ON_EDGE_M: Final = 1e-6
-"""A load nearer to the hull's edge than this rests on the edge: the planes get steep without limit there."""
+"""A load nearer to the hull's edge than this rests on the edge: the planes become infinitely steep there."""
 
 _ROOT: Final = math.sqrt(3.0)
 _MOST_STEPS: Final = 60
 _MOST_HALVINGS: Final = 30
 _EXACT: Final = 1e-11
 _ENOUGH: Final = 1e-8
-"""Tolerances of force and moments, as shares of the load and its extent. Newton's steps end at ``_EXACT``. They end at
-``_ENOUGH`` if they come no nearer: with loads very near an edge, rounding prevents it."""
+"""Tolerances of force and moments, as shares of the load and its extent. Newton's steps end at ``_EXACT``. Iterations
+end at ``_ENOUGH`` if loads come no nearer: very near an edge, rounding prevents it."""
 
 _RIDGE: Final = 1e-13
 """Share that is added to the diagonal of second derivatives: they are singular if a single corner bears."""
@@ -103,8 +103,8 @@ def _planes(to_cone: FloatArray, owner: IntArray, begins: IntArray, unit_loads: 
     value, projected, slope = energy(plane)
     before, goes_on = np.full(len(plane), np.inf), np.ones(len(plane), bool)
     for _ in range(_MOST_STEPS):
-        rest = np.add.reduceat(np.einsum("cji,cj->ci", to_cone, projected), begins) - unit_loads
-        off = np.abs(rest).max(axis=1)
+        residual = np.add.reduceat(np.einsum("cji,cj->ci", to_cone, projected), begins) - unit_loads
+        off = np.abs(residual).max(axis=1)
         # each box stops separately, so that its forces do not depend on other boxes
         goes_on &= ~((off <= _EXACT) | ((before / 2 <= off) & (off <= _ENOUGH)))
         if not goes_on.any():
@@ -112,8 +112,8 @@ def _planes(to_cone: FloatArray, owner: IntArray, begins: IntArray, unit_loads: 
         before = off
         second = np.add.reduceat(np.einsum("cki,ckl,clj->cij", to_cone, slope, to_cone), begins)
         second[:, [0, 1, 2], [0, 1, 2]] += _RIDGE * (1 + np.trace(second, axis1=1, axis2=2))[:, None]
-        step: FloatArray = np.asarray(-np.linalg.solve(second, rest[..., None])[..., 0], np.float64)
-        fall = (step * rest).sum(axis=1)
+        step: FloatArray = np.asarray(-np.linalg.solve(second, residual[..., None])[..., 0], np.float64)
+        fall = (step * residual).sum(axis=1)
         share = goes_on.astype(float)
         for _ in range(_MOST_HALVINGS):
             further = plane + share[:, None] * step

@@ -1,8 +1,8 @@
 """Load units: pallets among the boxes of a plan, with boxes on them.
 
 A pallet that stands on a trailer's floor, on a rack or on another load is an item of its own, of the kind of a carrier.
-Its body has a shape for each board, so that it slides, tips and bears as that carrier does. Its mass is the item's,
-shared by volume.
+The body of such an item has a shape for each board, so that it slides, tips and bears as the real pallet does. The mass
+is the item's, shared among the boards by volume.
 """
 
 from __future__ import annotations

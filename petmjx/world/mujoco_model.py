@@ -43,8 +43,8 @@ _FLOOR_COLOUR = (0.55, 0.57, 0.60, 1.0)
 class HeldCarrier:
     """The pose at which a carrier is clamped. pos (3,) m, quat (4,) (w, x, y, z).
 
-    The carrier is a static body. With ``mocap`` it is a mocap body, whose pose is in a world's data, so that worlds can
-    share a model.
+    The carrier is a static body. With ``mocap`` the carrier is a mocap body, whose pose is in a world's data, so that
+    worlds can share a model.
     """
 
     pos: FloatArray
@@ -118,15 +118,15 @@ def add_boxes(
         held: True: the carrier is clamped.
     """
     frames, of_body = scene.frames(scene.start_pos, scene.start_quat), _partners(scene, physics, held)
-    others = [shape for body in (FLOOR, CARRIER, *before) for shape in of_body[body]]
+    partner_shapes = [shape for body in (FLOOR, CARRIER, *before) for shape in of_body[body]]
     table = filled_up(scene.pair_friction)
     for box in boxes:
         body = spec.worldbody.add_body(name=box_name(box), pos=frames[box], quat=scene.start_quat[box])
         body.add_freejoint(name=box_name(box))
         _add_shapes(body, scene, physics, box, BOX_COLOURS[box % len(BOX_COLOURS)])
         _set_inertia(body, scene, physics, box)
-        _declare_pairs(spec, physics, table, others, of_body[box])
-        others += of_body[box]
+        _declare_pairs(spec, physics, table, partner_shapes, of_body[box])
+        partner_shapes += of_body[box]
 
 
 def geom_bodies(model: mujoco.MjModel, boxes: Sequence[int] | NDArray[np.integer]) -> NDArray[np.intp]:
@@ -173,9 +173,9 @@ def _declare_pairs(
 ) -> None:
     """Declare a contact pair of each geom of ``these`` with each of ``other_partners``.
 
-    Pairs are declared if friction has a time constant of its own: MuJoCo has that for declared pairs only. All other
-    values are those without a declaration: the larger friction of two geoms counts, unless the table of their surfaces
-    has an entry.
+    Pairs are declared if friction has a time constant of its own: MuJoCo allows one for declared pairs only. All other
+    values are as without a declaration: the larger friction of two geoms counts, unless the table of their surfaces has
+    an entry.
     """
     if not physics.has_own_friction:
         return
@@ -246,11 +246,11 @@ def _add_shapes(
     """Add a body's shapes, each larger on all sides by its skin.
 
     A contact then begins at a depth equal to the skins of both partners. For faces this is where the boxes themselves
-    touch; for edges and corners it is up to √2 − 1 and √3 − 1 skins before.
+    touch; for edges and corners contacts begin up to √2 − 1 and √3 − 1 skins before.
 
-    MuJoCo's collider takes the one point of two edges instead of the contact of faces if that point is less deep by 5 %
-    (3.17: ``engine_collision_box.c``). At the usual depth, a tenth of a millimetre, it alternates between the two, and
-    pallets tremble. A skin makes faces and edges deeper by the same amount (docs/validation.md).
+    MuJoCo's collider takes the single point of two crossing edges instead of the contact of faces if that point is less
+    deep by 5 % (3.17: ``engine_collision_box.c``). At the usual depth, a tenth of a millimetre, it alternates between
+    the two, and pallets tremble. A skin makes faces and edges deeper by the same amount (docs/validation.md).
     """
     shapes = scene.shapes
     walls = range(scene.carrier.n_boards, len(scene.carrier.half_size))
@@ -273,8 +273,8 @@ def _add_shapes(
 
 
 def _set_inertia(body: mujoco.MjsBody, scene: Scene, physics: Physics, number: int) -> None:
-    """Set mass and moments of inertia. For a solid box without a skin MuJoCo computes the moments. Their last digits
-    differ, and the reference implementation has MuJoCo's."""
+    """Set mass and moments of inertia. For a solid box without a skin MuJoCo computes the moments. The last digits of
+    both differ, and the reference implementation has MuJoCo's."""
     mass = scene.carrier.mass if number == CARRIER else float(scene.mass[number])
     carrier = scene.carrier
     of_one = len(carrier.half_size) == 1 and not carrier.shape_pos.any()  # a wall that is open has left its mass
@@ -327,10 +327,10 @@ def soft_spec(
     rigid: list[int] = []
     for box in range(count):
         if scene.soft is not None and scene.soft[box]:
-            sliding, *others = scene.friction[box].tolist()
+            sliding, *other_frictions = scene.friction[box].tolist()
             sliding = float(frictions.of_boxes[box])
             rgba = BOX_COLOURS[box % len(BOX_COLOURS)]
-            add_soft_box(spec, scene, physics, box, (sliding, others[0], others[1]), rgba)
+            add_soft_box(spec, scene, physics, box, (sliding, other_frictions[0], other_frictions[1]), rgba)
         else:
             add_boxes(spec, scene, physics, [box], before=rigid, held=held_carrier is not None)
             rigid.append(box)

@@ -1,4 +1,4 @@
-"""Notes on options that have no effect, and on options and plans that do not mean what they seem to mean."""
+"""Notes on options that have no effect, and on options and plans that are probably mistaken."""
 
 from __future__ import annotations
 
@@ -104,28 +104,28 @@ def _gap_notes(sim: Simulation, plans: Sequence[Plan]) -> Iterator[str]:
     board_pallet = pallet(sim.carrier)
     if board_pallet is None:
         return
-    named: list[str] = []
+    box_names: list[str] = []
     count = 0
     for plan in plans:
         boxes = _over_gaps(plan, board_pallet.deck_mm)
         count += len(boxes)
-        named += [f"box {box} of {printable_name(plan.plan_id)}" for box in boxes[: MOST_NAMED - len(named)]]
+        box_names += [f"box {box} of {printable_name(plan.plan_id)}" for box in boxes[: MOST_NAMED - len(box_names)]]
     if count:
-        more = ", …" if count > len(named) else ""
+        tail = ", …" if count > len(box_names) else ""
         verb = "stands" if count == 1 else "stand"
-        first = f"{', '.join(named)}{more}"
+        first = f"{', '.join(box_names)}{tail}"
         yield f"{count_text(count, 'box', 'boxes')} on the carrier {verb} with the middle over a gap ({first})"
 
 
 def _wall_notes(sim: Simulation, plans: Sequence[Plan]) -> Iterator[str]:
-    """Notes on options of walls without walls, and on boxes that are planned through one."""
+    """Notes on options of walls without walls, and on boxes that are planned through a wall."""
     if not has_walls(sim):
         idle = [name for name in Walls.model_fields if getattr(sim.walls, name) not in (None, ())]
         if idle:
             verb = "has" if len(idle) == 1 else "have"
             yield f"{' and '.join(f'walls.{name}' for name in idle)} {verb} no effect: the carrier has no walls"
         return
-    named: list[str] = []
+    box_names: list[str] = []
     count = 0
     for plan in plans:
         of_plan = printable_name(plan.plan_id)
@@ -134,15 +134,15 @@ def _wall_notes(sim: Simulation, plans: Sequence[Plan]) -> Iterator[str]:
             for box, side, depth in _through_walls(plan, sim)
         ]
         count += len(boxes)
-        named += boxes[: MOST_NAMED - len(named)]
+        box_names += boxes[: MOST_NAMED - len(box_names)]
     if count:
-        more = ", …" if count > len(named) else ""
+        tail = ", …" if count > len(box_names) else ""
         verb = "reaches" if count == 1 else "reach"
-        yield f"{count_text(count, 'box', 'boxes')} {verb} through a wall of the carrier ({', '.join(named)}{more})"
+        yield f"{count_text(count, 'box', 'boxes')} {verb} through a wall of the carrier ({', '.join(box_names)}{tail})"
 
 
 def _through_walls(plan: Plan, sim: Simulation) -> Iterator[tuple[int, Side, float]]:
-    """Boxes that are planned through a wall, its side, the deepest one, and by how much, mm."""
+    """Boxes that are planned through a wall, its side, the deepest box, and its depth, mm."""
     place, half = (mm_to_m(values) for values in (plan.corner_mm + plan.size_mm / 2, plan.size_mm / 2))
     depth = carrier_of(plan, sim).room.depths(place, half, DEFAULT_TOLERANCE_MM / MM_PER_M)
     depth_mm = np.stack([MM_PER_M * depth[:, int(side.is_far), side.axis] for side in Side], axis=1)
@@ -164,16 +164,16 @@ def _stiffness_notes(sim: Simulation, plans: Sequence[Plan], errors: bool) -> It
         _check_soft(sim, plans if sim.attempts is Attempts.SOFT else giving)
     if not sim.physics.has_own_friction:
         return
-    named: list[str] = []
+    box_names: list[str] = []
     count = 0
     for plan in giving:
         boxes = _pressed_through(plan, sim)
         count += len(boxes)
-        named += [f"box {box} of {printable_name(plan.plan_id)}" for box in boxes[: MOST_NAMED - len(named)]]
+        box_names += [f"box {box} of {printable_name(plan.plan_id)}" for box in boxes[: MOST_NAMED - len(box_names)]]
     if count:
-        more = ", …" if count > len(named) else ""
+        tail = ", …" if count > len(box_names) else ""
         verb = "is" if count == 1 else "are"
-        first = f"{', '.join(named)}{more}"
+        first = f"{', '.join(box_names)}{tail}"
         yield (
             f"{count_text(count, 'box', 'boxes')} {verb} compressed by more than half of the height by the plan's "
             "loads "
@@ -187,7 +187,7 @@ def _attempt_notes(sim: Simulation, driven: bool) -> Iterator[str]:
 
 
 def _static_notes(sim: Simulation) -> Iterator[str]:
-    """A note on a duration that was given to a static check: the check ends when the pallet rests."""
+    """A note on the option ``duration_s`` beside a static check: such a check ends when the pallet rests."""
     duration_set = sim.duration_s != Simulation.model_fields["duration_s"].default
     if duration_set and sim.check is Check.STATIC and sim.schedule is Schedule.ADAPTIVE:
         yield (

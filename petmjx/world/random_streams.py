@@ -36,7 +36,7 @@ class WorldKey:
 
 
 def rngs(keys: Iterable[WorldKey], purpose: str) -> Iterator[np.random.Generator]:
-    """The generator of each key for a purpose, valid until the next one is taken. One generator is reset for each key,
+    """The generator of each key for a purpose, valid until the next call. One generator is reset for each key,
     which takes a quarter of the time of making one."""
     bits = np.random.Philox(key=0)
     generator, fresh = np.random.Generator(bits), bits.state

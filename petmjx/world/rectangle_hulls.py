@@ -19,7 +19,7 @@ Edge = tuple[float, float, float]
 """A hull's edge: its normal along x and y, which points inwards, and the normal's product with points of the edge."""
 
 LEAST_EDGE_M: Final = 1e-9
-"""Shortest edge, m. Shorter ones are left out: their direction is rounding."""
+"""Shortest edge, m. Shorter edges are left out: their direction is rounding."""
 
 _STRAIGHT_M: Final = 1e-12
 """A corner that lies outside a line by less than this lies on it: rounding."""
@@ -52,7 +52,8 @@ class HullTable(NamedTuple):
     offset: FloatArray
 
     def inside_m(self, hull: IntArray, point: FloatArray) -> FloatArray:
-        """(p,) how far (p, 2) points are inside the nearest edge of their hulls, m. ``hull``: (p,) numbers of these."""
+        """(p,) how far (p, 2) points are inside the nearest edge of their hulls, m. ``hull``: (p,) number of the hull
+        of each point."""
         nearest: FloatArray = self.distances_m(hull, point).min(axis=1, initial=np.inf)
         return nearest
 
@@ -66,8 +67,8 @@ class HullTable(NamedTuple):
 def hull_table(low: FloatArray, high: FloatArray, count: IntArray) -> HullTable:
     """The hulls of many sets of rectangles at once, with the edges of ``hull_edges``.
 
-    An edge lies along an axis, or joins the same corner of two rectangles: seen from it all other rectangles are
-    inside.
+    An edge of the hull lies along an axis, or joins the same corner of two rectangles; all other rectangles are inside
+    of it.
 
     Args:
         low, high: (c, 2) corners of the rectangles, set after set.
@@ -93,7 +94,8 @@ def _stacked_hulls(low: FloatArray, high: FloatArray) -> tuple[FloatArray, Float
     normals = [np.broadcast_to(np.array([[1.0, 0.0], [-1.0, 0.0], [0.0, 1.0], [0.0, -1.0]]), (len(low), 4, 2))]
     offsets = [along]
     one, other = np.triu_indices(low.shape[1], 1)
-    for sign_x, sign_y in ((1, 1), (1, -1), (-1, 1), (-1, -1)):  # of a normal: the corner is low where it is positive
+    # signs of a normal: the low corner of a rectangle counts where the normal is positive
+    for sign_x, sign_y in ((1, 1), (1, -1), (-1, 1), (-1, -1)):
         x, y = (low if sign_x > 0 else high)[..., 0], (low if sign_y > 0 else high)[..., 1]
         step_x, step_y = x[:, other] - x[:, one], y[:, other] - y[:, one]
         length = np.hypot(step_x, step_y)

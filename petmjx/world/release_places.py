@@ -1,13 +1,14 @@
 """Release places of boxes: at rest on their supports, and free of one another.
 
 Contacts are soft. A pile has come down by up to some tenths of a millimetre under its loads so far, and a box's own
-contacts are a tenth of a millimetre deep once they carry it. A box released at its planned place would fall by both,
-land with centimetres a second, and might rock over an edge on which it stands. So a box is released as deep in its
-support as its weight will press it, and lower by as much as the support has come down since.
+contacts are a tenth of a millimetre deep once they carry it. A box released at its planned place would fall by both
+lengths, land with centimetres a second, and might rock over an edge on which it stands. So a box is released as deep in
+its support as its weight will press it, and lower by the descent of the support.
 
-If places and sizes have errors, boxes may overlap where they appear. Their contacts would throw them apart, the faster
-the stiffer the contacts and the shorter the timestep. Whether the pallet stands would then depend on numbers that are
-no property of boxes. So overlapping boxes are first moved apart horizontally, by the least translations.
+If places and sizes have errors, boxes may overlap where they appear. Contacts of overlapping boxes would throw them
+apart, the faster the stiffer the contacts and the shorter the timestep. Whether the pallet stands would then depend on
+numbers that are no property of boxes. So overlapping boxes are first moved apart horizontally, by the least
+translations.
 """
 
 from __future__ import annotations
@@ -40,7 +41,7 @@ class Release(NamedTuple):
     """How n boxes are released. For several stackable scenes every array has a leading axis of the scenes.
 
     Attributes:
-        support: (n,) the box that a box follows, the one with which it shares most area; or ``CARRIER`` or ``NOTHING``.
+        support: (n,) the support that each box follows, with which it shares most area; or ``CARRIER`` or ``NOTHING``.
         pos: (n, 3) centres of boxes whose support is at its planned place, m.
         most_followed_m: how far a box follows its support at most, m: further if supports give.
     """
@@ -53,7 +54,7 @@ class Release(NamedTuple):
         """(3,) middle of a box that is released now, m.
 
         Args:
-            boxes_z, carrier_z: heights of the centres of the boxes before it, and of the carrier's centre, m.
+            boxes_z, carrier_z: heights of the centres of earlier boxes, and of the carrier's centre, m.
         """
         place: FloatArray = self.pos[box].copy()
         support = self.support[box]
@@ -65,7 +66,7 @@ class Release(NamedTuple):
 
 
 def release_of(scene: Scene, sim: Simulation) -> Release:
-    """How the boxes of a scene are released, one by one. In a static check all stand at their planned places."""
+    """The releases of the boxes of a scene, one by one. In a static check all stand at their planned places."""
     if sim.physics.falls_into_place or sim.check is Check.STATIC or not scene.n_boxes:
         return Release(np.full(scene.n_boxes, NOTHING), scene.start_pos)
     support = _supports(scene.target, scene.half_size)
@@ -109,7 +110,7 @@ def releases_of(scenes: Sequence[Scene], sim: Simulation) -> Release:
 
 
 def release_of_next(before: Stacks, boxes: NextBoxes, sim: Simulation) -> Release:
-    """How one more box is released in each of m worlds: to the last bit the last row of ``release_of``."""
+    """Releases of one more box in each of m worlds: to the last bit the last row of ``release_of``."""
     nothing = np.full(len(boxes), NOTHING)
     if sim.physics.falls_into_place or sim.check is Check.STATIC:
         return Release(nothing, boxes.target)
@@ -121,7 +122,7 @@ def release_of_next(before: Stacks, boxes: NextBoxes, sim: Simulation) -> Releas
     box_below = np.where(area.any(axis=1), area.argmax(axis=1), nothing) if area.shape[1] else nothing
     support = np.where(low[:, 2] <= TOUCH_M, CARRIER, box_below)
     on_carrier, rows = support == CARRIER, np.arange(len(boxes))
-    # if nothing bears a box, its own mass and friction are filled in; they have no effect
+    # if nothing bears a box, its own mass and friction are filled in; these values have no effect
     masses = np.column_stack([before.mass, boxes.mass])
     below = np.where(support >= 0, support, masses.shape[1] - 1)
     share = 1.0 + boxes.mass / np.where(on_carrier, before.carrier_mass, masses[rows, below])
@@ -134,7 +135,7 @@ def release_of_next(before: Stacks, boxes: NextBoxes, sim: Simulation) -> Releas
 
 
 def _supports(target: FloatArray, half_size: FloatArray) -> NDArray[np.intp]:
-    """(…, n) the support of each box by the planned places: the one under most of it."""
+    """(…, n) the support of each box by the planned places: the body under most of its base."""
     low, high = target - half_size, target + half_size
     length, width = (np.maximum(shared_length(low[..., axis], high[..., axis]), 0.0) for axis in range(2))
     area = length * width * np.triu(meets(low[..., 2], high[..., 2], TOUCH_M), k=1)
@@ -150,7 +151,8 @@ _KNOWN_TO_M: Final = 1e-6
 """Tolerance of that distance, m: a hundredth of the depth of contacts at rest."""
 
 _MOST_ROUNDS: Final = 500
-"""Largest number of rounds. A row of 12 boxes takes 200. An overlap that then remains is left to the contacts."""
+"""Largest number of rounds. A row of 12 boxes needs 200 rounds. An overlap that then remains is left to the
+contacts."""
 
 
 def make_room(
@@ -163,11 +165,12 @@ def make_room(
     movable: NDArray[np.bool_],
     reach_m: float,
 ) -> FloatArray:
-    """(m, n, 2) horizontal places of m worlds, nearest to the given ones, at which no box overlaps one beside it, m.
+    """(m, n, 2) horizontal places of m worlds, nearest to the original places, at which no box overlaps a box beside
+    it, m.
 
-    Nearest means the least sum of the squares of all translations. Two boxes are kept apart along the axis of one of
-    them along which they overlap least. They are kept ``CLEAR_M`` apart, or as near as in the plan, even if they
-    overlap there. So each pair bounds the translations by one linear inequality. Hildreth's method (Hildreth 1957, "A
+    Nearest means the least sum of the squares of all translations. Two boxes are kept apart along an axis of one of the
+    two: the axis of their least overlap. The distance is ``CLEAR_M``, or as in the plan where planned boxes are nearer
+    or overlap. So each pair bounds the translations by one linear inequality. Hildreth's method (Hildreth 1957, "A
     quadratic programming procedure", Naval Research Logistics Quarterly 4, 79-85) finds the least translations, pair by
     pair. The places of a world do not depend on other worlds.
 
@@ -176,7 +179,7 @@ def make_room(
         half_size: (m or 1, n, 3) half extents, m.
         yaw: (m or 1, n), rad.
         planned, planned_half: (n, 2) places and (n, 3) half extents of the plan, whose boxes are not turned, m.
-        beside: (n, n) symmetric: pairs of which neither box is above the other.
+        beside: (n, n) symmetric: pairs of boxes of which neither is above the other.
         movable: (n,) boxes that may be moved.
         reach_m: pairs that are further apart in the plan are ignored.
     """
@@ -194,22 +197,22 @@ def make_room(
     pressure = np.zeros_like(missing)
     yields = movable.astype(float)
     resistance = yields[first] + yields[second]
-    some = _independent(first, second)
+    independent_groups = _independent(first, second)
     running = np.arange(len(open_worlds))
     for _ in range(_MOST_ROUNDS):
         worst = np.zeros(len(running))
-        for pairs in some:
+        for pairs in independent_groups:
             i, j = first[pairs], second[pairs]
             n = normal[running][:, pairs]
             away = moved[running][:, j] - moved[running][:, i]
             lacks = missing[running][:, pairs] - (n[..., 0] * away[..., 0] + n[..., 1] * away[..., 1])
             before = pressure[running][:, pairs]
-            more = np.maximum(before + lacks / resistance[pairs], 0.0) - before
+            added_force = np.maximum(before + lacks / resistance[pairs], 0.0) - before
             worst = np.maximum(worst, lacks.max(axis=1))
-            worst = np.maximum(worst, np.abs(more).max(axis=1))
-            pressure[running[:, None], pairs] = before + more
-            moved[running[:, None], i] -= (yields[i] * more)[..., None] * n
-            moved[running[:, None], j] += (yields[j] * more)[..., None] * n
+            worst = np.maximum(worst, np.abs(added_force).max(axis=1))
+            pressure[running[:, None], pairs] = before + added_force
+            moved[running[:, None], i] -= (yields[i] * added_force)[..., None] * n
+            moved[running[:, None], j] += (yields[j] * added_force)[..., None] * n
         running = running[worst > _KNOWN_TO_M]
         if not len(running):
             break
@@ -231,7 +234,7 @@ def _widest(
     place: FloatArray, half_size: FloatArray, yaw: FloatArray, first: NDArray[np.intp], second: NDArray[np.intp]
 ) -> tuple[FloatArray, FloatArray]:
     """(m, p, 2) the axis along which the boxes of each pair are furthest apart, from the first box to the second, and
-    (m, p) that gap, m. Two rectangles are apart if one of their four axes separates them."""
+    (m, p) the gap along it, m. Two rectangles are apart if one of their four axes separates them."""
     cos, sin = np.cos(yaw), np.sin(yaw)
     between = place[:, second] - place[:, first]
     widest = np.full(between.shape[:2], -np.inf)
@@ -256,11 +259,13 @@ def _independent(first: NDArray[np.intp], second: NDArray[np.intp]) -> list[NDAr
     """Groups of pairs. No box occurs twice in a group, so that all pairs of a group can be computed at once."""
     groups: list[list[int]] = []
     boxes: list[set[int]] = []
-    for pair, both in enumerate(zip(first.tolist(), second.tolist(), strict=True)):
-        group = next((k for k, some in enumerate(boxes) if not some.intersection(both)), len(groups))
+    for pair, pair_boxes in enumerate(zip(first.tolist(), second.tolist(), strict=True)):
+        group = next(
+            (k for k, group_boxes in enumerate(boxes) if not group_boxes.intersection(pair_boxes)), len(groups)
+        )
         if group == len(groups):
             groups.append([])
             boxes.append(set())
         groups[group].append(pair)
-        boxes[group].update(both)
+        boxes[group].update(pair_boxes)
     return [np.array(group) for group in groups]

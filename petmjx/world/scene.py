@@ -65,7 +65,7 @@ class Scene:
         half_size: (n, 3) half extents, m.
         mass: (n,) kg.
         target: (n, 3) planned places, m, from which shifts are measured.
-        start_pos: (n, 3) places at which boxes are released, m; the same as ``target`` in the nominal variant.
+        start_pos: (n, 3) release places, m; the same as ``target`` in the nominal variant.
         start_quat: (n, 4) orientations (w, x, y, z) at release.
         friction: (n, 3) sliding, torsional and rolling coefficients.
         carrier: the carrier before the soft start; its top is at z = 0.
@@ -79,17 +79,17 @@ class Scene:
             one of two shapes everywhere.
         pair_landing: (k, k, 2) restitution and time, s, of landings between surfaces, or
             ``petmjx.world.friction_pairs.USUAL``;
-            None: the values of the physics everywhere.
-        pair_kinetic: (k, k) friction between surfaces that slide, as a share of that at rest, or
+            None: the physics' values for all.
+        pair_kinetic: (k, k) friction of sliding surfaces as a share of friction at rest, or
             ``petmjx.world.friction_pairs.USUAL``; None: the value of the physics everywhere.
-        placing: how boxes come to their places.
-        approach: (n, 2) horizontal directions in which they do so, of length 1. 0, or None for all: the direction
-            follows from the neighbours.
-        stiffness: (n,) force on a box's top per compression, N/m; inf: it is rigid. None: all are.
-        soft: (n,) which boxes are flex bodies (petmjx/world/soft_boxes.py); None: none is.
+        placing: the way of placing.
+        approach: (n, 2) horizontal directions of the approaches, of length 1. 0, or None for all: the direction follows
+            from the neighbours.
+        stiffness: (n,) force on a box's top per compression, N/m; inf: a rigid box. None: all are.
+        soft: (n,) whether each box is a flex body (petmjx/world/soft_boxes.py); None: no box is.
         wrap: film around the pallet when it is shaken (petmjx/world/film.py).
-        pieces: pieces of interlayer sheets, which bear only where something bears them (petmjx/world/sheets.py), and
-            boards of pallets among the boxes (petmjx/world/load_units.py).
+        pieces: pieces of interlayer sheets, which bear only above other bodies (petmjx/world/sheets.py), and boards of
+            pallets among the boxes (petmjx/world/load_units.py).
     """
 
     half_size: NDArray[np.float64]
@@ -124,8 +124,8 @@ class Scene:
         return replace(self, **cut, pieces=tuple(piece for piece in self.pieces if piece.box < count))
 
     def with_open_walls(self, sides: Collection[Side]) -> Scene:
-        """The scene with the carrier's walls of these sides open, as a door is that is opened. All else, the frame and
-        the mass of the carrier too, is as before, so that a state of this scene is one of that scene.
+        """The scene with these walls of the carrier open, like doors. Everything else stays, also the frame and the
+        mass of the carrier. So states of this scene and of the result can be exchanged.
 
         Raises:
             ValueError: the carrier has no wall on one of the sides.
@@ -141,7 +141,7 @@ class Scene:
 
     @cached_property
     def total_mass(self) -> float:
-        """Mass of boxes and carrier, kg; force profiles are scaled by it."""
+        """Mass of boxes and carrier, kg; the unit of force profiles."""
         return float(self.mass.sum() + self.carrier.mass)
 
     @cached_property
@@ -150,13 +150,13 @@ class Scene:
         return np.zeros_like(self.half_size) if self.mass_center is None else -self.mass_center
 
     def middles(self, frame: NDArray[np.float64], quat: NDArray[np.float64]) -> NDArray[np.float64]:
-        """(…, k, 3) middles of the first k boxes whose frames are at these places, m."""
+        """(…, k, 3) middles of the first k boxes for these origins of their frames, m."""
         if self.mass_center is None:
             return frame
         return frame + rotated_vectors(quat, self.middle[: frame.shape[-2]])
 
     def frames(self, middle: NDArray[np.float64], quat: NDArray[np.float64]) -> NDArray[np.float64]:
-        """(…, k, 3) origins of the frames of the first k boxes whose middles are at these places, m."""
+        """(…, k, 3) origins of the frames of the first k boxes for these middles, m."""
         if self.mass_center is None:
             return middle
         return middle - rotated_vectors(quat, self.middle[: middle.shape[-2]])
@@ -170,7 +170,7 @@ class Scene:
 
     @cached_property
     def shapes(self) -> Shapes:
-        """The shapes of all bodies: a box has one, a sheet as many as it has pieces."""
+        """The shapes of all bodies: a box has one, a sheet one for each piece."""
         carrier = self.carrier
         counts = np.ones(self.n_boxes, np.intp)
         for piece in self.pieces:
@@ -242,10 +242,10 @@ def build_scenes(plans: Iterable[Plan], sim: Simulation) -> Iterator[Scene]:
     """The nominal scenes of plans, in order. The arrays of many plans are computed at once, identical to the last bit
     with those of ``build_scene``."""
     slabs, source = pallet(sim.carrier) is None and not has_walls(sim), iter(plans)
-    while some := list(islice(source, AT_A_TIME)):
-        alike = [plan for plan in some if slabs and _is_plain(plan)]
+    while batch := list(islice(source, AT_A_TIME)):
+        alike = [plan for plan in batch if slabs and _is_plain(plan)]
         together = iter(_stacked_scenes(alike, sim)) if alike else iter(())
-        for plan in some:
+        for plan in batch:
             yield next(together) if slabs and _is_plain(plan) else build_scene(plan, sim)
 
 

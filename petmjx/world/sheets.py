@@ -1,10 +1,11 @@
 """Interlayer sheets: thin items that bridge no gaps.
 
 A sheet of cardboard or paper between two layers is an item of its own. A rigid plate would carry a box over a hole in
-the layer below, which no sheet does. So a sheet bears only where, by the plan, something bears it. Its body has one
-shape for each area in which it lies on a box or a board, or up to a centimetre above one, and none over the gaps. The
-body holds these pieces together: it ties the boxes of a layer by friction, as sheets do, and does not sag or tear. A
-sheet that lies on nothing is not divided.
+the layer below, which no sheet does. So a sheet bears only above bodies that lie under it by the plan. The body of a
+sheet has one shape for each area on a box or a board, or up to a centimetre above one, and no shape over gaps. The body
+holds these
+pieces together: the sheet ties the boxes of a layer by friction, as sheets do, and does not sag or tear. A sheet that
+lies on nothing is not divided.
 """
 
 from __future__ import annotations
@@ -34,7 +35,7 @@ def pieces_of(
     Args:
         sheets: (n,) which boxes are sheets.
         target, half_size: (n, 3) planned middles and half extents of all boxes, m.
-        carrier: the carrier. Its boards with tops at z = 0 bear, too.
+        carrier: the carrier. Boards of the carrier with tops at z = 0 bear, too.
     """
     pieces = []
     board, half = (carrier.pos + carrier.shape_pos)[: carrier.n_boards], carrier.half_size[: carrier.n_boards]

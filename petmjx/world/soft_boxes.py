@@ -39,12 +39,12 @@ POINTS: Final = np.array(list(product((-1.0, 0.0, 1.0), repeat=3)))
 """(27, 3) the points of a box of half sizes 1."""
 
 ROUNDING_M: Final = 0.001
-"""Radius of edges and corners, with which the points' faces are covered. Without it the collider would meet faces that
-reach into one another, where it finds no good normals."""
+"""Radius of edges and corners, with which the points' faces are covered. Without balls the collider would meet
+overlapping faces, for which it finds no good normals."""
 
 BALL_M: Final = 0.0002
-"""How much deeper than balls elements must be to touch: more than contacts are deep. Elements have half of it as a
-negative margin and rigid shapes as well, and balls have it as a positive one; margins add up."""
+"""How much deeper than balls elements must be to touch: more than contacts are deep. Elements and rigid shapes have
+half of the radius as a negative margin each, balls the whole as a positive one; margins add up."""
 
 MOST_ROUNDING: Final = 0.1
 """Largest rounding as a share of the shortest half size."""
@@ -150,8 +150,9 @@ def edge_law(half_size: FloatArray, mass: float, stiffness_n_m: float, timestep_
 
 @lru_cache(maxsize=1)
 def _mujocos_share() -> float:
-    """MuJoCo's inverse mass of an edge as a share of the real one. It is 1/2 for points whose bodies have only slides
-    (3.17), so that edges are twice as stiff as documented. It is read from a compiled model, since it may change."""
+    """MuJoCo's inverse mass of an edge as a share of the real one. MuJoCo's factor is 1/2 for points whose bodies have
+    only slides (3.17), so that edges are twice as stiff as documented. The factor is read from a compiled model, since
+    it may change."""
     spec = mujoco.MjSpec()
     mass = shares()
     _add_points(spec, "probe", POINTS, mass)
@@ -165,7 +166,7 @@ def _mujocos_share() -> float:
 
 @lru_cache(maxsize=4096)
 def _network_kg(length: float, width: float, height: float) -> float:
-    """Stiffness / κ of a box of mass 1 kg between two plates on which it does not slide, kg. Half sizes in m."""
+    """Stiffness / κ of a box of mass 1 kg between two plates with perfect grip, kg. Half sizes in m."""
     points, mass, edges = points_of(np.array([length, width, height])), shares(), _edges()
     along = points[edges[:, 1]] - points[edges[:, 0]]
     along /= np.linalg.norm(along, axis=1, keepdims=True)
@@ -197,7 +198,7 @@ def _add_points(spec: mujoco.MjSpec, box: str, places: FloatArray, mass: FloatAr
         body.explicitinertial = True
         body.mass = mass[number]
         body.ipos, body.iquat = np.zeros(3), np.array(IDENTITY_QUAT)
-        body.inertia = np.full(3, mass[number] * ROUNDING_M**2)  # it does not turn
+        body.inertia = np.full(3, mass[number] * ROUNDING_M**2)  # the box does not turn
         for axis in np.eye(3):
             body.add_joint(type=mujoco.mjtJoint.mjJNT_SLIDE, axis=axis)
         bodies.append(body)
@@ -255,7 +256,8 @@ def set_for_soft(spec: mujoco.MjSpec, scene: Scene, physics: Physics, frictions:
             continue
         geom.conaffinity |= _ELEMENTS | _BALLS
         sliding = frictions.of_geom(geom.parent.name)
-        if physics.has_own_friction:  # rigid shapes touch one another in declared pairs, which have all of their own
+        # rigid shapes touch one another in declared pairs, which have values of their own
+        if physics.has_own_friction:
             geom.margin -= BALL_M / 2
             geom.friction[0] = geom.friction[0] if sliding is None else sliding
 

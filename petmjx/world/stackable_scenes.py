@@ -1,6 +1,6 @@
 """Stackable scenes: groups of scenes whose arrays can be stacked.
 
-Then many worlds are computed at once, identical to the last bit with each world alone.
+Stacked worlds are computed at once, identical to the last bit with each world alone.
 """
 
 from __future__ import annotations
@@ -37,10 +37,17 @@ def stackable_groups(scenes: Sequence[Scene]) -> Iterator[tuple[list[int], bool]
 
 def is_plain(scene: Scene) -> bool:
     """Whether a scene's boxes differ only in places, sizes, masses and friction."""
-    more = scene.mass_center, scene.inertia_box, scene.surface, scene.stiffness, scene.soft, scene.carrier.surface
-    return not scene.pieces and all(array is None for array in more)
+    optional_fields = (
+        scene.mass_center,
+        scene.inertia_box,
+        scene.surface,
+        scene.stiffness,
+        scene.soft,
+        scene.carrier.surface,
+    )
+    return not scene.pieces and all(array is None for array in optional_fields)
 
 
 def stacked_values(scenes: Sequence[Scene], name: str) -> NDArray[Any]:
-    """(m, …) a value of each scene, by its name, such as ``carrier.mass``."""
+    """(m, …) one field of each scene, by the field's name, such as ``carrier.mass``."""
     return np.array([*map(attrgetter(name), scenes)])

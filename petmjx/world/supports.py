@@ -1,10 +1,10 @@
 """Supports of boxes by the plan, their loads, and the distances of loads from the edges of the supports.
 
-The load of a box is its own weight and all that rests on it. It acts at a point of the box's base, the centre of
-pressure. The box is in balance if that point lies within the convex hull of its supports. Statics does not say how
-several supports share a load. Here they share it as on a bed of equal springs (Winkler 1867, "Die Lehre von der
-Elasticität und Festigkeit"): the pressure is a plane over all areas that touch, determined by force and moments. If
-springs would pull, supports push with the least energy (petmjx.world.load_sharing).
+The load of a box is its own weight plus the weight that rests on it. The load acts at a point of the box's base, the
+centre of pressure. The box is in balance if that point lies within the convex hull of its supports. Statics does not
+determine the shares of several supports in a load. Here supports share a load as a bed of equal springs (Winkler 1867,
+"Die Lehre von der Elasticität und Festigkeit"): the pressure is a plane over all areas that touch, determined by force
+and moments. If springs would pull, supports push with the least energy (petmjx.world.load_sharing).
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ from petmjx.world.history import CARRIER
 from petmjx.world.load_sharing import ON_EDGE_M, on_edges, pulls, pushes
 from petmjx.world.rectangle_hulls import HullTable, hull_table
 from petmjx.world.scene import Scene
-from petmjx.world.stackable_scenes import stackable_groups, stacked_values
+from petmjx.world.stackable_scenes import is_plain
 
 IntArray = NDArray[np.intp]
 
@@ -34,7 +34,8 @@ TOUCH_M: Final = DEFAULT_TOLERANCE_MM / MM_PER_M
 """Faces touch if they are no further apart than this, as in the warnings about a plan."""
 
 LEANS_M: Final = Thresholds().shift_m
-"""Largest gap at which a box that tips leans on a wall: its middle has then moved by less than a verdict allows."""
+"""Largest gap between a tipping box and the wall that stops it: the box's middle then moves by less than a verdict
+allows."""
 
 _LEAST_OVERLAP_M: Final = 1e-6
 
@@ -62,27 +63,30 @@ class Boxes:
     held: FloatArray
 
     @classmethod
-    def of(cls, scene: Scene) -> Boxes:
-        """The boxes of one scene."""
-        n = scene.n_boxes
-        mass_center = np.zeros((n, 3)) if scene.mass_center is None else scene.mass_center
+    def of(cls, scenes: Sequence[Scene], targets: Sequence[FloatArray]) -> Boxes:
+        """The boxes of scenes, with their middles at these (n, 3) places, m."""
+        counts = [scene.n_boxes for scene in scenes]
+        centred = [
+            np.zeros((n, 3)) if scene.mass_center is None else scene.mass_center
+            for scene, n in zip(scenes, counts, strict=True)
+        ]
         return cls(
-            np.array([0, n]),
-            scene.target,
-            scene.half_size,
-            scene.mass,
-            mass_center,
-            np.full(n, scene.carrier.mass),
-            _held_by_walls(scene, scene.target),
+            np.concatenate([[0], np.cumsum(counts)]),
+            np.concatenate(targets),
+            np.concatenate([scene.half_size for scene in scenes]),
+            np.concatenate([scene.mass for scene in scenes]),
+            np.concatenate(centred),
+            np.repeat([scene.carrier.mass for scene in scenes], counts),
+            np.concatenate([_held_by_walls(scene, target) for scene, target in zip(scenes, targets, strict=True)]),
         )
 
-    @classmethod
-    def together(cls, scenes: Sequence[Boxes]) -> Boxes:
-        """The boxes of several scenes."""
-        counts = [np.diff(boxes.first) for boxes in scenes]
-        first = np.concatenate([[0], np.cumsum(np.concatenate(counts))])
-        names = [field.name for field in fields(cls) if field.name != "first"]
-        return cls(first, *(np.concatenate([getattr(boxes, name) for boxes in scenes]) for name in names))
+    def of_scenes(self, numbers: IntArray) -> tuple[Boxes, IntArray]:
+        """The boxes of some of the scenes, in this order, and (k,) their numbers among all boxes."""
+        counts = np.diff(self.first)
+        rows = spans(counts, numbers)
+        first = np.concatenate([[0], np.cumsum(counts[numbers])])
+        names = [field.name for field in fields(self) if field.name != "first"]
+        return Boxes(first, *(getattr(self, name)[rows] for name in names)), rows
 
     @cached_property
     def bottom(self) -> FloatArray:
@@ -102,8 +106,8 @@ def _held_by_walls(scene: Scene, target: FloatArray) -> FloatArray:
     """(n, 2, 2) as ``Boxes.held``, with the boxes at these (n, 3) places, m.
 
     A box whose load W acts e beyond an edge tips until it touches the wall there, at the height h of its top or of the
-    wall's, above its bottom. The wall then presses with W·e/h, which the edge must bear by friction: so it is held up
-    to e = µ·h. The wall counts as smooth, and what bears the box as held in its place.
+    wall's, above its bottom. The wall then presses with W·e/h, and the edge must bear this force by friction: so the
+    wall holds the box up to e = µ·h. The wall counts as smooth, and the support of the box as fixed.
     """
     held = np.zeros((scene.n_boxes, 2, 2))
     if not scene.carrier.walls:
@@ -115,7 +119,7 @@ def _held_by_walls(scene: Scene, target: FloatArray) -> FloatArray:
 
 
 def _least_friction(scene: Scene) -> FloatArray:
-    """(n,) the least coefficient of friction between each box and what it may stand on."""
+    """(n,) the least coefficient of friction between each box and its possible supports."""
     friction = scene.friction[:, 0]
     if scene.surface is None or scene.pair_friction is None:
         return friction
@@ -128,9 +132,9 @@ class Bearing:
     """The contacts between boxes and their supports in scenes with n boxes: c rectangles, sorted by the upper box.
 
     Attributes:
-        boxes: the boxes. Their planned places count, not those at which they are released.
+        boxes: the boxes. The planned places count, not the release places.
         upper: (c,) the box above.
-        lower: (c,) the box below, even if it is placed later, or ``CARRIER``.
+        lower: (c,) the box below, even if placed later, or ``CARRIER``.
         low, high: (c, 2) corners of the rectangles along x and y, m.
     """
 
@@ -189,23 +193,23 @@ class Bearing:
 
         Args:
             load: (p, 3) one load of each of these ``boxes``.
-            owner: (k,) number of the load that presses at each contact. Contacts are sorted by it.
+            owner: (k,) number of the load that presses at each contact. Contacts are sorted by this number.
             low, high: (k, 2) corners of the contacts' rectangles.
         """
         force, hull = np.zeros((len(owner), 3)), self.number_of_hull[boxes]
         within = self.hulls.inside_m(hull, load[:, 1:] / load[:, :1]) > ON_EDGE_M
         for chosen in (within, ~within):
             if chosen.any():
-                some = chosen[owner]
-                contact_args = load[chosen], (np.cumsum(chosen) - 1)[owner[some]], low[some], high[some]
-                force[some] = (
+                is_chosen = chosen[owner]
+                contact_args = load[chosen], (np.cumsum(chosen) - 1)[owner[is_chosen]], low[is_chosen], high[is_chosen]
+                force[is_chosen] = (
                     pushes(*contact_args) if chosen is within else on_edges(*contact_args, self.hulls, hull[chosen])
                 )
         return force
 
     def edges_m(self, load: FloatArray) -> FloatArray:
         """(n,) distance of each box's load from the nearest edge of its supports, m: positive inside, negative beyond.
-        NaN if nothing bears the box, or it has no load."""
+        NaN for a box without support or load."""
         with np.errstate(divide="ignore", invalid="ignore"):
             point = load[:, 1:3] / load[:, :1]
         return self.inside_m(np.arange(len(load)), point)
@@ -220,10 +224,12 @@ class Bearing:
         several = np.flatnonzero(self.n_supports[box] > 1)
         if len(several):
             hull, held = self.number_of_hull[box[several]], self.boxes.held[box[several]]
-            outward = -self.hulls.normal[hull]
-            wider = (np.maximum(outward, 0.0) * held[:, None, 1] - np.minimum(outward, 0.0) * held[:, None, 0]).sum(
-                axis=2
-            )
+            wider: FloatArray | float = 0.0
+            if held.any():
+                outward = -self.hulls.normal[hull]
+                wider = (np.maximum(outward, 0.0) * held[:, None, 1] - np.minimum(outward, 0.0) * held[:, None, 0]).sum(
+                    axis=2
+                )
             distance_m[several] = (self.hulls.distances_m(hull, point[several]) + wider).min(axis=1, initial=np.inf)
         return distance_m
 
@@ -233,12 +239,30 @@ class Bearing:
         several = self.n_supports[self.upper] > 1
         return hull_table(self.low[several], self.high[several], self.n_supports[self.n_supports > 1])
 
-    def share_hulls(self, number: int, one: Bearing) -> None:
-        """Give the bearing ``one`` of scene ``number`` its part of these hulls, so that it does not compute them."""
+    def of_scene(self, number: int) -> Bearing:
+        """The bearing of one scene alone. It has its part of these hulls, so that it does not compute them."""
         begin, end = self.boxes.first[number : number + 2].tolist()
+        one = self.of_scenes(np.array([number]))
         before, count = (int(np.count_nonzero(self.n_supports[a:b] > 1)) for a, b in ((0, begin), (begin, end)))
         hulls = slice(before, before + count)
-        vars(one).setdefault("hulls", HullTable(self.hulls.normal[hulls], self.hulls.offset[hulls]))
+        vars(one)["hulls"] = HullTable(self.hulls.normal[hulls], self.hulls.offset[hulls])
+        return one
+
+    def of_scenes(self, numbers: IntArray) -> Bearing:
+        """The bearing of some of the scenes, in this order."""
+        boxes, rows = self.boxes.of_scenes(numbers)
+        counts = self.n_supports[rows]
+        contacts = spans(self.n_supports, rows)
+        begins = np.repeat(boxes.first[:-1] - self.boxes.first[numbers], np.diff(boxes.first))
+        moved = np.repeat(begins, counts)
+        lower = self.lower[contacts]
+        return Bearing(
+            boxes,
+            self.upper[contacts] + moved,
+            np.where(lower == CARRIER, CARRIER, lower + moved),
+            self.low[contacts],
+            self.high[contacts],
+        )
 
     @cached_property
     def number_of_hull(self) -> IntArray:
@@ -247,7 +271,7 @@ class Bearing:
 
     @cached_property
     def widths_m(self) -> FloatArray:
-        """(n,) extent of each box's supports along x or y, whichever is shorter, m; NaN if nothing bears it."""
+        """(n,) extent of each box's supports along x or y, whichever is shorter, m; NaN without support."""
         low, high = np.full((len(self.boxes.mass), 2), np.inf), np.full((len(self.boxes.mass), 2), -np.inf)
         np.minimum.at(low, self.upper, self.low)
         np.maximum.at(high, self.upper, self.high)
@@ -266,7 +290,7 @@ class Bearing:
 
     @cached_property
     def level(self) -> IntArray:
-        """(n,) largest number of contacts on a way from a box up to one that bears no box."""
+        """(n,) largest number of contacts on a path from a box up to a box with a free top."""
         between = np.flatnonzero(self.lower != CARRIER)
         upper, lower = self.upper[between], self.lower[between]
         level = np.zeros(len(self.boxes.mass), int)
@@ -323,82 +347,129 @@ class Bearing:
         return share
 
 
+def spans(count: IntArray, chosen: IntArray) -> IntArray:
+    """The numbers of all members of the chosen groups. ``count`` has the number of members of each group."""
+    first, times = (np.cumsum(count) - count)[chosen], count[chosen]
+    numbers: IntArray = np.arange(times.sum()) + np.repeat(first - (np.cumsum(times) - times), times)
+    return numbers
+
+
 @lru_cache(maxsize=256)
 def bearing_of(scene: Scene) -> Bearing:
     """``find_bearing``, cached: in a sweep many worlds have the same scene."""
     return find_bearing(scene)
 
 
-def bearings_of(
-    scenes: Sequence[Scene], at_rest: Sequence[Scene] = (), pos: Sequence[FloatArray] = ()
-) -> list[Bearing]:
-    """``bearing_of`` of each scene, and then of the scenes ``at_rest`` with their boxes at (n, 3) places ``pos``, m."""
-    different = list({id(scene): scene for scene in scenes}.values())
-    if len(different) == 1:
-        return [bearing_of(different[0])] * len(scenes) + find_bearings(at_rest, pos)
-    bearings = find_bearings([*different, *at_rest], [*(scene.target for scene in different), *pos])
-    of_scene = dict(zip(map(id, different), bearings, strict=False))
-    return [of_scene[id(scene)] for scene in scenes] + bearings[len(different) :]
+def bearings_of(scenes: Sequence[Scene], at_rest: Sequence[Scene] = (), pos: Sequence[FloatArray] = ()) -> Bearing:
+    """The bearings of scenes by the planned places, and then of the scenes ``at_rest`` with their boxes at (n, 3)
+    places ``pos``, m: joined, with the boxes scene after scene, so that all are computed at once."""
+    if len({id(scene) for scene in scenes}) == 1 and not at_rest:
+        return (
+            bearing_of(scenes[0]) if len(scenes) == 1 else bearing_of(scenes[0]).of_scenes(np.zeros(len(scenes), int))
+        )
+    return find_bearings([*scenes, *at_rest], [*(scene.target for scene in scenes), *pos])
 
 
-def find_bearings(scenes: Sequence[Scene], targets: Sequence[FloatArray], most_gap_m: float = TOUCH_M) -> list[Bearing]:
-    """``find_bearing`` of each scene with its boxes at (n, 3) places, m. Stackable scenes are computed at once."""
-    if len(scenes) < 2:
-        moved = [replace(scene, target=target) for scene, target in zip(scenes, targets, strict=True)]
-        return [find_bearing(scene, most_gap_m) for scene in moved]
-    bearing_by_number: dict[int, Bearing] = {}
-    for numbers, plain in stackable_groups(scenes):
-        some = [scenes[k] for k in numbers]
-        if plain and some[0].n_boxes:
-            target = np.array([targets[k] for k in numbers])
-            bearing_by_number.update(zip(numbers, _stacked_bearings(some, target, most_gap_m), strict=True))
-        else:
-            bearing_by_number.update(
-                (k, find_bearing(replace(scenes[k], target=targets[k]), most_gap_m)) for k in numbers
-            )
-    return [bearing_by_number[k] for k in range(len(scenes))]
+MOST_PAIRS: Final = 1 << 17
+"""Pairs of boxes that are looked at together: a matrix of numbers takes 1 MB then, which caches hold."""
 
 
-def _stacked_bearings(scenes: Sequence[Scene], target: FloatArray, most_gap_m: float) -> Iterator[Bearing]:
-    """The bearings of plain stackable scenes with their boxes at (m, n, 3) places, m."""
-    half_size = stacked_values(scenes, "half_size")
-    (m, n), low, high = target.shape[:2], target - half_size, target + half_size
-    decks = [_deck(scene.carrier) for scene in scenes]
-    boards = np.array([len(deck_low) for deck_low, _ in decks])
-    first_board = np.cumsum(boards) - boards
-    deck_low, deck_high = (np.concatenate(corners) for corners in zip(*decks, strict=True))
-    touching = meets(low[..., 2], high[..., 2], TOUCH_M, most_gap_m) & (low[..., :, None, 2] < low[..., None, :, 2])
-    of_below, below, above = np.nonzero(touching)
-    lies_in, lying = np.nonzero(low[..., 2] <= most_gap_m)
-    times = boards[lies_in]
-    board = np.arange(times.sum()) - np.repeat(np.cumsum(times) - times - first_board[lies_in], times)
-    world = np.concatenate([np.repeat(lies_in, times), of_below])
-    upper = np.concatenate([np.repeat(lying, times), above])
+def find_bearings(
+    scenes: Sequence[Scene], targets: Sequence[FloatArray], most_gap_m: float | FloatArray = TOUCH_M
+) -> Bearing:
+    """``find_bearing`` of each scene with its boxes at (n, 3) places, m, joined. Plain scenes are computed at once.
+
+    Args:
+        most_gap_m: as in ``find_bearing``, of all scenes or (s,) of each scene.
+    """
+    boxes, most_gap_m = Boxes.of(scenes, targets), np.broadcast_to(most_gap_m, len(scenes))
+    first, counts = boxes.first, np.diff(boxes.first)
+    plain = np.array([is_plain(scene) for scene in scenes], bool)
+    parts = []
+    for k in np.flatnonzero(~plain).tolist():
+        one = find_bearing(replace(scenes[k], target=targets[k]), float(most_gap_m[k]))
+        lower = np.where(one.lower == CARRIER, CARRIER, one.lower + first[k])
+        parts.append((one.upper + first[k], lower, one.low, one.high))
+    chosen = np.flatnonzero(plain & (counts > 0))
+    if len(chosen):
+        parts.append(_plain_contacts(boxes, scenes, chosen, most_gap_m))
+    upper, lower, low, high = (np.concatenate(values) for values in zip(*parts, strict=True))
+    order = np.lexsort((lower, upper))  # stable: boards of a deck keep their order
+    return Bearing(boxes, upper[order], lower[order], low[order], high[order])
+
+
+def _plain_contacts(
+    boxes: Boxes, scenes: Sequence[Scene], chosen: IntArray, most_gap_m: FloatArray
+) -> tuple[IntArray, IntArray, FloatArray, FloatArray]:
+    """The contacts of the chosen scenes, which are plain: fields of ``Bearing``, not sorted."""
+    low, high = boxes.target - boxes.half_size, boxes.target + boxes.half_size
+    counts = np.diff(boxes.first)
+    carriers = [scenes[k].carrier for k in chosen.tolist()]
+    boards = np.array([carrier.n_boards for carrier in carriers])
+    shape_pos, half = (
+        np.concatenate([getattr(carrier, name)[: carrier.n_boards] for carrier in carriers])
+        for name in ("shape_pos", "half_size")
+    )
+    center = np.repeat([carrier.pos for carrier in carriers], boards, axis=0) + shape_pos
+    deck = (center + half)[:, 2] >= -TOUCH_M
+    deck_low, deck_high = (center - half)[deck, :2], (center + half)[deck, :2]
+    boards = np.bincount(np.repeat(np.arange(len(chosen)), boards)[deck], minlength=len(chosen))
+    rows, scene_of = spans(counts, chosen), np.repeat(np.arange(len(chosen)), counts[chosen])
+    lies = low[rows, 2] <= np.repeat(most_gap_m[chosen], counts[chosen])
+    lying, board = np.repeat(rows[lies], boards[scene_of[lies]]), spans(boards, scene_of[lies])
+    by_size = chosen[np.argsort(counts[chosen], kind="stable")]
+    pairs = [
+        _touching(boxes.first, counts, some, low[:, 2], high[:, 2], most_gap_m[some, None, None])
+        for some in _groups(counts, by_size)
+    ]
+    below, above = (np.concatenate(numbers) for numbers in zip(*pairs, strict=True))
+    upper = np.concatenate([lying, above])
     lower = np.concatenate([np.full(len(board), CARRIER), below])
-    under_low = np.concatenate([deck_low[board], low[of_below, below, :2]])
-    under_high = np.concatenate([deck_high[board], high[of_below, below, :2]])
-    area_low = np.maximum(low[world, upper, :2], under_low)
-    area_high = np.minimum(high[world, upper, :2], under_high)
-    wide = np.flatnonzero((area_high - area_low > _LEAST_OVERLAP_M).all(axis=1))
-    order = wide[np.lexsort((lower[wide], upper[wide], world[wide]))]
-    ends = np.searchsorted(world[order], np.arange(m + 1)).tolist()
-    every = upper[order], lower[order], area_low[order], area_high[order]
-    first, centred = np.array([0, n]), np.zeros((n, 3))
-    for k, scene in enumerate(scenes):
-        held = _held_by_walls(scene, target[k])
-        boxes = Boxes(first, target[k], half_size[k], scene.mass, centred, np.full(n, scene.carrier.mass), held)
-        yield Bearing(boxes, *(values[ends[k] : ends[k + 1]] for values in every))
+    area_low = np.maximum(low[upper, :2], np.concatenate([deck_low[board], low[below, :2]]))
+    area_high = np.minimum(high[upper, :2], np.concatenate([deck_high[board], high[below, :2]]))
+    wide = (area_high - area_low > _LEAST_OVERLAP_M).all(axis=1)
+    return upper[wide], lower[wide], area_low[wide], area_high[wide]
+
+
+def _groups(counts: IntArray, by_size: IntArray) -> Iterator[IntArray]:
+    """Scenes, sorted by their numbers of boxes, in groups of at most ``MOST_PAIRS`` pairs (padded) or one scene."""
+    while len(by_size):
+        padded = np.arange(1, len(by_size) + 1) * counts[by_size] ** 2
+        size = max(int(np.searchsorted(padded, MOST_PAIRS, side="right")), 1)
+        yield by_size[:size]
+        by_size = by_size[size:]
+
+
+def _touching(
+    first: IntArray, counts: IntArray, some: IntArray, low: FloatArray, high: FloatArray, most_gap_m: FloatArray
+) -> tuple[IntArray, IntArray]:
+    """(p,) and (p,) boxes of some scenes, the lower one and the upper one, whose faces are at the same height.
+
+    Args:
+        low, high: (n,) heights of all boxes' bottoms and tops, m.
+        most_gap_m: (m, 1, 1) of each scene, as in ``find_bearing``.
+    """
+    is_box = np.arange(counts[some].max()) < counts[some, None]
+    tables = []
+    for values in (low, high):
+        table = np.full(is_box.shape, np.nan)  # touches nothing
+        table[is_box] = values[spans(counts, some)]
+        tables.append(table)
+    bottom, top = tables
+    touching = meets(bottom, top, TOUCH_M, most_gap_m) & (bottom[..., :, None] < bottom[..., None, :])
+    scene, below, above = np.nonzero(touching)
+    return first[some[scene]] + below, first[some[scene]] + above
 
 
 def find_bearing(scene: Scene, most_gap_m: float = TOUCH_M) -> Bearing:
     """The supports of boxes by the planned places.
 
-    A box lies on a board of the carrier's deck if its bottom is not above the deck. It lies on another box that begins
-    lower if the top of that box is at the height of its bottom. Both hold within ``TOUCH_M``, and only if the two
-    overlap along x and y.
+    A box lies on a board of the carrier's deck if its bottom is not above the deck. A box also lies on another box that
+    begins lower if the top of the other is at the height of its bottom. Both rules hold within ``TOUCH_M``, and only if
+    the two boxes overlap along x and y.
 
     Args:
-        most_gap_m: a box also lies on bodies up to this distance below its bottom: it leans onto them.
+        most_gap_m: a box also lies on bodies with a gap up to this below its bottom: it leans onto them.
     """
     low, high = scene.target - scene.half_size, scene.target + scene.half_size
     deck_low, deck_high = _deck(scene.carrier)
@@ -406,7 +477,7 @@ def find_bearing(scene: Scene, most_gap_m: float = TOUCH_M) -> Bearing:
     touching &= np.less.outer(low[:, 2], low[:, 2])
     below, above = np.nonzero(touching)
     cut_below, cut_low, cut_high = _cut(scene, low, high)
-    # each box above a sheet lies on its pieces, each box above another one on its whole top
+    # each box above a sheet lies on the sheet's pieces, each box above another box on its whole top
     row, pieces = np.nonzero(below[:, None] == cut_below)
     below, above, piece_low, piece_high = below[row], above[row], cut_low[pieces], cut_high[pieces]
     on_deck, board = (part.ravel() for part in np.indices((len(low), len(deck_low))))
@@ -419,7 +490,7 @@ def find_bearing(scene: Scene, most_gap_m: float = TOUCH_M) -> Bearing:
     area_low, area_high = np.maximum(low[upper, :2], under_low), np.minimum(high[upper, :2], under_high)
     order = np.lexsort((lower, upper))
     order = order[((area_high - area_low)[order] > _LEAST_OVERLAP_M).all(axis=1)]
-    return Bearing(Boxes.of(scene), upper[order], lower[order], area_low[order], area_high[order])
+    return Bearing(Boxes.of([scene], [scene.target]), upper[order], lower[order], area_low[order], area_high[order])
 
 
 def _cut(scene: Scene, low: FloatArray, high: FloatArray) -> tuple[IntArray, FloatArray, FloatArray]:
@@ -446,17 +517,3 @@ def _deck(carrier: Body) -> tuple[FloatArray, FloatArray]:
     center, half = (carrier.pos + carrier.shape_pos)[: carrier.n_boards], carrier.half_size[: carrier.n_boards]
     deck = (center + half)[:, 2] >= -TOUCH_M
     return (center - half)[deck, :2], (center + half)[deck, :2]
-
-
-def joined_bearing(bearings: Sequence[Bearing]) -> Bearing:
-    """The bearings of several scenes as one, with the boxes scene after scene, so that all are computed at once."""
-    boxes = Boxes.together([bearing.boxes for bearing in bearings])
-    first = boxes.first.tolist()
-    lower = [np.where(b.lower == CARRIER, CARRIER, b.lower + k) for b, k in zip(bearings, first, strict=False)]
-    return Bearing(
-        boxes,
-        np.concatenate([bearing.upper + k for bearing, k in zip(bearings, first, strict=False)]),
-        np.concatenate(lower),
-        np.concatenate([bearing.low for bearing in bearings]),
-        np.concatenate([bearing.high for bearing in bearings]),
-    )

@@ -1,4 +1,4 @@
-"""Variants: how a world differs from its plan's nominal one.
+"""Variants: the differences of a world from its plan's nominal world.
 
 A variant has two halves. Changes before or while boxes are placed (friction, mass, sizes, placement errors) are its
 *placement*. The drive that shakes the finished pallet (profile, strength, direction) is its *drive*. Worlds of a plan
@@ -72,7 +72,7 @@ class Distribution:
         return np.full((1, *shape), self.centre)
 
     def label(self) -> str:
-        """Its text in the results, if the axis has distributions of several shapes."""
+        """The distribution's text in the results, if the axis has distributions of several shapes."""
         if self.zero:
             return "0"
         if self.shape is DistributionShape.FIXED:
@@ -94,12 +94,12 @@ class PlacementChange:
             larger coefficient of two touching geoms, so a lower value on one side alone changes little.
         mass_factor: on the mass of every box; the carrier's mass does not change.
         friction_rel: relative change of the friction of boxes and carrier, on top of the factors (0.1 = 10 % more). One
-            draw for the whole world: all cartons are of one board, on a day of one humidity.
+            draw one error for the whole world: all cartons are of one board, on a day of one humidity.
         mass_rel: relative change of each box's mass, on top of the factor.
         size_mm: added to each dimension of each box, mm.
         size_rel: relative change of each dimension (0.01 = 1 % larger).
         x_mm, y_mm, yaw_deg: placement error of each box.
-        drop_height_mm: height above its place at which a box is released; negative draws count as 0.
+        drop_height_mm: height of a box's release above its place; negative draws count as 0.
         placing_name: how boxes are placed, a value of ``petmjx.options.placing.Way``; None: that of the options.
         placing_height_mm, placing_side_mm, placing_speed_m_s, placing_force_n, tines_height_mm: replace those of
             ``petmjx.options.placing.Placing``; None: those of the options.
@@ -158,7 +158,8 @@ class DriveSpec:
     """The drive of the finished pallet: the name of a profile, its scale or level, and its direction.
 
     Attributes:
-        scale_to: the scale is drawn evenly from ``scale`` up to this one, once for each world; None: it is ``scale``.
+        scale_to: the scale is drawn evenly between ``scale`` and this value, once for each world; None: the scale is
+            ``scale``.
     """
 
     profile: str
@@ -169,13 +170,13 @@ class DriveSpec:
 
 @dataclass(frozen=True)
 class LegSpec:
-    """A leg of a chain: what shakes the pallet on a part of its way.
+    """A leg of a chain: the drives that shake the pallet on a part of its way.
 
     Attributes:
-        drives: one after the other, each ``pause_s`` after the end of the one before. Without any, the pallet is left
-            alone for ``pause_s``.
+        drives: drives in order, with a pause of ``pause_s`` between two. Without drives the pallet rests for
+            ``pause_s``.
         wrap_turns: turns of film around the pallet meanwhile; None: those of the options.
-        open_walls: walls of the carrier that are open meanwhile, beside those of the options.
+        open_walls: walls of the carrier that are open during the leg, in addition to those of the options.
     """
 
     name: str
@@ -192,9 +193,9 @@ class Variant:
     Attributes:
         index: ``variant`` in the results; 0 is the nominal world.
         placement, drive: the two halves. Without a drive the world ends when the placement is at rest.
-        replicate: which repetition; random numbers depend on (seed, plan id, replicate) alone.
+        replicate: number of the repetition; random numbers depend on (seed, plan id, replicate) alone.
         parameters: result column → value.
-        legs: of a chain, instead of a drive; each begins where the one before has left the boxes.
+        legs: legs of a chain, instead of a drive; each leg begins with the boxes where the leg before has left them.
     """
 
     index: int
@@ -206,7 +207,7 @@ class Variant:
 
     @property
     def placement_key(self) -> PlacementKey:
-        """Equal for variants of one plan that share a placement. Replicates share it, unless something random acts
+        """Equal for variants of one plan that share a placement. Replicates share a placement, unless random values act
         while boxes are placed."""
         return (self.placement, self.replicate if self.placement.random else 0)
 
@@ -215,7 +216,7 @@ MIN_SIZE_FRACTION = 0.1
 """Smallest size that can be drawn, as a fraction of the planned size: a box must keep a positive extent."""
 
 LARGEST_SIZE_M = 7.0
-"""Largest size that can be drawn, m: boxes that wait for their turn hang 8 m apart."""
+"""Largest size that can be drawn, m: boxes that are not placed yet hang 8 m apart."""
 
 MIN_MASS_FRACTION = 0.1
 """Smallest mass that can be drawn, as a fraction of the nominal one: MuJoCo refuses bodies without mass."""
@@ -225,7 +226,8 @@ MIN_FRICTION_FRACTION = 0.1
 
 STEP_TOLERANCE_M = 0.01
 """A lower box carries an upper one that overlaps it horizontally if its planned top is at most this far above the
-planned bottom of the upper box. The upper box is then set down on it. A higher box counts as a wall beside it."""
+planned bottom of the upper box. The upper box is then set down on the lower one. A higher box counts as a wall beside
+it."""
 
 MOST_SPREADS: Final = 5.0
 """Largest error that is assumed, in standard deviations from the mean: one of 2 million normal errors exceeds it."""
@@ -240,12 +242,12 @@ def apply(scene: Scene, plan_id: str, variant: Variant, seed: int, *, standing: 
     """The scene of a plan under a variant's placement change; its drive is not used here.
 
     When sizes change, boxes keep their horizontal centres, so neighbours that became larger overlap sideways. A hand
-    then takes each box to a place with room. Boxes that appear do so at the nearest places at which none overlaps
-    another (petmjx.world.release_places). Boxes are set down on the actual tops of the boxes below. Placement
-    errors in x, y and yaw change ``start_pos`` and ``start_quat``; a box whose new place is over a slightly higher
-    neighbour is released above it. No box starts inside another one vertically. ``target``, from which shifts are
-    measured, stays at the planned x and y; its z is the height at which the box really stands, so that a tolerance in
-    height is no shift. With errors of places or sizes the way of placing is ``Placing.for_errors``.
+    then takes each box to a place with room. Boxes of the way ``exact`` appear at the nearest places without overlaps
+    (petmjx.world.release_places). Boxes are set down on the actual tops of the boxes below. Placement errors in x, y
+    and yaw change ``start_pos`` and ``start_quat``; a box that is moved over a slightly higher neighbour is released
+    above it. No box starts inside another one vertically. ``target``, from which shifts are measured, stays at the
+    planned x and y; its z is the height at which the box really stands, so that a tolerance in height is no shift. With
+    errors of places or sizes the way of placing is ``Placing.for_errors``.
 
     Args:
         standing: this many first boxes stand already and keep their sizes, places and masses.
@@ -261,18 +263,18 @@ def apply_all(
 ) -> Iterator[Scene]:
     """The scene of each variant, identical to the last bit with that of :func:`apply`, whatever the other variants."""
     for change, group in itertools.groupby(variants, key=lambda variant: variant.placement):
-        for some in _variant_batches(group):
+        for batch in _variant_batches(group):
             if change == UNCHANGED:
-                yield from (scene for _ in some)
+                yield from (scene for _ in batch)
             else:
-                keys = [WorldKey(seed, plan_id, variant.replicate) for variant in some]
+                keys = [WorldKey(seed, plan_id, variant.replicate) for variant in batch]
                 yield from _changed_scenes(scene, change, keys, standing)
 
 
 def _variant_batches(variants: Iterable[Variant]) -> Iterator[tuple[Variant, ...]]:
     source = iter(variants)
-    while some := tuple(itertools.islice(source, AT_A_TIME)):
-        yield some
+    while batch := tuple(itertools.islice(source, AT_A_TIME)):
+        yield batch
 
 
 def _changed_scenes(scene: Scene, change: PlacementChange, keys: Sequence[WorldKey], standing: int) -> Iterator[Scene]:
@@ -337,7 +339,7 @@ def _changed_scenes(scene: Scene, change: PlacementChange, keys: Sequence[WorldK
 
 
 def _with_friction(scene: Scene, change: PlacementChange, factor: float) -> Scene:
-    """The scene with its friction changed by ``change`` and by this factor."""
+    """The scene with its friction changed by ``change`` and multiplied by this factor."""
     of_boxes, of_carrier = change.box_friction_factor * factor, change.carrier_friction_factor * factor
     if of_boxes == 1 and of_carrier == 1:
         return scene
@@ -384,7 +386,7 @@ def _overlap_mask(centre: FloatArray, half: FloatArray) -> NDArray[np.bool_]:
 def _with_room(
     scene: Scene, change: PlacementChange, half_size: FloatArray, start_pos: FloatArray, yaw: FloatArray, standing: int
 ) -> FloatArray:
-    """(m, n, 2) horizontal places at which boxes appear without overlapping."""
+    """(m, n, 2) horizontal places of boxes, moved apart until none overlap."""
     above = _lower(scene)[0]
     beside = ~(above | above.T)
     movable = np.arange(scene.n_boxes) >= standing
@@ -409,9 +411,9 @@ def _with_walls(
     walls, n, sides = slice(carrier.n_boards, None), len(target), carrier.walls
     middle, half = (carrier.pos + carrier.shape_pos)[walls], carrier.half_size[walls]
     gap = carrier.room.gaps(target, planned[1], 0.0)
-    near = np.array([np.isfinite(gap[:, int(side.is_far), side.axis]) for side in sides]).T
-    more = np.zeros((n + len(sides),) * 2, bool)
-    more[:n, :n], more[:n, n:], more[n:, :n] = beside, near, near.T
+    is_near = np.array([np.isfinite(gap[:, int(side.is_far), side.axis]) for side in sides]).T
+    is_neighbour = np.zeros((n + len(sides),) * 2, bool)
+    is_neighbour[:n, :n], is_neighbour[:n, n:], is_neighbour[n:, :n] = beside, is_near, is_near.T
 
     def joined(of_boxes: FloatArray, of_walls: FloatArray) -> FloatArray:
         repeated = np.broadcast_to(of_walls, (*of_boxes.shape[: of_boxes.ndim - of_walls.ndim], *of_walls.shape))
@@ -423,7 +425,7 @@ def _with_walls(
         joined(places[2], np.zeros(len(sides))),
         joined(planned[0], middle[:, :2]),
         joined(planned[1], half),
-        more,
+        is_neighbour,
         np.append(movable, [False] * len(sides)),
         reach_m,
     )
@@ -451,7 +453,7 @@ def _lower(scene: Scene) -> tuple[NDArray[np.bool_], NDArray[np.intp]]:
 
 
 def _set_down(scene: Scene, half_size: FloatArray, start_pos: FloatArray, yaw: FloatArray) -> FloatArray:
-    """(m, n) heights of centres when each box is set down on the actual tops of those below it.
+    """(m, n) heights of centres of boxes that are set down on the actual tops of the boxes below.
 
     Boxes are taken from the bottom up. A box is below another one if its planned top is not above the other's planned
     bottom (with a tolerance of `STEP_TOLERANCE_M`) and their footprints overlap, as planned or as placed. The planned

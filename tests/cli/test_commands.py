@@ -143,6 +143,15 @@ def test_help_loads_no_simulator() -> None:
     assert done.returncode == 0, done.stderr
 
 
+def test_a_command_loads_no_other_one() -> None:
+    code = (
+        "import sys; from petmjx.cli import main; assert main(['--debug', 'merge', '--help']) == 0\n"
+        "sys.exit([name for name in sys.modules if name in ('petmjx.cli.sweep', 'petmjx.cli.score')] or 0)"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+
+
 def test_every_command_says_that_it_was_interrupted(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -221,11 +221,11 @@ def test_criteria_and_edges_know_walls(carrier: str) -> None:
         )
         expected = {side: side in WALLS_OF[carrier] and holds for side in Side}
         assert dict(zip(answers.plans.plan_id, answers.plans.force_balance_leaning, strict=True)) == expected
-        bearings = bearings_of([build_scene(plan, sim) for plan in plans.values()])
-        for side, edges in zip(Side, edges_of(bearings, [2] * len(Side)), strict=True):
+        bearing = bearings_of([build_scene(plan, sim) for plan in plans.values()])
+        for number, (side, edges) in enumerate(zip(Side, edges_of(bearing, [2] * len(Side)), strict=True)):
             held_m = 0.6 * friction if side in WALLS_OF[carrier] else 0.0
             assert edges.by_load[1] == pytest.approx(min(held_m - 0.06, 0.2 + 0.06), abs=1e-9)
-            (built,) = building_edges([bearings[list(Side).index(side)]], [2])
+            (built,) = building_edges(bearing.of_scene(number), [2])
             assert built.edge_m == pytest.approx(np.nanmin(edges.by_load), abs=1e-9)
 
 

@@ -264,10 +264,10 @@ def test_sizes_as_boxes_stand_beside_an_orientation_are_named(seed: int) -> None
     sound = Plan.from_boxes("right", right)
     mistaken = Plan.from_boxes("A", as_they_stand(right))
     (line,) = gathered([SOUND, sound, mistaken])
-    assert "that an orientation says are turned look swapped: in plan A " in line
+    assert "that are turned by their orientation look swapped: in plan A " in line
     table = pd.DataFrame(as_they_stand(right)).assign(plan_id="A", article="d", sequence=range(len(right)))
     (line,) = gathered(table)
-    assert "that an orientation says are turned look swapped" in line
+    assert "that are turned by their orientation look swapped" in line
     assert gathered(sound) == []
     assert gathered(pd.DataFrame(right).assign(plan_id="A", article="d", sequence=range(len(right)))) == []
 
@@ -283,7 +283,7 @@ def test_sizes_as_boxes_stand_in_some_of_the_turned_boxes_are_named(seed: int) -
         for k, (box, wrong) in enumerate(zip(right, as_they_stand(right), strict=True))
     ]
     (line,) = gathered(Plan.from_boxes("A", mistaken))
-    assert "that an orientation says are turned look swapped: in plan A " in line
+    assert "that are turned by their orientation look swapped: in plan A " in line
 
 
 @pytest.mark.parametrize("seed", range(8))

@@ -27,10 +27,11 @@ from petmjx.options.simulation import Simulation
 
 @pytest.fixture
 def started(monkeypatch: pytest.MonkeyPatch) -> threading.Event:
-    """Is set where a GPU is started."""
+    """Is set where a GPU is started, and kernels are compiled."""
     event = threading.Event()
     monkeypatch.setattr(run_engine, "cuda_devices", lambda: ("a GPU",))
-    monkeypatch.setattr(run_engine, "start_gpu", event.set)
+    monkeypatch.setattr(run_engine, "start_gpu", lambda: None)
+    monkeypatch.setattr(run_engine, "compile_ahead", lambda sim: event.set())
     return event
 
 
@@ -48,9 +49,9 @@ def test_it_starts_where_it_will_be_the_engine(
     (tmp_path / "plans.json").write_bytes(b" " * (run_engine.WORTH_A_GPU))
     for plans in (tmp_path, [tmp_path / "plans.json"]):
         started.clear()
-        with engine_warmup(RunOptions(**options), plans):
+        with engine_warmup(RunOptions(**options), plans, Simulation()):
             pass
-        assert started.is_set() is expected
+        assert started.wait(5 if expected else 0.1) is expected
 
 
 def test_auto_starts_none_for_few_plans_or_without_one(
@@ -58,10 +59,10 @@ def test_auto_starts_none_for_few_plans_or_without_one(
 ) -> None:
     (tmp_path / "plans.json").write_text("{}")
     for plans in (tmp_path / "plans.json", tmp_path / "missing", None, 3, "\0"):
-        with engine_warmup(RunOptions(), plans):
+        with engine_warmup(RunOptions(), plans, Simulation()):
             pass
     monkeypatch.setattr(run_engine, "cuda_devices", lambda: ())
-    with engine_warmup(RunOptions(engine="mjx-warp"), tmp_path):
+    with engine_warmup(RunOptions(engine="mjx-warp"), tmp_path, Simulation()):
         pass
     assert not started.is_set()
 
@@ -70,7 +71,7 @@ def test_what_is_wrong_with_plans_is_not_held_up(monkeypatch: pytest.MonkeyPatch
     released = threading.Event()
     monkeypatch.setattr(run_engine, "cuda_devices", lambda: ("a GPU",))
     monkeypatch.setattr(run_engine, "start_gpu", released.wait)
-    with pytest.raises(InputError, match="no such"), engine_warmup(RunOptions(engine="mjx-warp"), None):
+    with pytest.raises(InputError, match="no such"), engine_warmup(RunOptions(engine="mjx-warp"), None, Simulation()):
         raise InputError("no such file")
     released.set()
 
@@ -78,7 +79,7 @@ def test_what_is_wrong_with_plans_is_not_held_up(monkeypatch: pytest.MonkeyPatch
 def test_a_gpu_that_does_not_start_ends_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(run_engine, "cuda_devices", lambda: ("a GPU",))
     monkeypatch.setattr(gpu_start.importlib, "import_module", lambda name: 1 / 0)
-    with engine_warmup(RunOptions(engine="mjx-warp"), None):
+    with engine_warmup(RunOptions(engine="mjx-warp"), None, Simulation()):
         pass
 
 
@@ -139,7 +140,7 @@ def test_workers_start_before_plans_are_read(
 ) -> None:
     (tmp_path / "plans.json").write_bytes(b" " * size)
     options, work = RunOptions(engine=engine, workers=2), Work(Simulation(), [50] * max(steps // 1000, 1))
-    with engine_warmup(options, tmp_path) as ahead:
+    with engine_warmup(options, tmp_path, Simulation()) as ahead:
         assert _heard(said, len(early)) == early
     pool, choice = of_workers.resolve_workers(options, work, MEASURED, ahead)
     assert _heard(said, len(later)) == later
@@ -164,7 +165,10 @@ def test_auto_lets_workers_share_a_gpu(
 
 
 def test_workers_of_a_run_whose_plans_are_wrong_are_ended(said: queue.SimpleQueue[str]) -> None:
-    with pytest.raises(InputError, match="no such"), engine_warmup(RunOptions(engine="mujoco", workers=2), None):
+    with (
+        pytest.raises(InputError, match="no such"),
+        engine_warmup(RunOptions(engine="mujoco", workers=2), None, Simulation()),
+    ):
         raise InputError("no such file")
     heard = [""]
     while heard[-1] != "closed":
@@ -175,7 +179,7 @@ def test_workers_of_a_run_whose_plans_are_wrong_are_ended(said: queue.SimpleQueu
 def test_what_workers_cannot_do_is_told_when_they_are_needed(said: queue.SimpleQueue[str]) -> None:
     for options, line in (({"workers": 1, "lanes": 3}, "lanes belong to"), ({"workers": 3}, "no room for 3 workers")):
         run_options = RunOptions(engine="mujoco", **options)
-        with engine_warmup(run_options, None) as ahead:
+        with engine_warmup(run_options, None, Simulation()) as ahead:
             pass
         with pytest.raises(InputError, match=line):
             of_workers.resolve_workers(run_options, Work(Simulation(), [9]), MEASURED, ahead)

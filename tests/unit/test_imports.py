@@ -196,3 +196,17 @@ def test_old_attributes_warn() -> None:
     assert answer.pallet.tolist() == [1]
     assert answer.verdict.tolist() == pallets.results(1).verdict.tolist()
     pallets.close()
+
+
+def test_a_run_loads_pandas_only_while_its_engine_works(tmp_path: Path) -> None:
+    code = (
+        "import os, sys, petmjx\n"
+        "class Engine:\n"
+        "    name = 'mine'\n"
+        "    def run(self, jobs, sim, progress=None):\n"
+        "        os._exit('pandas' in sys.modules)\n"
+        f"petmjx.score(engine=Engine(), out={str(tmp_path / 'out')!r})"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    assert (tmp_path / "out" / "run.json").exists()

@@ -74,6 +74,23 @@ def test_an_engine_waits_for_as_many_as_it_wants_while_more_come() -> None:
     assert stream.take(1) == [ONE]
 
 
+def test_an_engine_without_worlds_waits_for_jobs_that_follow_from_its_last_outcome() -> None:
+    stream = JobStream[Any](feedback=True)
+    put(stream, ONE)
+    stream.close()
+    stream.take(1)
+    assert stream.wait_for_following(), "its outcome is not there"
+    stream.answered(0)
+    assert stream.wait_for_following(), "jobs may follow from it"
+    stream.put(THREE, None)
+    assert not stream.wait_for_following(), "a job is ready"
+    stream.take(1)
+    stream.answered(1)
+    threading.Timer(0.05, stream.followed).start()
+    assert not stream.wait_for_following(), "no job followed"
+    assert stream.ended
+
+
 def test_a_source_waits_while_the_stream_is_full() -> None:
     stream = JobStream[Any](most_boxes=4)
     assert [stream.put(job, None, bounded=True) for job in (THREE, ONE)] == [True, True]

@@ -94,7 +94,7 @@ def test_what_is_about_boxes_says_so(
     stability = read_stability([static.path], PLANS)
     assert stability.stable
     assert not stability.their_rule
-    assert f"{static.path}: kept no boxes, which BED-BPP's rule is about" in stability.notes
+    assert f"{static.path}: has no table of boxes, which BED-BPP's rule needs" in stability.notes
     console = Console(width=100)
     for part in run_tables(runs[1]):
         console.print(part)

@@ -72,7 +72,7 @@ A_OTHER = [placement(id="7", article="jam")]
 FAULTY = {
     "order B has no plan": ({"A": tower(2)}, {"A": order_for(tower(2)), "B": order_for(tower(1))}),
     "plan B has no order": ({"A": tower(2), "B": tower(1)}, {"A": order_for(tower(2))}),
-    "plan A, box 1: item donut-00101843 (00101843) is there more often than it was ordered": (
+    "plan A, box 1: item donut-00101843 (00101843) occurs more often than it was ordered": (
         {"A": tower(2)},
         {"A": order_for(tower(1))},
     ),

@@ -239,7 +239,7 @@ def test_a_run_that_is_not_finished_is_told(runs: dict[str, Path]) -> None:
 
 
 def test_runs_that_do_not_fit(runs: dict[str, Path]) -> None:
-    with pytest.raises(petmjx.InputError, match="static: plan stands differs from the one that was simulated there"):
+    with pytest.raises(petmjx.InputError, match="static: plan stands differs from the simulated one"):
         rate({"stands": tower(3)}, run=runs["static"])
     kpis = rate({"stands": tower(2), "new": tower(1)}, run=runs["static"])
     assert kpis.plans.set_index("plan_id")["kpi_6"].isna().to_dict() == {"stands": False, "new": True}

@@ -20,7 +20,7 @@ from petmjx.world.history import CARRIER
 from petmjx.world.load_sharing import on_edges, pulls, pushes
 from petmjx.world.rectangle_hulls import hull_table
 from petmjx.world.scene import Scene, build_scene
-from petmjx.world.supports import bearing_of, bearings_of, joined_bearing
+from petmjx.world.supports import bearing_of, bearings_of
 
 EXACT = Simulation(size_reduction_mm=0.0)
 MM = 1e-3
@@ -166,7 +166,7 @@ def test_loads_after_placements_are_those_of_the_plan_so_far() -> None:
     """Each box's load after each placement that changes it, on ten piles, with boxes that pull and without."""
     for scene in PILES[:10]:
         bearing, n = bearing_of(scene), scene.n_boxes
-        built = building_loads_of(joined_bearing([bearing]), [n])
+        built = building_loads_of(bearing, [n])
         for step in range(n):
             pairs = built.step == step
             expected = bearing.loads(step + 1)[built.box[pairs], :3]
@@ -180,16 +180,16 @@ def test_a_support_that_comes_later_bears_nothing_before() -> None:
         ((600, 300, 200), (0, 0, 200), 8.0),
         ((200, 300, 200), (400, 0, 0), 5.0),
     )
-    (late,) = building_edges([bearing_of(scene_of(*bridge))], [3])
+    (late,) = building_edges(bearing_of(scene_of(*bridge)), [3])
     assert (late.edge_m, late.box, late.step) == (pytest.approx(-100 * MM), 1, 1)
-    (in_time,) = building_edges([bearing_of(scene_of(bridge[0], bridge[2], bridge[1]))], [3])
+    (in_time,) = building_edges(bearing_of(scene_of(bridge[0], bridge[2], bridge[1])), [3])
     assert in_time.edge_m == pytest.approx(100 * MM)
 
 
 def test_without_a_programme_nothing_is_said_to_be_beyond(monkeypatch: pytest.MonkeyPatch) -> None:
     scene = next(scene for scene in PILES if np.nanmin(plan_edges([scene], [scene.n_boxes])[0].by_load) >= 0)
     monkeypatch.setattr(edge_distances, "MOST_PROGRAMMES", 0)
-    (least,) = building_edges([bearing_of(scene)], [scene.n_boxes])
+    (least,) = building_edges(bearing_of(scene), [scene.n_boxes])
     assert not least.edge_m < 0
 
 

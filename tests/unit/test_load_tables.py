@@ -226,7 +226,7 @@ def test_plans_that_are_not_those_of_the_run(results: petmjx.RunResults) -> None
         petmjx.loads("run", articles, write(Path("other.json"), {"one": tower(1), "three": tower(3)}))
     changed: dict[str, Any] = json.loads(Path("moved.json").read_text())
     changed["one"][0]["item"]["weight/kg"] = 7
-    with pytest.raises(petmjx.InputError, match="run: plan one differs from the one that was simulated there"):
+    with pytest.raises(petmjx.InputError, match="run: plan one differs from the simulated one"):
         petmjx.loads("run", articles, write(Path("other.json"), changed))
 
 

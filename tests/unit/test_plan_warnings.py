@@ -10,7 +10,7 @@ from support.command_line import write
 from support.plan_files import placement, tower
 
 from petmjx.plans.plan_reader import load_plans
-from petmjx.plans.plan_warnings import DEFAULT_TOLERANCE_MM, check_layout
+from petmjx.plans.plan_warnings import DEFAULT_TOLERANCE_MM, check_layout, overlap, shared_length
 
 pytestmark = pytest.mark.usefixtures("in_tmp_path")
 
@@ -54,6 +54,14 @@ def test_overlaps_agree_with_a_plain_loop() -> None:
             expected += bool((depth > T).all())
     assert expected > 20
     assert check_layout("A", "f", corner, size).n_overlapping_pairs == expected
+
+
+@pytest.mark.parametrize("tolerance", [0.0, DEFAULT_TOLERANCE_MM])
+def test_overlap_is_a_shared_length_beyond_the_tolerance(tolerance: float) -> None:
+    rng = np.random.default_rng(58)
+    low = rng.integers(0, 12, (40, 9)) / 4 + rng.choice([0.0, 1e-13, 0.1], (40, 9))
+    high = low + rng.choice([0.0, 0.25, 0.5, 0.1, 3.0], (40, 9))  # some no thicker than the tolerance
+    np.testing.assert_array_equal(overlap(low, high, tolerance), shared_length(low, high) > tolerance)
 
 
 def test_odd_plans_are_kept_and_reported_with_counts() -> None:

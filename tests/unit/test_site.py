@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 import petmjx
-from petmjx.cli.main import app
+from petmjx.cli.main import application
 from petmjx.options.physics import Physics
 from petmjx.options.run_options import Confidence, RunOptions
 from petmjx.options.simulation import Quiet, Simulation, Thresholds
@@ -45,7 +45,7 @@ def test_the_reference_of_options_has_every_field_and_its_anchors() -> None:
 
 def test_the_reference_of_commands_has_every_command() -> None:
     text = reference.commands()
-    for command in app.registered_commands:
+    for command in application().registered_commands:
         assert f"## petmjx {command.name}\n" in text
         assert f"Usage: petmjx {command.name} " in text
     assert "--longest-wait S" in text

@@ -17,7 +17,7 @@ from petmjx.world.history import CARRIER
 from petmjx.world.rectangle_hulls import hull_edges, hull_table
 from petmjx.world.release_places import MOST_FOLLOWED_M, NOTHING, release_of
 from petmjx.world.scene import Scene, build_scene
-from petmjx.world.supports import bearing_of, bearings_of, find_bearing, find_bearings, joined_bearing
+from petmjx.world.supports import bearing_of, bearings_of, find_bearing, find_bearings
 
 EXACT = Simulation(size_reduction_mm=0.0)
 MM = 1e-3
@@ -139,7 +139,7 @@ def test_scenes_together_have_the_numbers_of_each_alone() -> None:
         np.testing.assert_array_equal(joined.least, single.least)
         assert np.isnan(joined.least[count:]).all()
         assert np.isfinite(joined.least[:count]).any() == (count > 0)
-    loads = joined_bearing([bearing_of(scene) for scene in scenes]).loads(placed)
+    loads = bearings_of(scenes).loads(placed)
     apart = [bearing_of(scene).loads(count) for scene, count in zip(scenes, placed, strict=True)]
     np.testing.assert_array_equal(loads, np.concatenate(apart))
 
@@ -151,15 +151,23 @@ def test_scenes_that_are_alike_are_looked_at_together() -> None:
         sim = Simulation(carrier=carrier)
         scenes = [build_scene(make_plan("p", random_heap(rng, n)), sim) for n in (6, 6, 6, 9, 6, 9)]
         targets = [scene.target + rng.normal(0, 2e-4, scene.target.shape) for scene in scenes]
-        for bearing, scene, target in zip(find_bearings(scenes, targets), scenes, targets, strict=True):
-            expected = find_bearing(replace(scene, target=target))
+        together = find_bearings(scenes, targets)
+        for number, (scene, target) in enumerate(zip(scenes, targets, strict=True)):
+            bearing, expected = together.of_scene(number), find_bearing(replace(scene, target=target))
             for name in ("upper", "lower", "low", "high"):
                 np.testing.assert_array_equal(getattr(bearing, name), getattr(expected, name), strict=True)
             for name in ("target", "half_size", "mass", "mass_center", "carrier_mass", "first"):
                 np.testing.assert_array_equal(getattr(bearing.boxes, name), getattr(expected.boxes, name), strict=True)
-        again = bearings_of([scenes[0], scenes[3], scenes[0]])
-        assert again[0] is again[2]
-        np.testing.assert_array_equal(again[1].low, bearing_of(scenes[3]).low)
+            edges = expected.hulls.offset
+            np.testing.assert_array_equal(bearing.hulls.offset[:, : edges.shape[1]], edges)
+        one, other = bearing_of(scenes[0]), bearing_of(scenes[3])
+        picked = bearings_of(scenes).of_scenes(np.array([0, 3, 0]))
+        for several in (picked, bearings_of([scenes[0], scenes[3], scenes[0]])):
+            np.testing.assert_array_equal(several.low, np.concatenate([one.low, other.low, one.low]))
+            np.testing.assert_array_equal(several.of_scene(2).lower, one.lower)
+            assert several.boxes.first.tolist() == [0, 6, 15, 21]
+        twice = bearings_of([scenes[0]] * 2)
+        np.testing.assert_array_equal(twice.upper, np.concatenate([one.upper, one.upper + 6]))
 
 
 def random_heap(rng: np.random.Generator, n: int) -> list[Box]:

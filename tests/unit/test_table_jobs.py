@@ -100,7 +100,7 @@ def test_jobs_that_follow_join_the_table_whose_kernels_know_them() -> None:
     assert table.rows == 4
     assert source.join(table) == [1, 2]
     assert source.join(table) == []
-    assert not source.needs_another(table, 99), "they wait until no world is live"
+    assert [source.needs_another(table, blocks) for blocks in (2, 3)] == [False, True]
     assert not source.ended
     jobs, numbers, _ = source.begin()
     assert (jobs, numbers) == ([BY_HAND, SMALL], [3, 4])

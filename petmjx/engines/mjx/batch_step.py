@@ -20,15 +20,15 @@ from petmjx.options.simulation import Simulation
 from petmjx.world.mujoco_model import CARRIER_NAME, geom_bodies
 
 LINE_SEARCH_ITERATIONS = 30
-"""Line search iterations. Under ``vmap`` all of them are computed, also unneeded ones. With 10 iterations, a force on a
-box differed by more than 50 N from that of C MuJoCo in 2.2 % of the steps of small piles: the solver had given up while
-boxes landed. With 30 iterations it does so in 0.2 %."""
+"""Line search iterations. Under ``vmap`` all branches are computed, also unneeded ones. With 10 iterations, a force on
+a box differed by more than 50 N from that of C MuJoCo in 2.2 % of the steps of small piles: the solver had given up
+while boxes landed. With 30 iterations this happens in 0.2 %."""
 
 
 class StepResult(NamedTuple):
     """The result of a step: MuJoCo's coordinates, and values for samples and for the next step.
 
-    ``qacc_warmstart``: accelerations from which the solver starts in the next step; ``forces``: those of all
+    ``qacc_warmstart``: accelerations from which the solver starts in the next step; ``forces``: forces of all
     constraints.
     """
 
@@ -52,7 +52,7 @@ class PaddedModel:
 
     Args:
         capacity: most boxes of a world.
-        boards: shapes of each carrier.
+        boards: shapes of each carrier, by their number.
         held: the carrier stands where its world's data say (acceleration profiles).
     """
 
@@ -125,12 +125,12 @@ class PaddedModel:
 
         def ended(fields: dict[str, jax.Array], data: Any, forces: jax.Array) -> Any:
             # Between stiff contacts the solver's matrix may become NaN in float32. Then the accelerations and forces of
-            # the last step are used, from which the solver started.
+            # the last step are used: from these the solver started.
             lost = ~jnp.isfinite(data.qacc).all()
             qacc = jnp.where(lost, data.qacc_warmstart, data.qacc)
             forces = jnp.where(lost, forces, data._impl.efc_force)
-            done = data.replace(qacc=qacc, qacc_warmstart=qacc).tree_replace({"_impl.efc_force": forces})
-            return mjx.euler(self._model_of(fields), done)
+            ended_data = data.replace(qacc=qacc, qacc_warmstart=qacc).tree_replace({"_impl.efc_force": forces})
+            return mjx.euler(self._model_of(fields), ended_data)
 
         data, landing = jax.vmap(ready)(fields, inputs, faces, landing)
         if self._slip is not None:

@@ -1,7 +1,7 @@
 """Contacts of compliant boxes in MJX's data: where the faces of two boxes press on one another.
 
 Twin of petmjx/engines/mujoco/bed.py, without shared arithmetic. The face of one box is clipped along the sides of the
-other face, and then where the faces do not press.
+other face, and then to the area in which the faces press.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ _SIGNS: Final = np.array([(-1.0, -1.0), (-1.0, 1.0), (1.0, -1.0), (1.0, 1.0)])
 
 
 class Faces(NamedTuple):
-    """Geoms of a world as beds need them; the floor comes first.
+    """Geoms of a world with the values for beds; the floor comes first.
 
     Attributes:
         give: area divided by half the stiffness, m³/N.
@@ -184,7 +184,7 @@ def bed_of(
 def _face(
     turn: Float[Array, "3 3"], half: Float[Array, 3], toward: Float[Array, 3]
 ) -> tuple[Float[Array, 3], Float[Array, ""], Float[Array, "2 3"]]:
-    """Outward normal, distance from the centre and half edges of the face that points most in this direction."""
+    """Outward normal, distance from the centre and half edges of the face whose normal is nearest to this direction."""
     along = toward @ turn
     axis = jnp.argmax(jnp.abs(along))
     sides = (turn * half).T
@@ -199,7 +199,7 @@ def _area(edges: Float[Array, "2 3"]) -> Float[Array, ""]:
 def _cut(
     corners: Float[Array, "k 2"], kept: Bool[Array, " k"], across: Float[Array, 2], offset: Float[Array, ""]
 ) -> tuple[Float[Array, "k+1 2"], Bool[Array, " k+1"]]:
-    """The part of a polygon in which across · x + offset is positive. ``kept`` marks its valid rows, which come
+    """The part of a polygon in which across · x + offset is positive. ``kept`` marks its valid rows, which stand
     first."""
     k = len(corners)
     count = kept.sum()
@@ -229,6 +229,6 @@ def _moments(
     second = (second + jnp.einsum("k,ki,kj->ij", share, both, both)) / 12.0 - jnp.outer(center, center)
     first = jnp.sqrt(jnp.maximum(second[0, 0], LEAST_MOMENT_M2))
     lean = second[0, 1] / first
-    rest = jnp.sqrt(jnp.maximum(second[1, 1] - lean**2, 0.0))
-    root = jnp.stack([jnp.stack([first, jnp.zeros_like(first)]), jnp.stack([lean, rest])])
+    remaining_root = jnp.sqrt(jnp.maximum(second[1, 1] - lean**2, 0.0))
+    root = jnp.stack([jnp.stack([first, jnp.zeros_like(first)]), jnp.stack([lean, remaining_root])])
     return area, corners[0] + center, root

@@ -15,8 +15,8 @@ def shift(
     floor_m: float,
     sinks_m: Float[Array, "world box"] | None = None,
 ) -> Float[Array, "world box 3"]:
-    """Displacement from the planned centre, m. Components under ``floor_m`` count as 0. The descent that is expected of
-    a compliant stack (``sinks_m``) does not count."""
+    """Displacement from the planned centre, m. Components under ``floor_m`` count as 0. The expected descent of a
+    compliant stack (``sinks_m``) does not count."""
     delta = pos - target
     if sinks_m is not None:
         down = jnp.where(delta[..., 2] < 0, jnp.minimum(delta[..., 2] + sinks_m, 0.0), delta[..., 2])

@@ -34,16 +34,16 @@ MOST_WORLDS = 256
 """Most worlds of a batch if the user gives no number of ``lanes``."""
 
 FEWEST_WORLDS = 8
-"""Smallest number of rows of a batch. Each number needs a program of its own, which compiles for a minute."""
+"""Smallest number of rows of a batch. Each number of rows needs a program of its own, which compiles for a minute."""
 
 
 @dataclass(frozen=True)
 class ProgramKey:
-    """What a compiled program depends on.
+    """Values on which a compiled program depends.
 
     Attributes:
         capacity, worlds: room for boxes and worlds.
-        boards: shapes of each carrier.
+        boards: number of shapes of each carrier.
         drive: kind of the excitation; None: placement.
         profiles: shape of the table of profiles.
         carries: whether some boxes do not appear at their places.
@@ -70,6 +70,13 @@ class Program:
     chunk: Any
 
 
+MOST_KEPT = 16
+"""Number of programs that a process keeps for engines to come."""
+
+_kept: dict[tuple[type, ProgramKey], Program] = {}
+"""Class of an engine and key → program, the latest last. Engines of several threads may share a program."""
+
+
 class MjxJaxEngine(Engine):
     """Simulates worlds of similar size in batches. A batch takes each step for all its worlds until the last one ends.
 
@@ -89,7 +96,7 @@ class MjxJaxEngine(Engine):
         set_up_jax()
         self.lanes = lanes or MOST_WORLDS
         self.programs: dict[ProgramKey, Program] = {}
-        """Compiled programs, kept for later runs."""
+        """The programs of this engine's runs."""
         self._running = RunLock(self.name)
 
     def make_model(self, capacity: int, boards: int, sim: Simulation, *, held: bool) -> PaddedModel:
@@ -103,7 +110,7 @@ class MjxJaxEngine(Engine):
 
     @says_at_hand
     def run(self, jobs: Sequence[Job], sim: Simulation, progress: Progress | None = None) -> Iterator[Outcome]:
-        """Simulate each job once. The outcomes of a batch come together. If memory runs out, batches are halved.
+        """Simulate each job once. The outcomes of a batch are yielded together. If memory runs out, batches are halved.
 
         Raises:
             RuntimeError: an earlier run of the same thread has not ended. (Runs of other threads are waited for.)
@@ -118,22 +125,22 @@ class MjxJaxEngine(Engine):
                 capacity = round_up(max(jobs[index].scene.n_boxes for index in alike))
                 while alike:
                     # batches of equal size, so that one program serves all
-                    some = alike[: math.ceil(len(alike) / math.ceil(len(alike) / most))]
-                    room = min(max(padded_rows(len(some)), FEWEST_WORLDS), most)
-                    rows, batch = np.arange(len(some)), _load(jobs, some, room, capacity, sim)
+                    batch_jobs = alike[: math.ceil(len(alike) / math.ceil(len(alike) / most))]
+                    room = min(max(padded_rows(len(batch_jobs)), FEWEST_WORLDS), most)
+                    rows, batch = np.arange(len(batch_jobs)), _load(jobs, batch_jobs, room, capacity, sim)
                     if not self._simulate(batch, sim, progress):
                         if most > 1:
                             most = max(room // 2, 1)
                             progress.message = f"out of device memory, again with {most} worlds at once"
                             continue
-                        batch = _load(jobs, some, room, capacity, sim)
+                        batch = _load(jobs, batch_jobs, room, capacity, sim)
                         batch.give_up(rows, Flag.OUT_OF_MEMORY)
                     picked = read_back(rows, batch.table, batch.worlds, sim)
                     for count, outcome in enumerate(outcomes(picked, batch.jobs, sim, batch.recorder), start=1):
-                        progress.at_hand = len(some) - count
-                        outcome.job = some[outcome.job]
+                        progress.at_hand = len(batch_jobs) - count
+                        outcome.job = batch_jobs[outcome.job]
                         yield outcome
-                    alike = alike[len(some) :]
+                    alike = alike[len(batch_jobs) :]
 
     def _simulate(self, batch: Batch, sim: Simulation, progress: Progress) -> bool:
         """Run a batch of stackable worlds to its end: the placement, then the drive.
@@ -151,12 +158,13 @@ class MjxJaxEngine(Engine):
             if not is_out_of_memory(error):
                 raise
             self.programs.clear()
+            _kept.clear()
             return False
         return True
 
     def _go_on(self, batch: Batch, sim: Simulation, drive: str | None, progress: Progress) -> None:
         """Step the batch until no world is left in the placement or, with a drive, in the drive."""
-        # the placement needs no profiles; with their table it would compile again for each shape of it
+        # the placement needs no profiles; with a table of profiles it would compile again for each shape of the table
         profiles = jnp.zeros((1, 1, 3)) if drive is None else batch.profiles
         program = self._program(batch, sim, drive, profiles, progress)
         worlds, capacity, _ = batch.worlds.half.shape
@@ -182,6 +190,8 @@ class MjxJaxEngine(Engine):
         carries = drive is None and not scene.placing.appears
         gives, wraps = scene.stiffness is not None, drive is not None and scene.wrap.holds
         key = ProgramKey(sim, capacity, worlds, batch.boards, drive, profiles.shape, carries, gives, wraps)
+        if key not in self.programs and (type(self), key) in _kept:
+            self.programs[key] = _kept[type(self), key]
         if key not in self.programs:
             progress.message = f"compiling for {worlds} worlds of up to {capacity} boxes"
             begin = time.perf_counter()
@@ -190,7 +200,9 @@ class MjxJaxEngine(Engine):
             chunk = BatchRollout(rules, model, gives, wraps).compiled(
                 batch.table, model.no_forces(worlds), batch.worlds, profiles
             )
-            self.programs[key] = Program(model, chunk)
+            self.programs[key] = _kept[type(self), key] = Program(model, chunk)
+            for oldest in list(_kept)[:-MOST_KEPT]:
+                _kept.pop(oldest, None)
             progress.compile_s += time.perf_counter() - begin
         return self.programs[key]
 
@@ -203,9 +215,9 @@ def without_skin(sim: Simulation) -> Simulation:
 def stackable_jobs(jobs: Sequence[Job]) -> list[list[int]]:
     """Groups of jobs that may share a batch, as indices. Groups with the largest plans come first.
 
-    Jobs of a group have the same kind of drive. All start from their beginning, or all from a settled state. Their
-    carriers have the same number of boards. In all of them, or in none, boxes appear at their places, boxes are
-    compliant, and film wraps the boxes. Their plans are of similar size: 1 to 4 boxes, 5 to 8, 9 to 16, ….
+    Jobs of a group have the same kind of drive. All start from their beginning, or all from a settled state. Carriers
+    of a group have the same number of boards. Appearing boxes, compliant boxes and film occur in all worlds of a group,
+    or in none. Plans of a group are of similar size: 1 to 4 boxes, 5 to 8, 9 to 16, ….
     """
     indices_by_key: dict[tuple[int, int, str | None, bool, bool, bool, bool], list[int]] = {}
     for index, job in enumerate(jobs):

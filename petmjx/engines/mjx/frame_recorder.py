@@ -1,4 +1,4 @@
-"""Frames of recorded worlds as they come from the device, and the histories that are made of them."""
+"""Frames of recorded worlds as they come from the device, and the histories made from these frames."""
 
 from __future__ import annotations
 
@@ -51,7 +51,7 @@ class Recorder:
         sim: the run's options.
 
     Attributes:
-        every: (job,) steps between two frames of a world; 0: it is not recorded.
+        every: (job,) steps between two frames of a world; 0: no recording.
     """
 
     def __init__(self, jobs: Sequence[Job], sim: Simulation) -> None:
@@ -68,7 +68,8 @@ class Recorder:
         return not self._recorded
 
     def add(self, row: int, frames: Frames) -> None:
-        """Append frames of a world. They are later than its earlier frames, and may have columns for more boxes."""
+        """Append frames of a world. The new frames are later than the world's earlier frames, and may have columns for
+        more boxes."""
         n = self._jobs[row].scene.n_boxes
         self._recorded[row].append(frames._replace(pose=frames.pose[:, :n], top_force=frames.top_force[:, :n]))
 
@@ -76,13 +77,13 @@ class Recorder:
         """Append the frames that are due in the steps of a chunk."""
         rows = list(self._recorded)
         columns: list[Any] = [np.asarray(values)[:, rows] for values in trail]
-        some = Trail(*columns)
-        regular = (some.number >= 0) & (some.number % self.every[rows] == 0) & (some.placed > 0)
-        due = np.asarray(some.ran & (regular | some.fresh | (some.status != Status.RUNNING)))
+        trail_part = Trail(*columns)
+        regular = (trail_part.number >= 0) & (trail_part.number % self.every[rows] == 0) & (trail_part.placed > 0)
+        due = np.asarray(trail_part.ran & (regular | trail_part.fresh | (trail_part.status != Status.RUNNING)))
         for column, row in enumerate(rows):
             (at,) = np.nonzero(due[:, column])
             if len(at):
-                passed: list[Any] = [values[at, column] for values in some]
+                passed: list[Any] = [values[at, column] for values in trail_part]
                 self.add(row, self._frames(Trail(*passed)))
 
     @staticmethod
@@ -94,7 +95,7 @@ class Recorder:
         return Frames(steps.number, steps.placed, steps.pose, steps.top_force, steps.carrier_pose)
 
     def history(self, row: int, world: State, time_s: Callable[[int], float]) -> History | None:
-        """The history of a world that has ended; None if it was not recorded. Its frames are dropped.
+        """The history of a world that has ended; None if it was not recorded. The frames of the world are dropped.
 
         Args:
             world: the world's last state: one row, on the host.
@@ -108,7 +109,7 @@ class Recorder:
             frames.insert(0, _of_state(job, job.start))
         last = _of_state(job, world)
         if not frames or frames[-1].step[-1] != last.step[0]:
-            frames.append(last)  # the host has given up the world
+            frames.append(last)  # the host has ended the world
         parts: dict[str, Any] = {
             name: np.concatenate([getattr(part, name) for part in frames]) for name in Frames._fields
         }

@@ -38,15 +38,15 @@ def _paths_of_batch(bodies: FreeBodies, sim: Simulation) -> FloatArray:
         worlds, boards = _without_carrier(worlds, boards), 0
     program = _program(sim, k, boards)
     forces = program.model.no_forces(rows)
-    done = 0
+    n_steps = 0
     if steps[0] == 0:
         poses[:, 0] = bodies.pose
-    while done < steps[-1]:
+    while n_steps < steps[-1]:
         state, forces, trail = program.chunk(state, forces, worlds, jnp.zeros((1, 1, 3)))
         chunk = np.asarray(trail.pose, np.float64)[:, :n]
-        (column,) = np.nonzero((steps > done) & (steps <= done + len(chunk)))
-        poses[:, column] = chunk[steps[column] - done - 1].swapaxes(0, 1)
-        done += len(chunk)
+        (column,) = np.nonzero((steps > n_steps) & (steps <= n_steps + len(chunk)))
+        poses[:, column] = chunk[steps[column] - n_steps - 1].swapaxes(0, 1)
+        n_steps += len(chunk)
     return poses
 
 
@@ -66,7 +66,7 @@ class _NoRules(Rules):
         return state
 
     def after_step(self, state: State, *args: Any, **named: Any) -> State:
-        """Leave everything as it is."""
+        """Leave worlds and states as they are."""
         return state
 
 

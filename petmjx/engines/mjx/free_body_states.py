@@ -14,12 +14,12 @@ from petmjx.world.free_bodies import FreeBodies
 from petmjx.world.job import ACCELERATION, Drive, Excitation, Job
 
 _HELD: Final = Drive(Excitation("held", ACCELERATION, np.zeros((0, 3))), scale=0.0, rest_s=0.0)
-"""A drive that does nothing. It only holds the carrier, as all drives of its kind do."""
+"""A drive that does nothing. The drive only holds the carrier, as all drives of its kind do."""
 
 
 def let_go(bodies: FreeBodies, sim: Simulation, rows: int, width: int) -> tuple[Worlds, State]:
-    """Worlds in which all boxes are released, and their states. Nothing drives them. They end after the last step that
-    is asked for.
+    """Worlds in which all boxes are released, and their states. Nothing drives them. The worlds end after the last
+    requested step.
 
     Args:
         rows: rows of the tables, at least one a world; spare rows have ended.

@@ -1,7 +1,7 @@
 """Hands that carry boxes to their places, for all worlds of a batch (docs/rules.md, section 4).
 
 Pure functions of states. Twin of petmjx/engines/mujoco/hand.py. The carried box of a world is always the last placed
-one.
+box.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ Vector = Float[Array, "world 3"]
 
 
 def carried_worlds(state: State) -> Bool[Array, " world"]:
-    """Worlds in which a hand has a box."""
+    """Worlds whose last box is in a hand."""
     return state.carried_from != NEVER
 
 
@@ -68,8 +68,8 @@ def take_up(state: State, worlds: Worlds, where: Bool[Array, " world"], timestep
 
 
 def carry_on(state: State, worlds: Worlds, where: Bool[Array, " world"], sim: Simulation) -> State:
-    """After a step in which boxes were carried: carry them on, or let them go. A box that has arrived and rests is set
-    down first, unless it is meant to fall from its release pose."""
+    """After a step in which boxes were carried: carry them further, or release them. A box that has arrived and rests
+    is set down first, unless it shall fall from its release pose."""
     box = jnp.maximum(state.placed - 1, 0)
     patience = stuck_steps(sim.physics.timestep_s)
     slow = _values_of_box(motion.speed(state.qvel, worlds.half), box) < sim.quiet.quiet_m_s
@@ -133,8 +133,8 @@ def _free_begin(
     stands: Bool[Array, "world box"],
     most_aside: Float[Array, "world 2 2"],
 ) -> Vector:
-    """Places where boxes may begin without overlapping a standing box, m: the given place, else a place moved aside by
-    as little as needed, else one above."""
+    """Places where boxes may begin without overlapping a standing box, m: the original place, else the nearest free
+    place beside it, else a place above."""
 
     def overlap(place: Vector) -> tuple[Float[Array, "world box 3"], Bool[Array, "world box"]]:
         shared = reaches + reach[:, None] - jnp.abs(middles - place[:, None])
@@ -201,7 +201,7 @@ def _length(vector: Vector) -> Float[Array, " world"]:
 
 
 def _limited(vector: Vector, most: Float[Array, "world 1"]) -> Vector:
-    """Vectors, shortened to this length where they are longer."""
+    """Vectors, shortened to this length if longer."""
     length = _length(vector)[:, None]
     return jnp.where(length <= most, vector, vector * (most / jnp.maximum(length, 1e-30)))
 

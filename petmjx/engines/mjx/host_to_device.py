@@ -106,8 +106,8 @@ def padded_rows(count: int) -> int:
 
 
 def is_out_of_memory(error: Exception) -> bool:
-    """Whether an error of JAX, XLA or Warp says that device memory ran out, or an error of Python that the host's
-    did."""
+    """Whether an error of JAX, XLA or Warp says that device memory ran out, or an error of Python says so of the host's
+    memory."""
     text = str(error).lower()
     return isinstance(error, MemoryError) or any(
         words in text for words in ("resource_exhausted", "out of memory", "failed to allocate")

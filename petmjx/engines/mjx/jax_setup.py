@@ -1,7 +1,7 @@
 """Sets up JAX for petmjx: device memory is shared with Warp, and compiled programs are kept in JAX's own cache.
 
-The folder of this cache is a setting of the process. The first engine sets it. It stays, and also applies to the
-caller's own JAX programs. A folder that the caller has set before is not changed. For Warp:
+The folder of this cache is a setting of the process. The first engine sets it. The setting stays, and also applies to
+the caller's own JAX programs. A folder that the caller has set before is not changed. For Warp:
 petmjx/common/warp_setup.py.
 """
 
@@ -20,9 +20,15 @@ MIN_COMPILE_S = 0.0
 """Programs that compile faster than this are not kept. A run has about a hundred small programs, which together take
 some seconds."""
 
-CPU_COMPILER_OPTIONS = {"xla_cpu_enable_concurrency_optimized_scheduler": False}
-"""With XLA's CPU scheduler that is optimised for concurrency, programs of mjx-jax hang in XLA's thread pool (jaxlib
-0.10.2, two cores: 7 runs of 7; without it 0 of 4)."""
+CPU_COMPILER_OPTIONS = {
+    # with the scheduler that is optimised for concurrency, programs of mjx-jax hang in XLA's thread pool
+    # (jaxlib 0.10.2, two cores: 7 runs of 7; without it 0 of 4)
+    "xla_cpu_enable_concurrency_optimized_scheduler": False,
+    # with the newer emitters of fused loops the programs of 12 plans compile for 91 s of CPU time, without them for
+    # 59 s (jaxlib 0.10.2); they run as fast
+    "xla_cpu_use_fusion_emitters": False,
+}
+"""XLA's options for large programs on a CPU. Each is left out if a jaxlib does not have it."""
 
 
 def set_up_jax() -> None:
@@ -38,13 +44,18 @@ def set_up_jax() -> None:
 def compiler_options() -> dict[str, bool]:
     """The ``compiler_options`` of ``jax.jit`` for large programs on this backend.
 
-    They are given with each program and not in ``XLA_FLAGS``. XLA reads those flags once, perhaps before petmjx is
-    imported, and ends the process if it does not know one of them.
+    The options are passed with each program and not in ``XLA_FLAGS``. XLA reads those flags once, perhaps before petmjx
+    is imported, and ends the process if one of the flags is unknown.
     """
     if jax.default_backend() != "cpu":
         return {}
+    return {option: value for option, value in CPU_COMPILER_OPTIONS.items() if _has_option(option, value)}
+
+
+def _has_option(option: str, value: bool) -> bool:
+    """Whether this jaxlib has a compiler option."""
     try:
-        jax.jit(lambda x: x + 1).lower(0.0).compile(compiler_options=dict(CPU_COMPILER_OPTIONS))
+        jax.jit(lambda x: x + 1).lower(0.0).compile(compiler_options={option: value})
     except jax.errors.JaxRuntimeError:
-        return {}  # this jaxlib has no such option, so there is nothing to switch off
-    return dict(CPU_COMPILER_OPTIONS)
+        return False
+    return True

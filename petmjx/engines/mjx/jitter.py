@@ -12,7 +12,7 @@ from petmjx.options.simulation import Simulation
 
 
 def jitter_mask(state: State, sim: Simulation) -> Bool[Array, "world box"]:
-    """Which boxes tremble. This is not known right after another box has been placed."""
+    """Which boxes tremble. Right after another placement, trembling boxes are not known."""
     return (state.trembles == 1) & (state.tremble_looks > 2 * sim.quiet.tremble_looks)[:, None]
 
 

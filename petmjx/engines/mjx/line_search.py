@@ -26,7 +26,7 @@ def solve(model: Any, data: Any) -> Any:
     square is not negative. The change is smaller than float32's rounding.
 
     Args:
-        model: MJX's, of one world.
+        model: the MJX model of one world.
         data: its data, ready for the solver.
     """
     with _real_roots():

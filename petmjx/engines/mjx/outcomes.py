@@ -57,20 +57,20 @@ def _outcomes(
         )
         flags = Flag(int(host.flags[i]) | (int(Flag.FORKED) if job.start is not None else 0))
         verdict, reason = judge(flags, boxes, int(host.placed[i]), sim.thresholds)
-        known = verdict is not Verdict.STABLE and m.culprit[i] >= 0
+        has_culprit = verdict is not Verdict.STABLE and m.culprit[i] >= 0
         yield Outcome(
             job=int(row),
             verdict=verdict,
             reason=reason,
-            culprit=int(m.culprit[i]) if known else -1,
-            first_sign_s=seconds(int(m.sign_step[i])) if known else float("nan"),
+            culprit=int(m.culprit[i]) if has_culprit else -1,
+            first_sign_s=seconds(int(m.sign_step[i])) if has_culprit else float("nan"),
             n_boxes=n,
             n_placed=int(host.placed[i]),
             sim_time_s=seconds(max(int(host.step[i]), 0)),
             n_steps=int(host.steps_done[i]),
             flags=flags,
             boxes=boxes,
-            n_at_sign=int(m.sign_placed[i]) if known else 0,
+            n_at_sign=int(m.sign_placed[i]) if has_culprit else 0,
             solver=sim.solver.value,
             # only the world's own columns: a world that starts from this state may be in a narrower table
             state=jax.tree.map(lambda a, i=i: np.array(a[i]), narrow(host, n)) if job.keep_state else None,
@@ -92,13 +92,13 @@ def _put_at_rest(jobs: Sequence[Job], host: State) -> None:
 
 
 def started_states(jobs: Sequence[Job], fresh: State) -> State:
-    """First states of jobs: the kept state for jobs that start from one, else a fresh state.
+    """First states of jobs: the stored state for jobs with a start, else a fresh state.
 
     Kept states are on the host, and are forked there (see ``upload_worlds``). Fresh states are fetched from the device
     only if a job needs them. Padding rows never run, and may have any state.
 
     Args:
-        fresh: shapes and types are enough if all jobs start from kept states.
+        fresh: arrays without values, only shapes and types, are enough if all jobs start from kept states.
     """
     # a drive that follows a placement at once begins on the device, where boxes cannot be put elsewhere
     assert all(job.poses is None or isinstance(job.start, State) for job in jobs)

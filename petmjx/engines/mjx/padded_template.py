@@ -1,7 +1,7 @@
 """The padded template of a capacity: one compiled MuJoCo model for all plans of up to ``capacity`` boxes.
 
-Sizes, masses, frictions and gravity differ from world to world. They are not in the template, but in per-world
-overrides of model fields. Only ``override_fields`` computes these.
+Sizes, masses, frictions and gravity differ from world to world. Values that differ between worlds are not in the
+template, but in per-world overrides of model fields. Only ``override_fields`` computes these.
 """
 
 from __future__ import annotations
@@ -26,7 +26,8 @@ FLOOR_GEOM = 0
 CARRIER_BODY, FIRST_BOX_BODY = 1, 2
 
 FLOAT32_TOLERANCE = 1e-6
-"""Smallest relative solver tolerance. Float32 does not resolve MuJoCo's 1e-8, which would only cost iterations."""
+"""Smallest relative solver tolerance. Float32 cannot reach MuJoCo's tolerance of 1e-8, which would only cost
+iterations."""
 
 MAX_ITERATIONS = 100
 """MuJoCo's default limit of solver iterations."""
@@ -56,8 +57,8 @@ def padded_template(
 
     Args:
         boards: with 0 nothing touches the carrier.
-        held: the carrier has no joint instead of a free one (prescribed-acceleration profiles). It stands where its
-            world's data say.
+        held: the carrier has no joint instead of a free one (prescribed-acceleration profiles). A held carrier stands
+            where its world's data say.
     """
     scene = _nominal_scene(capacity, boards, physics)
     at = HeldCarrier(scene.carrier.pos, np.array(IDENTITY_QUAT), mocap=True) if held else None
@@ -71,8 +72,8 @@ def padded_template(
 
 
 def _nominal_scene(capacity: int, boards: int, physics: Physics) -> Scene:
-    """The carrier, and boxes that wait in the air. Inertia is explicit. Else MuJoCo would sort the principal axes, and
-    overrides could not follow the order of a box's axes."""
+    """The carrier, and boxes that wait in the air. Inertia is explicit. Otherwise MuJoCo would sort the principal axes,
+    and overrides could not follow the order of a box's axes."""
     half, place = np.tile([0.15, 0.15, 0.1], (capacity, 1)), np.array(parked_positions(capacity), np.float64)
     solid = np.array([0.4, 0.3, physics.carrier_half_height_m])
     board = np.tile(solid, (boards, 1))
@@ -93,7 +94,7 @@ def _nominal_scene(capacity: int, boards: int, physics: Physics) -> Scene:
 
 
 def parked_positions(capacity: int) -> Float[Array, "box 3"]:
-    """Where boxes of a world wait until they are placed, m."""
+    """Places at which boxes of a world wait until they are placed, m."""
     x = PARKING_PITCH_M * jnp.arange(1, capacity + 1)
     return jnp.stack([x, jnp.zeros(capacity), jnp.full(capacity, PARKING_HEIGHT_M)], axis=-1)
 
@@ -109,7 +110,7 @@ def override_fields(
 ) -> dict[str, Float[Array, "world ..."]]:
     """Per-world model fields, keyed as ``Model.tree_replace`` takes them.
 
-    ``physics`` gives the skin by which geoms are larger than boxes. ``model`` is the template's MJX model; its values
+    ``physics`` has the skin by which geoms are larger than boxes. ``model`` is the template's MJX model; its values
     stay for the world body and the floor, which no world changes. With ``gives``, contacts of compliant boxes have laws
     of their own.
 

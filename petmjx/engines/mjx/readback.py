@@ -18,12 +18,12 @@ from petmjx.engines.mjx.world_state import State, take_rows
 from petmjx.options.simulation import Simulation
 
 READ_BACK_ROWS: Final = 256
-"""Rows that are read back at a time; a smaller table has fewer. XLA compiles a program for each number."""
+"""Rows that are read back at a time; a smaller table has fewer. XLA compiles a program for each number of rows."""
 
 
 class Readback(NamedTuple):
     """States and metrics of rows of a table, as bits of one array. The host waits for each array that it fetches from a
-    GPU, so one is best.
+    GPU, so a single array is best.
 
     Attributes:
         rows: rows of the table; ``bits`` may have more rows, as padding.
@@ -59,14 +59,14 @@ def reduce_metrics(state: State, worlds: Worlds, sim: Simulation) -> RunMetrics:
 
 @partial(jax.jit, static_argnames="sim")
 def _readback_words(table: State, worlds: Worlds, rows: Int[Array, " row"], sim: Simulation) -> Int[Array, "row word"]:
-    some = take_rows(table, rows)
-    arrays = jax.tree.leaves((some, reduce_metrics(some, take_rows(worlds, rows), sim)))
+    table_rows = take_rows(table, rows)
+    arrays = jax.tree.leaves((table_rows, reduce_metrics(table_rows, take_rows(worlds, rows), sim)))
     words = [jax.lax.bitcast_convert_type(array, jnp.int32).reshape(len(rows), -1) for array in arrays]
     return jnp.concatenate(words, axis=1)
 
 
 def prepare_readback(table: State, worlds: Worlds, sim: Simulation) -> None:
-    """Compile the programs of ``read_back`` while the device is busy, so that no one waits for them later."""
+    """Compile the programs of ``read_back`` while the device is busy, so that later readbacks need no compilation."""
     read_back(np.zeros(1, np.int64), table, worlds, sim)
 
 
@@ -83,7 +83,7 @@ def read_back(rows: NDArray[np.int64], table: State, worlds: Worlds, sim: Simula
     kinds = state, RunMetrics(shift=of_axes, max_tilt=number, max_top_force=number, rest_force=number)
     batches = []
     for first in range(0, len(rows), size):
-        some = rows[first : first + size]
-        padded = device_array(np.resize(some, size).astype(np.int32))
-        batches.append(Readback(some, _readback_words(table, worlds, padded, sim), kinds))
+        chunk_rows = rows[first : first + size]
+        padded = device_array(np.resize(chunk_rows, size).astype(np.int32))
+        batches.append(Readback(chunk_rows, _readback_words(table, worlds, padded, sim), kinds))
     return batches

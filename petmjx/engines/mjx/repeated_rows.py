@@ -18,6 +18,6 @@ MOST_THREADS: Final = 8
 
 
 def gather_rows(arrays: Iterable[NDArray[Any]], source: NDArray[np.int64]) -> list[NDArray[Any]]:
-    """The rows ``source`` of each array. Many of these rows are the same."""
+    """The rows with numbers ``source`` of each array. Many of these rows are equal."""
     threads = MOST_THREADS if len(source) >= MANY else 1
     return on_threads(partial(np.take, indices=source, axis=0), [*arrays], threads)

@@ -99,8 +99,8 @@ class BatchRollout:
         gravity, push = self._excitation(state, worlds, profiles)
         shown = rules.park(state)
         # Boxes in the air fall freely during the step. If the solver starts from free fall, it has nothing to solve for
-        # them. From zero, each of these boxes would add ½·m·g² to the cost, and float32 would lose the contacts in that
-        # sum.
+        # waiting boxes. From zero acceleration, each of these boxes would add ½·m·g² to the cost, and float32 would
+        # lose the contacts in that sum.
         standing = rules.standing(state)[..., None]
         start = shown.qacc.at[..., :3].set(jnp.where(standing, shown.qacc[..., :3], gravity[:, None]))
         inputs = {
@@ -126,23 +126,23 @@ class BatchRollout:
             inputs["mocap_pos"] = state.carrier_qpos[:, None, :3]
             inputs["mocap_quat"] = state.carrier_qpos[:, None, 3:]
         landing = Landing.of(state, worlds) if rules.sim.physics.has_landings else None
-        done = self.model.step({**fields, "opt.gravity": gravity}, inputs, forces, faces, landing)
-        if done.landing is not None:
-            state = state._replace(landing_left=done.landing.left, landing_qvel=done.landing.before)
+        stepped = self.model.step({**fields, "opt.gravity": gravity}, inputs, forces, faces, landing)
+        if stepped.landing is not None:
+            state = state._replace(landing_left=stepped.landing.left, landing_qvel=stepped.landing.before)
         running = state.running[:, None]
 
         def moved(
             row: Float[Array, "world coordinate"], carrier: Float[Array, "world k"], boxes: Float[Array, "world box k"]
         ) -> tuple[Float[Array, "world k"], Float[Array, "world box k"]]:
-            """Changes of a step, for running worlds and boxes in play. Everything else stays as it was."""
+            """Changes of a step, for running worlds and boxes in play. All other values stay."""
             new_carrier, new_boxes = self._split(row, carrier)
             return jnp.where(running, new_carrier, carrier), jnp.where(standing, new_boxes, boxes)
 
         seen_qpos, before = state.qpos, state
-        carrier_qpos, qpos = moved(done.qpos, state.carrier_qpos, state.qpos)
-        carrier_qvel, qvel = moved(done.qvel, state.carrier_qvel, state.qvel)
-        carrier_qacc, qacc = moved(done.qacc_warmstart, state.carrier_qacc, state.qacc)
-        _, seen_qacc = self._split(done.qacc, state.carrier_qvel)
+        carrier_qpos, qpos = moved(stepped.qpos, state.carrier_qpos, state.qpos)
+        carrier_qvel, qvel = moved(stepped.qvel, state.carrier_qvel, state.qvel)
+        carrier_qacc, qacc = moved(stepped.qacc_warmstart, state.carrier_qacc, state.qacc)
+        _, seen_qacc = self._split(stepped.qacc, state.carrier_qvel)
         state = state._replace(
             qpos=qpos,
             qvel=qvel,
@@ -155,12 +155,12 @@ class BatchRollout:
             step=state.step + state.running,
         )
         presses = self._presses(before, worlds, jnp.maximum(seen_qacc[..., 2].max(-1), carrier_qacc[:, 2]))
-        after = rules.after_step(state, worlds, seen_qpos, seen_qacc, done.top_force, presses)
-        return after, done.forces, done.top_force
+        after = rules.after_step(state, worlds, seen_qpos, seen_qacc, stepped.top_force, presses)
+        return after, stepped.forces, stepped.top_force
 
     def _presses(self, before: State, worlds: Worlds, rising: Float[Array, " world"]) -> Bool[Array, " world"]:
-        """Whether the forces of the step after ``before`` count although no sample is due. While a drive acts they
-        always count. Else a box must be fast, and a box must rise or a look for quiet must be due. ``rising``: the
+        """Whether the forces of the step after ``before`` count although no sample is due. While a drive acts, forces
+        always count. Otherwise a box must be fast, and a box must rise or a look for quiet must be due. ``rising``: the
         largest upward acceleration, m/s²."""
         rules, step = self.rules, before.step + 1
         if not rules.sim.waits_for_rest:

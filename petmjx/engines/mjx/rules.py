@@ -40,7 +40,7 @@ class _SampleInputs(NamedTuple):
 
 
 def _drive_end(state: State, worlds: Worlds) -> Int[Array, " world"]:
-    """The last step of each drive, unless its world rests earlier."""
+    """Last step of each drive if its world does not rest earlier."""
     return state.driven_from + worlds.drive_steps
 
 
@@ -129,7 +129,7 @@ class Rules:
         """Begin the drives of worlds whose placement has settled."""
         begins = (state.status == Status.SETTLED) & worlds.driven
         end = _drive_end(state, worlds)
-        # signs from the placement (as of a hard landing) are dropped where no box is over a threshold now
+        # signs from the placement (such as of a hard landing) are dropped where no box is over a threshold now
         metrics = state.metrics.without_sign(begins & ~self._is_over(state, worlds)).without_rest(begins)
         middles = motion.middles(state.qpos, worlds.middle)
         anchor = jnp.where(begins[:, None, None], middles[..., :2], metrics.sway_anchor)
@@ -174,10 +174,10 @@ class Rules:
 
         Args:
             state: poses, velocities and step counters after the step.
-            seen_qpos: poses at the beginning of the step, to which contacts and accelerations belong.
+            seen_qpos: poses at the beginning of the step, to which the step's contacts and accelerations belong.
             qacc: linear (m/s²) and angular (rad/s²) accelerations of each box in that step.
             top_force: force on each box's top, N.
-            presses: whether ``top_force`` counts, also in a step without a sample.
+            presses: worlds whose ``top_force`` counts, also in a step without a sample.
         """
         before, in_hand = state.running, hand.carried_worlds(state)
         moving = (state.qpos, state.qvel, state.carrier_qpos, state.carrier_qvel)
@@ -195,8 +195,8 @@ class Rules:
             state = state._replace(placed=state.placed - (before & in_hand & ~state.running))
         still_from = state.end - self.timetable.still_steps
         still_from = jnp.maximum(still_from, state.driven_from if self.driven else 0)
-        here = state.running & (state.step == still_from)
-        return state._replace(still_qpos=jnp.where(here[:, None, None], state.qpos, state.still_qpos))
+        window_begins = state.running & (state.step == still_from)
+        return state._replace(still_qpos=jnp.where(window_begins[:, None, None], state.qpos, state.still_qpos))
 
     def _sample(self, state: State, worlds: Worlds, seen: _SampleInputs, nonfinite: Bool[Array, " world"]) -> State:
         limits, m = self.sim.thresholds, state.metrics
@@ -272,8 +272,8 @@ class Rules:
         """In worlds with ``poll``, count the steps for which all boxes were quiet. The count starts again if a box
         creeps.
 
-        A pallet is quiet after ``quiet.steps`` steps if no box creeps. Trembling boxes do not count; if there are any,
-        the count is set to 0 then. Looks for trembling happen where waits adapt.
+        A pallet is quiet after ``quiet.steps`` steps if no box creeps. Trembling boxes are ignored; the count restarts
+        at 0 when boxes are found to tremble. Looks for trembling happen where waits adapt.
 
         Returns:
             The states, and which pallets are quiet.
@@ -305,9 +305,9 @@ class Rules:
     def _proceed(self, state: State, worlds: Worlds) -> State:
         """Place the next box, let the world settle, or let it come to rest."""
         quiet, table = self.sim.quiet, self.timetable
-        more = (state.placed < worlds.n_boxes) & (not self.driven)
+        has_more = (state.placed < worlds.n_boxes) & (not self.driven)
         in_drive = self._rests_in_drive(state)
-        waits = state.running & (state.step > 0) & (more | (state.end == NEVER) | in_drive)
+        waits = state.running & (state.step > 0) & (has_more | (state.end == NEVER) | in_drive)
         if self.carries:
             waits &= ~hand.carried_worlds(state)
         poll = waits & (state.step % quiet.poll_steps == 0) & (state.step > state.waits_since)
@@ -315,12 +315,12 @@ class Rules:
         state, still = self.count_quiet(state, worlds, poll, adapts)
         failed = state.metrics.has_failed(self.sim.thresholds)
         enough = self.sim.waits_for_rest | (state.step - state.waits_since >= quiet.landing_steps)
-        late = ~in_drive & (state.step >= self._deadline(state, worlds, more, adapts))
-        go = waits & (late | (still & adapts & enough))
+        past_deadline = ~in_drive & (state.step >= self._deadline(state, worlds, has_more, adapts))
+        go = waits & (past_deadline | (still & adapts & enough))
         # a drive follows, without a check whether the pallet rests
-        settles = go & ~more & worlds.settles & (not self.driven and not self._rests_first)
-        rests = go & ~more & ~settles
-        moves = (settles | (go & more)) & ~failed & (state.quiet_steps < quiet.steps)
+        settles = go & ~has_more & worlds.settles & (not self.driven and not self._rests_first)
+        rests = go & ~has_more & ~settles
+        moves = (settles | (go & has_more)) & ~failed & (state.quiet_steps < quiet.steps)
         rest_from = self.rest_from(state)
         state = state._replace(
             rest_from=jnp.where(rests, rest_from, state.rest_from),
@@ -329,11 +329,11 @@ class Rules:
             flags=state.flags | jnp.where(moves, int(Flag.MOVING), 0),
             status=jnp.where(settles, Status.SETTLED, state.status),
         )
-        return self.place_next(state, worlds, go & more)
+        return self.place_next(state, worlds, go & has_more)
 
     def rest_from(self, state: State) -> Int[Array, " world"]:
-        """The step after which the rest window of a quiet world begins. By then its last box has landed; before a drive
-        it has landed already."""
+        """The step after which the rest window of a quiet world begins. By then the last box of the world has landed;
+        before a drive it has landed already."""
         if self.driven:
             return state.step
         return jnp.maximum(state.step, state.last_placed_at + self.sim.quiet.landing_steps)
@@ -344,7 +344,7 @@ class Rules:
 
     @property
     def _rests_first(self) -> bool:
-        """Whether a rest window, and a check at its end, come before a drive."""
+        """Whether a drive follows a rest window and a check at the window's end."""
         return self._adaptive and self.sim.waits_for_rest
 
     def _rests_in_drive(self, state: State) -> Bool[Array, " world"]:
@@ -357,7 +357,7 @@ class Rules:
         self, state: State, worlds: Worlds, more: Bool[Array, " world"], adapts: Bool[Array, " world"]
     ) -> Int[Array, " world"]:
         """The latest step for the next event. The long wait ends early once a box has failed, counted from the first
-        sign. It also ends early before a further box if an earlier wait was in vain."""
+        sign. The wait before a further box also ends early if an earlier wait was in vain."""
         sim, table = self.sim, self.timetable
         hopeful = ~state.metrics.has_failed(sim.thresholds)
         plain_static = ~worlds.settles if sim.check == "static" and not self.driven else jnp.zeros_like(more)
@@ -403,17 +403,17 @@ class Rules:
         if sim.check == "static" and not self.driven:
             limit = jnp.where(worlds.settles, limit, table.static_end)
         may_wait = sim.waits_for_rest and sim.total_time_factor is None
-        again = moves & waits & ((last_end != NEVER) | ~lost) & (state.step < limit) & may_wait
-        settles = ends & ~again & worlds.settles & (not self.driven)
-        finished = ends & ~again & ~settles
+        gets_time = moves & waits & ((last_end != NEVER) | ~lost) & (state.step < limit) & may_wait
+        settles = ends & ~gets_time & worlds.settles & (not self.driven)
+        finished = ends & ~gets_time & ~settles
         last_window = jnp.where(last_end == NEVER, NEVER, last_end - table.rest_steps)
         return state._replace(
-            end=jnp.where(again, last_end, state.end),
-            rest_from=jnp.where(again, last_window, state.rest_from),
-            waits_since=jnp.where(again, state.step, state.waits_since),
-            quiet_steps=jnp.where(again, 0, state.quiet_steps),
+            end=jnp.where(gets_time, last_end, state.end),
+            rest_from=jnp.where(gets_time, last_window, state.rest_from),
+            waits_since=jnp.where(gets_time, state.step, state.waits_since),
+            quiet_steps=jnp.where(gets_time, 0, state.quiet_steps),
             driven_from=jnp.where(settles, state.step, state.driven_from),
-            flags=state.flags | jnp.where(moves & ~lost & ~again, int(Flag.MOVING), 0),
+            flags=state.flags | jnp.where(moves & ~lost & ~gets_time, int(Flag.MOVING), 0),
             status=jnp.where(settles, Status.SETTLED, jnp.where(finished, Status.FINISHED, state.status)),
-            metrics=state.metrics.without_rest(again),
+            metrics=state.metrics.without_rest(gets_time),
         )

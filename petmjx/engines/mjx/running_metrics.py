@@ -23,9 +23,9 @@ class Sample(NamedTuple):
     tops, N.
 
     Attributes:
-        sampled: boxes for which this is a sample.
+        sampled: boxes with a sample in this step.
         presses: boxes whose forces count.
-        tilts: boxes whose tilts count: also at a look in a drive.
+        tilts: boxes whose tilts count, also at a look in a drive.
         looked: boxes that are checked: also in worlds at their end.
         rested: boxes in a rest window; ``rests`` marks the worlds whose steps are counted.
     """
@@ -63,7 +63,7 @@ class Metrics(NamedTuple):
     sign_placed: Int[Array, " world"]
 
     def with_sample(self, sample: Sample, worlds: Worlds, *, driven: bool) -> Metrics:
-        """The metrics with one more sample. ``driven``: worlds are shaken. The first sign stays as it is."""
+        """The metrics with one more sample. ``driven``: worlds are shaken. The first sign stays."""
 
         def largest(old: Array, new: Array, where: Array) -> Array:
             return jnp.where(where, jnp.maximum(old, new), old)
@@ -87,8 +87,8 @@ class Metrics(NamedTuple):
         return jnp.sqrt(((pos[..., :2] - self.sway_anchor) ** 2).sum(-1))
 
     def has_failed(self, thresholds: Thresholds) -> Bool[Array, " world"]:
-        """Whether a box has failed for good: it has dropped, or was tilted too far at a look. A shift does not count
-        here. It is judged at rest, and may go back until then."""
+        """Whether a box has failed for good: it has dropped, or was tilted too far at a look. A shift is no failure for
+        good. Shifts are judged at rest, and may go back until then."""
         failed = (self.drop_step >= 0) | (self.max_tilt > thresholds.tilt_deg)
         return (self.culprit >= 0) & failed.any(-1)
 

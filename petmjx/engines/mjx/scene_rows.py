@@ -1,4 +1,4 @@
-"""Rows of tables from scenes. Similar scenes are filled in together: one by one, this took longer than a GPU's
+"""Rows of tables from scenes. Similar scenes are filled in together: one by one, filling took longer than a GPU's
 simulation of small worlds."""
 
 from __future__ import annotations
@@ -44,7 +44,7 @@ def rows_of(scenes: Sequence[Scene], width: int, sim: Simulation, boards: int = 
 
 
 def with_spare_rows(values: NDArray[Any], spare: int) -> NDArray[Any]:
-    """The rows, and then spare rows, which repeat the first."""
+    """The rows, followed by spare rows that repeat the first row."""
     return np.concatenate([values, np.repeat(values[:1], spare, axis=0)])
 
 
@@ -59,12 +59,12 @@ def _rows_of_distinct(scenes: Sequence[Scene], width: int, sim: Simulation, boar
 
     def put(group: tuple[list[int], bool]) -> None:
         numbers, plain = group
-        some = [scenes[number] for number in numbers]
+        group_scenes = [scenes[number] for number in numbers]
         if plain:
-            release, path = releases_of(some, sim), approach_paths_of(some, sim)
-            _put_plain(rows, np.array(numbers), some, release, path)
+            release, path = releases_of(group_scenes, sim), approach_paths_of(group_scenes, sim)
+            _put_plain(rows, np.array(numbers), group_scenes, release, path)
         else:
-            _put(rows, numbers[0], some[0], sim)
+            _put(rows, numbers[0], group_scenes[0], sim)
 
     on_threads(put, [*stackable_groups(scenes)], MOST_THREADS if n >= MANY else 1)
     for values in rows.values():
@@ -109,7 +109,7 @@ def _empty(n: int, width: int, boards: int) -> Rows:
 
 
 def _scene_values(scenes: Sequence[Scene]) -> Rows:
-    """Fields with one value a scene."""
+    """Fields with one value for each scene."""
     return {
         "n_boxes": stacked_values(scenes, "n_boxes").astype(np.int32),
         "carrier_pos": stacked_values(scenes, "carrier.pos").astype(np.float32),

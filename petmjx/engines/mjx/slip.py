@@ -17,7 +17,7 @@ from petmjx.world.contact_laws import ENOUGH_M_S2, MOST_ROUNDS, RELAXATION, STIC
 
 
 class SlipLaw:
-    """The law of sliding contacts, for elliptic cones. Open contacts have rows of zeros, and stay as they are.
+    """The law of sliding contacts, for elliptic cones. Rows of open contacts are zeros, and stay zeros.
 
     Args:
         model_of: gives a world's model for its fields.
@@ -40,8 +40,8 @@ class SlipLaw:
         excess, slides = jax.vmap(self._begin)(data)
 
         def goes_on(carry: tuple[Any, ...]) -> Any:
-            rounds, more = carry[:2]
-            return (rounds == 0) | ((rounds <= MOST_ROUNDS) & more)
+            rounds, needs_round = carry[:2]
+            return (rounds == 0) | ((rounds <= MOST_ROUNDS) & needs_round)
 
         def again(carry: tuple[Any, ...]) -> tuple[Any, ...]:
             rounds, _, excess, start, _, _ = carry
@@ -61,16 +61,16 @@ class SlipLaw:
         excess: Float[Array, " contact"],
         slides: Bool[Array, " contact"],
     ) -> tuple[Float[Array, " velocity"], Float[Array, " constraint"], Float[Array, " contact"], Bool[Array, ""]]:
-        """Accelerations and forces of one world at this excess; the change of the excess that follows from them, m/s²;
-        and whether this change needs another round."""
+        """Accelerations and forces of one world at this excess; the resulting change of the excess, m/s²; and whether
+        another round is needed."""
         normal, friction, aref = self._normal(data), data._impl.contact.friction[:, 0], data._impl.efc_aref
         lowered = {"_impl.efc_aref": aref.at[normal].add(-friction * excess)}
-        done = solve(self._model_of(fields), data.replace(qacc_warmstart=start).tree_replace(lowered))
-        force = done._impl.efc_force
+        solved = solve(self._model_of(fields), data.replace(qacc_warmstart=start).tree_replace(lowered))
+        force = solved._impl.efc_force
         dragged = _tangent(force / data._impl.efc_D, normal)
-        beyond = _tangent(data._impl.efc_J @ done.qacc - aref, normal)
+        beyond = _tangent(data._impl.efc_J @ solved.qacc - aref, normal)
         change = jnp.where(slides, jnp.maximum(beyond - dragged - self._slack, 0.0) - excess, 0.0)
-        return done.qacc, force, change, (friction * jnp.abs(change)).max() > ENOUGH_M_S2
+        return solved.qacc, force, change, (friction * jnp.abs(change)).max() > ENOUGH_M_S2
 
     def _begin(self, data: Any) -> tuple[Float[Array, " contact"], Bool[Array, " contact"]]:
         """The initial excess of one world's contacts, m/s², and which of them slide."""

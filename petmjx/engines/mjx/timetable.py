@@ -19,7 +19,7 @@ from petmjx.options.simulation import Check, Simulation
 from petmjx.world.approach_paths import MOST_STUCK_S, MOST_WAY_S
 
 KEPT: Final = 8
-"""Number of timetables that are kept. Each has up to 20 bytes a step, 25 MB for 250 boxes."""
+"""Number of timetables that are kept. Each table has up to 20 bytes a step, 25 MB for 250 boxes."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -30,11 +30,12 @@ class Timetable:
         clock: time after each step, s.
         due: a wait of ``interval_s`` that began after step s ends at step ``due[s]``.
         longest: the same for ``longest_wait_s``.
-        settled: the same for ``settle_s``, counted from the beginning of time.
+        settled: the same steps for ``settle_s``, counted from the beginning of time.
         settled_nominally: by number of boxes, the step after which a drive starts with the fixed schedule. The
-            reference counts from the nominal moment of the last placement, which rounding to steps puts a little later.
+            reference counts from the nominal moment of the last placement, while rounding to steps delays the real
+            moment a little.
         sample_every, rest_steps: steps between two samples, and steps of the rest window.
-        still_steps: steps before a world's end in which boxes must be still.
+        still_steps: steps before a world's end during which boxes must be still.
         due_steps, longest_steps: as ``due`` and ``longest``, for waits after a drive, which are counted in steps.
         one_by_one_end: last step of the fixed one-by-one check, by number of boxes.
         static_end: last step of the static check.
@@ -56,8 +57,8 @@ class Timetable:
 
 @functools.lru_cache(KEPT)
 def build_timetable(sim: Simulation, max_boxes: int) -> Timetable:
-    """Tables long enough for the placement of ``max_boxes`` boxes, settling included. They are cached: do not change
-    them."""
+    """Tables long enough for the placement of ``max_boxes`` boxes, settling included. Timetables are cached: do not
+    change them."""
     dt = sim.physics.timestep_s
     wait_s = max(sim.interval_s, sim.longest_wait_s)
     # a wait takes whole steps, and the clock's rounding may add one step

@@ -41,8 +41,8 @@ def pressed_box(
     """The box that a contact presses on: the partner whose centre is lower. ``body``: boxes, or negative numbers.
 
     Returns:
-        Box index (negative for carrier and floor). The sign that turns the force on the second geom into a force that
-        presses down on the lower one. And whether the contact is vertical and its lower partner is a box.
+        Box index (negative for carrier and floor). The sign by which the force on the second geom becomes a downward
+        force on the lower geom. And whether the contact is vertical and its lower partner is a box.
     """
     first_is_lower = geom_z[..., 0] < geom_z[..., 1]
     box = jnp.where(first_is_lower, body[..., 0], body[..., 1])

@@ -43,11 +43,11 @@ class Worlds(NamedTuple):
 
     Placing: ``start`` is where a box is released if its ``support`` is where the plan has it. The release follows the
     support by at most ``most_followed``, m (petmjx/world/release_places.py). ``appears``: all boxes begin at ``start``.
-    Else they begin at an offset of ``way_offset`` from it, for a way of ``way_steps``, or 0 if they fall. At the end of
-    the way boxes are set down, unless they are let go to fall (petmjx/world/approach_paths.py). ``hand_force``, N,
-    and ``hand_speed``, m/s, are a hand's limits, and ``way_aside``, m, is how far a box may begin aside to the low and
-    the high end of x and y. ``wrap_press`` and ``wrap_hold``, N, are the forces
-    of film (petmjx/world/film.py).
+    Carried boxes begin at an offset of ``way_offset`` from it, for a way of ``way_steps``, or 0 if they fall. At the
+    end of the way boxes are set down, unless they are released to fall (petmjx/world/approach_paths.py).
+    ``hand_force``, N, and ``hand_speed``, m/s, are a hand's limits, and ``way_aside``, m, is how far a box may begin
+    aside to the low and the high end of x and y. ``wrap_press`` and ``wrap_hold``, N, are the forces of film
+    (petmjx/world/film.py).
     """
 
     n_boxes: Int[Array, " world"]
@@ -106,7 +106,7 @@ def device_array(values: NDArray[Any]) -> jax.Array:
 
 
 def device_arrays(arrays: Iterable[NDArray[Any]]) -> list[jax.Array]:
-    """As ``device_array``, for many arrays in one call. This takes half of the time."""
+    """Like ``device_array``, for many arrays in one call. One call for many takes half of the time."""
     uploads: list[jax.Array] = jax.device_put([*arrays])
     return uploads
 

@@ -74,12 +74,12 @@ class State(NamedTuple):
     landing_left: Int[Array, "world box"]
     landing_qvel: Float[Array, "world box 6"]
 
-    # Film: where boxes were when it was put around them, and the anchors from which it holds them, both relative to the
-    # carrier.
+    # Film: where boxes were when it was wound around them, and the anchors at which the film holds them, both relative
+    # to the carrier.
     film_home: Float[Array, "world box 3"]
     film_anchor: Float[Array, "world box 3"]
 
-    # For the rules: the step after which the wait for the next event began, the number of steps for which all boxes
+    # For the rules: the step after which the wait for the next event began, the number of steps during which all boxes
     # have been quiet, the boxes' speeds at the first of these, and the step of the first of consecutive violent
     # samples.
     waits_since: Int[Array, " world"]
@@ -108,7 +108,7 @@ class State(NamedTuple):
     steps_done: Int[Array, " world"]
     metrics: Metrics
 
-    # Force on each box's top in the step after which the world paused, N.
+    # Force on each box's top in the step before the pause of the world, N.
     top_force: Float[Array, "world box"]
 
     @property
@@ -176,7 +176,7 @@ def fresh_state(worlds: Worlds, *, all_placed: bool, ends: Int[Array, " world"],
 
     Args:
         all_placed: static check; every box stands at its release pose from the start.
-        ends: the last step, where it is known in advance (fixed schedule); else NEVER.
+        ends: the last step if known in advance (fixed schedule); else NEVER.
     """
     n, width = worlds.n_boxes.shape[0], worlds.half.shape[1]
     zeros, ints = jnp.zeros((n, width)), jnp.zeros(n, jnp.int32)

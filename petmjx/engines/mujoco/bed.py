@@ -22,16 +22,16 @@ from petmjx.world.compliance import (
 from petmjx.world.scene import Scene
 
 PARALLEL: Final = 1e-6
-"""Sine below which two edges are parallel; their distance is then the one at their middles."""
+"""Sine below which two edges are parallel; their distance is then measured at their middles."""
 
 _LEVEL: Final = 1e-12
-"""Slope below which depth is the same everywhere."""
+"""Slope below which the depth counts as the same everywhere."""
 
 _FAR_M: Final = 1e3
 """Distance of the line of depth 0 if depth is the same everywhere."""
 
 _LEAST_MOMENT_M2: Final = 1e-18
-"""Second moment below which an area is a line."""
+"""Second moment below which an area counts as a line."""
 
 _TRUE: Final = np.ones(1, bool)
 _Y: Final = np.array([0.0, 1.0, 0.0])
@@ -70,7 +70,7 @@ _FIELDS: Final = (
 
 
 class Beds:
-    """Moves contacts of faces of boxes that give to points at which they have the forces and moments of a bed.
+    """Moves contacts of faces of boxes that give to points with the forces and moments of a bed.
 
     Args:
         bodies: (ngeom,) body of each geom (``petmjx.world.mujoco_model.geom_bodies``).
@@ -100,7 +100,7 @@ class Beds:
         mujoco.mj_fwdVelocity(model, data)
 
     def press(self, model: mujoco.MjModel, data: mujoco.MjData) -> None:
-        """If one of two faces gives, replace the collider's contacts between them by those of a bed."""
+        """Replace the collider's contacts of two faces by those of a bed, if one of the faces gives."""
         count = data.ncon
         if not count:
             return
@@ -123,12 +123,12 @@ class Beds:
         if not ((length == POINTS_PER_BED) & flat & (area > 0)).all():
             beds = np.flatnonzero(flat & (area > 0))
             repeats = np.ones(count, np.intp)
-            for first, contacts, is_bed, some in zip(begin, length, flat, area > 0, strict=True):
+            for first, contacts, is_bed, has_area in zip(begin, length, flat, area > 0, strict=True):
                 if is_bed:
                     repeats[first : first + contacts] = 0
-                    repeats[first] = POINTS_PER_BED * some
+                    repeats[first] = POINTS_PER_BED * has_area
             if not _take(model, data, np.repeat(np.arange(count), repeats)):
-                return  # MuJoCo counts it as a warning, and the world overflows
+                return  # MuJoCo counts the full buffer as a warning, and the world overflows
             begin = (np.cumsum(repeats) - repeats)[begin[beds]]
         rows, contact = begin[:, None] + np.arange(POINTS_PER_BED), data.contact
         contact.pos[rows] = points[beds]
@@ -139,7 +139,7 @@ class Beds:
 
 
 def _take(model: mujoco.MjModel, data: mujoco.MjData, source: NDArray[np.intp]) -> bool:
-    """Replace the contacts by those with these numbers; returns whether the buffer has room for them."""
+    """Keep only the contacts with these numbers; returns whether the buffer has room for them."""
     values = {name: np.array(getattr(data.contact, name))[source] for name in _FIELDS}
     for _ in range(len(source) - data.ncon):
         if mujoco.mj_addContact(model, data, mujoco.MjContact()):
@@ -185,7 +185,7 @@ def face_pressure(
     rows = np.arange(2 * count)[:, None]
     order = _FACES[np.abs(along).argmax(axis=1)]
     reach = half[boxes][rows, order]
-    # half axes of the face whose normal is nearest to this direction: out of the box, and along both edges
+    # half axes, outward and along both edges, of the face whose normal is nearest to this direction
     directions = columns[rows, order]
     directions[:, 0] *= np.copysign(1.0, along[rows, order[:, :1]])
     axes = directions * reach[:, :, None]
@@ -201,13 +201,13 @@ def face_pressure(
     vectors[:, 0] = center[:count] - center[count:]
     vectors[:, 1:3], vectors[:, 3:5] = axes[:count, 1:], axes[count:, 1:]
     vectors[:, 5], vectors[:, 6] = out_a, out_b
-    seen = vectors @ plane.transpose(0, 2, 1)
+    seen_vectors = vectors @ plane.transpose(0, 2, 1)
     lines = np.empty((count, 9, 3))
-    _sides(seen[:, 1:5, :2].reshape(count, 2, 2, 2), seen[:, 0, :2], lines)
-    rise = -seen[:, 5:, :2] / seen[:, 5:, 2:]
+    _sides(seen_vectors[:, 1:5, :2].reshape(count, 2, 2, 2), seen_vectors[:, 0, :2], lines)
+    rise = -seen_vectors[:, 5:, :2] / seen_vectors[:, 5:, 2:]
     depth = np.empty((count, 3))
     depth[:, :2] = rise[:, 0] - rise[:, 1]
-    depth[:, 2] = seen[:, 0, 2] - (rise[:, 0] * seen[:, 0, :2]).sum(axis=1)
+    depth[:, 2] = seen_vectors[:, 0, 2] - (rise[:, 0] * seen_vectors[:, 0, :2]).sum(axis=1)
     steep = np.sqrt((depth[:, :2] ** 2).sum(axis=1))
     lines[:, 8] = depth / np.maximum(steep, _LEVEL)[:, None]
     level = steep < _LEVEL
@@ -246,7 +246,7 @@ def _sides(edges: FloatArray, at: FloatArray, lines: FloatArray) -> None:
     Args:
         edges: (p, 2, 2, 2) half edges: parallelogram, edge, coordinate.
         at: (p, 2) middle of the first parallelogram; that of the second is the origin.
-        lines: (p, 9, 3), of which eight are filled in.
+        lines: (p, 9, 3), of which eight have values.
     """
     cross = edges[:, :, :1, 0] * edges[:, :, 1:, 1] - edges[:, :, :1, 1] * edges[:, :, 1:, 0]
     length = np.sqrt((edges * edges).sum(axis=3))

@@ -13,7 +13,7 @@ def shift(pos: FloatArray, target: FloatArray, floor_m: float, sinks_m: FloatArr
     """(…, n, 3) displacement from the planned centre, m; components under ``floor_m`` count as 0.
 
     Args:
-        sinks_m: (n,) how far boxes should come down, which is no displacement; None: not at all.
+        sinks_m: (n,) expected descent of each box, which is no displacement; None: no descent.
     """
     delta = pos - target
     if sinks_m is not None:

@@ -1,4 +1,4 @@
-"""Time budget of a world on C MuJoCo: steps may take any time if boxes are in one place, or collapse."""
+"""Time budget of a world on C MuJoCo: a step may take any time if many boxes overlap, or collapse."""
 
 from __future__ import annotations
 
@@ -14,13 +14,13 @@ LEAST_S: Final = {Check.STATIC: 30.0, Check.ONE_BY_ONE: 300.0}
 """CPU time that any world may take, s. Static checks of third-party plans of up to 241 boxes take up to 6 s."""
 
 MOST_TIMES: Final = 20.0
-"""Largest time of a world as a multiple of the expected one. The slowest plans that collapse take five times it."""
+"""Largest time of a world as a multiple of the expected time. The slowest plans that collapse take five times it."""
 
 LONG_S: Final = 5.0
 """Wall-clock time after which the progress of a world is shown, s."""
 
 SLOW_S: Final = 0.05
-"""Time between two checks of the budget from which on it is checked after each step, s."""
+"""If checks of the budget are further apart than this, each step checks it, s."""
 
 
 class Budget:

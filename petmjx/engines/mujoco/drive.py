@@ -16,18 +16,18 @@ class ActingDrive:
     """A drive that begins after a step.
 
     Args:
-        begin: the step after which it begins.
+        begin: the step after which the drive begins.
         gravity: (3,) m/s².
 
     Attributes:
-        holds_carrier: whether it is an acceleration of the carrier, which is then clamped.
+        holds_carrier: whether the drive accelerates the carrier, which is then clamped.
     """
 
     def __init__(self, drive: Drive, begin: int, total_mass: float, gravity: FloatArray) -> None:
         self.begin, self._gravity = begin, gravity
         self.holds_carrier = drive.excitation.kind != FORCE
         self._film: ActingFilm | None = None
-        # One row more than the excitation: nothing acts after it.
+        # One row more than the excitation has: nothing acts after its end.
         self._rows: FloatArray = np.vstack((drive.rows(total_mass), np.zeros((1, 3))))
         self._changes = begin + np.flatnonzero((self._rows[1:] != self._rows[:-1]).any(axis=1)) + 1
 

@@ -28,8 +28,9 @@ def body_order(scene: Scene, n_boxes: int, contacts: NDArray[np.integer], shaken
 
     Args:
         contacts: (m, 2) pairs of boxes that touch now, carrier and floor left out.
-        shaken: True: boxes will touch their neighbours at the sides. False: only boxes that stand on one another count.
-            A pallet that stands has few other contacts, and counting these would cost half as many operations again.
+        shaken: True: boxes will touch their neighbours at the sides. False: only pairs of which one box stands on the
+            other count. A pallet that stands has few other contacts, and these would cost half as many operations
+            again.
     """
     joined = _may_touch(scene.start_pos[:n_boxes], scene.half_size[:n_boxes], NEAR_M if shaken else 0.0)
     first, second = contacts.T
@@ -42,18 +43,18 @@ def _may_touch(centre: FloatArray, half: FloatArray, beside_m: float) -> NDArray
 
     Args:
         centre, half: (k, 3) m.
-        beside_m: how far apart they may be in x and y, m; with 0 they overlap there.
+        beside_m: largest gap of the two along x and y, m; with 0 they overlap there.
     """
     gap = np.abs(centre[:, None] - centre) - (half[:, None] + half)
     return np.asarray((gap < (beside_m, beside_m, NEAR_M)).all(axis=2))
 
 
 def minimum_degree(joined: NDArray[np.bool_]) -> list[int]:
-    """The nodes of a graph in order of minimum degree: next comes the node with the fewest neighbours then; of several
-    the one with the lowest number.
+    """The nodes of a graph in order of minimum degree: the next node is always the one with the fewest remaining
+    neighbours, and the lowest number of several.
 
     Args:
-        joined: (k, k) symmetric; the diagonal does not count.
+        joined: (k, k) symmetric; the diagonal is ignored.
     """
     neighbours = {node: set(np.flatnonzero(row).tolist()) - {node} for node, row in enumerate(joined)}
     order: list[int] = []

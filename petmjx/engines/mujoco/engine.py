@@ -55,11 +55,11 @@ class MujocoEngine(Engine):
         self.world_timeout_s = world_timeout_s
 
     def open(self, scenes: Sequence[Scene], sim: Simulation, most_boxes: int = MOST_BOXES) -> MujocoWorlds:
-        """As in the protocol, on this engine's threads, with room for any number of boxes."""
+        """Like ``Engine.open``, on this engine's threads, with room for any number of boxes."""
         return MujocoWorlds(scenes, sim, self.threads)
 
     def paths(self, bodies: FreeBodies, sim: Simulation) -> FloatArray:
-        """As in the protocol, on this engine's threads."""
+        """Like the method of the protocol, on this engine's threads."""
         return paths(bodies, sim, self.threads)
 
     @property
@@ -73,12 +73,13 @@ class MujocoEngine(Engine):
     ) -> Iterator[Outcome]:
         """Simulate each job once; outcomes come as they finish.
 
-        If the generator is closed, or an exception such as KeyboardInterrupt comes, the threads stop within a few dozen
-        steps. At most two jobs per thread are submitted at a time, so memory does not grow with the number of jobs.
+        If the generator is closed, or an exception such as KeyboardInterrupt is raised, the threads stop within a few
+        dozen steps. At most two jobs per thread are submitted at a time, so memory does not grow with the number of
+        jobs.
         """
         stop = threading.Event()
         progress = progress if progress is not None else Progress()
-        begun, last_line, most = 0, "", 2 * self.threads
+        n_begun, last_line, most = 0, "", 2 * self.threads
         stream = JobStream.of(jobs)
         running: dict[int, Budget] = {}
         pending: set[Future[tuple[Outcome, float]]] = set()
@@ -90,15 +91,15 @@ class MujocoEngine(Engine):
                         break
                     for job in new:
                         timeout_s = self.world_timeout_s
-                        pending.add(pool.submit(_simulate, begun, job, sim, stop, timeout_s, running))
-                        begun += 1
+                        pending.add(pool.submit(_simulate, n_begun, job, sim, stop, timeout_s, running))
+                        n_begun += 1
                     finished, pending = wait(pending, LOOK_S, FIRST_COMPLETED)
                     last_line = _say(progress, last_line, "" if finished else _oldest(running))
                     if not finished and progress.pauses:
                         yield None  # type: ignore[misc]  # only with ``Progress.pauses``
                     outcomes = [future.result() for future in finished]
-                    for more, (outcome, thread_s) in zip(reversed(range(len(outcomes))), outcomes, strict=True):
-                        progress.at_hand = more
+                    for n_more, (outcome, thread_s) in zip(reversed(range(len(outcomes))), outcomes, strict=True):
+                        progress.at_hand = n_more
                         progress.worlds_done += 1
                         progress.thread_s += thread_s
                         progress.world_steps += outcome.n_steps

@@ -13,7 +13,7 @@ from petmjx.world.scene import Scene
 
 
 class ActingFilm:
-    """Film that holds boxes at the places at which it was put on.
+    """Film that holds boxes at their places of when it was wound around them.
 
     Args:
         pos: (n, 3) centres of mass of the boxes, less that of the carrier, m.
@@ -25,7 +25,7 @@ class ActingFilm:
         self._home, self._anchor = pos.copy(), pos.copy()
 
     def forces(self, pos: FloatArray, vel: FloatArray) -> FloatArray:
-        """(n, 3) forces on boxes during the next step, N. If film slips, the place at which it holds the box moves.
+        """(n, 3) forces on boxes during the next step, N. If film slips, its place of holding moves along.
 
         Args:
             pos, vel: (n, 3) positions and velocities of centres of mass, less those of the carrier, m and m/s.

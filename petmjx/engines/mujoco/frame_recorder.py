@@ -46,28 +46,28 @@ class WorldRecorder:
         self._begun = False
 
     def is_due(self, step: int) -> bool:
-        """Whether a frame is surely taken after this step. There is none before the first placement."""
+        """Whether a frame is certain after this step. No frame is due before the first placement."""
         return self._begun and step % self._every == 0
 
     def next_after(self, step: int) -> int:
-        """The next step after which a frame is due, as far as is known now."""
+        """The next step after which a frame is due, as far as known now."""
         if not self._begun:
             return sys.maxsize
         return step + self._every - step % self._every
 
     def look(self, step: int, live: LiveWorld) -> None:
-        """Take a frame after a step, unless it has been taken. This must happen before the world is changed: the forces
+        """Take a frame after a step, unless there is one. This must happen before the world is changed: the forces
         during the step are lost then."""
         if self._frames and self._frames[-1].step == step:
             return
         self._take(step, live, acted=True)
 
     def begin(self, step: int, live: LiveWorld) -> None:
-        """Take the first frame of a world that starts from a settled state. Its forces are not known any more."""
+        """Take the first frame of a world that starts from a settled state. The forces of such a frame are lost."""
         self._take(step, live, acted=False)
 
     def place(self, live: LiveWorld) -> None:
-        """Put a box that was just placed into the frame of this step. No force has acted on it yet."""
+        """Put a box that was just placed into the frame of this step. No force has acted on the box yet."""
         frame, box = self._frames[-1], live.n_placed - 1
         frame.placed = live.n_placed
         frame.pose[box] = live.pose[box]
@@ -79,7 +79,7 @@ class WorldRecorder:
 
         Args:
             time_s: the time after a step.
-            driven_from: the step after which the drive began; None: there was none.
+            driven_from: the step after which the drive began; None: no drive.
         """
         frames = self._frames
         acted = np.array([frame.acted for frame in frames])
@@ -123,7 +123,7 @@ def read_contacts(data: mujoco.MjData, bodies: NDArray[np.integer], pyramidal: b
 
     Args:
         bodies: (ncon, 2) the partners of each contact (``LiveWorld.contact_bodies``).
-        frame: frame number of these contacts.
+        frame: frame number of the contacts.
     """
     body = bodies.astype(np.int32)
     axes = np.array(data.contact.frame).reshape(-1, 3, 3)

@@ -1,4 +1,4 @@
-"""Boxes that are let go, on C MuJoCo: one world per thread, with the steps of ``LiveWorld``."""
+"""Released boxes on C MuJoCo: one world per thread, with the steps of ``LiveWorld``."""
 
 from __future__ import annotations
 
@@ -28,11 +28,11 @@ def _path(bodies: FreeBodies, world: int, sim: Simulation) -> FloatArray:
     """(s, k, 7) poses of one world."""
     poses = np.full((len(bodies.steps), bodies.n_boxes, 7), np.nan)
     live = LiveWorld.let_go(bodies.scenes[world], sim, bodies.velocity[world])
-    done = 0
+    last_step = 0
     for row, step in enumerate(bodies.steps.tolist()):
-        if step > done:
-            live.step(step - done)
-            done = step
+        if step > last_step:
+            live.step(step - last_step)
+            last_step = step
         if live.trouble() is not Flag.NONE:
             break
         poses[row] = live.pose

@@ -30,11 +30,11 @@ class Hand:
 
     Attributes:
         begin, end: (3,) origins of its frame at the way's ends, m.
-        quat: (4,) how it is held.
+        quat: (4,) orientation in which the hand holds the box.
         steps: number of steps of the way.
         taken: steps since the way began.
-        falls: whether the box is let go at the end of the way, to fall.
-        lowered_from: value of ``taken`` from which on the box is set down.
+        falls: whether the box is released at the end of the way, and falls.
+        lowered_from: value of ``taken`` at which the hand begins to set the box down.
         short_m: distance of the box from the end of the way after the last step, m.
     """
 
@@ -53,11 +53,11 @@ class Hand:
 
     @property
     def missed(self) -> bool:
-        """Whether the box is too far from its place to count as placed, once the hand has let go."""
+        """Whether a released box is too far from its place to count as placed."""
         return self.short_m > MISSED_M
 
     def has_let_go(self, pose: FloatArray, slow: bool) -> bool:
-        """Whether the hand lets go after a step in which it carried the box: once the box has arrived and rests. A box
+        """Whether the hand releases the box after this step: it does once the box has arrived and rests. A box
         that does not fall from there is set down first.
 
         Args:
@@ -81,8 +81,9 @@ class Hand:
         """(6,) force, N, and moment, N·m, in world axes, of the hand during the next step.
 
         The spring and the damper are between the box and the point that it should follow. A third force moves a free
-        box along with that point to the last digit. Their sum is limited, and so is the moment. The weight is added
-        after that. A box that is being set down has only a damper, which may also bear its weight.
+        box along with that point to the last digit. The sum of these forces is limited, and so is the moment. The
+        weight of the box is added to the limited sum. A box that is being set down has only a damper, which may also
+        bear its weight.
 
         Args:
             pose: (7,) of its frame, m and quaternion.
@@ -111,7 +112,7 @@ class Hand:
 
 
 def _limited(vector: FloatArray, most: float) -> FloatArray:
-    """The vector, shortened to the length ``most`` if it is longer."""
+    """The vector, shortened to the length ``most`` if longer."""
     length = float(np.linalg.norm(vector))
     return vector if length <= most else vector * (most / length)
 

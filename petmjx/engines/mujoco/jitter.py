@@ -22,10 +22,10 @@ class Jitter:
     """State of the search for trembling boxes after a look; each look makes a new one.
 
     Attributes:
-        boxes: (n,) which of the boxes seen at looks since the last placement tremble.
+        boxes: (n,) whether each box seen at looks since the last placement trembles.
         looks: number of looks at this number of boxes.
         home: (n, 7) poses at the beginning of the measured period.
-        path_m, away_m: (n,) length of each box's way since then, and its largest distance from ``home``, m.
+        path_m, away_m: (n,) length of each box's way since the first look, and its largest distance from ``home``, m.
     """
 
     boxes: NDArray[np.bool_] = field(default_factory=_no_boxes)
@@ -35,7 +35,7 @@ class Jitter:
     away_m: FloatArray | float = 0.0
 
     def which(self, n: int) -> NDArray[np.bool_]:
-        """(n,) which of the n placed boxes tremble. After another placement this is not known."""
+        """(n,) which of the n placed boxes tremble. After another placement, trembling boxes are not known."""
         return self.boxes if len(self.boxes) == n else np.zeros(n, bool)
 
     def after_look(self, sim: Simulation, pose: FloatArray, speed_m_s: FloatArray, radius_m: FloatArray) -> Self:

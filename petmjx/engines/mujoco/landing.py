@@ -17,7 +17,7 @@ from petmjx.world.mujoco_model import geom_surfaces
 from petmjx.world.scene import Scene
 
 CALM_M_S2 = 0.5
-"""Largest root of the sum of squares of all accelerations, m/s² and rad/s², with which many steps are taken at a time:
+"""Largest root of the sum of squares of all accelerations, m/s² and rad/s², up to which many steps are taken at a time:
 in five steps a box becomes faster by at most 5 mm/s."""
 
 
@@ -41,7 +41,7 @@ class Landings:
     """The boxes of a world that land, and their velocities before.
 
     Attributes:
-        left: (n,) remaining steps for which each box counts as landing; 0: it does not land.
+        left: (n,) remaining steps for which each box counts as landing; 0: no landing.
         before: (n, 6) velocities of boxes that land, before they touched.
     """
 

@@ -54,13 +54,13 @@ class LiveWorld:
     """Model and data of one world in which the first ``n_placed`` boxes are placed.
 
     Boxes that are in the model but not placed yet hang far apart in the air, each held by a force equal to its weight.
-    They touch nothing, so they do not influence the pallet.
+    Boxes that wait touch nothing, so they do not influence the pallet.
 
     With pyramidal cones another body represents waiting boxes (``petmjx.engines.mujoco.waiting_boxes``).
 
-    The bodies of a large plan are in elimination order (``petmjx.engines.mujoco.elimination_order``). Those of smaller
-    plans are in packing order. With pyramidal cones all are in packing order, as in the reference implementation, to
-    the last bit. All arrays that this class takes and returns have rows in packing order.
+    The bodies of a large plan are in elimination order (``petmjx.engines.mujoco.elimination_order``). Waiting boxes of
+    smaller plans are in packing order. With pyramidal cones all are in packing order, as in the reference
+    implementation, to the last bit. All arrays that this class takes and returns have rows in packing order.
 
     Args:
         templates: for open worlds, whose models are filled in instead of compiled.
@@ -68,7 +68,7 @@ class LiveWorld:
 
     Attributes:
         order: (capacity,) boxes in the order of their bodies.
-        hand: carries the last of the placed boxes; None: all boxes are let go.
+        hand: the hand that carries the last placed box; None: all boxes are released.
         geom_bodies: (ngeom,) the body to which each geom belongs: a box, ``CARRIER`` or ``FLOOR``.
         pyramidal: whether friction cones are pyramidal.
     """
@@ -178,7 +178,7 @@ class LiveWorld:
         return rows[self._row]
 
     def _grow(self) -> None:
-        """Add the next boxes to the model. The state of all others is copied bit for bit."""
+        """Add the next boxes to the model. The state of all other bodies is copied bit for bit."""
         old, count = self.data, self.capacity
         boxes = self._poses[self._row], self._velocities[self._row], self._warmstarts[self._row]
         capacity = min(self.scene.n_boxes, count + GROWTH_BLOCK)
@@ -188,10 +188,10 @@ class LiveWorld:
             add_boxes(self._spec, self.scene, self._sim.physics, range(count, capacity), before=range(count))
             self.order = np.arange(capacity)
             self._compile()
-        new, kept = self.data, self._row[:count]
+        new, earlier_rows = self.data, self._row[:count]
         for name, first in (("qpos", self._first_q), ("qvel", self._first_v), ("qacc_warmstart", self._first_v)):
             getattr(new, name)[:first] = getattr(old, name)[:first]
-        self._poses[kept], self._velocities[kept], self._warmstarts[kept] = boxes
+        self._poses[earlier_rows], self._velocities[earlier_rows], self._warmstarts[earlier_rows] = boxes
         new.time = old.time
         for box in range(count, self.capacity):
             self._poses[self._row[box], :3] = (_PARKING_M + _PARKING_PITCH_M * box, 0.0, _PARKING_M)
@@ -209,8 +209,8 @@ class LiveWorld:
         """An independent world in the same state, to the last bit.
 
         Args:
-            grows: True: a box is placed in it first. If this makes a new model, the data of the old one are only read
-                and not copied.
+            grows: True: the next change of the new world is another box. If this makes a new model, the data of the old
+                one are only read and not copied.
         """
         twin = copy.copy(self)
         twin._landings = self._landings and self._landings.fork()
@@ -223,7 +223,7 @@ class LiveWorld:
         return twin
 
     def give_back(self) -> None:
-        """Return the model and its data to the templates, for other worlds. This world must not be used any more."""
+        """Return the model and its data to the templates, for other worlds. The old world must not be used any more."""
         if self._templates is not None and self._templates.fits(self.scene):
             self._templates.give_back(ModelInstance(self.model, self.data), self.scene, self.capacity)
 
@@ -261,7 +261,7 @@ class LiveWorld:
         """(3,) the place at which a box begins, m, and (4,) its orientation. A carried box then has a hand.
 
         Args:
-            rest: (3,) the place at which it would rest, m.
+            rest: (3,) the box's place if it were at rest, m.
         """
         scene, physics = self.scene, self._sim.physics
         end, quat = rest + path.lift[box], path.quat[box]
@@ -280,7 +280,7 @@ class LiveWorld:
         return begin, quat
 
     def carry_on(self, slow: bool) -> bool:
-        """After a step in which a box was carried: whether it is let go now. ``slow``: see ``Hand.has_let_go``."""
+        """Whether a carried box is released after this step. ``slow``: see ``Hand.has_let_go``."""
         hand = self.hand
         if hand is None or not hand.has_let_go(self._poses[self._row[hand.box]], slow):
             self._carry()
@@ -296,17 +296,17 @@ class LiveWorld:
             self._forces(self.hand.box)[:] = self.hand.wrench(self._poses[row], self._velocities[row])
 
     def step(self, count: int) -> None:
-        """Advance by ``count`` steps in C, with the GIL released; step by step if boxes give, land, or may slide.
+        """Advance by ``count`` steps in C, with the GIL released; one step at a time if boxes give, land, or may slide.
 
         Motion is checked after every few steps of the world, however many steps a call takes.
         """
         while count > 0:
             if self._looked == 0:
                 self._slides = self._slip.may_slide(self.data.qvel)
-            some = min(count, LOOK_STEPS - self._looked)
-            self._take_steps(some)
-            self._looked = (self._looked + some) % LOOK_STEPS
-            count -= some
+            n_steps = min(count, LOOK_STEPS - self._looked)
+            self._take_steps(n_steps)
+            self._looked = (self._looked + n_steps) % LOOK_STEPS
+            count -= n_steps
 
     def _take_steps(self, count: int) -> None:
         landings = self._landings if self.n_placed else None
@@ -349,7 +349,7 @@ class LiveWorld:
     def sampled_pose(self) -> tuple[FloatArray, FloatArray]:
         """(k, 3) middles and (k, 4) orientations of the placed boxes at the beginning of the last step.
 
-        The accelerations and contact forces of that step belong to the same moment.
+        The accelerations and contact forces of the last step belong to the same moment.
         """
         rows = self._first_body + self._row[: self.n_placed]
         pos, quat = self.data.xpos[rows], self.data.xquat[rows]
@@ -361,7 +361,7 @@ class LiveWorld:
 
     def accelerations(self) -> tuple[FloatArray, FloatArray]:
         """(k, 3) linear (m/s²) and (k, 3) angular accelerations (rad/s²) of the placed boxes in the last step, in world
-        axes. MuJoCo has the angular ones of a free body in the body's own axes."""
+        axes. MuJoCo has the angular velocity of a free body in the body's own axes."""
         acceleration = self.qacc[: self.n_placed]
         rows = self._first_body + self._row[: self.n_placed]
         turn = self.data.xmat[rows].reshape(-1, 3, 3)
@@ -391,7 +391,7 @@ class LiveWorld:
         self._held = HeldCarrier(pos=state.pose[0, :3], quat=state.pose[0, 3:])
         self._has_waiting = False
         self._shaken = True
-        self._templates = None  # a carrier that is held stands elsewhere in each world
+        self._templates = None  # the place of a clamped carrier differs from world to world
         self._build(self.capacity)
         self._restore(state, time_s)
 

@@ -11,7 +11,8 @@ import mujoco
 class QuietMujoco:
     """Stops MuJoCo from printing, and from writing MUJOCO_LOG.TXT into the current folder, while a run is active.
 
-    Its messages (bad numbers, full buffers) are read from its data instead and become flags in the results. The setting
+    MuJoCo's messages (bad numbers, full buffers) are read from its data instead, and become flags in the results. The
+    setting
     belongs to the process: the first run changes it and the last one restores it.
     """
 

@@ -24,7 +24,7 @@ from petmjx.world.scene import Scene
 _SOLVER = {Solver.NEWTON: mujoco.mjtSolver.mjSOL_NEWTON, Solver.CG: mujoco.mjtSolver.mjSOL_CG}
 
 MOST_KEPT: Final = 64
-"""Number of templates that are kept, the last ones used. A template of 31 boxes takes 0.2 MB, and each of its spare
+"""Number of cached templates: the last ones used. A template of 31 boxes takes 0.2 MB, and each of its spare
 worlds 0.7 MB in use."""
 
 MOST_SPARE: Final = 16
@@ -49,8 +49,8 @@ def set_options(model: mujoco.MjModel, sim: Simulation) -> None:
     # MuJoCo would silently reset a world that diverges; petmjx must see it.
     model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_AUTORESET
     if sim.physics.cone is Cone.ELLIPTIC:
-        # A pallet is one island, and the search for islands costs 10 % of the time. With pyramidal cones the search
-        # stays on: the solver's tolerance is relative to the island, and the reference's creep depends on it.
+        # A pallet is one island, and the search for islands would take 10 % of the time. With pyramidal cones islands
+        # are searched: the solver's tolerance is relative to the island, and the reference's creep depends on it.
         model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_ISLAND
 
 
@@ -108,7 +108,7 @@ def _key(scene: Scene, count: int) -> tuple[object, ...]:
 
 
 class _Template:
-    """A compiled model, and copies of it that are free."""
+    """A compiled model, and its unused copies."""
 
     def __init__(self, scene: Scene, sim: Simulation, count: int) -> None:
         self._physics: Physics = sim.physics
@@ -129,7 +129,7 @@ class _Template:
             data = mujoco.MjData(model)
         self._fill(model, scene, order)
         mujoco.mj_setConst(model, data)
-        # one after the other, as MuJoCo's compiler adds them up: the solver's tolerance is relative to this
+        # summed in order, like MuJoCo's compiler does: the solver's tolerance is relative to this sum
         model.stat.meaninertia = sum(model.dof_M0.tolist()) / model.nv
         mujoco.mj_resetData(model, data)
         return ModelInstance(model, data)
@@ -138,7 +138,7 @@ class _Template:
         self._spare.append(filled)
 
     def _fill(self, model: mujoco.MjModel, scene: Scene, order: NDArray[np.intp]) -> None:
-        """Write all values that depend on boxes and friction. MuJoCo computes the values that follow from these."""
+        """Write all values that depend on boxes and friction. MuJoCo computes the dependent values."""
         physics, body, geom = self._physics, self._first_body, self._first_geom
         model.opt.gravity[:] = (0.0, 0.0, -physics.gravity_m_s2)
         half = scene.half_size[order] + physics.skin_m

@@ -1,4 +1,4 @@
-"""Open worlds on C MuJoCo: boxes are put into them one after the other, and they can be forked.
+"""Open worlds on C MuJoCo: boxes are added one by one, and worlds can be forked.
 
 ``OpenWorld`` is one world; ``MujocoWorlds`` has many worlds on CPU threads.
 """
@@ -28,11 +28,11 @@ from petmjx.world.scene import Scene
 class OpenWorld(WorldRun):
     """A world that pauses when all its boxes are placed and have come to rest.
 
-    It begins after its soft start. No box is placed yet; in a static check all are.
+    The world begins after its soft start. No box is placed yet; in a static check all are.
 
     Attributes:
-        paused: whether boxes can be put into it.
-        ended: whether it has failed, so that it does not go on.
+        paused: whether boxes can be put into the world.
+        ended: whether the world has failed, and stays as it is.
     """
 
     def __init__(
@@ -101,7 +101,7 @@ class OpenWorld(WorldRun):
         return True
 
     def finish(self, index: int, drive: Drive | None = None) -> Outcome:
-        """Go on to the end of a world that has boxes: the rest window and, if there is one, the drive.
+        """Simulate a world with boxes to its end: the rest window and, if there is one, the drive.
 
         The world is then no longer open.
 
@@ -120,7 +120,7 @@ class OpenWorld(WorldRun):
         return self._outcome(came_to_end=not self.ended and self._loop())
 
     def _lingers(self) -> bool:
-        """Whether a world paused early, because a wait was in vain, and still moves: its last wait is a long one."""
+        """Whether a world paused early, because a wait was in vain, and still moves: its last wait is long."""
         return not (self._quiet.holds or self._metrics.has_failed) and self._waits.lasts_longer(self._step)
 
     def _leave_pause(self) -> None:
@@ -130,7 +130,8 @@ class OpenWorld(WorldRun):
             self._keep_still_pose()
 
     def read(self) -> Reading:
-        """The reading of the world. It has ``Flag.MOVING`` if the world paused because its time was up, not at rest."""
+        """The reading of the world. The outcome has ``Flag.MOVING`` if the world paused because its time was up, not at
+        rest."""
         live, k = self._live, self._live.n_placed
         pose = live.pose[:k]
         moves = self.paused and not (self._quiet.holds or self._metrics.has_failed)
@@ -220,7 +221,7 @@ class MujocoWorlds(OpenWorlds):
 
     def _map(self, work: Callable[[Item], Result], of: Iterable[Item]) -> list[Result]:
         """The results of ``work`` for each item, on threads. An interruption stops worlds within a few dozen steps;
-        they can go on later."""
+        later calls continue them."""
         try:
             with QUIET_MUJOCO, ThreadPoolExecutor(self._threads, thread_name_prefix="petmjx-world") as pool:
                 try:

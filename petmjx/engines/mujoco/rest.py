@@ -80,8 +80,8 @@ class QuietRule:
         return bool((box_motion.speed(velocity, self._radius_m[boxes]) < self._rule.quiet_m_s).all())
 
     def motion(self, before: FloatArray, after: FloatArray, velocity: FloatArray, seconds: float) -> tuple[bool, bool]:
-        """Whether a point of a box moved faster than ``still_m_s``, or moves so now; and whether the world has to wait
-        for these boxes. It does not wait for boxes that tremble, up to ``slow_m_s``.
+        """Whether a point of a box moved faster than ``still_m_s``, or does so now; and whether the world has to wait
+        for such boxes. The world does not wait for trembling boxes slower than ``slow_m_s``.
 
         Args:
             before, after: (k, 7) poses, ``seconds`` apart: a rocking box at its turning point has hardly moved on the
@@ -97,7 +97,7 @@ class QuietRule:
 
 
 class Explosion:
-    """Finds simulations that cannot be right: large accelerations that last, without a sign that explains them.
+    """Finds simulations that cannot be right: large accelerations that last, without a failed box as their cause.
 
     When light boxes land, or tipping boxes hit something, they reach 240 rad/s² for a few steps; one such sample is not
     an explosion. So samples right after a placement do not count. And one violent sample is not enough: the following
@@ -114,7 +114,7 @@ class Explosion:
         """Whether the world explodes, by the sample after a step.
 
         Args:
-            placed_at: the step after which the last box was placed; this one while a box is carried.
+            placed_at: the step after which the last box was placed; the current step while a box is carried.
             too_fast: whether an acceleration is beyond its threshold and no sign has been seen.
         """
         if step - placed_at < self._landing:

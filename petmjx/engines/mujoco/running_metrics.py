@@ -1,4 +1,4 @@
-"""Running metrics of one world in NumPy, for the oracle. It shares no arithmetic with the JAX side.
+"""Running metrics of one world in NumPy, for the oracle. The oracle shares no arithmetic with the JAX side.
 
 Definitions: docs/metrics.md. Arrays have one row per box, in packing order.
 """
@@ -77,7 +77,7 @@ class OracleMetrics:
             self.add_forces(largest_top_forces(steps, len(self._max_top_force_n)))
 
     def add_step(self, pressed: TopForceInputs) -> None:
-        """Take in a step's forces on tops. They are buffered, and computed for many steps together."""
+        """Take in a step's forces on tops. Samples are buffered, and many steps are computed together."""
         if self._pressed and (len(self._pressed) >= _STEPS_TOGETHER or self._pressed[0].bodies is not pressed.bodies):
             self._work_off()
         self._pressed.append(pressed)
@@ -99,11 +99,11 @@ class OracleMetrics:
         return self.culprit >= 0 and (self.any_dropped or bool(tilted.any()))
 
     def tells_all(self, job: Job, pos: FloatArray, quat: FloatArray, culprit: int) -> bool:
-        """Whether the pallet surely does not stand, so that its world need not go on: a box has dropped; with errors,
-        one of the k placed boxes is lost in these poses; in a drive, the culprit is lost.
+        """Whether the pallet certainly falls, so that its world can end: a box has dropped; with errors, one of the k
+        placed boxes is lost in these poses; in a drive, the culprit is lost.
 
         Args:
-            culprit: the culprit of an earlier look; -1: there was none, or it does not end a drive.
+            culprit: the culprit of an earlier look; -1: no culprit, or none that ends a drive.
         """
         if self.any_dropped:
             return True
@@ -127,7 +127,7 @@ class OracleMetrics:
     def add_sample(
         self, time_s: float, pos: FloatArray, quat: FloatArray, acc: FloatArray, top_force_n: FloatArray
     ) -> bool:
-        """Take in one sample: the k placed boxes' poses, (k, 6) accelerations and forces on their tops.
+        """Add one sample: the k placed boxes' poses, (k, 6) accelerations and forces on their tops.
 
         All belong to the start of a step, where MuJoCo evaluates contacts and accelerations.
 
@@ -147,7 +147,7 @@ class OracleMetrics:
         return too_fast and self.culprit < 0
 
     def add_look(self, time_s: float, pos: FloatArray, quat: FloatArray) -> None:
-        """Take in these poses, in a sample or during a drive: tilts, and all that ``add_pose`` checks."""
+        """Add these poses, of a sample or of a look during a drive: tilts, and all that ``add_pose`` checks."""
         tilt, k = self.add_pose(time_s, pos, quat), len(pos)
         np.maximum(self.max_tilt_deg[:k], tilt, out=self.max_tilt_deg[:k])
 
@@ -173,7 +173,7 @@ class OracleMetrics:
         return np.asarray(np.hypot(*(pos - origin)[:, :2].T))
 
     def add_rest(self, top_force_n: FloatArray) -> None:
-        """One step of the rest window."""
+        """Add one step of the rest window."""
         self._rest_sum_n[: len(top_force_n)] += top_force_n
         self._rest_steps += 1
 
@@ -195,7 +195,7 @@ class OracleMetrics:
         return self.any_dropped or bool(lost.any())
 
     def begin_drive(self, pos: FloatArray, quat: FloatArray) -> None:
-        """A profile starts, with the k boxes in these poses. Sway is measured from here, and rest from its end.
+        """Begin a profile, with the k boxes in these poses. Sway is measured from here, and rest from its end.
 
         If no box is over a threshold now, signs from the placement (a hard landing) are forgotten: the first sign is
         then the first one during the profile.
@@ -217,15 +217,15 @@ class OracleMetrics:
         placed = slice(n_placed)
         with np.errstate(invalid="ignore"):  # the poses of a world with bad numbers
             np.fmax(self.max_tilt_deg[placed], tilt_deg(quat[placed]), out=self.max_tilt_deg[placed])
-        rest = self._rest_sum_n / self._rest_steps if came_to_end and self._rest_steps else np.full(n, np.nan)
+        rest_force_n = self._rest_sum_n / self._rest_steps if came_to_end and self._rest_steps else np.full(n, np.nan)
         return BoxMetrics.measured(
             n,
             shift_m=shift(pos, self._scene.target, self._thresholds.shift_floor_m, self._sinks_m),
             max_tilt_deg=self.max_tilt_deg,
             max_lin_acc=self.max_lin_acc,
             max_ang_acc=self.max_ang_acc,
-            max_top_force_n=np.fmax(self.max_top_force_n, rest),
-            rest_top_force_n=rest,
+            max_top_force_n=np.fmax(self.max_top_force_n, rest_force_n),
+            rest_top_force_n=rest_force_n,
             dropped=np.isfinite(self.drop_s),
             drop_s=self.drop_s,
             max_sway_m=self.max_sway_m,

@@ -1,4 +1,4 @@
-"""Settled states: the state of a world whose placement has settled, from which other worlds start."""
+"""Settled states: the state of a world whose placement has settled, as the start of other worlds."""
 
 from __future__ import annotations
 
@@ -14,14 +14,14 @@ from petmjx.world.scene import Scene
 
 @dataclass(frozen=True, eq=False)
 class SettledState:
-    """A world at the end of its placement, when it has settled. Other worlds start from it."""
+    """A world at the end of its placement, when it has settled. Other worlds start from this state."""
 
     step: int
     bodies: BodyState | SoftState | None
     metrics: OracleMetrics
     flags: Flag
     ended: Outcome | None
-    """The outcome, if the world ended before it settled; its forks have the same outcome."""
+    """The outcome of a world that ended before it settled, and of all its forks; else None."""
 
     def ended_as(self, job: int) -> Outcome | None:
         """The outcome of a fork, if there is nothing left to simulate."""

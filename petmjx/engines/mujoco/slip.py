@@ -26,13 +26,13 @@ from petmjx.world.contact_laws import (
 from petmjx.world.friction_pairs import USUAL
 
 LOOK_STEPS = 5
-"""Number of steps between two checks for motion. A pallet at rest takes them in one call of C, without the
-interpreter's lock. A body that begins to slip between two checks has at most 0.1 m/s at the second one, which lifts no
-contact out of its soft onset."""
+"""Number of steps between two checks for motion. A pallet at rest takes many steps in one call of C, without the
+interpreter's lock. A body that begins to slip between two checks has at most 0.1 m/s at the second check, which lifts
+no contact out of its soft onset."""
 
 SLOW_M_S = STICKS_M_S / 4
-"""Largest norm of all velocities with which no contact slides: a point of a body less than 1.7 m from its centre is
-then slower than half of ``STICKS_M_S``."""
+"""Norm of all velocities up to which no contact slides: a point of a body less than 1.7 m from its centre is then
+slower than half of ``STICKS_M_S``."""
 
 
 class SlipLaw:
@@ -92,7 +92,7 @@ class SlipLaw:
         mujoco.mj_Euler(model, data)
 
     def _kinetic(self, data: mujoco.MjData, active: NDArray[np.integer]) -> FloatArray | float:
-        """The share of contacts that slide fast; (k,) for these contacts where pairs have their own."""
+        """The kinetic share of friction; (k,) for these contacts if pairs have shares of their own."""
         if self._of_pairs is None or self._surfaces is None:
             return self._share
         of_pair: FloatArray = self._of_pairs[tuple(self._surfaces[np.asarray(data.contact.geom)[active]].T)]
@@ -114,7 +114,7 @@ class SlipLaw:
         before, aref_one, aref_two = aref[normal], aref[one], aref[two]
 
         def excess_at(qacc: FloatArray, dragged: FloatArray | float) -> FloatArray:
-            """(k,) m/s² at these accelerations. ``dragged``: R_t · |f_t|, m/s²."""
+            """(k,) m/s² at these accelerations, for each contact. ``dragged``: R_t · |f_t|, m/s²."""
             mujoco.mj_mulJacVec(model, data, along, qacc)
             beyond = np.hypot(along[one] - aref_one, along[two] - aref_two)
             excess: FloatArray = np.maximum(beyond - dragged - self._slack, 0.0)

@@ -143,7 +143,7 @@ class SoftWorld(LiveWorld):
         return linear, np.linalg.solve(inertia, moment[..., None])[..., 0]
 
     def _rates(self, values: FloatArray, points: FloatArray) -> FloatArray:
-        """(capacity, 6) of all boxes, those of soft ones in world axes and those of rigid ones as MuJoCo has them."""
+        """(capacity, 6) of all boxes, of soft boxes in world axes, of rigid boxes in MuJoCo's axes."""
         soft = np.hstack(self._turning(points, values[self._v_of].reshape(-1, COUNT, 3)))
         return self._joined(soft, values[self._rigid_v])
 

@@ -1,4 +1,4 @@
-"""Takes the steps of a world on C MuJoCo: many at a time, or one by one if the forces of each step count."""
+"""Takes the steps of a world on C MuJoCo: many at a time, or one at a time if the forces of each step count."""
 
 from __future__ import annotations
 
@@ -15,15 +15,15 @@ from petmjx.engines.mujoco.top_forces import top_force_inputs
 from petmjx.options.simulation import Simulation
 
 _RESTLESS_SQUARE = 0.5 * RESTLESS_M_S**2
-"""Sum of squares of all speeds, m/s and rad/s. Up to it no point within 1 m of its box's centre is faster than
+"""Sum of squares of all speeds, m/s and rad/s. Below this speed no point within 1 m of its box's centre is faster than
 ``RESTLESS_M_S``."""
 
 
 class Stepper:
-    """Takes the steps of a world, as many as its budget allows.
+    """Takes the steps of a world, within its time budget.
 
     Args:
-        sim: says which steps count between samples, beside those in which a box lands: looks for quiet.
+        sim: options, among them the looks for quiet, whose steps count like those of landings.
         budget: the world's time; None: as much as it needs.
     """
 
@@ -45,7 +45,7 @@ class Stepper:
         Args:
             first: number of the first step.
             metrics: takes in the forces of steps; None: forces are not needed.
-            acts: True: a drive acts, so that the forces of any step may be larger than those before.
+            acts: True: a drive acts, so that any step may have the largest forces.
         """
         number, end, budget = first, first + count, self._budget
         while number < end:
@@ -53,7 +53,7 @@ class Stepper:
                 return number - first
             placed, self._placed = self._placed, live.n_placed
             if placed != live.n_placed or (number - 1) % self._poll_steps == 0:
-                # whatever the steps of a call: a recorded world, which stops at frames, is the same
+                # for any number of steps per call: a recorded world, which stops at frames, must be equal
                 self._restless = placed != live.n_placed or not _is_calm(live)
             last = min(end, number + self._poll_steps - (number - 1) % self._poll_steps)
             counts = metrics if self._looks and live.n_placed and (acts or self._restless) else None
@@ -74,7 +74,7 @@ class Stepper:
     def _look(
         self, live: LiveWorld | SoftWorld, number: int, rising: FloatArray, acts: bool, metrics: OracleMetrics
     ) -> None:
-        """Take in the forces of a step, if they count. ``rising``: accelerations upwards, m/s²."""
+        """Add the forces of a step, if they count. ``rising``: accelerations upwards, m/s²."""
         if isinstance(live, SoftWorld):
             metrics.add_forces(live.top_forces()[: live.n_free])
         elif acts or number % self._poll_steps == 0 or np.maximum.reduce(rising) > RISING_M_S2:

@@ -17,10 +17,10 @@ class Waits:
     """The wait for the next placement, for the drive, or for the rest window.
 
     Attributes:
-        settles: a drive follows the placement, or its settled state is kept.
-        since: the step after which the wait began, or will.
+        settles: a drive follows the placement, or the settled state is saved.
+        since: the step after which the wait begins.
         last_placement: the step after which the last box was placed.
-        drive_end: the last step of the drive, if the world does not rest before; None before it begins.
+        drive_end: the last step of the drive, if the world does not rest earlier; None before the drive begins.
     """
 
     def __init__(self, sim: Simulation, clock: Clock, settles: bool) -> None:
@@ -41,12 +41,12 @@ class Waits:
 
     @property
     def rests_first(self) -> bool:
-        """Whether a rest window, with a look at its end, comes before a drive."""
+        """Whether a drive follows a rest window with a look at its end."""
         return self._adaptive and self._sim.waits_for_rest
 
     @property
     def _is_plain_static(self) -> bool:
-        """Whether this is a static check without a drive, whose length is an option of its own."""
+        """Whether this is a static check without a drive, whose length is the option ``duration_s``."""
         return self._static and not self.settles
 
     def begin(self, step: int, n_boxes: int, all_placed: bool, restless: bool) -> None:
@@ -54,8 +54,8 @@ class Waits:
 
         Args:
             n_boxes: number of boxes of the plan.
-            all_placed: whether all of them are placed.
-            restless: an earlier wait was in vain, and this is not the last one, which is long.
+            all_placed: whether all boxes are placed.
+            restless: an earlier wait was in vain, and this wait is not the last one, which is long.
         """
         self.since, self._boxes, self._all_placed = step, n_boxes, all_placed
         self._patient = self._sim.waits_for_rest and self.adapts and not self._is_plain_static
@@ -63,13 +63,12 @@ class Waits:
         self._latest = self.longest_wait if self._patient and not restless else self._latest_after(step)
 
     def lasts_longer(self, step: int) -> bool:
-        """Whether a wait that is short because an earlier one was in vain, and over after this step, goes on if it is
-        the last one."""
+        """Whether a short wait is extended after this step: an earlier wait was in vain, and this is the last wait."""
         return self._patient and step < self.longest_wait
 
     def deadline(self, sign_step: int | None) -> int:
-        """The latest step for the next event. Once a box has failed, patience gains nothing: the wait is then as long
-        as without patience, counted from the first sign.
+        """The latest step for the next event. Once a box has failed, a patient wait gains nothing: it is then as long
+        as a short one, counted from the first sign.
 
         Args:
             sign_step: step of the first sign; None: no box has failed.
@@ -103,22 +102,22 @@ class Waits:
         return self.drive_end is not None and self.since < self.drive_end
 
     def last_end(self, step: int) -> int:
-        """The last step of a world that does not rest after this step; ``NEVER`` if it has none."""
+        """The last step of a world that does not rest after this step; ``NEVER`` if unknown."""
         return self.drive_end if self.drive_end is not None and step < self.drive_end else NEVER
 
     @property
     def longest_wait(self) -> int:
-        """The step up to which a moving world is given time, after its last placement or the end of its drive."""
+        """The step up to which a moving world may go on, after its last placement or the end of its drive."""
         return self._later(self.last_placement if self.drive_end is None else self.drive_end, self._sim.longest_wait_s)
 
     def may_go_on(self, step: int) -> bool:
-        """Whether a world that still moves at its end, after this step, is given more time."""
+        """Whether a world that still moves at its end gets more time after this step."""
         if not self._sim.waits_for_rest or self._sim.total_time_factor is not None:
             return False
         return step < (self.static_end if self._is_plain_static else self.longest_wait)
 
     def _later(self, since: int, wait_s: float) -> int:
-        """The step at which a wait is over. After a drive waits are counted in steps, since its end is, too."""
+        """The step at which a wait is over. After a drive waits are counted in steps, like the end of the drive."""
         if self.drive_end is not None:
             return since + seconds_to_steps(wait_s, self._dt)
         return self._clock.first_after(since, wait_s)
@@ -129,7 +128,7 @@ class Waits:
         return seconds_to_steps(self._sim.duration_s, self._dt)
 
     def end_of_fixed(self, n_boxes: int) -> int:
-        """The last step with the fixed schedule and without a drive; ``NEVER`` if it is not known in advance."""
+        """The last step with the fixed schedule and without a drive; ``NEVER`` if not known in advance."""
         if self._adaptive or self.settles:
             return NEVER
         if self._static:

@@ -1,6 +1,6 @@
 """The force on top of each box, from C MuJoCo's contacts (NumPy). Twin: petmjx/engines/mjx/top_forces.py.
 
-The forces of many steps are computed together, from inputs that are copied after each step.
+The forces of many steps are computed together, from copies of each step's inputs.
 """
 
 from __future__ import annotations
@@ -27,8 +27,8 @@ def contact_normal_and_tangents(data: mujoco.MjData, pyramidal: bool) -> tuple[N
     in ``petmjx.engines.mjx.top_forces.contact_force_z``.
 
     Returns:
-        (k,) indices of those contacts and (k, 3) forces in the contact frame (normal, tangents), N, as
-        geom 1 exerts them on geom 2.
+        (k,) indices of those contacts and (k, 3) forces in the contact frame (normal, tangents), N, from geom 1 on geom
+        2.
     """
     address = np.asarray(data.contact.efc_address)
     index = np.flatnonzero(address >= 0)
@@ -64,8 +64,8 @@ def pressed_box(
         normal_z: (k,) z component of the unit normal.
 
     Returns:
-        (k,) box index (negative for carrier and floor), (k,) sign by which the force on the second geom becomes a force
-        that presses down on the lower one, (k,) whether the contact is vertical and its lower partner is a box.
+        (k,) box index (negative for carrier and floor), (k,) sign by which the force on the second geom becomes a
+        downward force on the lower geom, (k,) whether the contact is vertical and its lower partner is a box.
     """
     first_is_lower = geom_z[:, 0] < geom_z[:, 1]
     box = np.where(first_is_lower, body[:, 0], body[:, 1])
@@ -100,13 +100,13 @@ class TopForceInputs(NamedTuple):
     """Inputs of a step's forces on tops, copied from MuJoCo's data.
 
     Attributes:
-        address: (ncon,) first constraint row of each contact; negative: it has none.
+        address: (ncon,) first constraint row of each contact; negative: no row.
         geom: (ncon, 2) partners.
         frame: (ncon, 9) normal and tangents.
         force: (nefc,) of all constraint rows, N.
         place: (ngeom, 3) centres of the geoms, m.
         bodies: (ngeom,) of the geoms, as ``petmjx.world.mujoco_model.geom_bodies`` gives them.
-        n_boxes: the boxes that count: the first ones.
+        n_boxes: number of boxes that count: the first ones.
     """
 
     address: NDArray[np.integer]
@@ -119,7 +119,7 @@ class TopForceInputs(NamedTuple):
 
 
 def top_force_inputs(data: mujoco.MjData, bodies: NDArray[np.integer], n_boxes: int) -> TopForceInputs:
-    """The inputs of the last step. This takes a fifth of the time of ``top_forces``."""
+    """Copies of the inputs of the last step. Copying takes a fifth of the time of ``top_forces``."""
     contact = data.contact
     address, geom, frame = contact.efc_address.copy(), contact.geom.copy(), contact.frame.copy()
     return TopForceInputs(address, geom, frame, data.efc_force.copy(), data.geom_xpos.copy(), bodies, n_boxes)
@@ -133,10 +133,10 @@ def largest_top_forces(steps: Sequence[TopForceInputs], n_boxes: int) -> FloatAr
     number = np.repeat(np.arange(len(steps)), contacts)
     first_row = np.cumsum([0, *(len(step.force) for step in steps[:-1])])
     normal_z = frame[:, 2]
-    # most contacts stand upright or are between neighbours, which do not count
-    kept = np.flatnonzero((address >= 0) & (np.abs(normal_z) >= VERTICAL_COSINE))
-    number, geom, frame_z = number.take(kept), geoms.take(kept, axis=0), frame.take(kept, axis=0)[:, 2::3]
-    row = address.take(kept) + first_row.take(number)
+    # most contacts stand upright or are between neighbours, without effect on tops
+    pressing = np.flatnonzero((address >= 0) & (np.abs(normal_z) >= VERTICAL_COSINE))
+    number, geom, frame_z = number.take(pressing), geoms.take(pressing, axis=0), frame.take(pressing, axis=0)[:, 2::3]
+    row = address.take(pressing) + first_row.take(number)
     n_geoms = len(steps[0].place)
     place_z = place[:, 2].copy()
     place_z[::n_geoms] = -np.inf

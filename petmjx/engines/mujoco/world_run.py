@@ -80,8 +80,8 @@ class WorldRun:
         """
         start = self._job.start
         if isinstance(start, SettledState):
-            if (ended := start.ended_as(self._index)) is not None:
-                return ended
+            if (end_outcome := start.ended_as(self._index)) is not None:
+                return end_outcome
             self._resume(start)
             begun = True
         else:
@@ -190,7 +190,8 @@ class WorldRun:
         return min(target, step + 1 if step >= window else window)
 
     def _observe(self) -> bool:
-        """If it is time, take a sample and the resting force after a step, or look at poses; whether to go on."""
+        """After a step, if due: take a sample and the resting force, or look at poses; returns whether the world goes
+        on."""
         step, live = self._step, self._live
         sampled = step % self._sample_steps == 0
         polled = step % self._sim.quiet.poll_steps == 0
@@ -224,7 +225,7 @@ class WorldRun:
         return True
 
     def _transition(self) -> None:
-        """After a step, if it is time: place the next box, or begin the phase after the placement."""
+        """After a step, if due: place the next box, or begin the phase after the placement."""
         if self._live.hand is not None:
             self._carry_on(self._live.hand)
         elif self._waiting:
@@ -264,15 +265,15 @@ class WorldRun:
                 self._set_end(max(self._step, landed) + self._rest_steps)
 
     def _carry_on(self, hand: Hand) -> None:
-        """After a step in which a box was carried: carry it on, or let it go."""
+        """After a step with a carried box: carry it further, or release it."""
         box = slice(hand.box, hand.box + 1)
         if self._live.carry_on(self._quiet.is_slow(self._live.velocity[box], box)):
             self._flags |= Flag.NOT_PLACED if hand.missed and self._metrics.culprit < 0 else Flag.NONE
             self._has_placed()
 
     def _has_placed(self) -> None:
-        """The last box stands, or falls, or is in the hand: begin to wait. For a carried box the wait begins again once
-        it is let go."""
+        """The last box stands, or falls, or is in the hand: begin to wait. For a carried box the wait begins again
+        after the release."""
         self._still_pose[self._live.n_placed - 1] = self._live.pose[self._live.n_placed - 1]
         self._waits.last_placement = self._step
         self._wait(self._step)
@@ -291,7 +292,7 @@ class WorldRun:
         return self._sign_step if self._metrics.has_failed else None
 
     def _set_end(self, step: int) -> None:
-        """Set the last step, and the step from which on boxes must be still."""
+        """Set the last step, and the step from which boxes must be still."""
         self._end = step
         self._still_from = max(step - min(self._rest_steps, self._sim.quiet.still_steps), self._step)
         self._keep_still_pose()
@@ -302,7 +303,8 @@ class WorldRun:
             self._still_pose[:k] = self._live.pose[:k]
 
     def _look_at_the_end(self) -> None:
-        """At the last step: give a moving world more time, if no box is lost or it is driven; or begin the drive."""
+        """At the last step: give a moving world more time, unless a box is lost before the drive; or begin the
+        drive."""
         self._flags |= self._live.trouble()
         if self._flags & _FATAL:
             return
@@ -325,7 +327,7 @@ class WorldRun:
             self._settle()
 
     def _look_for_quiet(self) -> bool:
-        """Look at the pallet if it is time; returns whether it is quiet at this look."""
+        """Look at the pallet if due; returns whether it is quiet at this look."""
         if self._step % self._sim.quiet.poll_steps or self._step <= self._waits.since:
             return False
         live, k = self._live, self._live.n_placed
@@ -398,6 +400,6 @@ class WorldRun:
                 self._clock.time_s, self._drive.begin if self._drive is not None else None
             )
         if self._job.keep_state:
-            ended = SettledState(self._step, None, metrics, self._flags, replace(outcome))
-            outcome.state = self._kept if self._kept is not None else ended
+            end_state = SettledState(self._step, None, metrics, self._flags, replace(outcome))
+            outcome.state = self._kept if self._kept is not None else end_state
         return outcome

@@ -13,7 +13,7 @@ from petmjx.common.units import FloatArray
 
 PIECES = 4
 """A chunk is one ``PIECES``-th of a slot's share of the remaining cost, so that slots end together although costs are
-guesses."""
+estimates."""
 
 MOST_JOBS = 64
 """Most jobs of a chunk, so that little work is lost when a worker dies."""
@@ -27,7 +27,7 @@ one while another slot is idle."""
 class Chunk:
     """Jobs that one worker simulates, longest first.
 
-    ``alone``: no other job may be in the worker meanwhile, since a job of this chunk may kill workers.
+    ``alone``: the worker gets no other job meanwhile, since a job of this chunk may kill workers.
     """
 
     jobs: tuple[int, ...]
@@ -35,22 +35,22 @@ class Chunk:
 
 
 class Deal:
-    """Hands out jobs, longest first, until each one is answered or given up.
+    """Hands out jobs, longest first, until each job is answered or given up.
 
     For engines that simulate job after job, chunks shrink towards the end, down to single jobs. For engines that
     simulate worlds side by side, all chunks have equal size and a similar mix. There are as few chunks as busy workers
-    allow, since the end of each chunk runs on a nearly idle device.
+    allow, since the device is nearly idle at the end of each chunk.
 
     A first death may have an outside cause, so the jobs of the dead worker are dealt again like other jobs. After a
-    second death its jobs wait until no other jobs are left. Then they run in small pieces of √n jobs, and after another
-    death one by one. A job that was alone in a worker when the worker died is given up.
+    second death its jobs wait until no other jobs are left. After a worker's death its jobs run in small pieces of √n
+    jobs, and after another death one by one. A job that was alone in a worker when the worker died is given up.
 
     Args:
         costs: (n,) expected time of each job, in any unit.
         slots: chunks that are simulated at the same time, over all workers.
         group: most jobs of a chunk, for an engine that simulates worlds side by side; None: it simulates job after job.
         least: with ``group``, fewer jobs than this are not divided among workers.
-        deadly: jobs that are known to have been alone in a worker that died.
+        deadly: jobs that were alone in a worker that died.
     """
 
     def __init__(
@@ -58,9 +58,9 @@ class Deal:
     ) -> None:
         self._costs, self._slots, self._group = costs, slots, group
         self._deaths: Counter[int] = Counter()
-        known = set(deadly)
-        self._suspects: deque[tuple[int, ...]] = deque((job,) for job in sorted(known))
-        self._pending = [int(job) for job in np.argsort(-costs, kind="stable") if job not in known]
+        deadly_jobs = set(deadly)
+        self._suspects: deque[tuple[int, ...]] = deque((job,) for job in sorted(deadly_jobs))
+        self._pending = [int(job) for job in np.argsort(-costs, kind="stable") if job not in deadly_jobs]
         self._cost_left = float(costs[self._pending].sum())
         self.unanswered = set(range(len(costs)))
         n = max(len(self._pending), 1)
@@ -73,7 +73,7 @@ class Deal:
         return self._group is None and len(self._pending) > PLENTY * self._slots
 
     def take(self, idle: bool) -> Chunk | None:
-        """The next chunk for a worker; None if no chunk is due for it now.
+        """The next chunk for a worker; None if no chunk is due for the worker.
 
         Args:
             idle: whether the worker holds no other chunk.
@@ -108,29 +108,29 @@ class Deal:
         self.unanswered.remove(job)
 
     def died(self, held: Iterable[Chunk]) -> list[int]:
-        """Record that a worker has died with these chunks. Their unanswered jobs wait again, except the given-up ones,
-        which are returned."""
+        """Record that a worker has died with these chunks. The unanswered jobs of the chunks wait again; given-up jobs
+        are returned."""
         given_up = []
-        again: list[int] = []
+        requeued: list[int] = []
         twice: list[int] = []
         for chunk in held:
             left = self._left(chunk)
             self._deaths.update(left)
             if not chunk.alone:
-                again += [job for job in left if self._deaths[job] < 2]
+                requeued += [job for job in left if self._deaths[job] < 2]
                 twice += [job for job in left if self._deaths[job] >= 2]
             elif len(chunk.jobs) == 1:
                 given_up += left
             else:
                 self._suspects += [(job,) for job in left]
         self.unanswered.difference_update(given_up)
-        self._wait_again(again)
+        self._wait_again(requeued)
         size = math.isqrt(max(len(twice) - 1, 0)) + 1
         self._suspects += [tuple(twice[first : first + size]) for first in range(0, len(twice), size)]
         return given_up
 
     def put_back(self, held: Iterable[Chunk]) -> None:
-        """Record that a worker has died before it simulated any of these chunks. Their jobs wait again."""
+        """Record that a worker has died before the start of these chunks. The jobs of these chunks wait again."""
         for chunk in held:
             left = self._left(chunk)
             if chunk.alone:

@@ -1,4 +1,5 @@
-"""The code of a worker's process: it runs chunks on an engine and reports their outcomes. It also works without Ray."""
+"""The code of a worker's process: it runs chunks on an engine and reports their outcomes. The dealer also works without
+Ray."""
 
 from __future__ import annotations
 
@@ -32,7 +33,7 @@ REPORT_S = 0.2
 
 @dataclass(frozen=True)
 class WorkerReady:
-    """A worker's first answer, when it is ready. ``error``: why its engine cannot be built here."""
+    """A worker's first answer, when it is ready. ``error``: the reason why the worker's engine cannot be built."""
 
     pid: int
     host: str
@@ -64,8 +65,8 @@ class Worker:
     Args:
         threads: threads of its engine; None: the engine's default.
             check_pool: processes that check the outcomes of large chunks; one large chunk runs at a time.
-            thorough: whether the worker is ready only when its engine is built. Else, for ``mjx-warp`` alone, a thread
-                builds the engine, which takes seconds, while the first jobs are made and sent.
+            thorough: whether the worker is ready only when its engine is built. Otherwise, for ``mjx-warp`` alone, a
+                thread builds the engine, which takes seconds, while the first jobs are made and sent.
 
         All data are pickled bytes. Objects from Ray's object store would be read-only, and would hold the store's
         memory.
@@ -100,7 +101,7 @@ class Worker:
         return pickle.dumps(WorkerReady(os.getpid(), platform.node(), device, package_versions(), error))
 
     def _build(self) -> None:
-        """Build the engine, and start what a GPU needs beside it. No fallback takes over if this fails."""
+        """Build the engine, and the other parts of a start on a GPU. No fallback takes over if this fails."""
         name = self._recipe.name
         try:
             if name == "mjx-warp":
@@ -112,13 +113,14 @@ class Worker:
             self._built.set_exception(EngineUnavailable(f"engine {name} cannot run here: {one_line(error)}"))
 
     def simulate(self, chunk: bytes) -> Iterator[bytes]:
-        """Run pickled (jobs, sim), and yield pickled reports. Outcomes are checked, and count jobs from 0."""
+        """Run pickled (jobs, sim), and yield pickled reports. Outcomes are checked here, and their jobs count from
+        0."""
         jobs, sim = pickle.loads(chunk)
         check_pool = self._lookers_for(jobs)
         news: queue.SimpleQueue[Outcome | None] = queue.SimpleQueue()
         progress = Progress()
-        ended: list[BaseException] = []
-        runner = threading.Thread(target=self._run, args=(jobs, sim, progress, news, ended), daemon=True)
+        end_errors: list[BaseException] = []
+        runner = threading.Thread(target=self._run, args=(jobs, sim, progress, news, end_errors), daemon=True)
         runner.start()
         going, last_message = True, ""
         while going:
@@ -128,7 +130,7 @@ class Worker:
                 last_message = progress.message
                 # a copy, since the engine writes into ``extra`` meanwhile
                 so_far = replace(progress, extra=dict(progress.extra))
-                yield pickle.dumps(Report(outcomes, so_far, ended[0] if ended else None))
+                yield pickle.dumps(Report(outcomes, so_far, end_errors[0] if end_errors else None))
         runner.join()
 
     def _lookers_for(self, jobs: Sequence[Job]) -> CheckPool[None]:
@@ -174,16 +176,18 @@ def _gather(news: queue.SimpleQueue[Outcome | None]) -> tuple[list[Outcome], boo
 def _checked_outcomes(
     outcomes: Sequence[Outcome], jobs: Sequence[Job], sim: Simulation, check_pool: CheckPool[None], *, wait: bool
 ) -> list[Outcome]:
-    """Hand outcomes to the check pool, some at a time, and take checked ones.
+    """Hand outcomes to the check pool, some at a time, and take checked outcomes.
 
     Args:
         wait: whether to wait for all outcomes.
     """
     keyed_outcomes: list[tuple[None, Outcome]] = []
     for first in range(0, len(outcomes), MOST_TOGETHER):
-        some = outcomes[first : first + MOST_TOGETHER]
-        some_jobs = [jobs[outcome.job] for outcome in some]
-        keyed_outcomes += check_pool.exchanged([(None, outcome) for outcome in some], some_jobs, sim, wait=False)
+        chunk_outcomes = outcomes[first : first + MOST_TOGETHER]
+        some_jobs = [jobs[outcome.job] for outcome in chunk_outcomes]
+        keyed_outcomes += check_pool.exchanged(
+            [(None, outcome) for outcome in chunk_outcomes], some_jobs, sim, wait=False
+        )
     keyed_outcomes += check_pool.exchanged([], [], sim, wait=wait)
     return [outcome for _, outcome in keyed_outcomes]
 

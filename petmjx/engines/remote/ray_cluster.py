@@ -28,7 +28,8 @@ from petmjx.engines.remote.worker_resources import Node
 from petmjx.options.run_options import AUTO
 
 LONGEST_TEMPORARY = 24
-"""Longest path of a folder for temporary files, bytes. Ray makes sockets in it, whose paths may have 107 bytes."""
+"""Longest path of a folder for temporary files, bytes. Ray makes sockets in this folder, and a socket's path may have
+107 bytes."""
 
 REACH_S = 10.0
 """Longest time to reach the head of a cluster, s."""
@@ -50,12 +51,12 @@ _SIGACTION_BYTES = 1024
 """At least the size of C's ``struct sigaction`` on any system."""
 
 _SKIPPED_LINES = "RAY_DEDUP_LOGS_SKIP_REGEX"
-"""Ray's variable for lines that it does not print. Ray reads it when the package is imported."""
+"""Ray's environment variable that silences its lines. Ray reads it when the package is imported."""
 
 
 def import_ray() -> Any:
-    """The package Ray. If it is first imported here, it does not report dead workers on standard output, which is only
-    for results.
+    """The package Ray. On a first import here, Ray reports no dead workers on standard output, which is only for
+    results.
 
     Raises:
         EngineUnavailable: Ray is not installed, or cannot be imported.
@@ -66,13 +67,13 @@ def import_ray() -> Any:
             return importlib.import_module("ray")
     except ImportError as error:
         missing = isinstance(error, ModuleNotFoundError) and error.name == "ray"
-        why = "Ray is not installed" if missing else one_line(error)
-        raise EngineUnavailable(f"workers cannot run here: {why}: pip install 'petmjx[ray]'") from error
+        reason = "Ray is not installed" if missing else one_line(error)
+        raise EngineUnavailable(f"workers cannot run here: {reason}: pip install 'petmjx[ray]'") from error
 
 
 @contextmanager
 def _restored_process() -> Iterator[None]:
-    """Restores what Ray changes in the process: environment variables, ``sys.excepthook``, the level of its logger."""
+    """Restores what Ray changes in this process: environment variables, ``sys.excepthook``, the level of its logger."""
     environment = {name: value for name, value in os.environ.items() if name.startswith(_OF_RAY)}
     hook, logger = sys.excepthook, logging.getLogger("ray")
     level = logger.level
@@ -90,12 +91,12 @@ def _restored_process() -> Iterator[None]:
 def _restored_sigterm() -> Iterator[None]:
     """Restores the handling of SIGTERM. Ray's native handler ends the process with a list of addresses, or, once Ray
     has ended, silently. Python itself can set handlers only in the main thread, which may be busy reading plans."""
-    libc, kept = ctypes.CDLL(None), ctypes.create_string_buffer(_SIGACTION_BYTES)
-    libc.sigaction(int(signal.SIGTERM), None, kept)
+    libc, saved_action = ctypes.CDLL(None), ctypes.create_string_buffer(_SIGACTION_BYTES)
+    libc.sigaction(int(signal.SIGTERM), None, saved_action)
     try:
         yield
     finally:
-        libc.sigaction(int(signal.SIGTERM), kept, None)
+        libc.sigaction(int(signal.SIGTERM), saved_action, None)
 
 
 class _LocalRay:
@@ -164,27 +165,27 @@ class _LocalRay:
         with suppress(KeyboardInterrupt):
             self._thread.join(END_S)
         if self._thread.is_alive():  # Ray's processes die with this one
-            atexit.unregister(self._ray.shutdown)  # this would wait, too
+            atexit.unregister(self._ray.shutdown)  # a wait here would block, too
             self._remove_folder()
 
     def _start(self) -> None:
-        how: dict[str, Any] = {"log_to_driver": False, "configure_logging": False}
+        init_options: dict[str, Any] = {"log_to_driver": False, "configure_logging": False}
         if self.address is None:
             temporary = tempfile.gettempdir()
             short = len(os.fsencode(temporary)) <= LONGEST_TEMPORARY
             self._folder = Path(tempfile.mkdtemp(prefix="petmjx-ray-", dir=temporary if short else "/tmp"))
-            how |= {"address": "local", "num_cpus": cpu_threads(), "num_gpus": len(cuda_devices())}
-            how |= {"include_dashboard": False, "_temp_dir": str(self._folder)}
+            init_options |= {"address": "local", "num_cpus": cpu_threads(), "num_gpus": len(cuda_devices())}
+            init_options |= {"include_dashboard": False, "_temp_dir": str(self._folder)}
         else:
             _check_reachable(self.address)
-            how |= {"address": self.address}
+            init_options |= {"address": self.address}
         with _restored_process(), _restored_sigterm(), warnings.catch_warnings():
             # once started, JAX warns of every fork; Ray's forks are harmless, since an exec follows
             warnings.filterwarnings("ignore", r"os\.fork\(\) was called", RuntimeWarning)
             os.environ["RAY_USAGE_STATS_ENABLED"] = "0"
             logging.getLogger("ray").setLevel(logging.CRITICAL)
             try:
-                self._ray.init(**how)
+                self._ray.init(**init_options)
             except Exception as error:
                 if isinstance(error, ConnectionError) and self.address == AUTO:
                     raise InputError("ray: no cluster on this machine: name its head (HOST:PORT)") from error
@@ -195,15 +196,15 @@ class _LocalRay:
 
 
 def _end_monitor() -> None:
-    """Kill Ray's monitor, which adds machines to a cluster, if this process has started it. Ray would ask it to end,
-    get no reaction, and wait for a second."""
+    """Kill Ray's monitor, which adds machines to a cluster, if this process has started it. Ray would ask the thread to
+    end, get no reaction, and wait for a second."""
     with suppress(Exception):  # not Ray's documented interface; on failure the end takes a second longer
         importlib.import_module("ray._private.worker")._global_node.kill_monitor(check_alive=False)
 
 
 def _check_reachable(address: str) -> None:
     """Raises InputError if no head listens at the address. Ray itself would retry for ever, and no signal would stop
-    it. A head speaks HTTP/2 (RFC 9113): it answers an empty frame of settings with its own settings."""
+    it. A head speaks HTTP/2 (RFC 9113): such a server answers an empty frame of settings with its own settings."""
     host, _, port = address.rpartition(":")
     if address == AUTO:
         return
@@ -222,22 +223,22 @@ def _check_reachable(address: str) -> None:
 
 
 class Cluster:
-    """A user of this process's cluster. Ray allows one cluster a process. The last user to close it ends it.
+    """One user of this process's cluster. Ray allows one cluster a process. The last user to close it ends it.
 
     Where the caller's own program has started Ray, that cluster is used and stays.
 
     Args:
-        address: of the cluster's head (HOST:PORT, or ``auto`` for the one on this machine); None: a new one of this
-            machine alone.
+        address: address of the cluster's head (HOST:PORT, or ``auto`` for the one on this machine); None: a new cluster
+            of this machine alone.
 
     Raises:
         EngineUnavailable: Ray is not installed or does not start.
-        InputError: there is no cluster, or this process uses another one.
+        InputError: there is no cluster, or this process uses another cluster.
     """
 
     _lock = threading.Lock()
     _latest: _LocalRay | None = None
-    """The Ray that this process has started or joined last. Without users it is ending."""
+    """The Ray that this process has started or joined last. A cluster without users is ending."""
 
     def __init__(self, address: str | None = None) -> None:
         cls = Cluster
@@ -245,8 +246,8 @@ class Cluster:
             if cls._latest is not None and not cls._latest.users:
                 cls._latest.wait_until_ended()
                 cls._latest = None
-            # one thread at a time: else settings of another thread's import would be restored as if they were the
-            # process's own
+            # one thread at a time: otherwise the settings of another thread's import would be restored as the process's
+            # own
             self.ray = import_ray()
             if not self.ray.is_initialized():
                 cls._latest = _LocalRay(self.ray, address)
@@ -265,7 +266,7 @@ class Cluster:
 
     def check(self) -> None:
         """Raises PetmjxError if the Ray that this process has started is dead, since nothing restarts it. Machines of a
-        cluster may come back."""
+        cluster may return."""
         if self._uses and self._ours is not None and self._ours.address is None and not self.nodes:
             raise PetmjxError(
                 "Ray died on this machine (out of memory?); finished work is kept, continue with "

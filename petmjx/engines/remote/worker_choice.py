@@ -23,7 +23,8 @@ Begun = tuple[Cluster, WorkerPool | None]
 
 
 class WorkerStartup:
-    """Starts workers in a thread while plans are read: the cluster, and the pool if its engine is known early.
+    """Starts workers in a thread while plans are read: the cluster, and the pool of workers if their engine is known
+    early.
 
     The caller either takes the workers or gives them up.
 
@@ -53,7 +54,7 @@ class WorkerStartup:
             self._decided.set()
 
     def give_up(self) -> None:
-        """End the started cluster and pool. Returns at once; a process that ends meanwhile waits for this."""
+        """End the started cluster and pool. Returns at once; a process that ends meanwhile waits for the start."""
         self._decided.set()
 
     def _live(self) -> None:
@@ -90,7 +91,7 @@ class WorkerStartup:
             raise
 
     def _engine(self, nodes: list[Node]) -> str | None:
-        """The engine of the run, if it is known before the plans are."""
+        """The engine of the run, if known before the plans."""
         if self._options.engine != AUTO:
             return str(self._options.engine)
         return "mjx-warp" if self._worth_gpus and _why_no_gpu(self._options, nodes) is None else None
@@ -99,13 +100,14 @@ class WorkerStartup:
 def resolve_workers(
     options: RunOptions, work: Work, costs: Costs, ahead: WorkerStartup | None = None
 ) -> tuple[WorkerPool, Choice]:
-    """The pool of a run with workers, and why its engine was chosen: ``auto`` counts the CPUs and GPUs of the cluster.
+    """The pool of a run with workers, and the reason for the choice of its engine: ``auto`` counts the CPUs and GPUs of
+    the cluster.
 
     Args:
-        ahead: the startup that has begun for these options.
+        ahead: the start of workers that has begun for these options.
 
     Raises:
-        InputError: unusable options, no cluster at the address, or more workers than it has room for.
+        InputError: unusable options, no cluster at the address, or more workers than the cluster has room for.
         EngineUnavailable: Ray is not installed, or the engine cannot run in a worker.
     """
     cluster, pool = ahead.take() if ahead is not None else (_run_cluster(options), None)
@@ -138,7 +140,7 @@ def _pool_choice(options: RunOptions, nodes: list[Node], work: Work, costs: Cost
     if options.threads is not None and workers != AUTO:
         threads = options.threads * int(workers)
     gpus = sum(node.gpus for node in nodes)
-    used = gpus if workers == AUTO else min(gpus, int(workers))  # workers that share a GPU count as one
+    used = gpus if workers == AUTO else min(gpus, int(workers))  # workers that share a GPU count as one thread
     seconds = costs.seconds(work, max(threads, 1), max(used, 1))
 
     def why_no_gpu() -> str | None:
@@ -154,7 +156,7 @@ def _pool_choice(options: RunOptions, nodes: list[Node], work: Work, costs: Cost
 
 
 def _why_no_gpu(options: RunOptions, nodes: list[Node]) -> str | None:
-    """Why ``auto`` cannot give each worker a GPU or its share of one; None if it can."""
+    """The reason why ``auto`` cannot give each worker a GPU or a share of a GPU; None if it can."""
     assert options.asked_workers is not None
     return why_no_gpus(nodes, options.asked_workers)
 

@@ -35,12 +35,11 @@ START_S = 30.0
 run begins. A busy cluster may need longer; then the run begins, and waits."""
 
 FALSE_STARTS = 3
-"""Number of workers in a row that fail to get ready after which the run ends, or the attempts to replace a dead worker
-end."""
+"""After this many failed starts of workers in a row the run ends, or no more workers replace dead ones."""
 
 LEAST = {"mjx-warp": 512, "mjx-jax": 16}
-"""Fewer jobs than this are not divided among the workers of these engines. A device takes as long for a few worlds as
-for many."""
+"""With fewer jobs than this, the workers of these engines do not divide them. A device takes as long for a few worlds
+as for many."""
 
 _HIGHEST = (" lanes", " contacts")
 """Suffixes of the names in ``Progress.extra`` whose values are not sums."""
@@ -48,7 +47,7 @@ _HIGHEST = (" lanes", " contacts")
 
 @dataclass(eq=False)
 class _Stream:
-    """A chunk in a worker, and the part of its progress that is counted already."""
+    """A chunk in a worker, and the part of its progress that is already counted."""
 
     chunk: Chunk
     counted: Progress = field(default_factory=Progress)
@@ -59,9 +58,9 @@ class _Hand:
     """A worker.
 
     Attributes:
-        hello: Ray's reference of its first answer; None once it has arrived.
-        working: whether its engine exists: it was built before the first answer, or has reported.
-        streams: Ray's streams of reports, one for each of its chunks.
+        hello: Ray's reference of the worker's first answer; None after its arrival.
+        working: whether the worker's engine exists: it was built before the first answer, or has reported.
+        streams: Ray's streams of reports, one for each of the worker's chunks.
         said: its last progress message.
     """
 
@@ -134,7 +133,7 @@ class WorkerPool(Engine):
 
     @property
     def device(self) -> str:
-        """The number of workers, and the names of the devices that they have reported."""
+        """The number of workers, and the names of the devices that workers have reported."""
         return ": ".join(filter(None, (count_text(self.size, "worker"), ", ".join(self._devices))))
 
     @property
@@ -149,15 +148,15 @@ class WorkerPool(Engine):
             self._kill(hand)
 
     def retire(self) -> None:
-        """Begin to end the workers, and the cluster if it was started for them."""
+        """Begin to end the workers, and the cluster if started for them."""
         try:
             self.dismiss()
         finally:
-            self._thread.shutdown()  # after an interruption it may still wait for news, which would hang when Ray ends
+            self._thread.shutdown()  # an interrupted thread may still wait for news, and would hang when Ray ends
             self._cluster.leave()
 
     def close(self) -> None:
-        """End the workers, and the cluster if it was started for them."""
+        """End the workers, and the cluster if started for them."""
         try:
             self.retire()
         finally:
@@ -165,13 +164,13 @@ class WorkerPool(Engine):
 
     @says_at_hand
     def run(self, jobs: Sequence[Job], sim: Simulation, progress: Progress | None = None) -> Iterator[Outcome]:
-        """Simulate each job once; outcomes come as they do from the engine itself.
+        """Simulate each job once; outcomes are yielded as from the engine itself.
 
         Raises:
-            EngineUnavailable: workers die as they start, one has other versions than this process, or cannot build its
-                engine.
+            EngineUnavailable: workers die as they start, a worker has other versions than this process, or cannot build
+                its engine.
             PetmjxError: Ray has died.
-            Exception: what the engine raised in a worker.
+            Exception: an error of the engine in a worker.
         """
         if not jobs:
             return
@@ -260,12 +259,12 @@ class WorkerPool(Engine):
         if hello.error is not None:
             self._start_again(hand, hello.error, 1)
             return
-        ours = package_versions()
-        for package in sorted(ours.keys() & hello.versions.keys()):
-            if ours[package] != hello.versions[package]:
+        own_versions = package_versions()
+        for package in sorted(own_versions.keys() & hello.versions.keys()):
+            if own_versions[package] != hello.versions[package]:
                 raise EngineUnavailable(
                     f"the worker on {hello.host} has {package} {hello.versions[package]}, this process "
-                    f"{ours[package]}: install the same versions"
+                    f"{own_versions[package]}: install the same versions"
                 )
         self._false_starts = 0
         hand.hello, hand.pid = None, hello.pid
@@ -293,7 +292,8 @@ class WorkerPool(Engine):
     def _bury(
         self, hand: _Hand, deal: Deal, jobs: Sequence[Job], sim: Simulation, progress: Progress
     ) -> Iterator[Outcome]:
-        """Replace a dead worker. Yields outcomes of the given-up jobs; none if its engine did not exist yet."""
+        """Replace a dead worker. Yields outcomes of the given-up jobs; no outcomes if the worker's engine did not exist
+        yet."""
         held = [stream.chunk for stream in hand.streams.values()]
         self._deaths += 1
         self._kill(hand)
@@ -332,7 +332,7 @@ class WorkerPool(Engine):
                 raise
             if isinstance(error, self._ray.exceptions.RayTaskError):
                 raise RuntimeError(f"a worker failed: {one_line(error)}") from error
-            lost: Exception = error  # mypy takes Ray's classes, which it does not know, for Any
+            lost: Exception = error  # mypy does not know Ray's classes and takes them for Any
             return lost
 
     def _take(self, hand: _Hand, stream: _Stream, report: Report, deal: Deal, progress: Progress) -> Iterator[Outcome]:
@@ -359,7 +359,7 @@ class WorkerPool(Engine):
             raise report.error
 
     def _message(self, seconds: float) -> str:
-        """A line on what the workers do."""
+        """A line on the work of the workers."""
         waiting = [hand for hand in self._hands if not hand.ready]
         parts = [f"{count_text(self._deaths, 'worker')} died"] if self._deaths else []
         if waiting:

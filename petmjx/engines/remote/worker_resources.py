@@ -10,8 +10,8 @@ from petmjx.common.text import count_text
 from petmjx.options.run_options import AUTO
 
 MOST_SHARING = 4
-"""Most workers that share a GPU. Each has a context, tables and buffers of its own in the GPU's memory. In sweeps of
-small worlds four processes kept a GPU hardly busier than two (benchmarks/notebook/performance.md)."""
+"""Most workers that share a GPU. Each worker has a context, tables and buffers of its own in the GPU's memory. In
+sweeps of small worlds four processes kept a GPU hardly busier than two (benchmarks/notebook/performance.md)."""
 
 PARTS = 10_000
 """Number of parts into which Ray divides a GPU."""
@@ -30,8 +30,8 @@ class Place:
     """The resources of one worker.
 
     Attributes:
-        cpus: CPUs of one node.
-        gpus: GPUs of that node, or the share of one GPU.
+        cpus: CPUs of a worker, all on one node.
+        gpus: GPUs of the same node, or the share of a GPU.
         slots: chunks that the worker simulates side by side: the number of threads on ``mujoco``, one on MJX engines.
     """
 
@@ -46,7 +46,7 @@ def places(engine: str, nodes: Sequence[Node], workers: int | str, threads: int 
     Args:
         workers: number of workers; ``auto``: one for each GPU, or else one for each node, with all its CPUs. If there
             are more workers than GPUs, each GPU is shared by the same number of workers.
-            threads: threads of each worker of ``mujoco``; None: its share of the CPUs.
+            threads: threads of each worker of ``mujoco``; None: the worker's share of the CPUs.
 
         Raises:
             InputError: the cluster has no room for the workers, or cannot place equally many on each GPU.
@@ -56,8 +56,8 @@ def places(engine: str, nodes: Sequence[Node], workers: int | str, threads: int 
     if engine == "mjx-warp" or (engine == "mjx-jax" and gpus):
         if not gpus:
             raise EngineUnavailable(f"engine {engine} cannot run here: {why_no_gpus(nodes, workers)}")
-        if why := why_no_gpus(nodes, workers):
-            raise InputError(f"workers: {why}")
+        if fault := why_no_gpus(nodes, workers):
+            raise InputError(f"workers: {fault}")
         number = gpus if workers == AUTO else int(workers)
         # In whole parts, rounded down: then exactly this number of workers fits into a GPU. All GPUs get full,
         # whichever Ray takes first.
@@ -78,7 +78,7 @@ def places(engine: str, nodes: Sequence[Node], workers: int | str, threads: int 
 
 
 def why_no_gpus(nodes: Sequence[Node], workers: int | str) -> str | None:
-    """Why the GPUs cannot be divided among this number of workers, in a few words; None if they can.
+    """The reason why the GPUs cannot be divided among this number of workers, in a few words; None if they can.
 
     A worker takes a whole GPU, or the same share as all other workers. With shares of two sizes Ray might leave no room
     for the last worker. If GPUs did not get full, Ray would fill one GPU instead of using them all.
@@ -100,7 +100,7 @@ def why_no_gpus(nodes: Sequence[Node], workers: int | str) -> str | None:
 
 
 def threads_beside(nodes: Sequence[Node], workers: int) -> int:
-    """The fewest CPU threads of a worker, if each machine has as many workers as its GPUs have room for."""
+    """The fewest CPU threads of a worker, if each machine has the largest number of workers for its GPUs."""
     per_gpu = _sharing(sum(node.gpus for node in nodes), workers)
     return min(node.cpus // min(per_gpu * node.gpus, workers) for node in nodes if node.gpus)
 
@@ -111,7 +111,7 @@ def _sharing(gpus: int, workers: int) -> int:
 
 
 def _share(nodes: Sequence[Node], workers: int) -> int:
-    """The most CPUs per worker with which this number of workers fits, each on one node; at least 1."""
+    """The largest number of CPUs per worker with room for this number of workers, each on one node; at least 1."""
     most = max(sum(node.cpus for node in nodes) // workers, 1)
     return next((share for share in range(most, 1, -1) if sum(node.cpus // share for node in nodes) >= workers), 1)
 

@@ -24,7 +24,7 @@ class SideSimulator(Protocol):
         """Simulate a world. Returns at once."""
 
     def ended(self, *, wait: bool) -> Iterator[Answer]:
-        """The answers that have arrived; each is given once.
+        """The answers that have arrived since the last call.
 
         Args:
             wait: whether to wait for at least one answer, if a task is unanswered.
@@ -89,11 +89,12 @@ class SubprocessSimulator:
 
 
 _IDLE: Final[dict[int, list[Child]]] = {}
-"""Idle processes, by the id of the process that has started them. A fork of that process must not use them."""
+"""Idle processes, by the id of the process that has started them. A fork of the process with the threads must not use
+them."""
 
 
 def _idle_child() -> Child:
-    """An idle process, or a new one."""
+    """An idle process, or a new process."""
     idle = _IDLE.get(os.getpid(), [])
     while idle:
         process = idle.pop()

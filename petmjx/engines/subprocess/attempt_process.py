@@ -1,7 +1,7 @@
 """The code of the attempt process beside a run: it takes tasks from a pipe and runs them on engines of one thread each.
 
-The process has no GPU. So JAX and Warp use the CPU here, even if they use a GPU in the run's process. It ends when the
-pipe ends, and so with the process that started it.
+The process has no GPU. So JAX and Warp use the CPU here, even if they use a GPU in the run's process. The process ends
+when the pipe ends, and so with the process that started it.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ _BUILDING = threading.Lock()
 
 
 READY = -1
-"""Number of a task whose answer is not needed. It only makes an engine compile."""
+"""Number of a task whose answer is not needed. This task only makes an engine compile its programs."""
 
 
 @dataclass(frozen=True)
@@ -84,9 +84,9 @@ def answer_to(
     """Simulate a world.
 
     Args:
-        engines: name → engine of this thread; a missing one is added.
+        engines: name → engine of this thread; a missing engine is added.
         stops: whether the outcome is no longer needed.
-        granule: box columns of tables are a multiple of this; None: as usual.
+        granule: box columns of tables are a multiple of this; None: the usual number.
     """
     outcome, progress = None, Progress(pauses=True)
     try:

@@ -23,23 +23,23 @@ LARGE: Final = 1000
 """Number of worlds from which check processes are worthwhile."""
 
 MOST: Final = 3
-"""Most processes. With three, the run itself is busier than each of them."""
+"""Most processes. With three processes, the run's own process is busier than each of them."""
 
 THREADS_EACH: Final = 4
 """CPU threads of a machine for each check process."""
 
 MOST_WAITING: Final = 8
-"""Most unanswered checks of a process: with 128 outcomes each they take 10 MB."""
+"""Most unanswered checks of a process: with 256 outcomes each they take 20 MB."""
 
 LOOK_S: Final = 0.005
 """Longest wait for an answer, s. After each wait signals and other work are noticed."""
 
 INTERRUPTED_S: Final = 2.0
-"""Longest wait for all processes together after Ctrl-C, s. The rest is then checked in this process."""
+"""Longest wait for all processes together after Ctrl-C, s. The remaining checks are then made in this process."""
 
 HANGS_S: Final = 60.0
-"""A process hangs if a wait for its answer takes this long, s. It starts in a few seconds, and a check takes less than
-one."""
+"""A process hangs if a wait for its answer takes this long, s. A process starts in a few seconds, and a check takes
+less than a second."""
 
 Key = TypeVar("Key")
 
@@ -51,16 +51,16 @@ def max_check_processes(threads: int) -> int:
 
 @dataclass(eq=False)
 class _CheckProcess(Generic[Key]):
-    """A process and its unanswered checks, with a key for each outcome. It answers checks in order."""
+    """A process and its unanswered checks, with a key for each outcome. The process answers checks in order."""
 
     child: Child = field(default_factory=lambda: Child("petmjx.engines.subprocess.check_process"))
     unanswered: deque[tuple[list[Key], Look]] = field(default_factory=deque)
 
 
 class CheckPool(Generic[Key]):
-    """Processes that check outcomes (``outcome_checks``). Outcomes that no process answers are checked in this process.
+    """Processes that check outcomes (``outcome_checks``). Outcomes without an answer are checked in this process.
 
-    Each outcome has a key, by which the run recognises it.
+    Each outcome has a key, by which the run recognises the outcome.
     """
 
     def __init__(self, processes: int) -> None:
@@ -82,6 +82,11 @@ class CheckPool(Generic[Key]):
         """Whether a process hangs, after this number of waits for it."""
         return waits * LOOK_S >= HANGS_S if self._until_s is None else time.monotonic() >= self._until_s
 
+    @property
+    def has_unanswered(self) -> bool:
+        """Whether checks are under way."""
+        return any(looker.unanswered for looker in self._check_pool)
+
     def exchanged(
         self,
         keyed_outcomes: Sequence[tuple[Key, Outcome]],
@@ -91,12 +96,12 @@ class CheckPool(Generic[Key]):
         wait: bool,
         until: Callable[[], bool] = lambda: False,
     ) -> list[tuple[Key, Outcome]]:
-        """Hand in outcomes to be checked, and take checked ones. Outcomes must not be changed meanwhile.
+        """Hand in outcomes to be checked, and take checked outcomes. Outcomes must not be changed meanwhile.
 
         Args:
-            jobs: one for each outcome.
+            jobs: the job of each outcome.
             wait: whether to wait for all outcomes.
-            until: says whether other work is due. Outcomes that are not checked by then follow in later calls.
+            until: returns whether other work is due. Outcomes that are not checked by then follow in later calls.
         """
         if keyed_outcomes:
             self._begin([key for key, _ in keyed_outcomes], ([outcome for _, outcome in keyed_outcomes], jobs, sim))

@@ -1,4 +1,4 @@
-"""The code of a check process, which checks outcomes. It needs neither JAX nor Warp, and ends with the run."""
+"""The code of a check process, which checks outcomes. The process needs neither JAX nor Warp, and ends with the run."""
 
 from __future__ import annotations
 

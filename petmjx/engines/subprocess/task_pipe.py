@@ -22,7 +22,7 @@ class Child:
     """The run's side of the pipes: threads write tasks and read answers.
 
     Args:
-        module: the process runs the ``main`` of this module.
+        module: module whose ``main`` the process runs.
 
     Attributes:
         tasks: queue of pickled tasks; None ends it.
@@ -77,7 +77,7 @@ class Child:
 
 
 def own_pipes(nice: int) -> tuple[IO[bytes], IO[bytes]]:
-    """The process's side of the pipes: tasks and answers. Called at its start. Its threads get a niceness, so that the
+    """The process's side of the pipes: tasks and answers. Called at its start. The threads get a niceness, so that the
     run's threads come first. Ctrl-C is ignored: the run handles it, and ends this process."""
     collect_rarely()
     signal.signal(signal.SIGINT, signal.SIG_IGN)
@@ -89,8 +89,8 @@ def own_pipes(nice: int) -> tuple[IO[bytes], IO[bytes]]:
 
 
 def next_of(pipe: IO[bytes]) -> Any:
-    """The next object of a pipe. None at the end of the pipe, or if the object cannot be read: the pipe ends in the
-    middle of it, memory is short, or its class cannot be imported."""
+    """The next object of a pipe. None at the end of the pipe, or if the object cannot be read: the pipe ends within the
+    object, memory is short, or the object's class cannot be imported."""
     try:
         return pickle.load(pipe)
     except Exception:  # if this thread ended silently, the run would wait for ever

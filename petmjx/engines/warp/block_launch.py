@@ -123,6 +123,13 @@ def _threads() -> ThreadPoolExecutor:
     return ThreadPoolExecutor(MOST_THREADS, thread_name_prefix="mjx-warp")
 
 
+def load_kernels(launches: Sequence[Launch]) -> None:
+    """Compile the kernels of some launches that run side by side, at the same time, or take them from Warp's cache."""
+    kernels = [kernel(launch) for launch in launches] + own_kernels(len(launches))
+    modules = list(dict.fromkeys(kernel.module for kernel in kernels))
+    wp.force_load(wp.get_device(), modules, max_workers=len(modules))
+
+
 HEAD_START_NS = 50_000
 """Delay of each kernel after the one before, ns. A GPU assigns thread blocks to its multiprocessors in the order of
 their launch, and runs them to their end. So blocks of the first kernel find the room that they need."""
@@ -195,6 +202,10 @@ FEW_BOXES = Size(15, 512, 1, 96 << 10, worlds=16, pause_after=4)
 
 LAST = Size(SIZES[0].most_boxes, 256, 1, 144 << 10)
 """Blocks for a run's last worlds of the smaller size. One of them fills a multiprocessor."""
+
+
+USUAL: Final = (SIZES[0], FEW_BOXES, LAST)
+"""Blocks of most runs: those of runs without large plans."""
 
 
 def size_for(n_boxes: int) -> Size:

@@ -134,7 +134,7 @@ class MjxWarpEngine(Engine):
     def _outcomes(self, source: TableJobs, sim: Simulation, progress: Progress) -> Iterator[Outcome]:
         """Outcomes of all jobs of a source, by their numbers."""
         while not source.ended:
-            waits = source.feedback or source.recorded
+            waits = source.recorded
             try:
                 for outcome in outcomes_of(self._slices(source, sim, progress, waits), sim, progress, waits=waits):
                     if outcome is not None:  # None: a pause
@@ -173,7 +173,7 @@ class MjxWarpEngine(Engine):
 
     def _slices(self, source: TableJobs, sim: Simulation, progress: Progress, waits: bool) -> Generator[SliceResult]:
         """Slice results of one table after another, as long as they agree in whether slices wait for the host."""
-        while not source.ended and (source.feedback or source.recorded) == waits:
+        while not source.ended and source.recorded == waits:
             jobs, numbers, rows = source.begin()
             running, source.running = source.running, None
             table = self._load(Run.of(source.needs, sim, progress), jobs, numbers, rows)
@@ -199,20 +199,25 @@ class MjxWarpEngine(Engine):
         slice, the host makes outcomes of ended worlds, and puts further jobs into their rows.
 
         Args:
-            waits: whether each slice waits for the outcomes of the slice before: more jobs may follow from them, or
-                the host must fetch frames of recorded worlds. Else the next slice is already in flight.
+            waits: whether each slice waits for the outcomes of the slice before, since the host must fetch frames of
+                recorded worlds.
             simulate: False if memory has run out; all worlds are given up then.
         """
         run = table.run
         queues = Queues(run.needs.sizes, size_of, table.rows)
         queues.add(table.jobs, np.arange(len(table.jobs)), table.live, run.sim)
         rollout = self._rollout(table) if simulate else None
-        at_once = 1 if waits else UNDER_WAY
+
+        def slices_at_once() -> int:
+            # a job that follows from an outcome joins after the slices in flight: while blocks are idle, only one is
+            blocks_idle = rollout is not None and int(table.live.sum()) <= rollout.launcher.blocks
+            return 1 if waits or (source.feedback and blocks_idle) else UNDER_WAY
+
         try:
             if rollout is None:
                 table.give_up(np.flatnonzero(table.live), Flag.OUT_OF_MEMORY)
             else:
-                rollout.keep_under_way(at_once, table, queues.order)
+                rollout.keep_under_way(slices_at_once(), table, queues.order)
                 prepare_readback(table.table, table.worlds, run.sim)
             while table.live.any():
                 frames = None
@@ -232,7 +237,7 @@ class MjxWarpEngine(Engine):
                 if rollout is not None:
                     self._join(table, queues, source)
                     if table.live.any():
-                        rollout.keep_under_way(at_once, table, queues.order)
+                        rollout.keep_under_way(slices_at_once(), table, queues.order)
                     else:
                         rollout.finish(table)  # no world runs in the slices in flight
                 if frames is not None:
@@ -240,8 +245,10 @@ class MjxWarpEngine(Engine):
                 yield SliceResult(picked, table.recorder, jobs, numbers)
                 if rollout is None:
                     continue
+                while not table.live.any() and not waits and source.wait_for_following():
+                    yield SliceResult((), table.recorder, {}, {})  # whoever takes outcomes may have left
                 if not table.live.any() and self._join(table, queues, source, wait=True):
-                    rollout.keep_under_way(at_once, table, queues.order)
+                    rollout.keep_under_way(slices_at_once(), table, queues.order)
                 elif source.needs_another(table, rollout.launcher.blocks):
                     rollout.finish(table)
                     source.running = table.take_running()

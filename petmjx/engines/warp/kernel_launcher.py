@@ -24,7 +24,7 @@ import warp as wp
 
 from petmjx.engines.mjx.world_state import NEVER
 from petmjx.engines.warp import world_arrays
-from petmjx.engines.warp.block_launch import Call, Launch, kernel, launch_all, own_kernels
+from petmjx.engines.warp.block_launch import Call, Launch, kernel, launch_all, load_kernels
 from petmjx.engines.warp.world_arrays import (
     Counts,
     FrameBuffer,
@@ -133,9 +133,7 @@ class KernelLauncher:
 
     def load(self) -> None:
         """Compile the kernels, at the same time, or take them from Warp's cache."""
-        kernels = [kernel(pool.launch) for pool in self.pools] + own_kernels(len(self.pools))
-        modules = list(dict.fromkeys(kernel.module for kernel in kernels))
-        wp.force_load(wp.get_device(), modules, max_workers=len(modules))
+        load_kernels([pool.launch for pool in self.pools])
 
     def __call__(
         self,

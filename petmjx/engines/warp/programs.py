@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import functools
 import time
+from dataclasses import replace
 from threading import Lock
 from typing import Any
 
@@ -18,6 +19,7 @@ from petmjx.engines.mjx.timetable import Timetable
 from petmjx.engines.mjx.world_constants import Worlds
 from petmjx.engines.mjx.world_state import NEVER, State, of_flat
 from petmjx.engines.protocol import Progress
+from petmjx.engines.warp.block_launch import USUAL, Launch, load_kernels
 from petmjx.engines.warp.kernel_launcher import BlockPool, KernelLauncher
 from petmjx.engines.warp.small_world_blocks import small_world_queues
 from petmjx.engines.warp.tail_blocks import tail_queues
@@ -134,9 +136,9 @@ class Programs:
         sizes = table.qpos.shape, profiles.shape, order.shape, frames["of"].shape
         if sizes in self._compiled:
             return self._compiled[sizes]
-        with _COMPILING:
+        begin, progress.message = time.perf_counter(), "compiling"
+        with _COMPILING:  # kernels may be compiled ahead: this waits for them
             if sizes not in self._compiled:
-                begin, progress.message = time.perf_counter(), "compiling"
                 self.launcher.load()
                 self._compiled[sizes] = self._advancing.lower(*arguments).compile()
                 progress.compile_s += time.perf_counter() - begin
@@ -167,6 +169,17 @@ class Programs:
 
 _COMPILING = Lock()
 """Held while any program is compiled. Warp does not promise that two threads may load the same kernel at once."""
+
+
+def load_usual_kernels(sim: Simulation) -> None:
+    """Compile the kernels that most runs with these options need, or take them from Warp's cache, before the plans are
+    known. Runs of plans with compliant boxes, film, or many boxes need others. Without a GPU nothing is compiled."""
+    if not wp.get_device().is_cuda:
+        return
+    hands, lands = not sim.placing.appears, sim.physics.has_landings
+    with _COMPILING:
+        load_kernels([replace(Launch.of(size, hands), lands=lands) for size in USUAL])
+
 
 MOST_KEPT = 16
 """Number of ``Programs`` that are kept. A score with further attempts has up to four. The largest take 16 MB each."""

@@ -113,16 +113,20 @@ class TableJobs:
         """Whether the next job has no room in a table, and so few worlds are live that another table is due.
 
         Args:
-            blocks: blocks of the device. Jobs that follow from outcomes wait until no world is live.
+            blocks: blocks of the device.
         """
         live = int(table.live.sum())
         waiting = self._stream.peek(1)
-        if not waiting or live == 0 or live > blocks or self.feedback:
+        if not waiting or live == 0 or live > blocks:
             return False
         (job,) = waiting
         # a plan that is refused, or recorded, waits until all outcomes before it are there
         apart = job.scene.n_boxes > MAX_BOXES or job.record is not None or not table.recorder.idle
         return not apart and not table.fits(job)
+
+    def wait_for_following(self) -> bool:
+        """Wait for a moment until a job follows from an outcome. Returns whether jobs may still follow."""
+        return self._stream.wait_for_following()
 
     def lose(self) -> dict[int, Job]:
         """Remove and return the jobs without an outcome, whose states are lost."""

@@ -17,7 +17,7 @@ import inspect
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from functools import partial
-from typing import TYPE_CHECKING, Annotated, Any, get_args, get_type_hints
+from typing import TYPE_CHECKING, Annotated, Any, TypeVar, get_args, get_type_hints
 
 import warp as wp
 from jaxtyping import Bool, Float, Int
@@ -36,6 +36,16 @@ a row (D, 1), friction (1)."""
 
 BUFFER_WORDS = 1024
 """Numbers in a row of the buffer that holds workspaces."""
+
+if TYPE_CHECKING:
+    _Record = TypeVar("_Record")
+    Ref = Annotated[_Record, "passed by reference"]
+else:
+    Ref = wp.ref
+    """Type of a record that a function of a kernel gets by reference.
+
+    Records have hundreds of fields. If functions get them by value, a compiler spends half of its time on their copies.
+    A function that is generic in another argument gets them by value: Warp (1.18) matches no references then."""
 
 TYPES: Mapping[Any, Any] = {Float: wp.float32, Int: wp.int32, Bool: wp.bool}
 """Element type in JAX's annotations → element type on the device."""

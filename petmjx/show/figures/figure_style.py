@@ -1,4 +1,4 @@
-"""The style of figures for papers, and how they are written. Text stays text, and nothing depends on the date."""
+"""The style of figures for papers, and of their files. Text stays text, and nothing depends on the date."""
 
 from __future__ import annotations
 
@@ -52,6 +52,6 @@ def write(figure: Any, path: Path, kind: str, dots_per_inch: float = DOTS_PER_IN
 
 
 def wrapped_sentences(sentences: Sequence[str], width_in: float = WIDTH_IN) -> str:
-    """Sentences as lines that fit below a figure, each sentence on lines of its own."""
+    """Sentences as lines that fit below a figure; each sentence begins a new line."""
     letters = int(width_in * 72 / (POINTS * 0.55))  # a letter is about 0.55 of its size wide
     return "\n".join(line for sentence in sentences for line in textwrap.wrap(sentence, letters))

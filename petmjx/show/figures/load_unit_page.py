@@ -1,6 +1,6 @@
-"""A page to send about each load unit of a chain, as PDF: its four sides, how likely it arrives, and what is assumed.
+"""A page to send about each load unit of a chain, as PDF: its four sides, its chance to arrive, and the assumptions.
 
-``petmjx report DIR --pdf FILE`` writes it, with matplotlib. docs/chains.md shows what stands on it.
+``petmjx report DIR --pdf FILE`` writes it, with matplotlib. docs/chains.md shows an example.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ from petmjx.world.profiles.accelerations import EN_12195_FORWARD_G, EN_12195_SID
 A4_IN: Final = (8.27, 11.69)
 
 MOST_PAGES: Final = 50
-"""Most plans of one file, a page each."""
+"""Largest number of plans in one file, one page each."""
 
 LETTERS: Final = 100
 """Letters of a line of text."""
@@ -53,7 +53,7 @@ def write_load_unit_pages(run: RunResults, plans: Mapping[str, Plan], path: Path
         plans: the plans of the run, by id.
 
     Raises:
-        InputError: the run is no chain, has too many plans, or none that was found.
+        InputError: the run is no chain, has too many plans, or none was found.
     """
     if not is_chain(run.info) or run.summary is None:
         raise InputError(f"{run.path}: a page to send is about a chain: petmjx score PLANS --chain NAME")
@@ -103,9 +103,9 @@ def _page(run: RunResults, plan: Plan, row: Mapping[Any, Any]) -> Any:
         figure.text(0.07, y - 0.018, text, fontsize=8, va="top", linespacing=1.35)
         y -= 0.03 + 0.0135 * (text.count("\n") + 1)
     versions = run.info.get("versions", {})
-    named = ", ".join(f"{name} {versions[name]}" for name in ("petmjx", "mujoco", "python") if name in versions)
+    version_text = ", ".join(f"{name} {versions[name]}" for name in ("petmjx", "mujoco", "python") if name in versions)
     engine = run.info.get("config", {}).get("engine", "")
-    figure.text(0.07, 0.03, f"{named}; engine {engine}; {run.info.get('started', '')}", fontsize=7, color="0.4")
+    figure.text(0.07, 0.03, f"{version_text}; engine {engine}; {run.info.get('started', '')}", fontsize=7, color="0.4")
     return figure
 
 
@@ -138,16 +138,16 @@ def _rows_of(run: RunResults, plan: Plan) -> pd.DataFrame:
 def _draw_legs(axes: Any, run: RunResults, plan: Plan) -> None:
     rows = _rows_of(run, plan)
     rows = rows[rows["remedy"] == AS_IS]
-    named = [("whole way" if row["leg"] == WHOLE_WAY else row["leg"], row) for row in rows.to_dict("records")]
-    for place, (_, row) in enumerate(named):
+    leg_rows = [("whole way" if row["leg"] == WHOLE_WAY else row["leg"], row) for row in rows.to_dict("records")]
+    for place, (_, row) in enumerate(leg_rows):
         if pd.isna(row["share"]):
             continue
         if not pd.isna(row["low"]):
             ends = [100 * row["low"], 100 * row["high"]]
             axes.plot(ends, [place, place], color=category(4), linewidth=1.4)
         axes.plot(100 * row["share"], place, "o", color=category(4), markersize=4)
-    axes.set_yticks(range(len(named)), [printable_name(str(name)) for name, _ in named])
-    axes.set_ylim(len(named) - 0.4, -0.6)
+    axes.set_yticks(range(len(leg_rows)), [printable_name(str(name)) for name, _ in leg_rows])
+    axes.set_ylim(len(leg_rows) - 0.4, -0.6)
     axes.set_xlim(-2, 102)
     axes.set_title("worlds that stand after a leg, of those that reached it, %; lines: 95 % intervals", loc="left")
     axes.grid(axis="x", color="0.9", linewidth=0.6)
@@ -195,7 +195,7 @@ def _remedies(run: RunResults, plan: Plan) -> list[str]:
 
 
 def _assumed(run: RunResults) -> list[str]:
-    """The chain in words: errors, legs, and what the model leaves out."""
+    """The chain in words: errors, legs, and the limits of the model."""
     sweep = run.info["config"]["sweep"]
     errors = ", ".join(f"{name} {_value(value)}" for name, value in sweep["axes"].items())
     lines = [f"Chain {printable_name(str(sweep['name']))}; {PLACING} with {errors or 'no errors'}."]

@@ -1,4 +1,4 @@
-"""A figure of packers: the share of each that stands, and the difference of each two, with intervals."""
+"""A figure of packers: the share of standing plans of each packer, and the differences of pairs, with intervals."""
 
 from __future__ import annotations
 
@@ -23,8 +23,8 @@ _COLOUR: Final = OKABE_ITO[4]
 
 
 def draw_packers(comparison: PackerComparison) -> Any:
-    """A matplotlib figure: the shares on the left, the differences on the right, and a sentence about each two packers
-    below.
+    """A matplotlib figure: the shares on the left, the differences on the right, and below a sentence about each pair
+    of packers.
 
     Raises:
         InputError: no order is compared, or there are too many packers.

@@ -1,4 +1,4 @@
-"""Figures of sweeps: levels that plans survive, and shares that stand along an axis."""
+"""Figures of sweeps: survived levels, and shares of standing plans along an axis."""
 
 from __future__ import annotations
 
@@ -20,12 +20,12 @@ PANEL_IN: Final = (3.1, 2.4)
 """Width and height of a panel, inches."""
 
 MOST_LINES: Final = 12
-"""Most directions that a reader can distinguish in one panel."""
+"""Largest number of directions that a reader can distinguish in one panel."""
 
 MOST_PANELS: Final = 8
 
 MOST_PLANS: Final = 60
-"""Most plans in one panel of shares."""
+"""Largest number of plans in one panel of shares."""
 
 _DASHES: Final = ("-", (0, (4, 2)), (0, (1, 1.5)), (0, (4, 1.5, 1, 1.5)))
 
@@ -47,7 +47,7 @@ def draw_answers(run: RunResults) -> Any:
 
     For a search: a panel per profile with the share of all plans that survive a level, and a line per direction. For a
     grid or a sample: the share that stands, with its interval, along each axis with several values. For a score with
-    confidence: the share of each plan that stands; for a chain: that arrives.
+    confidence: the share of each plan that stands; for a chain the share that arrives.
 
     Raises:
         InputError: the run has no summary, or the summary has nothing that can be drawn.
@@ -65,10 +65,10 @@ def draw_answers(run: RunResults) -> Any:
 
 
 def survival_curve(levels: pd.Series[float]) -> tuple[Any, Any]:
-    """A step curve of the share of plans that survive each level. Plans that survive only 0 do not count.
+    """A step curve of the share of plans that survive each level. Plans that survive only level 0 are not counted.
 
     Args:
-        levels: the largest level that each plan survives; null if it survives none, which counts as 0.
+        levels: the largest level that each plan survives; null, which counts as 0, without a survived level.
 
     Returns:
         (m,) levels in rising order from 0, and (m,) the share of plans whose largest level is at least that.
@@ -94,9 +94,9 @@ def _levels(summary: pd.DataFrame) -> Any:
         axes.set_ylabel("plans that survive it, %")
         axes.set_ylim(0, 103)
         axes.set_xlim(left=0)
-        more = f" ({MOST_LINES} of {len(directions)})" if len(directions) > MOST_LINES else ""
+        shown_text = f" ({MOST_LINES} of {len(directions)})" if len(directions) > MOST_LINES else ""
         axes.set_title(f"{printable(str(profile))}, {count_text(rows['plan_id'].nunique(), 'plan')}")
-        axes.legend(title=f"direction{more}", frameon=False, title_fontsize=POINTS)
+        axes.legend(title=f"direction{shown_text}", frameon=False, title_fontsize=POINTS)
     return figure
 
 

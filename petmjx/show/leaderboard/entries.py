@@ -32,7 +32,7 @@ REPAIRED: Final = "-repaired"
 """End of the names of entries whose plans were repaired."""
 
 OF_REPAIR: Final = (*OF_RUN, *OF_READING)
-"""Options of runs that repairs have, too."""
+"""Options of runs that are also options of repairs."""
 
 Watch = Callable[[str], AbstractContextManager[Watcher]]
 """Name of a packer → the watcher of its run."""
@@ -45,7 +45,7 @@ class Entry:
     Attributes:
         name: name of the packer.
         run: the run of its plans.
-        plans: its plans by id, as far as they were found again.
+        plans: the plans by id that were found again.
         ours: whether the packer belongs to petmjx.
         scored: whether the board itself has just simulated all of its plans.
     """
@@ -102,7 +102,7 @@ def repaired_names(names: Sequence[str], paths: Mapping[str, Path]) -> dict[str,
     """Name of each entry of repaired plans → the packer whose plans are repaired.
 
     Raises:
-        InputError: there is no such packer, or another one has the entry's name.
+        InputError: no such packer, or another entry has this name.
     """
     entries = {}
     for name in dict.fromkeys(names):
@@ -122,18 +122,20 @@ def repair_entries(
 
     Args:
         names: name of each entry → the packer.
-        options: options of ``petmjx.score``. Those that a repair does not have are left out.
+        options: options of ``petmjx.score``. Options that a repair does not have are left out.
 
     Raises:
         InputError: unusable plans, or a file cannot be written.
     """
-    how = {name: value for name, value in options.items() if name in Simulation.model_fields or name in OF_REPAIR}
+    repair_options = {
+        name: value for name, value in options.items() if name in Simulation.model_fields or name in OF_REPAIR
+    }
     files = {}
     for entry, name in names.items():
         file = folder / PLANS / f"{entry}.json"
         file.parent.mkdir(parents=True, exist_ok=True)
         source: Any = load_run(paths[name]).path if (paths[name] / RUN_FILE).is_file() else paths[name]
-        repair(source, worlds=0, **how).save(file)
+        repair(source, worlds=0, **repair_options).save(file)
         files[entry] = file
     return files
 
@@ -141,7 +143,7 @@ def repair_entries(
 def enter(
     name: str, path: Path, folder: Path, watch: Watch | None, options: Mapping[str, Any], *, ours: bool = False
 ) -> Entry:
-    """Make an entry: take a run as it is, or score plans into the board's folder. An existing run there is resumed.
+    """Make an entry: take a run unchanged, or score plans into the board's folder. An existing run there is resumed.
 
     Args:
         options: options of ``petmjx.score``, for plans.

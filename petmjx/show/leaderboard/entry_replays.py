@@ -1,4 +1,5 @@
-"""Checks entries of a leaderboard: simulates some of their plans again, and refuses an entry that these contradict."""
+"""Checks entries of a leaderboard: simulates some of their plans again, and refuses entries that the replays
+contradict."""
 
 from __future__ import annotations
 
@@ -82,17 +83,19 @@ class Sample:
     fault: str = ""
 
     def with_replays(self, more: Collection[Replay]) -> Sample:
-        """The sample with further replays. A plan that it already has counts once."""
-        known = {replay.plan_id for replay in self.replays}
-        return replace(self, replays=(*self.replays, *(replay for replay in more if replay.plan_id not in known)))
+        """The sample with further replays. A plan that is already in the sample counts once."""
+        replayed_ids = {replay.plan_id for replay in self.replays}
+        return replace(
+            self, replays=(*self.replays, *(replay for replay in more if replay.plan_id not in replayed_ids))
+        )
 
     @property
     def refusal(self) -> str:
         """Why the entry is not rated, in one line; "" if it is rated.
 
-        One different verdict that is not near a threshold refutes the run if the sample is ``exact``. Otherwise it
-        takes several of them. Several different verdicts near a threshold refute it if more than half of all replays
-        differ.
+        One different verdict that is not near a threshold refutes the run if the sample is ``exact``. Otherwise several
+        different verdicts refute it. Several different verdicts near a threshold refute it if more than half of all
+        replays differ.
         """
         differing = [replay for replay in self.replays if replay.differs]
         firm = [replay for replay in differing if not replay.near]
@@ -135,14 +138,15 @@ def sample_entry(
     """Simulate some plans of an entry again.
 
     The plans are drawn with random numbers of the operating system, so that no entry can predict them. Plans that stand
-    in the run come first, since the rating depends on them.
+    in the run are simulated first, since the rating depends on them.
 
     Args:
-        most: number of plans. As many more are simulated if a verdict differs on an engine other than the run's.
+        most: number of plans. The same number of further plans is simulated if a verdict differs on another engine than
+            the run's.
         sim: simulation options of the board.
-        options: run options of the board. If they name no engine, the run's engine is used if it can run here, else
-            ``mujoco``.
-        wanted: ids of the plans that count; None: all.
+        options: run options of the board. If the options name no engine, the run's engine is used if it can run here,
+            else ``mujoco``.
+        wanted: ids of the plans to sample; None: all.
     """
     config = entry.run.info.get("config", {})
     engine = options.engine if "engine" in options.model_fields_set else str(config.get("engine"))
@@ -187,8 +191,8 @@ def _drawn(claimed: Mapping[str, str]) -> list[str]:
 
 def _simulate(plans: Sequence[Any], sim: Simulation, options: RunOptions, engine: Any) -> Any:
     """Score plans; on ``mujoco`` if the run's engine cannot run here."""
-    named = engine if not isinstance(engine, str) or engine in ENGINES or engine == options.engine else "mujoco"
-    for candidate in dict.fromkeys((named, "mujoco")):
+    engine_name = engine if not isinstance(engine, str) or engine in ENGINES or engine == options.engine else "mujoco"
+    for candidate in dict.fromkeys((engine_name, "mujoco")):
         try:
             return simulate(
                 partial(Nominal, sim), sim, list(plans), RunOptions(engine=candidate, threads=options.threads)

@@ -44,7 +44,7 @@ from petmjx.show.leaderboard.leaderboard_page import Board, StoryEntry, board_pa
 from petmjx.show.pages.story_page import story_page
 
 MOST_STORIES: Final = 100
-"""Most stories of each packer. A story is a page of 0.1 to 1 MB."""
+"""Largest number of stories of each packer. A story is a page of 0.1 to 1 MB."""
 
 
 def leaderboard(
@@ -64,25 +64,24 @@ def leaderboard(
 
     ``petmjx.leaderboard({"mine": "mine.json"}, "board", orders="orders.json", baselines=True)``
 
-    The folder has ``index.html``, ``leaderboard.json`` with the same numbers, and the pages of stories. It also has
-    everything that is needed to make it again: ``plans/``, ``orders.json``, and the command in the page.
+    The folder has ``index.html``, ``leaderboard.json`` with the same numbers, and the pages of stories. The folder also
+    has everything for making the board again: ``plans/``, ``orders.json``, and the command in the page.
 
-    Plans are scored into ``runs/`` in this folder. Runs that exist already are taken over, but ``replays`` of their
-    plans are simulated again. An entry whose run these contradict is not rated, and a ``PlanWarning`` says so.
+    Plans are scored into ``runs/`` in this folder. Existing runs are used, but ``replays`` of their plans are simulated
+    again. An entry whose run the replays contradict is not rated, and a ``PlanWarning`` says so.
 
     Args:
         packers: name → folder of a run, or plans. Without names, packers are named after their folders and files.
         out: folder of the site.
-        orders: file of the plans' orders, in any form. The rating is about them, and KPIs are added. Without them, the
-            rating is about the orders for which any packer has a plan, so a packer's rating depends on the other
-            packers.
+        orders: file of the plans' orders, in any form. The rating is about them, and KPIs are added. Without orders,
+            the rating counts the orders with a plan of any packer, so a packer's rating depends on the other packers.
         baselines: also pack the orders with each of petmjx's packers.
         repairs: names of packers whose plans are also repaired (docs/repair.md) and rated, as the entry
             ``NAME-repaired``.
-        stories: how many plans of each packer get a page. Plans that fall while another packer's plan of the order
+        stories: number of plans of each packer with a page. Plans that fall while another packer's plan of the order
             stands come first.
-        replays: how many plans of each entry are simulated again, unless the board has just scored the entry. They are
-            drawn at random. The options are those given, or those that all runs have.
+        replays: number of plans of each entry that are simulated again, unless the board has just scored the entry.
+            The plans are drawn at random. The options are those of the call, or those of all runs.
         watch: packer → a context manager with the watcher of its run.
         overwrite: replace an existing leaderboard.
         options: options of ``petmjx.score``, for plans that are scored.
@@ -138,10 +137,10 @@ def leaderboard(
         )
         with atomic_write(folder / PAGE) as file:
             file.write_text(board_page(board), encoding="utf-8", errors="backslashreplace")
-        kept = [ORDERS] if ORDERS in files_of_board.board_files and source is not None else []
+        own_inputs = [ORDERS] if ORDERS in files_of_board.board_files and source is not None else []
         plan_files = [f"{PLANS}/{name}" for name in files.values() if name]
         files_of_board.finish(
-            board.to_dict(), [PAGE, *kept, *plan_files, *(story.file for story in rated.story_entries)]
+            board.to_dict(), [PAGE, *own_inputs, *plan_files, *(story.file for story in rated.story_entries)]
         )
     warn(sample.refusal for sample in rated.samples if sample.refusal)
     return folder / PAGE
@@ -149,7 +148,7 @@ def leaderboard(
 
 @dataclass(frozen=True, eq=False)
 class _RatedEntries:
-    """The rated entries and their comparison. Of other entries it only has the samples.
+    """The rated entries and their comparison. For other entries the record only has samples.
 
     Attributes:
         options: simulation options of the board.
@@ -185,17 +184,21 @@ def _rated_entries(
         comparison = comparison_of(
             {entry.name: entry.run for entry in left}, DEFAULT_CONFIDENCE, orders, run_options.articles
         )
-        board_stories, seen = _stories(left, comparison, folder / STORIES, stories)
-        samples |= {name: samples[name].with_replays(more) for name, more in seen.items()}
+        board_stories, replays_by_name = _stories(left, comparison, folder / STORIES, stories)
+        samples |= {name: samples[name].with_replays(more) for name, more in replays_by_name.items()}
         if not any(samples[entry.name].refusal for entry in left):
-            kept = [sample for name, sample in samples.items() if sample.replays or sample.fault]
+            replay_samples = [sample for name, sample in samples.items() if sample.replays or sample.fault]
             return _RatedEntries(
-                left, comparison, board_stories, sim, [sample for sample in kept if sample.engine or sample.refusal]
+                left,
+                comparison,
+                board_stories,
+                sim,
+                [sample for sample in replay_samples if sample.engine or sample.refusal],
             )
 
 
 def _options_of(of_simulation: Mapping[str, Any], entries: Sequence[Entry]) -> Simulation:
-    """The simulation options of the board: those given, else those of its runs if all runs have the same."""
+    """The simulation options of the board: those of the call, else those of its runs if all runs agree."""
     settings = [entry.run.info.get("config", {}).get("simulation") for entry in entries]
     if of_simulation or not isinstance(settings[0], Mapping) or any(setting != settings[0] for setting in settings):
         return Simulation(**of_simulation)
@@ -211,15 +214,15 @@ def _entries(
     options: Mapping[str, Any],
 ) -> list[Entry]:
     options = options if orders is None else {**options, "orders": orders}
-    ours: dict[str, Path] = {}
+    own_packings: dict[str, Path] = {}
     if baselines and orders is not None:
-        ours = pack_ours(orders, folder)
-    first = [enter(name, path, folder, watch, options, ours=True) for name, path in ours.items()]
+        own_packings = pack_ours(orders, folder)
+    first = [enter(name, path, folder, watch, options, ours=True) for name, path in own_packings.items()]
     return first + [enter(name, path, folder, watch, options) for name, path in paths.items()]
 
 
 def _is_same(source: Path, target: Path) -> bool:
-    """Whether the given file of orders is the board's own file."""
+    """Whether a file of orders is the board's own file."""
     return source.exists() and target.is_file() and not target.is_symlink() and source.samefile(target)
 
 
@@ -234,7 +237,7 @@ def _stories(
     packer."""
     folder.mkdir(exist_ok=True)
     stories: list[StoryEntry] = []
-    seen: dict[str, list[Replay]] = {}
+    replays_by_name: dict[str, list[Replay]] = {}
     claimed = comparison.plans.set_index(["packer", "plan_id"])["verdict"]
     for number, entry in enumerate(entries, start=1):
         for plan_id in worth_telling(comparison, entry.name, entry.plans)[:most]:
@@ -244,20 +247,20 @@ def _stories(
                 page.write_text(story_page(story), encoding="utf-8", errors="backslashreplace")
             stories.append(StoryEntry(entry.name, plan_id, story.outcome.verdict.value, f"{STORIES}/{file.name}"))
             replay = Replay.of(plan_id, str(claimed[entry.name, plan_id]), story.outcome)
-            seen.setdefault(entry.name, []).append(replay)
-    return stories, seen
+            replays_by_name.setdefault(entry.name, []).append(replay)
+    return stories, replays_by_name
 
 
 def worth_telling(comparison: PackerComparison, packer: str, plans: Mapping[str, Any]) -> list[str]:
     """Plans of a packer in the order in which they get stories. First come plans that do not stand while another
     packer's plan does, then other plans that do not stand, then plans that stand while another packer's plan does not,
-    then the rest. In each group the largest plans come first."""
+    then all other plans. In each group the largest plans come first."""
     mine = comparison.plans[(comparison.plans["packer"] == packer) & comparison.plans["plan_id"].isin(list(plans))]
     lost = set(comparison.decided.loc[comparison.decided["lost_by"] == packer, "plan_id"])
     falls = mine["verdict"] == Verdict.UNSTABLE.value
     won = set(comparison.decided.loc[comparison.decided["won_by"] == packer, "plan_id"])
-    rest = np.where(mine["plan_id"].isin(won), 2, 3)
-    group = np.where(mine["plan_id"].isin(lost), 0, np.where(falls, 1, rest))
+    other_rank = np.where(mine["plan_id"].isin(won), 2, 3)
+    group = np.where(mine["plan_id"].isin(lost), 0, np.where(falls, 1, other_rank))
     order = mine.assign(group=group, large=-mine["boxes"].fillna(0))
     return [str(name) for name in order.sort_values(["group", "large", "plan_id"])["plan_id"]]
 

@@ -29,7 +29,7 @@ UNFINISHED: Final = "unfinished"
 
 _MOST_BYTES: Final = 1 << 30
 _NO_FILE: Final = ".none"
-"""A name in a run's folder that no file has. It is used to check the path to the folder."""
+"""A name in a run's folder that no file has. The parent is used to check the path to the folder."""
 
 
 def names_of(packers: Collection[str], stories: int, orders: bool) -> list[str]:
@@ -56,7 +56,7 @@ class BoardFolder:
         names: the files that will be written, from :func:`names_of`.
         packers: names of the packers that will be scored into the folder.
         inputs: files and folders that are read.
-        overwrite: replace an existing board. An unfinished board is continued even without it.
+        overwrite: replace an existing board. An unfinished board is continued even without this list.
 
     Attributes:
         board_files: the board's own files, as paths relative to its folder.

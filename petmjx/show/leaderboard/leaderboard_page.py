@@ -25,7 +25,7 @@ from petmjx.show.report.svg_charts import figure
 from petmjx.version import __version__
 
 MOST_ORDERS: Final = 200
-"""Most orders that the page lists. The runs have all of them."""
+"""Most orders that the page lists. The runs have all orders."""
 
 MOST_SENTENCES: Final = 15
 
@@ -117,9 +117,9 @@ class Board:
 
     @property
     def command(self) -> str:
-        """The command that makes the board again in another folder. It is to be run in the board's folder."""
-        theirs = [entry.name for entry in self.entries if entry.name in self.digests and not entry.ours]
-        words = ["petmjx", "leaderboard", *(f"{name}={PLANS}/{name}.json" for name in theirs)]
+        """The command that makes the board again in another folder. The command runs in the board's folder."""
+        entry_names = [entry.name for entry in self.entries if entry.name in self.digests and not entry.ours]
+        words = ["petmjx", "leaderboard", *(f"{name}={PLANS}/{name}.json" for name in entry_names)]
         words += ["--orders", ORDERS] if self.orders else []
         words += ["--baselines"] if any(entry.ours for entry in self.entries) else []
         words += ["--stories", str(self.stories), "-o", "../again"]
@@ -172,15 +172,15 @@ def board_page(board: Board) -> str:
 
 
 def _rating(board: Board) -> Markup:
-    ours = {entry.name for entry in board.entries if entry.ours}
+    own_names = {entry.name for entry in board.entries if entry.ours}
     rows, drawn = [], []
     for row in board.rating.to_dict("records"):
         name = element("strong", row["packer"]) if row["rank"] == 1 else element("span", row["packer"])
-        mark = element("span", " of petmjx", class_="faint") if row["packer"] in ours else None
+        mark = element("span", " of petmjx", class_="faint") if row["packer"] in own_names else None
         span = interval_text(row["low"], row["high"])
         stand = f"{row['n_stable']:,} of {row['n_orders']:,}"
-        others = [f"{row[column]:,}" for column in ("n_missing", "n_invalid")]
-        rows.append([str(row["rank"]), joined_markup(name, mark), percent(row["rating"]), span, stand, *others])
+        other_cells = [f"{row[column]:,}" for column in ("n_missing", "n_invalid")]
+        rows.append([str(row["rank"]), joined_markup(name, mark), percent(row["rating"]), span, stand, *other_cells])
         drawn.append((row["packer"], row["rating"], row["low"], row["high"], f"{percent(row['rating'])} ({span})"))
     level = f"{100 * board.comparison.confidence:g} %"
     heads = ["rank", "packer", "rating", f"{level} interval", "plans that stand", "no plan", "invalid"]
@@ -192,7 +192,7 @@ def _rating(board: Board) -> Markup:
 
 
 def _rerun_text(board: Board) -> Content:
-    """Which entries came as runs, and how many of their plans were simulated again."""
+    """The entries that are runs, and the number of their plans that were simulated again."""
     parts = [
         f"{count_text(len(sample.replays), 'plan')} of {printable(sample.packer)}"
         for sample in board.samples
@@ -206,10 +206,12 @@ def _rerun_text(board: Board) -> Content:
 def _luck(board: Board) -> Markup:
     sentences = board.comparison.sentences
     items = [element("li", printable(sentence)) for sentence in sentences[:MOST_SENTENCES]]
-    more = len(sentences) - MOST_SENTENCES
-    rest = element("p", f"{count_text(more, 'pair')} more in leaderboard.json.", class_="hint") if more > 0 else None
+    n_more = len(sentences) - MOST_SENTENCES
+    more_line = (
+        element("p", f"{count_text(n_more, 'pair')} more in leaderboard.json.", class_="hint") if n_more > 0 else None
+    )
     compared = "Orders with a valid verdict from every packer are compared."
-    return joined_markup(element("p", compared, class_="hint"), element("ul", *items), rest)
+    return joined_markup(element("p", compared, class_="hint"), element("ul", *items), more_line)
 
 
 def _measures(board: Board) -> Markup:
@@ -257,12 +259,12 @@ def _orders(board: Board) -> Content:
             label = "no plan" if verdict == MISSING else verdict
             cells.append(_link(board_story, label) if board_story else element("span", label, class_=f"mark {verdict}"))
         rows.append([str(plan_id), *cells])
-    more = len(differ) - MOST_ORDERS
-    rest = element("p", f"{count_text(more, 'order')} more.", class_="hint") if more > 0 else None
+    n_more = len(differ) - MOST_ORDERS
+    more_line = element("p", f"{count_text(n_more, 'order')} more.", class_="hint") if n_more > 0 else None
     hint = element(
         "p", f"{count_text(len(differ), 'order')}. Underlined verdicts lead to their stories.", class_="hint"
     )
-    return joined_markup(hint, table(["order", *names], rows, texts=1 + len(names)), rest)
+    return joined_markup(hint, table(["order", *names], rows, texts=1 + len(names)), more_line)
 
 
 def _rerun_section(board: Board) -> Markup:

@@ -1,4 +1,4 @@
-"""Contact forces as pages and pictures draw them: one force for each pair of bodies."""
+"""Contact forces for pages and pictures: one force for each pair of bodies."""
 
 from __future__ import annotations
 
@@ -17,7 +17,8 @@ class Pushes(NamedTuple):
     Attributes:
         frame: (k,) number of the frame.
         point: (k, 3) centre of pressure, m: the mean of the contacts' places, weighted by their forces.
-        force: (k, 3) sum of the forces on the lower of the two bodies, N. Its z is not positive.
+        force: (k, 3) sum of the forces on the lower of the two bodies, N. The z of the force on the lower body is not
+            positive.
     """
 
     frame: NDArray[np.int32]

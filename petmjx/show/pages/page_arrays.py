@@ -65,14 +65,14 @@ def integer_column(values: NDArray[np.integer[Any]], steps: bool = False) -> Pac
 
 
 def _differences(values: NDArray[Any]) -> NDArray[Any]:
-    """Differences along axis 0, modulo the type's range. The first row is kept."""
+    """Differences along axis 0, modulo the type's range. The first row stays."""
     out = values.copy()
     out[1:] -= values[:-1]
     return out
 
 
 def block(columns: Mapping[str, NDArray[Any] | PackedArray]) -> str:
-    """Arrays by name as the text of a block. Plain arrays are kept as they are.
+    """Arrays by name as the text of a block. Plain arrays stay unchanged.
 
     Raises:
         ValueError: an array of another type than integers of up to 32 bits and floats.

@@ -38,7 +38,7 @@ def joined_modules(entry: str) -> str:
 
 
 def _gather(name: str, texts: dict[str, str], trail: tuple[str, ...]) -> None:
-    """Add a module to ``texts`` after those that it imports."""
+    """Add a module to ``texts`` after the modules that it imports."""
     if name in trail:
         raise ValueError(f"modules import each other: {' → '.join((*trail, name))}")
     if name in texts:
@@ -58,5 +58,5 @@ def _object_import(imported: re.Match[str]) -> str:
 
 
 def joined_styles(names: Sequence[str]) -> str:
-    """Style sheets, one after the other."""
+    """Style sheets in order."""
     return "\n".join(static_text(name) for name in names)

@@ -21,7 +21,7 @@ _TONES: Final = (0.0, 0.45, -0.4)
 RAMP_COLOURS: Final = 64
 
 # A path through OKLab (Ottosson, "A perceptual color space for image processing", 2020) from dark blue over green to
-# yellow: lightness grows evenly, so the order is seen without hues, too.
+# yellow: lightness grows evenly, so the order is visible also without hues.
 _LIGHTNESS: Final = (0.36, 0.93)
 _HUE_DEG: Final = (278.0, 103.0)
 _CHROMA: Final = 0.15

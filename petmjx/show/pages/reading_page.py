@@ -1,4 +1,4 @@
-"""The page of how files were read: a picture of a plan, columns, units and axes, and the other readings."""
+"""The page about the reading of files: a picture of a plan, columns, units and axes, and the other readings."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ _WORDS: Final = {
 
 
 def reading_page(plan_set: PlanSet, infos: Sequence[Mapping[str, Any]]) -> str:
-    """One offline HTML file that shows how files were read.
+    """One offline HTML file that shows the reading of files.
 
     Args:
         infos: the records of ``petmjx.show.file_info.file_infos``.
@@ -65,8 +65,8 @@ def _section(record: Mapping[str, Any], plans: Sequence[Plan]) -> str:
     """One file."""
     counts = f"{count_text(record['plans'], 'plan')}, {count_text(record['boxes'], 'box', 'boxes')}"
     pictures = "".join(_picture(plan) for plan in plans[:_MOST_PICTURES])
-    more = len(plans) - _MOST_PICTURES
-    also = f'<p class="faint small">{count_text(more, "more plan")}</p>' if more > 0 else ""
+    n_more = len(plans) - _MOST_PICTURES
+    also = f'<p class="faint small">{count_text(n_more, "more plan")}</p>' if n_more > 0 else ""
     reading = record["reading"]
     return (
         f"<section><h2>{escaped_html(record['file'])}</h2><p>{escaped_html(record['form'])}; {counts}</p>"
@@ -107,7 +107,7 @@ def _columns(reading: Mapping[str, Any]) -> str:
 
 
 def _first_boxes(plan: Plan) -> str:
-    """The numbers of the first boxes, as petmjx has them."""
+    """The numbers of the first boxes, in petmjx's form."""
     rows = [
         (box, plan.articles[box], _lengths(plan.size_mm[box]), _lengths(plan.corner_mm[box]), f"{plan.mass_kg[box]:g}")
         for box in range(min(plan.n_boxes, _MOST_BOXES))
@@ -128,8 +128,8 @@ def _lines(title: str, lines: Sequence[str]) -> str:
     if not lines:
         return ""
     items = "".join(f"<li>{escaped_html(line)}</li>" for line in lines[:_MOST_LINES])
-    more = f"<li>{len(lines) - _MOST_LINES:,} more</li>" if len(lines) > _MOST_LINES else ""
-    return f"<h3>{title}</h3><ul>{items}{more}</ul>"
+    more_item = f"<li>{len(lines) - _MOST_LINES:,} more</li>" if len(lines) > _MOST_LINES else ""
+    return f"<h3>{title}</h3><ul>{items}{more_item}</ul>"
 
 
 def _table(heads: Sequence[str], rows: Iterable[Sequence[object]]) -> str:

@@ -1,4 +1,4 @@
-"""The page of repairs: each plan before and after, side by side, and what was changed."""
+"""The page of repairs: each plan before and after, side by side, and the changes."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ def write_repair_page(repairs: Repairs, path: Path) -> None:
 
 
 def repair_page(repairs: Repairs) -> str:
-    """One offline HTML file: for each plan that did not stand two pictures of how it ends, and the changes.
+    """One offline HTML file: for each plan that did not stand two pictures of its end, and the changes.
 
     Both plans are simulated once more for the pictures.
     """
@@ -77,7 +77,7 @@ def _heading(repaired: Repaired) -> str:
 
 
 def _numbers(repaired: Repaired) -> list[int]:
-    """The number in the plan as it was of each box of the repaired plan; added sheets have the next ones."""
+    """The number, in the original plan, of each box of the repaired plan; added sheets have the next numbers."""
     from petmjx.repairs.changes import applied
     from petmjx.repairs.drafts import Draft
 

@@ -1,6 +1,6 @@
 """A still picture of boxes as SVG, for browsers without WebGL.
 
-It is seen from the front left, and far boxes are drawn first.
+The box is seen from the front left, and far boxes are drawn first.
 """
 
 from __future__ import annotations
@@ -47,7 +47,7 @@ def still_svg(story: Story, marked: Collection[int] | None = None, numbers: Sequ
 
     Args:
         marked: boxes that are outlined; None: the first one to fail.
-        numbers: numbers by which boxes are called; None: their numbers in the plan.
+        numbers: numbers of the boxes in the picture; None: their numbers in the plan.
     """
     marked = (story.outcome.culprit,) if marked is None else marked
     history, scene = story.history, story.scene
@@ -76,7 +76,7 @@ def still_svg(story: Story, marked: Collection[int] | None = None, numbers: Sequ
 
 
 def plan_svg(plan: Plan) -> str:
-    """A plan as it is written, on its carrier, as SVG. Nothing is simulated."""
+    """An SVG picture of a plan at its planned places, on its carrier. Nothing is simulated."""
     scene = build_scene(plan, Simulation(size_reduction_mm=0.0))
     boards = scene.carrier.shapes_at(scene.carrier.pos, np.array(IDENTITY_QUAT))
     axes = np.tile(np.eye(3), (plan.n_boxes, 1, 1))
@@ -105,10 +105,10 @@ def _svg(
     Args:
         boxes: centres, axes and half sizes of the shown boxes and then of the boards, as in ``drawing_order``.
         shown: rows of the plan of the shown boxes.
-        numbers: the numbers by which these are called.
+        numbers: the numbers of these boxes in the picture.
         fit: as from ``_picture_fit``.
         marked: rows of boxes that are outlined.
-        n_walls: number of the last boards, which are walls: they are drawn as panes.
+        n_walls: number of the last boards, which are walls and drawn as panes.
     """
     n_boards = len(boxes[0]) - len(shown)
     colours = article_colours(plan.articles)
@@ -143,17 +143,18 @@ def _picture_fit(
 
     Args:
         points: corners of all boxes.
-        framed: lowest and highest corner of the scene; boxes far from it are cut off. None: the picture shows all.
+        framed: lowest and highest corner of the scene; boxes far from the scene are cut off. None: the picture shows
+            all boxes.
     """
-    seen = _projection(points).reshape(-1, 2)
+    projected = _projection(points).reshape(-1, 2)
     if framed is not None:
         ends = np.array(framed)
         room = _projection(
             np.array([[ends[x, 0], ends[y, 1], ends[z, 2]] for x in (0, 1) for y in (0, 1) for z in (0, 1)])
         )
         low, high = room.min(axis=0), room.max(axis=0)
-        seen = np.vstack([np.clip(seen, low - 0.2, high + 0.2), [low, high]])
-    low, high = seen.min(axis=0), seen.max(axis=0)
+        projected = np.vstack([np.clip(projected, low - 0.2, high + 0.2), [low, high]])
+    low, high = projected.min(axis=0), projected.max(axis=0)
     scale = (_WIDTH - 2 * _MARGIN) / max(high[0] - low[0], 1.25 * (high[1] - low[1]))
     low[0] -= ((_WIDTH - 2 * _MARGIN) / scale - (high[0] - low[0])) / 2
     return low, float(scale), float((high[1] - low[1]) * scale + 2 * _MARGIN)
@@ -171,9 +172,9 @@ def _face(flat: FloatArray, axes: FloatArray, fill: str, number: int) -> str:
 
 
 def drawing_order(pos: FloatArray, axes: FloatArray, half: FloatArray) -> list[int]:
-    """The order in which boxes are drawn, so that near boxes cover far ones.
+    """The order for drawing boxes, so that near boxes cover far ones.
 
-    If the plane through a face of one box has the other box on its far side, it decides which of the two is nearer.
+    If the plane through a face of one box has the other box on its far side, this plane decides which box is nearer.
     Pairs that no face separates, and cycles of boxes each behind the next, are ordered by the distance of their
     centres.
 

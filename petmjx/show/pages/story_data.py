@@ -92,15 +92,15 @@ def framed_corners(story: Story) -> tuple[FloatArray, FloatArray]:
     high = np.vstack([scene.target + scene.half_size, scene.carrier.high]).max(axis=0)
     last = story.history.pos[-1]
     last = last[np.isfinite(last).all(axis=1)]
-    far = _FAR_M + _FAR_SHARE * (high[2] - low[2])
-    near = np.clip(last, low - np.array([far, far, 0.0]), high + np.array([far, far, 0.2]))
+    reach_m = _FAR_M + _FAR_SHARE * (high[2] - low[2])
+    clipped = np.clip(last, low - np.array([reach_m, reach_m, 0.0]), high + np.array([reach_m, reach_m, 0.2]))
     if story.drive is not None:
         low[0] -= _ARROW_M
-    return np.vstack([near, [low]]).min(axis=0), np.vstack([near, [high]]).max(axis=0)
+    return np.vstack([clipped, [low]]).min(axis=0), np.vstack([clipped, [high]]).max(axis=0)
 
 
 def story_blocks(story: Story) -> dict[str, str]:
-    """The blocks that the script reads by ``readBlock``: ``frames``, and ``contacts`` if they were recorded."""
+    """The blocks that the script reads by ``readBlock``: ``frames``, and ``contacts`` if recorded."""
     blocks = {"frames": block(_frames(story, thresholds_of(story)))}
     if story.history.contacts is not None:
         blocks["contacts"] = block(_contacts(story.history.contacts))

@@ -29,13 +29,13 @@ HELD_S: Final = 2.0
 """How long a film shows its last frame, s."""
 
 USUAL_LONGEST_S: Final = 20.0
-"""Longest film without a given speed, s. A film is in real time, or as much faster as this needs."""
+"""Longest film without a given speed, s. A film is in real time, or faster, so that it is no longer than this."""
 
 MOST_FRAMED: Final = 400
 """Largest number of frames that the camera of a film is fitted to."""
 
 GIF_COLOURS: Final = 255
-"""Colours of a GIF. One of 256 is kept for pixels that do not change."""
+"""Colours of a GIF. One of 256 is reserved for pixels that do not change."""
 
 
 def film_times(story: Story, speed: float, fps: float) -> list[float]:
@@ -47,7 +47,7 @@ def film_times(story: Story, speed: float, fps: float) -> list[float]:
 
 
 def usual_speed(story: Story) -> float:
-    """Real time, or the smallest whole multiple of it with which the film lasts at most ``USUAL_LONGEST_S``."""
+    """Real time, or its smallest whole multiple with which the film lasts at most ``USUAL_LONGEST_S``."""
     lasts_s = float(story.history.time_s[-1] - story.history.time_s[0])
     return float(max(1, math.ceil(lasts_s / USUAL_LONGEST_S)))
 
@@ -63,9 +63,9 @@ def spread_times(story: Story) -> list[float]:
 def film_frames(story: Story, look: PictureStyle, speed: float, times: list[float]) -> Iterator[Image]:
     """The pictures of a film at these times, s, by one camera that frames the whole story."""
     count = len(story.history.time_s)
-    some = {*range(0, count, math.ceil(count / MOST_FRAMED)), count - 1}
+    framed_numbers = {*range(0, count, math.ceil(count / MOST_FRAMED)), count - 1}
     overlay = Overlay(look.colours, look.size, speed, look.arrows)
-    camera = framing(framed_points(story, sorted(some)), look.view, look.size, overlay.margins)
+    camera = framing(framed_points(story, sorted(framed_numbers)), look.view, look.size, overlay.margins)
     with Painter(look.colours, look.size, look.line_px(), look.newtons_per_m) as painter:
         for time_s in times:
             poses = poses_at(story.history, time_s)
@@ -73,13 +73,13 @@ def film_frames(story: Story, look: PictureStyle, speed: float, times: list[floa
 
 
 def palette_of(frames: Iterable[Image]) -> Image:
-    """The palette of a GIF, from some of its frames: 255 colours, one of them white, and one index for pixels that do
+    """The palette of a GIF, from some of its frames: 255 colours, among them white, and one index for pixels that do
     not change."""
     from PIL import Image
 
-    some = list(frames)
-    sheet = Image.new("RGB", (some[0].width, sum(frame.height for frame in some)))
-    for number, frame in enumerate(some):
+    sample_frames = list(frames)
+    sheet = Image.new("RGB", (sample_frames[0].width, sum(frame.height for frame in sample_frames)))
+    for number, frame in enumerate(sample_frames):
         sheet.paste(frame, (0, number * frame.height))
     palette = sheet.quantize(GIF_COLOURS)
     colours = np.array(palette.getpalette()).reshape(-1, 3)
@@ -91,9 +91,9 @@ def palette_of(frames: Iterable[Image]) -> Image:
 def write_gif(
     frames: Iterator[Image], path: Path, palette: Image, fps: float, progress: Progress | None = None
 ) -> None:
-    """Write a film that repeats. Each frame only has the pixels that change, so that flat colours take little space.
+    """Write a film that repeats. Each frame has only the changed pixels, so that flat colours take little space.
 
-    GIF counts in hundredths of a second: the frame times are rounded so that their sum stays right.
+    GIF measures time in hundredths of a second: the frame times are rounded so that their sum stays right.
     """
     from PIL import Image
     from PIL.GifImagePlugin import getdata, getheader
@@ -164,7 +164,7 @@ def _changes(before: NDArray[np.uint8], after: NDArray[np.uint8]) -> tuple[Image
 
 
 def _with_last(frames: Iterator[Image]) -> Iterator[tuple[Image, bool]]:
-    """Each frame, and whether it is the last one."""
+    """Each frame, and whether it is the last frame."""
     waiting = next(frames, None)
     for frame in frames:
         assert waiting is not None

@@ -110,7 +110,7 @@ def framing(points: FloatArray, view: View, size: tuple[int, int], margins: Marg
 
     In the camera's axes a point (x, y, z) is left of the right margin if x − cx ≤ r (z − cz), where (cx, cy, cz) is the
     camera and r the tangent of the angle to that margin. So cx − r cz ≥ A with A = max(x − r z), likewise
-    −cx − l cz ≥ B on the left, and cz ≤ −(A + B) / (r + l); the same upright. The smaller cz holds for both.
+    −cx − l cz ≥ B on the left, and cz ≤ −(A + B) / (r + l); the same upright. The smaller cz fulfils both.
 
     Args:
         points: (k, 3) m.

@@ -116,9 +116,9 @@ def _scale(story: Story, colour: Colour) -> Scale:
 def _usual_force(story: Story) -> float:
     """The largest force on a box at rest, or in 98 of 100 frames, N. Impacts, which pass within a frame, exceed it."""
     forces = story.history.top_force_n[np.isfinite(story.history.top_force_n)]
-    rest = story.outcome.boxes.rest_top_force_n
+    rest_force_n = story.outcome.boxes.rest_top_force_n
     usual = float(np.quantile(forces, 0.98)) if len(forces) else 0.0
-    return max(usual, float(np.nanmax(rest)) if np.isfinite(rest).any() else 0.0, 1.0)
+    return max(usual, float(np.nanmax(rest_force_n)) if np.isfinite(rest_force_n).any() else 0.0, 1.0)
 
 
 def round_up(value: float, steps: tuple[float, ...] = (1.0, 2.0, 5.0, 10.0)) -> float:

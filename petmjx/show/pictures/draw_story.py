@@ -34,8 +34,8 @@ _SUN: Final = (0.26, 0.36, -1.0)
 _FLOOR_HALF_M: Final = 60.0
 
 _TOWARDS_CAMERA: Final = 1.5e-3
-"""Share of the distance by which edges are drawn nearer to the camera than their faces. They are scaled down by the
-same share, so that they cover the same pixels, but lie in front."""
+"""Share of the distance by which edges are nearer to the camera than their faces. Edges are scaled down by the same
+share, so that they cover the same pixels, but lie in front."""
 
 _SEE_THROUGH: Final = 0.24
 """Opacity of boxes if contact forces are drawn."""
@@ -54,8 +54,8 @@ LEAST_LEVEL_G: Final = 0.005
 
 REACH: Final = 1.25
 LEAST_REACH_M: Final = 1.0
-"""A box is not framed if its centre is farther from the planned load than ``REACH`` times the load's largest extent,
-and farther than this, m. A box that has rolled away would make all other boxes small."""
+"""A box is not framed if its centre is farther from the planned load than both ``REACH`` times the load's largest
+extent and this length, m. A box that has rolled away would make all other boxes small."""
 
 
 class Painter:
@@ -126,8 +126,8 @@ class Painter:
         self.canvas.box(half_size, np.array([0.0, 0.0, self.story.scene.floor_z - 0.012]), np.eye(3), FLOOR)
 
     def _shadow(self, half_size: FloatArray, pos: FloatArray, turned: FloatArray) -> None:
-        """A box, flattened onto the floor along the light. It keeps a little of its height, since faces need
-        normals."""
+        """A box, flattened onto the floor along the light. The shadow keeps a little of the box's height, since faces
+        need normals."""
         across = np.array(_SUN[:2]) / _SUN[2]
         flatten = np.array([[1.0, 0.0, -across[0]], [0.0, 1.0, -across[1]], [0.0, 0.0, 1e-3]])
         above = pos - np.array([0.0, 0.0, self.story.scene.floor_z])
@@ -179,15 +179,15 @@ def newtons_per_m(story: Story) -> float:
 def forces_of_pairs(contacts: Contacts, poses: Poses) -> list[tuple[FloatArray, FloatArray]]:
     """For each pair of bodies that press on each other in a frame: (3,) place, m, and (3,) force on the lower body,
     N."""
-    kept = np.zeros(int(contacts.frame.max(initial=0)) + 1, dtype=bool)
-    kept[poses.frame : poses.frame + 1] = True
-    forces = pushes(contacts.of_frames(kept, 0))
+    is_drawn = np.zeros(int(contacts.frame.max(initial=0)) + 1, dtype=bool)
+    is_drawn[poses.frame : poses.frame + 1] = True
+    forces = pushes(contacts.of_frames(is_drawn, 0))
     return list(zip(forces.point, forces.force, strict=True))
 
 
 def framed_points(story: Story, frames: Iterable[int]) -> FloatArray:
-    """(k, 3) points that a picture of these frames must show, m: the planned load, the carrier, and boxes that are not
-    too far away."""
+    """(k, 3) points that a picture of these frames must show, m: the planned load, the carrier, and boxes that are near
+    enough."""
     scene = story.scene
     upright = np.tile(np.eye(3), (scene.n_boxes, 1, 1))
     planned = corners(scene.target, upright, scene.half_size).reshape(-1, 3)
@@ -198,14 +198,14 @@ def framed_points(story: Story, frames: Iterable[int]) -> FloatArray:
         middle, longest = _above(story)
         load = np.concatenate((load, middle + longest / 2 * np.array([[1, 0, 0], [-1, 0, 0], [0, 1, 0], [0, -1, 0]])))
     reach = max(REACH * largest_extent_m(story), LEAST_REACH_M)
-    seen = [load]
+    point_parts = [load]
     for frame in frames:
         poses = poses_of_frame(story.history, frame)
         box_corners = corners(poses.pos, rotations(poses.quat), scene.half_size[: poses.n_placed])
-        near = ((poses.pos >= low - reach) & (poses.pos <= high + reach)).all(axis=1)
+        is_near = ((poses.pos >= low - reach) & (poses.pos <= high + reach)).all(axis=1)
         moved = corners(*scene.carrier.shapes_at(poses.carrier_pos, poses.carrier_quat))
-        seen += [box_corners[near].reshape(-1, 3), moved.reshape(-1, 3)]
-    return np.concatenate(seen)
+        point_parts += [box_corners[is_near].reshape(-1, 3), moved.reshape(-1, 3)]
+    return np.concatenate(point_parts)
 
 
 def _above(story: Story) -> tuple[FloatArray, float]:
@@ -227,7 +227,7 @@ def _most_in_a_frame(contacts: Contacts) -> int:
 
 
 def _far_to_near(poses: Poses, camera: Camera) -> list[int]:
-    """Boxes with known poses, in the order in which transparent boxes must be drawn."""
+    """Boxes with known poses, in the order for drawing transparent boxes."""
     depth = (poses.pos - camera.pos) @ camera.forward
     return [int(box) for box in np.argsort(-depth, kind="stable") if np.isfinite(depth[box])]
 
@@ -235,5 +235,5 @@ def _far_to_near(poses: Poses, camera: Camera) -> list[int]:
 def _away(story: Story, poses: Poses) -> list[int]:
     """Boxes that are clearly away from their planned places."""
     limits = thresholds_of(story)
-    far = shift_mm(story, poses) > _AWAY * 1000 * limits.shift_m
-    return [int(box) for box in np.flatnonzero(far | (tilts_deg(poses) > _AWAY * limits.tilt_deg))]
+    is_far = shift_mm(story, poses) > _AWAY * 1000 * limits.shift_m
+    return [int(box) for box in np.flatnonzero(is_far | (tilts_deg(poses) > _AWAY * limits.tilt_deg))]

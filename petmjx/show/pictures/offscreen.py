@@ -1,7 +1,7 @@
 """MuJoCo's renderer without a window: takes geoms and returns pixels.
 
 ``mujoco.Renderer`` uses the OpenGL that was chosen when mujoco was first imported, and engines import it before anybody
-thinks of pictures. Here the context is made when it is needed, by EGL unless ``MUJOCO_GL`` names another.
+thinks of pictures. Here the context is made on demand, by EGL unless ``MUJOCO_GL`` names another library.
 """
 
 from __future__ import annotations
@@ -87,7 +87,7 @@ class Canvas:
         self._gl.free()
 
     def begin(self, camera: Camera) -> None:
-        """Start an empty picture, seen by this camera."""
+        """Start an empty picture for this camera."""
         self._scene.ngeom = 0
         near, far = camera.depth_m
         for eye in self._scene.camera:
@@ -112,11 +112,11 @@ class Canvas:
     def pixels(self) -> NDArray[np.uint8]:
         """(height, width, 3) the picture, from the upper left corner."""
         view = mujoco.MjrRect(0, 0, self.width, self.height)
-        seen = np.empty((self.height, self.width, 3), dtype=np.uint8)
+        picture = np.empty((self.height, self.width, 3), dtype=np.uint8)
         self._gl.make_current()
         mujoco.mjr_render(view, self._scene, self._context)
-        mujoco.mjr_readPixels(seen, None, view, self._context)
-        return seen[::-1]
+        mujoco.mjr_readPixels(picture, None, view, self._context)
+        return picture[::-1]
 
     def _geom(
         self, kind: mujoco.mjtGeom, size: FloatArray, pos: FloatArray, turned: FloatArray, rgba: tuple[float, ...]
@@ -132,7 +132,7 @@ class Canvas:
 
 
 def why_no_pictures() -> str:
-    """Why this machine cannot draw; "" if it can."""
+    """The reason why this machine cannot draw; "" if it can."""
     try:
         with Canvas((16, 16), 1.0, 1):
             return ""
@@ -169,7 +169,7 @@ def _same_environment(name: str) -> Iterator[None]:
 
 
 def _studio(size: tuple[int, int], line_px: float) -> Any:
-    """A model without bodies. It has everything that the renderer takes from models: sizes, and a white sky."""
+    """A model without bodies. The model has everything that the renderer reads from models: sizes, and a white sky."""
     spec = mujoco.MjSpec()
     spec.visual.global_.offwidth, spec.visual.global_.offheight = size
     spec.visual.global_.linewidth = line_px

@@ -80,8 +80,8 @@ class Overlay:
         pen.text((em, 3.6 * em), now, fill=INK, font=plain)
 
     def _outline(self, image: Image, poses: Poses, camera: Camera) -> None:
-        """Outline the first box to fail, even if other boxes hide it. It is drawn larger and then reduced, because
-        Pillow's lines have stairs."""
+        """Outline the first box to fail, even if other boxes hide it. The outline is drawn larger and then reduced,
+        because Pillow's lines have stairs."""
         from PIL import Image, ImageDraw
 
         outline = first_outline(self.story, poses, camera)
@@ -139,7 +139,7 @@ class Overlay:
                 pen.text((left + 1.4 * em, top), text, fill=INK, font=plain)
 
     def _lines_of_names(self) -> list[list[tuple[str, Rgb, float]]]:
-        """Names of the legend with their colours and left ends, px, in as many lines as they need."""
+        """Names of the legend with their colours and left ends, px, wrapped into lines."""
         em, plain = self.text_px, font(self.text_px)
         lines: list[list[tuple[str, Rgb, float]]] = [[]]
         left = float(em)
@@ -166,7 +166,7 @@ def scale_ends(scale: Scale) -> tuple[str, str]:
 
 
 def first_outline(story: Story, poses: Poses, camera: Camera) -> FloatArray | None:
-    """(k, 2) outline of the first box to fail, px; None if no box failed or it is not placed yet."""
+    """(k, 2) outline of the first box to fail, px; None if no box failed or the box is not placed yet."""
     box = story.outcome.culprit
     if not 0 <= box < poses.n_placed:
         return None
@@ -188,11 +188,11 @@ def font(size_px: int, bold: bool = False) -> Any:
 
 
 def fitted_text(text: str, face: Any, room_px: float) -> str:
-    """The text, cut in the middle if it is too wide."""
+    """The text, cut in the middle if too wide."""
     if face.getlength(text) <= room_px:
         return text
-    for kept in range(len(text) - 1, 0, -1):
-        short = f"{text[: (kept + 1) // 2]}…{text[len(text) - kept // 2 :]}"
+    for n_characters in range(len(text) - 1, 0, -1):
+        short = f"{text[: (n_characters + 1) // 2]}…{text[len(text) - n_characters // 2 :]}"
         if face.getlength(short) <= room_px:
             return short
     return "…"

@@ -50,8 +50,8 @@ def draw(story: Story, *files: str | os.PathLike[str], progress: Progress | None
         The paths of the files.
 
     Raises:
-        InputError: an unknown ending or option, a moment that the story does not have, a file that cannot be written,
-            or a missing library.
+        InputError: an unknown ending or option, a moment beyond the story, a file that cannot be written, or a missing
+            library.
     """
     look = PictureOptions(**options)
     paths = [path_of(file, "files") for file in files]
@@ -91,7 +91,7 @@ def check_files(paths: Sequence[Path]) -> None:
 
 
 def why_nothing_is_drawn() -> str:
-    """Why this machine cannot draw pictures and films; "" if it can."""
+    """The reason why this machine cannot draw pictures and films; "" if it can."""
     if missing := _missing("png"):
         return missing
     try:
@@ -102,7 +102,7 @@ def why_nothing_is_drawn() -> str:
 
 
 def _missing(kind: str) -> str:
-    """A line on the missing modules of a kind of file, and how to install them; empty if none is missing."""
+    """A line on the missing modules of a kind of file, and how to install them; empty without a missing module."""
     extra, modules = _NEEDS[kind]
     missing = [name for name in modules if importlib.util.find_spec(name) is None]
     return f"needs {', '.join(missing)}, not installed: pip install 'petmjx[{extra}]'" if missing else ""
@@ -116,8 +116,8 @@ def check_drawing(paths: Sequence[Path]) -> None:
     """
     check_files(paths)
     drawn = [path for path in paths if "OpenGL" in _NEEDS[kind_of(path)][1]]
-    if drawn and (why := why_nothing_is_drawn()):
-        raise InputError(f"{printable(str(drawn[0]))}: {why}")
+    if drawn and (reason := why_nothing_is_drawn()):
+        raise InputError(f"{printable(str(drawn[0]))}: {reason}")
 
 
 def _write_pictures(story: Story, path: Path, options: PictureOptions, progress: Progress | None) -> None:

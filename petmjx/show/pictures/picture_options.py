@@ -24,7 +24,7 @@ MOMENTS: Final = (START, BEFORE, FIRST_SIGN, END)
 
 LEAST_PX: Final = 64
 MOST_PX: Final = 4096
-"""Largest side of a picture, px. Not all OpenGL drivers can draw larger ones."""
+"""Largest side of a picture, px. Many OpenGL drivers cannot draw larger pictures."""
 
 STILL_SIZE: Final = (1200, 900)
 PANEL_SIZE: Final = (675, 810)
@@ -99,7 +99,7 @@ def _checked_by(read: Callable[[str], Any]) -> BeforeValidator:
 
 
 def _text(value: Any) -> str:
-    """A Python value as it would be typed: (1200, 900) is 1200x900, ["start", 2.5] is start,2.5."""
+    """A Python value as text of the command line: (1200, 900) is 1200x900, ["start", 2.5] is start,2.5."""
     if isinstance(value, list | tuple):
         between = "," if isinstance(value, list) else "x"
         return between.join(str(part) for part in value)

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from PIL.Image import Image
 
 FINER: Final = 2
-"""Single pictures are drawn this many times larger and then reduced, unless they are already large."""
+"""Single pictures are drawn this many times larger and then reduced, unless already large."""
 
 _LARGE_PX: Final = 3_000_000
 

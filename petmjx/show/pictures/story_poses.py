@@ -30,7 +30,7 @@ class Poses:
     Attributes:
         time_s: the time, s.
         frame: the nearest frame of the history.
-        pos: (k, 3) positions, m; NaN if the place of the box is not known.
+        pos: (k, 3) positions, m; NaN if the place of the box is unknown.
         quat: (k, 4) orientations (w, x, y, z).
         carrier_pos: (3,) m.
         carrier_quat: (4,).
@@ -49,7 +49,7 @@ class Poses:
 
 
 class Moment(NamedTuple):
-    """A frame of a story, and its name; "" if it was asked for by time."""
+    """A frame of a story, and its name; "" for a moment requested by time."""
 
     frame: int
     name: str
@@ -60,19 +60,19 @@ def poses_of_frame(history: History, frame: int) -> Poses:
     ``LOST_M``."""
     placed = slice(int(history.n_placed[frame]))
     pos, quat = history.pos[frame, placed], history.quat[frame, placed]
-    here = (np.abs(pos) < LOST_M).all(axis=1, keepdims=True) & np.isfinite(quat).all(axis=1, keepdims=True)
+    is_near = (np.abs(pos) < LOST_M).all(axis=1, keepdims=True) & np.isfinite(quat).all(axis=1, keepdims=True)
     return Poses(
         float(history.time_s[frame]),
         frame,
-        np.where(here, pos, np.nan),
-        np.where(here, quat, np.nan),
+        np.where(is_near, pos, np.nan),
+        np.where(is_near, quat, np.nan),
         history.carrier_pos[frame],
         history.carrier_quat[frame],
     )
 
 
 def poses_at(history: History, time_s: float) -> Poses:
-    """The poses at a time. Between two frames they are interpolated, for the boxes that were placed in the earlier
+    """The poses at a time. Between two frames poses are interpolated, for the boxes that were placed in the earlier
     frame."""
     later = int(np.searchsorted(history.time_s, time_s, side="right"))
     if later == 0 or later == len(history.time_s):
@@ -101,7 +101,7 @@ def moments(story: Story, names: str | None) -> list[Moment]:
 
     Args:
         names: moments, separated by commas. None: before the first sign, the first sign, and the end; only the end if
-            nothing failed.
+            no box failed.
 
     Raises:
         InputError: an unknown name, or a moment that this story does not have.

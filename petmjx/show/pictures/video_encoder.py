@@ -16,7 +16,7 @@ from tempfile import TemporaryFile
 
 @contextmanager
 def h264_encoder(path: Path, size: tuple[int, int], fps: float) -> Iterator[Callable[[bytes], None]]:
-    """A context with a function that takes the frames of a film, one after the other. At its end the file is complete.
+    """A context with a function that takes the frames of a film, in order. At its end the file is complete.
 
     Args:
         path: the file to write; an existing one is replaced.

@@ -45,8 +45,8 @@ class BoxBlocks:
 
     Attributes:
         blocks: name → block. The k-th drawn world is world k % ``WORLDS_PER_BLOCK`` of block "boxes-N".
-        drawn: (rows of the table,) number of the row's world among the drawn worlds; −1 if it is not drawn.
-        without_boxes: number of worlds that were left out because there are too many.
+        drawn: (rows of the table,) number of the row's world among the drawn worlds; −1: not drawn.
+        without_boxes: number of worlds that were left out because of their number.
     """
 
     blocks: dict[str, str]
@@ -55,7 +55,7 @@ class BoxBlocks:
 
 
 def box_blocks(runs: Sequence[ReportRun], table: pd.DataFrame, most: int = MOST_BOXES) -> BoxBlocks:
-    """Pack the boxes of those worlds in a table whose plans were found.
+    """Pack the boxes of the worlds in a table, if their plans were found.
 
     Args:
         table: the second result of :func:`petmjx.show.report.plan_rows.table_rows`.
@@ -72,13 +72,13 @@ def box_blocks(runs: Sequence[ReportRun], table: pd.DataFrame, most: int = MOST_
 
 
 def _drawn_rows(runs: Sequence[ReportRun], table: pd.DataFrame, most: int) -> tuple[NDArray[np.int64], int]:
-    """Rows of the table that are drawn, and the number of worlds that were left out because there are too many."""
-    known = np.zeros(len(table), dtype=bool)
+    """Rows of the table that are drawn, and the number of worlds left out because of their number."""
+    has_plan = np.zeros(len(table), dtype=bool)
     for at, run in enumerate(runs):
         if not run.results.keeps_boxes:
             continue
-        known |= (table["run"] == at).to_numpy() & table["plan_id"].isin(run.plan_files.plans.keys()).to_numpy()
-    rows = np.flatnonzero(known)
+        has_plan |= (table["run"] == at).to_numpy() & table["plan_id"].isin(run.plan_files.plans.keys()).to_numpy()
+    rows = np.flatnonzero(has_plan)
     stands = (table["verdict"].iloc[rows] == Verdict.STABLE.value).to_numpy()
     rows = rows[np.argsort(stands, kind="stable")]
     boxes = table["n_boxes"].iloc[rows].to_numpy(np.int64)
@@ -119,8 +119,8 @@ def _worlds(runs: Sequence[ReportRun], table: pd.DataFrame) -> Iterator[_World]:
                 scene = build_scene(plan, sim)
                 scenes[plan_id] = scene.target, scene.carrier
             rows = places[plan_id, variant]
-            here = slice(rows[0], rows[-1] + 1)
-            yield _World(numbers[here], names[here], plan, *scenes[plan_id])
+            world_rows = slice(rows[0], rows[-1] + 1)
+            yield _World(numbers[world_rows], names[world_rows], plan, *scenes[plan_id])
 
 
 def simulation_of(info: Mapping[str, Any]) -> Simulation:
@@ -136,7 +136,7 @@ def simulation_of(info: Mapping[str, Any]) -> Simulation:
 def _block_columns_of_boxes(worlds: Sequence[_World]) -> dict[str, NDArray[Any] | PackedArray]:
     """The columns of a block. ``items`` is JSON as UTF-8: [item, article, three sides in mm, kg] of each kind."""
     numbers = np.concatenate([world.numbers for world in worlds])
-    pos, quat, (tilt, force, rest, drop) = numbers[:, :3], numbers[:, 3:7], numbers[:, 7:].T
+    pos, quat, (tilt, force, rest_force, drop) = numbers[:, :3], numbers[:, 3:7], numbers[:, 7:].T
     target = np.concatenate([world.target for world in worlds])
     size = np.concatenate([world.plan.size_mm for world in worlds])
     mass = np.concatenate([world.plan.mass_kg for world in worlds])
@@ -160,6 +160,6 @@ def _block_columns_of_boxes(worlds: Sequence[_World]) -> dict[str, NDArray[Any] 
         "turn": quantised_column(quat[:, 1:]),
         "tilt": quantised_column(tilt),
         "force": quantised_column(np.log1p(force)),
-        "rest": quantised_column(np.log1p(rest)),
+        "rest": quantised_column(np.log1p(rest_force)),
         "drop": quantised_column(drop),
     }

@@ -1,4 +1,4 @@
-"""The kinds of charts in a report. Other modules decide what they show."""
+"""The kinds of charts in a report. Other modules choose their content."""
 
 from __future__ import annotations
 
@@ -61,19 +61,19 @@ def histogram(
     """Bars of the number of worlds by value, with the classes stacked. Sets the frame's y scale.
 
     Args:
-        classes: class of each world, such as its verdict. It is also the class of the bar in the style sheet.
+        classes: class of each world, such as its verdict. The class of a bar also exists in the style sheet.
         order: classes from the lowest bar upwards.
     """
     edges = frame.x.edges(BINS)
     if threshold is not None and edges[0] < threshold < edges[-1] and len(edges) > 2:
         # no bar reaches across the threshold: values on its two sides are in different bars
         edges[1 + int(np.abs(edges[1:-1] - threshold).argmin())] = threshold
-    known = values.notna()
-    clipped = np.clip(values[known].to_numpy(np.float64), frame.x.low, frame.x.high)
+    has_value = values.notna()
+    clipped = np.clip(values[has_value].to_numpy(np.float64), frame.x.low, frame.x.high)
     counts = {
-        name: np.histogram(clipped[(classes[known] == name).to_numpy()], edges)[0]
+        name: np.histogram(clipped[(classes[has_value] == name).to_numpy()], edges)[0]
         for name in order
-        if (classes[known] == name).any()
+        if (classes[has_value] == name).any()
     }
     highest = max(float(np.sum(list(counts.values()), axis=0).max(initial=0.0)), 1.0)
     frame.y = Scale(0.0, 1.05 * highest, counts=True)
@@ -98,18 +98,18 @@ def histogram(
 
 def points(frame: Frame, x: pd.Series, y: pd.Series, classes: pd.Series) -> None:
     """One point per world."""
-    known = (x.notna() & y.notna()).to_numpy()
-    px, py = frame.at(x[known].to_numpy(np.float64), y[known].to_numpy(np.float64))
-    for at_x, at_y, name in zip(px.tolist(), py.tolist(), classes[known], strict=True):
+    has_values = (x.notna() & y.notna()).to_numpy()
+    px, py = frame.at(x[has_values].to_numpy(np.float64), y[has_values].to_numpy(np.float64))
+    for at_x, at_y, name in zip(px.tolist(), py.tolist(), classes[has_values], strict=True):
         frame.add(element("circle", cx=at_x, cy=at_y, r=2.5, class_=f"point {name}"))
 
 
 def quantile_bands(frame: Frame, x: pd.Series, y: pd.Series) -> None:
     """Quantiles of y along x: the median as a line, and bands with half and with nine tenths of the worlds."""
-    known = x.notna() & y.notna()
-    groups = equal_groups(x[known].to_numpy(np.float64))
-    values = y[known].to_numpy(np.float64)
-    middle = np.array([np.median(x[known].to_numpy(np.float64)[rows]) for rows in groups])
+    has_values = x.notna() & y.notna()
+    groups = equal_groups(x[has_values].to_numpy(np.float64))
+    values = y[has_values].to_numpy(np.float64)
+    middle = np.array([np.median(x[has_values].to_numpy(np.float64)[rows]) for rows in groups])
     levels = np.array([np.quantile(values[rows], QUANTILES) for rows in groups]).reshape(-1, len(QUANTILES)).T
     frame.band(middle, levels[0], levels[4], "band outer")
     frame.band(middle, levels[1], levels[3], "band inner")
@@ -149,7 +149,7 @@ class Bar:
 
 
 def bars(title: str, rows: Sequence[Bar], *, width: int = WIDTH, names: int = 130) -> Markup:
-    """A bar chart with names on the left. Long names are cut; pointing at a name shows all of it.
+    """A bar chart with names on the left. Long names are cut; pointing at a name shows the whole name.
 
     Args:
         names: width for names, pixels.
@@ -220,7 +220,7 @@ def stacked_bars(title: str, rows: Sequence[tuple[str, Sequence[tuple[str, int, 
 
 
 def _row_name(name: str, y: float) -> Markup:
-    """The name of a row. Pointing at it shows all of it."""
+    """The name of a row. Pointing at a part shows its whole text."""
     letters = MOST_LETTERS
     short = name if len(name) <= letters else name[: letters - 1] + "…"
     return element("text", element("title", name), short, x=0, y=y, class_="halo")

@@ -19,19 +19,19 @@ from petmjx.show.report.svg_charts import figure
 from petmjx.show.report.verdict_shares import plan_link
 
 MOST_FLIPS: Final = 50
-"""Most flipped verdicts that are listed. The table of plans has all of them."""
+"""Most flipped verdicts that are listed. The table of plans has all boxes of the articles."""
 
 MOST_PAIRS: Final = 28
 """Most pairs of runs that are drawn: the pairs of eight runs."""
 
 
 def comparison_section(runs: Sequence[ReportRun]) -> Markup:
-    """The section that compares several runs by the plans that all of them have."""
+    """The section that compares several runs by their common plans."""
     if len(runs) < 2:
         return NOTHING
     common = common_verdicts(runs)
-    both = "both runs" if len(runs) == 2 else f"all {len(runs)} runs"
-    parts: list[Content] = [element("p", f"{count_text(len(common), _word(runs))} in {both}.")]
+    run_words = "both runs" if len(runs) == 2 else f"all {len(runs)} runs"
+    parts: list[Content] = [element("p", f"{count_text(len(common), _word(runs))} in {run_words}.")]
     if len(common):
         drawn, differences = _won_and_lost(runs, common)
         parts += [element("div", _rates(runs, common), drawn, class_="charts"), differences]
@@ -99,16 +99,17 @@ def _won_and_lost(runs: Sequence[ReportRun], common: pd.DataFrame) -> tuple[Mark
         element("span", "neither", class_="key unstable"),
         class_="keys",
     )
-    more = f"{len(pairs) - MOST_PAIRS:,} more pairs are not drawn." if len(pairs) > MOST_PAIRS else ""
+    more_text = f"{len(pairs) - MOST_PAIRS:,} more pairs are not drawn." if len(pairs) > MOST_PAIRS else ""
     picture = stacked_bars("Plans won and lost", rows)
     test = "95 %: Newcombe’s interval of paired shares. petmjx compare --packers tests them, too."
-    drawn = element("div", figure("Plans won and lost, pair by pair", picture, more), key)
+    drawn = element("div", figure("Plans won and lost, pair by pair", picture, more_text), key)
     listed = table(["difference, points", "", "95 %"], differences)
     return drawn, joined_markup(listed, element("p", test, class_="hint"))
 
 
 def paired_counts(a: pd.Series, b: pd.Series) -> PairedCounts:
-    """How many worlds stand in both, in one, or in none of two runs, among the worlds with a valid verdict in both.
+    """Numbers of worlds that stand in both, in one, or in neither of two runs, among the worlds with a valid verdict in
+    both.
 
     Args:
         a, b: verdicts of the same worlds.
@@ -167,16 +168,16 @@ def _flips(runs: Sequence[ReportRun], pair: Comparison) -> Markup:
         return element("p", "No verdict flipped.")
     rows: list[list[Content]] = []
     for row in flips.head(MOST_FLIPS).to_dict("records"):
-        where = plan_link(runs[0], str(row["plan_id"]), int(row["variant"]))
+        world_link = plan_link(runs[0], str(row["plan_id"]), int(row["variant"]))
         name = str(row["plan_id"]) + (f" / {row['variant']}" if row["variant"] else "")
-        cells: list[Content] = [element("a", name, href=f"#{where}")]
+        cells: list[Content] = [element("a", name, href=f"#{world_link}")]
         cells += [_outcome(row, side) for side in "ab"]
         cells += [_margin(row[f"margin_{side}"]) for side in "ab"]
         rows.append(cells)
     a, b = (run.name for run in runs)
     caption = f"Flipped verdicts ({len(flips):,})"
     caption += f": the first {MOST_FLIPS}" if len(flips) > MOST_FLIPS else ""
-    within = None if pair.other_plans else pair.flips_within  # it measures how similar two simulations of one plan are
+    within = None if pair.other_plans else pair.flips_within  # measures how similar two simulations of one plan are
     note = (
         "" if within is None else f"Each has a margin within ±{three_digits(within)} of a threshold in one of the runs."
     )
@@ -193,5 +194,5 @@ def _margin(value: float) -> str:
 def _outcome(row: dict[str, object], side: str) -> Markup:
     verdict, reason, culprit = (row[f"{name}_{side}"] for name in ("verdict", "reason", "culprit"))
     box = "" if pd.isna(culprit) else f", box {culprit} first"
-    why = f" ({reason}{box})" if reason else box
-    return joined_markup(element("span", str(verdict), class_=f"mark {verdict}"), why)
+    reason_text = f" ({reason}{box})" if reason else box
+    return joined_markup(element("span", str(verdict), class_=f"mark {verdict}"), reason_text)

@@ -48,7 +48,7 @@ class Quantity:
         return values.where(np.isfinite(values))
 
     def scale(self, values: pd.Series) -> Scale:
-        """An axis that holds all values, with the ends of this metric."""
+        """An axis for all values, with the ends of this metric."""
         return Scale.over(values.to_numpy(), log_from=self.log_from, lowest=self.lowest, zero=True)
 
     def across(self, values: pd.Series) -> Scale:
@@ -93,12 +93,12 @@ def distributions(run: ReportRun) -> Markup:
     parts = [element("div", *alone, class_="charts")]
     if sizes:
         shares = [_share(size, worlds, one_each=not run.kind.sweeps) for size in sizes]
-        known = [metric for metric in METRICS if metric.of(worlds).notna().sum() > 1]
-        against = [_against(size, metric, worlds, limits) for metric in known for size in sizes]
+        metrics = [metric for metric in METRICS if metric.of(worlds).notna().sum() > 1]
+        against = [_against(size, metric, worlds, limits) for metric in metrics for size in sizes]
         parts.append(element("h3", "Against number of boxes, height and weight"))
         parts.append(element("div", *shares, class_="charts three"))
-        more = element("summary", f"Shift, tilt, force and first sign against size: {len(against)} charts")
-        parts.append(element("details", more, element("div", *against, class_="charts three")))
+        charts_title = element("summary", f"Shift, tilt, force and first sign against size: {len(against)} charts")
+        parts.append(element("details", charts_title, element("div", *against, class_="charts three")))
     if run.plan_files.note and len(sizes) < len(SIZES):
         parts.append(element("p", f"Without height and weight: {run.plan_files.note}.", class_="hint"))
     return joined_markup(*parts)
@@ -124,8 +124,8 @@ def _against(size: Quantity, metric: Quantity, worlds: pd.DataFrame, limits: Thr
     x, y = size.of(worlds), metric.of(worlds)
     title = f"{metric.title} against {size.title}"
     frame = Frame(title, size.across(x), metric.scale(y), size.label, metric.label)
-    known = int((x.notna() & y.notna()).sum())
-    if known <= MOST_POINTS:
+    n_points = int((x.notna() & y.notna()).sum())
+    if n_points <= MOST_POINTS:
         points(frame, x, y, worlds["verdict"])
         note = ""
     else:

@@ -52,7 +52,7 @@ def first_boxes(run: ReportRun) -> Markup:
 
 
 def _articles(run: ReportRun, falls: pd.DataFrame) -> Markup:
-    """Articles by how often one of their boxes failed first, with the number of their boxes in the same run."""
+    """Articles by the number of first failures of their boxes, with the number of their boxes in the same run."""
     first = falls.loc[falls["first_article"] != "", "first_article"].value_counts()
     of_article: Counter[str] = Counter()
     worlds = run.worlds["plan_id"].value_counts()

@@ -9,7 +9,7 @@ from petmjx.show.pages.page import escaped_html as escaped_text
 
 
 class Markup(str):
-    """Text that is markup. It goes into the page unchanged."""
+    """Text that is markup. The markup goes into the page unchanged."""
 
     __slots__ = ()
 
@@ -29,7 +29,7 @@ def escaped_markup(text: str) -> Markup:
 
 
 def joined_markup(*parts: Content) -> Markup:
-    """Parts one after the other."""
+    """Parts in order."""
     return Markup("".join(escaped_markup(part) for part in parts if part is not None))
 
 
@@ -72,8 +72,8 @@ def table(
     heads = [element("th", cell, scope="col", class_=_side(at, texts)) for at, cell in enumerate(head)]
     lines = []
     for row in rows:
-        first, *rest = row
-        cells = [element("td", cell, class_=_side(at, texts)) for at, cell in enumerate(rest, start=1)]
+        first, *other_cells = row
+        cells = [element("td", cell, class_=_side(at, texts)) for at, cell in enumerate(other_cells, start=1)]
         lines.append(element("tr", element("th", first, scope="row", class_="text"), *cells))
     inner = element(
         "table",

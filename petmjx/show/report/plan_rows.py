@@ -81,13 +81,13 @@ NUMBERS: Final = (
 
 @dataclass
 class Rows:
-    """The table as a page has it.
+    """The table in the form of a page.
 
     Attributes:
         columns: key, label, unit, kind (``text``, ``choice`` or ``number``), digits and meaning of each column, in
             order.
-        texts: key → the texts of a column of kind ``text`` or ``choice``. Its array holds indices into them, −1 for
-            none.
+        texts: key → the texts of a column of kind ``text`` or ``choice``. The column's array holds indices into these
+            texts, −1 for no text.
         arrays: key → one value per row.
         left_out: number of worlds that are not in the table.
         summed_up: runs for which the table has one row per plan.
@@ -101,8 +101,7 @@ class Rows:
 
 
 def table_rows(runs: Sequence[ReportRun], most: int = MOST_ROWS) -> tuple[Rows, pd.DataFrame]:
-    """The table, and the data frame that it was made from: the worlds of all runs in the order of the table, with
-    ``run`` as a number."""
+    """The table, and its data frame: the worlds of all runs in the order of the table, with ``run`` as a number."""
     summed_up = [run for run in runs if run.kind is Kind.GRID and len(run.worlds) > MOST_OF_SWEEP]
     frames = [_of_run(at, run, run in summed_up) for at, run in enumerate(runs)]
     frames = _with_other_verdicts(frames, runs) if len(frames) == 2 else frames
@@ -151,8 +150,8 @@ def _worst(worlds: pd.DataFrame) -> pd.DataFrame:
 
 
 def _with_other_verdicts(frames: Sequence[pd.DataFrame], runs: Sequence[ReportRun]) -> list[pd.DataFrame]:
-    """The worlds of two runs with the column ``OTHER``: the verdict of the same world in the other run, "" if it has
-    none."""
+    """The worlds of two runs with the column ``OTHER``: the verdict of the same world in the other run, "" without a
+    verdict."""
     tables = []
     for one, two in zip(frames, runs[::-1], strict=True):
         other = one[KEY].merge(two.worlds[[*KEY, "verdict"]], on=KEY, how="left")["verdict"].fillna("")
@@ -165,9 +164,9 @@ def _add_parameters(
 ) -> None:
     """Add the columns of sweeps that fulfil a condition: parameters of variants, or their outcomes."""
     units = {name: unit for run in runs for name, unit in run.results.units("worlds").items()}
-    known = {shown.column for shown in NUMBERS}
+    column_names = {shown.column for shown in NUMBERS}
     for name in dict.fromkeys(name for run in runs for name in run.parameters):
-        if not condition(name) or name not in frame or name in known or frame[name].nunique() == 0:
+        if not condition(name) or name not in frame or name in column_names or frame[name].nunique() == 0:
             continue
         unit = units.get(name, "")
         label = name.removesuffix(f"_{unit}").replace("_", " ")
@@ -179,7 +178,7 @@ def _add_parameters(
 
 
 def _key(name: str) -> str:
-    """A parameter's name in the page. It never equals one of the page's own names."""
+    """A parameter's name in the page. The name of a run never equals one of the page's own names."""
     return f"x-{name}"
 
 

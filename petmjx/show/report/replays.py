@@ -43,7 +43,7 @@ def replays(
 
     Args:
         table: the second result of :func:`petmjx.show.report.plan_rows.table_rows`.
-        drawn: for each row of the table, the number of its drawn world; negative without a picture.
+        drawn: for each row of the table, the number of its drawn world; negative: no picture.
     """
     poses = _poses(runs, table)
     recorded = np.flatnonzero((poses > 0) & (drawn >= 0))

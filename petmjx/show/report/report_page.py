@@ -49,7 +49,7 @@ def report(
     Args:
         runs: folders of runs, or results of ``petmjx.score``, ``petmjx.sweep`` and ``petmjx.load_run``.
         out: the HTML file.
-        plans: files or folders with the plans of the runs. Without them, the plans that the runs have kept are taken,
+        plans: files or folders with the plans of the runs. Without ``plans``, the plans in the runs' tables are used,
             or else the files that the runs name.
         overwrite: replace an existing file.
 
@@ -112,7 +112,7 @@ def _of_run(run: ReportRun) -> dict[str, Any]:
 
 
 def _summed_up(runs: Sequence[ReportRun]) -> list[str]:
-    """A line for each run with very many worlds, on the rows that the table has of it."""
+    """A line for each run with very many worlds, on its rows in the table."""
     row = "one row a plan: its world with the least margin, and the share of its worlds that stand"
     return [f"{run.name} has {len(run.worlds):,} worlds, too many for a table. It has {row}." for run in runs]
 
@@ -183,7 +183,7 @@ def _details_of(run: ReportRun) -> list[tuple[str, str, Markup]]:
     titles = {Kind.CONFIDENCE: "How sure are the verdicts?", Kind.CHAIN: "How likely do pallets arrive?"}
     title = titles.get(run.kind, "Answers of the sweep")
     sections = [("answers", title, sweep_answers(run))]
-    if run.kind is not Kind.SEARCH:  # its worlds show where the search looked, and not how pallets behave
+    if run.kind is not Kind.SEARCH:  # its worlds show the path of the search, not the behaviour of pallets
         sections.append(("distributions", "Shift, tilt, force, time", distributions(run)))
         sections.append(("first", "What fails first", first_boxes(run)))
     return [section for section in sections if section[2]]

@@ -26,7 +26,7 @@ class ReportPlans:
 
 
 def find_report_plans(run: RunResults, paths: Sequence[Path] = ()) -> ReportPlans:
-    """Find the plans of a run. A report can also be made without them.
+    """Find the plans of a run. A report can also be made without plans.
 
     Args:
         paths: files or folders to read instead of the files that the run names.

@@ -1,4 +1,4 @@
-"""The runs of a report: their tables, with columns that come from the plans."""
+"""The runs of a report: their tables, with additional columns from the plans."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ from petmjx.show.report.report_plans import ReportPlans, find_report_plans
 
 
 class Kind(StrEnum):
-    """The kind of question that a run asked of its plans."""
+    """The kind of study of a run's plans."""
 
     SCORE = "score"
     CONFIDENCE = "confidence"
@@ -47,7 +47,7 @@ class ReportRun:
     Attributes:
         name: its name in the report.
         results: its results.
-        plan_files: its plans, as far as they were found.
+        plan_files: the plans that were found.
     """
 
     name: str
@@ -76,11 +76,11 @@ class ReportRun:
 
     @cached_property
     def worlds(self) -> pd.DataFrame:
-        """The worlds that are shown, one row each, by plan and variant. These are all worlds; for a score with
-        confidence only the nominal ones, for a chain those with errors and without a remedy.
+        """The worlds that are shown, one row each, by plan and variant. All worlds; for a score with confidence only
+        the nominal ones, for a chain the worlds with errors and without a remedy.
 
-        Additional columns: ``height_m`` and ``mass_kg`` of the plan (NaN if it was not found), and ``first_article``,
-        the article of the first box to fail ("" if there is none).
+        Additional columns: ``height_m`` and ``mass_kg`` of the plan (NaN without a plan), and ``first_article``, the
+            article of the first box to fail ("" if none failed).
         """
         worlds = self.results.worlds
         if self.kind is Kind.CONFIDENCE:
@@ -111,7 +111,7 @@ class ReportRun:
 
     def articles(self, plan_ids: Collection[str]) -> dict[str, Sequence[str]]:
         """Plan id → articles of its boxes in packing order. The articles come from the plan or from the table
-        ``boxes``; without both there are none."""
+        ``boxes``; without both the column is empty."""
         articles_by_plan: dict[str, Sequence[str]] = {
             plan_id: plan.articles for plan_id, plan in self.plan_files.plans.items() if plan_id in plan_ids
         }
@@ -138,8 +138,8 @@ class ReportRun:
         summary = self.results.summary
         if self.kind is not Kind.GRID or summary is None or "scope" in summary:
             return summary if self.kind is Kind.GRID else None
-        known = [axis for axis in summary["axis"].unique() if axis in self.worlds]  # of petmjx 0.1: no scope
-        return share_standing(self.worlds, known)
+        axes = [axis for axis in summary["axis"].unique() if axis in self.worlds]  # of petmjx 0.1: no scope
+        return share_standing(self.worlds, axes)
 
     @property
     def parameters(self) -> list[str]:

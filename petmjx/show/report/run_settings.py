@@ -12,7 +12,7 @@ from petmjx.show.report.markup import NOTHING, Content, Markup, element, joined_
 from petmjx.show.report.report_runs import Kind, ReportRun
 
 MOST_LINES: Final = 20
-"""Most skipped plans, warnings or files that are listed. Further ones are only counted."""
+"""Most skipped plans, warnings or files that are listed. Further options are only counted."""
 
 
 def about(run: ReportRun) -> Markup:
@@ -35,16 +35,18 @@ def _facts(run: ReportRun) -> Iterator[tuple[str, Content]]:
     yield "command", _command(run)
     unfinished = run.results.unfinished
     status = unfinished or FINISHED
-    expected, done = info.get("expected_worlds"), info.get("counts", {}).get("worlds", 0)
+    expected, n_done = info.get("expected_worlds"), info.get("counts", {}).get("worlds", 0)
     missing = (
-        f"; {count_text(expected - done, run.what)} not simulated" if expected is not None and expected > done else ""
+        f"; {count_text(expected - n_done, run.what)} not simulated"
+        if expected is not None and expected > n_done
+        else ""
     )
-    bad = unfinished or missing
-    yield "status", element("strong", status + missing, class_="warn") if bad else status
+    is_partial = unfinished or missing
+    yield "status", element("strong", status + missing, class_="warn") if is_partial else status
     yield "started", str(info.get("started", "")).replace("T", " ").replace("+00:00", " UTC")
     seconds = float(info.get("timings", {}).get("wall_s") or 0.0)
     if seconds > 0:
-        rate = three_digits(done / seconds)
+        rate = three_digits(n_done / seconds)
         yield "took", f"{duration(seconds)} ({rate} {run.what}s/s)"
     yield "engine", f"{config.get('engine', 'unknown')} on {info.get('device') or 'an unnamed device'}"
     yield "options", _options(config)
@@ -108,8 +110,8 @@ def _files(run: ReportRun) -> Content:
         element("li", f"{source or 'plans given in Python'}: {count_text(int(n), 'plan')}")
         for source, n in counts.items()
     ]
-    more = element("li", f"{len(items) - MOST_LINES:,} more files") if len(items) > MOST_LINES else NOTHING
-    return element("ul", *items[:MOST_LINES], more)
+    more_item = element("li", f"{len(items) - MOST_LINES:,} more files") if len(items) > MOST_LINES else NOTHING
+    return element("ul", *items[:MOST_LINES], more_item)
 
 
 def _lines(lines: list[str], title: str) -> Markup:
@@ -117,6 +119,6 @@ def _lines(lines: list[str], title: str) -> Markup:
     if not lines:
         return NOTHING
     items = [element("li", line) for line in lines[:MOST_LINES]]
-    more = f"{len(lines) - MOST_LINES:,} more, in run.json"
-    items += [element("li", more, class_="hint")] if len(lines) > MOST_LINES else []
+    more_text = f"{len(lines) - MOST_LINES:,} more, in run.json"
+    items += [element("li", more_text, class_="hint")] if len(lines) > MOST_LINES else []
     return element("details", element("summary", title), element("ul", *items, class_="lines"))

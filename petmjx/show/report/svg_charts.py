@@ -52,15 +52,15 @@ class Scale:
         """A scale that holds all finite values.
 
         Args:
-            log_from: the lower end of a logarithmic scale; None: a linear one.
+            log_from: the lower end of a logarithmic scale; None: a linear scale.
             zero: whether a linear scale begins at 0.
         """
         numbers = np.asarray(values, dtype=np.float64)
-        known = numbers[np.isfinite(numbers)]
+        finite = numbers[np.isfinite(numbers)]
         if log_from is not None:
-            high = max(float(known.max(initial=log_from)), log_from * 10)
+            high = max(float(finite.max(initial=log_from)), log_from * 10)
             return cls(log_from, high, log=True, lowest=lowest)
-        low, high = (float(known.min()), float(known.max())) if len(known) else (0.0, 1.0)
+        low, high = (float(finite.min()), float(finite.max())) if len(finite) else (0.0, 1.0)
         low = min(low, 0.0) if zero else low
         if high - low <= 0:
             low, high = (low - 0.5, high + 0.5) if not zero else (low, low + 1.0)
@@ -74,8 +74,8 @@ class Scale:
         return np.asarray((clipped - self.low) / (self.high - self.low))
 
     def edges(self, bins: int) -> FloatArray:
-        """(bins + 1,) edges of bins that look equally wide. For counts there may be fewer bins, each with the same
-        number of counts.
+        """(bins + 1,) edges of bins that look equally wide. Counts may have fewer bins, each with the same number of
+        counts.
 
         A scale of counts begins half a unit below a count, so that each count lies within a bin. The last bin may end
         beyond the scale.
@@ -118,7 +118,7 @@ def _label(value: float, step: float) -> str:
 
 @dataclass
 class Frame:
-    """A chart that is being drawn: two axes and marks between them.
+    """A chart under construction: two axes and marks between them.
 
     Attributes:
         title: title of the chart, and its name for screen readers.
@@ -150,17 +150,17 @@ class Frame:
         self.marks += marks
 
     def line(self, x: ArrayLike, y: ArrayLike, class_: str) -> None:
-        """A line through points; it is broken where a value is missing."""
+        """A line through points; a missing value breaks the line."""
         self.add(element("path", d=path(*self.at(x, y)), class_=class_))
 
     def band(self, x: ArrayLike, low: ArrayLike, high: ArrayLike, class_: str) -> None:
         """The area between two lines; points with a missing value are left out."""
         xs, lows, highs = (np.asarray(values, dtype=np.float64) for values in (x, low, high))
-        known = np.isfinite(lows) & np.isfinite(highs)
-        if not known.any():
+        has_ends = np.isfinite(lows) & np.isfinite(highs)
+        if not has_ends.any():
             return
-        px, below = self.at(xs[known], lows[known])
-        _, above = self.at(xs[known], highs[known])
+        px, below = self.at(xs[has_ends], lows[has_ends])
+        _, above = self.at(xs[has_ends], highs[has_ends])
         outline = path(np.concatenate([px, px[::-1]]), np.concatenate([below, above[::-1]])) + "Z"
         self.add(element("path", d=outline, class_=class_))
 

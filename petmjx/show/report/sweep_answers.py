@@ -76,10 +76,10 @@ def _grid(run: ReportRun, summary: pd.DataFrame) -> Markup:
     numeric = [
         axis for axis in run.axes if pd.api.types.is_numeric_dtype(worlds[axis]) and _has_numeric_values(summary, axis)
     ]
-    named = [axis for axis in run.axes if axis not in numeric]
+    text_axes = [axis for axis in run.axes if axis not in numeric]
     over_plans = share_standing(worlds.assign(draw=pd.factorize(worlds["plan_id"])[0]), run.axes)
     charts = [_curve(axis, summary, over_plans, run) for axis in numeric]
-    charts += [_named_values(axis, summary, run) for axis in named]
+    charts += [_named_values(axis, summary, run) for axis in text_axes]
     matters = importance(worlds, run.axes, summary)
     if len(matters) > 1:
         charts.append(_importance_chart(matters))
@@ -95,7 +95,7 @@ def _has_numeric_values(summary: pd.DataFrame, axis: str) -> bool:
 
 
 def _curve(axis: str, summary: pd.DataFrame, over_plans: pd.DataFrame, run: ReportRun) -> Markup:
-    """Shares along a numeric axis, with the run's interval over random draws if it has one, else with an interval over
+    """Shares along a numeric axis, with the run's interval over random draws if any, else with an interval over
     plans."""
     draws, plans = (_rows(frame, axis) for frame in (summary, over_plans))
     drawn = bool(draws["low"].notna().all())
@@ -142,7 +142,8 @@ def _with_unit(axis: str, unit: str) -> str:
 
 
 def importance(worlds: pd.DataFrame, axes: Sequence[str], summary: pd.DataFrame) -> pd.DataFrame:
-    """How much each axis, and the choice of the plan, affects whether a world stands. The most important comes first.
+    """How much each axis, and the choice of the plan, affects whether a world stands. The most important axis stands
+    first.
 
     Returns:
         ``axis``, ``spread`` (largest minus smallest share of its values) and ``correlation_ratio``: the correlation
@@ -315,11 +316,11 @@ def _levels_table(levels: pd.DataFrame, name: str, unit: str) -> Markup:
 
 
 def _chain(summary: pd.DataFrame) -> Markup:
-    """How likely plans arrive: all of them, leg by leg; each of them; and what remedies gain."""
+    """The chance of plans to arrive: all together, leg by leg, each plan; and the gain by remedies."""
     overall, of_plans = summary[summary["scope"] == ALL_PLANS], arrivals(summary)
     legs = overall[overall["remedy"] == AS_IS]
-    named = [(str(row["leg"]) or "whole way", row) for row in legs.to_dict("records")]
-    charts = [figure("By leg", intervals("By leg", [_share_row(name, row) for name, row in named]), BY_LEG)]
+    leg_rows = [(str(row["leg"]) or "whole way", row) for row in legs.to_dict("records")]
+    charts = [figure("By leg", intervals("By leg", [_share_row(name, row) for name, row in leg_rows]), BY_LEG)]
     if len(of_plans) > 1:
         frame = Frame("Share of worlds that arrive", Scale(0, 1), Scale(0, 1), "share that arrives", "plans")
         frame.x_ticks = [(value, f"{100 * value:.0f} %") for value in (0, 0.25, 0.5, 0.75, 1)]
@@ -371,24 +372,26 @@ def _plans_by_leg(summary: pd.DataFrame) -> Markup:
 
 
 def _confidence(run: ReportRun, summary: pd.DataFrame) -> Markup:
-    known = summary[summary["share"].notna()]
+    judged_plans = summary[summary["share"].notna()]
     frame = Frame("Share of worlds with errors that stand", Scale(0, 1), Scale(0, 1), "share that stands", "plans")
     frame.x_ticks = [(value, f"{100 * value:.0f} %") for value in (0, 0.25, 0.5, 0.75, 1)]
-    histogram(frame, known["share"].astype("float64"), known["verdict"], [verdict.value for verdict in Verdict])
+    histogram(
+        frame, judged_plans["share"].astype("float64"), judged_plans["verdict"], [verdict.value for verdict in Verdict]
+    )
     tosses = summary.loc[summary["coin_toss"].astype(bool), "plan_id"].tolist()
     links = [
         element("li", element("a", str(plan_id), href=f"#{plan_link(run, str(plan_id))}"))
         for plan_id in tosses[:MOST_NAMED]
     ]
-    more = element("li", f"{len(tosses) - MOST_NAMED:,} more") if len(tosses) > MOST_NAMED else NOTHING
+    more_item = element("li", f"{len(tosses) - MOST_NAMED:,} more") if len(tosses) > MOST_NAMED else NOTHING
     line = (
         f"{count_text(len(tosses), 'plan is a coin toss', 'plans are coin tosses')}: one half is in the 95 % interval."
     )
     missed, fell = (int(summary[name].sum()) if name in summary else 0 for name in ("n_not_placed", "n_fell"))
-    why = f"Of the worlds that do not stand, in {missed:,} a box could not be placed, in {fell:,} boxes fell."
+    failure_text = f"Of the worlds that do not stand, in {missed:,} a box could not be placed, in {fell:,} boxes fell."
     return joined_markup(
         element("p", line),
-        element("p", why) if missed else NOTHING,
-        element("ul", *links, more, class_="names") if tosses else NOTHING,
+        element("p", failure_text) if missed else NOTHING,
+        element("ul", *links, more_item, class_="names") if tosses else NOTHING,
         element("div", figure(frame.title, frame.svg(), "Coloured by the verdict without errors."), class_="charts"),
     )

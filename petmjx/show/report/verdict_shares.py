@@ -57,8 +57,8 @@ def verdict_table(run: ReportRun) -> Markup:
 
 def _row(run: ReportRun, name: str, count: int, filters: dict[str, str], drawn: bool, class_: str) -> list[Content]:
     n = len(run.worlds)
-    named = element("a", name, href=f"#{link(run, **filters)}", class_=class_)
-    cells: list[Content] = [named, f"{count:,}", percent(count / n) if n else "–"]
+    name_link = element("a", name, href=f"#{link(run, **filters)}", class_=class_)
+    cells: list[Content] = [name_link, f"{count:,}", percent(count / n) if n else "–"]
     if drawn:
         low, high = (float(bound) for bound in wilson_interval(count, n))
         cells.append(interval_text(low, high) if n else "–")

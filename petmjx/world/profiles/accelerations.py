@@ -1,6 +1,6 @@
 """Acceleration profiles of the carrier, simulated as gravity − a with the carrier clamped.
 
-They are ramps, tilts, shocks, and random vibration with a power spectral density (PSD) from the user, in g²/Hz over Hz.
+Kinds: ramps, tilts, shocks, and random vibration with a power spectral density (PSD) from the user, in g²/Hz over Hz.
 Direction 0 means that the carrier accelerates along +x, so that the load is thrown towards −x.
 """
 
@@ -76,8 +76,8 @@ class Trapezoid:
 def eumos_40509() -> Trapezoid:
     """One acceleration test of EUMOS 40509:2020 at 1 g; the factor of a drive is then the level in g (0.5 is usual).
 
-    The standard asks for a level that is reached within 50 ms and held for at least 0.3 s, and for an end that is not
-    abrupt. Here both ramps take 50 ms, and the level is held for 0.3 s.
+    The standard asks for a level that is reached within 50 ms and held for at least 0.3 s, and for a gradual end. Here
+    both ramps take 50 ms, and the level is held for 0.3 s.
     """
     return Trapezoid("eumos-40509", EUMOS_SOURCE, 1.0, EUMOS_RAMP_S, EUMOS_HOLD_S)
 
@@ -110,9 +110,9 @@ class Tilt:
     ``max_deg``, stays there for ``hold_s`` and returns within ``return_s``, slowly enough that a pallet that survived
     does not fall on the way back. Centrifugal and Euler forces are left out: at 5°/s they are below 0.1 % of gravity.
 
-    Source: definition. It can be checked in closed form: a rigid box begins to slide at atan μ and to topple at
+    Source: definition. The test can be checked in closed form: a rigid box begins to slide at atan μ and to topple at
     atan(width / height). A first sign comes later, since a box takes its time to slide as far as the threshold, or to
-    tip: docs/profiles.md says by how much.
+    tip: docs/profiles.md has the delays.
     """
 
     name: str = "tilt"
@@ -212,7 +212,7 @@ PsdTable = tuple[tuple[float, float], ...]
 
 
 def psd_integral(table: PsdTable, up_to_hz: FloatArray) -> FloatArray:
-    """(n,) integral of the PSD from its first frequency up to each given one, g².
+    """(n,) integral of the PSD from its first frequency up to each of these frequencies, g².
 
     Between rows the PSD is a straight line in log–log, as test standards draw it: G = G₁ (f/f₁)^m, with the
     closed-form integral of that power law in each segment. Outside the table the PSD is 0.
@@ -243,7 +243,7 @@ class RandomVibration:
     Attributes:
         psd: rows of (Hz, g²/Hz).
         duration_s: length, s; also the period of the signal.
-        axes: which of "x", "y", "z" vibrate, each with other phases.
+        axes: the axes among "x", "y", "z" that vibrate, each with phases of its own.
     """
 
     name: str

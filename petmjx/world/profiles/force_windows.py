@@ -27,9 +27,9 @@ PET_PHYSICS = "PET-Physics, the reference implementation"
 class Window:
     """One push: ``vector`` acts from ``start_s`` for ``duration_s``.
 
-    ``offset_s`` is where in a chain the window's profile begins. It is kept apart from ``start_s`` because the
-    reference implementation adds profile start + offset first, and the window's start last. Another order can change
-    the last digit, and so the step to which a time is truncated.
+    ``offset_s`` is where in a chain the window's profile begins. The duration is a field beside ``start_s``, because
+    the reference implementation adds profile start and offset first, and the window's start last. Another order can
+    change the last digit, and so the step to which a time is truncated.
     """
 
     start_s: float
@@ -47,8 +47,8 @@ class Window:
 class WindowProfile:
     """A force profile.
 
-    ``replaces``: False: windows that overlap add up. True: as in the reference implementation, a window that begins
-    ends the one before it, and the first end of any window ends the force that acts. Of windows that begin on the same
+    ``replaces``: False: windows that overlap add up. True: as in the reference implementation, the begin of a window
+    ends the window before, and the first end of any window sets the force to zero. Of windows that begin on the same
     step only the last one acts. The chain of the reference's demo needs this.
     """
 
@@ -91,8 +91,8 @@ class WindowProfile:
 def _one_at_a_time(spans: Sequence[tuple[int, int, Vector]]) -> list[tuple[int, int, Vector]]:
     """How the reference implementation treats overlapping windows: as spans that do not overlap.
 
-    It acts once at every beginning and every end, in order of time. Each time it first removes the force that acts, and
-    then sets the force of the next window, if that has begun.
+    The force changes once at every begin and every end, in order of time. At each change the old force is removed
+    first, and then the force of the next window is set, if that window has begun.
     """
     waiting = deque(sorted(spans, key=lambda span: span[0]))
     looks = sorted(step for begin, end, _ in spans for step in (begin, end))
@@ -109,7 +109,7 @@ def chain(
     """Several force profiles one after the other (or over each other).
 
     Args:
-        links: (profile, offset in s, scale) of each.
+        links: (profile, offset in s, scale) of each profile.
         replaces: as of `WindowProfile`.
     """
     windows = [
@@ -184,8 +184,8 @@ RADIAL_CHAIN = chain(
     f"{PET_PHYSICS}, dynamic stability demo",
     replaces=True,
 )
-"""Seven radial profiles of growing strength: the dynamic check of PET-Physics' demo. There it begins 2 s
-(``settle_s``) after the nominal end of placement, n × interval, and its first push comes 2 s later. From the third
+"""Seven radial profiles of growing strength: the dynamic check of PET-Physics' demo. In the reference the chain begins
+2 s (``settle_s``) after the nominal end of placement, n × interval, and its first push comes 2 s later. From the third
 profile on, the last two pushes of each profile act at the same time as two of the next (first at 10.1 and 10.4 s). The
 reference implementation then applies only one push, and so does this profile."""
 

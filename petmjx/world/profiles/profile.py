@@ -20,7 +20,7 @@ class Strength(StrEnum):
     """The axis of a sweep that makes a profile weaker or stronger."""
 
     SCALE = "scale"
-    """A factor on the profile as it is. Forces: in units of total mass × 9.81 m/s²."""
+    """A factor on the unscaled profile. Forces: in units of total mass × 9.81 m/s²."""
     LEVEL = "level"
     """The profile has a peak of 1 g; the factor is the level in g."""
     ANGLE = "angle"
@@ -33,9 +33,9 @@ class Profile(Protocol):
     Attributes:
         name: as in sweep files and results.
         kind: "force" or "acceleration".
-        strength: the axis by which it is made weaker or stronger.
-        source: where its numbers come from.
-        random: whether each replicate has other samples.
+        strength: the axis that scales the profile.
+        source: origin of its numbers.
+        random: whether replicates have different samples.
     """
 
     @property
@@ -67,19 +67,19 @@ class Profile(Protocol):
 
 def allowed_sway_m(profile: Profile) -> float:
     """``Drive.allowed_sway_m`` of a profile, m. While the carrier is tilted no box is lost: a box that slides to the
-    edge tips there, which is not how it failed."""
+    edge tips there, although this was not the first failure."""
     return math.inf if profile.strength is Strength.ANGLE else 0.0
 
 
 def step_averages(antiderivative_at_edges: FloatArray, timestep_s: float) -> FloatArray:
     """(n,) mean over each step of a function whose antiderivative is given at the n + 1 step edges.
 
-    A step applies one constant value. With the mean as this value, the integral (the change of velocity) is exact for
-    any timestep.
+    A step applies one constant value. With the mean as the step's value, the integral (the change of velocity) is exact
+    for any timestep.
     """
     return np.diff(antiderivative_at_edges) / timestep_s
 
 
 def steps_to_cover(duration_s: float, timestep_s: float) -> int:
-    """Steps that cover a duration, at least one. A rounding error of a billionth of a step adds none."""
+    """Steps that cover a duration, at least one step. A rounding error of a billionth of a step adds none."""
     return max(int(np.ceil(duration_s / timestep_s - 1e-9)), 1)

@@ -29,12 +29,12 @@ MAX_RMS_G = 1000.0
 MIN_HZ, MAX_HZ = 0.0001, 1e6
 MAX_DENSITY = 1e6
 MAX_PSD_ROWS = 1000
-"""Test standards have up to 30; each costs time at every step of the vibration."""
+"""Test standards have up to 30 breakpoints; each costs time at every step of the vibration."""
 MAX_CSV_BYTES = 1 << 20
 MAX_PARQUET_BYTES = 64 << 20
 
 MAX_PUSH_S = 100 * MAX_PROFILE_S
-"""All windows of a profile together, s: each is added to the samples on its own."""
+"""All windows of a profile together, s: each window is added to the samples separately."""
 
 Seconds = Annotated[StrictFloat, Field(ge=0), within(0, MAX_PROFILE_S)]
 LongerThanNothing = Annotated[StrictFloat, Field(gt=0), within(0, MAX_PROFILE_S)]
@@ -142,7 +142,7 @@ def _is_psd(rows: PsdTable) -> PsdTable:
     lowest = min(density for _, density in rows)
     if lowest < MIN_DENSITY:
         raise ValueError(f"must have densities of at least {MIN_DENSITY:g} g²/Hz, got {lowest:g}")
-    with np.errstate(all="ignore"):  # what overflows is refused
+    with np.errstate(all="ignore"):  # an overflow is refused
         rms_g = psd_rms_g(rows)
     if not rms_g <= MAX_RMS_G:
         raise ValueError(f"must have an RMS of at most {MAX_RMS_G:g} g, got {rms_g:g} g")

@@ -24,13 +24,13 @@ def resolve(name: str, defined: Mapping[str, Profile] | None = None) -> tuple[Pr
         defined: profiles that a sweep file defines, in addition to the built-in ones.
 
     Raises:
-        InputError: unknown name; the line suggests a similar one, or lists the known ones.
+        InputError: unknown name; the line suggests a similar one, or lists the known names.
     """
-    known = {**BUILT_IN, **(defined or {})}
-    if name in known:
-        return (known[name],)
+    profiles = {**BUILT_IN, **(defined or {})}
+    if name in profiles:
+        return (profiles[name],)
     if name in FAMILIES:
-        return tuple(known[member] for member in FAMILIES[name])
+        return tuple(profiles[member] for member in FAMILIES[name])
     if name == "random":
         raise InputError("'random' needs a PSD table: define [profiles.NAME] with kind = \"random\" and psd")
-    raise InputError(f"unknown profile {name!r}; {hint(name, sorted([*known, *FAMILIES]))}")
+    raise InputError(f"unknown profile {name!r}; {hint(name, sorted([*profiles, *FAMILIES]))}")

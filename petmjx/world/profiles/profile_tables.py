@@ -1,4 +1,4 @@
-"""The ``[profiles.NAME]`` tables of sweep files: the fields of each kind, and the profile that it makes."""
+"""The ``[profiles.NAME]`` tables of sweep files: the fields of each kind, and the profile made of them."""
 
 from __future__ import annotations
 
@@ -47,8 +47,8 @@ class _Table(CheckedRecord):
         """The profile.
 
         Args:
-            folder: of the sweep file; file names are relative to it.
-            known: profiles defined above this one, which a chain may use.
+            folder: folder of the sweep file; file names are relative to it.
+            known: profiles defined earlier in the file, which a chain may use.
 
         Raises:
             ValidationError: about a field; its path begins with ``name``.
@@ -76,7 +76,7 @@ class WindowsTable(_Table):
 
 
 class Link(CheckedRecord):
-    """One profile of a chain."""
+    """One profile as a link of a chain."""
 
     profile: Name = Field(description="name of a force profile")
     offset_s: Seconds = Field(0.0, description="when it begins, s after the chain's beginning")

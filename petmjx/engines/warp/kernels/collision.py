@@ -13,7 +13,7 @@ from petmjx.engines.warp.kernels.block_threads import any_of_all, prefix_sums, w
 from petmjx.engines.warp.kernels.compliance import compliance_of_pair, spring_of_bed, spring_of_pair
 from petmjx.engines.warp.kernels.motion import ROOM, body_of, first_geom, geom_half, skin_of
 from petmjx.engines.warp.kernels.mujoco_warp import box_box, mat83f, plane_box, vec8f
-from petmjx.engines.warp.world_arrays import Model, Thread, Workspace, Worlds
+from petmjx.engines.warp.world_arrays import Model, Ref, Thread, Workspace, Worlds
 
 NEAR = wp.constant(1e-5)
 """Margin of the bounding boxes of geoms, m, so that rounding loses no contact."""
@@ -24,14 +24,14 @@ left its room, so it need not be made in each step."""
 
 
 @wp.func
-def _first_partner(worlds: Worlds, at: Thread, geom: int) -> int:
+def _first_partner(worlds: Ref[Worlds], at: Thread, geom: int) -> int:
     """The first geom after this one that may touch it. It belongs to another body, and the two are not both fixed."""
     body = wp.max(body_of(worlds, at.world, geom), wp.where(at.held != 0, 0, -1))
     return first_geom(worlds, at.world, body + 1)
 
 
 @wp.func
-def _near(work: Workspace, at: Thread, one: int, two: int, apart: float) -> bool:
+def _near(work: Ref[Workspace], at: Thread, one: int, two: int, apart: float) -> bool:
     """Whether the bounding boxes of two geoms are at most ``apart`` from one another along each axis, m."""
     reach = work.geom_reach[at.block, two]
     place = work.geom_xpos[at.block, two]
@@ -44,13 +44,13 @@ def _near(work: Workspace, at: Thread, one: int, two: int, apart: float) -> bool
 @wp.func
 def list_pairs(
     # Model:
-    model: Model,
-    worlds: Worlds,
+    model: Ref[Model],
+    worlds: Ref[Worlds],
     # In:
     at: Thread,
     apart: float,
     # Data out:
-    work: Workspace,
+    work: Ref[Workspace],
 ) -> int:
     """List pairs of geoms that are at most ``apart`` from one another, m. Returns their number, which may be more than
     fit.
@@ -102,14 +102,14 @@ def list_pairs(
 @wp.func
 def collide(
     # Model:
-    model: Model,
-    worlds: Worlds,
+    model: Ref[Model],
+    worlds: Ref[Worlds],
     # In:
     at: Thread,
     npair: int,
     anew: bool,
     # Data out:
-    work: Workspace,
+    work: Ref[Workspace],
 ) -> bool:
     """Find the contacts of the listed pairs. Returns whether the numbering of contacts has changed since the last step.
 

@@ -6,7 +6,7 @@ from __future__ import annotations
 import warp as wp
 
 from petmjx.engines.warp.kernels.motion import body_of, geom_half
-from petmjx.engines.warp.world_arrays import Model, Worlds
+from petmjx.engines.warp.world_arrays import Model, Ref, Worlds
 from petmjx.world.compliance import LEAST_IMPEDANCE, LEAST_SHARE
 from petmjx.world.contact_laws import CONTACTS_PER_FACE
 from petmjx.world.supports import TOUCH_M
@@ -18,7 +18,7 @@ CONTACTS = wp.constant(float(CONTACTS_PER_FACE))
 
 
 @wp.func
-def _planned_middle(worlds: Worlds, world: int, geom: int) -> wp.vec3:
+def _planned_middle(worlds: Ref[Worlds], world: int, geom: int) -> wp.vec3:
     """Planned centre of a geom other than the floor, m."""
     body = body_of(worlds, world, geom)
     place = wp.vec3(0.0, 0.0, 0.0)
@@ -32,7 +32,7 @@ def _planned_middle(worlds: Worlds, world: int, geom: int) -> wp.vec3:
 
 
 @wp.func
-def _shared_area(worlds: Worlds, world: int, first: int, second: int) -> float:
+def _shared_area(worlds: Ref[Worlds], world: int, first: int, second: int) -> float:
     """Planned area in which two geoms press on one another, m²."""
     one = geom_half(worlds, world, first)
     two = geom_half(worlds, world, second)
@@ -47,7 +47,7 @@ def _shared_area(worlds: Worlds, world: int, first: int, second: int) -> float:
 
 
 @wp.func
-def compliance_of_pair(worlds: Worlds, world: int, first: int, second: int) -> float:
+def compliance_of_pair(worlds: Ref[Worlds], world: int, first: int, second: int) -> float:
     """Area divided by stiffness, for the beds of two geoms in series, m³/N; 0: both are rigid."""
     give = worlds.shape_give[world, second - 1]
     if first != 0:
@@ -62,7 +62,7 @@ def spring_of_bed(area: float, give: float) -> float:
 
 
 @wp.func
-def spring_of_pair(worlds: Worlds, world: int, first: int, second: int) -> float:
+def spring_of_pair(worlds: Ref[Worlds], world: int, first: int, second: int) -> float:
     """Stiffness of a contact of two geoms without meeting faces, N/m; 0: both are rigid."""
     give = compliance_of_pair(worlds, world, first, second)
     half = geom_half(worlds, world, second)
@@ -75,7 +75,7 @@ def spring_of_pair(worlds: Worlds, world: int, first: int, second: int) -> float
 
 
 @wp.func
-def spring_law(model: Model, spring: float, inverse_mass: float) -> wp.vec3:
+def spring_law(model: Ref[Model], spring: float, inverse_mass: float) -> wp.vec3:
     """Stiffness, damping and impedance of a contact that is a spring at rest."""
     time = model.solref[0]
     ratio = model.solref[1]

@@ -13,7 +13,7 @@ from petmjx.engines.warp.kernels.compliance import spring_law
 from petmjx.engines.warp.kernels.contact_rows import put_number
 from petmjx.engines.warp.kernels.elimination_order import free_position
 from petmjx.engines.warp.kernels.motion import angular_velocity, body_of, center, first_geom, linear_velocity
-from petmjx.engines.warp.world_arrays import Model, State, Thread, Workspace, Worlds
+from petmjx.engines.warp.world_arrays import Model, Ref, State, Thread, Workspace, Worlds
 from petmjx.world.contact_laws import STICKS_M_S
 
 # MuJoCo's bounds (mjMINVAL, mjMINIMP, mjMAXIMP, mjMINMU), and its power and midpoint of impedances (solimp).
@@ -36,7 +36,7 @@ def _frame_of(direction: wp.vec3) -> wp.mat33:
 
 
 @wp.func
-def _reference(model: Model, depth: float) -> wp.vec3:
+def _reference(model: Ref[Model], depth: float) -> wp.vec3:
     """Stiffness, damping and impedance of a contact (MuJoCo's documentation, "Modeling", "Solver parameters")."""
     low = wp.clamp(model.solimp[0], MIN_IMPEDANCE, MAX_IMPEDANCE)
     high = wp.clamp(model.solimp[1], MIN_IMPEDANCE, MAX_IMPEDANCE)
@@ -62,7 +62,7 @@ def _moment_arms(axes: wp.mat33, lever: wp.vec3, turn: wp.mat33) -> wp.mat33:
 
 
 @wp.func
-def _pair_compliance(worlds: Worlds, at: Thread, body: int) -> float:
+def _pair_compliance(worlds: Ref[Worlds], at: Thread, body: int) -> float:
     """MuJoCo's inverse weight of a body, 1/kg; 0 if it does not move."""
     if body - at.held < 0:
         return 0.0
@@ -70,7 +70,7 @@ def _pair_compliance(worlds: Worlds, at: Thread, body: int) -> float:
 
 
 @wp.func
-def _friction(worlds: Worlds, world: int, geom: int) -> float:
+def _friction(worlds: Ref[Worlds], world: int, geom: int) -> float:
     """Sliding friction of a geom."""
     if geom == 0:
         return worlds.floor_friction[world, 0]
@@ -78,7 +78,7 @@ def _friction(worlds: Worlds, world: int, geom: int) -> float:
 
 
 @wp.func
-def surface_of(worlds: Worlds, world: int, geom: int) -> int:
+def surface_of(worlds: Ref[Worlds], world: int, geom: int) -> int:
     """Surface of a geom. The floor has surface 0, which is in no pair of surfaces."""
     if geom == 0:
         return 0
@@ -86,7 +86,7 @@ def surface_of(worlds: Worlds, world: int, geom: int) -> int:
 
 
 @wp.func
-def _friction_of_pair(worlds: Worlds, world: int, first: int, second: int) -> float:
+def _friction_of_pair(worlds: Ref[Worlds], world: int, first: int, second: int) -> float:
     """Sliding friction between two geoms: that of their pair of surfaces, else the larger one of the two."""
     pair_friction = worlds.pair_friction[world, surface_of(worlds, world, first), surface_of(worlds, world, second)]
     if pair_friction >= 0.0:
@@ -95,7 +95,7 @@ def _friction_of_pair(worlds: Worlds, world: int, first: int, second: int) -> fl
 
 
 @wp.func
-def _kinetic_share(model: Model, worlds: Worlds, world: int, first: int, second: int) -> float:
+def _kinetic_share(model: Ref[Model], worlds: Ref[Worlds], world: int, first: int, second: int) -> float:
     """Friction between two geoms while they slide, as a share of that at rest."""
     of_pair = worlds.pair_kinetic[world, surface_of(worlds, world, first), surface_of(worlds, world, second)]
     return wp.where(of_pair >= 0.0, of_pair, model.kinetic_share)
@@ -111,15 +111,15 @@ def friction_share(kinetic: float, slip: float) -> float:
 @wp.func
 def make_constraint(
     # Model:
-    model: Model,
-    worlds: Worlds,
+    model: Ref[Model],
+    worlds: Ref[Worlds],
     # Data in:
-    state: State,
+    state: Ref[State],
     # In:
     at: Thread,
     ncon: int,
     # Data out:
-    work: Workspace,
+    work: Ref[Workspace],
 ) -> None:
     """Write the constraints of all contacts into ``efc`` (``world_arrays.EFC_WORDS``).
 
@@ -186,13 +186,13 @@ def make_constraint(
 @wp.func
 def link_contacts(
     # Model:
-    worlds: Worlds,
+    worlds: Ref[Worlds],
     # Data in:
-    state: State,
+    state: Ref[State],
     # In:
     at: Thread,
     # Data out:
-    work: Workspace,
+    work: Ref[Workspace],
 ) -> None:
     """List the contacts of each free body, as links: 2 × contact + side.
 

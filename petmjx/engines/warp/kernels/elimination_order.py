@@ -13,7 +13,7 @@ import warp as wp
 
 from petmjx.engines.warp.kernels.block_threads import any_of_all, wait_for_all
 from petmjx.engines.warp.kernels.motion import body_of
-from petmjx.engines.warp.world_arrays import State, Thread, Workspace, Worlds
+from petmjx.engines.warp.world_arrays import Ref, State, Thread, Workspace, Worlds
 
 RENEWED_EVERY = wp.constant(25)
 """Steps between two renewals. Contacts change when a box is placed, about every 60 steps, and while boxes fall."""
@@ -22,7 +22,7 @@ UNREACHED = wp.constant(1 << 30)
 
 
 @wp.func
-def body_position(state: State, world: int, body: int) -> int:
+def body_position(state: Ref[State], world: int, body: int) -> int:
     """Position of a body among all placed bodies. Body 0 is the carrier, then come the boxes."""
     if body == 0:
         return state.carrier_position[world]
@@ -30,7 +30,7 @@ def body_position(state: State, world: int, body: int) -> int:
 
 
 @wp.func
-def free_position(state: State, at: Thread, free_body: int) -> int:
+def free_position(state: Ref[State], at: Thread, free_body: int) -> int:
     """Position of a free body among all free bodies. A held carrier is no free body."""
     position = body_position(state, at.world, free_body + at.held)
     if at.held != 0 and position > state.carrier_position[at.world]:
@@ -41,13 +41,13 @@ def free_position(state: State, at: Thread, free_body: int) -> int:
 @wp.func
 def _find_levels(
     # Model:
-    worlds: Worlds,
+    worlds: Ref[Worlds],
     # In:
     at: Thread,
     npair: int,
     root: int,
     # Data out:
-    work: Workspace,
+    work: Ref[Workspace],
 ) -> None:
     """Find the number of contacts between each body and the root."""
     block = at.block
@@ -75,13 +75,13 @@ def _find_levels(
 @wp.func
 def renew_order(
     # Model:
-    worlds: Worlds,
+    worlds: Ref[Worlds],
     # In:
     at: Thread,
     npair: int,
     # Data out:
-    state: State,
-    work: Workspace,
+    state: Ref[State],
+    work: Ref[Workspace],
 ) -> None:
     """Renew the order of bodies from the contacts of this step. Bodies of one level stay in packing order."""
     block = at.block

@@ -6,7 +6,7 @@ import warp as wp
 
 from petmjx.engines.warp.kernels.block_threads import wait_for_all
 from petmjx.engines.warp.kernels.motion import center, linear_velocity
-from petmjx.engines.warp.world_arrays import Model, State, Thread, Workspace, Worlds
+from petmjx.engines.warp.world_arrays import Model, Ref, State, Thread, Workspace, Worlds
 from petmjx.world.film import SLACK_M
 
 SLACK = wp.constant(SLACK_M)
@@ -23,7 +23,7 @@ def _limited(vector: wp.vec3, most: float) -> wp.vec3:
 
 
 @wp.func
-def _spring(model: Model, worlds: Worlds, state: State, world: int, box: int, begins: bool) -> wp.vec3:
+def _spring(model: Ref[Model], worlds: Ref[Worlds], state: Ref[State], world: int, box: int, begins: bool) -> wp.vec3:
     """Force of the spring that pulls a box back to its anchor on the film, N."""
     place = center(state, world, box + 1) - center(state, world, 0)
     anchor = place
@@ -35,7 +35,9 @@ def _spring(model: Model, worlds: Worlds, state: State, world: int, box: int, be
 
 
 @wp.func
-def _force(model: Model, worlds: Worlds, state: State, world: int, box: int, spring: wp.vec3, begins: bool) -> wp.vec3:
+def _force(
+    model: Ref[Model], worlds: Ref[Worlds], state: Ref[State], world: int, box: int, spring: wp.vec3, begins: bool
+) -> wp.vec3:
     """Force of the film on a box, N."""
     speed = linear_velocity(state, world, box + 1)
     if not worlds.held[world]:
@@ -55,13 +57,13 @@ def _force(model: Model, worlds: Worlds, state: State, world: int, box: int, spr
 @wp.func
 def hold(
     # Model:
-    model: Model,
-    worlds: Worlds,
+    model: Ref[Model],
+    worlds: Ref[Worlds],
     # In:
     at: Thread,
     # Data out:
-    state: State,
-    work: Workspace,
+    state: Ref[State],
+    work: Ref[Workspace],
 ) -> None:
     """Let film act during the coming step of a world with a drive, after ``begin_step``. The opposite force acts on a
     moving carrier."""

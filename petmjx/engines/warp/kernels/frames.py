@@ -6,11 +6,11 @@ import warp as wp
 
 from petmjx.engines.warp.kernels.block_threads import add_to, wait_for_all
 from petmjx.engines.warp.kernels.rules import RUNNING
-from petmjx.engines.warp.world_arrays import FrameBuffer, State, Thread, Workspace
+from petmjx.engines.warp.world_arrays import FrameBuffer, Ref, State, Thread, Workspace
 
 
 @wp.func
-def no_room(frames: FrameBuffer, blocks: int) -> bool:
+def no_room(frames: Ref[FrameBuffer], blocks: int) -> bool:
     """Whether a block must not step a recorded world, since the buffer might overflow if every block wrote a frame. By
     one thread.
 
@@ -22,13 +22,13 @@ def no_room(frames: FrameBuffer, blocks: int) -> bool:
 @wp.func
 def keep_frame(
     # Data in:
-    state: State,
+    state: Ref[State],
     # In:
     at: Thread,
     every: int,
     # Data out:
-    work: Workspace,
-    frames: FrameBuffer,
+    work: Ref[Workspace],
+    frames: Ref[FrameBuffer],
 ) -> None:
     """Write a frame of a recorded world, after a step and its rules, if one is due.
 

@@ -22,7 +22,7 @@ from petmjx.engines.warp.kernels.motion import (
     vec6,
 )
 from petmjx.engines.warp.kernels.samples import speed_of
-from petmjx.engines.warp.world_arrays import Model, State, Thread, Workspace, Worlds
+from petmjx.engines.warp.world_arrays import Model, Ref, State, Thread, Workspace, Worlds
 from petmjx.world import approach_paths
 
 NEVER = wp.constant(int(batch_state.NEVER))
@@ -45,9 +45,9 @@ def reach_of(q: wp.vec4, half: wp.vec3) -> wp.vec3:
 @wp.func
 def _bounding_extents(
     # Model:
-    worlds: Worlds,
+    worlds: Ref[Worlds],
     # Data in:
-    state: State,
+    state: Ref[State],
     # In:
     world: int,
     box: int,
@@ -61,9 +61,9 @@ def _bounding_extents(
 @wp.func
 def _first_obstacle(
     # Model:
-    worlds: Worlds,
+    worlds: Ref[Worlds],
     # Data in:
-    state: State,
+    state: Ref[State],
     # In:
     world: int,
     count: int,
@@ -85,9 +85,9 @@ def _first_obstacle(
 @wp.func
 def free_begin(
     # Model:
-    worlds: Worlds,
+    worlds: Ref[Worlds],
     # Data in:
-    state: State,
+    state: Ref[State],
     # In:
     world: int,
     box: int,
@@ -127,14 +127,14 @@ def free_begin(
 @wp.func
 def take_up(
     # Model:
-    model: Model,
-    worlds: Worlds,
+    model: Ref[Model],
+    worlds: Ref[Worlds],
     # In:
     world: int,
     box: int,
     step: int,
     # Data out:
-    state: State,
+    state: Ref[State],
 ) -> None:
     """Move a box from its release pose to the place where its way begins. If its way takes steps, a hand carries it. By
     one thread."""
@@ -166,14 +166,14 @@ def take_up(
 @wp.func
 def lets_go(
     # Model:
-    model: Model,
-    worlds: Worlds,
+    model: Ref[Model],
+    worlds: Ref[Worlds],
     # In:
     world: int,
     box: int,
     step: int,
     # Data out:
-    state: State,
+    state: Ref[State],
 ) -> bool:
     """Whether the hand lets go after a step in which it has carried the box. It does when the box has arrived and
     rests. Unless the box is meant to fall, it is set down first. By one thread."""
@@ -195,7 +195,7 @@ def lets_go(
 @wp.func
 def has_missed(
     # Data in:
-    state: State,
+    state: Ref[State],
     # In:
     world: int,
     box: int,
@@ -238,10 +238,10 @@ def _rotation_vector(q: wp.vec4, target_quat: wp.vec4) -> wp.vec3:
 @wp.func
 def _hand_qacc(
     # Model:
-    model: Model,
-    worlds: Worlds,
+    model: Ref[Model],
+    worlds: Ref[Worlds],
     # Data in:
-    state: State,
+    state: Ref[State],
     # In:
     world: int,
     box: int,
@@ -293,14 +293,14 @@ def _hand_qacc(
 @wp.func
 def carry(
     # Model:
-    model: Model,
-    worlds: Worlds,
+    model: Ref[Model],
+    worlds: Ref[Worlds],
     # Data in:
-    state: State,
+    state: Ref[State],
     # In:
     at: Thread,
     # Data out:
-    work: Workspace,
+    work: Ref[Workspace],
 ) -> None:
     """Let the hand act during the coming step, after ``begin_step``. While a box is carried, the carrier is free."""
     if at.carried != 0 and at.thread == 0:

@@ -9,11 +9,11 @@ import warp as wp
 
 from petmjx.engines.warp.kernels.motion import box_half
 from petmjx.engines.warp.kernels.samples import speed_of
-from petmjx.engines.warp.world_arrays import Model, State, Thread, Worlds
+from petmjx.engines.warp.world_arrays import Model, Ref, State, Thread, Worlds
 
 
 @wp.func
-def distance_since(worlds: Worlds, state: State, home: wp.array3d[float], world: int, box: int) -> float:
+def distance_since(worlds: Ref[Worlds], state: Ref[State], home: wp.array3d[float], world: int, box: int) -> float:
     """Upper bound of how far a point of a box has moved since ``home``, m."""
     shifted = float(0.0)
     turned = float(0.0)
@@ -29,13 +29,13 @@ def distance_since(worlds: Worlds, state: State, home: wp.array3d[float], world:
 @wp.func
 def find_jitter(
     # Model:
-    model: Model,
-    worlds: Worlds,
+    model: Ref[Model],
+    worlds: Ref[Worlds],
     # In:
     at: Thread,
     look: int,
     # Data out:
-    state: State,
+    state: Ref[State],
 ) -> None:
     """Update, at a look, which boxes tremble. The first period after a placement is not measured.
 
@@ -65,7 +65,7 @@ def find_jitter(
 
 
 @wp.func
-def has_jitter(model: Model, state: State, looks: int, world: int, box: int) -> bool:
+def has_jitter(model: Ref[Model], state: Ref[State], looks: int, world: int, box: int) -> bool:
     """Whether a box trembles. This is not known right after another box has been placed.
 
     Args:
@@ -75,7 +75,9 @@ def has_jitter(model: Model, state: State, looks: int, world: int, box: int) -> 
 
 
 @wp.func
-def speed_without_jitter(model: Model, worlds: Worlds, state: State, looks: int, world: int, box: int) -> float:
+def speed_without_jitter(
+    model: Ref[Model], worlds: Ref[Worlds], state: Ref[State], looks: int, world: int, box: int
+) -> float:
     """Speed of a box's fastest point, m/s; 0 if it trembles."""
     if has_jitter(model, state, looks, world, box):
         return float(0.0)

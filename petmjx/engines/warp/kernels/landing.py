@@ -13,7 +13,7 @@ from petmjx.engines.warp.kernels.constraint import MAX_IMPEDANCE, MIN_IMPEDANCE,
 from petmjx.engines.warp.kernels.contact_rows import number_of, put_number
 from petmjx.engines.warp.kernels.motion import angular_velocity, linear_velocity
 from petmjx.engines.warp.kernels.samples import speed_of
-from petmjx.engines.warp.world_arrays import Model, State, Thread, Workspace, Worlds
+from petmjx.engines.warp.world_arrays import Model, Ref, State, Thread, Workspace, Worlds
 from petmjx.world import contact_laws
 
 FAST = wp.constant(contact_laws.FAST_M_S)
@@ -23,7 +23,7 @@ BEGINS = wp.constant(-1)
 
 
 @wp.func
-def _speed(state: State, work: Workspace, at: Thread, contact: int, side: int, before: bool) -> float:
+def _speed(state: Ref[State], work: Ref[Workspace], at: Thread, contact: int, side: int, before: bool) -> float:
     """Speed of a contact's body along the normal, m/s. ``before``: that before its landing, if it lands."""
     free_body = work.contact_bodies[at.block, contact, side]
     if free_body < 0:
@@ -44,13 +44,13 @@ def _speed(state: State, work: Workspace, at: Thread, contact: int, side: int, b
 
 
 @wp.func
-def _closing_speed(state: State, work: Workspace, at: Thread, contact: int, before: bool) -> float:
+def _closing_speed(state: Ref[State], work: Ref[Workspace], at: Thread, contact: int, before: bool) -> float:
     """How fast a contact closes, m/s."""
     return _speed(state, work, at, contact, 0, before) - _speed(state, work, at, contact, 1, before)
 
 
 @wp.func
-def _box_of(work: Workspace, at: Thread, contact: int, side: int) -> int:
+def _box_of(work: Ref[Workspace], at: Thread, contact: int, side: int) -> int:
     """The box on this side of a contact; negative: the body is the carrier, or does not move."""
     free_body = work.contact_bodies[at.block, contact, side]
     return wp.where(free_body < 0, -1, free_body + at.held - 1)
@@ -63,8 +63,8 @@ def _begin(
     ncon: int,
     lasts: int,
     # Data out:
-    state: State,
-    work: Workspace,
+    state: Ref[State],
+    work: Ref[Workspace],
 ) -> bool:
     """Find boxes that begin to land. Returns whether any box lands."""
     world = at.world
@@ -92,14 +92,14 @@ def _begin(
 @wp.func
 def land(
     # Model:
-    model: Model,
-    worlds: Worlds,
+    model: Ref[Model],
+    worlds: Ref[Worlds],
     # In:
     at: Thread,
     ncon: int,
     # Data out:
-    state: State,
-    work: Workspace,
+    state: Ref[State],
+    work: Ref[Workspace],
 ) -> None:
     """Change the contacts of landing boxes, after ``make_constraint``."""
     block = at.block

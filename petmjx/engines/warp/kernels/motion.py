@@ -14,7 +14,7 @@ from petmjx.engines.mjx import top_forces as force_metrics
 from petmjx.engines.mjx.rules import UNBELIEVABLE
 from petmjx.engines.warp.kernels.block_threads import cross, fused, times
 from petmjx.engines.warp.kernels.contact_rows import number_of
-from petmjx.engines.warp.world_arrays import Model, State, Thread, Workspace, Worlds
+from petmjx.engines.warp.world_arrays import Model, Ref, State, Thread, Workspace, Worlds
 
 VERTICAL_COSINE = wp.constant(force_metrics.VERTICAL_COSINE)
 MOST = wp.constant(UNBELIEVABLE)
@@ -27,7 +27,7 @@ vec6 = wp.types.vector(length=6, dtype=float)
 
 
 @wp.func
-def body_of(worlds: Worlds, world: int, geom: int) -> int:
+def body_of(worlds: Ref[Worlds], world: int, geom: int) -> int:
     """The body of a geom; -1 for the floor."""
     if geom == 0:
         return -1
@@ -35,33 +35,33 @@ def body_of(worlds: Worlds, world: int, geom: int) -> int:
 
 
 @wp.func
-def first_geom(worlds: Worlds, world: int, body: int) -> int:
+def first_geom(worlds: Ref[Worlds], world: int, body: int) -> int:
     """The first geom of a body, which is also the end of the geoms of the body before it."""
     return worlds.first_shape[world, body] + 1
 
 
 @wp.func
-def box_half(worlds: Worlds, world: int, box: int) -> wp.vec3:
+def box_half(worlds: Ref[Worlds], world: int, box: int) -> wp.vec3:
     """Half extents of a box, m."""
     return wp.vec3(worlds.half[world, box, 0], worlds.half[world, box, 1], worlds.half[world, box, 2])
 
 
 @wp.func
-def geom_half(worlds: Worlds, world: int, geom: int) -> wp.vec3:
+def geom_half(worlds: Ref[Worlds], world: int, geom: int) -> wp.vec3:
     """Half extents of a geom other than the floor, m."""
     half = worlds.shape_half[world, geom - 1]
     return wp.vec3(half[0], half[1], half[2])
 
 
 @wp.func
-def middle_of(worlds: Worlds, world: int, box: int, place: wp.vec3, q: wp.vec4) -> wp.vec3:
+def middle_of(worlds: Ref[Worlds], world: int, box: int, place: wp.vec3, q: wp.vec4) -> wp.vec3:
     """The centre of a box whose frame has this pose, m."""
     middle = wp.vec3(worlds.middle[world, box, 0], worlds.middle[world, box, 1], worlds.middle[world, box, 2])
     return place + rotation(q) * middle
 
 
 @wp.func
-def skin_of(model: Model, worlds: Worlds, world: int, geom: int) -> float:
+def skin_of(model: Ref[Model], worlds: Ref[Worlds], world: int, geom: int) -> float:
     """Skin by which a geom is enlarged for the collider, m (as in petmjx/world/mujoco_model.py). The floor has none."""
     body = body_of(worlds, world, geom)
     return wp.where(body < 0, 0.0, wp.where(body == 0, model.carrier_skin, model.skin))
@@ -77,7 +77,7 @@ def moments(half: wp.vec3, mass: float) -> wp.vec3:
 
 
 @wp.func
-def center(state: State, world: int, body: int) -> wp.vec3:
+def center(state: Ref[State], world: int, body: int) -> wp.vec3:
     """Centre of mass of a body, m."""
     if body == 0:
         return wp.vec3(state.carrier_qpos[world, 0], state.carrier_qpos[world, 1], state.carrier_qpos[world, 2])
@@ -86,7 +86,7 @@ def center(state: State, world: int, body: int) -> wp.vec3:
 
 
 @wp.func
-def orientation(state: State, world: int, body: int) -> wp.vec4:
+def orientation(state: Ref[State], world: int, body: int) -> wp.vec4:
     """Quaternion of a body, w first."""
     if body == 0:
         p = state.carrier_qpos[world]
@@ -96,7 +96,7 @@ def orientation(state: State, world: int, body: int) -> wp.vec4:
 
 
 @wp.func
-def linear_velocity(state: State, world: int, body: int) -> wp.vec3:
+def linear_velocity(state: Ref[State], world: int, body: int) -> wp.vec3:
     """Velocity of a body's centre of mass, m/s."""
     if body == 0:
         return wp.vec3(state.carrier_qvel[world, 0], state.carrier_qvel[world, 1], state.carrier_qvel[world, 2])
@@ -105,7 +105,7 @@ def linear_velocity(state: State, world: int, body: int) -> wp.vec3:
 
 
 @wp.func
-def angular_velocity(state: State, world: int, body: int) -> wp.vec3:
+def angular_velocity(state: Ref[State], world: int, body: int) -> wp.vec3:
     """Angular velocity of a body in its own frame, rad/s."""
     if body == 0:
         return wp.vec3(state.carrier_qvel[world, 3], state.carrier_qvel[world, 4], state.carrier_qvel[world, 5])
@@ -143,17 +143,17 @@ def rotation(q: wp.vec4) -> wp.mat33:
 @wp.func
 def begin_step(
     # Model:
-    model: Model,
-    worlds: Worlds,
+    model: Ref[Model],
+    worlds: Ref[Worlds],
     # Data in:
-    state: State,
+    state: Ref[State],
     # In:
     at: Thread,
     gravity: wp.vec3,
     push: wp.vec3,
     sample: bool,
     # Data out:
-    work: Workspace,
+    work: Ref[Workspace],
 ) -> bool:
     """Compute poses of geoms, the diagonal of the inertia matrix, accelerations without contacts, and the solver's
     start.
@@ -244,13 +244,13 @@ def _is_number(x: float) -> bool:
 @wp.func
 def end_step(
     # Model:
-    model: Model,
+    model: Ref[Model],
     # In:
     at: Thread,
     measured: bool,
     # Data out:
-    state: State,
-    work: Workspace,
+    state: Ref[State],
+    work: Ref[Workspace],
 ) -> bool:
     """Semi-implicit Euler. Returns whether a thread's bodies have bad positions or velocities.
 
@@ -322,7 +322,7 @@ def end_step(
 
 
 @wp.func
-def _top_force(work: Workspace, block: int, free_body: int) -> float:
+def _top_force(work: Ref[Workspace], block: int, free_body: int) -> float:
     """Force that presses on a box from above, N: that of contacts within 45° of level, with geoms whose centre is
     higher."""
     total = wp.float64(0.0)

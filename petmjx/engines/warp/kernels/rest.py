@@ -7,18 +7,18 @@ import warp as wp
 
 from petmjx.engines.warp.kernels.block_threads import any_of_all
 from petmjx.engines.warp.kernels.jitter import has_jitter, speed_without_jitter
-from petmjx.engines.warp.world_arrays import Model, State, Thread, Worlds
+from petmjx.engines.warp.world_arrays import Model, Ref, State, Thread, Worlds
 
 
 @wp.func
 def has_failed(
     # Model:
-    model: Model,
+    model: Ref[Model],
     # In:
     at: Thread,
     culprit: int,
     # Data in:
-    state: State,
+    state: Ref[State],
 ) -> bool:
     """Whether a box has failed for good: it has dropped, or was tilted too far at a look. A shift does not count here.
     It is judged at rest, and may go back until then. ``culprit`` is that of the world; without one no box is
@@ -35,15 +35,15 @@ def has_failed(
 @wp.func
 def count_quiet(
     # Model:
-    model: Model,
-    worlds: Worlds,
+    model: Ref[Model],
+    worlds: Ref[Worlds],
     # In:
     at: Thread,
     quiet_steps: int,
     failed: bool,
     looks: int,
     # Data out:
-    state: State,
+    state: Ref[State],
 ) -> tuple[int, bool]:
     """At a poll: the steps for which all boxes have been quiet, and whether the pallet is quiet. If a box creeps, the
     pallet is not quiet, and the count starts again. Trembling boxes do not count; if there are any, the count of a

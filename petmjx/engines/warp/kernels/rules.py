@@ -17,7 +17,7 @@ from petmjx.engines.warp.kernels.jitter import distance_since, find_jitter, has_
 from petmjx.engines.warp.kernels.motion import center, middle_of, orientation
 from petmjx.engines.warp.kernels.rest import count_quiet, has_failed
 from petmjx.engines.warp.kernels.samples import HALF, LAST_BOX, is_gone, length_of, measure, press, sway_of, tilt_of
-from petmjx.engines.warp.world_arrays import Model, State, Thread, Workspace, Worlds
+from petmjx.engines.warp.world_arrays import Model, Ref, State, Thread, Workspace, Worlds
 from petmjx.world import history, release_places
 
 NEVER = wp.constant(int(batch_state.NEVER))
@@ -35,7 +35,7 @@ NOTHING = wp.constant(release_places.NOTHING)
 
 
 @wp.func
-def _longest_wait(model: Model, worlds: Worlds, state: State, world: int, driven: bool) -> int:
+def _longest_wait(model: Ref[Model], worlds: Ref[Worlds], state: Ref[State], world: int, driven: bool) -> int:
     """The step until which the rules wait for a moving world, after its last placement or the end of its drive."""
     if driven:
         return state.driven_from[world] + worlds.drive_steps[world] + model.longest_steps
@@ -45,10 +45,10 @@ def _longest_wait(model: Model, worlds: Worlds, state: State, world: int, driven
 @wp.func
 def _deadline(
     # Model:
-    model: Model,
-    worlds: Worlds,
+    model: Ref[Model],
+    worlds: Ref[Worlds],
     # Data in:
-    state: State,
+    state: Ref[State],
     # In:
     world: int,
     driven: bool,
@@ -82,15 +82,15 @@ def _deadline(
 @wp.func
 def _look_at_the_end(
     # Model:
-    model: Model,
-    worlds: Worlds,
+    model: Ref[Model],
+    worlds: Ref[Worlds],
     # In:
     at: Thread,
     seconds: float,
     looks: int,
     driven: bool,
     # Data in:
-    state: State,
+    state: Ref[State],
 ) -> tuple[bool, bool, bool]:
     """Checks at the end of a world.
 
@@ -124,13 +124,13 @@ def _look_at_the_end(
 @wp.func
 def place_next(
     # Model:
-    model: Model,
-    worlds: Worlds,
+    model: Ref[Model],
+    worlds: Ref[Worlds],
     # In:
     at: Thread,
     step: int,
     # Data out:
-    state: State,
+    state: Ref[State],
 ) -> None:
     """Release the next box, at rest. By one thread."""
     world = at.world
@@ -165,13 +165,13 @@ def place_next(
 @wp.func
 def carry_on(
     # Model:
-    model: Model,
-    worlds: Worlds,
+    model: Ref[Model],
+    worlds: Ref[Worlds],
     # In:
     world: int,
     step: int,
     # Data out:
-    state: State,
+    state: Ref[State],
 ) -> None:
     """After a step in which a box was carried: carry it on, or let it go. By one thread."""
     box = state.placed[world] - 1
@@ -190,15 +190,15 @@ def carry_on(
 @wp.func
 def after_step(
     # Model:
-    model: Model,
-    worlds: Worlds,
+    model: Ref[Model],
+    worlds: Ref[Worlds],
     # In:
     at: Thread,
     presses: bool,
     nonfinite: bool,
     # Data out:
-    state: State,
-    work: Workspace,
+    state: Ref[State],
+    work: Ref[Workspace],
 ) -> None:
     """Apply all rules between two steps.
 

@@ -9,7 +9,7 @@ import warp as wp
 
 from petmjx.engines.metrics import GONE_DESCENT, GONE_TILT, RESTLESS_M_S, RISING_M_S2
 from petmjx.engines.warp.kernels.motion import box_half, center, middle_of, orientation, rotation
-from petmjx.engines.warp.world_arrays import Model, State, Thread, Workspace, Worlds
+from petmjx.engines.warp.world_arrays import Model, Ref, State, Thread, Workspace, Worlds
 
 JUST_OVER = wp.constant(1.0000001192092896)
 """The next float32 after 1: the least excess of a box that has dropped."""
@@ -39,7 +39,9 @@ def length_of(a: wp.array3d[float], world: int, box: int, first: int) -> float:
 
 
 @wp.func
-def excess_of(model: Model, worlds: Worlds, world: int, box: int, place: wp.vec3, tilt: float, dropped: bool) -> float:
+def excess_of(
+    model: Ref[Model], worlds: Ref[Worlds], world: int, box: int, place: wp.vec3, tilt: float, dropped: bool
+) -> float:
     """Excess of a box: the larger of shift / its threshold and tilt / its threshold, and over 1 if it has dropped."""
     shift = float(0.0)
     for i in range(3):
@@ -53,7 +55,7 @@ def excess_of(model: Model, worlds: Worlds, world: int, box: int, place: wp.vec3
 
 
 @wp.func
-def is_gone(model: Model, worlds: Worlds, state: State, world: int, box: int) -> bool:
+def is_gone(model: Ref[Model], worlds: Ref[Worlds], state: Ref[State], world: int, box: int) -> bool:
     """Whether a box is so far away that the pallet of a trial will not stand."""
     q = orientation(state, world, box + 1)
     place = middle_of(worlds, world, box, center(state, world, box + 1), q)
@@ -62,7 +64,7 @@ def is_gone(model: Model, worlds: Worlds, state: State, world: int, box: int) ->
 
 
 @wp.func
-def sway_of(state: State, world: int, box: int, place: wp.vec3) -> float:
+def sway_of(state: Ref[State], world: int, box: int, place: wp.vec3) -> float:
     """Horizontal distance of a box from where it was when its drive began, m."""
     x = place[0] - state.sway_anchor[world, box, 0]
     y = place[1] - state.sway_anchor[world, box, 1]
@@ -72,8 +74,8 @@ def sway_of(state: State, world: int, box: int, place: wp.vec3) -> float:
 @wp.func
 def measure(
     # Model:
-    model: Model,
-    worlds: Worlds,
+    model: Ref[Model],
+    worlds: Ref[Worlds],
     # In:
     at: Thread,
     box: int,
@@ -83,8 +85,8 @@ def measure(
     look: bool,
     driven: bool,
     # Data out:
-    state: State,
-    work: Workspace,
+    state: Ref[State],
+    work: Ref[Workspace],
 ) -> bool:
     """Measure a box in a sample, in a look during a drive, or at the end. Returns whether it is lost; with early stop
     its world then ends.
@@ -130,22 +132,22 @@ def press(
     block: int,
     box: int,
     # Data out:
-    state: State,
-    work: Workspace,
+    state: Ref[State],
+    work: Ref[Workspace],
 ) -> None:
     """Record the force on a box's top, in a step in which it counts."""
     state.max_top_force[world, box] = wp.max(state.max_top_force[world, box], work.top_force[block, box])
 
 
 @wp.func
-def speed_of(worlds: Worlds, state: State, world: int, box: int) -> float:
+def speed_of(worlds: Ref[Worlds], state: Ref[State], world: int, box: int) -> float:
     """Speed of a box's fastest point, m/s: an upper bound, the centre's speed and radius × angular speed."""
     radius = wp.length(box_half(worlds, world, box))
     return length_of(state.qvel, world, box, 0) + radius * length_of(state.qvel, world, box, 3)
 
 
 @wp.func
-def is_fast(worlds: Worlds, state: State, at: Thread) -> bool:
+def is_fast(worlds: Ref[Worlds], state: Ref[State], at: Thread) -> bool:
     """Whether one of a thread's boxes is faster than ``RESTLESS_M_S``."""
     fast = bool(False)
     for box in range(at.thread, at.placed, at.threads):
@@ -154,7 +156,7 @@ def is_fast(worlds: Worlds, state: State, at: Thread) -> bool:
 
 
 @wp.func
-def rises(work: Workspace, at: Thread) -> bool:
+def rises(work: Ref[Workspace], at: Thread) -> bool:
     """Whether one of a thread's free bodies is accelerated upwards by more than ``RISING_M_S2`` in this step."""
     up = bool(False)
     for body in range(at.thread, at.placed + 1 - at.held, at.threads):

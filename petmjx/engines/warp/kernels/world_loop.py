@@ -36,14 +36,14 @@ from petmjx.engines.warp.kernels.motion import begin_step, end_step, first_geom
 from petmjx.engines.warp.kernels.rules import NEVER, RUNNING, after_step
 from petmjx.engines.warp.kernels.samples import is_fast, rises
 from petmjx.engines.warp.kernels.solve import in_pause, newton
-from petmjx.engines.warp.world_arrays import Counts, FrameBuffer, Model, State, Thread, Workspace, Worlds
+from petmjx.engines.warp.world_arrays import Counts, FrameBuffer, Model, Ref, State, Thread, Workspace, Worlds
 
 OVERFLOWED = wp.constant(Status.OVERFLOWED)
 CONTACT_OVERFLOW = wp.constant(int(Flag.CONTACT_OVERFLOW))
 
 
 @wp.func
-def excitation(model: Model, worlds: Worlds, state: State, world: int) -> tuple[wp.vec3, wp.vec3]:
+def excitation(model: Ref[Model], worlds: Ref[Worlds], state: Ref[State], world: int) -> tuple[wp.vec3, wp.vec3]:
     """Gravity (m/s²) and the force on the carrier (N) for the coming step."""
     step = state.step[world]
     ramp = wp.clamp(float(step + model.soft_start) / float(model.soft_start), 0.0, 1.0)
@@ -72,7 +72,7 @@ def overflow(
     # In:
     at: Thread,
     # Data out:
-    state: State,
+    state: Ref[State],
 ) -> None:
     """Stop a world in its state before the step, since a buffer is too small for it."""
     if at.thread == 0:
@@ -194,7 +194,7 @@ def advance(
 
 
 @wp.func
-def _goes_on(model: Model, state: State, world: int) -> bool:
+def _goes_on(model: Ref[Model], state: Ref[State], world: int) -> bool:
     """Whether a world runs, and has no more boxes than these blocks have room for."""
     return state.status[world] == RUNNING and state.placed[world] <= model.most_placed
 

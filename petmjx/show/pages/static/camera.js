@@ -14,8 +14,9 @@ export class Camera {
     this.frame([-1, -1, -1], [1, 1, 1], LOOK.view.azimuth, LOOK.view.elevation);
   }
 
-  // Looks at the box from `low` to `high`, from the nearest place that shows all of it. A corner c, from the box's
-  // middle, is in the picture if |c·side − target·side| ≤ slope (distance + c·forward), for both sides of the picture.
+  // Looks at the box from `low` to `high`, from the nearest place with all of the box in view. A corner c, from the
+  // box's middle, is in the picture if |c·side − target·side| ≤ slope (distance + c·forward), for both sides of the
+  // picture.
   frame(low, high, azimuth = this.azimuth, elevation = this.elevation) {
     Object.assign(this, { low, high, azimuth, elevation, home: { azimuth, elevation }, moved: false });
     this.target = scaled(add(low, high), 0.5);
@@ -31,7 +32,7 @@ export class Camera {
     }
   }
 
-  // Returns to the view of `frame`. `resized` does so if the user has not moved the camera.
+  // Returns to the view of `frame`. `resized` does the same if the user has not moved the camera.
   reset() {
     this.frame(this.low, this.high, this.home.azimuth, this.home.elevation);
   }

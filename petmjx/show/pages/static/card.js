@@ -89,8 +89,8 @@ export class Card {
     this.legend.replaceChildren(...(values ? scale(shades, most, by) : []));
   }
 
-  // The end of a scale: twice the limit, so that it is the same for every plan; for forces the largest one, since they
-  // have no limit.
+  // The end of a scale: twice the limit, so that all plans have the same scale; for forces the largest force, since
+  // forces have no limit.
   most(by, values) {
     const { shift_mm, tilt_deg } = this.run.limits;
     if (by === "force") return shareOf(values, 1) || 1;
@@ -156,7 +156,7 @@ function hint(text) {
   return make("p", { class: "hint" }, text);
 }
 
-// For each box the rank of its article by number of boxes.
+// The rank, for each box, of its article by number of boxes.
 function ranked(articles) {
   const counts = new Map();
   for (const article of articles) counts.set(article, (counts.get(article) ?? 0) + 1);

@@ -50,7 +50,7 @@ function blockOf(number) {
   return unpacked.get(number);
 }
 
-// The real part follows from the length 1. It is stored so that it is never negative.
+// The real part follows from the length 1. The sign of the quaternion is chosen so that w is never negative.
 function quaternions(turn) {
   const found = new Float32Array((turn.length / 3) * 4);
   for (let box = 0; box < turn.length / 3; box++) {

@@ -41,7 +41,7 @@ export class Filters {
     this.changed(state);
   }
 
-  // A text field whose changes count when the user stops typing.
+  // A text field whose changes take effect when the user stops typing.
   typed(field, key) {
     field.addEventListener("input", () => {
       clearTimeout(this.typing);

@@ -3,8 +3,7 @@
 import { slerp } from "./vectors.js";
 
 export class Frames {
-  // arrays: time, pos, quat, carrier_pos and carrier_quat; the other arrays of petmjx/show/pages/story_data.py where
-  // they are used
+  // arrays: time, pos, quat, carrier_pos and carrier_quat; the other arrays of petmjx/show/pages/story_data.py if used
   constructor(arrays) {
     Object.assign(this, arrays);
     if (arrays.force_root) this.force_n = arrays.force_root.map((root) => root * Math.abs(root));

@@ -40,7 +40,8 @@ export class Painter {
   }
 
   // picture: {camera, dark, middle, reach, floorZ, solid, glass, marked, arrows}; the last four are {values, count}.
-  // `glass` is drawn in its order, so the farthest come first; edges of `marked` are seen through other boxes, too.
+  // `glass` is drawn in its order, so the farthest boxes stand first; edges of `marked` are seen through other boxes,
+  // too.
   draw(picture) {
     const { gl, meshes } = this;
     for (const name of ["solid", "glass", "marked", "arrows"]) {

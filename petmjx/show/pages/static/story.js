@@ -115,7 +115,7 @@ class StoryPage {
     showNumbers(byId("numbers"), this.chosen, this.info, frames, time);
   }
 
-  // There may be millions of contacts, so they are only read when they are needed.
+  // There may be millions of contacts, so they are only read on demand.
   async showForces() {
     this.contacts ??= contactArrows(await readBlock("contacts"), this.frames);
     byId("force-scale").textContent = `0.2 m of arrow: ${this.contacts.scale_n.toLocaleString("en")}\u00a0N`;
@@ -163,7 +163,7 @@ class StoryPage {
     this.placeLabel(byId("label-chosen"), other, other < 0 ? "" : name(other));
   }
 
-  // Above the box, or beside it if there is no room above; always within the canvas.
+  // Above the box, or beside the box without room above; always within the canvas.
   placeLabel(label, box, text) {
     const hull = box >= 0 ? this.viewer.hull(box) : null;
     label.hidden = !hull;

@@ -280,7 +280,7 @@ class Viewer {
     return mark ? [...mark.colour, MARK_WIDTH * this.density] : edge;
   }
 
-  // Placed boxes in the order in which glass must be drawn.
+  // Placed boxes in the order for drawing glass.
   farthestFirst() {
     const placed = [...Array(this.n).keys()].filter((box) => !Number.isNaN(this.pos[3 * box]));
     if (this.opacity >= 1) return placed;
