@@ -261,7 +261,7 @@ class _Turns(NamedTuple):
 
     def take(self, rows: NDArray[np.intp]) -> _Turns:
         """Some of the rows."""
-        return _Turns(*(values[rows] for values in self))
+        return _Turns(self.rows[rows], self.towards[rows], self.edge[rows], self.outside[rows], self.apart[rows])
 
 
 @dataclass(frozen=True, eq=False)
@@ -440,7 +440,8 @@ class _Rests:
         sides = (on_left | on_right).astype(float) + (wall & behind).any(axis=1)
         most = HOLDING * np.sqrt(sides) * friction**2
         weak = outside[:, None] > most[:, None] * lever
-        return np.asarray(beside & weak & ~(on_left & on_right)[:, None])
+        jammed = np.asarray(on_left & on_right)
+        return np.asarray(beside & weak & ~jammed[:, None])
 
 
 def _margin(edges: FloatArray, place_mm: FloatArray) -> FloatArray:
