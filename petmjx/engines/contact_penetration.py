@@ -180,7 +180,8 @@ def note_softness(outcomes: Sequence[Outcome], jobs: Sequence[Job], sim: Simulat
     """The outcomes, with ``Flag.SINKING`` if the depth of contacts may have decided the verdict.
 
     A world whose boxes sank has no verdict. A world that may have tipped over because contacts are soft keeps its
-    verdict, in case stiffer contacts do not change it. With pyramidal cones, the reference's, all worlds keep it.
+    verdict, in case stiffer contacts do not change it. With pyramidal cones, as in preset ``reference``, all worlds
+    keep their verdict.
     """
     noted, elliptic = list(outcomes), sim.physics.cone is Cone.ELLIPTIC
     may_lean: list[int] = []
@@ -258,8 +259,9 @@ _PLACES: Final = (("target", np.inf), ("half_size", 0.0))
 
 
 def _deepest_m(outcomes: Sequence[Outcome], scenes: Sequence[Scene], physics: Physics) -> FloatArray:
-    """(m,) largest descent of a box in each world, m: the largest ``contact_penetration_m``, but for rounding. Arrays
-    have as many columns as the largest world has boxes."""
+    """(m,) upper bound of ``contact_penetration_m`` in each world, m: the largest one, but for rounding, if the largest
+    force on each box's top rests there. Impacts beyond the weight of everything above a box are rare. Arrays have as
+    many columns as the largest world has boxes."""
     counts = np.array([scene.n_boxes for scene in scenes], np.intp)
     is_box = np.arange(counts.max()) < counts[:, None]
 
@@ -281,10 +283,9 @@ def _deepest_m(outcomes: Sequence[Outcome], scenes: Sequence[Scene], physics: Ph
     total, gravity = np.array([scene.total_mass for scene in scenes]), physics.gravity_m_s2
     low, high = place - half, place + half
     over = overlap(low[..., 0], high[..., 0]) & overlap(low[..., 1], high[..., 1])
-    at_rest_n = np.minimum(top_n, gravity * (_transitive_closure(over).astype(float) @ mass[..., None])[..., 0])
     inverse = 1 / mass + np.where(low[..., 2] < ON_CARRIER_M, 1 / carrier[:, None], 0.0)
-    above = at_rest_n / mass / CONTACTS_PER_FACE
-    below = inverse * (at_rest_n + mass * gravity) / CONTACTS_PER_FACE
+    above = top_n / mass / CONTACTS_PER_FACE
+    below = inverse * (top_n + mass * gravity) / CONTACTS_PER_FACE
     world, upper, lower = np.nonzero(np.tril(over, -1))
     through = np.full(over.shape, -np.inf)
     through[world, upper, lower] = depth_m(physics, below[world, upper] + above[world, lower])

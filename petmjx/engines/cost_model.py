@@ -39,8 +39,9 @@ pallets collapse."""
 
 JAX_POWER, WARP_POWER = 2.0, 1.0
 """The cost of a step of ``mjx-jax`` and ``mjx-warp`` grows with this power of the number of boxes, over whole runs: in
-plans with more boxes more steps are at rest. While boxes come one by one, the cost on ``mjx-warp`` is the mean of k to
-this power over k = 1…n: a share of 1 / (power + 1). On ``mjx-jax`` all boxes are in the model from the beginning."""
+plans with more boxes more steps are at rest. While n boxes are placed one by one, the cost on ``mjx-warp`` is the mean
+of k to this power over k = 1…n: about 1 / (power + 1) of the full cost. On ``mjx-jax`` all boxes are in the model from
+the beginning."""
 
 SHAKEN_FACTOR = 2.5
 """Cost of a step of a drive on a device, relative to a step of the same pallet with the fixed schedule: 6,400 of

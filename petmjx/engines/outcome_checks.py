@@ -35,8 +35,8 @@ LOWER_M: Final = 0.005
 (``petmjx.engines.contact_tilt.BOUND_SHARE``)."""
 
 MOST_TOGETHER: Final = 256
-"""Largest number of outcomes that are checked at once; 256 take a tenth of a second. One by one, checks took longer
-than the simulation on a GPU."""
+"""Largest number of outcomes that are checked at once; 256 take one or two tenths of a second. One by one, checks took
+longer than the simulation on a GPU."""
 
 
 def outcome_checks(outcomes: Sequence[Outcome], jobs: Sequence[Job], sim: Simulation) -> list[Outcome]:
@@ -152,11 +152,11 @@ def _all_edges(
     """
     if not planned:
         return [0], Edges(np.zeros(0), np.zeros(0)), []
-    scenes, placed, inputs = zip(*planned, strict=True)
+    scenes, placed, are_built = zip(*planned, strict=True)
     bearing = bearings_of(scenes, at_rest, pos)
     _, *edges = loads_and_edges(bearing, [*placed, *(scene.n_boxes for scene in at_rest)])
-    in_order = [scene.n_boxes if is_asked else 0 for scene, is_asked in zip(scenes, inputs, strict=True)]
-    built = building_edges(bearing, in_order + [0] * len(at_rest))
+    n_built = [scene.n_boxes if is_built else 0 for scene, is_built in zip(scenes, are_built, strict=True)]
+    built = building_edges(bearing, n_built + [0] * len(at_rest))
     return bearing.boxes.first.tolist(), Edges(*edges), built[: len(planned)]
 
 

@@ -104,7 +104,7 @@ def _solved_loads(
     """(n, 3) loads, the ``changed`` ones solved, and (n,) their distance beyond edges; None: no solution.
 
     Unknowns: the forces at the four corners of each contact; each load's distance outside; moments without a support,
-    for boxes with several supports whose load is beyond their hull; and how far inside all loads are.
+    for boxes with several supports whose load is beyond their hull; and the least distance inside of all loads.
     """
     middle = load[changed, 1:].sum(axis=0) / load[changed, 0].sum()
     mean = load[changed, 0].mean()

@@ -104,8 +104,8 @@ class Surfaces(NamedTuple):
         of_boards: (s,) surface of each board and wall of the carrier.
         friction: (k, k) coefficients between surfaces, or ``LARGER``.
         landing: (k, k, 2) restitution and time of a landing, s, between surfaces.
-        kinetic: (k, k) friction of sliding surfaces, as a share of that at rest, or ``USUAL``; None: no pair has its
-            own.
+        kinetic: (k, k) friction of sliding surfaces, as a share of friction at rest, or ``USUAL``; None: no
+            pair has a share.
     """
 
     of_boxes: NDArray[np.intp]

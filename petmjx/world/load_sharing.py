@@ -56,8 +56,8 @@ def pulls(force: FloatArray, low: FloatArray, high: FloatArray, load: FloatArray
         load: (c,) load of the box above.
     """
     slack = -PULL * np.abs(load)
-    least = np.minimum(force[:, 1:] - low * force[:, :1], high * force[:, :1] - force[:, 1:]).min(axis=1)
-    pulled: NDArray[np.bool_] = (force[:, 0] < slack) | (least < slack)
+    least = np.minimum(force[:, 1:] - low * force[:, :1], high * force[:, :1] - force[:, 1:])
+    pulled: NDArray[np.bool_] = (force[:, 0] < slack) | (np.minimum(least[:, 0], least[:, 1]) < slack)
     return pulled
 
 

@@ -219,8 +219,11 @@ class Bearing:
         distance_m = np.full(len(box), np.nan)
         alone = np.flatnonzero(self.n_supports[box] == 1)
         contact, held = self.ends[box[alone]], self.boxes.held[box[alone]]
-        low, high = self.low[contact] - held[:, 0], self.high[contact] + held[:, 1]
-        distance_m[alone] = np.minimum(point[alone] - low, high - point[alone]).min(axis=1)
+        low, high = self.low[contact], self.high[contact]
+        if held.any():
+            low, high = low - held[:, 0], high + held[:, 1]
+        nearer = np.minimum(point[alone] - low, high - point[alone])
+        distance_m[alone] = np.minimum(nearer[:, 0], nearer[:, 1])  # ``min(axis=1)`` of two columns takes long
         several = np.flatnonzero(self.n_supports[box] > 1)
         if len(several):
             hull, held = self.number_of_hull[box[several]], self.boxes.held[box[several]]
@@ -364,9 +367,8 @@ def bearings_of(scenes: Sequence[Scene], at_rest: Sequence[Scene] = (), pos: Seq
     """The bearings of scenes by the planned places, and then of the scenes ``at_rest`` with their boxes at (n, 3)
     places ``pos``, m: joined, with the boxes scene after scene, so that all are computed at once."""
     if len({id(scene) for scene in scenes}) == 1 and not at_rest:
-        return (
-            bearing_of(scenes[0]) if len(scenes) == 1 else bearing_of(scenes[0]).of_scenes(np.zeros(len(scenes), int))
-        )
+        one = bearing_of(scenes[0])
+        return one if len(scenes) == 1 else one.of_scenes(np.zeros(len(scenes), np.intp))
     return find_bearings([*scenes, *at_rest], [*(scene.target for scene in scenes), *pos])
 
 
@@ -385,7 +387,7 @@ def find_bearings(
     boxes, most_gap_m = Boxes.of(scenes, targets), np.broadcast_to(most_gap_m, len(scenes))
     first, counts = boxes.first, np.diff(boxes.first)
     plain = np.array([is_plain(scene) for scene in scenes], bool)
-    parts = []
+    parts = [(*np.zeros((2, 0), np.intp), *np.zeros((2, 0, 2)))]  # scenes may have no contacts at all
     for k in np.flatnonzero(~plain).tolist():
         one = find_bearing(replace(scenes[k], target=targets[k]), float(most_gap_m[k]))
         lower = np.where(one.lower == CARRIER, CARRIER, one.lower + first[k])
