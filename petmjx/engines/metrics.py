@@ -35,6 +35,12 @@ accelerated upwards by more than ``RISING_M_S2``; else only at looks for quiet (
 other steps exceed a weight by at most a twentieth: boxes press with more than their weight while they are accelerated
 upwards."""
 
+GONE_TILT: Final = 1.25
+GONE_DESCENT: Final = 1.5
+"""A trial that is asked only whether the pallet stands ends at the look for quiet at which a box is *gone*: tilted by
+this multiple of the threshold of tilt, or come down by that multiple of the threshold of shift. A box that begins at
+rest cannot rise again by itself."""
+
 
 class SampleAt(StrEnum):
     """When in a run a metric is taken."""

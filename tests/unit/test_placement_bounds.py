@@ -45,8 +45,8 @@ def test_what_the_geometry_decides() -> None:
 
 def test_what_may_catch_a_box_leaves_it_open() -> None:
     """It hangs over the edge by 150 mm: a box as high as the support bears it, one that is 20 mm lower may, one that is
-    150 mm lower does not; a wall before it may lean it, one that it touches may hold it by friction, and one that is
-    farther than it turns does not."""
+    150 mm lower does not; a wall before it may lean it, and one that is farther than it turns does not. At its side a
+    low box cannot hold it by friction, a high one may, and so may low ones on both sides, which may jam it."""
     support = ((440, 200, 0), (110, 300, 200))
     hanging = {"corner": (440, 200, 200), "size": (300, 300, 200)}
     expected = {

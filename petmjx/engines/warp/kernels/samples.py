@@ -7,8 +7,8 @@ from __future__ import annotations
 
 import warp as wp
 
-from petmjx.engines.metrics import RESTLESS_M_S, RISING_M_S2
-from petmjx.engines.warp.kernels.motion import box_half, middle_of, rotation
+from petmjx.engines.metrics import GONE_DESCENT, GONE_TILT, RESTLESS_M_S, RISING_M_S2
+from petmjx.engines.warp.kernels.motion import box_half, center, middle_of, orientation, rotation
 from petmjx.engines.warp.world_arrays import Model, Ref, State, Thread, Workspace, Worlds
 
 JUST_OVER = wp.constant(1.0000001192092896)
@@ -17,6 +17,8 @@ JUST_OVER = wp.constant(1.0000001192092896)
 LAST_BOX = wp.constant(wp.int64(0x7FFFFFFF))
 HALF = wp.constant(wp.int64(32))
 
+TILT_OF_GONE = wp.constant(GONE_TILT)
+DESCENT_OF_GONE = wp.constant(GONE_DESCENT)
 RESTLESS = wp.constant(RESTLESS_M_S)
 RISING = wp.constant(RISING_M_S2)
 
@@ -55,6 +57,15 @@ def excess_of(
             shift = wp.max(shift, moved)
     excess = wp.max(shift / model.shift, tilt / model.tilt)
     return wp.where(dropped, wp.max(excess, JUST_OVER), excess)
+
+
+@wp.func
+def is_gone(model: Ref[Model], worlds: Ref[Worlds], state: Ref[State], world: int, box: int) -> bool:
+    """Whether a box is so far away that the pallet of a trial will not stand."""
+    q = orientation(state, world, box + 1)
+    place = middle_of(worlds, world, box, center(state, world, box + 1), q)
+    descent = worlds.target[world, box, 2] - worlds.sinks[world, box] - place[2]
+    return tilt_of(q) > TILT_OF_GONE * model.tilt or descent > DESCENT_OF_GONE * model.shift
 
 
 @wp.func
