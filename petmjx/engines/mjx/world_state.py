@@ -142,7 +142,8 @@ def narrow(state: State, capacity: int) -> State:
     """States with columns for the first ``capacity`` boxes."""
 
     def cut(record: Any) -> dict[str, Any]:
-        return {name: getattr(record, name)[:, :capacity] for name in per_box(type(record))}
+        kind: Any = type(record)
+        return {name: getattr(record, name)[:, :capacity] for name in per_box(kind)}
 
     return state._replace(**cut(state), metrics=state.metrics._replace(**cut(state.metrics)))
 
