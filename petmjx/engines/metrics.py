@@ -199,7 +199,7 @@ METRICS: tuple[BoxMetric | WorldMetric, ...] = (
          "shift_y_m": "final centre - planned centre, y",
          "shift_z_m": "final centre - planned centre, z"},
         SampleAt.END, "c − c_planned of the box's centre c; a component with a magnitude below `shift_floor_m` is 0; "
-        "downwards, only the part beyond what boxes with a stiffness are meant to sink counts",
+        "downwards, the planned descent of boxes with a stiffness does not count",
         of_world=WorldReduction(
             "max_shift_m", Reduction.LARGEST, "largest |x|, |y| or |z| component of any box's shift"
         ),
