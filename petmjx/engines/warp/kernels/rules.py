@@ -203,7 +203,7 @@ def after_step(
     """Apply all rules between two steps.
 
     Args:
-        presses: forces on tops count, also if the step has no sample.
+        presses: forces on tops count.
         nonfinite: a body's position or velocity is not finite or out of range.
     """
     world = at.world
@@ -239,7 +239,7 @@ def after_step(
                     or length_of(state.qacc, world, box, 3) > model.angular_acceleration
                 ):
                     violent = True
-            if sample or (presses and counted):
+            if presses and counted:
                 press(world, at.block, box, state, work)
             if resting:
                 state.rest_force_sum[world, box] = state.rest_force_sum[world, box] + work.top_force[at.block, box]
