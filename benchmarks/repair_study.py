@@ -15,6 +15,7 @@ import numpy as np
 import pandas as pd
 
 import petmjx
+from petmjx.common.text import count_text
 from petmjx.packers.sample_plans import MOST_SAMPLES, generate
 from petmjx.plans.plan import Plan
 from petmjx.plans.plan_validation import parse_plan
@@ -37,14 +38,29 @@ def falling(plans: Sequence[Plan], **how: Any) -> list[Plan]:
     return [plan for plan, verdict in zip(plans, verdicts.verdict, strict=True) if verdict != "stable"]
 
 
-def generated(n: int, seed: int, most_boxes: int, **how: Any) -> list[Plan]:
-    """The first ``n`` plans of the mixed set of a seed that fall, among those with at most this many boxes."""
+def generated(n: int, seed: int, boxes: tuple[int, int], **how: Any) -> tuple[list[Plan], list[Plan]]:
+    """The first ``n`` plans of the mixed set of a seed that fall, of those with so many boxes; and their neighbours: up
+    to as many of those that stand."""
     drawn = (parse_plan(name, f"seed {seed}", placed, len(placed), {}) for name, placed in generate(MOST_SAMPLES, seed))
-    small = (plan for plan in drawn if plan.n_boxes <= most_boxes)
+    fitting = (plan for plan in drawn if boxes[0] <= plan.n_boxes <= boxes[1])
     plans: list[Plan] = []
+    neighbours: list[Plan] = []
     while len(plans) < n:
-        plans += falling([*islice(small, 2 * (n - len(plans)))], **how)
-    return plans[:n]
+        some = [*islice(fitting, 2 * (n - len(plans)))]
+        fallen = falling(some, **how)
+        plans += fallen
+        neighbours += [plan for plan in some if plan not in fallen]
+    return plans[:n], neighbours[:n]
+
+
+def share_of(plans: Sequence[Plan], worlds: int, **how: Any) -> str:
+    """In how many worlds with errors plans stand."""
+    summary = petmjx.score(list(plans), confidence=worlds, **how).summary
+    assert summary is not None
+    standing, n = summary.n_standing.sum(), (summary.n_worlds - summary.n_invalid).sum()
+    return (
+        f"{standing} of {n} worlds with errors ({100 * standing / n:.1f} %) of {count_text(len(plans), 'plan')} stand"
+    )
 
 
 def disturbed(plans: Sequence[Plan], seed: int, **how: Any) -> Iterator[Plan]:

@@ -266,6 +266,7 @@ def repair(
     ] = None,
     n: Annotated[int, typer.Option(metavar="N", help="Plans at most.")] = 60,
     seed: Annotated[int, typer.Option(metavar="SEED", help="Of the generated plans, or of the moves.")] = 0,
+    least_boxes: Annotated[int, typer.Option(metavar="N", help="Of a generated plan.")] = 1,
     most_boxes: Annotated[int, typer.Option(metavar="N", help="Of a plan.")] = 512,
     worlds: Annotated[int, typer.Option(metavar="N", help="Worlds with errors.")] = 8,
     most_s: Annotated[float, typer.Option(metavar="S", help="No plan is begun after this time.")] = 1e9,
@@ -276,15 +277,16 @@ def repair(
     import time
     from itertools import islice
 
-    from benchmarks.repair_study import describe, disturbed, generated, repaired_rows
+    from benchmarks.repair_study import describe, disturbed, generated, repaired_rows, share_of
     from petmjx.options.run_options import RunOptions
 
     begin, rows = time.monotonic(), []
+    neighbours: list[Any] = []
     if plans:
         small = [plan for plan in usable(plans, RunOptions()) if plan.n_boxes <= most_boxes]
         chosen: Any = islice(disturbed(small, seed, **options), n)
     else:
-        chosen = generated(n, seed, most_boxes, **options)
+        chosen, neighbours = generated(n, seed, (least_boxes, most_boxes), **options)
     for row, result in repaired_rows(chosen, worlds=worlds, **options):
         rows.append(row)
         seconds = f"{row['wall_s']:.0f} s, {row['trials']} trials"
@@ -295,3 +297,5 @@ def repair(
         if time.monotonic() - begin > most_s:
             break
     print(describe(rows))
+    if worlds and neighbours:
+        print(f"plans of the same seed that stand as they are: {share_of(neighbours, worlds, **options)}")

@@ -17,7 +17,15 @@ from numpy.typing import NDArray
 from petmjx.common.errors import InputError
 from petmjx.common.text import printable_name
 from petmjx.common.units import FloatArray
-from petmjx.plans.column_names import LENGTH_UNITS, MASS_UNITS, ColumnMeaning, column_meanings, may_count
+from petmjx.plans.column_names import (
+    BASE_WORDS,
+    LENGTH_UNITS,
+    MASS_UNITS,
+    ColumnMeaning,
+    column_meanings,
+    may_count,
+    words_of,
+)
 from petmjx.plans.foreign_formats import BED_BPP, BoxSource
 from petmjx.plans.plan_fields import joined_names
 from petmjx.plans.raw_cells import cell_number, cell_text, cell_triple, number_fault_of
@@ -300,6 +308,12 @@ class Extraction:
             anchor = meaning.anchor or ("corner" if meaning.kind == "low" else "")
             axis = _ON_AXES.get(meaning.axis, meaning.axis)
             by_anchor.setdefault(anchor, {}).setdefault(axis, []).append(index)
+        heights = [
+            index for index in by_anchor.get("", {}).get("z", ()) if BASE_WORDS.intersection(words_of(header[index]))
+        ]
+        for anchor in ("centre", "base-centre"):  # "center_x", "center_y" and "bottom_z"
+            if heights and by_anchor.get(anchor, {}).keys() == {"x", "y"}:
+                by_anchor["base-centre"] = {**by_anchor.pop(anchor), "z": heights}
         for anchor, by_axis in sorted(by_anchor.items(), key=lambda entry: entry[0] == ""):
             for role in _XYZ:
                 if role in self.fixed:

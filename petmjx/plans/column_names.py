@@ -69,7 +69,7 @@ _CENTRE: Final = word_set(
     "center centre centers centres centroid mid middle midpoint mitte mittelpunkt zentrum schwerpunkt milieu centro "
     "centroide srodek com"
 )
-_BASE: Final = word_set("base bottom unten boden basis bas fondo podstawa")
+BASE_WORDS: Final = word_set("base bottom unten boden basis bas fondo podstawa")
 _PLACED: Final = word_set(
     "placed rotated packed oriented final actual effective turned platziert gepackt gedreht place tourne girado"
 )
@@ -145,6 +145,8 @@ _TOKEN: Final = re.compile(r"[A-Z]+(?![a-z])|[A-Z]?[a-z]+|\d+|'")
 _UNIT_MARK: Final = re.compile(
     r"[\[(\{<]\s*([^\])}>]*?)\s*[\])}>]|/\s*([a-zµ]+)\s*$|\bin\s+([a-z]+)\s*$", re.IGNORECASE
 )
+_SCALE: Final = re.compile(r"\bscale\b", re.IGNORECASE)
+"""Sizes of unit cubes in scenes of three.js and Unity, where nothing else is a size."""
 _INDEX: Final = re.compile(r"\[(\d+)\]")
 _ORDER: Final = re.compile(
     r"(?<![a-z])([lwhbdtap])\s*[x×*/,;]\s*([lwhbdtap])\s*[x×*/,;]\s*([lwhbdtap])(?![a-z])", re.IGNORECASE
@@ -216,6 +218,8 @@ def column_meanings(names: Sequence[str]) -> list[ColumnMeaning | None]:
     Single letters are read together: L, B and H are length, width and height, but B, H and T width, height and depth.
     """
     meanings = [_meaning(name) for name in names]
+    if not any(meaning is not None and meaning.kind in ("size", "sizes", "high") for meaning in meanings):
+        meanings = [_meaning(_SCALE.sub("size", name)) for name in names]
     bases = [split_unit(name.rpartition(".")[2])[0].strip(" .:") for name in names]
     single = {index: base for index, base in enumerate(bases) if len(base) == 1 and base.lower() not in _AXES}
     for letters, axes in _LETTERS:
@@ -344,7 +348,7 @@ def _geometry(tail: list[str], path: list[str], index: str, of_sharp: bool) -> C
             return ColumnMeaning("size", axis, placed=placed, half=half)
         if everything & {"rotation", "rot", "angle", "euler"}:
             return None
-        if len(tail) == 1 or is_position or everything & (_CENTRE | _LOW | _HIGH | _BASE):
+        if len(tail) == 1 or is_position or everything & (_CENTRE | _LOW | _HIGH | BASE_WORDS):
             if everything & _HIGH and not everything & {"left"}:
                 return ColumnMeaning("high", axis)
             kind: Kind = "low" if everything & {"min", "minimum", "low", "lower"} else "position"
@@ -390,7 +394,7 @@ def _letters_order(letters: str) -> tuple[str, ...]:
 
 def _anchor_of(words: set[str]) -> str:
     if words & _CENTRE:
-        return "base-centre" if words & _BASE else "centre"
+        return "base-centre" if words & BASE_WORDS else "centre"
     return "corner" if words & {"corner", "ecke", "flb", "flbcoordinates", "coin", "esquina", "angolo", "rog"} else ""
 
 

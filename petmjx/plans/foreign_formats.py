@@ -26,9 +26,9 @@ import numpy as np
 from petmjx.common.errors import InputError
 from petmjx.common.file_kinds import foreign_kind
 from petmjx.common.text import count_text, first_names, printable_name
-from petmjx.plans.column_names import column_meanings
+from petmjx.plans.column_names import LENGTH_UNITS, MASS_UNITS, column_meanings, plain_text, words_of
 from petmjx.plans.file_formats import NoBoxes
-from petmjx.plans.nested_json import BoxList, box_lists, decoded_json
+from petmjx.plans.nested_json import BoxList, box_lists, decoded_json, flattened
 from petmjx.plans.raw_cells import cell_number, cell_text, decimal_of
 from petmjx.plans.raw_tables import RawTable, computed_row, decoded_text
 from petmjx.plans.workbooks import RawFile, check_archive, read_raw_tables
@@ -118,7 +118,7 @@ def sources_of_bytes(data: bytes | bytearray, path: Path) -> list[BoxSource]:
             if start.startswith("{") or "nested" in str(error):  # another reader's error says more about it
                 raise NoBoxes(str(error)) from None
             raise
-        sources = [_with_known_form(boxes) for boxes in box_lists(value)]
+        sources = [_with_named_units(_with_known_form(boxes)) for boxes in box_lists(value)]
         if not sources:
             raise NoBoxes("has no list of boxes: petmjx looks for objects with places and sizes")
         return sources
@@ -209,6 +209,22 @@ def _with_known_form(boxes: BoxList, kind: str = "JSON") -> BoxSource:
     if "matrix" in boxes.kinds or any("matrix" in name or "pose" in name or "transform" in name for name in names):
         return BoxSource(boxes, POSES)
     return BoxSource(boxes, KnownForm(kind))
+
+
+def _with_named_units(source: BoxSource) -> BoxSource:
+    """A list of boxes with the units that fields around it name: "units": {"length": "in", "weight": "lb"}."""
+    words = {
+        plain_text(value).strip(" .").lower()
+        for name, value in flattened(source.boxes.around).items()
+        if isinstance(value, str) and {"unit", "units"}.intersection(words_of(name))
+    }
+    lengths, masses = words & LENGTH_UNITS.keys(), words & MASS_UNITS.keys()
+    form = source.form
+    if len(lengths) == 1 and not form.units:
+        form = replace(form, units=lengths.pop())
+    if len(masses) == 1 and not form.masses:
+        form = replace(form, masses=masses.pop())
+    return replace(source, form=form)
 
 
 def _without_totals(boxes: BoxList) -> BoxList:

@@ -215,7 +215,8 @@ def _members(
             if keyed:
                 yield from _members(inner, f"{path}[]", inner_place, (*step, (str(name), {"id": str(name)})), depth + 1)
             elif alike and isinstance(inner, Mapping):
-                yield f"{path}[]", _Member({"id": name, **inner}, inner_place, step)
+                around_it = (*around, (_last_step(place), {}))  # its fields are boxes, and no container
+                yield f"{path}[]", _Member({"id": name, **inner}, inner_place, around_it)
                 yield from _members(inner, f"{path}[]", inner_place, step, depth + 1)
             elif isinstance(inner, Mapping | list | tuple | np.ndarray):
                 generic = f"{path}.{name}" if path else str(name)
@@ -277,12 +278,18 @@ _LEAST_COLUMNS: Final = 5
 
 
 def _columnar(value: Mapping[str, Any]) -> list[dict[str, Any]] | None:
-    """The rows of an object of lists of one length, or of pandas' form with ``columns`` and ``data``; None: no such
-    rows."""
+    """The rows of an object of lists of one length, or of pandas' forms: with ``columns`` and ``data``, or an object
+    with a value for each row; None: none."""
     names, data = value.get("columns"), value.get("data")
     if isinstance(names, list) and isinstance(data, list) and data and all(isinstance(row, list) for row in data):
         if all(isinstance(name, str) for name in names) and all(len(row) == len(names) for row in data):
             return [dict(zip(names, row, strict=True)) for row in data]
+        return None
+    if len(value) >= _LEAST_COLUMNS and all(isinstance(inner, Mapping) and inner for inner in value.values()):
+        keys = max((inner.keys() for inner in value.values()), key=len)
+        alike = all(inner.keys() <= keys for inner in value.values())
+        if alike and sum(meaning is not None for meaning in column_meanings(list(value))) >= _LEAST_COLUMNS:
+            return [{name: inner.get(key) for name, inner in value.items()} for key in keys]
         return None
     lists = {name: list(inner) for name, inner in value.items() if isinstance(inner, list | tuple | np.ndarray)}
     lengths = {len(inner) for inner in lists.values()}

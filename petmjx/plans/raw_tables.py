@@ -160,13 +160,15 @@ def _fields(text: str, delimiter: str) -> Iterator[list[str]]:
     if delimiter == _SPACES:
         yield from _spaced_fields(text.splitlines())
         return
+    if delimiter == "|":  # Markdown's line below a header
+        text = "\n".join("" if _RULE.match(line) else line for line in text.split("\n"))
     try:
         yield from csv.reader(io.StringIO(text, newline=""), delimiter=delimiter)
     except csv.Error as error:
         raise NoBoxes(f"is no table: {error}") from error
 
 
-_RULE: Final = re.compile(r"^[\s|+]*[-=]{2,}(?:[\s|+]+[-=]{2,})+[\s|+]*$")
+_RULE: Final = re.compile(r"^[\s|+:]*[-=]{2,}(?:[\s|+:]+[-=]{2,})+[\s|+:]*$")
 """A line of dashes below a header, as printed tables have it."""
 
 

@@ -16,8 +16,7 @@ from typing import Final, NamedTuple
 import numpy as np
 
 from petmjx.common.units import FloatArray
-from petmjx.options.simulation import Simulation
-from petmjx.repairs.balance import Balance, balances
+from petmjx.repairs.balance import Balance
 from petmjx.repairs.changes import Change, Exchange, Kind, LeaveOut, Move, Order, Place, Sheet, Turn
 from petmjx.repairs.drafts import TOLERANCE_MM, Draft, Rules
 
@@ -319,7 +318,7 @@ def _places(draft: Draft, rules: Rules, near: Sequence[int]) -> Iterator[Proposa
             yield from _pile_places(draft, rules, box)
             continue
         last = next(number for number in reversed(draft.order) if number != box) if len(draft.order) > 1 else None
-        for turn, corner in _resting_corners(draft, rules, box):
+        for turn, corner in resting_corners(draft, rules, box):
             if not turn and np.abs(draft.corner_mm[box] - corner).max() <= TOLERANCE_MM:
                 continue  # another time at the same place is another order
             turned = bool(draft.turned[box]) != turn
@@ -335,13 +334,13 @@ def _pile_places(draft: Draft, rules: Rules, box: int) -> Iterator[Proposal]:
     if len(pile) > MOST_TOGETHER or not other_boxes or min(pile) < rules.built or max(pile) >= draft.plan.n_boxes:
         return
     riders = tuple(sorted(pile[1:]))
-    for turn, corner in _resting_corners(replace(draft, order=tuple(other_boxes)), rules, box):
+    for turn, corner in resting_corners(replace(draft, order=tuple(other_boxes)), rules, box):
         if not turn:
             for last in (None, other_boxes[-1]):
                 yield (Place(box, corner, bool(draft.turned[box]), last, others=riders),)
 
 
-def _resting_corners(
+def resting_corners(
     draft: Draft, rules: Rules, box: int, below: int | None = None
 ) -> Iterator[tuple[bool, tuple[float, float, float]]]:
     """Places of rest for a box on the carrier or on other boxes: whether it is turned, and its corner.
@@ -421,7 +420,7 @@ def _props(draft: Draft, rules: Rules, target: Target) -> Iterator[Proposal]:
             and rules.built <= box < draft.plan.n_boxes
         ]
         for box in alike[-1:]:  # the last of several equal boxes
-            for turn, corner in itertools.islice(_resting_corners(draft, rules, box, target.box), MOST_PLACES // 2):
+            for turn, corner in itertools.islice(resting_corners(draft, rules, box, target.box), MOST_PLACES // 2):
                 turned = bool(draft.turned[box]) != turn
                 yield (Place(box, corner, turned, target.box, after=False, differs=turn),)
 
@@ -465,33 +464,3 @@ def _omissions(draft: Draft, rules: Rules, near: Sequence[int]) -> Iterator[Prop
         left = lifted_with(draft, box)
         if len(left) < len(draft.order) and min(left) >= rules.built:
             yield tuple(LeaveOut(number) for number in left)
-
-
-def relocation(draft: Draft, rules: Rules, sim: Simulation, box: int) -> Proposal | None:
-    """A box and all boxes that stand on it alone, put elsewhere one by one, each at the lowest place at which statics
-    finds no load beyond an edge; None: a box without such a place."""
-    lifted = lifted_with(draft, box)
-    if len(lifted) > MOST_TOGETHER or min(lifted) < rules.built or max(lifted) >= draft.plan.n_boxes:
-        return None
-    pile = replace(draft, order=tuple(number for number in draft.order if number not in lifted))
-    if not pile.order:
-        return None
-    (balance,) = balances([pile], sim)
-    changes: list[Change] = []
-    for number in lifted:
-        last = pile.order[-1]
-        places = [
-            Place(number, corner, bool(draft.turned[number]) != turn, last, differs=turn)
-            for turn, corner in _resting_corners(pile, rules, number)
-        ]
-        waiting = replace(pile, order=(*pile.order, number))
-        drafts = [placed for place in places if (placed := place.applied(waiting)) is not None]
-        allowed = np.flatnonzero(rules.allow(drafts)).tolist() if drafts else []
-        after = balances([drafts[k] for k in allowed], sim)
-        balanced_places = [(b.trouble, places[k].corner_mm[2], k) for k, b in zip(allowed, after, strict=True)]
-        if not balanced_places or min(balanced_places)[0] > balance.trouble:
-            return None
-        chosen = min(balanced_places)[2]
-        balance, pile = after[allowed.index(chosen)], drafts[chosen]
-        changes.append(places[chosen])
-    return tuple(changes)

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import math
+import time
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from contextlib import suppress
 from dataclasses import dataclass
 from itertools import islice
 from typing import Any, Final
@@ -21,7 +22,8 @@ from petmjx.plans.plan_writer import save_plans
 from petmjx.repairs.changes import Change, Kind, applied, cost_of
 from petmjx.repairs.drafts import Draft
 from petmjx.repairs.repair_options import RepairOptions
-from petmjx.repairs.search import Asking, Search, State
+from petmjx.repairs.search import Search, State
+from petmjx.repairs.search_processes import OutOfTime, run_searches
 from petmjx.repairs.trials import OF_RUN, Asked, Question, Share, Trial
 from petmjx.results.notebook_tables import ShownColumn, block_as_html, table_as_html
 from petmjx.results.plan_lookup import plans_in_place
@@ -30,7 +32,7 @@ from petmjx.results.share_intervals import wilson_interval
 OF_READING: Final = (*READING, "articles", "limit", "strict")
 """Fields of ``RunOptions`` about the reading of plans."""
 
-AT_ONCE: Final = 64
+AT_ONCE: Final = 256
 """Plans that are repaired at the same time: their trials share runs of the engine, which fills a GPU."""
 
 GOOD_SHARE: Final = 0.75
@@ -63,6 +65,8 @@ class Repaired:
         trial_before, trial_after: the simulation of both; after: None if no repair is known.
         share_before, share_after: shares of worlds with errors in which the two plans stand; None: not simulated.
         n_trials: plans that were simulated.
+        complete: whether the search came to its end; else its seconds were spent, and smaller changes may be known to a
+            longer one.
     """
 
     before: Plan
@@ -73,6 +77,7 @@ class Repaired:
     share_before: Share | None
     share_after: Share | None
     n_trials: int
+    complete: bool = True
 
     @property
     def stands(self) -> bool:
@@ -119,9 +124,11 @@ class Repaired:
             return f"{name}: stands as it is"
         first = "" if trial.culprit is None else f", first box {trial.culprit}"
         fails = f"{name}: {trial.verdict} ({trial.reason}{first})"
+        spent = "" if self.complete else ", then the seconds for the search were spent"
         if not self.stands:
-            return f"{fails}; no repair is known ({count_text(self.n_trials, 'plan')} simulated)"
-        return f"{fails}; stands after {count_text(len(self.changes), 'change')}"
+            return f"{fails}; no repair is known ({count_text(self.n_trials, 'plan')} simulated{spent})"
+        text = f"{fails}; stands after {count_text(len(self.changes), 'change')}"
+        return text if self.complete else f"{text}; the seconds for the search were spent: some may not be needed"
 
     def row(self) -> dict[str, Any]:
         """The row of ``Repairs.table``."""
@@ -145,7 +152,7 @@ class Repaired:
             row[f"n_worlds_{name}"], row[f"n_standing_{name}"] = worlds, standing
             row[f"share_{name}"] = None if share is None else share.value
             row[f"low_{name}"], row[f"high_{name}"] = float(low), float(high)
-        return row | {"trials": self.n_trials}
+        return row | {"trials": self.n_trials, "complete": self.complete}
 
 
 @dataclass(frozen=True, eq=False)
@@ -229,10 +236,10 @@ def repair(
     Args:
         plans: as for ``petmjx.score``.
         watch: called with the number of plans that are done, and of all plans.
-        options: ``forbid``, ``built``, ``most_move_mm``, ``max_height_mm``, ``most_changes``, ``trials``, ``worlds``,
-            ``sheet_mm``, ``sheet_kg_m2``, ``profile``, ``level``, ``direction_deg``, ``most_turns`` (docs/repair.md);
-            ``errors``, a sweep file; fields of ``petmjx.Simulation``; ``engine``, ``threads``, ``lanes``,
-            ``world_timeout_s``, ``units``, ``anchor``, ``articles``, ``limit``, ``strict``.
+        options: ``forbid``, ``built``, ``most_move_mm``, ``max_height_mm``, ``most_changes``, ``trials``, ``seconds``,
+            ``worlds``, ``sheet_mm``, ``sheet_kg_m2``, ``profile``, ``level``, ``direction_deg``, ``most_turns``
+            (docs/repair.md); ``errors``, a sweep file; fields of ``petmjx.Simulation``; ``engine``, ``threads``,
+            ``lanes``, ``world_timeout_s``, ``units``, ``anchor``, ``articles``, ``limit``, ``strict``.
 
     Raises:
         InputError: plans or options are unusable.
@@ -268,27 +275,22 @@ def repair(
 
 def _repaired(plans: Iterable[Plan], question: Question, options: RepairOptions) -> Iterator[Repaired]:
     """The repair of each plan. The searches of several plans share runs of the engine."""
+    end_s = math.inf if options.seconds is None else time.monotonic() + options.seconds
+
+    def ask(asked: list[Asked]) -> list[Trial]:
+        if time.monotonic() > end_s:
+            raise OutOfTime
+        return question.trials(asked)
+
     waiting = iter(plans)
     while group := list(islice(waiting, AT_ONCE)):
         searches = [Search(plan, question.sim, options, question.film_turns) for plan in group]
-        _run_searches(searches, question)
+        run_searches(searches, ask, question.threads)
+        late = [search for search in searches if search.before is None]
+        drafts: list[Asked] = [(Draft.of(search.plan, question.film_turns), False) for search in late]
+        for search, trial in zip(late, question.trials(drafts) if late else [], strict=True):
+            search.begin(trial)
         yield from _with_shares(searches, question, options)
-
-
-def _run_searches(searches: Sequence[Search], question: Question) -> None:
-    """Run searches to their ends, side by side."""
-    running: list[tuple[Asking, list[Asked]]] = []
-    for search in searches:
-        steps = search.run()
-        running.append((steps, next(steps)))
-    while running:
-        trials = question.trials([asked for _, drafts in running for asked in drafts])
-        left, begin = [], 0
-        for steps, drafts in running:
-            with suppress(StopIteration):
-                left.append((steps, steps.send(trials[begin : begin + len(drafts)])))
-            begin += len(drafts)
-        running = left
 
 
 def _with_shares(searches: Sequence[Search], question: Question, options: RepairOptions) -> Iterator[Repaired]:
@@ -314,6 +316,7 @@ def _with_shares(searches: Sequence[Search], question: Question, options: Repair
             share_before=share,
             share_after=share_after,
             n_trials=search.n_trials,
+            complete=search.complete,
         )
 
 
@@ -325,7 +328,7 @@ def _likeliest(searches: Sequence[Search], question: Question) -> list[State | N
     errors than the reported shares: errors depend on the plan's id.
     """
     shares: list[list[Share]] = [[] for _ in searches]
-    rows = [row for row, search in enumerate(searches) if len(search.repairs) > 1]
+    rows = [row for row, search in enumerate(searches) if len(search.repairs) > 1 and search.complete]
     while rows:
         drafts = [searches[row].repairs[len(shares[row])].draft for row in rows]
         plans = [draft.as_plan(f"{draft.plan.plan_id}: choice") for draft in drafts]

@@ -55,12 +55,17 @@ class RepairOptions(CheckedRecord):
         2000.0, description="highest top of a box that is placed elsewhere, mm; at least the plan's own height"
     )
     most_changes: Annotated[int, within(1, 100), CliFlag("--most-changes", "N")] = Field(
-        24, description="changes at most, boxes left out not counted"
+        60, description="changes at most, boxes left out not counted"
     )
     trials: Annotated[int, within(1, 1_000_000), CliFlag("--trials", "N")] = Field(
         600,
         description="changed plans that are judged at most, with a profile a sixth of them; half as many more if boxes "
         "must be left out",
+    )
+    seconds: Annotated[float | None, within(0.1, 10_000_000), CliFlag("--seconds", "S", default="no limit")] = Field(
+        None,
+        description="time for the search of all plans, s: then what is known counts, and results say so; without a "
+        "limit they depend on plans and options alone",
     )
     worlds: Annotated[int, AfterValidator(_worlds), CliFlag("--worlds", "N")] = Field(
         8,

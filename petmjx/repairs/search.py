@@ -20,12 +20,12 @@ from typing import Final
 import numpy as np
 
 from petmjx.options.simulation import Simulation
-from petmjx.packers.robot_placement import placement_stability
 from petmjx.plans.plan import Plan
 from petmjx.repairs.balance import balances
 from petmjx.repairs.changes import Change, Film, Kind, LeaveOut, applied, cost_of, with_change
 from petmjx.repairs.drafts import Draft, Rules
-from petmjx.repairs.proposals import Limits, Proposal, Target, lifted_with, proposals, relocation, targets
+from petmjx.repairs.proposals import Limits, Proposal, lifted_with, proposals, targets
+from petmjx.repairs.rebuilds import rebuilds
 from petmjx.repairs.repair_options import RepairOptions
 from petmjx.repairs.trials import Asked, Trial
 
@@ -37,6 +37,12 @@ BEAM: Final = 4
 AT_ONCE: Final = (24, 48, 96)
 """Number of changed plans that are judged at once in a step: the best ranked first, then more until one has more
 standing boxes. If one stands, this many more are judged for the choice by errors."""
+
+STEPS_ALONE: Final = 4
+"""Steps in which single changes are tried first. A plan that falls even then has faults all over: it is built anew."""
+
+MOST_ANEW: Final = 2
+"""Changed plans of a step that are built anew, each in up to sixteen ways, which take a tenth of a second each."""
 
 CONFIRMED_AT_ONCE: Final = 6
 """Plans that stand when judged, and are scored at once."""
@@ -50,12 +56,18 @@ MOST_UNDONE: Final = 8
 PER_DRIVE: Final = 6
 """A plan that is scored with a drive counts as this many trials: no short simulation can judge it."""
 
+PER_WEAKNESS: Final = 1.0
+"""Weight of what makes a plan fall with errors only in the ranking, against loads beyond edges."""
+
 PER_COST: Final = 0.3
 """Weight of a change's cost in the ranking, against loads beyond edges."""
 
 SAME_COST: Final = 0.1
 """Repairs whose costs differ by less count as equally cheap: 50 mm of a move. The state that is likelier to stand with
 errors is chosen."""
+
+SAME_WEAKNESS: Final = 0.25
+"""Plans whose weakness differs by less count as equally weak: the cheaper one is better."""
 
 UNSOLVED: Final = 3.0
 """Weight of the first cause if it remains."""
@@ -107,6 +119,7 @@ class Search:
         repairs: the repairs with the fewest changes, the best first; empty: there is none. Without any one change of a
             repair the plan falls, or is not allowed.
         n_trials: simulated plans.
+        complete: whether the search came to its end. Before, changes of a repair may not be needed.
     """
 
     plan: Plan
@@ -116,6 +129,7 @@ class Search:
     before: Trial | None = None
     repairs: tuple[State, ...] = ()
     n_trials: int = 0
+    complete: bool = False
 
     def __post_init__(self) -> None:
         """Prepare the rules of the plan."""
@@ -124,29 +138,47 @@ class Search:
         self._start = Draft.of(self.plan, self.film_turns)
         self._seen: set[bytes] = set()
 
+    def take(self, other: Search) -> None:
+        """Take over what the same search has come to in another process."""
+        self.before, self.repairs, self.n_trials = other.before, other.repairs, other.n_trials
+        self.complete = other.complete
+
+    def begin(self, before: Trial) -> None:
+        """Note the simulation of the plan as it is."""
+        self.before = before
+        if before.stands:
+            self.repairs, self.complete = (State(self._start, (), before),), True
+
     def run(self) -> Asking:
         """Yields drafts to be simulated, and is sent their trials."""
-        (self.before,) = yield from self._simulated([self._start])
-        start = State(self._start, (), self.before)
-        if start.trial.stands:
-            self.repairs = (start,)
-            return
+        (before,) = yield from self._simulated([self._start])
+        self.begin(before)
+        if not before.stands:
+            yield from self._mended(State(self._start, (), before))
+            self._seen.clear()
+            self.complete = True
+
+    def _mended(self, start: State) -> Asking:
+        """Search for repairs of a plan that falls."""
         kinds = self.options.kinds
         standing: list[State] = []
         if Kind.FILM in kinds:
             standing = yield from self._wrapped(start)
         beam, kinds_with_all_boxes = [start], kinds - {Kind.FILM, Kind.LEAVE_OUT}
         most = self.options.trials if self.options.profile is None else self.options.trials // PER_DRIVE
+        if not standing and self.options.profile is None:
+            (judged,) = yield from self._simulated([self._start], judged=True)
+            if not judged.stands:
+                beam = [State(self._start, (), judged)]
         if not standing and kinds_with_all_boxes:
             standing, beam = yield from self._changed(beam, kinds_with_all_boxes, most)
-        if not standing and Kind.PLACE in kinds_with_all_boxes:
-            standing, beam = yield from self._changed(beam, kinds_with_all_boxes, most // 4, rebuilds=True)
         if not standing and Kind.LEAVE_OUT in kinds:
             self._seen.clear()
             standing, beam = yield from self._changed(beam, kinds - {Kind.FILM}, most // 2)
             if not standing:
                 standing = yield from self._stripped(beam[0])
         if standing:
+            self.repairs = tuple(standing)
             yield from self._finished(standing)
 
     def _simulated(
@@ -181,22 +213,19 @@ class Search:
     # ------------------------------------------------------------------ changes
 
     def _changed(
-        self, beam: list[State], kinds: frozenset[Kind], most_trials: int, *, rebuilds: bool = False
+        self, beam: list[State], kinds: frozenset[Kind], most_trials: int
     ) -> Generator[list[Asked], list[Trial], tuple[list[State], list[State]]]:
-        """Plans that stand after changes of these kinds, and without such plans those with the most standing boxes.
-
-        Args:
-            rebuilds: whether piles may be put elsewhere box by box, with one change per box.
-        """
+        """Plans that stand after changes of these kinds, and without such plans those that stood furthest."""
         options = self.options
         limits = Limits(kinds, options.most_move_mm, options.sheet_mm, options.sheet_kg_m2)
         last = self.n_trials + most_trials
         best = beam
-        while beam and self.n_trials < last:
-            queues = [self._ranked(state, limits, rebuilds) for state in beam]
+        for step in itertools.count():
+            if not beam or self.n_trials >= last:
+                break
             tried: list[tuple[State, _Candidate]] = []
-            progress = max(state.trial.n_standing for state in beam)
-            for count in AT_ONCE:
+            progress = max(state.trial.progress for state in beam)
+            for count, queues in self._queues(beam, limits, step):
                 batch = _batch(queues, min(count, last - self.n_trials))
                 states = yield from self._judged(batch)
                 if any(state.trial.stands for state in states):  # further plans may stand more often with errors
@@ -205,16 +234,25 @@ class Search:
                     standing = yield from self._confirmed(states)
                     if standing:
                         return standing, best
-                if not batch:
-                    break
                 tried += zip(states, batch, strict=True)
-                if any(state.trial.n_standing > progress for state, _ in tried):
+                if any(state.trial.progress > progress for state, _ in tried):
                     break
-            tried.sort(key=lambda p: (-p[0].trial.n_standing, p[1].trouble, p[0].cost))
+            tried.sort(key=lambda p: (tuple(-n for n in p[0].trial.progress), p[1].trouble, p[0].cost))
             beam = _different([state for state, _ in tried if self._is_short(state)], BEAM)
-            if beam and beam[0].trial.n_standing > best[0].trial.n_standing:
+            if beam and beam[0].trial.progress > best[0].trial.progress:
                 best = beam
         return [], best
+
+    def _queues(self, beam: Sequence[State], limits: Limits, step: int) -> Iterator[tuple[int, list[list[_Candidate]]]]:
+        """Numbers of changed plans to judge, and queues from which to take them: single changes, and plans that are
+        built anew; these first where some single changes have not helped."""
+        for anew in (True, False) if step >= STEPS_ALONE else (False, True):
+            if not anew:
+                queues = [self._ranked(state, limits) for state in beam]
+                yield from ((count, queues) for count in AT_ONCE)
+            elif Kind.PLACE in limits.kinds:
+                queues = [self._ranked(state, limits, anew=True) for state in beam[:MOST_ANEW]]
+                yield AT_ONCE[-1], queues
 
     def _judged(self, batch: Sequence[_Candidate]) -> Generator[list[Asked], list[Trial], list[State]]:
         """The states of candidates that are only judged."""
@@ -247,7 +285,8 @@ class Search:
         ways: Counter[tuple[object, ...]] = Counter()
         queue = []
         numbers = [k for k, state in enumerate(states) if state.trial.stands]
-        for k in sorted(numbers, key=lambda k: (len(states[k].changes), -self._chance(states[k]), states[k].cost)):
+        weakness = dict(zip(numbers, self._weakness([states[k] for k in numbers]), strict=True))
+        for k in sorted(numbers, key=lambda k: (len(states[k].changes), weakness[k], states[k].cost)):
             way = _way(states[k])
             queue.append((len(states[k].changes), ways[way], k))  # one change of each way first
             ways[way] += 1
@@ -266,30 +305,30 @@ class Search:
 
     def _is_short(self, state: State) -> bool:
         """Whether a state may be changed further."""
-        counted = [change for change in state.changes if change.kind is not Kind.LEAVE_OUT]
-        return len(counted) < self.options.most_changes
+        return _n_counted(state.changes) < self.options.most_changes
 
-    def _ranked(self, state: State, limits: Limits, rebuilds: bool) -> list[_Candidate]:
-        """Allowed changes of a plan, the most promising first."""
+    def _ranked(self, state: State, limits: Limits, *, anew: bool = False) -> list[_Candidate]:
+        """Allowed changes of a plan, or ways to build it anew, the most promising first."""
         (balance,) = balances([state.draft], self.sim)
         trial = state.trial
         causes = targets(state.draft, self.rules, balance, trial.culprit, trial.fallen, trial.n_placed)
         first = next((cause for cause in causes if cause.depth_mm > 0), causes[0]) if causes else None
+        if anew:
+            leaves_out = Kind.LEAVE_OUT in limits.kinds
+            some = rebuilds(state.draft, self.rules, self.sim, causes, trial.n_held, leaves_out=leaves_out)
+        else:
+            some = (p for cause in causes for p in proposals(state.draft, self.rules, cause, limits))
         drafts: list[Draft] = []
         origins: list[Proposal] = []
-        for cause in causes:
-            candidates = proposals(state.draft, self.rules, cause, limits)
-            for proposal in (
-                itertools.chain(candidates, self._relocations(state.draft, cause)) if rebuilds else candidates
-            ):
-                draft = applied(state.draft, proposal)
-                if draft is None:
-                    continue
-                key = _key(draft)
-                if key not in self._seen:
-                    self._seen.add(key)
-                    drafts.append(draft)
-                    origins.append(proposal)
+        for proposal in some:
+            draft = applied(state.draft, proposal)
+            if draft is None:
+                continue
+            key = _key(draft)
+            if key not in self._seen:
+                self._seen.add(key)
+                drafts.append(draft)
+                origins.append(proposal)
         allowed = np.flatnonzero(self.rules.allow(drafts)).tolist() if drafts else []
         ranked = []
         for number, after in zip(allowed, balances([drafts[k] for k in allowed], self.sim), strict=True):
@@ -302,21 +341,15 @@ class Search:
                 merged = applied(self._start, changes)
                 if merged is None or _key(merged) != _key(draft):
                     changes = (*state.changes, *proposal)
+            if _n_counted(changes) > self.options.most_changes:
+                continue
             unsolved = first is not None and after.depth_of(first.box) > 0
-            rank = after.trouble + UNSOLVED * unsolved + PER_COST * cost_of(proposal)
+            risk = after.trouble + PER_WEAKNESS * after.weakness
+            rank = risk + UNSOLVED * unsolved + PER_COST * cost_of(proposal)
             ranked.append(_Candidate(draft, changes, proposal, after.trouble, rank))
         ranked.sort(key=lambda candidate: candidate.key)
         self._seen.difference_update(_key(candidate.draft) for candidate in ranked[sum(AT_ONCE) :])
         return ranked
-
-    def _relocations(self, draft: Draft, cause: Target) -> Iterator[Proposal]:
-        """Piles put elsewhere box by box: the pile of the box that does not hold, and the pile of the box that is too
-        much."""
-        for box in dict.fromkeys((cause.box, cause.cause)):
-            if box in draft.order and draft.on_top[box].any():
-                relocated = relocation(draft, self.rules, self.sim, box)
-                if relocated is not None:
-                    yield relocated
 
     # ------------------------------------------------------------------ the end
 
@@ -329,8 +362,9 @@ class Search:
             reduced = yield from self._reduced(state)
             pruned.append((yield from self._pruned(reduced)))
         fewest = min(len(state.changes) for state in pruned)
-        different = {_key(state.draft): state for state in pruned if len(state.changes) == fewest}
-        self.repairs = tuple(sorted(different.values(), key=lambda state: math.floor(state.cost / SAME_COST)))
+        different = [*{_key(state.draft): state for state in pruned if len(state.changes) == fewest}.values()]
+        ranks = zip(self._weakness(different), (math.floor(state.cost / SAME_COST) for state in different), strict=True)
+        self.repairs = tuple(state for _, state in sorted(zip(ranks, different, strict=True), key=lambda p: p[0]))
 
     def _reduced(self, state: State) -> Generator[list[Asked], list[Trial], State]:
         """The state without groups of needless changes: halves first, then smaller groups."""
@@ -364,16 +398,27 @@ class Search:
     def _pruned(self, state: State) -> Generator[list[Asked], list[Trial], State]:
         """The state without needless changes, tried one by one."""
         while len(state.changes) > 1:
+            many = len(state.changes) > MOST_UNDONE  # scores of all of them would take minutes
             change_lists = [(*state.changes[:k], *state.changes[k + 1 :]) for k in range(len(state.changes))]
-            standing = [shorter for shorter in (yield from self._trials_of(change_lists)) if shorter.trial.stands]
+            trials = yield from self._trials_of(change_lists, judged=many)
+            standing = sorted((shorter for shorter in trials if shorter.trial.stands), key=lambda one: one.cost)[:1]
+            if standing and many:
+                (trial,) = yield from self._simulated([standing[0].draft])
+                standing = [replace(standing[0], trial=trial)] if trial.stands else []
             if not standing:
                 break
-            state = min(standing, key=lambda shorter: shorter.cost)
+            state = standing[0]
         return state
 
-    def _chance(self, state: State) -> float:
-        """The estimated chance that the changed plan stands when a robot places the boxes, in tenths."""
-        return round(float(placement_stability(state.draft.as_plan()).prod()), 1)
+    def _weakness(self, states: Sequence[State]) -> list[int]:
+        """What makes each changed plan fall with errors only, in steps of ``SAME_WEAKNESS``."""
+        some = balances([state.draft for state in states], self.sim)
+        return [round((balance.weakness + balance.trouble) / SAME_WEAKNESS) for balance in some]
+
+
+def _n_counted(changes: Sequence[Change]) -> int:
+    """Number of changes but for boxes that are left out."""
+    return sum(change.kind is not Kind.LEAVE_OUT for change in changes)
 
 
 def _way(state: State) -> tuple[object, ...]:

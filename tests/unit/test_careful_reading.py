@@ -319,3 +319,68 @@ def test_a_pallet_below_the_boxes_is_the_deck(tmp_path: Path, name: str, n_boxes
     assert plan_set.plans[0].corner_mm[:, 2].min() == 0
     (reading,) = plan_set.readings.values()
     assert ("row 2 is the pallet, and left out" in reading.notes) == (n_boxes == 4)
+
+
+# Forms of further tools.
+
+PILE = ((0, 0, 0, 600, 400, 300, 12), (600, 0, 0, 600, 400, 300, 12), (0, 400, 0, 600, 400, 300, 12),
+        (600, 400, 0, 600, 400, 300, 12), (0, 0, 300, 400, 300, 250, 6.5), (400, 0, 300, 400, 300, 250, 6.5),
+        (0, 300, 300, 300, 400, 200, 5.25), (300, 300, 300, 500, 350, 180, 7.75))  # fmt: skip
+"""(x, y, z, length, width, height, kg) of boxes on a pallet, mm."""
+FIELDS = ("x", "y", "z", "length", "width", "height", "weight")
+
+
+def of_scene() -> str:
+    """Unit cubes with scales, metres, centres, y upwards, as three.js and Unity have them. No cube is a container."""
+    cubes = {}
+    for number, (x, y, z, length, width, height, kg) in enumerate(PILE):
+        middle = {"x": (x + length / 2) / 1e3, "y": (z + height / 2) / 1e3, "z": (y + width / 2) / 1e3}
+        scale = {"x": length / 1e3, "y": height / 1e3, "z": width / 1e3}
+        cubes[f"cube {number}"] = {"position": middle, "scale": scale, "mass": kg}
+    return json.dumps({"objects": cubes})
+
+
+def by_columns(hole: str = "") -> str:
+    """pandas' ``to_json()``: a value for each row by its label. ``hole``: a row without a z."""
+    columns = {name: {str(row): box[k] for row, box in enumerate(PILE)} for k, name in enumerate(FIELDS)}
+    columns["z"].pop(hole, None)
+    return json.dumps(columns)
+
+
+def with_units() -> str:
+    boxes = [dict(zip(FIELDS, [*(v / 25.4 for v in box[:6]), box[6] / 0.45359237], strict=True)) for box in PILE]
+    return json.dumps({"units": {"length": "in", "weight": "lb"}, "boxes": boxes})
+
+
+def markdown() -> str:
+    rows = [f"| {name} | " + " | ".join(map(str, box)) + " |" for name, box in zip("abcdefgh", PILE, strict=True)]
+    return "\n".join([f"| box | {' | '.join(FIELDS)} |", "|:---|" + "---:|" * len(FIELDS), *rows, ""])
+
+
+def centre_and_bottom() -> str:
+    rows = [f"{x + dx / 2},{y + dy / 2},{z},{dx},{dy},{dz},{kg}" for x, y, z, dx, dy, dz, kg in PILE]
+    return "\n".join(["center_x_mm,center_y_mm,bottom_z_mm,length_mm,width_mm,height_mm,mass_kg", *rows, ""])
+
+
+@pytest.mark.parametrize(
+    ("name", "text"),
+    [
+        ("scene.json", of_scene()),
+        ("columns.json", by_columns()),
+        ("units.json", with_units()),
+        ("table.md", markdown()),
+        ("bottom.csv", centre_and_bottom()),
+    ],
+)
+def test_forms_of_further_tools(name: str, text: str, tmp_path: Path) -> None:
+    up = {"up": "y"} if name == "scene.json" else {}  # 8 boxes of a scene stand either way
+    (plan,) = load(tmp_path, name, text, **up)
+    wanted = np.array(PILE, float)
+    np.testing.assert_allclose(plan.corner_mm, wanted[:, :3], atol=0.05)
+    np.testing.assert_allclose(plan.size_mm, wanted[:, 3:6], atol=0.05)
+    np.testing.assert_allclose(plan.mass_kg, wanted[:, 6], rtol=1e-4)
+
+
+def test_a_column_that_lacks_a_row_is_named(tmp_path: Path) -> None:
+    message = refusal(load(tmp_path, "columns.json", by_columns(hole="4")))
+    assert message.endswith("columns.json: plan columns, [4]: z is missing")

@@ -1,0 +1,151 @@
+"""Plans built anew from the box on that does not hold (``rebuilds``): where single changes do not help.
+
+Boxes keep their places as long as statics has no objection. Those that lose their supports, or that would go beyond an
+edge, are put elsewhere, in their turn or after all others. So faults all over a plan are mended in a few trials, with a
+change for each box that is put elsewhere.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Iterator
+from dataclasses import dataclass, replace
+from itertools import product
+from typing import Final
+
+import numpy as np
+
+from petmjx.options.simulation import Simulation
+from petmjx.repairs.balance import balances
+from petmjx.repairs.changes import Change, LeaveOut, Place
+from petmjx.repairs.drafts import TOLERANCE_MM, Draft, Rules
+from petmjx.repairs.proposals import Proposal, Target, resting_corners
+
+MOST_CAUSES: Final = 2
+"""Causes of a failure from which a plan is built anew."""
+
+SAME_TROUBLE: Final = 1e-6
+"""Sums of loads beyond edges that differ by less are equal."""
+
+
+@dataclass(frozen=True)
+class Way:
+    """A way to build a plan anew.
+
+    Attributes:
+        late: boxes that lose their places are placed after all others; else in their turn.
+        strict: boxes are put elsewhere, too, whose loads would go beyond an edge; else only those that cannot keep
+            their places.
+    """
+
+    late: bool
+    strict: bool
+
+
+WAYS: Final = tuple(Way(late, strict) for late, strict in product((False, True), repeat=2))
+
+
+def rebuilds(
+    draft: Draft, rules: Rules, sim: Simulation, causes: list[Target], n_held: int, *, leaves_out: bool
+) -> Iterator[Proposal]:
+    """Ways to build a plan anew: the boxes of one cause get other places, or are left out.
+
+    Args:
+        causes: why the plan fails, the likeliest first.
+        n_held: boxes that stood before it failed: statics has no say on these.
+        leaves_out: whether the boxes of a cause are left out.
+    """
+    distrusted = {frozenset(some) for cause in causes[:MOST_CAUSES] for some in ({cause.box}, {cause.cause})}
+    for boxes in sorted(distrusted, key=sorted):
+        if min(boxes) < rules.built or max(boxes) >= draft.plan.n_boxes or not boxes <= set(draft.order):
+            continue
+        for way in WAYS:
+            changes = _Pile(draft, rules, sim, boxes, n_held, way, leaves_out).built()
+            if changes:
+                yield changes
+
+
+class _Pile:
+    """A plan that is built anew."""
+
+    def __init__(
+        self,
+        draft: Draft,
+        rules: Rules,
+        sim: Simulation,
+        distrusted: Collection[int],
+        n_held: int,
+        way: Way,
+        leaves_out: bool,
+    ) -> None:
+        self._draft, self._rules, self._sim = draft, rules, sim
+        self._distrusted, self._way, self._leaves_out = distrusted, way, leaves_out
+        self._held = set(draft.order[:n_held])
+        self._pile = replace(draft, order=())
+
+    def built(self) -> Proposal | None:
+        """The changes that make the new plan of the draft; None: a box has no place."""
+        changes: list[Change] = []
+        waiting: list[int] = []
+        for at, box in enumerate(self._draft.order):
+            if box in self._distrusted and self._leaves_out:
+                changes.append(LeaveOut(box))
+            elif box not in self._distrusted and self._keeps(box):
+                continue
+            elif box < self._rules.built or box >= self._draft.plan.n_boxes:
+                return None
+            elif self._way.late:
+                waiting.append(box)
+            elif (change := self._placed(box, self._draft.order[at + 1 :])) is not None:
+                changes.append(change)
+            else:
+                waiting.append(box)
+        for box in waiting:
+            last = self._pile.order[-1] if self._pile.order else None
+            change = self._placed(box, ())
+            if change is None:
+                return None
+            changes.append(replace(change, neighbour=last))
+        return tuple(changes)
+
+    def _keeps(self, box: int) -> bool:
+        """Put a box at its place, if it can keep that."""
+        pile = replace(self._pile, order=(*self._pile.order, box))
+        if box >= self._rules.built:
+            if not self._rules.allow([pile])[0]:
+                return False
+            if self._way.strict and box not in self._held and self._pile.order:
+                before, after = balances([self._pile, pile], self._sim)
+                if after.trouble > before.trouble + SAME_TROUBLE:
+                    return False
+        self._pile = pile
+        return True
+
+    def _placed(self, box: int, later: Collection[int]) -> Place | None:
+        """Put a box at the place where statics objects least, it is in the way of the fewest later boxes, loads are
+        safest, and it lies lowest; None: there is no place."""
+        planned = self._draft.corner_mm[box]
+        places = [
+            Place(box, corner, bool(self._draft.turned[box]) != turn, differs=turn)
+            for turn, corner in resting_corners(self._pile, self._rules, box)
+            if turn or box not in self._distrusted or np.abs(planned - corner).max() > TOLERANCE_MM
+        ]
+        waiting = replace(self._pile, order=(*self._pile.order, box))
+        drafts = [placed for place in places if (placed := place.applied(waiting)) is not None]
+        allowed = np.flatnonzero(self._rules.allow(drafts)).tolist() if drafts else []
+        ranks = [
+            (balance.trouble, self._in_the_way(drafts[k], box, later), balance.weakness, places[k].corner_mm[2], k)
+            for k, balance in zip(allowed, balances([drafts[k] for k in allowed], self._sim), strict=True)
+        ]
+        if not ranks:
+            return None
+        chosen = min(ranks)[-1]
+        self._pile = drafts[chosen]
+        return places[chosen]
+
+    def _in_the_way(self, pile: Draft, box: int, later: Collection[int]) -> int:
+        """How many later boxes cannot keep their places because of a box: it is there, or above."""
+        rows = [number for number in later if number not in self._distrusted]
+        low, high = pile.corner_mm[rows], (pile.corner_mm + pile.size_mm)[rows]
+        bottom, top = pile.corner_mm[box], pile.corner_mm[box] + pile.size_mm[box]
+        shared = np.minimum(high, top) - np.maximum(low, bottom)
+        return int(((shared[:, :2] > TOLERANCE_MM).all(axis=1) & (low[:, 2] < top[2] - TOLERANCE_MM)).sum())
