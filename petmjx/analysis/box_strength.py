@@ -22,7 +22,15 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
-from petmjx.analysis.crushing import BOX_UNITS, PLAN_UNITS, WAY_UNITS, crushed_worlds, ways_of, with_crush_shares
+from petmjx.analysis.crushing import (
+    BOX_UNITS,
+    PLAN_UNITS,
+    SUSTAINED,
+    WAY_UNITS,
+    crushed_worlds,
+    ways_of,
+    with_crush_shares,
+)
 from petmjx.common.argument_checks import path_of
 from petmjx.common.atomic_write import write_errors
 from petmjx.common.errors import InputError
@@ -180,6 +188,7 @@ _BOX_UNITS: Final = {
     "rest_top_force_n": ("N", "force on top of the box at rest"),
     "rest_top_force_low_n": ("N", "the least that balance and friction allow; null: unknown"),
     "rest_top_force_high_n": ("N", "the most that balance and friction allow; null: unknown"),
+    SUSTAINED: ("N", "of a chain: largest force on top of the box at rest, after any leg; null: it took none"),
     "max_top_force_n": ("N", "largest force on top of the box in any step, also while it is placed or shaken"),
     "press_strength_n": ("N", "strength of the box between plates; null: unknown"),
     "wall_factor": ("1", "by the share of walls above that stand on its own walls"),
@@ -318,7 +327,8 @@ def loads(
     if articles is None and known["strength_n"].isna().all():
         raise InputError(f"{results.path}: the plans have no strengths (strength_n): give a table of articles")
     shares = {force: share for force, share in _SHARES.items() if force in results.boxes}
-    boxes = results.boxes[["plan_id", "variant", "box", "article", *shares]].astype(dict.fromkeys(shares, "float64"))
+    forces = [*shares, *([SUSTAINED] if SUSTAINED in results.boxes else [])]
+    boxes = results.boxes[["plan_id", "variant", "box", "article", *forces]].astype(dict.fromkeys(forces, "float64"))
     boxes = boxes.merge(known, on=["plan_id", "box"], how="inner", validate="many_to_one")
     of_time = {force: 1.0 if force == _PEAK else boxes["time_factor"] for force in shares}
     boxes = boxes.assign(

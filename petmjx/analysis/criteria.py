@@ -232,6 +232,66 @@ def load_tipping_g(contacts: PlanContacts) -> FloatArray:
     return tipping
 
 
+MOST_POINTS: Final = {
+    "height": 25.0,
+    "quadrants": 25.0,
+    "fill": 10.0,
+    "interlock": 10.0,
+    "overhang": 15.0,
+    "order": 15.0,
+}
+"""A seller's score of 0 to 100: points for the height of the centre, quadrants, fill and interlock, overhang, and heavy
+boxes below. The seller publishes these numbers and ``LEAST_POINTS``, and no formulas: those of ``load_points`` are
+assumptions, each linear between the best and the worst that there is."""
+
+LEAST_POINTS: Final = 75.0
+"""The seller calls a load with so many points stable."""
+
+
+def load_points(contacts: PlanContacts) -> dict[str, float]:
+    """The points of a whole load, by the names of ``MOST_POINTS``.
+
+    - height: all if the centre of mass is at half of the load's height or lower, none if it is at the top;
+    - quadrants: the mass over the lightest quadrant of the footprint / a quarter of the mass; boxes are cut where the
+      middle lines cross them. A load of which nothing lies on the carrier has none;
+    - fill: volume of the boxes / volume of the box around the load;
+    - interlock: share of the boxes above the first layer that lie on two boxes or more; all if there is no other layer;
+    - overhang: the least borne share of a base;
+    - order: share of the contacts between boxes in which the upper box is not the heavier one.
+    """
+    low, high = contacts.corner_mm, contacts.corner_mm + contacts.size_mm
+    extent_mm = high.max(axis=0) - low.min(axis=0)
+    centre_mm = np.average(contacts.centre_mm, axis=0, weights=contacts.mass_kg)
+    on_carrier = contacts.lower == CARRIER
+    edges = np.array(
+        [
+            contacts.low_mm[on_carrier].min(axis=0, initial=np.inf),
+            contacts.high_mm[on_carrier].max(axis=0, initial=-np.inf),
+        ]
+    )
+    middle = edges.mean(axis=0) if on_carrier.any() else np.full(2, np.inf)
+    left = np.clip((middle - low[:, :2]) / contacts.size_mm[:, :2], 0.0, 1.0)  # shares of each box, along x and y
+    quadrants = [contacts.mass_kg @ (x * y) for x in (left[:, 0], 1 - left[:, 0]) for y in (left[:, 1], 1 - left[:, 1])]
+    above = ~np.isin(np.arange(contacts.n_boxes), contacts.upper[on_carrier])
+    upper, lower = contacts.upper[~on_carrier], contacts.lower[~on_carrier]
+    shares = {
+        "height": np.clip(2 * (1 - centre_mm[2] / high[:, 2].max()), 0.0, 1.0),
+        "quadrants": 4 * min(quadrants) / contacts.mass_kg.sum(),
+        "fill": min(contacts.size_mm.prod(axis=1).sum() / extent_mm.prod(), 1.0),
+        "interlock": (contacts.n_supports[above] >= 2).mean() if above.any() else 1.0,
+        "overhang": support_share(contacts).min(),
+        "order": (contacts.mass_kg[upper] <= contacts.mass_kg[lower]).mean() if len(upper) else 1.0,
+    }
+    return {name: most * float(shares[name]) for name, most in MOST_POINTS.items()}
+
+
+def load_points_slack(contacts: PlanContacts) -> FloatArray:
+    """(n,) the points of the whole load less ``LEAST_POINTS``, at its last box. No load before has a score."""
+    slack = np.full(contacts.n_boxes, sum(MOST_POINTS.values()) - LEAST_POINTS)
+    slack[-1] = sum(load_points(contacts).values()) - LEAST_POINTS
+    return slack
+
+
 _MM: Final = "mm"
 
 LEANING: Final = "force_balance_leaning"
@@ -383,6 +443,17 @@ CRITERIA: Final = (
         number="tolerable acceleration, g",
         threshold=LEAST_TOLERABLE_G,
         usual=False,  # a criterion of transport, not of standing
+    ),
+    Criterion(
+        "load_points",
+        f"the load has at least {LEAST_POINTS:g} of {sum(MOST_POINTS.values()):g} points by five rules of a seller",
+        f"points - {LEAST_POINTS:g} at the last box; {sum(MOST_POINTS.values()) - LEAST_POINTS:g} at the others",
+        DIMENSIONLESS,
+        "a seller's rule of thumb, with formulas of petmjx's own",
+        lambda inputs: load_points_slack(inputs.contacts),
+        number="points",
+        threshold=LEAST_POINTS,
+        usual=False,  # a rule of thumb about the finished load
     ),
 )
 """All criteria in the order of tables: from criteria of the base to criteria of the whole stack."""

@@ -15,7 +15,7 @@ import pandas as pd
 
 from petmjx.analysis.criteria import NO, NOT_ASKED, YES, Answers, Criterion, answer, chosen_criteria
 from petmjx.analysis.criteria_options import CriteriaOptions
-from petmjx.analysis.criteria_vs_physics import CELLS, SCORES, best_thresholds, judge
+from petmjx.analysis.criteria_vs_physics import ARRIVES, CELLS, SCORES, best_thresholds, judge
 from petmjx.analysis.force_balance import Friction
 from petmjx.common.argument_checks import flag_of, path_of
 from petmjx.common.atomic_write import write_errors
@@ -134,6 +134,8 @@ def criteria_vs_physics_columns() -> Described:
         columns[f"{name}_low"] = (DIMENSIONLESS, "lower end of its 95 % interval, by bootstrap over plans")
         columns[f"{name}_high"] = (DIMENSIONLESS, "upper end of it")
     columns["same_first_box"] = (DIMENSIONLESS, "refused falling plans of which both name the same first box")
+    for name, says in zip(ARRIVES, ("accepts", "refuses"), strict=True):
+        columns[name] = (DIMENSIONLESS, f"P(arrives) in the mean of the plans that the criterion {says}; of a chain")
     return columns
 
 
@@ -150,7 +152,8 @@ def documented_thresholds() -> Described:
         "mcc_found_on": (DIMENSIONLESS, "MCC on them"),
     }
     judged = dict(criteria_vs_physics_columns())
-    del judged["criterion"], judged["same_first_box"]
+    for name in ("criterion", "same_first_box", *ARRIVES):
+        del judged[name]
     return (
         columns | judged | {"mcc_published": (DIMENSIONLESS, "MCC of the criterion's own threshold, on the same plans")}
     )

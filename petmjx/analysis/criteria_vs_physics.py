@@ -30,6 +30,9 @@ CELLS: Final = ("accepted_stands", "accepted_falls", "refused_stands", "refused_
 
 SCORES: Final = ("precision", "recall", "mcc")
 
+ARRIVES: Final = ("arrives_accepted", "arrives_refused")
+"""Of a run of a chain: P(arrives) in the mean of the plans that a criterion accepts, and refuses."""
+
 
 def judge(plans: pd.DataFrame, worlds: pd.DataFrame, criteria: Sequence[Criterion], seed: int = 0) -> pd.DataFrame:
     """Compare every criterion with physics.
@@ -42,7 +45,8 @@ def judge(plans: pd.DataFrame, worlds: pd.DataFrame, criteria: Sequence[Criterio
     Returns:
         One row per criterion: ``criterion``, ``n_plans``, the counts ``CELLS``, each of ``SCORES`` with ``_low`` and
             ``_high`` (95 % bootstrap over plans), and ``same_first_box``: number of refused falling plans with the same
-            first box by criterion and physics.
+            first box by criterion and physics. If ``worlds`` has ``share``, of a chain, also the means ``ARRIVES`` of
+            that share over the plans that the criterion accepts, and refuses.
     """
     judged = with_physics(plans, worlds)
     stands = judged["stands"].to_numpy(dtype=bool)
@@ -52,14 +56,20 @@ def judge(plans: pd.DataFrame, worlds: pd.DataFrame, criteria: Sequence[Criterio
         first = judged[f"{criterion.name}_first"]
         names_same_box = (first == judged["culprit"]).fillna(False).to_numpy(dtype=bool) & ~accepted & ~stands
         row = {"criterion": criterion.name, "n_plans": len(judged)} | score_columns(accepted, stands, seed)
-        rows.append(row | {"same_first_box": int(names_same_box.sum())})
+        row["same_first_box"] = int(names_same_box.sum())
+        if "share" in judged:
+            plans_by_answer = zip(ARRIVES, (accepted, ~accepted), strict=True)
+            row |= {name: judged["share"][chosen].mean() for name, chosen in plans_by_answer}
+        rows.append(row)
     return pd.DataFrame(rows)
 
 
 def with_physics(plans: pd.DataFrame, worlds: pd.DataFrame) -> pd.DataFrame:
-    """The plans for which the run has a verdict, with ``stands``, ``culprit``, ``reason`` and ``margin`` of physics."""
+    """The plans for which the run has a verdict, with ``stands``, ``culprit``, ``reason`` and ``margin`` of physics; of
+    a chain also with the ``share`` of its worlds that arrive."""
     judged = worlds[worlds["verdict"] != Verdict.INVALID.value]
-    physics = judged[["plan_id", "culprit", "reason", "margin"]].assign(
+    of_chain = ["share"] if "share" in judged else []
+    physics = judged[["plan_id", "culprit", "reason", "margin", *of_chain]].assign(
         stands=judged["verdict"] == Verdict.STABLE.value
     )
     return plans.merge(physics, on="plan_id")

@@ -48,6 +48,9 @@ WAY_UNITS: Final = {
     "share_possibly_whole": ("1", "n_possibly_whole / n_worlds"),
 }
 
+SUSTAINED: Final = "sustained_top_force_n"
+"""Column of the boxes of a chain: the largest force at rest after any leg."""
+
 _KEY: Final = ["plan_id", "variant"]
 
 
@@ -55,14 +58,18 @@ def with_crush_shares(boxes: pd.DataFrame, time_factors: tuple[float, float]) ->
     """The boxes with the columns ``crush_share_low`` and ``crush_share_high``.
 
     Args:
-        boxes: forces on boxes (the least and the largest at rest, if known) and the strengths of ``BOX_UNITS``.
+        boxes: forces on boxes (the least and the largest at rest, and ``SUSTAINED``, if known) and the strengths of
+            ``BOX_UNITS``.
         time_factors: the least and the most share of its strength that a box keeps under forces at rest.
     """
-    peak = boxes["max_top_force_n"]
+    peak, rest = boxes["max_top_force_n"], boxes["rest_top_force_n"]
+    sustained = boxes.get(SUSTAINED, rest)
     least, most = (
-        boxes["rest_top_force_n"] if name not in boxes else boxes[name].fillna(boxes["rest_top_force_n"])
+        np.fmax(rest, sustained) if name not in boxes else boxes[name].fillna(rest)
         for name in ("rest_top_force_low_n", "rest_top_force_high_n")
     )
+    if SUSTAINED in boxes:  # statics knows the end of the way, and not its other legs
+        most = np.fmax(most, sustained)
     low, high = boxes["strength_low_n"], boxes["strength_high_n"]
     shortest, longest = time_factors
     return boxes.assign(

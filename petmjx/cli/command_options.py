@@ -2,16 +2,19 @@
 
 from __future__ import annotations
 
+import functools
 import inspect
 import re
 import tomllib
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any, TypeVar, get_args, get_origin
 
 import typer
 from pydantic.fields import FieldInfo
+from typer.models import OptionInfo
 
 from petmjx.common.checked_records import CheckedRecord, CliFlag
 from petmjx.common.errors import InputError
@@ -174,13 +177,8 @@ def takes(
                     raise InputError(f"--set {printable(name)}: is given {also}; drop one of them")
                 _put(tables, path, value)
                 typed[name] = f"--set {name}"
-            try:
+            with _named_as_typed(typed):
                 command(**arguments, **tables)
-            except InputError as error:
-                line = _as_typed(str(error), typed)
-                if line == str(error):
-                    raise
-                raise InputError(line) from error
 
         signature = inspect.signature(command, eval_str=True)
         parameters = [p for p in signature.parameters.values() if p.kind is not inspect.Parameter.VAR_KEYWORD]
@@ -193,6 +191,47 @@ def takes(
         return with_options  # type: ignore[return-value]  # called as the signature says
 
     return decorate
+
+
+def as_typed(command: Command) -> Command:
+    """A command whose errors name its own options as they are typed."""
+    typed = _flags_of(inspect.signature(command, eval_str=True))
+
+    @functools.wraps(command)
+    def named(*arguments: Any, **options: Any) -> Any:
+        with _named_as_typed(typed):
+            return command(*arguments, **options)
+
+    return named  # type: ignore[return-value]  # called as the command
+
+
+@contextmanager
+def _named_as_typed(typed: Mapping[str, str]) -> Iterator[None]:
+    """Let errors of the body name fields as they were typed.
+
+    Args:
+        typed: field → what was typed for it.
+    """
+    try:
+        yield
+    except InputError as error:
+        line = _as_typed(str(error), typed)
+        if line == str(error):
+            raise
+        raise InputError(line) from error
+
+
+def _flags_of(signature: inspect.Signature) -> dict[str, str]:
+    """The flag of each option of a command, by the name of its parameter."""
+    flags = {}
+    for name, parameter in signature.parameters.items():
+        for entry in getattr(parameter.annotation, "__metadata__", ()):
+            if isinstance(entry, OptionInfo):
+                words = (entry.default, *(entry.param_decls or ()))  # typer takes the first one for a default at first
+                names = [word.partition("/")[0] for word in words if isinstance(word, str) and word.startswith("-")]
+                usual = f"--{name.replace('_', '-')}"
+                flags[name] = next((text for text in names if text.startswith("--")), names[0] if names else usual)
+    return flags
 
 
 def _keyword(name: str, annotation: Any) -> inspect.Parameter:
@@ -252,7 +291,7 @@ def _as_typed(line: str, typed: Mapping[str, str]) -> str:
     """The line of an error with the option as typed instead of the field at its beginning. A line that names a file is
     about the content of that file and stays unchanged."""
     for path, option in typed.items():
-        path_match = re.match(rf"(?:simulation\.)?{re.escape(path)}(?=[ :])", line)
+        path_match = re.match(rf"(?:simulation\.|orders_)?{re.escape(path)}(?=[ :])", line)
         if path_match:
             return option + line[path_match.end() :]
     return line

@@ -72,24 +72,22 @@ def leaderboard(
     command that makes it again. Plans are scored with these options. Runs are used unchanged, unless replays of some of
     their plans contradict them.
     """
-    from petmjx.cli.run_command import stoppable
     from petmjx.show.leaderboard.leaderboard import board_line
     from petmjx.show.leaderboard.leaderboard import leaderboard as make
 
     paths = named_paths(packers, "leaderboard") or packers
-    with stoppable():
-        page = make(
-            paths,
-            out,
-            orders=orders,
-            baselines=baselines,
-            repairs=repairs or [],
-            stories=stories,
-            replays=replays,
-            watch=_bar,
-            overwrite=overwrite,
-            **options,
-        )
+    page = make(
+        paths,
+        out,
+        orders=orders,
+        baselines=baselines,
+        repairs=repairs or [],
+        stories=stories,
+        replays=replays,
+        watch=_bar,
+        overwrite=overwrite,
+        **options,
+    )
     print(board_line(page))
 
 

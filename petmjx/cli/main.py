@@ -15,9 +15,10 @@ from typing import Annotated
 
 import typer
 
+from petmjx.cli.command_options import as_typed
 from petmjx.cli.console import as_notes, asking, prepare_streams
 from petmjx.cli.help_layout import WIDTH, SectionedCommand
-from petmjx.cli.run_command import RunInterrupted
+from petmjx.cli.run_command import RunInterrupted, last_stop, stoppable
 from petmjx.common.checked_records import typed_options
 from petmjx.common.errors import EngineUnavailable, InputError, PetmjxError
 from petmjx.common.text import one_line, printable
@@ -90,7 +91,7 @@ def application(words: Sequence[str] = ()) -> typer.Typer:
     command = next((word for word in words if not word.startswith("-")), "")  # options before it take no values
     for name in (command,) if command in _COMMANDS else _COMMANDS:
         function = getattr(importlib.import_module(f"petmjx.cli.{name}"), name)
-        app.command(name, cls=SectionedCommand, short_help=_COMMANDS[name])(function)
+        app.command(name, cls=SectionedCommand, short_help=_COMMANDS[name])(as_typed(function))
     return app
 
 
@@ -143,10 +144,10 @@ def _run(make: Callable[[Sequence[str]], typer.Typer], arguments: Sequence[str] 
             raise InputError(
                 f"argument {command_words.index('-') + 1} is -: name a file; /dev/stdout is standard output"
             )
-        with as_notes(), typed_options(), asking():
+        with as_notes(), typed_options(), asking(), stoppable():
             result = make(command_words)(args=command_words or ["--help"], standalone_mode=False)
         if result == ExitCode.INTERRUPTED:  # typer returns it instead of raising KeyboardInterrupt
-            return _report("interrupted", ExitCode.INTERRUPTED)
+            return _report("interrupted", _BY_SIGNAL[signal.Signals(last_stop() or signal.SIGINT)])
         sys.stdout.flush()  # an error shows here at the latest
         return int(result or ExitCode.OK)
     except KeyboardInterrupt:

@@ -11,7 +11,7 @@ import typer
 
 from petmjx.cli import command_options as opt
 from petmjx.cli.console import results_console
-from petmjx.cli.run_command import RunInterrupted, stoppable
+from petmjx.cli.run_command import RunInterrupted
 from petmjx.common.errors import InputError
 from petmjx.common.overwrite_guard import check_outputs
 from petmjx.common.text import count_text, printable
@@ -69,19 +69,18 @@ def repair(
     files = [file for file in (out, html) if file is not None]
     check_outputs(files, overwrite=overwrite, inputs=source_files(plans))
     n_done = 0
-    with stoppable():
-        try:
-            with progress(None) as bar:
+    try:
+        with progress(None) as bar:
 
-                def count(number: int, total: int) -> None:
-                    nonlocal n_done
-                    n_done = number
-                    bar.update(number)
+            def count(number: int, total: int) -> None:
+                nonlocal n_done
+                n_done = number
+                bar.update(number)
 
-                result = repaired(plans_in_place(plans, bool(options.get("strict"))), watch=count, **options)
-        except KeyboardInterrupt as stop:
-            progress_text = f"{count_text(n_done, 'plan')} were done; nothing was written"
-            raise RunInterrupted(progress_text, getattr(stop, "number", 2)) from None
+            result = repaired(plans_in_place(plans, bool(options.get("strict"))), watch=count, **options)
+    except KeyboardInterrupt as stop:
+        progress_text = f"{count_text(n_done, 'plan')} were done; nothing was written"
+        raise RunInterrupted(progress_text, getattr(stop, "number", 2)) from None
     for line in result.skipped:
         typer.echo(f"skipped: {printable(line)}", err=True)
     if out is not None:

@@ -13,7 +13,7 @@ from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from datetime import datetime
 from pathlib import Path
-from types import FrameType
+from types import FrameType, SimpleNamespace
 from typing import TYPE_CHECKING, Any, Final
 
 from petmjx.cli.console import results_console
@@ -54,10 +54,20 @@ class _StopSignal(KeyboardInterrupt):
         self.number = number
 
 
+_STATE = SimpleNamespace(is_stoppable=False, number=None)
+"""Whether a body is stoppable now, and the number of the last signal that ended one."""
+
+
+def last_stop() -> int | None:
+    """The number of the signal that ended the last stoppable body; None: no signal did."""
+    number: int | None = _STATE.number
+    return number
+
+
 @contextmanager
 def stoppable() -> Iterator[None]:
-    """Let SIGTERM and SIGHUP end the body as Ctrl-C does, once per burst of signals. Ignored signals stay ignored
-    (nohup).
+    """Let SIGTERM and SIGHUP end the body as Ctrl-C does, once per burst of signals, so that it cleans up behind it.
+    Ignored signals stay ignored (nohup). All commands are stoppable; within one this changes nothing.
 
     Python ignores exceptions that are raised while an object is finalised, as Ray's objects often are. In this case the
     signal is sent again.
@@ -72,11 +82,13 @@ def stoppable() -> Iterator[None]:
         now_s, before_s = time.monotonic(), last_s
         last_s = now_s
         if now_s - before_s >= BURST_S:
+            _STATE.number = number
             raise _StopSignal(number)
 
-    if threading.current_thread() is not threading.main_thread():
+    if _STATE.is_stoppable or threading.current_thread() is not threading.main_thread():
         yield
         return
+    _STATE.is_stoppable, _STATE.number = True, None
     before = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)}
     try:
         for number, handler in before.items():
@@ -84,6 +96,7 @@ def stoppable() -> Iterator[None]:
                 signal.signal(number, stop)
         yield
     finally:
+        _STATE.is_stoppable = False
         if last_s == -math.inf:  # else the process is about to end, and more signals of the burst may follow
             for number, handler in before.items():
                 signal.signal(number, handler)

@@ -10,7 +10,7 @@ import typer
 
 from petmjx.cli import command_options as opt
 from petmjx.cli.console import results_console
-from petmjx.cli.run_command import RunInterrupted, stoppable
+from petmjx.cli.run_command import RunInterrupted
 from petmjx.common.errors import InputError
 from petmjx.common.overwrite_guard import check_outputs
 from petmjx.common.text import printable
@@ -83,12 +83,11 @@ def show(
         from petmjx.show.pictures.mujoco_viewer import check_display
 
         check_display()
-    with stoppable():
-        try:
-            story = _cli_story(plan_id, source or [], variant, bool(look.get("arrows")), options)
-            _show(story, list(files.values()), look, viewer)
-        except KeyboardInterrupt as stop:
-            raise RunInterrupted("unfinished files were not written", getattr(stop, "number", 2)) from None
+    try:
+        story = _cli_story(plan_id, source or [], variant, bool(look.get("arrows")), options)
+        _show(story, list(files.values()), look, viewer)
+    except KeyboardInterrupt as stop:
+        raise RunInterrupted("unfinished files were not written", getattr(stop, "number", 2)) from None
 
 
 def _show_repair(
@@ -114,11 +113,10 @@ def _show_repair(
     reading = RunOptions(**{name: value for name, value in of_run.items() if name in OF_READING})
     plan_set = usable_plans(plans_in_place(source or None, reading.strict), Simulation(**of_simulation), reading)
     repair_options = {name: value for name, value in options.items() if name not in OF_READING}
-    with stoppable():
-        try:
-            result = repair(find_plan(plan_set, plan_id), **repair_options)
-        except KeyboardInterrupt as stop:
-            raise RunInterrupted("unfinished files were not written", getattr(stop, "number", 2)) from None
+    try:
+        result = repair(find_plan(plan_set, plan_id), **repair_options)
+    except KeyboardInterrupt as stop:
+        raise RunInterrupted("unfinished files were not written", getattr(stop, "number", 2)) from None
     write_repair_page(result, files["html"])
     print_renderables([*repair_tables(result), f"page {printable(str(files['html']))}"], results_console())
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import threading
 from collections import deque
-from collections.abc import Iterable, Iterator
+from collections.abc import Collection, Iterable, Iterator
 from itertools import islice
 from typing import Any, Final, Generic, TypeVar
 
@@ -136,17 +136,26 @@ class JobStream(Generic[Tag]):
             self._unfollowed = 0
             self._changed.notify_all()
 
-    def wait_for_following(self) -> bool:
+    def wait_for_following(self, in_flight: Collection[int]) -> bool:
         """Wait for a moment until a job follows from an outcome. For an engine that has no more worlds, in another
         thread than the one that takes its outcomes.
+
+        Args:
+            in_flight: numbers of the engine's jobs whose outcomes have not been taken. The thread that takes them calls
+                ``wake`` when it has changed them.
 
         Returns:
             Whether no job is ready, and jobs may still follow from outcomes.
         """
         with self._changed:
-            if self._may_follow:
+            if self._may_follow(in_flight):
                 self._changed.wait(WAIT_S)
-            return self._may_follow
+            return self._may_follow(in_flight)
+
+    def wake(self) -> None:
+        """End a wait for jobs early."""
+        with self._changed:
+            self._changed.notify_all()
 
     @property
     def ready(self) -> int:
@@ -173,10 +182,9 @@ class JobStream(Generic[Tag]):
     def _comes(self) -> bool:
         return self._open and not self._paused
 
-    @property
-    def _may_follow(self) -> bool:
+    def _may_follow(self, in_flight: Collection[int]) -> bool:
         """Whether no job is ready, and an outcome is left from which jobs may follow."""
-        return self.feedback and not self._waiting and bool(self.in_flight or self._unfollowed)
+        return self.feedback and not self._waiting and bool(in_flight or self._unfollowed)
 
     @property
     def _is_full(self) -> bool:

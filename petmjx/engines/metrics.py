@@ -35,6 +35,12 @@ accelerated upwards by more than ``RISING_M_S2``; else only at looks for quiet (
 other steps exceed a weight by at most a twentieth: boxes press with more than their weight while they are accelerated
 upwards."""
 
+GONE_TILT: Final = 1.25
+GONE_DESCENT: Final = 1.5
+"""A trial that is asked only whether the pallet stands ends at the look for quiet at which a box is *gone*: tilted by
+this multiple of the threshold of tilt, or come down by that multiple of the threshold of shift. A box that begins at
+rest cannot rise again by itself."""
+
 
 class SampleAt(StrEnum):
     """When in a run a metric is taken."""
@@ -95,6 +101,7 @@ class BoxMetric:
             bool for yes or no.
         of_world: the column of ``worlds`` made from it, if any.
         driven_only: only runs with profiles have it.
+        legs_only: only chains of several legs have it.
         compared, relative: as in :class:`Column`. Values of yes or no are compared only as a world's number of boxes
             with yes.
     """
@@ -107,6 +114,7 @@ class BoxMetric:
     dtype: type[np.generic] = np.float32
     of_world: WorldReduction | None = None
     driven_only: bool = False
+    legs_only: bool = False
     compared: bool = True
     relative: bool = False
 
@@ -191,7 +199,7 @@ METRICS: tuple[BoxMetric | WorldMetric, ...] = (
          "shift_y_m": "final centre - planned centre, y",
          "shift_z_m": "final centre - planned centre, z"},
         SampleAt.END, "c − c_planned of the box's centre c; a component with a magnitude below `shift_floor_m` is 0; "
-        "downwards, only the part beyond what boxes with a stiffness are meant to sink counts",
+        "downwards, the planned descent of boxes with a stiffness does not count",
         of_world=WorldReduction(
             "max_shift_m", Reduction.LARGEST, "largest |x|, |y| or |z| component of any box's shift"
         ),
@@ -258,6 +266,12 @@ METRICS: tuple[BoxMetric | WorldMetric, ...] = (
         "max_sway_m", "m", {"max_sway_m": "largest horizontal distance from where the box was when the forces began"},
         SampleAt.LOOKS, "max √(Δx² + Δy²) of c since the profile's beginning", driven_only=True,
     ),
+    BoxMetric(
+        "sustained_top_force_n", "N",
+        {"sustained_top_force_n": "largest force on its top at rest, after any leg; null where it took no leg"},
+        SampleAt.REST, "max of `rest_top_force_n` at the ends of the placement and of the legs", driven_only=True,
+        legs_only=True, relative=True,
+    ),
     WorldMetric("sim_time_s", "s", "simulated time after the soft start", SampleAt.END),
     WorldMetric(
         "n_steps", DIMENSIONLESS, "simulated steps after the soft start", SampleAt.END, np.int64, compared=False
@@ -286,6 +300,7 @@ class BoxMetrics:
     quat: FloatArray
     plan_edge_m: FloatArray
     rest_edge_m: FloatArray
+    sustained_top_force_n: FloatArray
 
     @classmethod
     def measured(cls, *n: int, **values: NDArray[Any]) -> BoxMetrics:
@@ -330,10 +345,16 @@ FORCE_INTERVAL: Final = tuple(
 
 
 @functools.cache
-def box_metrics(driven: bool = True) -> tuple[BoxMetric, ...]:
-    """Metrics of boxes in the order of their columns; ``driven``: include those that only runs with profiles have."""
-    metrics = [metric for metric in METRICS if isinstance(metric, BoxMetric) and (driven or not metric.driven_only)]
-    return tuple(sorted(metrics, key=lambda metric: metric.driven_only))
+def box_metrics(driven: bool = True, legs: bool = True) -> tuple[BoxMetric, ...]:
+    """Metrics of boxes in the order of their columns.
+
+    Args:
+        driven: include those that only runs with profiles have.
+        legs: include those that only chains of several legs have.
+    """
+    every = (metric for metric in METRICS if isinstance(metric, BoxMetric))
+    metrics = [m for m in every if (driven or not m.driven_only) and (legs or not m.legs_only)]
+    return tuple(sorted(metrics, key=lambda metric: (metric.driven_only, metric.legs_only)))
 
 
 @functools.cache
@@ -342,11 +363,11 @@ def world_metrics() -> tuple[WorldMetric, ...]:
     return tuple(metric for metric in METRICS if isinstance(metric, WorldMetric))
 
 
-def box_columns(driven: bool = True) -> list[Column]:
+def box_columns(driven: bool = True, legs: bool = True) -> list[Column]:
     """Columns of ``boxes`` with metrics."""
     return [
         Column(name, m.unit, m.dtype, meaning, m.compared and m.dtype is not np.bool_, m.relative)
-        for m in box_metrics(driven)
+        for m in box_metrics(driven, legs)
         for name, meaning in m.columns.items()
     ]
 
@@ -381,6 +402,7 @@ def markdown() -> str:
         if isinstance(metric, BoxMetric):
             names = ", ".join(f"`{name}`" for name in metric.columns)
             note = " (runs with profiles)" if metric.driven_only else ""
+            note = " (chains of several legs)" if metric.legs_only else note
             boxes.append((names + note, metric.unit, metric.dtype.__name__, str(metric.when), metric.definition))
             source = f"{metric.of_world.reduction} of {names}" if metric.of_world else ""
         else:

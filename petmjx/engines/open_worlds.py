@@ -242,8 +242,9 @@ class OpenWorlds(ABC):
         discarded. A world may be named more than once, and must have paused.
 
         Args:
-            until_lost: a fork ends as soon as a box is tilted too far at a sample, as a world with errors does: such a
-                world does not stand, but its end stays unknown.
+            until_lost: a fork ends as soon as a box is tilted too far at a sample, as a world with errors does, or is
+                gone at a look for quiet (``petmjx.engines.metrics.GONE_TILT``): then it is known not to stand, but not
+                how it would end.
 
         Raises:
             ValueError: a world has ended.

@@ -86,10 +86,15 @@ def note_edges(outcomes: Sequence[Outcome], jobs: Sequence[Job], *, in_order: bo
     the distances of boxes, and the flag of a knife's edge, which any box may set.
 
     Distances at rest count in worlds that stand and were not shaken: there the carrier is at its place. Distances
-    while the plan is built are those of plans whose boxes are placed ``in_order``, without errors.
+    while the plan is built are those of plans whose boxes are placed ``in_order``, without errors. Worlds that stand
+    after a further leg of a chain are left out: they have the distances, and the flag, of the leg before.
     """
     scenes = [job.scene for job in jobs]
-    valid = [k for k, outcome in enumerate(outcomes) if outcome.verdict is not Verdict.INVALID]
+    valid = [
+        k
+        for k, outcome in enumerate(outcomes)
+        if outcome.verdict is not Verdict.INVALID and (jobs[k].poses is None or outcome.verdict is not Verdict.STABLE)
+    ]
     # drives share a scene
     keys = [(scenes[k], outcomes[k].n_placed, in_order and not jobs[k].has_errors) for k in valid]
     planned = {key: number for number, key in enumerate(dict.fromkeys(keys))}

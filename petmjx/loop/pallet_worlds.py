@@ -12,7 +12,7 @@ from petmjx.common.units import FloatArray
 from petmjx.engines.protocol import Engine
 from petmjx.loop.box_tables import BoxTable
 from petmjx.loop.candidate_trials import placing_errors_of
-from petmjx.loop.placement_bounds import Bounds, decidable, is_calm
+from petmjx.loop.placement_bounds import Bounds, boxes_apart_mm, decidable
 from petmjx.loop.placement_results import PlacementResults
 from petmjx.loop.placements import Placements
 from petmjx.options.simulation import Simulation
@@ -27,17 +27,20 @@ class PalletWorlds:
         boxes: the boxes of the pallets, as requested.
         bounds: bounds on placements.
         dead: (n,) whether a pallet has fallen.
-        calm: (n,) whether a pallet rests where its plan is.
+        margin: (n,) margins of pallets that rest and may be decided by bounds; -1 for others.
+        apart_mm: (n, k) how far their boxes are from where their plans have them, mm.
         placing: whether an engine's thread is letting pallets come to rest. Meanwhile only that thread uses the worlds.
     """
 
     def __init__(self, n: int, engine: Engine, sim: Simulation, most_boxes: int) -> None:
         self._n, self._sim = n, sim
         self._decidable = decidable(sim)
+        self._bare = 1.0 if self._decidable else -1.0  # margin of an empty pallet
         self.boxes = BoxTable(n)
-        self.bounds = Bounds(self.boxes)
+        self.bounds = Bounds(self.boxes, sim.physics.box_friction[0])
         self.dead: NDArray[np.bool_] = np.zeros(n, bool)
-        self.calm: NDArray[np.bool_] = np.full(n, self._decidable)
+        self.margin: FloatArray = np.full(n, self._bare)
+        self.apart_mm: FloatArray = np.zeros((n, most_boxes))
         self.placing = False
         self._error: NDArray[np.int64] = np.zeros((n, most_boxes), np.int64)  # values of each box, as in ``place``
         self._strength: FloatArray = np.zeros((n, most_boxes))
@@ -101,14 +104,18 @@ class PalletWorlds:
     def _rested(self, rows: NDArray[np.int64]) -> PlacementResults:
         if len(rows):
             self.worlds.go_on()
-        outcomes = PlacementResults.of_readings(rows, self.worlds.readings(rows.tolist()), self._sim.thresholds)
+        readings = self.worlds.readings(rows.tolist())
+        outcomes = PlacementResults.of_readings(rows, readings, self._sim.thresholds)
         self.dead[rows] = outcomes.ended
-        self.calm[rows] = is_calm(outcomes) & self._decidable & ~(self._strength[rows] > 0).any(axis=1)
+        rests = outcomes.stable & ~outcomes.moving & self._decidable & ~(self._strength[rows] > 0).any(axis=1)
+        self.margin[rows] = np.where(rests, outcomes.margin, -1.0)
+        apart = boxes_apart_mm(readings, self._sim.thresholds)
+        self.apart_mm[rows, : apart.shape[1]] = apart
         return outcomes
 
     def decided(self, placements: Placements) -> NDArray[np.int8]:
-        """(m,) bounds of placements."""
-        return self.bounds.of(placements, self.calm[placements.pallet])
+        """(m,) what the bounds say of placements."""
+        return self.bounds.of(placements, self.margin, self.apart_mm)
 
     def has_errors(self, pallet: int) -> bool:
         """Whether a box of a pallet was placed with an error."""
@@ -121,7 +128,7 @@ class PalletWorlds:
         if has_before.any():
             self.worlds.fork((self._n + rows[has_before]).tolist(), rows[has_before].tolist())
         self._cut(rows, left)
-        self.dead[rows], self.calm[rows], self._before[rows] = False, False, -1
+        self.dead[rows], self.margin[rows], self._before[rows] = False, -1.0, -1
         if not has_before.all():
             self._build(rows[~has_before])
 
@@ -131,19 +138,21 @@ class PalletWorlds:
         self.worlds.fork(these, copies)
         self.boxes.copy(sources, into)
         self.bounds.cut(into, np.zeros(len(into), np.int64))
-        for values in (self._before, self.dead, self.calm, self._error, self._strength):
+        for values in (self._before, self.dead, self.margin, self.apart_mm, self._error, self._strength):
             values[into] = values[sources]
 
     def empty(self, rows: NDArray[np.int64]) -> None:
         """Empty some pallets."""
         self._empty_worlds(rows)
         self._cut(rows, np.zeros(len(rows), np.int64))
-        self.calm[rows] = self._decidable
+        self.margin[rows] = self._bare
 
     def _cut(self, rows: NDArray[np.int64], count: NDArray[np.int64]) -> None:
         self.boxes.cut(rows, count)
         self.bounds.cut(rows, count)
-        self._strength[rows] = np.where(np.arange(self._strength.shape[1]) < count[:, None], self._strength[rows], 0.0)
+        left = np.arange(self._strength.shape[1]) < count[:, None]
+        for values in (self._strength, self.apart_mm):
+            values[rows] = np.where(left, values[rows], 0.0)
 
     def _empty_worlds(self, rows: NDArray[np.int64]) -> None:
         self.worlds.fork([2 * self._n] * len(rows), rows.tolist())

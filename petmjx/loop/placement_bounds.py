@@ -8,26 +8,30 @@ planned places, if its weight and the loads of all boxes that bear it act well i
 is near an edge.
 
 A box falls beyond doubt if its weight acts well outside its bearing, and no body is near that could catch it before it
-has turned too far. All other placements are open. The bounds are for rigid boxes, and for thresholds of verdicts that
-are usual (``decidable``). Margins are such that simulations agree: ``python -m benchmarks loop bounds`` compares.
+has turned too far. Boxes beside it can hold it by friction only, which is limited: only the friction under the box
+presses it against them. Boxes of the pallet that have moved count as larger by as much. All other placements are open.
+
+The bounds are for rigid boxes, and for thresholds of verdicts that are usual (``decidable``). Margins are such that
+simulations agree: ``python -m benchmarks loop bounds`` compares.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Final
+from typing import Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from petmjx.common.units import MM_PER_M, FloatArray
+from petmjx.engines.mujoco.box_motion import shift, tilt_deg
+from petmjx.engines.open_worlds import Readings
 from petmjx.loop.box_tables import BoxTable
 from petmjx.loop.growing_tables import widened_table
-from petmjx.loop.placement_results import PlacementResults
 from petmjx.loop.placements import Placements
 from petmjx.options.carriers import Carrier
 from petmjx.options.physics import Cone
-from petmjx.options.simulation import Simulation
+from petmjx.options.simulation import Simulation, Thresholds
 from petmjx.packers.pile_balance import MARGIN_M, MARGIN_SHARE, TOUCH_MM, pressure_moments
 from petmjx.world.carrier_boards import has_walls
 from petmjx.world.release_places import NOTHING
@@ -65,7 +69,13 @@ NEAR_MM: Final = 2.0
 """Gap between two boxes that may have closed: boxes of a calm pallet are up to 1 mm beside their places."""
 
 CALM_DEG: Final = 0.5
-"""Largest tilt on a pallet that rests where its plan is: 3 mm on a box of 350 mm."""
+"""Largest tilt of a box that rests where its plan is: 3 mm on a box of 350 mm."""
+
+HOLDING: Final = 1.1
+"""Friction by which boxes at one side may hold a box that turns, as a multiple of μ² times its weight."""
+
+SAME_WAY: Final = 1e-6
+"""Directions whose cosine differs from 1 by less are the same."""
 
 MOST_BEARERS: Final = 4
 """Most boxes below a box that is decided."""
@@ -101,10 +111,18 @@ def decidable(sim: Simulation) -> bool:
     )
 
 
-def is_calm(results: PlacementResults) -> NDArray[np.bool_]:
-    """(m,) whether pallets rest at their planned places: no box is shifted or tilted."""
-    calm: NDArray[np.bool_] = results.stable & ~results.moving & (results.shift_mm == 0) & (results.tilt_deg < CALM_DEG)
-    return calm
+def boxes_apart_mm(readings: Readings, thresholds: Thresholds) -> FloatArray:
+    """(m, k) how far corners of boxes may be from where their plans have them, mm. 0: the box rests there, no shift of
+    it counts, and it was never tilted."""
+    with np.errstate(invalid="ignore"):  # columns without boxes
+        m, k = readings.max_tilt_deg.shape
+        tilted = np.fmax(readings.max_tilt_deg, tilt_deg(readings.quat.reshape(-1, 4)).reshape(m, k))
+        shifted = shift(readings.pos, readings.target, thresholds.shift_floor_m)
+        rests = (shifted == 0).all(axis=2) & (tilted < CALM_DEG)
+        offset = np.linalg.norm(readings.pos - readings.target, axis=2)
+        turn = np.sqrt(np.clip(1.0 - readings.quat[..., 0] ** 2, 0.0, 1.0))  # sine of half the angle
+        apart = (offset + 2 * turn * np.linalg.norm(readings.half_size, axis=2)) * MM_PER_M + NEAR_MM
+    return np.where(rests | np.isnan(apart), 0.0, apart)
 
 
 class Bounds:
@@ -112,11 +130,12 @@ class Bounds:
 
     Args:
         stock: the boxes of the pallets.
+        friction: the coefficient of friction between boxes.
     """
 
-    def __init__(self, stock: BoxTable) -> None:
+    def __init__(self, stock: BoxTable, friction: float) -> None:
         n = len(stock.count)
-        self._stock = stock
+        self._stock, self._friction = stock, friction
         self._boxes: NDArray[np.int64] = np.zeros(n, np.int64)  # number of boxes of each pallet in the tables
         # (n, k, …) a row for each box; one column at first, since few pallets need bounds
         self._bearers: NDArray[np.int64] = np.full((n, 1, MOST_BEARERS), NOTHING)
@@ -128,22 +147,24 @@ class Bounds:
         """Keep the first ``count`` boxes of some pallets."""
         self._boxes[pallets] = np.minimum(self._boxes[pallets], count)
 
-    def of(self, request: Placements, calm: NDArray[np.bool_]) -> NDArray[np.int8]:
+    def of(self, request: Placements, margin: FloatArray, apart_mm: FloatArray) -> NDArray[np.int8]:
         """(m,) ``STANDS``, ``FALLS`` or ``OPEN`` for placements.
 
         Args:
-            calm: (m,) whether the pallet rests where its plan is.
+            margin: (n,) the margins of pallets; negative for those that do not rest.
+            apart_mm: (n, k) how far boxes are from their places, as ``boxes_apart_mm`` says.
         """
         pallets, of = np.unique(request.pallet, return_inverse=True)
         self._update(pallets)
-        loads = self._loads(pallets)
+        loads, apart = self._loads(pallets), apart_mm[pallets]
         decided = np.full(len(request), OPEN, np.int8)
         for some in np.array_split(np.arange(len(request)), -(-len(request) // _AT_ONCE) or 1):
             boxes = request.take(some)
             rests = _Rests.of(self._stock, boxes, self._stock.count[boxes.pallet])
-            decided[some[rests.falls(boxes)]] = FALLS
-            decided[some[self._stand(rests, boxes, loads[of[some]])]] = STANDS
-        return np.where(calm, decided, OPEN).astype(np.int8)
+            moved = apart[of[some], : rests.here.shape[1]]
+            decided[some[rests.falls(boxes, moved, self._friction)]] = FALLS
+            decided[some[self._stand(rests, boxes, loads[of[some]]) & (moved == 0).all(axis=1)]] = STANDS
+        return np.where(margin[request.pallet] >= 0, decided, OPEN).astype(np.int8)
 
     def _update(self, pallets: NDArray[np.int64]) -> None:
         """Bring the tables up to date for the boxes of these pallets."""
@@ -222,6 +243,27 @@ def _pass_on(
     np.add.at(loads, (rows[at], bearers[at, which]), passed)
 
 
+class _Turns(NamedTuple):
+    """How boxes turn about edges of their bearings, a row for each edge beyond which the weight acts.
+
+    Attributes:
+        rows: (r,) the box.
+        towards: (r, 2) the direction in which it turns; ``edge``: (r,) place of the edge along it, mm.
+        outside: (r,) distance of the weight from the edge, mm.
+        apart: (r, k) how far boxes of the pallet are from their places, mm.
+    """
+
+    rows: NDArray[np.intp]
+    towards: FloatArray
+    edge: FloatArray
+    outside: FloatArray
+    apart: FloatArray
+
+    def take(self, rows: NDArray[np.intp]) -> _Turns:
+        """Some of the rows."""
+        return _Turns(self.rows[rows], self.towards[rows], self.edge[rows], self.outside[rows], self.apart[rows])
+
+
 @dataclass(frozen=True, eq=False)
 class _Rests:
     """The rest of m boxes on the bodies below, each on a pallet with some of its first boxes.
@@ -291,11 +333,15 @@ class _Rests:
         rests = (on_carrier | (bearing > 0)) & ~blocked
         return cls(low, high, here, start, end, under, on_carrier, rests, bearers, shares, edges)
 
-    def falls(self, request: Placements) -> NDArray[np.bool_]:
+    def falls(self, request: Placements, apart: FloatArray, friction: float) -> NDArray[np.bool_]:
         """(m,) which boxes fall beyond doubt.
 
         A box turns about the edge of its bearing that is nearest to its weight. If a box turns by an angle, its base is
         lower by the tangent times the distance from the edge, and its side has come out by the sine times the height.
+
+        Args:
+            apart: (m, k) of the boxes on their pallets, as ``boxes_apart_mm`` says.
+            friction: the coefficient of friction between boxes.
         """
         sides = request.size_mm[:, :2]
         with np.errstate(invalid="ignore"):  # nothing is below
@@ -303,28 +349,41 @@ class _Rests:
             outside = outside[..., 0] - self.edges[..., 0]
         least = np.maximum(HANGING_MM, HANGING_SHARE * sides.min(axis=1))
         falls: NDArray[np.bool_] = self.rests & ~self.on_carrier & (outside.max(axis=1) >= least)
+        falls &= ~(self.under & (apart > 0)).any(axis=1)
         rows, which = np.nonzero(falls[:, None] & (outside > 0))
         edges = self.edges[rows, which]
-        caught = self._may_be_caught(rows, edges[:, 1:], edges[:, 0], outside[rows, which])
-        falls[rows[caught]] = False
+        turns = _Turns(rows, edges[:, 1:], edges[:, 0], outside[rows, which], apart[rows])
+        falls[rows[self._may_be_caught(turns, least[rows], friction)]] = False
         return falls
 
-    def _may_be_caught(
-        self, rows: NDArray[np.intp], towards: FloatArray, edge: FloatArray, outside: FloatArray
-    ) -> NDArray[np.bool_]:
-        """(r,) whether a body may catch boxes before they have turned too far.
+    def _turn_straight(self, turns: _Turns, least: FloatArray) -> NDArray[np.bool_]:
+        """(r,) whether boxes turn about one edge along x or y, whose ends are beside the weight by more than ``least``,
+        (r,): the edge balances the weight along itself, so that the box does not turn aside as well."""
+        middle = (self.start[turns.rows, :2] + self.end[turns.rows, :2]) / 2
+        foot = middle - turns.outside[:, None] * turns.towards
+        edges = self.edges[turns.rows]
+        with np.errstate(invalid="ignore"):  # edges that are missing
+            inside = edges[..., 0] - (edges[..., 1:] @ foot[..., None])[..., 0]
+        same = (edges[..., 1:] @ turns.towards[..., None])[..., 0] > 1 - SAME_WAY
+        along_axis = np.abs(turns.towards).max(axis=1) > 1 - SAME_WAY
+        return np.asarray(along_axis & (same | (inside >= least[:, None])).all(axis=1))
+
+    def _may_be_caught(self, turns: _Turns, least: FloatArray, friction: float) -> NDArray[np.bool_]:
+        """(r,) whether something may catch boxes before they have turned too far.
+
+        By ``turns.outside``, times the sine, the middle comes down. Its way aside, half the height times the sine, is
+        not sure by itself, since the edge may slide.
 
         Args:
-            towards: (r, 2) directions in which they turn; ``edge``: (r,) place of the edge along it, mm; ``outside``:
-                (r,) distance of the weight from it, mm, by which, times the sine, the middle comes down. The sideways
-                move of the middle, half the height times the sine, is not certain alone, since the edge may slide.
+            least, friction: as in ``_turn_straight`` and ``falls``.
         """
+        rows, towards, edge, outside, apart = turns
         z, height = self.start[rows, 2], self.end[rows, 2] - self.start[rows, 2]
         lost_sine = np.maximum(GONE_MM / outside, 2 * GONE_MM / height)
         sine = np.minimum(np.sin(np.radians(TURN_DEG)), lost_sine)
         slope = (sine / np.sqrt(1 - sine**2))[:, None]
         start, end = self.start[rows, None, :2], self.end[rows, None, :2]
-        low, high = self.low[rows], self.high[rows]
+        low, high = self.low[rows] - apart[..., None], self.high[rows] + apart[..., None]
         with np.errstate(invalid="ignore"):  # columns beyond a pallet's boxes
             shared_low = np.maximum(low[..., :2], start - NEAR_MM)
             shared_high = np.minimum(high[..., :2], end + NEAR_MM)
@@ -338,9 +397,51 @@ class _Rests:
             swept_high = end + NEAR_MM + np.maximum(out, 0.0)
             beside = np.minimum(high[..., :2], swept_high) - np.maximum(low[..., :2], swept_low)
             wall = (rise > 0) & (beside > TOUCH_MM).all(axis=2)
-        distance = (np.where(towards > 0, end[:, 0], start[:, 0]) * towards).sum(axis=1) - edge
-        caught: NDArray[np.bool_] = (z < slope[:, 0] * distance) | (self.here[rows] & (bed | wall)).any(axis=1)
+        straight = np.flatnonzero(self._turn_straight(turns, least))
+        wall[straight] &= ~self._hold_too_little(turns.take(straight), wall[straight], friction)
+        far = (np.where(towards > 0, end[:, 0], start[:, 0]) * towards).sum(axis=1) - edge
+        caught: NDArray[np.bool_] = (z < slope[:, 0] * far) | (self.here[rows] & (bed | wall)).any(axis=1)
         return caught
+
+    def _hold_too_little(self, turns: _Turns, wall: NDArray[np.bool_], friction: float) -> NDArray[np.bool_]:
+        """(r, k) which walls are beside or behind boxes that turn straight, and cannot hold them by friction.
+
+        A wall presses the box at most by the friction under it, μ times its weight, and holds it by μ times that, at a
+        lever from the edge. A wall behind it and one at its side share the friction under the box, so that together
+        they hold at most the square root of two times as much. Between walls on both sides a box may be jammed.
+
+        Args:
+            wall: (r, k) the boxes that a turning box may touch.
+        """
+        rows, towards, edge, outside, apart = turns
+        start, end = self.start[rows, None], self.end[rows, None]
+        low, high = self.low[rows], self.high[rows]
+        on_x = (np.abs(towards[:, :1]) > 0.5)[..., None]
+        sign = np.sign(towards.sum(axis=1))[:, None]
+
+        def along(values: FloatArray) -> FloatArray:
+            """x or y, along which the box turns, from the edge on."""
+            return np.asarray(np.where(on_x, values[..., :1], values[..., 1:2])[..., 0] * sign - edge[:, None])
+
+        def across(values: FloatArray) -> FloatArray:
+            return np.asarray(np.where(on_x, values[..., 1:2], values[..., :1])[..., 0])
+
+        near, far = np.minimum(along(low), along(high)), np.maximum(along(low), along(high))
+        back, front = np.minimum(along(start), along(end)), np.maximum(along(start), along(end))
+        with np.errstate(invalid="ignore"):  # columns beyond a pallet's boxes
+            left, right = across(high) <= across(start) + TOUCH_MM, across(low) >= across(end) - TOUCH_MM
+            behind = far <= back + TOUCH_MM
+            beside = (apart == 0) & (near < front - TOUCH_MM) & (left | right | behind)
+            lever = np.hypot(
+                np.maximum(np.abs(np.maximum(near, back)), np.abs(np.minimum(far, front))),
+                np.minimum(high[..., 2], end[..., 2]) - start[..., 2],
+            )
+        on_left, on_right = (wall & left).any(axis=1), (wall & right).any(axis=1)
+        sides = (on_left | on_right).astype(float) + (wall & behind).any(axis=1)
+        most = HOLDING * np.sqrt(sides) * friction**2
+        weak = outside[:, None] > most[:, None] * lever
+        jammed = np.asarray(on_left & on_right)
+        return np.asarray(beside & weak & ~jammed[:, None])
 
 
 def _margin(edges: FloatArray, place_mm: FloatArray) -> FloatArray:

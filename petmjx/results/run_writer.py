@@ -93,7 +93,7 @@ class RunWriter(RunInfo):
         config: all options with their values, as plain JSON values (``Simulation.model_dump(mode="json")`` and others).
         params: parameters of a sweep's variants; each is a column of ``worlds``.
         variants: numbers of each plan's variants, if all plans have the same variants: ranks then have no gaps.
-        dynamic, force_intervals: as in ``petmjx.results.schema.schemas``.
+        dynamic, force_intervals, legs: as in ``petmjx.results.schema.schemas``.
         boxes: whether the run has the table ``boxes``.
         versions: package → version; the version of Python is added.
         device: name of the device on which the worlds ran.
@@ -123,6 +123,7 @@ class RunWriter(RunInfo):
         variants: range | None = None,
         dynamic: bool = False,
         force_intervals: bool = False,
+        legs: bool = False,
         boxes: bool = True,
         versions: Mapping[str, str] | None = None,
         device: str = "",
@@ -135,7 +136,7 @@ class RunWriter(RunInfo):
         identity = manifest.identity if manifest else None
         super().__init__(config, identity, orders, params, versions or {}, device, expected_worlds)
         self.params = tuple(params)
-        self.schemas = schemas(self.params, dynamic, force_intervals)
+        self.schemas = schemas(self.params, dynamic, force_intervals, legs)
         if not boxes:
             del self.schemas["boxes"]
         self.recorded = CompletedWorlds()

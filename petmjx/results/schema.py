@@ -204,7 +204,9 @@ def _schema(table: str, columns: Iterable[pa.Field]) -> pa.Schema:
     return pa.schema(columns, metadata={"schema_version": str(SCHEMA_VERSION), "table": table})
 
 
-def schemas(params: Iterable[Param] = (), dynamic: bool = False, force_intervals: bool = False) -> dict[str, pa.Schema]:
+def schemas(
+    params: Iterable[Param] = (), dynamic: bool = False, force_intervals: bool = False, legs: bool = False
+) -> dict[str, pa.Schema]:
     """Table → schema, for ``worlds``, ``boxes``, ``attempts`` (one row per attempt, for worlds that needed more than
     one), and for the tables of recorded worlds: ``histories``, ``frames``, ``contacts``.
 
@@ -212,6 +214,7 @@ def schemas(params: Iterable[Param] = (), dynamic: bool = False, force_intervals
         params: parameters of a sweep's variants; the last columns of ``worlds``.
         dynamic: whether the run has profiles; ``boxes`` then has additional metrics.
         force_intervals: whether ``boxes`` has intervals of the forces at rest.
+        legs: whether the run is a chain of several legs; ``boxes`` then has the largest force at rest after any.
 
     Raises:
         ValueError: two columns have the same name.
@@ -222,7 +225,7 @@ def schemas(params: Iterable[Param] = (), dynamic: bool = False, force_intervals
     if repeated:
         raise ValueError(f"a variant's parameter cannot be called {repeated[0]!r}: worlds has such a column")
     intervals = metrics.FORCE_INTERVAL if force_intervals else ()
-    boxes = (*_BOX_COLUMNS, *_metrics((*metrics.box_columns(driven=dynamic), *intervals)))
+    boxes = (*_BOX_COLUMNS, *_metrics((*metrics.box_columns(driven=dynamic, legs=legs), *intervals)))
     tables = {"worlds": worlds, "boxes": boxes, "attempts": _ATTEMPT_COLUMNS}
     tables |= {"histories": _HISTORY_COLUMNS, "frames": _FRAME_COLUMNS, "contacts": _CONTACT_COLUMNS}
     return {table: _schema(table, columns) for table, columns in tables.items()}

@@ -17,6 +17,7 @@ from petmjx.common.checked_records import CheckedRecord, complaint, similar, wit
 from petmjx.common.errors import InputError
 from petmjx.common.text import printable_name
 from petmjx.common.units import seconds_to_steps
+from petmjx.engines.metrics import BoxMetrics
 from petmjx.engines.verdict import Outcome, Verdict
 from petmjx.options.walls import Side
 from petmjx.runs.sweep_axes import Direction, Range, Strengths, Turn, degrees
@@ -33,6 +34,9 @@ AS_IS: Final = ""
 """The remedy of worlds of the chain as the file describes it."""
 
 MOST_LEGS: Final = 100
+
+_EDGES: Final = ("plan_edge_m", "plan_edge_box", "build_edge_m", "build_edge_box", "build_edge_step")
+"""Fields of an outcome about the plan's edges, which no leg changes."""
 
 Name = Annotated[str, Field(max_length=100)]
 Factor = Annotated[StrictFloat, Field(gt=0), within(0, 100)]
@@ -202,16 +206,28 @@ def in_a_row(name: str, drives: Sequence[Drive], pause_s: float, timestep_s: flo
     return Excitation(name, ACCELERATION, np.concatenate(parts[:-1]))
 
 
+def with_sustained_force(leg: Outcome, before: BoxMetrics) -> Outcome:
+    """The outcome of a leg with the largest force at rest so far on each box.
+
+    Args:
+        before: metrics after the legs before, or after the placement.
+    """
+    forces_n = before.sustained_top_force_n, before.rest_top_force_n, leg.boxes.rest_top_force_n
+    return replace(leg, boxes=replace(leg.boxes, sustained_top_force_n=np.fmax.reduce(forces_n)))
+
+
 def after(before: Outcome, leg: Outcome, timestep_s: float) -> Outcome:
     """The outcome of a world after one more leg: metrics and time count from the first placement.
 
-    Largest values are those of the whole way, the place of the boxes and their forces at rest those of the end.
+    Largest values are those of the whole way, also of forces at rest (``sustained_top_force_n``); the place of the
+    boxes and ``rest_top_force_n`` are those of the end.
 
     Args:
         before: the outcome after the earlier legs, which the world survived.
         leg: the outcome of the leg alone, whose clock begins at the end of the placement.
     """
     since_s = before.n_steps * timestep_s
+    leg = with_sustained_force(leg, before.boxes)
     boxes, old = leg.boxes, before.boxes
     largest = {
         name: np.fmax(getattr(old, name), getattr(boxes, name))
@@ -220,8 +236,13 @@ def after(before: Outcome, leg: Outcome, timestep_s: float) -> Outcome:
     history = leg.history
     if history is not None and before.history is not None:
         history = before.history.then(_later(history, since_s))
+    edges: dict[str, Any] = {}
+    if leg.verdict is Verdict.STABLE:  # not computed again (``petmjx.engines.outcome_checks.note_edges``)
+        largest["plan_edge_m"] = old.plan_edge_m
+        edges = {name: getattr(before, name) for name in _EDGES}
     return replace(
         leg,
+        **edges,
         boxes=replace(boxes, **largest, drop_s=boxes.drop_s + since_s),
         first_sign_s=leg.first_sign_s + since_s,
         sim_time_s=leg.sim_time_s + since_s,

@@ -207,6 +207,7 @@ class _Run:
             variants=study.variants,
             dynamic=study.dynamic,
             force_intervals=options.force_intervals,
+            legs=study.legs,
             boxes=options.keeps_boxes,
             versions=package_versions(),
             device=self.engine.device,

@@ -92,6 +92,7 @@ class Study(ABC):
         notes: warnings about the whole run.
         params: columns of ``worlds`` that tell a plan's worlds apart.
         dynamic: whether worlds have drives.
+        legs: whether worlds take several legs of a chain.
         axes: names of the axes of a sweep.
         has_errors: whether places or sizes have errors in some worlds.
         identity: the settings that worlds depend on, in addition to plans and ``sim``.
@@ -112,6 +113,7 @@ class Study(ABC):
     notes: Sequence[str] = ()
     params: Sequence[Param] = ()
     dynamic: bool = False
+    legs: bool = False
     axes: Collection[str] = ()
     has_errors: bool = False
     identity: Mapping[str, Any] = field(default_factory=dict)

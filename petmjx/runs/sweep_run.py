@@ -10,6 +10,7 @@ import time
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
+from itertools import chain
 from typing import Any
 
 import numpy as np
@@ -25,7 +26,7 @@ from petmjx.options.walls import Side
 from petmjx.plans.plan import Plan
 from petmjx.results.history_tables import NO_RECORDING, Recording
 from petmjx.results.resume import CompletedWorlds
-from petmjx.runs.chain_legs import PLACING, after
+from petmjx.runs.chain_legs import PLACING, after, with_sustained_force
 from petmjx.runs.level_search import Bisection, Probe, SearchBracket
 from petmjx.runs.study import FinishedWorld, LegEnd
 from petmjx.runs.sweep_design import SearchItem
@@ -46,12 +47,12 @@ class Batching:
         placements: largest number of stored settled states. A state with 43 boxes takes 10 to 20 KB.
         worlds: largest number of variants forked from stored states (a single placement may have more).
         drives: largest number of forked worlds in one call of the engine. In a search these are the first tests of all
-            items.
+            items, in a chain a leg of all worlds.
         histories: largest number of settled states stored with their histories. A history with 43 boxes takes 1 MB.
     """
 
     undriven: int = MOST_PENDING
-    placements: int = 4096
+    placements: int = 8192
     worlds: int = 65_536
     drives: int = 16_384
     histories: int = 256
@@ -168,11 +169,11 @@ class _DriveWorld(World):
 
 
 @dataclass(frozen=True, eq=False)
-class _LegWorld(World):
-    """A leg of a chain as a world that the engine simulates.
+class _LegStart:
+    """Where a leg of a chain begins.
 
     Attributes:
-        changes: worlds with equal chains up to this leg.
+        changes: the worlds that begin there, with equal chains up to this leg.
         number: of the leg in their chains.
         before: the outcome after the legs before; None: this is the first leg.
     """
@@ -182,9 +183,16 @@ class _LegWorld(World):
     number: int
     before: Outcome | None
 
+
+@dataclass(frozen=True, eq=False)
+class _LegWorld(World):
+    """A leg of a chain as a world that the engine simulates."""
+
+    begin: _LegStart
+
     @property
     def leg(self) -> LegSpec:
-        return self.changes[0].legs[self.number]
+        return self.begin.changes[0].legs[self.begin.number]
 
 
 @dataclass(eq=False)
@@ -260,7 +268,7 @@ class SweepRun:
         if not self._can_be_driven(start):
             return start.undriven(variant)
         if variant.legs:
-            (world,) = self._through_legs(self._legs_of(start, [variant], 0, None))
+            (world,) = self._through_legs([_LegStart(start, (variant,), 0, None)])
             return world
         ((_, world),) = self._drive([self._driving(start, variant)])
         return world
@@ -282,11 +290,9 @@ class SweepRun:
     def _chunks(self) -> Iterator[list[PlacementGroup]]:
         """Placements with drives, in chunks as large as ``Batching`` allows."""
         search = self.plan.sweep.search
-        most = self.batching.worlds
-        per_search = 0
-        if search is not None:
-            per_search = len(self.plan.search_items()) * search.sections
-            most = self.batching.drives
+        # of a search and of a chain the engine gets all drives of a chunk in one call
+        most = self.batching.worlds if search is None and not self.plan.sweep.legs else self.batching.drives
+        per_search = 0 if search is None else len(self.plan.search_items()) * search.sections
         chunk: list[PlacementGroup] = []
         worlds = histories = 0
         for group in (group for group in self._groups() if group.driven):
@@ -439,64 +445,66 @@ class SweepRun:
 
     def _chain(self, groups: Sequence[PlacementGroup]) -> Iterator[FinishedWorld]:
         """Take placements through the legs of their chains, each leg from the end of the leg before."""
-        first: list[_LegWorld] = []
+        first: list[_LegStart] = []
         for start in self._settling(groups):
             missing = self._missing(start.group)
             if self._can_be_driven(start):
-                first += self._legs_of(start, missing, 0, None)
+                first.append(_LegStart(start, tuple(missing), 0, None))
             else:
                 yield from map(start.undriven, missing)
         yield from self._through_legs(first)
 
-    def _legs_of(
-        self, start: SettledPlacement, changes: Iterable[Variant], number: int, before: Outcome | None
-    ) -> Iterator[_LegWorld]:
-        """The legs with this number of some worlds, which had the same outcome so far. Worlds with the same leg share a
-        drive."""
-        plan, record = start.group.plan, self.recording.of(start.group.plan)
+    def _legs_of(self, begin: _LegStart) -> Iterator[_LegWorld]:
+        """The next legs of some worlds, which had the same outcome so far. Worlds with the same leg share a drive."""
+        placed, before = begin.settled, begin.before
+        plan, record = placed.group.plan, self.recording.of(placed.group.plan)
         alike: dict[tuple[LegSpec, int], list[Variant]] = {}
-        for change in changes:
-            alike.setdefault((change.legs[number], change.replicate), []).append(change)
+        for change in begin.changes:
+            alike.setdefault((change.legs[begin.number], change.replicate), []).append(change)
         for (leg, _), changes_of_leg in alike.items():
-            drive = self.plan.leg_drive(plan, changes_of_leg[0], leg, start.load_height_m)
+            drive = self.plan.leg_drive(plan, changes_of_leg[0], leg, placed.load_height_m)
             poses = None if before is None else np.concatenate([before.boxes.pos, before.boxes.quat], axis=1)
-            scene = start.scene_of(leg)
-            job = Job(scene, drive=drive, start=start.outcome.state, poses=poses, record=record)
-            yield _LegWorld(plan, changes_of_leg[0].index, job, start, tuple(changes_of_leg), number, before)
+            scene = placed.scene_of(leg)
+            job = Job(scene, drive=drive, start=placed.outcome.state, poses=poses, record=record)
+            yield _LegWorld(plan, changes_of_leg[0].index, job, replace(begin, changes=tuple(changes_of_leg)))
 
-    def _through_legs(self, first: Iterable[_LegWorld]) -> Iterator[FinishedWorld]:
-        """Simulate legs, and those that follow them; yield each world at the end of its way."""
+    def _through_legs(self, starts: Sequence[_LegStart]) -> Iterator[FinishedWorld]:
+        """Simulate a leg of all worlds, then the next one of those that go on; yield each world at the end of its way.
+
+        A device that waited for worlds to follow from outcomes would stand still meanwhile.
+        """
         begin = time.perf_counter()
-        next_ones: list[_LegWorld] = []
-
-        def following() -> list[_LegWorld]:
-            legs = next_ones.copy()
-            next_ones.clear()
-            return legs
-
-        most = self.batching.drives
-        for result in self._score(first, most, forks=True, begin_with=most, following=following):
-            self.tally.drives += 1
-            self.tally.drive_steps += result.outcome.n_steps
-            world, start = result.world, result.world.settled
-            if world.before is None:
-                outcome = start.shaken(result.outcome, self.sim.thresholds)
-            else:
-                outcome = after(world.before, result.outcome, self.sim.physics.timestep_s)
-            on = outcome.verdict is Verdict.STABLE
-            further_changes = [change for change in world.changes if on and len(change.legs) > world.number + 1]
-            next_ones += self._legs_of(start, further_changes, world.number + 1, outcome)
-            end = None if on else self._end(world, outcome, result.outcome.n_steps)
-            for change in world.changes:
-                if change not in further_changes:
-                    yield FinishedWorld(
-                        world.plan, change, world.job.scene, outcome, result.attempts, start.outcome, True, end
-                    )
+        while starts:
+            name, total = starts[0].changes[0].legs[starts[0].number].name, len(starts)
+            # made by the thread of the source, since each leg has samples of its own where strengths are drawn
+            worlds, starts = chain.from_iterable(map(self._legs_of, starts)), []
+            for ended, result in enumerate(self._score(worlds, self.batching.drives, forks=True), start=1):
+                self.progress.message = f"leg {name}: {ended:,} of {max(total, ended):,}"
+                self.tally.drives += 1
+                self.tally.drive_steps += result.outcome.n_steps
+                world = result.world
+                placed, before = world.begin.settled, world.begin.before
+                if before is None:
+                    outcome = placed.shaken(result.outcome, self.sim.thresholds)
+                    outcome = with_sustained_force(outcome, placed.outcome.boxes)
+                else:
+                    outcome = after(before, result.outcome, self.sim.physics.timestep_s)
+                number, on = world.begin.number + 1, outcome.verdict is Verdict.STABLE
+                further_changes = tuple(change for change in world.begin.changes if on and len(change.legs) > number)
+                if further_changes:
+                    starts.append(_LegStart(placed, further_changes, number, outcome))
+                end = None if on else self._end(world, outcome, result.outcome.n_steps)
+                for change in world.begin.changes:
+                    if change not in further_changes:
+                        yield FinishedWorld(
+                            world.plan, change, world.job.scene, outcome, result.attempts, placed.outcome, True, end
+                        )
+        self.progress.message = ""
         self.tally.drive_s += time.perf_counter() - begin
 
     def _end(self, world: _LegWorld, outcome: Outcome, n_steps: int) -> LegEnd:
         """Where a world ended that does not stand. ``n_steps``: those of its last leg."""
-        if world.settled.outcome.verdict is not Verdict.STABLE:
+        if world.begin.settled.outcome.verdict is not Verdict.STABLE:
             return LegEnd(PLACING, 0.0)
         return LegEnd(world.leg.name, outcome.sim_time_s - n_steps * self.sim.physics.timestep_s)
 

@@ -76,6 +76,7 @@ class SweepStudy(Study):
             notes=() if any(input_plan.materials for input_plan in everything) else hopeless_profiles(sweep),
             params=self._columns.params,
             dynamic=self._columns.has_drives,
+            legs=self._chain is not None and len(self._chain.legs) > 1,
             axes=(*sweep.axes, *(["wrap_turns"] if any(leg.wrap_turns for leg in sweep.legs) else [])),
             has_errors=plan.has_errors,
             identity={"sweep": sweep_identity(sweep)},

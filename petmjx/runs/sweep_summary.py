@@ -32,6 +32,8 @@ RANGE_BINS = 8
 MODE = Param("mode", TEXT, "how the first box failed: slide, tilt or drop; empty where stable", str)
 SIGN = Param("sign_in_profile_s", "s", "when the culprit crossed a threshold, from the profile's beginning")
 LEG = Param("leg", TEXT, "leg of the chain in which the world failed first; empty: it arrived", str)
+EUMOS_WORST = tuple(column.name for column in EUMOS_COLUMNS if column.unit)
+"""What a laboratory measures: deformations, of which the summary of a grid has the largest of a row's worlds."""
 FAIL_ANGLE = Param("fail_angle_deg", "deg", "angle of the carrier at that moment; null for profiles that do not tilt")
 
 
@@ -161,14 +163,15 @@ class ShareColumns:
 def summarise_shares(parts: Parts, columns: ShareColumns) -> pd.DataFrame:
     """The summary of a grid or a sample: the share that stands by axis value, over all plans and for each plan.
 
-    Continuous ranges are divided into ``RANGE_BINS`` equal parts. With EUMOS's profile the summary also has the share
-    that passes the standard's limits, and with ``tilt`` the smallest angle at which a world failed.
+    Continuous ranges are divided into ``RANGE_BINS`` equal parts. With EUMOS's profile there are also the share that
+    passes the standard's limits, and the largest deformations. With ``tilt`` there is the smallest angle at which a
+    world failed.
 
     Args:
         parts: files of the run, all written.
     """
     axes = list(columns.axes)
-    extra = ["eumos_passed"] if columns.eumos else []
+    extra = ["eumos_passed", *EUMOS_WORST] if columns.eumos else []
     extra += [FAIL_ANGLE.name] if columns.tilt else []
     world_columns = ["plan_id", "variant", "verdict", *axes, *extra]
     rows = rows_in_order(parts, "worlds", world_columns)
@@ -187,6 +190,8 @@ def summarise_shares(parts: Parts, columns: ShareColumns) -> pd.DataFrame:
         names |= {"low": "eumos_low", "high": "eumos_high"}
         summary = summary.merge(eumos[[*keys, *names]].rename(columns=names), on=keys, how="left")
         summary[["n_eumos", "n_eumos_passed"]] = summary[["n_eumos", "n_eumos_passed"]].fillna(0).astype("int64")
+        worst = by_plan_and_axis(tested, axes, **{name: (name, "max") for name in EUMOS_WORST})
+        summary = summary.merge(worst, on=keys, how="left")
     if columns.tilt:
         angles = by_plan_and_axis(worlds, axes, smallest_fail_angle_deg=(FAIL_ANGLE.name, "min"))
         summary = summary.merge(angles, on=keys, how="left")

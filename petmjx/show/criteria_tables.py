@@ -9,6 +9,7 @@ import pandas as pd
 from rich.console import RenderableType
 
 from petmjx.analysis.criteria_run import CriteriaResults
+from petmjx.analysis.criteria_vs_physics import ARRIVES
 from petmjx.common.text import count_text, printable_name, three_digits
 from petmjx.engines.metrics import DIMENSIONLESS
 from petmjx.show.table_layout import FittedTable, TableColumn, line, number, percent
@@ -80,6 +81,7 @@ def _criteria_vs_physics_table(judged: pd.DataFrame) -> FittedTable:
     alike = (
         "" if stand and fall else "; all stand, so there is no MCC" if stand else "; none stands, so there is no MCC"
     )
+    of_chain = ARRIVES[0] in judged
     table = FittedTable(
         TableColumn("criterion", "left"),
         TableColumn("accepted\nstand", spare=1),
@@ -90,6 +92,7 @@ def _criteria_vs_physics_table(judged: pd.DataFrame) -> FittedTable:
         TableColumn("recall", "left", spare=4),
         TableColumn("MCC", "left"),
         TableColumn("same\nfirst box", spare=3),
+        *((TableColumn("P(arrives):\naccepted"), TableColumn("\nrefused")) if of_chain else ()),
         title=f"judged by physics on {plan_count}{alike}",
         caption="precision: share of the accepted that stand; recall: share of the standing that are accepted; "
         "95 % intervals",
@@ -100,6 +103,7 @@ def _criteria_vs_physics_table(judged: pd.DataFrame) -> FittedTable:
             *(f"{row[cell]:,}" for cell in ("accepted_stands", "accepted_falls", "refused_stands", "refused_falls")),
             *(_with_interval(row, score) for score in ("precision", "recall", "mcc")),
             f"{row['same_first_box']:,}",
+            *((number(row[name], ".2f") for name in ARRIVES) if of_chain else ()),
         )
     return table
 

@@ -12,7 +12,7 @@ import pandas as pd
 
 from petmjx.common.text import box_label
 from petmjx.common.units import FloatArray
-from petmjx.results.share_intervals import ALL_PLANS
+from petmjx.results.share_intervals import ALL_PLANS, ONE_PLAN
 from petmjx.runs.chain_legs import AS_IS
 from petmjx.runs.chain_summary import WHOLE_WAY, arrivals, shares_by_leg
 from petmjx.runs.sweep_axes import AXIS_KINDS
@@ -47,6 +47,10 @@ def sweep_tables(summary: pd.DataFrame) -> Iterator[FittedTable]:
     """
     if "axis" in summary:
         yield shares_table(summary)
+        levels = summary[(summary["scope"] == ONE_PLAN) & (summary["axis"] == "level_g")]
+        levels = levels.assign(level_g=pd.to_numeric(levels["value"], errors="coerce")).dropna(subset="level_g")
+        if "eumos_elastic_share" in summary and levels["n_eumos"].any():
+            yield levels_passed_table(levels)
         return
     if "weakest_leg" in summary:
         yield from chain_tables(summary)
@@ -327,12 +331,50 @@ def laboratory_table(summary: pd.DataFrame) -> FittedTable:
             f"{row['direction_deg']:g}",
             *(_cell(row[name]) for name in varied),
             number(row["largest_level_g"]),
-            percent(row["eumos_elastic_share"]),
-            percent(row["eumos_permanent_share"]),
-            number(row["eumos_foot_permanent_m"], ".1f", factor=100.0),
+            *_deformations(row),
             "passed" if row["eumos_passed"] else "failed",
         )
     return table
+
+
+def levels_passed_table(levels: pd.DataFrame) -> FittedTable:
+    """What a laboratory reports of each level of a grid with EUMOS's test: the worst of its worlds, such as directions.
+
+    Of a grid that has levels of laboratories only these are shown.
+
+    Args:
+        levels: rows of the summary, one for each plan and level, with ``level_g``.
+    """
+    usual = np.isclose(levels["level_g"].to_numpy()[:, None], LABORATORY_LEVELS_G).any(axis=1)
+    shown = levels[usual] if usual.any() else levels
+    table = FittedTable(
+        TableColumn("plan", "left", least=20, middle=True),
+        TableColumn("level\ng"),
+        TableColumn("worlds\ntested"),
+        TableColumn("elastic\n≤ 10 %"),
+        TableColumn("permanent\n≤ 5 %"),
+        TableColumn("foot, cm\n≤ 4"),
+        TableColumn("EUMOS\n40509", "left"),
+        title="EUMOS 40509 at each level: the largest deformations, as shares of the load's height",
+        caption=_more(len(shown)),
+    )
+    for row in shown.head(MAX_VALUES).to_dict("records"):
+        tested, failed = int(row["n_eumos"]), int(row["n_eumos"] - row["n_eumos_passed"])
+        table.add(
+            str(row["plan_id"]),
+            f"{row['level_g']:g}",
+            f"{tested:,}",
+            *_deformations(row),
+            "-" if not tested else "passed" if not failed else "failed" if failed == tested else f"{failed} failed",
+        )
+    return table
+
+
+def _deformations(row: Mapping[Any, Any]) -> Iterator[str]:
+    """Cells with elastic and permanent deformation, as shares, and that of the foot, cm."""
+    yield percent(row["eumos_elastic_share"])
+    yield percent(row["eumos_permanent_share"])
+    yield number(row["eumos_foot_permanent_m"], ".1f", factor=100.0)
 
 
 LABORATORY_LEVELS_G: Final = (0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8)

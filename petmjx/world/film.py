@@ -17,8 +17,8 @@ Sensors 2025, 25(22), 6883.
 
 from __future__ import annotations
 
-from functools import lru_cache
 from typing import Final, NamedTuple
+from weakref import WeakKeyDictionary
 
 import numpy as np
 
@@ -59,22 +59,34 @@ def spring_rate_1_s(timestep_s: float) -> float:
     return min(RATE_1_S, MOST_RATE_PER_STEP / timestep_s)
 
 
-@lru_cache(maxsize=256)
+_FILMS: Final = WeakKeyDictionary[Scene, Film]()
+"""Films of scenes that are in use. The legs of a chain share scenes."""
+
+
 def film_of(scene: Scene) -> Film:
     """The forces of a scene's film, by the places of the plan."""
+    if scene not in _FILMS:
+        _FILMS[scene] = _film(scene)
+    return _FILMS[scene]
+
+
+def _film(scene: Scene) -> Film:
     wrap, low, high = scene.wrap, scene.target - scene.half_size, scene.target + scene.half_size
-    press, hold = np.zeros((scene.n_boxes, 3)), np.zeros(scene.n_boxes)
     pressure_n_m = 2.0 * wrap.force_n * wrap.turns * MM_PER_M / wrap.film_mm
     levels = np.unique(np.round(np.concatenate([low[:, 2], high[:, 2]]), 6))
-    for begin, end in zip(levels[:-1].tolist(), levels[1:].tolist(), strict=True):
-        level_boxes = (low[:, 2] <= begin + 1e-6) & (high[:, 2] >= end - 1e-6)
-        if not level_boxes.any():
-            continue
-        for axis, sign in SIDES:
-            reach = sign * (high if sign > 0 else low)[:, axis]
-            outer = level_boxes & (reach >= reach[level_boxes].max() - MOST_BACK_M)
-            width = np.where(outer, 2.0 * scene.half_size[:, 1 - axis], 0.0)
-            force = pressure_n_m * (end - begin) * width / width.sum()
+    begin, end = levels[:-1, None], levels[1:, None]
+    at_level = (low[:, 2] <= begin + 1e-6) & (high[:, 2] >= end - 1e-6)
+    full = at_level.any(axis=1)
+    at_level, height = at_level[full], (end - begin)[full]
+    of_sides = np.zeros((len(height), len(SIDES), scene.n_boxes))  # N, at each level
+    for number, (axis, sign) in enumerate(SIDES):
+        reach = sign * (high if sign > 0 else low)[:, axis]
+        outermost = np.where(at_level, reach, -np.inf).max(axis=1, keepdims=True)
+        width = np.where(at_level & (reach >= outermost - MOST_BACK_M), 2.0 * scene.half_size[:, 1 - axis], 0.0)
+        of_sides[:, number] = pressure_n_m * height * width / width.sum(axis=1, keepdims=True)
+    press, hold = np.zeros((scene.n_boxes, 3)), np.zeros(scene.n_boxes)
+    for of_level in of_sides:
+        for (axis, sign), force in zip(SIDES, of_level, strict=True):
             press[:, axis] -= sign * force
             hold += wrap.friction * force
     press[:, 2] -= _hat(low, high) * wrap.hat_n

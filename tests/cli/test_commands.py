@@ -161,3 +161,21 @@ def test_every_command_says_that_it_was_interrupted(
     monkeypatch.setattr("petmjx.show.doctor_report.examine", interrupted)
     assert run("doctor") == 130
     assert only_line(capsys.readouterr().err) == "petmjx: interrupted"
+
+
+@pytest.mark.parametrize(
+    ("option", "value", "complaint"),
+    [
+        ("--explore", "2", "must be at most 1"),
+        ("--worlds-with-errors", "0", "must be at least 1"),
+        ("--max-height-mm", "0", "must be at least 1"),
+        ("--carrier", "footprint", ": footprint depends on the whole plan"),
+        ("--units", "foot", "must be one of mm"),
+        ("-n", "0", "must be at least 1"),
+    ],
+)
+def test_a_line_on_an_option_names_it_as_it_was_typed(
+    option: str, value: str, complaint: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert run("label", option, value, "--engine", "mujoco", "--out", tmp_path / "labels") == 2
+    assert only_line(capsys.readouterr().err).startswith(f"petmjx: {option}{' ' * (complaint[0] != ':')}{complaint}")

@@ -5,10 +5,13 @@ from __future__ import annotations
 import signal
 import time
 from collections.abc import Iterator
+from pathlib import Path
 
 import pytest
 
+from petmjx.cli.main import main
 from petmjx.cli.run_command import stoppable
+from petmjx.loop.placement_labels import Labeller
 
 
 @pytest.fixture(autouse=True)
@@ -39,3 +42,26 @@ def test_a_signal_that_comes_while_an_object_is_finalised_stops_the_body_after_t
 
     with pytest.raises(KeyboardInterrupt):
         wait_for_the_end()
+
+
+@pytest.mark.parametrize(("number", "code"), [(signal.SIGTERM, 143), (signal.SIGHUP, 129), (signal.SIGINT, 130)])
+def test_a_command_that_is_stopped_leaves_no_hidden_files(
+    number: signal.Signals,
+    code: int,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    """Any command, also one without a run, such as ``label``, whose files are open by then."""
+
+    def labels(self: Labeller, count: int) -> Iterator[object]:
+        assert len([*tmp_path.glob("labels/.*.parquet")]) == 3
+        signal.raise_signal(number)
+        time.sleep(5)
+        yield {}
+
+    monkeypatch.setattr(Labeller, "labels", labels)
+    arguments = ["label", "-n", "9", "-o", str(tmp_path / "labels"), "--engine", "mujoco", "--pallets", "1"]
+    assert main(arguments) == code
+    assert capsys.readouterr().err == "petmjx: interrupted\n"
+    assert not [*tmp_path.iterdir()]

@@ -12,6 +12,7 @@ import pytest
 
 import petmjx
 from petmjx.common.errors import InputError
+from petmjx.engines.mujoco.box_motion import tilt_deg
 from petmjx.engines.mujoco.engine import MujocoEngine
 from petmjx.engines.protocol import Engine
 from petmjx.loop.pallets import Pallets
@@ -107,20 +108,33 @@ def test_on_mjx_warp_pallets_go_on_to_the_score_from_where_they_stand() -> None:
     assert_same(pallets.results(), before)
 
 
-def test_on_mjx_warp_too_trials_may_end_when_a_box_is_lost() -> None:
-    """They say of each candidate whether it stands as trials to the end do, and take less simulated time."""
-    pallets = Pallets(1, engine=warp_engine(), most_boxes=8)
-    pallets.place(**carton((400, 200, 0)))
-    pallets.place(**carton((0, 200, 0)))
-    candidates = carton((590, 200, 200), (640, 200, 200), (395, 340, 200), (420, 210, 200))
-    results = pallets.try_all(**candidates)
-    stands, _ = pallets.stands(**candidates)
-    np.testing.assert_array_equal(stands, results.stable)
-    assert results.stable.tolist() == [True, False, True, True]
-    boxes = pallets._standing.next_boxes(pallets._placements(*(candidates[name] for name in candidates), [0] * 4))
-    lost, whole = (pallets._worlds.try_next([0] * 4, boxes, until_lost=until).time_s for until in (True, False))
-    assert lost[1] < whole[1]
-    np.testing.assert_array_equal(lost[[0, 2, 3]], whole[[0, 2, 3]])
+def test_trials_end_at_the_same_step_on_both_engines_when_a_box_is_gone() -> None:
+    """They say of each candidate whether it stands as trials to the end do. One that tips ends at the look for quiet at
+    which it is tilted by 1.25 times the threshold, before the next sample."""
+    times: dict[str, Any] = {}
+    for engine in (MujocoEngine(1), warp_engine()):
+        pallets = Pallets(1, engine=engine, most_boxes=8)
+        pallets.place(**carton((400, 200, 0)))
+        pallets.place(**carton((0, 200, 0)))
+        candidates = carton((590, 200, 200), (640, 200, 200), (395, 340, 200), (420, 210, 200))
+        results = pallets.try_all(**candidates)
+        stands, _ = pallets.stands(**candidates)
+        np.testing.assert_array_equal(stands, results.stable)
+        assert results.stable.tolist() == [True, False, True, True]
+        boxes = pallets._standing.next_boxes(pallets._placements(*(candidates[name] for name in candidates), [0] * 4))
+        lost, whole = (pallets._worlds.try_next([0] * 4, boxes, until_lost=until) for until in (True, False))
+        np.testing.assert_array_equal(lost.time_s[[0, 2, 3]], whole.time_s[[0, 2, 3]])
+        sim = pallets.simulation
+        step = round(lost.time_s[1] / sim.physics.timestep_s)
+        assert step % sim.quiet.poll_steps == 0
+        assert lost.time_s[1] % sim.sample_interval_s > sim.physics.timestep_s, "it is no sample"
+        assert lost.time_s[1] < whole.time_s[1]
+        assert lost.ended[1]
+        assert lost.max_tilt_deg[1].max() <= sim.thresholds.tilt_deg
+        tilts = tilt_deg(lost.quat[1])
+        assert 1.25 * sim.thresholds.tilt_deg < np.nanmax(tilts) < 1.5 * sim.thresholds.tilt_deg
+        times[pallets.engine] = lost.time_s
+    assert len({tuple(of_engine.tolist()) for of_engine in times.values()}) == 1
 
 
 def test_a_candidate_is_told_of_as_if_it_were_placed_and_changes_nothing(pallets: Pallets) -> None:

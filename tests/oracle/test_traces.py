@@ -169,7 +169,10 @@ def test_outcomes_follow_from_frames(engine: str, kind: str) -> None:
         np.testing.assert_allclose(boxes.max_tilt_deg, seen.tilt_deg(), atol=SAME_TILT_DEG, err_msg=name)
         share = boxes.max_top_force_n / np.fmax(seen.top_force_n(), 1e-6)
         assert (share <= 1 + SAME_FORCE).all(), name
-        assert (share[seen.top_force_n() > seen.job.scene.mass.min() * STANDARD_GRAVITY] >= LEFT_OUT).all(), name
+        # frames of a drive on mjx-warp also have forces of steps whose solver was stopped far from balance
+        known_n = np.fmin(seen.top_force_n(), on_c(kind)[name].top_force_n())
+        pressed = known_n > seen.job.scene.mass.min() * STANDARD_GRAVITY
+        assert (boxes.max_top_force_n[pressed] >= LEFT_OUT * known_n[pressed]).all(), name
         if not outcome.flags & Flag.EARLY_STOP:
             rest = boxes.rest_top_force_n
             np.testing.assert_allclose(rest, seen.rest_force_n(), rtol=SAME_FORCE, atol=1e-3, err_msg=name)

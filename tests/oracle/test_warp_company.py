@@ -84,7 +84,9 @@ def test_the_next_slice_is_under_way_where_nothing_can_come_between(
     outcomes = run_all(engine(slice_ns=STEP_NS), feedback_stream(jobs) if "more" in kind else jobs, SHORT)
     assert_equal_worlds(dict(zip(TINY[:2], outcomes, strict=True)), crowd)
     assert len(under_way) > 3
-    assert set(under_way[:-1]) == ({2} if kind == "a list" else {1})
+    # jobs that follow join a slice earlier if one slice is under way, as where no world waits for the one block
+    expected = {"a list": {2}, "jobs that may become more": {1, 2}, "a recorded world": {1}}
+    assert set(under_way[:-1]) == expected[kind]
 
 
 @pytest.mark.slow

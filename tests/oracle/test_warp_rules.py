@@ -203,7 +203,9 @@ def test_every_world_is_as_the_batched_rules_leave_it(kernel: Any, changes: dict
         work.qpos_before.assign(np.asarray(before.qpos))
         work.top_force.assign(np.asarray(top_force))
         inputs = [model, device_record(world_arrays.Worlds, flat_worlds), state, work]
-        inputs += [wp.array(mask, dtype=wp.bool) for mask in (presses, astray)]
+        steps = np.asarray(after.step)
+        samples = (steps > 0) & (steps % timetable.sample_every == 0)  # their forces count (world_loop.py)
+        inputs += [wp.array(mask, dtype=wp.bool) for mask in (presses | samples, astray)]
         wp.launch(kernel, dim=WORLDS, inputs=inputs)
         fields = {name: getattr(state, name).numpy() for name in flat}
 

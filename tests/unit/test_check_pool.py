@@ -21,7 +21,7 @@ from petmjx.engines.subprocess.check_pool import LOOK_S, MOST_WAITING, CheckPool
 from petmjx.engines.subprocess.task_pipe import next_of
 from petmjx.engines.verdict import Outcome, Verdict
 from petmjx.options.simulation import Simulation
-from petmjx.world.job import Job
+from petmjx.world.job import ACCELERATION, Drive, Excitation, Job
 
 SIM = Simulation()
 JOBS = [make_world(make_plan(f"stack of {n}", stack(n))).job for n in (1, 3)]
@@ -106,12 +106,23 @@ def test_the_run_looks_itself_where_they_do_not(check_pool: CheckPool[Any], raw:
         assert told([outcomes[key, job] for job in range(len(JOBS))]) == expected(raw)
 
 
-def test_states_that_drives_start_from_stay_here(check_pool: CheckPool[Any], raw: list[Outcome]) -> None:
-    """A process would have to import what they are of."""
-    driven = [Job(job.scene, start=lambda: None) for job in JOBS]  # type: ignore[arg-type]  # cannot be sent
-    assert check_pool.exchanged(given(raw, 0), driven, SIM, wait=False) == []
+@pytest.mark.parametrize("driven", [False, True], ids=["placed", "driven"])
+def test_states_histories_and_samples_stay_here(
+    check_pool: CheckPool[Any], raw: list[Outcome], monkeypatch: pytest.MonkeyPatch, driven: bool
+) -> None:
+    """A process would have to import what states are of, and would take longer to read samples than to check."""
+    here: Any = lambda: None  # noqa: E731  # cannot be sent
+    drive = Drive(Excitation("drive", ACCELERATION, here)) if driven else None
+    jobs = [Job(job.scene, start=here, drive=drive) for job in JOBS]
+    sent = given(raw, 0)
+    for _, outcome in sent:
+        outcome.state = outcome.history = here
+    monkeypatch.setattr("petmjx.engines.subprocess.check_pool.outcome_checks", None)  # processes do it
+    assert check_pool.exchanged(sent, jobs, SIM, wait=False) == []
     outcomes = dict(check_pool.exchanged([], [], SIM, wait=True))
-    assert told([outcomes[0, job] for job in range(len(JOBS))]) == expected(raw)
+    assert [(outcomes[0, job].state, outcomes[0, job].history) for job in range(2)] == [(here, here)] * 2
+    if not driven:
+        assert told([outcomes[0, job] for job in range(len(JOBS))]) == expected(raw)
 
 
 def test_a_process_that_hangs_is_not_waited_for_without_end(

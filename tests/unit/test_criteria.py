@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from support.plans import Box, Triple, make_plan, stack
+from support.plans import CARTON_MM, Box, Triple, make_plan, stack
 
 pytest.importorskip("scipy")
 pytest.importorskip("shapely")
@@ -25,10 +25,11 @@ from petmjx.analysis.criteria import (
     Answers,
     answer,
     chosen_criteria,
+    load_points,
     support_share,
     tolerable_acceleration_g,
 )
-from petmjx.analysis.criteria_vs_physics import CELLS
+from petmjx.analysis.criteria_vs_physics import ARRIVES, CELLS
 from petmjx.analysis.force_balance import Friction, _slack_alone, _VerticalSystem, balance_slack
 from petmjx.analysis.load_paths import even_bedding, load_polygons, load_slack
 from petmjx.analysis.plan_contacts import contact_hulls, find_contacts
@@ -321,12 +322,12 @@ def test_boards_bear_as_boxes_would_that_stand_fast() -> None:
     """What is asked of a box on a deck of boards is what is asked of it on boxes in the boards' places.
 
     Criteria that pass loads down also ask boxes in the boards' places, which may be lifted, and the tolerable
-    acceleration of the load counts them. And force balance takes a box that stands on the deck with all its corners for
-    part of the carrier, with a slack of 1.
+    acceleration of the load and its points count them. And force balance takes a box that stands on the deck with all
+    its corners for part of the carrier, with a slack of 1.
     """
     rng, compared, unstable = np.random.default_rng(4), 0, 0
     loads = [NAMES.index(name) for name in ("stacking_tree", "equilibrium")]
-    of_load = NAMES.index("tolerable_acceleration")
+    of_load = [NAMES.index(name) for name in ("tolerable_acceleration", "load_points")]
     of_base = slice(min(loads))
     for _ in range(60):
         edges = np.sort(rng.choice(np.arange(0, 61), 8, replace=False)) * 10.0
@@ -339,7 +340,7 @@ def test_boards_bear_as_boxes_would_that_stand_fast() -> None:
         np.testing.assert_array_equal(answers.corners, twin.corners[4:])
         np.testing.assert_allclose(answers.share, twin.share[4:], atol=1e-12)
         np.testing.assert_allclose(answers.slack[:, of_base], twin.slack[4:, of_base], atol=1e-9)
-        same = [number for number in range(len(NAMES)) if number not in (*loads, of_load)]
+        same = [number for number in range(len(NAMES)) if number not in (*loads, *of_load)]
         np.testing.assert_array_equal(answers.stable[:, same], twin.stable[4:, same])
         assert (answers.stable[:, loads] >= twin.stable[4:, loads]).all()
         compared, unstable = compared + answers.stable.size, unstable + int((answers.stable == NO).sum())
@@ -418,7 +419,30 @@ def test_the_tolerable_acceleration_by_hand() -> None:
     names = chosen_criteria(("tolerable_acceleration",))
     answers = answer(tower, names, Friction(0.6), 0.5)
     assert answers.stable[:, 0].tolist() == [YES, YES, YES, NO, NO, NO, NO, NO]  # 0.5 g from three boxes on
-    assert "tolerable_acceleration" not in [criterion.name for criterion in chosen_criteria()]
+    assert not {"tolerable_acceleration", "load_points"} & {criterion.name for criterion in chosen_criteria()}
+
+
+BESIDE = ((CARTON_MM, (0, 0, 0), 6.0), (CARTON_MM, (400, 0, 0), 2.0))
+LEANING_OUT = stack(2, 100.0, kg=(2.0, 6.0))
+
+
+@pytest.mark.parametrize(
+    ("boxes", "points"),
+    [
+        (stack(1), [25, 25, 10, 10, 15, 15]),
+        (stack(5), [25, 25, 10, 0, 15, 15]),  # each box lies on one
+        (BESIDE, [25, 12.5, 10, 10, 15, 15]),  # the right half has a quarter of the mass
+        # centre at 250 of 400 mm; 2.5 of 8 kg left of the middle; 4/5 filled; a quarter overhangs; the heavier is above
+        (LEANING_OUT, [18.75, 15.625, 8, 0, 11.25, 0]),
+    ],
+    ids=["carton", "tower", "beside", "leaning out"],
+)
+def test_points_of_a_load_by_hand(boxes: tuple[Box, ...], points: list[float]) -> None:
+    plan = make_plan(boxes=boxes)
+    assert [*load_points(find_contacts(plan, 0.5)).values()] == pytest.approx(points)
+    answers = answer(plan, chosen_criteria(("load_points",)), Friction(0.6), 0.5)
+    assert answers.stable[:, 0].tolist() == [YES] * (len(boxes) - 1) + [YES if sum(points) >= 75 else NO]
+    assert answers.slack[-1, 0] == pytest.approx(sum(points) - 75)
 
 
 def test_criteria_are_judged_by_how_often_plans_arrive(tmp_path: Path) -> None:
@@ -436,4 +460,9 @@ def test_criteria_are_judged_by_how_often_plans_arrive(tmp_path: Path) -> None:
     cells = judged.set_index("criterion")[[*CELLS]]
     assert cells.loc["centre"].tolist() == [1, 1, 0, 0]
     assert cells.loc["tolerable_acceleration"].tolist() == [1, 0, 0, 1]
+    shares = run.summary.query("scope == 'plan' and leg == ''").set_index("plan_id")["share"]
+    means = judged.set_index("criterion")[[*ARRIVES]]
+    assert means.loc["tolerable_acceleration"].tolist() == [shares["low"], shares["tower"]]
+    assert means.loc["centre"].iloc[0] == shares.mean()
+    assert np.isnan(means.loc["centre"].iloc[1])  # it refuses none
     assert petmjx.criteria(plans, run=run, only=names, p_arrives=0.0).judged[[*CELLS]].iloc[0].tolist() == [2, 0, 0, 0]

@@ -79,15 +79,15 @@ def test_an_engine_without_worlds_waits_for_jobs_that_follow_from_its_last_outco
     put(stream, ONE)
     stream.close()
     stream.take(1)
-    assert stream.wait_for_following(), "its outcome is not there"
+    assert stream.wait_for_following([0]), "its outcome has not been taken"
     stream.answered(0)
-    assert stream.wait_for_following(), "jobs may follow from it"
+    assert stream.wait_for_following([]), "jobs may follow from it"
     stream.put(THREE, None)
-    assert not stream.wait_for_following(), "a job is ready"
+    assert not stream.wait_for_following([]), "a job is ready"
     stream.take(1)
     stream.answered(1)
     threading.Timer(0.05, stream.followed).start()
-    assert not stream.wait_for_following(), "no job followed"
+    assert not stream.wait_for_following([]), "no job followed"
     assert stream.ended
 
 

@@ -45,8 +45,8 @@ def test_what_the_geometry_decides() -> None:
 
 def test_what_may_catch_a_box_leaves_it_open() -> None:
     """It hangs over the edge by 150 mm: a box as high as the support bears it, one that is 20 mm lower may, one that is
-    150 mm lower does not; a wall before it may lean it, one that it touches may hold it by friction, and one that is
-    farther than it turns does not."""
+    150 mm lower does not; a wall before it may lean it, and one that is farther than it turns does not. At its side a
+    low box cannot hold it by friction, a high one may, and so may low ones on both sides, which may jam it."""
     support = ((440, 200, 0), (110, 300, 200))
     hanging = {"corner": (440, 200, 200), "size": (300, 300, 200)}
     expected = {
@@ -65,6 +65,28 @@ def test_what_may_catch_a_box_leaves_it_open() -> None:
         if verdict != OPEN:
             results = pallets.try_all(size_mm=hanging["size"], corner_mm=hanging["corner"], mass_kg=6)
             assert bool(results.stable[0]) == (verdict == STANDS)
+
+
+def test_a_box_beside_holds_by_friction_as_much_as_the_friction_below_allows() -> None:
+    """A box on a beam hangs out by 48 mm, and a heavy one touches its side. By its friction, μ² times the lever with
+    μ = 0.5, it holds 25 mm where they touch up to 50 mm above the base, and 64 mm where they touch up to the top."""
+    for top, verdict in ((250, FALLS), (440, OPEN)):
+        pallets = pile(((300, 200, 0), (72, 300, 200)), ((300, 500, 0), (160, 200, top), 20.0))
+        assert said(pallets, (300, 200, 200), (240, 300, 240)) == verdict, top
+
+
+def test_a_box_that_has_moved_leaves_open_what_it_may_touch_and_what_stands() -> None:
+    """A box leans on one that is 5 mm lower than its support. On the far side of the pallet falling boxes are decided,
+    beside the leaning box they are not; and no box stands beyond doubt."""
+    support, lower = ((440, 200, 0), (110, 300, 200)), ((600, 200, 0), (300, 300, 195))
+    pallets = pile(support, lower, ((0, 0, 0), (200, 200, 300)), ((380, 600, 0), (50, 100, 250)))
+    hanging, beside = ((150, 0, 300), (200, 200, 200)), ((380, 480, 250), (50, 200, 200))
+    on_carrier = ((600, 500, 0), (400, 300, 200))
+    assert [said(pallets, *box) for box in (hanging, beside, on_carrier)] == [FALLS, FALLS, STANDS]
+    leaning = pallets.place(size_mm=(300, 300, 200), corner_mm=(440, 200, 200), mass_kg=6.0)
+    assert leaning.stable
+    assert leaning.shift_mm[0] > 1
+    assert [said(pallets, *box) for box in (hanging, beside, on_carrier)] == [FALLS, OPEN, OPEN]
 
 
 def test_nothing_is_decided_between_walls_which_may_catch_a_box() -> None:

@@ -385,12 +385,13 @@ def test_a_chain_has_its_answers(tmp_path: Path) -> None:
 def test_a_page_to_send_is_about_each_plan_of_a_chain(tmp_path: Path) -> None:
     pytest.importorskip("matplotlib")
     import petmjx
-    from petmjx.show.figures.load_unit_page import sentence, write_load_unit_pages
+    from petmjx.show.figures.load_unit_page import _assumed, _facts, sentence, write_load_unit_pages
 
     file = tmp_path / "chain.toml"
     file.write_text(
-        "replicates = 2\n[axes]\nfriction_tolerance_rel = 0.05\n[[legs]]\nname = 'truck'\n"
-        "events = [{ profile = 'eumos-40509', level = 0.8 }]\n"
+        "replicates = 2\n[simulation]\nwalls = ['front', 'back']\n[axes]\nfriction_tolerance_rel = 0.05\n"
+        "[[legs]]\nname = 'truck'\nevents = [{ profile = 'eumos-40509', level = 0.8 }]\n"
+        "[[legs]]\nname = 'film'\nwrap_turns = 8\n"
     )
     plans = [make_plan("stays", 1), make_plan("slides", 2)]
     run = petmjx.score(plans, engine="mujoco", chain=file)
@@ -401,6 +402,15 @@ def test_a_page_to_send_is_about_each_plan_of_a_chain(tmp_path: Path) -> None:
     assert run.summary is not None
     (row,) = run.summary.query("scope == 'plan' and plan_id == 'slides' and leg == ''").to_dict("records")
     assert sentence(row).startswith("Arrives in 0 of 2 worlds: P = 0.0 % (0.0 % to 65.8 %, 95 %). Weakest leg: truck")
+    facts = "\n".join(_facts(run, plans[0]))
+    mass_kg, height_m = plans[0].mass_kg[0], plans[0].size_mm[0, 2] / 1000
+    # four sides, each pressed by 2·T, T = 50 N · 8 · height / 0.5 m; film sticks with 0.3 of it
+    held_n = 0.3 * 4 * 2 * 50 * 8 * height_m / 0.5
+    assert "Film of 50 N a turn across 500 mm: 8 turns from film on." in facts
+    slides_g = 0.5 + held_n / (mass_kg * 9.81)
+    assert f"Held by 8 turns to its carrier it slides from {slides_g:.2f} g." in facts
+    assert "Walls stand on the front, back; there are no straps" in _assumed(run)[-1]
+    assert "more than 20 mm from its planned place, or tilted by more than 20°" in _assumed(run)[-1]
     score = petmjx.score(plans, engine="mujoco")
     with pytest.raises(InputError, match="a page to send is about a chain"):
         write_load_unit_pages(score, {}, out)

@@ -244,6 +244,31 @@ def levels(n_plans: int) -> pd.DataFrame:
     return frame.astype({"box": "Int64"})
 
 
+def test_a_grid_has_the_table_of_a_laboratory() -> None:
+    """A level has its largest deformations; levels that no laboratory steps to, and rows without levels, are left
+    out."""
+    row = {"scope": "plan", "plan_id": "a", "axis": "level_g", "n_worlds": 4, "n_standing": 4, "n_invalid": 0}
+    row |= {"share": 1.0, "n_draws": 0, "low": np.nan, "high": np.nan, "n_eumos": 4, "eumos_share": 0.5}
+    row |= {"eumos_elastic_share": 0.031, "eumos_permanent_share": 0.012, "eumos_foot_permanent_m": 0.034}
+    of_levels = [
+        {**row, "value": "0.25", "n_eumos_passed": 4},
+        {**row, "value": "0.3", "n_eumos_passed": 4},
+        {**row, "value": "0.5", "n_eumos_passed": 1, "eumos_elastic_share": 0.12},
+        {**row, "value": "0.6", "n_eumos_passed": 0},
+        {**row, "value": "0.7", "n_eumos": 0, "n_eumos_passed": 0, "eumos_elastic_share": np.nan},
+    ]
+    lines = words_of(
+        list(sweep_tables(pd.DataFrame([*of_levels, {**row, "axis": "", "value": "", "n_eumos_passed": 0}])))
+    )
+    table = lines[lines.index(next(text for text in lines if "EUMOS 40509 at each level" in text)) :]
+    assert not [text for text in table if text.startswith("a 0.25")]
+    assert "a 0.3 4 3.1 % 1.2 % 3.4 passed" in table
+    assert "a 0.5 4 12.0 % 1.2 % 3.4 3 failed" in table
+    assert "a 0.6 4 3.1 % 1.2 % 3.4 failed" in table
+    drawn = pd.DataFrame([{**row, "value": "0.1 to 0.2", "n_eumos_passed": 4}])
+    assert not [text for text in words_of(list(sweep_tables(drawn))) if "at each level" in text]
+
+
 @pytest.mark.parametrize("width", [80, 120])
 def test_tables_of_sweeps_fit(width: int) -> None:
     for summary in (shares(3), levels(3)):

@@ -146,6 +146,8 @@ def test_the_summary_has_shares_with_intervals_and_units(tmp_path: Path) -> None
     assert row["n_worlds"] == len(chosen) == 6
     assert row["n_standing"] == (chosen["verdict"] == "stable").sum()
     assert row["n_eumos_passed"] == chosen["eumos_passed"].sum()
+    deformations = ["eumos_elastic_share", "eumos_permanent_share", "eumos_foot_permanent_m"]
+    pd.testing.assert_series_equal(row[deformations], chosen[deformations].max(), check_names=False, check_dtype=False)
     assert row["n_draws"] == 0  # the placement without an error is the same every time
     assert pd.isna(row["low"])
     drawn = summary.loc[("b", "placement_error_mm", "3")]

@@ -22,6 +22,9 @@ from petmjx.world.job import Job
 GRANULE = 4
 """Box columns of a table are a multiple of this, so that runs with different plans use the same programs."""
 
+PROFILE_GRANULE = 512
+"""Steps of a table of profiles are a multiple of this, for the same reason: the legs of a chain differ in length."""
+
 
 @dataclass
 class Batch:
@@ -62,8 +65,8 @@ def load(
         spare_profiles: rows for profiles, as a multiple of the number of profiles.
     """
     excitations = {id(job.drive.excitation): job.drive.excitation for job in jobs if job.drive}
-    steps = max([len(e.samples) for e in excitations.values()], default=1)
-    profiles = np.zeros((max(spare_profiles * len(excitations), 1), steps, 3), np.float32)
+    steps = round_up(max([len(e.samples) for e in excitations.values()], default=1), PROFILE_GRANULE)
+    profiles = np.zeros((padded_rows(max(spare_profiles * len(excitations), 1)), steps, 3), np.float32)
     for row, excitation in enumerate(excitations.values()):
         profiles[row, : len(excitation.samples)] = excitation.samples
     profile_rows = {key: row for row, key in enumerate(excitations)}

@@ -39,7 +39,7 @@ class Worlds(NamedTuple):
 
     Ends: ``settles``: the placement ends in a settled state, for a drive or to keep. ``ends_when_lost``:
     ``has_errors`` of ``petmjx.world.job.Job``. ``pauses``: when its boxes rest, the world waits for more
-    (petmjx/engines/open_worlds.py).
+    (petmjx/engines/open_worlds.py). ``ends_when_gone``: it is a trial, which ends when a box is gone.
 
     Placing: ``start`` is where a box is released if its ``support`` is where the plan has it. The release follows the
     support by at most ``most_followed``, m (petmjx/world/release_places.py). ``appears``: all boxes begin at ``start``.
@@ -84,6 +84,7 @@ class Worlds(NamedTuple):
     ends_when_lost: Bool[Array, " world"]
     allowed_sway: Float[Array, " world"]
     pauses: Bool[Array, " world"]
+    ends_when_gone: Bool[Array, " world"]
     appears: Bool[Array, " world"]
     way_offset: Float[Array, "world box 3"]
     way_steps: Int[Array, "world box"]
@@ -131,7 +132,7 @@ def upload_worlds(
     of_scenes = rows_of([job.scene for job in jobs], width, sim, boards, spare)
     of_jobs = _rows_of_jobs(jobs, profiles, sim.physics.timestep_s)
     of_jobs = {name: with_spare_rows(values, spare) for name, values in of_jobs.items()}
-    columns = of_scenes | of_jobs | {"pauses": np.zeros(rows, np.bool_)}
+    columns = of_scenes | of_jobs | {name: np.zeros(rows, np.bool_) for name in ("pauses", "ends_when_gone")}
     return Worlds(**dict(zip(columns, device_arrays(columns.values()), strict=True)))
 
 
@@ -139,7 +140,7 @@ _NO_DRIVE: Final = Drive(Excitation("none", FORCE, np.zeros((0, 3))), scale=0.0,
 
 
 def _rows_of_jobs(jobs: Sequence[Job], profiles: dict[int, int], timestep_s: float) -> Rows:
-    """Fields of the tables that depend on the job and not only on its scene, without ``pauses``."""
+    """Fields of the tables that depend on the job and not only on its scene, without those of open worlds."""
     drives = [job.drive or _NO_DRIVE for job in jobs]
     profiles = {id(_NO_DRIVE.excitation): 0, **profiles}
     profile_steps = np.array([len(drive.excitation.samples) for drive in drives], np.int32)

@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from functools import partial
+from functools import cache, partial
 from typing import Any, NamedTuple, TypeVar, get_type_hints
 
 import jax
@@ -131,6 +131,7 @@ def of_flat(arrays: Mapping[str, Array]) -> State:
 Record = TypeVar("Record", bound=tuple[Any, ...])
 
 
+@cache
 def per_box(record: type[Any]) -> tuple[str, ...]:
     """Names of a record's fields whose second axis is ``box``, from their annotations."""
     shapes = {name: getattr(kind, "dim_str", "") for name, kind in get_type_hints(record).items()}
@@ -140,8 +141,9 @@ def per_box(record: type[Any]) -> tuple[str, ...]:
 def narrow(state: State, capacity: int) -> State:
     """States with columns for the first ``capacity`` boxes."""
 
-    def cut(record: State | Metrics) -> dict[str, Any]:
-        return {name: getattr(record, name)[:, :capacity] for name in per_box(type(record))}
+    def cut(record: Any) -> dict[str, Any]:
+        kind: Any = type(record)
+        return {name: getattr(record, name)[:, :capacity] for name in per_box(kind)}
 
     return state._replace(**cut(state), metrics=state.metrics._replace(**cut(state.metrics)))
 

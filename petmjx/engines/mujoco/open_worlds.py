@@ -40,7 +40,7 @@ class OpenWorld(WorldRun):
     ) -> None:
         super().__init__(0, Job(scene), sim, cancelled)
         self._templates = templates
-        self._pauses = True
+        self._pauses, self._until_gone = True, False
         self.ended = not self._start()
 
     def go_on(self) -> None:
@@ -79,15 +79,26 @@ class OpenWorld(WorldRun):
         return twin
 
     def tried(self, scene: Scene, *, until_lost: bool = False) -> Reading:
-        """The reading of a fork to which the additional boxes of this scene were added. The fork stops when they rest
-        or, with ``until_lost``, when a sample finds a box tilted too far."""
+        """The reading of a fork after the additional boxes of this scene have been put into it and rest, or, with
+        ``until_lost``, a box is tilted too far at a sample, or gone at a look for quiet."""
         twin = self.fork(grows=self.paused)
-        twin._job = replace(twin._job, has_errors=until_lost)
+        twin._job, twin._until_gone = replace(twin._job, has_errors=until_lost), until_lost
         twin.put(scene)
         twin.go_on()
         reading = twin.read()
         twin._live.give_back()
         return reading
+
+    def _observe(self) -> bool:
+        if not super()._observe():
+            return False
+        if not self._until_gone or self._step % self._sim.quiet.poll_steps:
+            return True
+        pose = self._live.pose[: self._live.n_free]
+        if self._sim.early_stop and self._metrics.any_gone(pose[:, :3], pose[:, 3:]):
+            self._flags |= Flag.EARLY_STOP
+            return False
+        return True
 
     def finish(self, index: int, drive: Drive | None = None) -> Outcome:
         """Simulate a world with boxes to its end: the rest window and, if there is one, the drive.

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from petmjx.common.units import STANDARD_GRAVITY, FloatArray
-from petmjx.engines.metrics import BoxMetrics
+from petmjx.engines.metrics import GONE_DESCENT, GONE_TILT, BoxMetrics
 from petmjx.engines.mujoco.box_motion import excess, has_dropped, shift, tilt_deg
 from petmjx.engines.mujoco.top_forces import TopForceInputs, largest_top_forces
 from petmjx.options.simulation import Thresholds
@@ -114,6 +114,15 @@ class OracleMetrics:
             return False
         sway = self._sway(pos, self._sway_origin)
         return bool(lost[culprit] and sway[culprit] >= job.drive.allowed_sway_m)
+
+    def any_gone(self, pos: FloatArray, quat: FloatArray) -> bool:
+        """Whether one of the k placed boxes is so far away in these poses that the pallet of a trial will not stand."""
+        k = len(pos)
+        descent = self._scene.target[:k, 2] - pos[:, 2] - (0.0 if self._sinks_m is None else self._sinks_m[:k])
+        limits = self._thresholds
+        return bool(
+            (tilt_deg(quat) > GONE_TILT * limits.tilt_deg).any() or (descent > GONE_DESCENT * limits.shift_m).any()
+        )
 
     def add_sample(
         self, time_s: float, pos: FloatArray, quat: FloatArray, acc: FloatArray, top_force_n: FloatArray

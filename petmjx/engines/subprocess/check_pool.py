@@ -11,13 +11,15 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Final, Generic, TypeVar
 
+import numpy as np
+
 from petmjx.common.machine import cpu_threads
 from petmjx.engines.outcome_checks import outcome_checks
 from petmjx.engines.subprocess.check_process import Look
 from petmjx.engines.subprocess.task_pipe import Child
 from petmjx.engines.verdict import Outcome
 from petmjx.options.simulation import Simulation
-from petmjx.world.job import Job
+from petmjx.world.job import ACCELERATION, Drive, Excitation, Job
 
 LARGE: Final = 1000
 """Number of worlds from which check processes are worthwhile."""
@@ -40,6 +42,9 @@ INTERRUPTED_S: Final = 2.0
 HANGS_S: Final = 60.0
 """A process hangs if a wait for its answer takes this long, s. A process starts in a few seconds, and a check takes
 less than a second."""
+
+_ANY_DRIVE: Final = Drive(Excitation("any", ACCELERATION, np.zeros((0, 3))))
+"""What a check process gets instead of a drive: checks ask whether there is one."""
 
 Key = TypeVar("Key")
 
@@ -114,15 +119,15 @@ class CheckPool(Generic[Key]):
 
     def _begin(self, keys: list[Key], look: Look) -> None:
         """Begin a check. Waits if too many checks are unanswered."""
-        large = any(outcome.state is not None or outcome.history is not None for outcome in look[0])
-        while self._check_pool and not large:
+        outcomes, jobs, sim = look
+        # checks need no histories, no samples of drives, and no states, for which a process would have to import JAX
+        light = [replace(outcome, state=None, history=None) for outcome in outcomes]
+        sent = [replace(job, start=None, drive=_ANY_DRIVE if job.drive is not None else None) for job in jobs]
+        while self._check_pool:
             looker = min(self._check_pool, key=lambda candidate: len(candidate.unanswered))
             if len(looker.unanswered) < MOST_WAITING:
-                outcomes, jobs, sim = look
-                # checks do not need states, and for states of a GPU the process would have to import JAX
-                sent = [replace(job, start=None) if job.start is not None else job for job in jobs]
                 try:
-                    task = pickle.dumps((outcomes, sent, sim))
+                    task = pickle.dumps((light, sent, sim))
                 except Exception:
                     break
                 looker.unanswered.append((keys, look))
@@ -163,6 +168,7 @@ class CheckPool(Generic[Key]):
             outcomes, edges = answer
             for outcome, sent, (plan_edge_m, rest_edge_m) in zip(outcomes, look[0], edges, strict=True):
                 outcome.boxes = replace(sent.boxes, plan_edge_m=plan_edge_m, rest_edge_m=rest_edge_m)
+                outcome.state, outcome.history = sent.state, sent.history
             self._finished += zip(keys, outcomes, strict=True)
 
     def close(self) -> None:

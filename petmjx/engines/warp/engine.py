@@ -137,9 +137,10 @@ class MjxWarpEngine(Engine):
             waits = source.recorded
             try:
                 for outcome in outcomes_of(self._slices(source, sim, progress, waits), sim, progress, waits=waits):
-                    if outcome is not None:  # None: a pause
-                        del source.in_flight[outcome.job]
+                    number = outcome.job if outcome is not None else None  # None: a pause
                     yield outcome
+                    if number is not None:  # whoever takes outcomes has put the jobs that follow
+                        source.taken(number)
             except Exception as error:
                 if not is_out_of_memory(error):
                     raise

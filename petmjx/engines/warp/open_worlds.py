@@ -117,8 +117,8 @@ class WarpWorlds(OpenWorlds):
             rows = jnp.where(jnp.arange(padded) < count, jnp.arange(padded), padded)
             begun = self._jitted_put(forks, rows, more)
         if until_lost:
-            lost = jnp.ones_like(begun.worlds.ends_when_lost)
-            begun = begun._replace(worlds=begun.worlds._replace(ends_when_lost=lost))
+            ends = jnp.ones_like(begun.worlds.ends_when_lost)
+            begun = begun._replace(worlds=begun.worlds._replace(ends_when_lost=ends, ends_when_gone=ends))
         state = self._to_the_end(begun, jnp.zeros((1, 1, 3))).state
         report = reading_inputs(state, device_array(np.arange(padded, dtype=np.int32)))
         return readings_of(report, *before.with_next(boxes), self._sim)

@@ -126,7 +126,12 @@ class TableJobs:
 
     def wait_for_following(self) -> bool:
         """Wait for a moment until a job follows from an outcome. Returns whether jobs may still follow."""
-        return self._stream.wait_for_following()
+        return self._stream.wait_for_following(self.in_flight)
+
+    def taken(self, number: int) -> None:
+        """The outcome of a job has been taken."""
+        del self.in_flight[number]
+        self._stream.wake()
 
     def lose(self) -> dict[int, Job]:
         """Remove and return the jobs without an outcome, whose states are lost."""

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
+from functools import partial
 from typing import NamedTuple, TypeVar
 
 import jax
@@ -29,6 +30,11 @@ Table = TypeVar("Table", State, Worlds)
 
 _put = jax.jit(put_rows, donate_argnums=0)
 _take, _put_resized = jax.jit(take_rows), jax.jit(put_resized, donate_argnums=0)
+
+
+@partial(jax.jit, donate_argnums=0)
+def _put_profiles(profiles: jax.Array, rows: jax.Array, samples: jax.Array) -> jax.Array:
+    return profiles.at[rows].set(samples)
 
 
 def _put_into(table: Table, rows: NDArray[np.intp], values: Table, put: Callable[..., Table] = _put) -> Table:
@@ -178,7 +184,8 @@ class WorldTable(Batch):
             samples.append(padded)
         if rows:
             repeated = np.resize(np.arange(len(rows)), padded_rows(len(rows)))
-            self.profiles = self.profiles.at[np.array(rows)[repeated]].set(np.stack(samples)[repeated])
+            at = np.array(rows, np.int32)[repeated]
+            self.profiles = _put_profiles(self.profiles, device_array(at), device_array(np.stack(samples)[repeated]))
         return fitting
 
     def end(self, rows: NDArray[np.intp]) -> None:

@@ -14,12 +14,14 @@ import numpy as np
 import pandas as pd
 
 from petmjx.analysis.criteria import load_tipping_g
+from petmjx.analysis.crushing import SUSTAINED
 from petmjx.analysis.plan_contacts import find_contacts
 from petmjx.common.atomic_write import atomic_write
 from petmjx.common.errors import InputError
 from petmjx.common.text import box_label, count_text, printable, printable_name
 from petmjx.common.units import MM_PER_M
-from petmjx.options.carriers import Carrier
+from petmjx.options.carriers import Carrier, walls_of
+from petmjx.options.simulation import Simulation
 from petmjx.plans.plan import Plan
 from petmjx.plans.plan_warnings import DEFAULT_TOLERANCE_MM
 from petmjx.results.run_reader import RunResults
@@ -29,15 +31,20 @@ from petmjx.runs.chain_summary import WHOLE_WAY, arrivals, is_chain
 from petmjx.show.figures.figure_style import paper_style
 from petmjx.show.pages.palette import article_colours, category
 from petmjx.show.table_layout import percent
+from petmjx.world.film import film_of
 from petmjx.world.profiles.accelerations import EN_12195_FORWARD_G, EN_12195_SIDEWAYS_G
+from petmjx.world.scene import build_scene
 
 A4_IN: Final = (8.27, 11.69)
 
 MOST_PAGES: Final = 50
 """Largest number of plans in one file, one page each."""
 
-LETTERS: Final = 100
+LETTERS: Final = 128
 """Letters of a line of text."""
+
+FOOTER: Final = 0.045
+"""Height of the line with versions, and the room above it, as a share of the page."""
 
 SIDES: Final = (("front", 0, 1, 1.0), ("right", 1, 0, -1.0), ("back", 0, 1, -1.0), ("left", 1, 0, 1.0))
 """Name of a view, the axis across it, the axis into it, and whether that leads away (1) or towards the eye (-1)."""
@@ -90,18 +97,24 @@ def _page(run: RunResults, plan: Plan, row: Mapping[Any, Any]) -> Any:
     figure.text(0.07, 0.96, printable(plan.plan_id), fontsize=15, fontweight="bold", va="top")
     figure.text(0.07, 0.935, "\n".join(textwrap.wrap(sentence(row), 88)), fontsize=10, va="top")
     for place, side in enumerate(SIDES):
-        axes = figure.add_axes((0.07 + 0.225 * place, 0.62, 0.2, 0.26))
+        axes = figure.add_axes((0.05 + 0.225 * place, 0.66, 0.215, 0.235))
         _draw_side(axes, plan, *side)
-    _draw_legs(figure.add_axes((0.2, 0.4, 0.73, 0.17)), run, plan)
+    _draw_legs(figure.add_axes((0.2, 0.47, 0.73, 0.15)), run, plan)
     texts = [("Load unit", _facts(run, plan)), ("What would help", _remedies(run, plan)), ("Assumed", _assumed(run))]
-    y = 0.35
-    for title, lines in texts:
-        if not lines:
-            continue
-        figure.text(0.07, y, title, fontsize=10, fontweight="bold", va="top")
-        text = "\n".join(part for line in lines for part in textwrap.wrap(line, LETTERS, subsequent_indent="   "))
-        figure.text(0.07, y - 0.018, text, fontsize=8, va="top", linespacing=1.35)
-        y -= 0.03 + 0.0135 * (text.count("\n") + 1)
+    wrapped = [
+        (title, "\n".join(part for line in lines for part in textwrap.wrap(line, LETTERS, subsequent_indent="   ")))
+        for title, lines in texts
+    ]
+    wrapped = [(title, text) for title, text in wrapped if text]
+    # long chains have many lines, which are made smaller until they fit
+    top, title_height, line_height = 0.43, 0.03, 0.0135
+    height = sum(title_height + line_height * (text.count("\n") + 1) for _, text in wrapped)
+    smaller = min(1.0, (top - FOOTER) / height)
+    y = top
+    for title, text in wrapped:
+        figure.text(0.07, y, title, fontsize=10 * smaller, fontweight="bold", va="top")
+        figure.text(0.07, y - 0.018 * smaller, text, fontsize=8 * smaller, va="top", linespacing=1.35)
+        y -= smaller * (title_height + line_height * (text.count("\n") + 1))
     versions = run.info.get("versions", {})
     version_text = ", ".join(f"{name} {versions[name]}" for name in ("petmjx", "mujoco", "python") if name in versions)
     engine = run.info.get("config", {}).get("engine", "")
@@ -122,7 +135,10 @@ def _draw_side(axes: Any, plan: Plan, name: str, across: int, into: int, away: f
         axes.add_patch(Rectangle(place, *size, facecolor=colours[box], edgecolor="black", linewidth=0.5))
     left, right, top = low[:, across].min(), high[:, across].max(), high[:, 2].max()
     axes.add_patch(Rectangle((left, -80), right - left, 80, facecolor="0.75", edgecolor="0.4", linewidth=0.5))
-    axes.set_xlim((right + 30, left - 30) if name in MIRRORED else (left - 30, right + 30))
+    # all views have the same scale, that of the widest one
+    extent = high[:, :2].max(axis=0) - low[:, :2].min(axis=0)
+    middle, reach = (left + right) / 2, extent.max() / 2 + 30
+    axes.set_xlim((middle + reach, middle - reach) if name in MIRRORED else (middle - reach, middle + reach))
     axes.set_ylim(-100, top + 30)
     axes.set_aspect("equal", anchor="S")
     axes.set_axis_off()
@@ -158,13 +174,37 @@ def _facts(run: RunResults, plan: Plan) -> Iterator[str]:
     simulation = run.info["config"]["simulation"]
     carrier = run.carrier
     name = carrier.value if isinstance(carrier, Carrier) else printable_name(carrier.name)
+    on = "a slab as large as the load" if carrier is Carrier.FOOTPRINT else f"the carrier {name}"
     boxes = count_text(plan.n_boxes, "box", "boxes")
-    yield f"{boxes}, {plan.mass_kg.sum():,.0f} kg, {top / MM_PER_M:.2f} m high, on the carrier {name}."
+    yield f"{boxes}, {plan.mass_kg.sum():,.0f} kg, {top / MM_PER_M:.2f} m high, on {on}."
     slides_g = float(simulation["physics"]["box_friction"][0])
     tips_g = float(load_tipping_g(find_contacts(plan, DEFAULT_TOLERANCE_MM))[-1])
     limits = f"EN 12195-1 asks for {EN_12195_FORWARD_G:g} g forward, {EN_12195_SIDEWAYS_G:g} g sideways and rearward"
     yield f"As one rigid body without film it slides from {slides_g:.2f} g and tips from {tips_g:.2f} g; {limits}."
+    yield _film(run, plan, slides_g)
     yield from _most_loaded(run, plan)
+
+
+def _film(run: RunResults, plan: Plan, slides_g: float) -> str:
+    """From which leg on how much film is around the load, and from which acceleration it slides then, by docs/wrap.md.
+
+    Args:
+        slides_g: friction with the carrier, from which it slides without film, g.
+    """
+    sim = Simulation.read(run.info["config"]["simulation"])
+    legs = [leg for leg in run.info["config"]["sweep"]["legs"] if leg.get("wrap_turns") is not None]
+    if not (legs or sim.wrap.holds):
+        return "No film."
+    turns = [f"{leg['wrap_turns']:g} turns from {printable_name(leg['name'])} on" for leg in legs]
+    most = max([leg["wrap_turns"] for leg in legs], default=sim.wrap.turns)
+    wrap = sim.wrap.changed(turns=most)
+    text = f"Film of {wrap.force_n:g} N a turn across {wrap.film_mm:g} mm: {', '.join(turns) or f'{most:g} turns'}."
+    if not wrap.holds:
+        return text
+    film = film_of(build_scene(plan, sim.changed(wrap=wrap)))
+    weight_n = float(plan.mass_kg.sum()) * sim.physics.gravity_m_s2
+    held_g = slides_g * (1 + wrap.hat_n / weight_n) + float(film.hold.sum()) / weight_n
+    return f"{text} Held by {most:g} turns to its carrier it slides from {held_g:.2f} g."
 
 
 def _most_loaded(run: RunResults, plan: Plan) -> Iterator[str]:
@@ -176,12 +216,15 @@ def _most_loaded(run: RunResults, plan: Plan) -> Iterator[str]:
     boxes = run.boxes.merge(arrived, on=["plan_id", "variant"])
     if boxes.empty:
         return
-    largest = boxes.groupby("box")[["rest_top_force_n", "max_top_force_n"]].median()
+    rest = SUSTAINED if SUSTAINED in boxes else "rest_top_force_n"
+    largest = boxes.groupby("box")[[rest, "max_top_force_n"]].median()
     box = int(largest["max_top_force_n"].idxmax())
     rest_n, peak_n = largest.loc[box]
     label = box_label(box, plan.articles[box])
     of = "medians of worlds that arrive"
-    yield f"Most loaded: box {label}, {rest_n:,.0f} N at rest, {peak_n:,.0f} N at the peak ({of})."
+    strength = float("nan") if plan.strength_n is None else float(plan.strength_n[box])
+    bears = "" if np.isnan(strength) else f"; between plates it bears {strength:,.0f} N"
+    yield f"Most loaded: box {label}, {rest_n:,.0f} N at rest, {peak_n:,.0f} N at the peak ({of}){bears}."
 
 
 def _remedies(run: RunResults, plan: Plan) -> list[str]:
@@ -200,9 +243,15 @@ def _assumed(run: RunResults) -> list[str]:
     errors = ", ".join(f"{name} {_value(value)}" for name, value in sweep["axes"].items())
     lines = [f"Chain {printable_name(str(sweep['name']))}; {PLACING} with {errors or 'no errors'}."]
     lines += [f"{leg['name']}: {_leg_text(leg)}." for leg in sweep["legs"]]
+    sim = Simulation.read(run.info["config"]["simulation"])
+    walls = walls_of(sim.carrier, sim.walls).standing
+    alone = (
+        f"Walls stand on the {', '.join(walls)}; there are no" if walls else "The pallet stands alone, without walls,"
+    )
+    limits = sim.thresholds
     lines.append(
-        "The pallet stands alone, without walls, straps or neighbours. Boxes are rigid. A world arrives if every box "
-        "is within the thresholds of its planned place after each leg."
+        f"{alone} straps or neighbours. Boxes are rigid. A world arrives if after each leg no box has fallen, is more "
+        f"than {MM_PER_M * limits.shift_m:g} mm from its planned place, or tilted by more than {limits.tilt_deg:g}°."
     )
     return [printable(line) for line in lines]
 

@@ -16,7 +16,7 @@ from petmjx.engines.warp.kernels.hand import has_missed, lets_go, take_up
 from petmjx.engines.warp.kernels.jitter import distance_since, find_jitter, has_jitter, speed_without_jitter
 from petmjx.engines.warp.kernels.motion import center, middle_of, orientation
 from petmjx.engines.warp.kernels.rest import count_quiet, has_failed
-from petmjx.engines.warp.kernels.samples import HALF, LAST_BOX, length_of, measure, press, sway_of, tilt_of
+from petmjx.engines.warp.kernels.samples import HALF, LAST_BOX, is_gone, length_of, measure, press, sway_of, tilt_of
 from petmjx.engines.warp.world_arrays import Model, Ref, State, Thread, Workspace, Worlds
 from petmjx.world import history, release_places
 
@@ -203,7 +203,7 @@ def after_step(
     """Apply all rules between two steps.
 
     Args:
-        presses: forces on tops count, also if the step has no sample.
+        presses: forces on tops count.
         nonfinite: a body's position or velocity is not finite or out of range.
     """
     world = at.world
@@ -239,7 +239,7 @@ def after_step(
                     or length_of(state.qacc, world, box, 3) > model.angular_acceleration
                 ):
                     violent = True
-            if sample or (presses and counted):
+            if presses and counted:
                 press(world, at.block, box, state, work)
             if resting:
                 state.rest_force_sum[world, box] = state.rest_force_sum[world, box] + work.top_force[at.block, box]
@@ -261,6 +261,10 @@ def after_step(
                 since = wp.min(violent_since, step)
             violent_since = since
             exploded = since != NEVER and step - since >= model.landing_steps and not driven
+    if worlds.ends_when_gone[world] and counted and polled and not looks_at_poses:
+        for box in range(at.thread, at.placed, at.threads):
+            lost = lost or is_gone(model, worlds, state, world, box)
+        lost = any_of_all(lost)
     stopped = lost and model.early_stop != 0 and not last
     finished = stopped or exploded or nonfinite
     if signs:

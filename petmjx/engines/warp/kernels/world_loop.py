@@ -34,7 +34,7 @@ from petmjx.engines.warp.kernels.hand import carry
 from petmjx.engines.warp.kernels.landing import land
 from petmjx.engines.warp.kernels.motion import begin_step, end_step, first_geom
 from petmjx.engines.warp.kernels.rules import NEVER, RUNNING, after_step
-from petmjx.engines.warp.kernels.samples import is_fast, rises
+from petmjx.engines.warp.kernels.samples import is_fast, is_unbalanced, rises
 from petmjx.engines.warp.kernels.solve import in_pause, newton
 from petmjx.engines.warp.world_arrays import Counts, FrameBuffer, Model, Ref, State, Thread, Workspace, Worlds
 
@@ -175,7 +175,8 @@ def advance(
             link_contacts(worlds, state, at, work)
     go_together()
     if on:
-        limit = wp.where(state.driven_from[at.world] == NEVER, model.iterations, model.driven_iterations)
+        driven = state.driven_from[at.world]
+        limit = wp.where(driven == NEVER, model.iterations, model.driven_iterations)
         newton(model, at.block, at.thread, at.threads, limit, changed, measured or restless, shared, shared_words, work)
         wait_for_all()
         if in_pause(work.solver_paused, at.block):
@@ -184,6 +185,8 @@ def advance(
     if on:
         if restless and not presses:
             presses = any_of_all(rises(work, at))
+        if presses and driven != NEVER and work.solver_niter[at.block] >= limit:
+            presses = not any_of_all(is_unbalanced(work, at))
         astray = any_of_all(end_step(model, at, measured or presses, state, work))
     go_together()
     if on:

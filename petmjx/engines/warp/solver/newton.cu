@@ -264,7 +264,11 @@ inline CUDA_CALLABLE void newton(
             for (int i = 0; i < 6; i += 2) store_two(world.curvature + 6 * k + i, (float)bend[i], (float)bend[i + 1]);
         }
         wait_for_all();
-        if (ends) break;
+        if (ends) {
+            // Whether the forces of a solver that was stopped are in balance: kernels/samples.py, is_unbalanced.
+            if (iteration >= limit) gradient(world, rhs, partial, thread);
+            break;
+        }
         const double bound = gradient(world, rhs, partial, thread);
         // Since H ≥ M, the cost can decrease by at most this.
         if (!(0.5 * bound > enough)) break;
