@@ -109,5 +109,5 @@ def _still(n: int) -> dict[str, Any]:
     """The other metrics of n boxes. Nobody writes into them."""
     zero, none = np.zeros(n), np.full(n, np.nan)
     rest = {"rest_top_force_n": zero, "dropped": np.zeros(n, bool), "drop_s": none, "max_sway_m": none}
-    rest |= {"plan_edge_m": none, "rest_edge_m": none}
+    rest |= {"plan_edge_m": none, "rest_edge_m": none, "sustained_top_force_n": none}
     return {"max_lin_acc": zero, "max_ang_acc": zero, **rest, "quat": np.tile([1.0, 0.0, 0.0, 0.0], (n, 1))}

@@ -291,8 +291,9 @@ def test_one_program_a_shape() -> None:
     assert sorted(shapes) == [(4, 16, None), (8, FEWEST_WORLDS, None)]
 
 
-def test_one_placement_program_whatever_drives_follow() -> None:
+def test_one_placement_program_and_few_for_drives() -> None:
+    """Drives of about the same length share a program."""
     fresh = FakeEngine()
-    for steps in (30, 61):
+    for steps in (30, 61, 1000):
         run_all(fresh, [Job(fake_scene(1.0), pushes("force", steps, 0.01))], SHORT)
     assert [key.drive for key in fresh.programs] == [None, "force", "force"]

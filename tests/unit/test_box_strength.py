@@ -222,7 +222,7 @@ def test_options_of_the_command(tmp_path: Path, capsys: pytest.CaptureFixture[st
         shares.append(world["max_load_share"])
     assert shares == pytest.approx([shares[2] / 0.5, shares[2] / 0.75, shares[2]])
     assert run("loads", tmp_path / "run", "--gap-loss", "2") == 2
-    assert "gap_loss must be from 0 to 1, got 2" in only_line(capsys.readouterr().err)
+    assert "--gap-loss must be from 0 to 1, got 2" in only_line(capsys.readouterr().err)
     with pytest.raises(petmjx.InputError, match="interlock_loss: unknown field; did you mean interlocked_loss"):
         petmjx.loads(tmp_path / "run", stacking={"interlock_loss": 0.1})
     assert petmjx.loads(tmp_path / "run", stacking=Stacking(gap_loss=0.1)).stacking.gap_loss == 0.1

@@ -32,7 +32,7 @@ EDGE_MM = 0.05
 
 @pytest.fixture(scope="module")
 def results() -> petmjx.RunResults:
-    with pytest.warns(PlanWarning, match="an orientation says are turned look swapped"):
+    with pytest.warns(PlanWarning, match="turned by their orientation look swapped"):
         return petmjx.score([CASES / f"{name}.csv" for name in FILES], engine="mujoco", threads=2)
 
 
@@ -76,7 +76,7 @@ def test_a_plan(plan_id: str, expected: dict[str, Any], worlds: pd.DataFrame) ->
 def test_sizes_that_were_turned_already_are_named(results: petmjx.RunResults) -> None:
     """As they stand, the pallet is sound; and what the file says is another one."""
     (note,) = (line for line in results.info["warnings"] if "look swapped" in line)
-    assert "an orientation says are turned look swapped: in plan mixed-turned 9 pairs of boxes overlap" in note
+    assert "turned by their orientation look swapped: in plan mixed-turned 9 pairs of boxes overlap" in note
     frame = pd.read_csv(CASES / "turned_twice.csv").drop(columns="orientation")
     assert petmjx.score(frame, engine="mujoco", threads=2).worlds["verdict"].tolist() == ["stable"]
 

@@ -12,7 +12,7 @@ pytest.importorskip("warp", reason="warp-lang is not installed (extra: warp)")
 import warp as wp
 
 from petmjx.common.warp_cpp import with_cpp
-from petmjx.engines.warp import kernel_launcher
+from petmjx.engines.warp import block_launch
 from petmjx.engines.warp.block_launch import Launch, own_kernels
 from petmjx.engines.warp.kernel_launcher import BlockPool, KernelLauncher
 
@@ -42,7 +42,7 @@ def test_kernels_of_all_sizes_are_compiled_at_the_same_time_and_each_once(monkey
     launcher.pools = tuple(BlockPool(launch, 1, 8, 1, 80, 64) for launch in launches)
     with monkeypatch.context() as patched:
         patched.setattr(wp.Module, "load", watched)
-        patched.setattr(kernel_launcher, "kernel", lambda launch: kernels[launch.threads])
+        patched.setattr(block_launch, "kernel", lambda launch: kernels[launch.threads])
         launcher.load()
     assert len(loaded) == 2 + len(modules)
     assert set(loaded) == {kernels[128].module, kernels[256].module} | modules

@@ -339,7 +339,7 @@ def test_the_command(columns: str, capsys: pytest.CaptureFixture[str], monkeypat
         (["--xlsx"], "--xlsx needs --out DIR"),
         (
             ["--leaderboard", "doe"],
-            "leaderboard name doe: must be SURNAME_ALGORITHM_TASK or DATE_SURNAME_ALGORITHM_TASK",
+            "--leaderboard name doe: must be SURNAME_ALGORITHM_TASK or DATE_SURNAME_ALGORITHM_TASK",
         ),
         (["--run", "nowhere"], "nowhere: no such folder"),
         (["--run", "nowhere", "--assume-stable"], "give either runs or --assume-stable"),

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 import pandas as pd
@@ -12,8 +11,8 @@ from support.sweeps import EUMOS_GRID, QUICK, Recorder, leaning, write_sweep
 import petmjx
 from petmjx.engines.verdict import Flag
 from petmjx.runs.sweep_file import load_sweep
-from petmjx.runs.sweep_run import Batching, SettledPlacement, SweepRun
-from petmjx.runs.sweep_worlds import PlacementGroup, SweepPlan
+from petmjx.runs.sweep_run import Batching, SweepRun
+from petmjx.runs.sweep_worlds import SweepPlan
 
 
 def test_drives_start_from_their_own_placement_in_the_order_of_plans(tmp_path: Path) -> None:
@@ -35,16 +34,9 @@ def test_a_placement_that_is_not_driven_is_told_while_others_are_placed(tmp_path
     text = QUICK.replace("early_stop = false", "") + EUMOS_GRID
     sweep = load_sweep(write_sweep(tmp_path, text), plans_given=True)
     run = SweepRun(SweepPlan(sweep, plans), Recorder(1))
-    settling, placed = run._settling, list[str]()
-
-    def watched(groups: Sequence[PlacementGroup]) -> Iterator[SettledPlacement]:
-        yield from settling(groups)
-        placed.append("all")
-
-    run._settling = watched  # type: ignore[method-assign]  # of this run alone
-    worlds = [(world.plan.plan_id, bool(placed)) for world in run.worlds()]
-    assert [all_placed for plan_id, all_placed in worlds if plan_id == "falls"] == [False] * 64
-    assert [all_placed for plan_id, all_placed in worlds if plan_id == "stands"] == [True] * 64
+    worlds = [(world.plan.plan_id, run.tally.placements) for world in run.worlds()]
+    assert [n_placed for plan_id, n_placed in worlds if plan_id == "falls"] == [1] * 64
+    assert [n_placed for plan_id, n_placed in worlds if plan_id == "stands"] == [2] * 64
 
 
 def test_early_stop_changes_no_answer_of_eumos_s_test(tmp_path: Path) -> None:
