@@ -28,7 +28,7 @@ from petmjx.plans.column_names import (
 )
 from petmjx.plans.foreign_formats import BED_BPP, BoxSource
 from petmjx.plans.plan_fields import joined_names
-from petmjx.plans.raw_cells import cell_number, cell_text, cell_triple, number_fault_of
+from petmjx.plans.raw_cells import CellNumber, cell_number, cell_text, cell_triple, number_fault_of
 
 ROLES: Final = (
     "length", "width", "height", "depth", "x size", "y size", "z size", "x", "y", "z", "sizes", "position", "weight",
@@ -144,8 +144,9 @@ class BoxColumns:
 class Extraction:
     """The columns of one source while their meanings are sought."""
 
-    def __init__(self, source: BoxSource, chosen: Mapping[str, str]) -> None:
+    def __init__(self, source: BoxSource, chosen: Mapping[str, str], units: str = "", masses: str = "") -> None:
         self.source = source
+        self.units, self.masses = units, masses
         self.table = source.boxes.table
         self.faults: dict[int, tuple[str, str]] = {}
         self.meanings = column_meanings(self.table.header)
@@ -182,52 +183,63 @@ class Extraction:
 
     def numbers(self, index: int, units: Mapping[str, float]) -> tuple[FloatArray, str]:
         """(n,) numbers of a column, NaN where a cell is bad; and the unit of its name or cells ("": none)."""
-        meaning = self.meanings[index]
-        unit_name = meaning.unit if meaning is not None and meaning.unit in units else ""
-        values = np.full(len(self.table.rows), np.nan)
-        of_cells: list[str] = []
-        numbers = [cell_number(cell, self.table.decimal) for cell in self.cells(index)]
-        for row, number in enumerate(numbers):
+        rows: list[Sequence[CellNumber]] = []
+        for row, cell in enumerate(self.cells(index)):
+            number = cell_number(cell, self.table.decimal)
+            rows.append(())
             if number is None or not np.isfinite(number.value):
-                text = number_fault_of(self.table.rows[row][index], self.table.decimal)
+                text = number_fault_of(cell, self.table.decimal)
                 self.bad(row, index, text if number is None else f"must be finite, got {number.value}")
-                continue
-            if number.unit and number.unit not in units:
+            elif number.unit and number.unit not in units:
                 self.bad(row, index, f"has the unit {number.unit}, which is none of {joined_names(sorted(units))}")
-                continue
-            values[row] = number.value
-            of_cells.append(number.unit)
-        written = {unit for unit in of_cells if unit}
-        if not written:
-            return values, unit_name
-        target = "mm" if "mm" in units else "kg"
-        for row, number in enumerate(numbers):
-            if number is not None and not np.isnan(values[row]):
-                unit = number.unit or unit_name or (written.copy().pop() if len(written) == 1 else "")
-                if not unit:
-                    self.bad(row, index, f"has no unit, unlike other rows, got {number.value:g}")
-                values[row] *= units.get(unit, 1.0)
-        return values, target
+            else:
+                rows[row] = (number,)
+        values, unit = self._in_one_unit(index, rows, units, 1)
+        return values[:, 0], unit
 
     def triples(self, index: int) -> tuple[FloatArray, str]:
         """(n, 3) numbers of a column with three in a cell; and the unit."""
-        meaning = self.meanings[index]
-        unit_name = meaning.unit if meaning is not None and meaning.unit in LENGTH_UNITS else ""
-        values = np.full((len(self.table.rows), 3), np.nan)
-        unit = unit_name
+        rows: list[Sequence[CellNumber]] = []
         for row, cell in enumerate(self.cells(index)):
             triple = cell_triple(cell, self.table.decimal)
+            rows.append(triple or ())
             if triple is None:
                 shown = (
                     "is missing" if cell in (None, "") else f'must be three numbers, got "{printable_name(str(cell))}"'
                 )
                 self.bad(row, index, shown)
+        return self._in_one_unit(index, rows, LENGTH_UNITS, 3)
+
+    def _in_one_unit(
+        self, index: int, rows: Sequence[Sequence[CellNumber]], units: Mapping[str, float], width: int
+    ) -> tuple[FloatArray, str]:
+        """(n, width) numbers of a column, NaN in rows without numbers; and their unit ("": none).
+
+        A number without a unit has that of the column's name, of an option or of the form. Without these it is bad if
+        other cells have units: the unit of one cell says nothing about the others. Zero needs no unit.
+        """
+        values = np.full((len(rows), width), np.nan)
+        is_mass = "kg" in units
+        meaning, form = self.meanings[index], self.source.form
+        of_name = meaning.unit if meaning is not None and meaning.unit in units else ""
+        wish = self.masses if is_mass else self.units
+        wish = wish if wish in units else ""
+        written = {number.unit for numbers in rows for number in numbers if number.unit in units} - {""}
+        usual = of_name or wish or (form.masses if is_mass else form.units)
+        target = wish or ("kg" if is_mass else "mm")  # an option names the unit of all numbers of the file
+        for row, numbers in enumerate(rows):
+            if not numbers:
                 continue
-            cell_unit = next((number.unit for number in triple if number.unit in LENGTH_UNITS), "")
-            factor = LENGTH_UNITS[cell_unit] if cell_unit else 1.0
-            unit = "mm" if cell_unit else unit
-            values[row] = [number.value * factor for number in triple]
-        return values, unit
+            values[row] = [number.value for number in numbers]
+            if not written:
+                continue
+            lacking = [number.value for number in numbers if number.value and number.unit not in units]
+            if lacking and not usual:
+                self.bad(row, index, f"has no unit, unlike other rows, got {lacking[0]:g}")
+                continue
+            factors = [units[number.unit if number.unit in units else usual or target] for number in numbers]
+            values[row] *= np.array(factors) / units[target]
+        return values, target if written else of_name
 
     def joined(self, indices: Sequence[int]) -> tuple[FloatArray, str]:
         """(n, 3) numbers of three columns, in one unit."""
@@ -506,6 +518,33 @@ class Extraction:
             return None, ""
         return [cell_text(cell) for cell in self.cells(index)], self.table.header[index]
 
+    def filled_down(self, names: list[str] | None, column: str, least_rows: float = 1.0) -> list[str] | None:
+        """(n,) names of the plan or order of each row. Blank cells below a name, as merged cells leave them, get the
+        name: each name must then be written once, in the first row of its block.
+
+        Args:
+            names: texts of the cells; None: no column.
+            column: the column's name.
+            least_rows: least mean number of rows of a name; columns with more names are left as they are.
+
+        Raises:
+            InputError: blank cells of another kind.
+        """
+        if names is None or "" not in names or not any(names):
+            return names
+        written = [name for name in names if name]
+        if len(set(written)) * least_rows > len(names) + 2:
+            return names
+        parts = self.source.boxes.parts or ("",) * len(names)
+        filled_names: list[str] = []
+        for row, (name, part) in enumerate(zip(names, parts, strict=True)):
+            begins = row == 0 or part != parts[row - 1]
+            if not name and (begins or len(set(written)) < len(written)):
+                raise InputError(f"{self.table.places[row]}: {printable_name(column)} is missing")
+            filled_names.append(name or filled_names[-1])
+        self.source = replace(self.source, notes=(*self.source.notes, f"{printable_name(column)} filled down"))
+        return filled_names
+
     def first(self, kind: str, role: str = "") -> int | None:
         if role in self.fixed:
             return self.fixed[role]
@@ -690,16 +729,19 @@ def _shown_turn(cell: Any, kind: str) -> str:
     return "is missing" if cell in (None, "") else f'must be {kind}, got "{printable_name(cell_text(cell))}"'
 
 
-def box_columns(source: BoxSource, chosen: Mapping[str, str] | None = None) -> BoxColumns:
+def box_columns(
+    source: BoxSource, chosen: Mapping[str, str] | None = None, units: str = "", masses: str = ""
+) -> BoxColumns:
     """The columns of a source by their meanings.
 
     Args:
         chosen: role (``ROLES``) → name of the column that holds it, or "-".
+        units, masses: unit of all lengths, and of all masses, that an option names; "": none.
 
     Raises:
         InputError: a chosen column does not exist. Missing places and sizes leave ``geometries`` empty.
     """
-    work = Extraction(source, chosen or {})
+    work = Extraction(source, chosen or {}, units, masses)
     turns = None
     geometries = work.pose_choices() if source.boxes.table.has_header else work.array_choices()
     if source.boxes.table.has_header and not geometries:
@@ -733,6 +775,7 @@ def box_columns(source: BoxSource, chosen: Mapping[str, str] | None = None) -> B
         sequence, _ = work.numbers(sequence_index, {"": 1.0})
     used = {name for geometry in geometries for name in geometry.columns.values()}
     plan, plan_name = work.texts("plan", role="plan")
+    plan = work.filled_down(plan, plan_name, least_rows=2.0)
     article, article_name = work.texts("article", role="article")
     item_id, item_name = work.texts("item_id", "number", role="item_id")
     if item_id is None and article is not None:
@@ -751,7 +794,7 @@ def box_columns(source: BoxSource, chosen: Mapping[str, str] | None = None) -> B
     }
     known = used | set(named.values())
     return BoxColumns(
-        source,
+        work.source,
         geometries,
         turns,
         weight,

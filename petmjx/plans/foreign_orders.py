@@ -235,7 +235,7 @@ def _orders_of_plans(path: Path, source: str, reading: OrderReading) -> ForeignO
 def _orders_of(source: BoxSource, name: str, reading: OrderReading) -> ForeignOrders:
     wishes = reading.wishes
     chosen = {**(_PG if source.form is PG else {}), **wishes.columns}
-    columns = item_columns(source, chosen)
+    columns = item_columns(source, chosen, wishes.units, wishes.masses)
     if columns is None or not columns.n_rows:
         raise _no_items(source, columns)
     return orders_of_items(columns, name, reading)

@@ -151,7 +151,7 @@ def _is_of_packingsolver(header: Sequence[str]) -> bool:
 class _ItemExtraction(Extraction):
     """The columns of one source while their meanings are sought, with the columns of orders alone."""
 
-    def __init__(self, source: BoxSource, chosen: Mapping[str, str]) -> None:
+    def __init__(self, source: BoxSource, chosen: Mapping[str, str], units: str = "", masses: str = "") -> None:
         header = source.boxes.table.header
         for role, name in chosen.items():
             if role not in ROLES and role not in ITEM_ROLES:
@@ -326,16 +326,19 @@ class _ItemExtraction(Extraction):
         return values[:, order], unit, tuple(names[index] for index in order) if len(names) == 3 else names
 
 
-def item_columns(source: BoxSource, chosen: Mapping[str, str] | None = None) -> ItemColumns | None:
+def item_columns(
+    source: BoxSource, chosen: Mapping[str, str] | None = None, units: str = "", masses: str = ""
+) -> ItemColumns | None:
     """The columns of a source of items; None: a source without sizes.
 
     Args:
         chosen: role (``ROLES``, ``ITEM_ROLES``) → name of the column that holds it, or "-".
+        units, masses: unit of all lengths, and of all masses, that an option names; "": none.
 
     Raises:
         InputError: a chosen column does not exist.
     """
-    work = _ItemExtraction(source, chosen or {})
+    work = _ItemExtraction(source, chosen or {}, units, masses)
     sizes = work.sizes()
     if sizes is None:
         return None
@@ -376,6 +379,7 @@ def item_columns(source: BoxSource, chosen: Mapping[str, str] | None = None) -> 
     group, group_name = work.texts("group")
     if order is not None:
         columns["plan"] = order_name or header[sequence_index or 0]
+        order = work.filled_down(order, columns["plan"])
     columns |= {role: name for role, name in (("article", article_name), ("item_id", item_name)) if name}
     values, size_unit, names = sizes
     used = {*names, *columns.values(), group_name, *([] if sequence_index is None else [header[sequence_index]])}
@@ -386,8 +390,8 @@ def item_columns(source: BoxSource, chosen: Mapping[str, str] | None = None) -> 
         if name not in used and any(cell not in (None, "") for cell in work.cells(index))
     ]
     return ItemColumns(
-        source, values, size_unit, names, weight, unit, weight_is, quantity, layers, per_layer, order, article, item_id,
-        group, sequence, columns, work.faults, tuple(unread), maybe,
+        work.source, values, size_unit, names, weight, unit, weight_is, quantity, layers, per_layer, order, article,
+        item_id, group, sequence, columns, work.faults, tuple(unread), maybe,
     )  # fmt: skip
 
 
