@@ -3,6 +3,7 @@ same checked table of placements as those of petmjx's own forms."""
 
 from __future__ import annotations
 
+import math
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -34,7 +35,7 @@ from petmjx.plans.plan_fields import (
     positive_fault,
 )
 from petmjx.plans.plan_warnings import DEFAULT_TOLERANCE_MM, gaps_mm
-from petmjx.plans.raw_cells import GROUPED, cell_number, cell_text
+from petmjx.plans.raw_cells import GROUPED, cell_number, cell_text, thousands_faults
 from petmjx.plans.raw_tables import RawTable, are_numbers
 from petmjx.plans.reading_candidates import Candidate, layout_of
 from petmjx.plans.reading_choice import TIE, choose_reading, container_of
@@ -60,6 +61,9 @@ _NUMBERS_OF_A_BOX: Final = 6
 """Least number of numbers in a row of a box: three sizes, three coordinates."""
 _MANY_OVERLAP: Final = 0.3
 """Least share of boxes that overlap that shows two pallets read as one."""
+_LEVEL: Final = 0.01
+"""Largest difference of the lowest box from the deck, as a share of the boxes' median height: 2 mm for cartons of 200
+mm. Centres are often rounded to millimetres."""
 _LEAST_OF_PALLETS: Final = 4
 """Least number of boxes of several pallets for a guess of the column of pallets."""
 _OF_PALLETS: Final = word_set(
@@ -137,7 +141,7 @@ def _with_decimal(source: BoxSource, decimal: str) -> BoxSource:
 def _plans_of(
     chosen: BoxSource, sources: Sequence[BoxSource], path: Path | None, source: str, wishes: Wishes
 ) -> ForeignPlans:
-    columns = box_columns(chosen, wishes.columns)
+    columns = box_columns(chosen, wishes.columns, wishes.units, wishes.masses)
     if not columns.geometries or not columns.n_boxes:
         raise _no_geometry(columns, sources, path, source)
     written = [one for one in columns.geometries if one.columns.items() <= wishes.exact.items()]
@@ -348,11 +352,13 @@ class _Builder:
             lost = self._plans_with_lost(names)
             single_name = self.of_one if len(plans) == 1 and not lost else None
             reading, candidate = single_name or choose_reading(self.columns, plans, self.wishes, lost)
-        except AmbiguousFile:
-            if not self.boxes.table.lost:
-                raise
-            place, fault = self.boxes.table.lost[0]  # missing rows make the other boxes implausible
-            raise InputError(f"{place}: {fault}") from None
+        except AmbiguousFile:  # missing rows make the other boxes implausible
+            if self.boxes.table.lost:
+                place, fault = self.boxes.table.lost[0]
+                raise InputError(f"{place}: {fault}") from None
+            if (bad_row := self._first_bad_row()) is not None:
+                raise InputError(f"{self._place_of(bad_row[0])}: {bad_row[1]}") from None
+            raise
         self.faults = {row: f"{column} {text}" for row, (column, text) in self.columns.faults.items()}
         size, low, containers = self._geometry(reading, candidate, plans)
         self.decks = self._decks(plans, size, low)
@@ -399,6 +405,20 @@ class _Builder:
         )
         table = self._table(list(good_rows.values()), sequences, names, size, low, mass) if good_rows else None
         return ForeignPlans(table, tuple(refused), reading, containers)
+
+    def _first_bad_row(self) -> tuple[int, str] | None:
+        """The first row that no reading can use, and its fault: a bad cell, or a size that is not positive; None: all
+        rows are good."""
+        weight = self.columns.columns.get("weight", "") if self.wishes.density_kg_m3 is not None else ""
+        faults = {row: f"{name} {text}" for row, (name, text) in self.columns.faults.items() if name != weight}
+        geometries = self.columns.geometries
+        is_bad = np.array([~(geometry.size > 0).all(axis=1) for geometry in geometries]).all(axis=0)
+        for row in np.flatnonzero(is_bad).tolist():
+            axis = int(np.argmin(np.nan_to_num(geometries[0].size[row], nan=math.inf)))
+            names, role = geometries[0].columns, role_of(geometries[0].axes[axis])
+            name = next(filter(None, map(names.get, (role, "sizes", f"{geometries[0].axes[axis]} (far)"))), role)
+            faults.setdefault(row, f"{name} must be > 0, got {geometries[0].size[row, axis]:g}")
+        return min(faults.items(), default=None)
 
     def _find_pallets(self) -> None:
         """Take a column for that of the plans if no other column separates pallets that would otherwise overlap.
@@ -528,7 +548,6 @@ class _Builder:
         n = self.columns.n_boxes
         size, low = np.full((n, 3), np.nan), np.full((n, 3), np.nan)
         containers: dict[str, FloatArray] = {}
-        moved = set()
         layout = layout_of(self.columns, candidate)
         for name, rows in plans.items():
             container = layout_of(self.columns, candidate, container_of(self.boxes.containers, name)).container * factor
@@ -536,21 +555,56 @@ class _Builder:
                 container = np.array([*self.wishes.deck_mm, np.nan])
             containers[name] = container
             size[rows], low[rows] = layout.size[rows] * factor, layout.low[rows] * factor
-            moved.add(self._move(low, rows, size, container, reading))
-        for note in sorted(filter(None, moved)):
-            self.notes.append(note)
+        usable = np.array([row not in self.columns.faults for row in range(n)])
+        good_rows = {name: rows[usable[rows]] for name, rows in plans.items() if usable[rows].any()}
+        bottoms = self._bottoms(low, good_rows, size, containers)
+        moved = {
+            self._move(low, plans[name], rows, size, containers[name], reading, bottoms[name])
+            for name, rows in good_rows.items()
+        }
+        self.notes += sorted(filter(None, moved))
         return size, low, containers
 
+    @staticmethod
+    def _bottoms(
+        low: FloatArray, plans: Mapping[str, NDArray[np.int64]], size: FloatArray, containers: Mapping[str, FloatArray]
+    ) -> dict[str, float]:
+        """Height of the deck of each plan, mm: all plans of a file count heights from the same level.
+
+        The level is 0 if a plan begins there, else the lowest box of the file. A plan that begins higher has lost its
+        bottom layer, and floats. Plans that begin at the bottom of their container, with the origin in its middle, have
+        this level.
+        """
+        small = {name: _LEVEL * float(np.nanmedian(size[rows, 2])) for name, rows in plans.items()}
+        lowest = {name: float(np.nanmin(low[rows, 2])) for name, rows in plans.items()}
+        of_middle = {
+            name
+            for name, z in lowest.items()
+            if abs(z) > small[name] and abs(z + containers[name][2] / 2) <= small[name]
+        }
+        others = {name: z for name, z in lowest.items() if name not in of_middle}
+        begins = any(abs(z) <= small[name] for name, z in others.items())
+        level = 0.0 if begins else min(others.values(), default=0.0)
+        return {name: z if name in of_middle or abs(z - level) <= small[name] else level for name, z in lowest.items()}
+
     def _move(
-        self, low: FloatArray, rows: NDArray[np.int64], size: FloatArray, container: FloatArray, reading: Reading
+        self,
+        low: FloatArray,
+        rows: NDArray[np.int64],
+        used: NDArray[np.int64],
+        size: FloatArray,
+        container: FloatArray,
+        reading: Reading,
+        bottom: float,
     ) -> str:
-        """Move the boxes of a plan so that the deck's corner is the origin. Returns a note ("": nothing moved)."""
-        used = rows[[row not in self.columns.faults for row in rows.tolist()]]
-        if not len(used):
-            return ""
+        """Move the boxes of a plan so that the deck's corner is the origin. Returns a note ("": nothing moved).
+
+        Args:
+            used: the rows without faults.
+            bottom: height of the deck, mm.
+        """
         notes = []
-        bottom = float(np.nanmin(low[used, 2]))
-        small = 0.01 * float(np.nanmedian(size[used, 2]))
+        small = _LEVEL * float(np.nanmedian(size[used, 2]))
         if abs(bottom) > small:
             low[rows, 2] -= bottom
             notes.append(f"heights count from the lowest box, {bottom:g} mm")
@@ -579,6 +633,12 @@ class _Builder:
             for axis in axes
         ]
         named_places = [names.get(axis, names.get("position", axis)) for axis in "xyz"]
+        for role, name in candidate.geometry.columns.items():
+            are_sizes = role not in {*"xyz", "position"}
+            cells = self.boxes.table.column(name) if name in self.boxes.table.header else ()
+            unit = sizes if are_sizes else places
+            for row, text in thousands_faults(cells, self.boxes.table.decimal, unit, are_sizes).items():
+                self.faults.setdefault(row, f"{name} {text}")
         size_limits = _limits(SMALLEST_MM, LARGEST_MM, sizes)
         place_limits = _limits(-FARTHEST_MM, FARTHEST_MM, places)
         raw_size, raw_place = candidate.geometry.size, candidate.geometry.place

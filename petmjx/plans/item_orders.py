@@ -28,6 +28,7 @@ from petmjx.plans.order_generator import MOST_ITEMS, TARGET_EXTENT_MM, Item, Ord
 from petmjx.plans.order_texts import LENGTHS, MPV, THPACK
 from petmjx.plans.plan_fields import LARGEST_KG, LARGEST_MM, LONGEST_NAME, SMALLEST_KG, SMALLEST_MM, positive_fault
 from petmjx.plans.plausibility import deck_cost, density_cost, side_cost
+from petmjx.plans.raw_cells import thousands_faults
 from petmjx.plans.reading_choice import TIE
 from petmjx.plans.reading_files import wishes_of
 from petmjx.plans.readings import Wishes
@@ -426,6 +427,10 @@ class _OrderBuilder:
         """Add faults of sizes out of range."""
         limits = _limits(SMALLEST_MM, LARGEST_MM, unit, LENGTH_UNITS)
         size, names = self.columns.size, self.columns.size_names
+        for name in names if len(names) == 3 else ():
+            cells, decimal = self.table.column(name), self.table.decimal
+            for row, text in thousands_faults(cells, decimal, unit, are_sizes=True).items():
+                self.faults.setdefault(row, f"{name} {text}")
         with np.errstate(invalid="ignore"):
             is_bad = (size < limits[0]) | (size > limits[1])
         for row in np.flatnonzero(is_bad.any(axis=1)).tolist():

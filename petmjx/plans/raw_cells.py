@@ -3,6 +3,7 @@ numbers in one cell; names."""
 
 from __future__ import annotations
 
+import math
 import re
 from collections.abc import Sequence
 from decimal import Decimal
@@ -13,6 +14,7 @@ import numpy as np
 from petmjx.common.text import printable_name
 from petmjx.plans.column_names import LENGTH_UNITS, MASS_UNITS, plain_text
 from petmjx.plans.file_formats import number_hint
+from petmjx.plans.plan_fields import LARGEST_MM
 
 GROUPED: Final = "grouped"
 """Value instead of a decimal sign: no number has one, and points and commas stand between thousands."""
@@ -127,6 +129,38 @@ _POINT_SURE: Final = re.compile(
     r"^[+-]?(\d{1,3}(,\d{3})+\.\d+|0\.\d+|\.\d+|\d+\.(\d{1,2}|\d{4,})|\d{4,}\.\d+)(\s*[a-zA-Z]+)?$"
 )
 _MAYBE: Final = re.compile(r"^[+-]?\d{1,3}([.,])\d{3}$")
+
+
+_WITH_THREE: Final = re.compile(r"^[+-]?[1-9]\d{0,2}\.\d{3}(\s*[a-zA-Z]+)?$")
+_LEAST_LIKELY_MM: Final = 10.0
+"""Least size of a box that has three decimals in millimetres. Letters and flat cartons are thicker."""
+
+
+def thousands_faults(cells: Sequence[Any], decimal: str, unit: str, are_sizes: bool) -> dict[int, str]:
+    """Row → fault of numbers such as "1.200" of a column of lengths with decimal points that may be 1200.
+
+    They may if all points of the column have three digits behind them, no number is too large with a thousand times its
+    value, and either numbers without a point stand beside them, or sizes would be thinner than boxes are.
+
+    Args:
+        unit: unit of numbers that name none.
+        are_sizes: whether the lengths are sizes of boxes.
+    """
+    texts = {row: cell.strip() for row, cell in enumerate(cells) if isinstance(cell, str)}
+    pointed = {row: text for row, text in texts.items() if "." in text}
+    if decimal != "." or not pointed or not all(map(_WITH_THREE.match, pointed.values())):
+        return {}
+    numbers = {row: number for row, text in pointed.items() if (number := cell_number(text)) is not None}
+    mm = {row: abs(number.value) * LENGTH_UNITS.get(number.unit or unit, 1.0) for row, number in numbers.items()}
+    beside_whole = any(text.isdigit() for text in texts.values())
+    too_thin = are_sizes and min(mm.values(), default=math.inf) < _LEAST_LIKELY_MM
+    if max(mm.values(), default=math.inf) * 1000 > LARGEST_MM or not (beside_whole or too_thin):
+        return {}
+    return {
+        row: f"{pointed[row]}: {number.value:g} or {number.value * 1000:g}? write it without a point, or as "
+        f"{number.value:.1f}"
+        for row, number in numbers.items()
+    }
 
 
 def decimal_of(rows: Sequence[Sequence[Any]]) -> str:

@@ -384,3 +384,119 @@ def test_forms_of_further_tools(name: str, text: str, tmp_path: Path) -> None:
 def test_a_column_that_lacks_a_row_is_named(tmp_path: Path) -> None:
     message = refusal(load(tmp_path, "columns.json", by_columns(hole="4")))
     assert message.endswith("columns.json: plan columns, [4]: z is missing")
+
+
+PALLETS = "Pallet,Box,X,Y,Z,Length,Width,Height,Weight\n"
+
+
+def stacked(*rows: str) -> str:
+    """A table of boxes of 400 × 300 × 200 mm; rows are "pallet,name,z"."""
+    cells = [row.split(",") for row in rows]
+    return PALLETS + "".join(f"{pallet},{name},0,0,{z},400,300,200,6\n" for pallet, name, z in cells)
+
+
+PLAIN = stacked("A,a,0", "A,b,200", "A,c,400")
+
+
+def test_a_unit_of_one_cell_says_nothing_about_the_others(tmp_path: Path) -> None:
+    lengths = PLAIN.replace("b,0,0,200,400", "b,0,0,200,40 cm")
+    assert "row 2 (a): Length has no unit, unlike other rows, got 400" in refusal(load(tmp_path, "a.csv", lengths))
+    weights = PLAIN.replace("200,6\nA,c", "200,12 lb\nA,c")
+    assert "row 2 (a): Weight has no unit, unlike other rows, got 6" in refusal(load(tmp_path, "b.csv", weights))
+    triples = "name,position,dimensions\na,0 0 0,400x300x200\nb,0 0 200,40x30x20 cm\n"
+    assert "dimensions has no unit, unlike other rows, got 400" in refusal(load(tmp_path, "c.csv", triples))
+    mixed = "name,position,dimensions\na,0 0 0,40 cm x 300 x 200\n"
+    assert "dimensions has no unit, unlike other rows, got 300" in refusal(load(tmp_path, "d.csv", mixed))
+    orders = "Order,Length,Width,Height,Weight\nA,400,300,200,6\nA,40 cm,300,200,6\n"
+    (tmp_path / "e.csv").write_text(orders)
+    infos, _ = file_infos([tmp_path / "e.csv"], {})
+    assert "Length has no unit" in "\n".join(info_lines(infos))
+
+
+@pytest.mark.parametrize(
+    ("content", "options"),
+    [
+        (PLAIN.replace("200,400,300", "200,40 cm,300"), {"units": "mm"}),
+        (PLAIN.replace("Length", "Length [mm]").replace("200,400,300", "200,40 cm,300"), {}),
+        (PLAIN.replace(",0,0,", ",0 mm,0,").replace(",400,300", ",400 mm,300"), {}),  # zero needs no unit
+        ("name,position,dimensions [mm]\na,0 0 0,400x300x200\nb,0 0 200,40x30x20 cm\n", {"up": "z"}),
+    ],
+)
+def test_cells_without_a_unit_have_that_of_the_header_or_option(
+    tmp_path: Path, content: str, options: dict[str, str]
+) -> None:
+    (plan,) = load(tmp_path, "a.csv", content, **options).plans
+    assert np.allclose(plan.size_mm, [400, 300, 200])
+    assert np.allclose(plan.corner_mm[:, 2], 200.0 * np.arange(plan.n_boxes))
+
+
+def test_units_of_an_option_are_those_of_cells_without_unit_alone(tmp_path: Path) -> None:
+    content = PALLETS + "A,a,0,0,0,40,30,20,6\nA,b,0,0,20,400 mm,30,20,6\nA,c,0,0,40,40,30,20,6\n"
+    (plan,) = load(tmp_path, "a.csv", content, units="cm").plans
+    assert np.allclose(plan.size_mm, [400, 300, 200])
+
+
+def test_names_of_pallets_are_filled_down(tmp_path: Path) -> None:
+    plan_set = load(tmp_path, "a.csv", stacked("P1,a,0", ",b,200", "P2,c,0", ",d,200", ",e,400"))
+    assert {plan.plan_id: plan.n_boxes for plan in plan_set.plans} == {"P1": 2, "P2": 3}
+    assert "Pallet filled down" in next(iter(plan_set.readings.values())).notes
+    orders = "Order,Length [mm],Width [mm],Height [mm],Weight [kg]\n" + "".join(
+        f"{order},400,300,200,6\n" for order in ("ORD-1", "", "ORD-2", "", "")
+    )
+    (tmp_path / "o.csv").write_text(orders)
+    infos, _ = file_infos([tmp_path / "o.csv"], {})
+    assert "2 orders, 5 boxes" in infos[0]["orders"]
+    assert "Order filled down" in infos[0]["orders"]
+
+
+@pytest.mark.parametrize(
+    ("rows", "row"),
+    [
+        (("P1,a,0", "P1,b,200", ",c,400", "P2,d,0", "P2,e,200", "P2,f,400"), 4),
+        ((",a,0", "P1,b,200", ",c,400", "P2,d,0", ",e,200", ",f,400"), 2),
+    ],
+)
+def test_scattered_blanks_of_pallets_are_refused(tmp_path: Path, rows: tuple[str, ...], row: int) -> None:
+    assert f"row {row}: Pallet is missing" in refusal(load(tmp_path, "a.csv", stacked(*rows)))
+
+
+@pytest.mark.parametrize("column", ["Length [mm]", "X"])
+def test_points_that_may_be_between_thousands_are_refused(tmp_path: Path, column: str) -> None:
+    length, x = ("1.200", "0") if column != "X" else ("800", "1.200")
+    header = "Box;X;Y;Z;Length [mm];Width [mm];Height [mm];Weight [kg]\n"
+    content = f"{header}a;0;0;0;{length};800;200;60\nb;{x};0;0;{length};800;200;60\n"
+    line = refusal(load(tmp_path, "a.csv", content))
+    assert f"{column} 1.200: 1.2 or 1200? write it without a point, or as 1.2" in line
+
+
+def test_points_of_metres_are_decimal(tmp_path: Path) -> None:
+    content = "Box;X;Y;Z;Length [m];Width [m];Height [m]\na;0;0;0;1.200;1;1.000\nb;0;0;1;1.200;1;1.000\n"
+    (plan,) = load(tmp_path, "a.csv", content).plans
+    assert np.allclose(plan.size_mm, [1200, 1000, 1000])
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "fault"),
+    [
+        ("b,0,", "b,NaN,", "X must be finite, got nan"),
+        ("b,0,", "b,inf,", "X must be finite, got inf"),
+        ("b,0,0,200,400", "b,0,0,200,1e400", "Length must be finite, got inf"),
+        ("b,0,0,200,400", "b,0,0,200,-400", "Length must be > 0, got -400"),
+        ("b,0,0,200,400,300,200,6", "b,0,0,200,400,300,200,~6", 'Weight must be a number, got "~6"'),
+    ],
+)
+def test_a_bad_cell_is_told_before_doubts_about_axes(tmp_path: Path, old: str, new: str, fault: str) -> None:
+    assert f"row 3 (b): {fault}" in refusal(load(tmp_path, "a.csv", PLAIN.replace(old, new)))
+
+
+def test_a_plan_without_its_bottom_layer_floats_beside_others(tmp_path: Path) -> None:
+    content = stacked("A,a,0", "A,b,200", "B,c,200", "B,d,400")
+    plan_set = load(tmp_path, "a.csv", content)
+    assert [plan.corner_mm[0, 2] for plan in plan_set.plans] == [0, 200]
+    assert [odd.n_floating for odd in plan_set.warnings] == [1]
+    raised = load(tmp_path, "b.csv", stacked("A,a,144", "A,b,344", "B,c,344", "B,d,544"), up="z")  # from the floor
+    assert [plan.corner_mm[0, 2] for plan in raised.plans] == [0, 200]
+    deep = load(
+        tmp_path, "c.csv", stacked("A,a,-200", "A,b,0", "B,c,0", "B,d,200"), up="z"
+    )  # a wrong height of one plan
+    assert [plan.corner_mm[0, 2] for plan in deep.plans if plan.plan_id == "B"] == [0]
