@@ -215,6 +215,20 @@ def bytes_of(path: Path) -> bytearray:
     return data
 
 
+def has_named_places(path: Path) -> bool:
+    """Whether a file has sizes of boxes and columns of at least two of their coordinates."""
+    try:
+        boxes = sources_of_bytes(bytes_of(path), path)[0].boxes
+    except InputError:
+        return False
+    axes = {
+        meaning.axis
+        for meaning in boxes.meanings
+        if meaning is not None and meaning.kind in ("position", "low") and not meaning.of_container
+    }
+    return boxes.has_sizes and (len(axes) > 1 or bool(boxes.kinds & {"positions", "matrix"}))
+
+
 def _with_items_beside(best: BoxSource, path: Path) -> BoxSource:
     """packingsolver's certificate with the weights of the items file beside it, if the sizes in both files agree."""
     stem = re.sub(r"_?(solution|certificate|output|result)s?$", "", path.stem, flags=re.IGNORECASE)

@@ -10,6 +10,7 @@ from typing import Any, Final
 from petmjx.common.errors import InputError, PlanWarning
 from petmjx.common.text import count_text, first_names, printable, printable_name, three_digits
 from petmjx.options.run_options import OF_ORDERS, RunOptions
+from petmjx.plans.foreign_plans import has_named_places
 from petmjx.plans.item_columns import TWO_WAYS
 from petmjx.plans.item_orders import OrderReading
 from petmjx.plans.order_reader import read_orders
@@ -42,12 +43,18 @@ def file_infos(paths: Sequence[Path], options: Mapping[str, Any]) -> tuple[list[
     infos = [_info(plan_set, source) for source in sources]
     for record in infos:
         are_plans = record["plans"] or any(TWO_WAYS in line for line in record["skipped"])
-        record["orders"] = "" if are_plans else _orders_line(Path(record["file"]), options)
+        record["orders"], fault = ("", "") if are_plans else _orders_line(Path(record["file"]), options)
+        if fault:
+            record["skipped"].append(fault)
     return infos, plan_set
 
 
-def _orders_line(path: Path, options: Mapping[str, Any]) -> str:
-    """The reading of a file without plans as orders, or its two possible readings; "": no orders."""
+def _orders_line(path: Path, options: Mapping[str, Any]) -> tuple[str, str]:
+    """The reading of a file without plans as orders, or its two possible readings ("": no orders); and the fault of its
+    first order if it has no usable one.
+
+    A file with columns of places has plans that cannot be read, and its reading as orders would hide why.
+    """
     errors: list[InputError] = []
     try:
         reading = OrderReading.of(RunOptions(**{name: options[name] for name in OF_ORDERS if name in options}))
@@ -56,12 +63,12 @@ def _orders_line(path: Path, options: Mapping[str, Any]) -> str:
             sizes = [len(order.items) for _, order in read_orders(path, errors.append, reading)]
     except InputError as error:
         line = str(error).removeprefix(f"{printable(str(path))}: ")
-        return line if line.startswith(TWO_WAYS) else ""
-    if not sizes and not notes:
-        return ""
+        return line if line.startswith(TWO_WAYS) and not has_named_places(path) else "", ""
+    if not sizes or has_named_places(path):
+        return "", "" if sizes or not errors else str(errors[0])
     plain = f"read as BED-BPP's orders; {count_text(len(sizes), 'order')}, {count_text(sum(sizes), 'box', 'boxes')}"
     line = str(notes[0].message).removeprefix(f"{printable(str(path))}: ") if notes else plain
-    return f"{line}; unusable: {errors[0]}" if errors else line
+    return f"{line}; unusable: {errors[0]}" if errors else line, ""
 
 
 def _info(plan_set: PlanSet, source: str) -> dict[str, Any]:

@@ -496,7 +496,20 @@ def test_a_plan_without_its_bottom_layer_floats_beside_others(tmp_path: Path) ->
     assert [odd.n_floating for odd in plan_set.warnings] == [1]
     raised = load(tmp_path, "b.csv", stacked("A,a,144", "A,b,344", "B,c,344", "B,d,544"), up="z")  # from the floor
     assert [plan.corner_mm[0, 2] for plan in raised.plans] == [0, 200]
-    deep = load(
-        tmp_path, "c.csv", stacked("A,a,-200", "A,b,0", "B,c,0", "B,d,200"), up="z"
-    )  # a wrong height of one plan
+    deep = load(tmp_path, "c.csv", stacked("A,a,-200", "A,b,0", "B,c,0", "B,d,200"), up="z")  # one wrong height
     assert [plan.corner_mm[0, 2] for plan in deep.plans if plan.plan_id == "B"] == [0]
+
+
+@pytest.mark.parametrize(
+    ("content", "fault"),
+    [
+        ("Box,X,Y,Z,Length,Width,Height,Weight\na,0,0,,400,300,200,6\nb,0,0,,400,300,200,6\n", "row 2: Z is missing"),
+        ("Box,X,Y,Length,Width,Height,Weight\na,0,0,400,300,200,6\n", "lacks one of the sizes or coordinates"),
+        ("Order,Length,Width,Height,Weight\nA,400,300,200,6\nA,400,300,200,x\n", "order A, row 3: Weight must be"),
+    ],
+)
+def test_info_takes_no_file_for_orders_that_has_places_or_no_order(tmp_path: Path, content: str, fault: str) -> None:
+    (tmp_path / "a.csv").write_text(content)
+    infos, _ = file_infos([tmp_path / "a.csv"], {"up": "z"})
+    assert not infos[0]["orders"]
+    assert fault in "\n".join(info_lines(infos))
