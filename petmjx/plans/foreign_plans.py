@@ -586,8 +586,8 @@ class _Builder:
         """Height of the deck of each plan, mm: all plans of a file count heights from the same level.
 
         The level is 0 if a plan begins there, else the lowest box of the file. A plan that begins higher has lost its
-        bottom layer, and floats. Plans that begin at the bottom of their container, with the origin in its middle, have
-        this level.
+        bottom layer, and floats. With the origin in the middle of containers each plan counts from the bottom of its
+        container.
         """
         small = {name: _LEVEL * float(np.nanmedian(size[rows, 2])) for name, rows in plans.items()}
         lowest = {name: float(np.nanmin(low[rows, 2])) for name, rows in plans.items()}
@@ -648,7 +648,7 @@ class _Builder:
         ]
         named_places = [names.get(axis, names.get("position", axis)) for axis in "xyz"]
         for role, name in candidate.geometry.columns.items():
-            are_sizes = role not in {*"xyz", "position"}
+            are_sizes = role.removesuffix(" (far)") not in {*"xyz", "position"}
             cells = self.boxes.table.column(name) if name in self.boxes.table.header else ()
             unit = sizes if are_sizes else places
             for row, text in thousands_faults(cells, self.boxes.table.decimal, unit, are_sizes).items():

@@ -156,11 +156,12 @@ def thousands_faults(cells: Sequence[Any], decimal: str, unit: str, are_sizes: b
     too_thin = are_sizes and min(mm.values(), default=math.inf) < _LEAST_LIKELY_MM
     if max(mm.values(), default=math.inf) * 1000 > LARGEST_MM or not (beside_whole or too_thin):
         return {}
-    return {
-        row: f"{pointed[row]}: {number.value:g} or {number.value * 1000:g}? write it without a point, or as "
-        f"{number.value:.1f}"
-        for row, number in numbers.items()
-    }
+    faults = {}
+    for row, number in numbers.items():
+        short = f"{number.value:g}"
+        sure = f"{number.value:.4f}" if _WITH_THREE.match(short) else short
+        faults[row] = f"{pointed[row]}: {short} or {number.value * 1000:g}? write it without a point, or as {sure}"
+    return faults
 
 
 def decimal_of(rows: Sequence[Sequence[Any]]) -> str:

@@ -467,6 +467,8 @@ def test_points_that_may_be_between_thousands_are_refused(tmp_path: Path, column
     content = f"{header}a;0;0;0;{length};800;200;60\nb;{x};0;0;{length};800;200;60\n"
     line = refusal(load(tmp_path, "a.csv", content))
     assert f"{column} 1.200: 1.2 or 1200? write it without a point, or as 1.2" in line
+    line = refusal(load(tmp_path, "b.csv", content.replace("1.200", "1.125")))
+    assert f"{column} 1.125: 1.125 or 1125? write it without a point, or as 1.1250" in line
 
 
 def test_points_of_metres_are_decimal(tmp_path: Path) -> None:
@@ -487,6 +489,19 @@ def test_points_of_metres_are_decimal(tmp_path: Path) -> None:
 )
 def test_a_bad_cell_is_told_before_doubts_about_axes(tmp_path: Path, old: str, new: str, fault: str) -> None:
     assert f"row 3 (b): {fault}" in refusal(load(tmp_path, "a.csv", PLAIN.replace(old, new)))
+
+
+def test_origins_in_the_middle_of_containers_have_levels_of_their_own(tmp_path: Path) -> None:
+    def bin_of(name: str, height: float) -> dict[str, object]:
+        boxes = [
+            {"x": 0, "y": 0, "z": z - height / 2, "length": 400, "width": 300, "height": 200, "weight": 6}
+            for z in (0, 200)
+        ]
+        return {"id": name, "length": 1200, "width": 800, "height": height, "items": boxes}
+
+    content = json.dumps({"bins": [bin_of("A", 1000), bin_of("B", 2000)]})
+    plans = load(tmp_path, "a.json", content, up="z").plans
+    assert [plan.corner_mm[:, 2].tolist() for plan in plans] == [[0, 200], [0, 200]]
 
 
 def test_a_plan_without_its_bottom_layer_floats_beside_others(tmp_path: Path) -> None:
