@@ -211,10 +211,13 @@ def _orders_of_plans(path: Path, source: str, reading: OrderReading) -> ForeignO
             for number, (article, item_id) in enumerate(zip(plan.articles, plan.item_ids, strict=True), start=1)
         ]
         groups = plan.product_groups or ("",) * plan.n_boxes
+        of_boxes = np.full(plan.n_boxes, np.nan) if plan.strength_n is None else plan.strength_n
+        strengths = [None if np.isnan(strength) else strength for strength in of_boxes.tolist()]
         items = [
-            Item(name, item_id or name, group, length, width, height, mass)
-            for name, item_id, group, (length, width, height), mass in zip(
-                names, plan.item_ids, groups, plan.item_size_mm.tolist(), plan.mass_kg.tolist(), strict=True
+            Item(name, item_id or name, group, length, width, height, mass, strength_n=strength)
+            for name, item_id, group, (length, width, height), mass, strength in zip(
+                *(names, plan.item_ids, groups, plan.item_size_mm.tolist(), plan.mass_kg.tolist(), strengths),
+                strict=True,
             )
         ]
         orders.append((plan.plan_id, Order(target, tuple(items), tuple(range(1, len(items) + 1)))))
@@ -235,7 +238,7 @@ def _orders_of_plans(path: Path, source: str, reading: OrderReading) -> ForeignO
 def _orders_of(source: BoxSource, name: str, reading: OrderReading) -> ForeignOrders:
     wishes = reading.wishes
     chosen = {**(_PG if source.form is PG else {}), **wishes.columns}
-    columns = item_columns(source, chosen)
+    columns = item_columns(source, chosen, properties=reading.for_episodes)
     if columns is None or not columns.n_rows:
         raise _no_items(source, columns)
     return orders_of_items(columns, name, reading)

@@ -72,7 +72,7 @@ def read_orders(
     if data is None:
         orders = _foreign(path, name, reading)
         if orders is not None:
-            warn([orders.line])
+            warn(filter(None, [orders.line]))
             yield from _good_orders(orders, on_bad_order)
             return
         data = _own_bytes(path, name, is_own=True)
@@ -108,7 +108,7 @@ def read_order_frame(
         orders = frame_orders(frame, _FRAME, reading or OrderReading())
     except InputError as error:
         raise InputError(f"{_FRAME}: {error}") from None
-    warn([orders.line])
+    warn(filter(None, [orders.line]))
     yield from _good_orders(orders, on_bad_order)
 
 

@@ -333,7 +333,7 @@ def _table_below(
             for name, cell in zip(names, (*rows[first], *([None] * len(names))), strict=False)
         ]
         first += 1
-    header = tuple(_distinct(names))
+    header = tuple(distinct_names(names))
     sections, lost, trailing = _sections(rows, first, end, begin, header, notes)
     if trailing and not more:
         notes.append(f"left out at the end: {printable_name(trailing[0])}")
@@ -505,7 +505,7 @@ def _names_unit(name: str) -> bool:
     return meaning is not None and bool(meaning.unit)
 
 
-def _distinct(names: Sequence[str]) -> list[str]:
+def distinct_names(names: Sequence[str]) -> list[str]:
     """Names without repetitions; a name that is empty is "column 3".
 
     Raises:
