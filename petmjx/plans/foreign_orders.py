@@ -17,7 +17,7 @@ from petmjx.options.run_options import RunOptions
 from petmjx.plans.file_formats import NoBoxes
 from petmjx.plans.foreign_formats import BoxSource, sources_of_bytes, sources_of_frame
 from petmjx.plans.foreign_plans import bytes_of, with_items_of
-from petmjx.plans.item_columns import ItemColumns, has_sizes_of_items, item_columns, with_rows
+from petmjx.plans.item_columns import BOX_PROPERTIES, ItemColumns, has_sizes_of_items, item_columns, with_rows
 from petmjx.plans.item_orders import DELI, EURO, PG, SIZES, ForeignOrders, OrderReading, orders_of_items
 from petmjx.plans.nested_json import BoxList
 from petmjx.plans.order_generator import Item, Order, target_named
@@ -51,7 +51,9 @@ def foreign_orders(data: bytes | bytearray, path: Path, source: str, reading: Or
         if (sheet := _sheet_of_deli(data)) is not None:
             return _orders_of(sheet, source, reading)
         raise
-    if _has_three_places(sources[0]) and sources[0].boxes.has_sizes:
+    # other tools' plans do not keep these columns
+    has_properties = reading.for_episodes and not {*BOX_PROPERTIES}.isdisjoint(sources[0].boxes.table.header)
+    if _has_three_places(sources[0]) and sources[0].boxes.has_sizes and not has_properties:
         return _orders_of_plans(path, source, reading)
     return _orders_of(_best_source(sources, reading.items), source, reading)
 

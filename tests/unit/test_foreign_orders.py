@@ -557,6 +557,12 @@ def test_tables_of_petmjxs_own_names_are_read_in_silence_with_strengths_and_side
         assert boxes.upright.tolist() == [[False, False, True], [True, False, True]]
     with pytest.warns(PlanWarning, match="1 row without an order's name: order orders"):
         assert len(Orders(frame.assign(order_id=["a", None])).some(0)) == 2
+    frame.assign(x_mm=[0, 600], y_mm=0, z_mm=[0, 1]).to_csv(tmp_path / "placed.csv", index=False)
+    with pytest.warns(PlanWarning, match="not used: x_mm, y_mm, z_mm"):
+        assert Orders(tmp_path / "placed.csv").lie
+    frame.drop(columns="upright").assign(x_mm=[0, 600], y_mm=5, z_mm=9, plan_id="p").to_csv(tmp_path / "plan.csv")
+    with pytest.warns(PlanWarning):
+        assert Orders(tmp_path / "plan.csv").have_strengths
     with pytest.warns(PlanWarning, match="not used: strength_n, upright"):
         assert len(list(orders_of(frame, None, 0))) == 1
 
