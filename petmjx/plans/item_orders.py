@@ -19,7 +19,7 @@ from petmjx.common.errors import InputError
 from petmjx.common.text import count_text, first_names, printable_name
 from petmjx.common.units import FloatArray
 from petmjx.options.run_options import RunOptions
-from petmjx.plans.column_names import LENGTH_UNITS, MASS_UNITS
+from petmjx.plans.column_names import LENGTH_UNITS, MASS_UNITS, OWN_COLUMNS
 from petmjx.plans.foreign_formats import KnownForm
 from petmjx.plans.foreign_plans import USUAL_KG_M3
 from petmjx.plans.input_conventions import Limits
@@ -448,7 +448,9 @@ class _OrderBuilder:
 
     def _has_own_names(self) -> bool:
         columns = self.columns
-        return columns.size_names == _OWN_SIZES and {"weight_kg"} <= {*columns.columns.values()} <= _OWN_NAMES
+        roles = columns.columns
+        is_own = (*columns.size_names, roles.get("weight")) == OWN_COLUMNS
+        return is_own and {*roles.values()} <= _OWN_NAMES
 
     def _line(self, units: _Units, targets: Mapping[str, str], good: Sequence[tuple[str, Order]]) -> str:
         columns = self.columns
@@ -473,8 +475,6 @@ class _OrderBuilder:
         return f"{self.source}: read as {self.form.name}; {'; '.join([*parts, *dict.fromkeys(self.notes)])}"
 
 
-_OWN_SIZES: Final = ("length_mm", "width_mm", "height_mm")
-"""Names of petmjx's own, with the units in them."""
 _OWN_NAMES: Final = {"weight_kg", "quantity", "order_id", "plan_id", "article", "item_id"}
 _SHOWN: Final = ("weight", "total weight", "density", "quantity", "per layer", "layers", "plan")
 """Roles whose columns the message names after the sizes."""
