@@ -29,7 +29,7 @@ def label(
         ),
     ] = None,
     out: Annotated[Path, typer.Option("--out", "-o", metavar="DIR", help="Folder to write.")] = Path("labels"),
-    n: Annotated[int, typer.Option("-n", metavar="N", help="Number of labels.")] = 10_000,
+    n: Annotated[int, typer.Option("-n", metavar="N", help="Number of labels, of orders one after another.")] = 10_000,
     seed: Annotated[int, typer.Option("--seed", metavar="SEED", help="Seed of the orders and places.")] = 0,
     errors: Annotated[
         int | None,

@@ -112,7 +112,10 @@ class Episodes:
             left = left[~self.table.legal[left].any(axis=1)]
             if not len(left):
                 return
-        raise InputError(f"orders: in {_MOST_ORDERS} orders no box has a legal place on the empty carrier")
+        raise InputError(
+            f"orders: in {_MOST_ORDERS} orders no box has a legal place on the empty carrier "
+            f"(max_height_mm {self.options.max_height_mm:g}, carrier, mask)"
+        )
 
     def step(self, rows: NDArray[np.int64], actions: NDArray[np.int64]) -> EpisodeStep:
         """Place a box in each of these running episodes."""

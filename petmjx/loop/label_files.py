@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, suppress
+from functools import partial
 from itertools import islice
 from pathlib import Path
 from typing import Any, Final
@@ -17,11 +18,13 @@ from numpy.typing import NDArray
 
 from petmjx.analysis.criteria_run import criteria
 from petmjx.common.atomic_write import atomic_write, write_errors
+from petmjx.common.checked_records import option
 from petmjx.common.errors import InputError
 from petmjx.common.overwrite_guard import check_outputs
-from petmjx.common.text import count_text
+from petmjx.common.text import count_text, printable
 from petmjx.loop.placement_labels import COLUMNS, SCHEMA, SPLITS, Label, Labeller, plans_of_labels
 from petmjx.packers.robot_placement import placement_stability
+from petmjx.results.folder_lock import held_folder_lock
 from petmjx.version import __version__
 
 CARD: Final = "card.json"
@@ -65,20 +68,32 @@ def write_labels(
         The card.
 
     Raises:
-        InputError: the files may not be written, or no box of the orders has a place.
+        InputError: the files may not be written, another run writes into the folder, or no box of the orders has a
+            place.
     """
     files = label_files(folder)
+    outputs = [*files.values(), folder / CARD, folder / README]
     inputs = [source] if isinstance(source, Path) else []
-    check_outputs([*files.values(), folder / CARD, folder / README], overwrite=overwrite, inputs=inputs, folder=folder)
-    is_new = not folder.exists()
-    with write_errors(folder):
-        folder.mkdir(parents=True, exist_ok=True)
+    check = partial(check_outputs, outputs, overwrite=overwrite, inputs=inputs, folder=folder)
+    check()
+    with ExitStack() as stack:
+        if not folder.exists():
+            stack.callback(_remove_if_empty, folder)
+        with write_errors(folder):
+            folder.mkdir(parents=True, exist_ok=True)
+            stack.enter_context(held_folder_lock(folder))
+        check()  # another process may have written since
+        return _write(labeller, count, files, source, progress)
+
+
+def _write(
+    labeller: Labeller, count: int, files: Mapping[str, Path], source: str | Path, progress: Callable[[int], object]
+) -> dict[str, Any]:
+    """Write the tables and the card. Arguments, result and errors are those of :func:`write_labels`."""
     tally = {split: _Tally() for split in SPLITS}
     judged: list[Label] = []
     last = list(SPLITS)[-1]
     with ExitStack() as stack:
-        if is_new:
-            stack.callback(_remove_if_empty, folder)
         writers = {
             split: stack.enter_context(pq.ParquetWriter(stack.enter_context(atomic_write(file)), SCHEMA))
             for split, file in files.items()
@@ -93,8 +108,13 @@ def write_labels(
             judged += [label for label in group_labels if label["split"] == last][: MOST_JUDGED - len(judged)]
             n_written += len(group_labels)
         if not n_written:
-            raise InputError("orders: no box has a place on the empty carrier")
+            name = printable(str(source)) if isinstance(source, Path) else "orders"
+            raise InputError(
+                f"{name}: no box has a place on the empty carrier "
+                f"({option('--max-height-mm')} {labeller.options['max_height_mm']:g}, {option('--carrier')})"
+            )
     card = _card(labeller, source, tally, judged)
+    folder = files[last].parent
     for name, text in ((CARD, json.dumps(card, indent=2) + "\n"), (README, _page(card))):
         with atomic_write(folder / name) as path:
             path.write_text(text, encoding="utf-8")

@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from os import PathLike
-from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
@@ -13,29 +11,19 @@ import pandas as pd
 from numpy.typing import NDArray
 
 from petmjx.common.argument_checks import list_of, path_of
-from petmjx.common.arrow_files import parquet_table
-from petmjx.common.checked_records import reason
 from petmjx.common.errors import InputError
-from petmjx.common.text import printable, printable_name
 from petmjx.common.units import FloatArray
 from petmjx.options.run_options import RunOptions
 from petmjx.plans.articles import Articles, read_articles
-from petmjx.plans.item_columns import MOST_PIECES
+from petmjx.plans.item_columns import MOST_PIECES, SIZE_LETTERS
 from petmjx.plans.item_orders import OrderReading
 from petmjx.plans.order_generator import Item, Order, draw_order
 from petmjx.plans.order_reader import read_order_frame, read_orders
-from petmjx.plans.plan_fields import LARGEST_KG, LARGEST_MM, SMALLEST_KG, SMALLEST_MM
 
 ENDLESS: Final = "endless"
 """The value of ``orders`` for generated orders, as in ``petmjx samples``: each episode draws a new order."""
 
 _MOST_DRAWN: Final = 200_000
-
-_COLUMNS: Final = ("length_mm", "width_mm", "height_mm", "weight_kg")
-_STRENGTH: Final = "strength_n"
-_UPRIGHT: Final = "upright"
-_SIZES: Final = "lwh"
-"""Letters of the column ``upright``: length, width, height."""
 
 
 def order_reading(units: Any = None, columns: Any = None, density: Any = None) -> OrderReading:
@@ -51,7 +39,7 @@ def order_reading(units: Any = None, columns: Any = None, density: Any = None) -
         options = RunOptions(units=units, columns=columns, density=density)
     except InputError as error:
         raise InputError(f"orders_{error}") from None
-    return replace(OrderReading.of(options), most_items=MOST_PIECES)
+    return replace(OrderReading.of(options), most_items=MOST_PIECES, for_episodes=True)
 
 
 @dataclass(frozen=True, eq=False)
@@ -88,12 +76,11 @@ class Orders:
     """Orders for episodes, one for each episode.
 
     Args:
-        source: ``endless``; a file of orders of any form that ``petmjx samples --orders`` reads; a table of boxes (CSV,
-            Parquet or a data frame with ``length_mm``, ``width_mm``, ``height_mm``, ``weight_kg`` and perhaps
-            ``order_id``, ``strength_n``, and ``upright``: letters of the sizes that may be vertical, of l, w and h); or
-            a list of ``Order``.
+        source: ``endless``; a file of orders of any form that ``petmjx samples --orders`` reads, or a data frame, whose
+            rows may have ``strength_n``, N, and ``upright``: letters of the sizes that may be vertical, of l, w and h;
+            or a list of ``Order``.
         seed: seed of the generator's catalogue.
-        articles: a table of articles, which gives the boxes of orders their strengths.
+        articles: a table of articles, whose strengths count before those of ``strength_n``.
         reading: reading of files of orders that are not in BED-BPP's form; None: the most plausible reading.
 
         Attributes:
@@ -141,116 +128,27 @@ class Orders:
 
 def _read(source: Any, articles: Articles | None, reading: OrderReading) -> list[Boxes]:
     if isinstance(source, pd.DataFrame):
-        if set(_COLUMNS) <= set(source.columns):
-            return _of_table(source, "orders")
-        return [_of_order(order, articles) for _, order in read_order_frame(source, reading=reading)]
-    if isinstance(source, str | PathLike):
-        return _of_file(path_of(source, "orders"), articles, reading)
-    orders = [_of_order(order, articles) for order in list_of(source, "orders", Order, "orders")]
-    if not orders:
+        read = [order for _, order in read_order_frame(source, reading=reading)]
+    elif isinstance(source, str | PathLike):
+        read = [order for _, order in read_orders(path_of(source, "orders"), reading=reading)]
+    else:
+        read = list_of(source, "orders", Order, "orders")
+    if not read:
         raise InputError("orders must hold at least one order")
-    return orders
+    return [_of_order(order, articles) for order in read]
 
 
 def _of_order(order: Order, articles: Articles | None) -> Boxes:
     rows = np.array([[item.length_mm, item.width_mm, item.height_mm, item.weight_kg] for item in order.items], float)
-    return Boxes(rows[:, :3], rows[:, 3], np.array([_strength(item, articles) for item in order.items], float))
+    strengths = np.array([_strength(item, articles) for item in order.items], float)
+    upright = None
+    if any(item.upright for item in order.items):
+        upright = np.array([[letter in (item.upright or "h") for letter in SIZE_LETTERS] for item in order.items])
+    return Boxes(rows[:, :3], rows[:, 3], strengths, upright)
 
 
 def _strength(item: Item, articles: Articles | None) -> float:
     strength = None if articles is None else articles.find(item.article, item.product_group).strength
-    return np.nan if strength is None else strength.of_box(item.length_mm, item.width_mm)
-
-
-def _of_file(path: Path, articles: Articles | None, reading: OrderReading) -> list[Boxes]:
-    name, kind = printable(str(path)), path.suffix.lower()
-    try:
-        table = parquet_table(path).to_pandas() if kind == ".parquet" else _own_csv(path) if kind == ".csv" else None
-    except OSError as error:
-        raise InputError(f"{name}: cannot be read: {reason(error)}") from error
-    except (ValueError, KeyError) as error:
-        raise InputError(f"{name}: cannot be read as orders: {error}") from error
-    if table is not None and set(_COLUMNS) <= set(table.columns):
-        return _of_table(table, name)
-    return [_of_order(order, articles) for _, order in read_orders(path, reading=reading)]
-
-
-def _own_csv(path: Path) -> pd.DataFrame | None:
-    """A table of boxes with petmjx's own names of columns; None: the file has other names."""
-    try:
-        if not set(_COLUMNS) <= set(pd.read_csv(path, nrows=0).columns):
-            return None
-    except ValueError:  # another encoding, no table
-        return None
-    return pd.read_csv(path)
-
-
-def _of_table(table: pd.DataFrame, name: str) -> list[Boxes]:
-    table = _with_numbers(table, name)
-    groups = [group for _, group in table.groupby("order_id", sort=False)] if "order_id" in table else [table]
-    if _STRENGTH in table and not (table[_STRENGTH].dropna() > 0).all():
-        raise InputError(f"{name}: {_STRENGTH} must be above 0, or empty")
-    upright = _upright(table, name)
-    return _checked_boxes(
-        [
-            (
-                rows[list(_COLUMNS[:3])],
-                rows[_COLUMNS[3]],
-                rows.get(_STRENGTH),
-                None if upright is None else upright[table.index.get_indexer(rows.index)],
-            )
-            for rows in groups
-        ],
-        name,
-    )
-
-
-def _with_numbers(table: pd.DataFrame, name: str) -> pd.DataFrame:
-    """The table with numbers in the columns that have numbers.
-
-    Raises:
-        InputError: a cell has something else; the line names its row, from 1 on.
-    """
-    numbers = {}
-    for column in (*_COLUMNS, _STRENGTH):
-        if column not in table:
-            continue
-        numbers[column] = pd.to_numeric(table[column], errors="coerce")
-        wrong = np.flatnonzero(numbers[column].isna() & table[column].notna())
-        if len(wrong):
-            cell = printable_name(str(table[column].iloc[wrong[0]]))
-            raise InputError(f"{name}: row {wrong[0] + 1}: {column} must be a number, got {cell!r}")
-    return table.assign(**numbers)
-
-
-def _upright(table: pd.DataFrame, name: str) -> NDArray[np.bool_] | None:
-    """(k, 3) whether each size of a box may be vertical; None: not in the table."""
-    if _UPRIGHT not in table:
-        return None
-    marks = table[_UPRIGHT].fillna("").astype(str).str.lower().replace("", "h")
-    if not (wrong := marks[~marks.str.fullmatch(f"[{_SIZES}]+")]).empty:
-        raise InputError(f"{name}: {_UPRIGHT} must be letters of l, w and h, or empty, got {wrong.iloc[0]!r}")
-    return np.column_stack([marks.str.contains(letter) for letter in _SIZES])
-
-
-def _checked_boxes(groups: Sequence[tuple[Any, Any, Any, Any]], name: str) -> list[Boxes]:
-    orders = [
-        Boxes(
-            np.asarray(sizes, float),
-            np.asarray(masses, float),
-            np.full(len(masses), np.nan) if strengths is None else np.asarray(strengths, float),
-            upright,
-        )
-        for sizes, masses, strengths, upright in groups
-    ]
-    orders = [boxes for boxes in orders if len(boxes)]
-    if not orders:
-        raise InputError(f"{name}: holds no box")
-    for number, boxes in enumerate(orders):
-        for values, low, high, unit in (
-            (boxes.size_mm, SMALLEST_MM, LARGEST_MM, "mm"),
-            (boxes.mass_kg, SMALLEST_KG, LARGEST_KG, "kg"),
-        ):
-            if not ((values >= low) & (values <= high)).all():
-                raise InputError(f"{name}: order {number}: all boxes must have {low:g} to {high:g} {unit}")
-    return orders
+    if strength is not None:
+        return strength.of_box(item.length_mm, item.width_mm)
+    return np.nan if item.strength_n is None else item.strength_n

@@ -23,6 +23,9 @@ Kind = Literal[
 of the corners with the smallest and the largest x, y and z; ``sequence`` is a packing order, ``number`` a running
 number, which may be a packing order."""
 
+OWN_COLUMNS: Final = ("length_mm", "width_mm", "height_mm", "weight_kg")
+"""Names of petmjx's own for the sizes and the weight of items, with the units in them."""
+
 LENGTH_UNITS: Final = {
     "mm": 1.0, "millimeter": 1.0, "millimeters": 1.0, "millimetre": 1.0, "millimetres": 1.0, "milimetry": 1.0,
     "millimetri": 1.0, "milimetros": 1.0,

@@ -30,7 +30,7 @@ from petmjx.plans.column_names import LENGTH_UNITS, MASS_UNITS, column_meanings,
 from petmjx.plans.file_formats import NoBoxes
 from petmjx.plans.nested_json import BoxList, box_lists, decoded_json, flattened
 from petmjx.plans.raw_cells import cell_number, cell_text, decimal_of
-from petmjx.plans.raw_tables import RawTable, computed_row, decoded_text
+from petmjx.plans.raw_tables import RawTable, computed_row, decoded_text, distinct_names
 from petmjx.plans.workbooks import RawFile, check_archive, read_raw_tables
 
 
@@ -666,6 +666,7 @@ def sources_of_frame(frame: Any) -> list[BoxSource]:
 
     Raises:
         NoBoxes: the frame is no table.
+        InputError: a column with a known name is there twice.
     """
     try:
         if hasattr(frame, "iloc") and hasattr(frame, "columns"):
@@ -680,14 +681,19 @@ def sources_of_frame(frame: Any) -> list[BoxSource]:
     except Exception as error:  # whatever an object raises that is no table
         raise NoBoxes(f"is no table: {type(error).__name__}") from None
     places = [f"row {number}" for number in range(len(rows))]
-    raw = RawTable(header, rows, places, decimal_of(rows))
+    raw = RawTable(tuple(distinct_names(header)), rows, places, decimal_of(rows))
     return [_with_known_form(BoxList(raw, "", ("",) * len(rows)), "a data frame")]
 
 
 def _plain(cell: Any) -> Any:
     """A cell of pandas as a Python value; None where it is missing."""
     cell = cell.item() if isinstance(cell, np.generic) else cell
-    return None if cell is None or (isinstance(cell, float) and np.isnan(cell)) else cell
+    is_missing = type(cell).__name__ in _MISSING or (isinstance(cell, float) and np.isnan(cell))
+    return None if is_missing else cell
+
+
+_MISSING: Final = ("NoneType", "NAType", "NaTType")
+"""Types of missing cells. Pandas' own are not compared: that would need an import of pandas."""
 
 
 def _bins_of(value: Any) -> list[Any]:

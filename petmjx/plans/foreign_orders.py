@@ -17,7 +17,7 @@ from petmjx.options.run_options import RunOptions
 from petmjx.plans.file_formats import NoBoxes
 from petmjx.plans.foreign_formats import BoxSource, sources_of_bytes, sources_of_frame
 from petmjx.plans.foreign_plans import bytes_of, with_items_of
-from petmjx.plans.item_columns import ItemColumns, has_sizes_of_items, item_columns, with_rows
+from petmjx.plans.item_columns import BOX_PROPERTIES, ItemColumns, has_sizes_of_items, item_columns, with_rows
 from petmjx.plans.item_orders import DELI, EURO, PG, SIZES, ForeignOrders, OrderReading, orders_of_items
 from petmjx.plans.nested_json import BoxList
 from petmjx.plans.order_generator import Item, Order, target_named
@@ -51,7 +51,9 @@ def foreign_orders(data: bytes | bytearray, path: Path, source: str, reading: Or
         if (sheet := _sheet_of_deli(data)) is not None:
             return _orders_of(sheet, source, reading)
         raise
-    if _has_three_places(sources[0]) and sources[0].boxes.has_sizes:
+    # other tools' plans do not keep these columns
+    has_properties = reading.for_episodes and not {*BOX_PROPERTIES}.isdisjoint(sources[0].boxes.table.header)
+    if _has_three_places(sources[0]) and sources[0].boxes.has_sizes and not has_properties:
         return _orders_of_plans(path, source, reading)
     return _orders_of(_best_source(sources, reading.items), source, reading)
 
@@ -211,10 +213,13 @@ def _orders_of_plans(path: Path, source: str, reading: OrderReading) -> ForeignO
             for number, (article, item_id) in enumerate(zip(plan.articles, plan.item_ids, strict=True), start=1)
         ]
         groups = plan.product_groups or ("",) * plan.n_boxes
+        of_boxes = np.full(plan.n_boxes, np.nan) if plan.strength_n is None else plan.strength_n
+        strengths = [None if np.isnan(strength) else strength for strength in of_boxes.tolist()]
         items = [
-            Item(name, item_id or name, group, length, width, height, mass)
-            for name, item_id, group, (length, width, height), mass in zip(
-                names, plan.item_ids, groups, plan.item_size_mm.tolist(), plan.mass_kg.tolist(), strict=True
+            Item(name, item_id or name, group, length, width, height, mass, strength_n=strength)
+            for name, item_id, group, (length, width, height), mass, strength in zip(
+                *(names, plan.item_ids, groups, plan.item_size_mm.tolist(), plan.mass_kg.tolist(), strengths),
+                strict=True,
             )
         ]
         orders.append((plan.plan_id, Order(target, tuple(items), tuple(range(1, len(items) + 1)))))
@@ -235,7 +240,7 @@ def _orders_of_plans(path: Path, source: str, reading: OrderReading) -> ForeignO
 def _orders_of(source: BoxSource, name: str, reading: OrderReading) -> ForeignOrders:
     wishes = reading.wishes
     chosen = {**(_PG if source.form is PG else {}), **wishes.columns}
-    columns = item_columns(source, chosen, wishes.units, wishes.masses)
+    columns = item_columns(source, chosen, wishes.units, wishes.masses, properties=reading.for_episodes)
     if columns is None or not columns.n_rows:
         raise _no_items(source, columns)
     return orders_of_items(columns, name, reading)

@@ -22,7 +22,8 @@ from petmjx.plans.column_names import MASS_UNITS, ColumnMeaning, Kind, split_uni
 from petmjx.plans.foreign_formats import BoxSource
 from petmjx.plans.nested_json import BoxList
 from petmjx.plans.order_generator import MOST_ITEMS
-from petmjx.plans.raw_cells import cell_number, cell_text
+from petmjx.plans.plan_fields import sparse_fault
+from petmjx.plans.raw_cells import cell_number, cell_text, number_fault_of
 
 ITEM_ROLES: Final = ("quantity", "layers", "per layer", "total weight")
 """Roles of columns that only orders have, beside ``ROLES``. ``quantity`` counts all boxes of a row, ``per layer`` the
@@ -83,6 +84,14 @@ _ORDER: Final = word_set("order orders ordre")
 """Names of columns with a packing order, which are also those of customers' orders: the values decide."""
 
 
+STRENGTH: Final = "strength_n"
+UPRIGHT: Final = "upright"
+BOX_PROPERTIES: Final = (STRENGTH, UPRIGHT)
+"""Columns of boxes for episodes, which have these names alone."""
+SIZE_LETTERS: Final = "lwh"
+"""Letters of the column ``upright``: length, width, height."""
+
+
 @dataclass(frozen=True, eq=False)
 class ItemColumns:
     """The items of a source by column.
@@ -105,6 +114,8 @@ class ItemColumns:
         faults: row → (column, text) of its first bad cell.
         unread: names of columns that are not used, though they hold something.
         maybe_quantity: the unknown column that may hold quantities, if no column is known; "": no such column.
+        strength: (n,) loads that the boxes bear, N, NaN: unknown; None: no column ``strength_n``, or not wanted.
+        upright: (n,) letters of the sizes that may be vertical; None: no column ``upright``, or not wanted.
     """
 
     source: BoxSource
@@ -126,6 +137,8 @@ class ItemColumns:
     faults: Mapping[int, tuple[str, str]]
     unread: tuple[str, ...] = ()
     maybe_quantity: str = ""
+    strength: FloatArray | None = None
+    upright: list[str] | None = None
 
     @property
     def n_rows(self) -> int:
@@ -237,6 +250,8 @@ class _ItemExtraction(Extraction):
         for index, name in enumerate(self.table.header):
             if self.meanings[index] is not None or index in self.taken or set(words_of(name)) & _NO_QUANTITY:
                 continue
+            if name in BOX_PROPERTIES:
+                continue
             numbers = [cell_number(cell, self.table.decimal) for cell in self.cells(index)]
             values = [number.value for number in numbers if number is not None and not number.unit]
             all_integers = len(values) == len(numbers) and all(value.is_integer() for value in values)
@@ -285,6 +300,36 @@ class _ItemExtraction(Extraction):
             self.bad(row, index, shown if cell in (None, "") else f"{limits}, {shown}")
         return values
 
+    def strengths(self) -> FloatArray | None:
+        """(n,) loads that the boxes bear, N; NaN where the cell is empty or bad; None: no such column."""
+        if STRENGTH not in self.table.header:
+            return None
+        index = self.table.header.index(STRENGTH)
+        values = np.full(len(self.table.rows), np.nan)
+        for row, cell in enumerate(self.cells(index)):
+            if cell in (None, ""):
+                continue
+            number = cell_number(cell, self.table.decimal)
+            if number is None or number.unit:
+                fault: str | None = number_fault_of(cell, self.table.decimal)
+            else:
+                values[row] = number.value
+                fault = sparse_fault(STRENGTH, number.value)
+            if fault is not None:
+                self.bad(row, index, fault.removeprefix(f"{STRENGTH} "))
+        return values
+
+    def sides(self) -> list[str] | None:
+        """(n,) letters of the sizes that may be vertical, in small letters; None: no such column."""
+        if UPRIGHT not in self.table.header:
+            return None
+        index = self.table.header.index(UPRIGHT)
+        texts = [cell_text(cell).lower() for cell in self.cells(index)]
+        for row, text in enumerate(texts):
+            if not set(text) <= set(SIZE_LETTERS):
+                self.bad(row, index, f'must be letters of l, w and h, or empty, got "{printable_name(text)}"')
+        return texts
+
     def _check_single(self, columns: Mapping[str, str]) -> None:
         """Refuse tables with two different columns of a size, such as the sizes of a carton and of its content.
 
@@ -327,13 +372,19 @@ class _ItemExtraction(Extraction):
 
 
 def item_columns(
-    source: BoxSource, chosen: Mapping[str, str] | None = None, units: str = "", masses: str = ""
+    source: BoxSource,
+    chosen: Mapping[str, str] | None = None,
+    units: str = "",
+    masses: str = "",
+    *,
+    properties: bool = False,
 ) -> ItemColumns | None:
     """The columns of a source of items; None: a source without sizes.
 
     Args:
         chosen: role (``ROLES``, ``ITEM_ROLES``) → name of the column that holds it, or "-".
         units, masses: unit of all lengths, and of all masses, that an option names; "": none.
+        properties: whether ``BOX_PROPERTIES`` are read.
 
     Raises:
         InputError: a chosen column does not exist.
@@ -382,7 +433,9 @@ def item_columns(
         order = work.filled_down(order, columns["plan"])
     columns |= {role: name for role, name in (("article", article_name), ("item_id", item_name)) if name}
     values, size_unit, names = sizes
-    used = {*names, *columns.values(), group_name, *([] if sequence_index is None else [header[sequence_index]])}
+    strength, upright = (work.strengths(), work.sides()) if properties else (None, None)
+    used = {*names, *columns.values(), group_name, *(BOX_PROPERTIES if properties else ())}
+    used |= {*([] if sequence_index is None else [header[sequence_index]])}
     maybe = "" if quantity is not None or "quantity" in work.chosen else work.maybe_quantity()
     unread = [
         name
@@ -391,7 +444,7 @@ def item_columns(
     ]
     return ItemColumns(
         work.source, values, size_unit, names, weight, unit, weight_is, quantity, layers, per_layer, order, article,
-        item_id, group, sequence, columns, work.faults, tuple(unread), maybe,
+        item_id, group, sequence, columns, work.faults, tuple(unread), maybe, strength, upright,
     )  # fmt: skip
 
 

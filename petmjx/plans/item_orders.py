@@ -19,7 +19,7 @@ from petmjx.common.errors import InputError
 from petmjx.common.text import count_text, first_names, printable_name
 from petmjx.common.units import FloatArray
 from petmjx.options.run_options import RunOptions
-from petmjx.plans.column_names import LENGTH_UNITS, MASS_UNITS
+from petmjx.plans.column_names import LENGTH_UNITS, MASS_UNITS, OWN_COLUMNS
 from petmjx.plans.foreign_formats import KnownForm
 from petmjx.plans.foreign_plans import USUAL_KG_M3
 from petmjx.plans.input_conventions import Limits
@@ -77,12 +77,15 @@ class OrderReading:
             "1200x1000"; "": the file's container if it is a pallet, else a Euro pallet.
         most_items: largest number of items of an order.
         items: file with the sizes and weights of articles, for orders that name articles alone; None: none.
+        for_episodes: whether strengths and sides that may be vertical are read, and nothing is said of tables that have
+            only names of petmjx's own: an environment reads its orders often.
     """
 
     wishes: Wishes = field(default_factory=Wishes)
     target: str = ""
     most_items: int = MOST_ITEMS
     items: Path | None = None
+    for_episodes: bool = False
 
     @classmethod
     def of(cls, options: RunOptions, target: str | None = None) -> OrderReading:
@@ -101,7 +104,7 @@ class ForeignOrders:
     Attributes:
         orders: (id, order) of each good order, in the order of the file.
         refused: (id, line) of each refused order.
-        line: how the file was read.
+        line: how the file was read; "": as it says, with nothing left to choose or unused.
     """
 
     orders: tuple[tuple[str, Order], ...]
@@ -180,6 +183,8 @@ class _OrderBuilder:
         ]
         if column is None and self.form.name in _NUMBERED:
             return [f"{stem}-{name}" if name else stem for name in names]
+        if column is not None and (nameless := sum(not name for name in names)):
+            self._note(f"{count_text(nameless, 'row')} without an order's name: order {printable_name(stem)}")
         return [name or stem for name in names]
 
     def _lost(self, names: Sequence[str]) -> dict[str, str]:
@@ -228,7 +233,12 @@ class _OrderBuilder:
             name = article or item_id or self.table.places[row]
             group = "" if columns.group is None else columns.group[row][:LONGEST_NAME]
             length, width, height = size[row].tolist()
-            item = Item(name, item_id or name, group, length, width, height, float(mass[row]))
+            strength = math.nan if columns.strength is None else float(columns.strength[row])
+            item = Item(
+                *(name, item_id or name, group, length, width, height, float(mass[row])),
+                strength_n=None if math.isnan(strength) else strength,
+                upright="" if columns.upright is None else columns.upright[row],
+            )
             items += [item] * int(counts[row])
         return Order(target, tuple(items), tuple(range(1, len(items) + 1)))
 
@@ -441,8 +451,16 @@ class _OrderBuilder:
 
     # The line.
 
+    def _has_own_names(self) -> bool:
+        columns = self.columns
+        roles = columns.columns
+        is_own = (*columns.size_names, roles.get("weight")) == OWN_COLUMNS
+        return is_own and {*roles.values()} <= _OWN_NAMES
+
     def _line(self, units: _Units, targets: Mapping[str, str], good: Sequence[tuple[str, Order]]) -> str:
         columns = self.columns
+        if self.reading.for_episodes and self._has_own_names() and not columns.unread and not self.notes:
+            return ""
         lengths = (
             units.length
             if columns.weight is None or columns.weight_is == "density"
@@ -462,6 +480,7 @@ class _OrderBuilder:
         return f"{self.source}: read as {self.form.name}; {'; '.join([*parts, *dict.fromkeys(self.notes)])}"
 
 
+_OWN_NAMES: Final = {"weight_kg", "quantity", "order_id", "plan_id", "article", "item_id"}
 _SHOWN: Final = ("weight", "total weight", "density", "quantity", "per layer", "layers", "plan")
 """Roles whose columns the message names after the sizes."""
 

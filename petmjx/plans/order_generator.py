@@ -95,6 +95,8 @@ class Item:
         com_mm: centre of mass relative to the item's middle, along length, width and height, mm; None: in the middle.
         stiffness_n_mm: as in ``Plan``; None: rigid.
         kind: "box", "sheet" or "" (a box).
+        strength_n: load that the box bears on its top, N; None: unknown. Files of orders do not keep it.
+        upright: letters of the sizes that may be vertical, of l, w and h; "": the height alone. Files do not keep it.
     """
 
     article: str
@@ -107,6 +109,9 @@ class Item:
     com_mm: tuple[float, float, float] | None = field(default=None, kw_only=True)
     stiffness_n_mm: float | None = field(default=None, kw_only=True)
     kind: str = field(default="", kw_only=True)
+    # no part of what an item is: packers and matching use neither
+    strength_n: float | None = field(default=None, kw_only=True, compare=False)
+    upright: str = field(default="", kw_only=True, compare=False)
 
     @property
     def volume_m3(self) -> float:

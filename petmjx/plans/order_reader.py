@@ -72,7 +72,7 @@ def read_orders(
     if data is None:
         orders = _foreign(path, name, reading)
         if orders is not None:
-            warn([orders.line])
+            warn(filter(None, [orders.line]))
             yield from _good_orders(orders, on_bad_order)
             return
         data = _own_bytes(path, name, is_own=True)
@@ -108,7 +108,7 @@ def read_order_frame(
         orders = frame_orders(frame, _FRAME, reading or OrderReading())
     except InputError as error:
         raise InputError(f"{_FRAME}: {error}") from None
-    warn([orders.line])
+    warn(filter(None, [orders.line]))
     yield from _good_orders(orders, on_bad_order)
 
 
@@ -247,7 +247,9 @@ def _item(raw: object, where: str) -> Item:
         article=_text(raw, "article", where),
         item_id=_text(raw, "id", where),
         product_group=_text({"product_group": "", **raw}, "product_group", where),
-        **{field.replace("/", "_"): size for field, size in sizes.items()},
+        length_mm=sizes["length/mm"],
+        width_mm=sizes["width/mm"],
+        height_mm=sizes["height/mm"],
         weight_kg=_number(raw, "weight/kg", SMALLEST_KG, LARGEST_KG, where),
         com_mm=com_mm,
         stiffness_n_mm=_optional(raw, "stiffness_n_mm", lambda field, value, _: sparse_fault(field, value), 0.0, where),

@@ -18,7 +18,7 @@ import numpy as np
 
 from petmjx.common.errors import InputError
 from petmjx.common.text import count_text, printable_name
-from petmjx.plans.column_names import column_meanings, is_unit, plain_text
+from petmjx.plans.column_names import OWN_COLUMNS, column_meanings, is_unit, plain_text
 from petmjx.plans.file_formats import NoBoxes
 from petmjx.plans.raw_cells import cell_number, cell_text, decimal_of
 
@@ -333,7 +333,7 @@ def _table_below(
             for name, cell in zip(names, (*rows[first], *([None] * len(names))), strict=False)
         ]
         first += 1
-    header = tuple(_distinct(names))
+    header = tuple(distinct_names(names))
     sections, lost, trailing = _sections(rows, first, end, begin, header, notes)
     if trailing and not more:
         notes.append(f"left out at the end: {printable_name(trailing[0])}")
@@ -431,7 +431,8 @@ def computed_row(table: RawTable, rows: Sequence[int]) -> str:
 
     Sizes, places and weights of the last row must all be sums, or all means, and two of them must be clear. A box on
     two smaller boxes may have the sum of their lengths, and a box in the middle of a layer of equal boxes has their
-    mean place.
+    mean place. Items under petmjx's own names, without places, have no row of means: a box of middle size
+    is likelier there.
     """
     if len(rows) > 1 and _is_total(table.rows[rows[-1]], _geometric(table.header)):
         return "the total"
@@ -444,7 +445,8 @@ def computed_row(table: RawTable, rows: Sequence[int]) -> str:
         if meaning is not None and meaning.kind in _COMPUTED and not meaning.of_container
     ]
     last = table.rows[rows[-1]]
-    sums = means = True
+    has_places = any(kind in _PLACES for kind, _ in columns)
+    sums, means = True, has_places or not {*OWN_COLUMNS} <= {*table.header}
     n_sums = n_means = n_goods = 0
     for kind, index in columns:
         number = cell_number(last[index], table.decimal)
@@ -505,7 +507,7 @@ def _names_unit(name: str) -> bool:
     return meaning is not None and bool(meaning.unit)
 
 
-def _distinct(names: Sequence[str]) -> list[str]:
+def distinct_names(names: Sequence[str]) -> list[str]:
     """Names without repetitions; a name that is empty is "column 3".
 
     Raises:

@@ -7,6 +7,7 @@ import os
 import warnings
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import openpyxl
@@ -16,7 +17,7 @@ from support.command_line import run
 
 import petmjx
 from petmjx.common.errors import InputError, PlanWarning
-from petmjx.loop.order_sources import Orders
+from petmjx.loop.order_sources import Orders, order_reading
 from petmjx.options.run_options import RunOptions
 from petmjx.packers.pack import orders_of, reading_of
 from petmjx.packers.sample_plans import pack_orders
@@ -518,3 +519,74 @@ def test_shared_files(name: str) -> None:
     if not path.is_file():
         pytest.skip(f"{os.fspath(path)} is absent")
     assert CASES[name](read(path, "read as|holds plans"))
+
+
+BOXES = {"length_mm": [600, 600], "width_mm": 400, "height_mm": 200, "weight_kg": [8, 9]}
+
+
+@pytest.mark.parametrize(
+    ("name", "cells", "counts"),
+    [("order", ["a", "b"], [1, 1]), ("plan_id", ["a", "b"], [1, 1]), ("quantity", [3, 4], [7])],
+)
+def test_columns_beside_petmjxs_own_names_count_for_episodes(
+    name: str, cells: list[Any], counts: list[int], tmp_path: Path
+) -> None:
+    """As for ``samples --orders``: a column of orders by any name, and quantities."""
+    frame = pd.DataFrame({**BOXES, name: cells})
+    frame.to_csv(tmp_path / "own.csv", index=False)
+    frame.to_parquet(tmp_path / "own.parquet", index=False)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", PlanWarning)
+        for source in (frame, tmp_path / "own.csv", tmp_path / "own.parquet"):
+            assert [len(boxes) for boxes in Orders(source).some(0)] == counts
+        (tmp_path / "own.csv").write_text(
+            f"length_mm,width_mm,height_mm,weight_kg,{name},gross weight kg\n6,4,2,8,1,1.5\n"
+        )
+        (boxes,) = Orders(tmp_path / "own.csv", reading=order_reading("cm", {"weight": "gross weight kg"})).some(0)
+    assert boxes.size_mm.tolist() == [[60, 40, 20]]
+    assert boxes.mass_kg.tolist() == [1.5]
+
+
+def test_tables_of_petmjxs_own_names_are_read_in_silence_with_strengths_and_sides(tmp_path: Path) -> None:
+    frame = pd.DataFrame({**BOXES, "order_id": 7, "strength_n": [None, 90.5], "upright": [None, "Lh"]}, index=[0, 0])
+    frame.to_csv(tmp_path / "own.csv", index=False)
+    for source in (frame, frame.convert_dtypes(), tmp_path / "own.csv"):
+        (boxes,) = Orders(source).some(0)
+        np.testing.assert_array_equal(boxes.strength_n, [np.nan, 90.5])
+        assert boxes.upright is not None
+        assert boxes.upright.tolist() == [[False, False, True], [True, False, True]]
+    with pytest.warns(PlanWarning, match="1 row without an order's name: order orders"):
+        assert len(Orders(frame.assign(order_id=["a", None])).some(0)) == 2
+    (boxes,) = Orders(pd.DataFrame(dict(zip(BOXES, np.outer([1, 1, 1, 1], [600, 200, 400]), strict=True)))).some(0)
+    assert len(boxes) == 3, "the last box is no row of means"
+    frame.assign(x_mm=[0, 600], y_mm=0, z_mm=[0, 1]).to_csv(tmp_path / "placed.csv", index=False)
+    with pytest.warns(PlanWarning, match="not used: x_mm, y_mm, z_mm"):
+        assert Orders(tmp_path / "placed.csv").lie
+    frame.drop(columns="upright").assign(x_mm=[0, 600], y_mm=5, z_mm=9, plan_id="p").to_csv(tmp_path / "plan.csv")
+    with pytest.warns(PlanWarning):
+        assert Orders(tmp_path / "plan.csv").have_strengths
+    with pytest.warns(PlanWarning, match="not used: strength_n, upright"):
+        assert len(list(orders_of(frame, None, 0))) == 1
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("600,400,200,8,5", "row 2: has 5 fields instead of 4"),
+        ("True,400,200,8", 'row 2: length_mm must be a number, got "True"'),
+        ("600,400,200,-8", "row 2: weight_kg must be > 0, got -8"),
+    ],
+)
+def test_bad_rows_of_orders_for_episodes_are_named(text: str, message: str, tmp_path: Path) -> None:
+    (tmp_path / "own.csv").write_text(f"length_mm,width_mm,height_mm,weight_kg\n{text}\n{text}\n")
+    with pytest.raises(InputError, match=rf"own\.csv: (order own, )?{message}"):
+        Orders(tmp_path / "own.csv")
+    twice = pd.DataFrame([[600, 400, 200, 8, 9]], columns=[*BOXES, "weight_kg"])
+    for frame, fault in (
+        (twice, "column weight_kg is there twice"),
+        (pd.DataFrame({**BOXES, "length_mm": [600 + 1j, 5]}), "row 0: length_mm must be a number, got complex"),
+        (pd.DataFrame({**BOXES, "weight_kg": [True, False]}), "row 0: weight_kg must be a number, got true"),
+        (pd.DataFrame({**BOXES, "strength_n": ["x", 5]}), 'order orders, row 0: strength_n must be a number, got "x"'),
+    ):
+        with pytest.raises(InputError, match=f"^orders: {fault}"):
+            Orders(frame)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -16,7 +17,7 @@ from petmjx.cli import main
 from petmjx.common.errors import InputError
 from petmjx.loop.label_files import CARD, README, RULES, baselines, label_files, write_labels
 from petmjx.loop.order_sources import Boxes, Orders
-from petmjx.loop.placement_labels import COLUMNS, SPLITS, Labeller, plans_of_labels, split_of
+from petmjx.loop.placement_labels import COLUMNS, SPLITS, Label, Labeller, plans_of_labels, split_of
 
 MUJOCO: dict[str, Any] = {"engine": "mujoco", "threads": 1}
 
@@ -152,8 +153,30 @@ def test_baselines_are_judged_by_what_they_find() -> None:
 def test_what_is_wrong_with_labels_is_one_line(tmp_path: Path) -> None:
     sizes = {"length_mm": 2000, "width_mm": 2000, "height_mm": 100, "weight_kg": 1}
     too_long = pd.DataFrame([{"order_id": order, **sizes} for order in "abb"])
-    with pytest.raises(InputError, match="orders: no box has a place on the empty carrier"):
+    with pytest.raises(InputError, match=r"orders: no box has a place on the empty carrier \(max_height_mm 1800, car"):
         write_labels(Labeller(Orders(too_long), pallets=4, **MUJOCO), 5, tmp_path / "none", source="endless")
-    assert not list((tmp_path / "none").glob("*.parquet"))
+    assert not (tmp_path / "none").exists()
     with pytest.raises(InputError, match="explore must be"):
         Labeller(Orders(too_long), explore=2, **MUJOCO)
+
+
+def test_one_run_at_a_time_writes_labels_into_a_folder(tmp_path: Path) -> None:
+    """Another run is refused while the first one makes its labels."""
+    labeller = Labeller(Orders(some_orders(2)), pallets=1, **MUJOCO)
+    out = tmp_path / "set"
+    refusals: list[str] = []
+
+    class Watched(Labeller):
+        def labels(self, count: int) -> Iterator[Label]:
+            with pytest.raises(InputError) as refused:
+                write_labels(labeller, 1, out, source="endless", overwrite=True)
+            refusals.append(str(refused.value))
+            yield from super().labels(count)
+
+    card = write_labels(Watched(Orders(some_orders(2)), pallets=1, **MUJOCO), 2, out, source="endless")
+    assert sum(numbers["labels"] for numbers in card["splits"].values()) == 2
+    assert len(refusals) == 1
+    assert "another run (process" in refusals[0]
+    assert not list(out.glob(".*")), "neither the lock nor hidden tables are left"
+    with pytest.raises(InputError, match="exists"):
+        write_labels(labeller, 1, out, source="endless")

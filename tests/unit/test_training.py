@@ -94,10 +94,10 @@ def test_boxes_stand_on_the_sides_that_the_order_allows() -> None:
     assert sorted(map(tuple, SIDES.tolist())) == sorted({tuple(side) for side in SIDES.tolist()})
     cubes = PalletizingEnv(orders=table((200, 200, 200)), sides="all", **THREADS)
     assert len(np.flatnonzero(cubes.reset(seed=0)[0]["action_mask"])) == 1, "a cube has one side"
-    with pytest.raises(InputError, match=r"orders: upright must be letters of l, w and h, or empty, got 'x'"):
+    with pytest.raises(InputError, match=r'^orders: row 0: upright must be letters of l, w and h, or empty, got "x"'):
         Orders(table((1, 1, 1), upright=["x"]))
     assert Orders(table((1, 1, 1), upright=[""])).lie is False, "empty: the height"
-    with pytest.raises(InputError, match="orders: row 2: weight_kg must be a number, got 'much'"):
+    with pytest.raises(InputError, match='orders: order 0, row 1: weight_kg must be a number, got "much"'):
         Orders(table((1, 1, 1), (1, 1, 1)).assign(weight_kg=["1", "much"]))
 
 
