@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import signal
 from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -84,7 +83,7 @@ def repair(
 
             result = repaired(plans_in_place(plans, bool(options.get("strict"))), watch=count, **options)
     except RepairInterrupted as stop:
-        result, signal_number = stop.repairs, getattr(stop.__cause__, "number", signal.SIGINT)
+        result, signal_number = stop.repairs, stop.number
         if not result.each:
             raise RunInterrupted("no plan was done; nothing was written", signal_number) from None
     for line in result.skipped:
@@ -100,8 +99,8 @@ def repair(
     else:
         print_renderables([*repair_tables(result), *_written(result, out, html)], results_console())
     if signal_number is not None:
-        done = f"{len(result.each):,} of {count_text(n_plans, 'plan')} were done; the others are not in the results"
-        raise RunInterrupted(done, signal_number)
+        how_far = f"{len(result.each):,} of {count_text(n_plans, 'plan')} were searched to the end"
+        raise RunInterrupted(f"{how_far}; the results have no others", signal_number)
 
 
 def _written(result: Repairs, out: Path | None, html: Path | None) -> Iterator[str]:

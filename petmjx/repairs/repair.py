@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import signal
 import time
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
@@ -227,11 +228,12 @@ class RepairInterrupted(KeyboardInterrupt):
 
     Attributes:
         repairs: the plans whose search had ended; shares with errors that were not simulated yet are missing.
+        number: number of the signal.
     """
 
-    def __init__(self, repairs: Repairs) -> None:
-        super().__init__()
-        self.repairs = repairs
+    def __init__(self, repairs: Repairs, number: int) -> None:
+        super().__init__(number)
+        self.repairs, self.number = repairs, number
 
 
 def repair(
@@ -292,7 +294,7 @@ def repair(
             if watch is not None:
                 watch(len(results), len(plan_set.plans))
     except KeyboardInterrupt as stop:
-        raise RepairInterrupted(repairs()) from stop
+        raise RepairInterrupted(repairs(), getattr(stop, "number", signal.SIGINT)) from None
     finally:
         question.close()
     return repairs()
