@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from pathlib import Path
 
 import pandas as pd
@@ -11,32 +12,29 @@ from support.sweeps import EUMOS_GRID, QUICK, Recorder, leaning, write_sweep
 import petmjx
 from petmjx.engines.verdict import Flag
 from petmjx.runs.sweep_file import load_sweep
-from petmjx.runs.sweep_run import Batching, SweepRun
+from petmjx.runs.sweep_run import SweepRun
 from petmjx.runs.sweep_worlds import SweepPlan
 
 
-def test_drives_start_from_their_own_placement_in_the_order_of_plans(tmp_path: Path) -> None:
-    """Those of the second plan are partly made while it is placed, and those of the third only when they are due."""
+def test_drives_start_from_their_own_placement(tmp_path: Path) -> None:
     grid = EUMOS_GRID.replace("from = 0.05, to = 0.8, step = 0.05", "from = 0.1, to = 0.2, step = 0.1")
     plan = SweepPlan(
         load_sweep(write_sweep(tmp_path, QUICK + grid), plans_given=True), [leaning(f"of {n}", n) for n in (1, 2, 3)]
     )
     engine = Recorder(1)
-    run = SweepRun(plan, engine, batching=Batching(drives=12))
+    run = SweepRun(plan, engine)
     assert {(world.plan.n_boxes, world.outcome.n_boxes) for world in run.worlds()} == {(1, 1), (2, 2), (3, 3)}
     drives = [job for batch, _ in engine.batches[1:] for job in batch]
-    assert [job.scene.n_boxes for job in drives] == [1] * 8 + [2] * 8 + [3] * 8
+    assert Counter(job.scene.n_boxes for job in drives if job.drive) == {1: 8, 2: 8, 3: 8}
     assert len({(job.scene.n_boxes, id(job.start)) for job in drives}) == 3
 
 
-def test_a_placement_that_is_not_driven_is_told_while_others_are_placed(tmp_path: Path) -> None:
+def test_worlds_of_a_placement_that_is_not_driven_are_final_before_any_drive(tmp_path: Path) -> None:
     plans = [leaning("falls", 2, 300.0), leaning("stands")]
     text = QUICK.replace("early_stop = false", "") + EUMOS_GRID
     sweep = load_sweep(write_sweep(tmp_path, text), plans_given=True)
     run = SweepRun(SweepPlan(sweep, plans), Recorder(1))
-    worlds = [(world.plan.plan_id, run.tally.placements) for world in run.worlds()]
-    assert [n_placed for plan_id, n_placed in worlds if plan_id == "falls"] == [1] * 64
-    assert [n_placed for plan_id, n_placed in worlds if plan_id == "stands"] == [2] * 64
+    assert [world.plan.plan_id for world in run.worlds()] == ["falls"] * 64 + ["stands"] * 64
 
 
 def test_early_stop_changes_no_answer_of_eumos_s_test(tmp_path: Path) -> None:
