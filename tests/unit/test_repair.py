@@ -383,6 +383,19 @@ def test_searches_in_several_processes_end_as_in_one() -> None:
         ends.append([([state.changes for state in s.repairs], s.n_trials, s.before, s.complete) for s in searches])
     assert ends[0] == ends[1]
     assert all(changes for changes, *_ in ends[0])
+    searches = [Search(plan, Simulation(), RepairOptions(worlds=0)) for plan in plans]
+
+    def ask_until_stopped(asked: list[Asked]) -> list[Trial]:
+        if any(is_judged and draft.plan.plan_id == "2" for draft, is_judged in asked):
+            raise KeyboardInterrupt  # plan 0, which is in the same process, had its answer before
+        trials = zip(asked, ask(asked), strict=True)
+        return [
+            trial._replace(verdict="stable") if draft.plan.plan_id == "0" else trial for (draft, _), trial in trials
+        ]
+
+    with pytest.raises(KeyboardInterrupt):
+        run_searches(searches, ask_until_stopped, 2)
+    assert [search.complete for search in searches[::2]] == [True, False, False, False]
 
 
 def test_a_search_whose_seconds_are_spent_says_so() -> None:
