@@ -12,6 +12,7 @@ import typer
 from petmjx.cli import command_options as opt
 from petmjx.cli.console import results_console
 from petmjx.cli.run_command import RunInterrupted
+from petmjx.common.atomic_write import check_writable
 from petmjx.common.errors import InputError
 from petmjx.common.overwrite_guard import check_outputs
 from petmjx.common.text import count_text, printable
@@ -54,6 +55,7 @@ def repair(
     the plan, from 0; left is −x, front −y.
     """
     from petmjx.plans.plan_writer import check_plan_file
+    from petmjx.repairs.repair import RepairInterrupted
     from petmjx.repairs.repair import repair as repaired
     from petmjx.results.plan_lookup import plans_in_place
     from petmjx.results.read_files import source_files
@@ -68,19 +70,22 @@ def repair(
         raise InputError(f"--html {printable(str(html))}: the file's name must end in .html")
     files = [file for file in (out, html) if file is not None]
     check_outputs(files, overwrite=overwrite, inputs=source_files(plans))
-    n_done = 0
+    for file in files:
+        check_writable(file)
+    n_plans, signal_number = 0, None
     try:
         with progress(None) as bar:
 
             def count(number: int, total: int) -> None:
-                nonlocal n_done
-                n_done = number
+                nonlocal n_plans
+                n_plans = total
                 bar.update(number)
 
             result = repaired(plans_in_place(plans, bool(options.get("strict"))), watch=count, **options)
-    except KeyboardInterrupt as stop:
-        progress_text = f"{count_text(n_done, 'plan')} were done; nothing was written"
-        raise RunInterrupted(progress_text, getattr(stop, "number", 2)) from None
+    except RepairInterrupted as stop:
+        result, signal_number = stop.repairs, stop.number
+        if not result.each:
+            raise RunInterrupted("no plan was done; nothing was written", signal_number) from None
     for line in result.skipped:
         typer.echo(f"skipped: {printable(line)}", err=True)
     if out is not None:
@@ -91,8 +96,11 @@ def repair(
         write_repair_page(result, html)
     if as_json:
         print(json.dumps({"plans": to_json(result.table), "changes": to_json(result.changes)}, indent=2))
-        return
-    print_renderables([*repair_tables(result), *_written(result, out, html)], results_console())
+    else:
+        print_renderables([*repair_tables(result), *_written(result, out, html)], results_console())
+    if signal_number is not None:
+        how_far = f"{len(result.each):,} of {count_text(n_plans, 'plan')} were searched to the end"
+        raise RunInterrupted(f"{how_far}; the results have no others", signal_number)
 
 
 def _written(result: Repairs, out: Path | None, html: Path | None) -> Iterator[str]:

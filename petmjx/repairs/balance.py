@@ -93,6 +93,8 @@ def _balances(drafts: Sequence[Draft], sim: Simulation) -> list[Balance]:
 def _balance(draft: Draft, box: IntArray, step: IntArray, edge_mm: FloatArray, perhaps: BoolArray) -> Balance:
     """The balance of a draft from the edges of its loads, sorted by box and step."""
     order = np.array(draft.order)
+    has_edge = ~np.isnan(edge_mm)  # what floats or overlaps may bear a load that nothing bears in turn
+    box, step, edge_mm, perhaps = box[has_edge], step[has_edge], edge_mm[has_edge], perhaps[has_edge]
     boxes, begins = np.unique(box, return_index=True)
     ends = np.append(begins[1:], len(box))
     rows, weakness = [], _squeezed(draft)
@@ -103,8 +105,8 @@ def _balance(draft: Draft, box: IntArray, step: IntArray, edge_mm: FloatArray, p
             at = begin + int(beyond[0])
             sure = bool((~perhaps[begin:end][beyond]).any())
             rows.append((int(step[at]), int(order[position]), float(-edges.min()), float(edges[-1]), sure))
-        elif len(edges):
-            weakness += max(1 - float(np.nanmin(edges)) / SAFE_MM, 0.0)
+        else:
+            weakness += max(1 - float(edges.min()) / SAFE_MM, 0.0)
     rows.sort()
     depth = np.array([row[2] for row in rows], float)
     weight = np.where([row[4] for row in rows], 1.0, PERHAPS)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import signal
 import time
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
@@ -11,7 +12,7 @@ from typing import Any, Final
 
 import pandas as pd
 
-from petmjx.common.checked_records import shown_value
+from petmjx.common.checked_records import option, shown_value
 from petmjx.common.errors import InputError
 from petmjx.common.text import count_text, printable_name
 from petmjx.options.run_options import READING, Confidence, RunOptions, sorted_options
@@ -28,6 +29,7 @@ from petmjx.repairs.trials import OF_RUN, Asked, Question, Share, Trial
 from petmjx.results.notebook_tables import ShownColumn, block_as_html, table_as_html
 from petmjx.results.plan_lookup import plans_in_place
 from petmjx.results.share_intervals import wilson_interval
+from petmjx.world.option_lint import notes_about
 
 OF_READING: Final = (*READING, "articles", "limit", "strict")
 """Fields of ``RunOptions`` about the reading of plans."""
@@ -163,11 +165,13 @@ class Repairs:
         each: the result for each plan, in the order of the input.
         skipped: a line for each unreadable plan.
         how: the options of the simulation, for pages and pictures.
+        notes: a line for each doubt about plans and options, as a score has them.
     """
 
     each: tuple[Repaired, ...]
     skipped: tuple[str, ...] = ()
     how: Mapping[str, Any] | None = None
+    notes: tuple[str, ...] = ()
 
     @property
     def plans(self) -> list[Plan]:
@@ -219,6 +223,19 @@ class Repairs:
         save_plans(self.plans, path)
 
 
+class RepairInterrupted(KeyboardInterrupt):
+    """An interrupt of ``petmjx.repair``.
+
+    Attributes:
+        repairs: the plans whose search had ended; shares with errors that were not simulated yet are missing.
+        number: number of the signal.
+    """
+
+    def __init__(self, repairs: Repairs, number: int) -> None:
+        super().__init__(number)
+        self.repairs, self.number = repairs, number
+
+
 def repair(
     plans: PlanSource | None = None,
     *,
@@ -244,6 +261,7 @@ def repair(
     Raises:
         InputError: plans or options are unusable.
         EngineUnavailable: the requested engine cannot run here.
+        RepairInterrupted: Ctrl-C; it has the plans that are done.
     """
     of_simulation, of_run, sure, of_repair = sorted_options(options, Confidence, RepairOptions)
     if other := next((name for name in of_run if name not in (*OF_RUN, *OF_READING)), None):
@@ -258,19 +276,28 @@ def repair(
     for plan in plan_set:
         if repair_options.built >= plan.n_boxes:
             raise InputError(
-                f"{plan.source}: plan {printable_name(plan.plan_id)}: built must be less than its "
+                f"{plan.source}: plan {printable_name(plan.plan_id)}: {option('--built')} must be less than its "
                 f"{count_text(plan.n_boxes, 'box', 'boxes')}, got {repair_options.built}"
             )
+    driven, errors = repair_options.profile is not None, repair_options.worlds > 0
+    about = notes_about(question.sim, plan_set.plans, errors=errors, driven=driven)
+    shown = {name: value for name, value in score_options.items() if name in Simulation.model_fields or name in OF_RUN}
     results: list[Repaired] = []
+
+    def repairs() -> Repairs:
+        skipped = tuple(str(line) for line in plan_set.skipped)
+        return Repairs(tuple(results), skipped, shown, (*plan_set.notes, *about))
+
     try:
         for repaired in _repaired(plan_set.plans, question, repair_options):
             results.append(repaired)
             if watch is not None:
                 watch(len(results), len(plan_set.plans))
+    except KeyboardInterrupt as stop:
+        raise RepairInterrupted(repairs(), getattr(stop, "number", signal.SIGINT)) from None
     finally:
         question.close()
-    shown = {name: value for name, value in score_options.items() if name in Simulation.model_fields or name in OF_RUN}
-    return Repairs(tuple(results), tuple(str(line) for line in plan_set.skipped), shown)
+    return repairs()
 
 
 def _repaired(plans: Iterable[Plan], question: Question, options: RepairOptions) -> Iterator[Repaired]:
@@ -285,19 +312,24 @@ def _repaired(plans: Iterable[Plan], question: Question, options: RepairOptions)
     waiting = iter(plans)
     while group := list(islice(waiting, AT_ONCE)):
         searches = [Search(plan, question.sim, options, question.film_turns) for plan in group]
-        run_searches(searches, ask, question.threads)
-        late = [search for search in searches if search.before is None]
-        drafts: list[Asked] = [(Draft.of(search.plan, question.film_turns), False) for search in late]
-        for search, trial in zip(late, question.trials(drafts) if late else [], strict=True):
-            search.begin(trial)
-        yield from _with_shares(searches, question, options)
+        try:
+            run_searches(searches, ask, question.threads)
+            late = [search for search in searches if search.before is None]
+            drafts: list[Asked] = [(Draft.of(search.plan, question.film_turns), False) for search in late]
+            for search, trial in zip(late, question.trials(drafts) if late else [], strict=True):
+                search.begin(trial)
+            results = _with_shares(searches, question, options)
+        except KeyboardInterrupt:  # nothing is simulated any more: the engine was stopped anywhere
+            yield from (_repaired_by(search, _first(search), None, None) for search in searches if search.complete)
+            raise
+        yield from results
 
 
-def _with_shares(searches: Sequence[Search], question: Question, options: RepairOptions) -> Iterator[Repaired]:
+def _with_shares(searches: Sequence[Search], question: Question, options: RepairOptions) -> list[Repaired]:
     """The results of searches, with the shares of worlds with errors."""
     before: list[Share | None] = [None] * len(searches)
     after = list(before)
-    chosen = [search.repairs[0] if search.repairs else None for search in searches]
+    chosen = [_first(search) for search in searches]
     if options.worlds:
         chosen = _likeliest(searches, question)
         before = [*question.shares([search.plan for search in searches])]
@@ -305,19 +337,28 @@ def _with_shares(searches: Sequence[Search], question: Question, options: Repair
         changed = {row: state.draft.as_plan() for row, state in enumerate(chosen) if state and state.changes}
         for row, result in zip(changed, question.shares([*changed.values()]) if changed else [], strict=True):
             after[row] = result
-    for search, state, share, share_after in zip(searches, chosen, before, after, strict=True):
-        assert search.before is not None
-        yield Repaired(
-            before=search.plan,
-            plan=search.plan if state is None else state.draft.as_plan(),
-            changes=() if state is None else state.changes,
-            trial_before=search.before,
-            trial_after=None if state is None else state.trial,
-            share_before=share,
-            share_after=share_after,
-            n_trials=search.n_trials,
-            complete=search.complete,
-        )
+    return [_repaired_by(*row) for row in zip(searches, chosen, before, after, strict=True)]
+
+
+def _first(search: Search) -> State | None:
+    """The best repair by statics and cost; None: no repair."""
+    return search.repairs[0] if search.repairs else None
+
+
+def _repaired_by(search: Search, state: State | None, before: Share | None, after: Share | None) -> Repaired:
+    """The result of a search with one of its repairs, and the shares before and after it."""
+    assert search.before is not None
+    return Repaired(
+        before=search.plan,
+        plan=search.plan if state is None else state.draft.as_plan(),
+        changes=() if state is None else state.changes,
+        trial_before=search.before,
+        trial_after=None if state is None else state.trial,
+        share_before=before,
+        share_after=after,
+        n_trials=search.n_trials,
+        complete=search.complete,
+    )
 
 
 def _likeliest(searches: Sequence[Search], question: Question) -> list[State | None]:

@@ -73,33 +73,51 @@ def _run_here(searches: Sequence[Search], ask: Ask) -> None:
 
 
 def _serve(children: Sequence[Child], parts: Sequence[list[Search]], ask: Ask) -> None:
-    """Simulate what processes ask for, until all of their searches have ended."""
+    """Simulate what processes ask for, until all of their searches have ended.
+
+    An interrupt ends them as if the time were up, so that searches that have ended are known here; then it is raised. A
+    second one is raised at once.
+    """
     working = set(range(len(children)))
+    stop: KeyboardInterrupt | None = None
     while working:
         asked: dict[int, list[Asked]] = {}
         while not asked and working:
             for number in sorted(working):
-                with suppress(queue.Empty):
+                try:
                     answer = children[number].answers.get(timeout=LOOK_S)
-                    if answer is None:  # the process has died: its searches begin anew here
+                except queue.Empty:
+                    continue
+                except KeyboardInterrupt as interrupt:
+                    if stop is not None:
+                        raise
+                    stop = interrupt
+                    continue
+                if answer is None:  # the process has died: its searches begin anew here
+                    if stop is None:
                         _run_here(parts[number], ask)
-                        working.discard(number)
-                    elif answer[1]:
-                        for search, ended in zip(parts[number], answer[0], strict=True):
-                            search.take(ended)
-                        working.discard(number)
-                    else:
-                        asked[number] = answer[0]
-        trials: list[Trial] | None
+                    working.discard(number)
+                elif answer[1]:
+                    for search, ended in zip(parts[number], answer[0], strict=True):
+                        search.take(ended)
+                    working.discard(number)
+                else:
+                    asked[number] = answer[0]
+        trials: list[Trial] | None = None
         try:
-            trials = ask([one for some in asked.values() for one in some]) if asked else []
+            if stop is None:
+                trials = ask([one for some in asked.values() for one in some]) if asked else []
         except OutOfTime:
-            trials = None
+            pass
+        except KeyboardInterrupt as interrupt:
+            stop = interrupt
         begin = 0
         for number, some in asked.items():
             part = None if trials is None else trials[begin : begin + len(some)]
             children[number].tasks.put(pickle.dumps((part,)))
             begin += len(some)
+    if stop is not None:
+        raise stop
 
 
 def main() -> None:

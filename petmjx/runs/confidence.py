@@ -13,6 +13,7 @@ from typing import Any, Final
 import numpy as np
 import pandas as pd
 
+from petmjx.common.checked_records import option
 from petmjx.common.errors import InputError
 from petmjx.engines.metrics import DIMENSIONLESS
 from petmjx.engines.verdict import Flag, Verdict
@@ -102,6 +103,8 @@ def _error_sweep_fault(sweep: Sweep) -> str:
     """A line on the first thing that a file of errors may not have; empty if there is none."""
     if sweep.search is not None:
         return "[search] contradicts confidence, which asks for a share: use petmjx sweep"
+    if sweep.legs:
+        return f"legs contradict {option('--errors')}, which is about pallets at rest: use petmjx score with --chain"
     if sweep.has_drives:
         return "axes.profile contradicts confidence, which is about pallets at rest: use petmjx sweep"
     if sweep.sample is not None:

@@ -139,6 +139,13 @@ class Range(CheckedRecord, Generic[Number]):
         return tuple(round(self.low + index * step, 12) for index in range(count))
 
 
+class DrawnRange(Range[Positive]):
+    """A range of a level or a scale of a chain, from which each world draws."""
+
+    low: Positive = Field(alias="from", description="the least value that is drawn")
+    high: Positive = Field(alias="to", description="the largest value that is drawn")
+
+
 class DirectionRange(Range[Direction]):
     """A range of directions."""
 
@@ -155,7 +162,7 @@ Directions = Annotated[
 ]
 
 
-Strengths = Annotated[Annotated[Range[Positive], Tag(TABLE)] | Annotated[Positive, Tag(VALUE)], _value_or(TABLE)]
+Strengths = Annotated[Annotated[DrawnRange, Tag(TABLE)] | Annotated[Positive, Tag(VALUE)], _value_or(TABLE)]
 """A level or a scale, or a range for random draws."""
 
 

@@ -66,7 +66,11 @@ def find_sweep(name_or_path: str | Path) -> Path:
     if str(name_or_path) in files_by_name:
         return files_by_name[str(name_or_path)]
     ready_names = ", ".join(files_by_name) or "not installed"
-    raise InputError(f"{printable_name(str(name_or_path))}: no such sweep file; ready-made sweeps are {ready_names}")
+    fault = "no such sweep file"
+    with suppress(OSError, ValueError):
+        if path.exists():
+            fault = f"is {'a folder' if path.is_dir() else 'a device'}, not a sweep file"
+    raise InputError(f"{printable_name(str(name_or_path))}: {fault}; ready-made sweeps are {ready_names}")
 
 
 SAMPLES: Final = "samples"
@@ -444,9 +448,11 @@ def chain_sweep(file: str | Path, n_worlds: int | None, simulation: Mapping[str,
     Raises:
         InputError: an unusable file, or one without legs.
     """
-    sweep = load_sweep(find_sweep(file), plans_given=True, simulation=simulation)
-    if not sweep.legs:
-        raise InputError(f"{sweep.file}: has no [[legs]], which a chain needs; for other sweeps use petmjx sweep")
+    path = find_sweep(file)
+    tables = read_toml(path)
+    if not tables.get("legs"):
+        raise InputError(f"{path}: has no [[legs]], which a chain needs; for other sweeps use petmjx sweep")
+    sweep = sweep_of_tables(tables, path, plans_given=True, simulation=simulation)
     if (n_worlds or 1) > 1 and not sweep.is_random:
         raise InputError(f"{sweep.file}: confidence = {n_worlds} needs something random: no axis and no profile is")
     return sweep.model_copy(update={"nominal": True, "replicates": n_worlds or sweep.replicates})

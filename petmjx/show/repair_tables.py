@@ -17,7 +17,7 @@ MOST_STANDING: Final = 20
 
 
 def repair_tables(repairs: Repairs) -> Iterator[RenderableType]:
-    """A block of lines for each plan that did not stand, and a line about all."""
+    """A block of lines for each plan that did not stand, a line about all, and notes."""
     standing = [repaired for repaired in repairs.each if repaired.trial_before.stands]
     for repaired in repairs.each:
         if not repaired.trial_before.stands:
@@ -30,6 +30,8 @@ def repair_tables(repairs: Repairs) -> Iterator[RenderableType]:
     if standing and len(standing) < len(repairs.each):
         yield ""
     yield line(repairs.summary, style="bold")
+    for note in repairs.notes:
+        yield line(f"note: {note}", style="yellow")
 
 
 def _plan_lines(repaired: Repaired) -> Iterator[RenderableType]:

@@ -277,6 +277,12 @@ def test_chains_that_are_refused(text: str, expected: str, tmp_path: Path) -> No
 def test_a_chain_needs_legs_and_time_and_rigid_boxes(tmp_path: Path) -> None:
     with pytest.raises(InputError, match=r"has no \[\[legs\]\]"):
         petmjx.score([make_plan()], chain="friction")
+    with pytest.raises(InputError, match=r"has no \[\[legs\]\]"):
+        petmjx.score([make_plan()], chain=write_sweep(tmp_path, ""))
+    with pytest.raises(InputError, match="is a folder, not a sweep file"):
+        petmjx.score([make_plan()], chain=tmp_path)
+    with pytest.raises(InputError, match="legs contradict errors"):
+        petmjx.score([make_plan()], confidence=4, errors=write_sweep(tmp_path, legs(a=PUSH)))
     with pytest.raises(InputError, match="errors contradicts chain"):
         petmjx.score([make_plan()], chain="friction", confidence=8, errors="confidence")
     with pytest.raises(InputError, match="a…: no such sweep file"):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Callable, Generator, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -382,6 +383,19 @@ def test_searches_in_several_processes_end_as_in_one() -> None:
         ends.append([([state.changes for state in s.repairs], s.n_trials, s.before, s.complete) for s in searches])
     assert ends[0] == ends[1]
     assert all(changes for changes, *_ in ends[0])
+    searches = [Search(plan, Simulation(), RepairOptions(worlds=0)) for plan in plans]
+
+    def ask_until_stopped(asked: list[Asked]) -> list[Trial]:
+        if any(is_judged and draft.plan.plan_id == "2" for draft, is_judged in asked):
+            raise KeyboardInterrupt  # plan 0, which is in the same process, had its answer before
+        trials = zip(asked, ask(asked), strict=True)
+        return [
+            trial._replace(verdict="stable") if draft.plan.plan_id == "0" else trial for (draft, _), trial in trials
+        ]
+
+    with pytest.raises(KeyboardInterrupt):
+        run_searches(searches, ask_until_stopped, 2)
+    assert [search.complete for search in searches[::2]] == [True, False, False, False]
 
 
 def test_a_search_whose_seconds_are_spent_says_so() -> None:
@@ -391,6 +405,24 @@ def test_a_search_whose_seconds_are_spent_says_so() -> None:
     assert "the seconds for the search were spent" in result.headline
     assert not result.row()["complete"]
     assert repaired(stack(2), seconds=0.1).complete, "a plan that stands needs no search"
+
+
+def test_a_load_that_nothing_bears_has_no_weakness() -> None:
+    """One box inside another: the upper one's corner lies in the lower one, and nothing bears its load."""
+    boxes: Sequence[Box] = (((600, 400, 250), (0, 0, 0), 12), ((600, 400, 250), (100, 0, 100), 12))
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        (balance,) = balances([Draft.of(make_plan(boxes=boxes))], Simulation())
+    assert np.isfinite([balance.trouble, balance.weakness, *balance.depth_mm]).all()
+
+
+def test_notes_are_those_of_a_score() -> None:
+    """A box of 600 mm from x = 220 mm reaches through the wall of a roll container of 710 mm."""
+    plan = make_plan(boxes=(((600, 400, 250), (220, 0, 0), 12),))
+    how = {"engine": "mujoco", "threads": 1, "carrier": "rollcontainer-4"}
+    (note,) = petmjx.repair(plan, worlds=0, **how).notes
+    assert note.startswith("1 box reaches through a wall of the carrier")
+    assert note in petmjx.score(plan, **how).info["warnings"]
 
 
 # ---------------------------------------------------------------------- bad input
@@ -433,5 +465,44 @@ def test_the_command_writes_plans_and_a_page(tmp_path: Path, capsys: pytest.Capt
     assert "place box 2 before box 1" in page
     assert main(["repair", str(source), "-o", str(out), *options]) == 2
     assert "--overwrite" in capsys.readouterr().err
+    for flag, name in (("-o", "x.json"), ("--html", "x.html")):
+        assert main(["repair", str(source), flag, str(tmp_path / "no" / name)]) == 2
+        assert "is not a folder" in capsys.readouterr().err
     assert main(["repair", str(source), "--without", "moves"]) == 2
     assert capsys.readouterr().err.startswith("petmjx: --without must be of order, move")
+
+
+@pytest.mark.parametrize(("n_calls", "names"), [(0, []), (1, ["stands"]), (None, ["stands", "falls"])])
+def test_an_interrupted_repair_keeps_the_plans_that_are_done(
+    n_calls: int | None,
+    names: list[str],
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """The interrupt comes after some runs of the engine, or (None) while shares with errors are simulated."""
+    source, out = tmp_path / "plans.json", tmp_path / "repaired.json"
+    petmjx.save_plans([make_plan("stands", stack(2)), make_plan("falls", COUNTERWEIGHT)], source)
+    trials, asked = Question.trials, []
+
+    def stopped(question: Question, drafts: Sequence[Any]) -> list[Trial]:
+        if len(asked) == n_calls:
+            raise KeyboardInterrupt
+        asked.append(drafts)
+        return trials(question, drafts)
+
+    def no_shares(question: Question, plans: Sequence[Plan]) -> Any:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(Question, "trials", stopped)
+    monkeypatch.setattr(Question, "shares", no_shares)
+    assert main(["repair", str(source), "-o", str(out), "--engine", "mujoco", "--threads", "1"]) == 130
+    shown = capsys.readouterr()
+    if not names:
+        assert "no plan was done; nothing was written" in shown.err
+        assert not out.exists()
+        return
+    assert f"{len(names)} of 2 plans were searched to the end" in shown.err
+    plans = petmjx.load_plans(out).plans
+    assert [plan.plan_id for plan in plans] == names
+    assert [verdict(plan) for plan in plans] == ["stable"] * len(names)

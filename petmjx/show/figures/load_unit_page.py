@@ -17,6 +17,7 @@ from petmjx.analysis.criteria import load_tipping_g
 from petmjx.analysis.crushing import SUSTAINED
 from petmjx.analysis.plan_contacts import find_contacts
 from petmjx.common.atomic_write import atomic_write
+from petmjx.common.checked_records import option
 from petmjx.common.errors import InputError
 from petmjx.common.text import box_label, count_text, printable, printable_name
 from petmjx.common.units import MM_PER_M
@@ -60,8 +61,13 @@ def write_load_unit_pages(run: RunResults, plans: Mapping[str, Plan], path: Path
         plans: the plans of the run, by id.
 
     Raises:
-        InputError: the run is no chain, has too many plans, or none was found.
+        InputError: the run is no chain, is not complete, has too many plans, or none was found.
     """
+    if is_chain(run.info) and run.unfinished:
+        n_worlds, expected = run.info["counts"]["worlds"], count_text(run.info["expected_worlds"], "world")
+        raise InputError(
+            f"{run.path}: is not complete ({n_worlds:,} of {expected}): go on with {option('--resume', 'True')}"
+        )
     if not is_chain(run.info) or run.summary is None:
         raise InputError(f"{run.path}: a page to send is about a chain: petmjx score PLANS --chain NAME")
     rows = [row for row in arrivals(run.summary).to_dict("records") if row["plan_id"] in plans]
