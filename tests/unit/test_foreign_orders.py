@@ -555,8 +555,8 @@ def test_tables_of_petmjxs_own_names_are_read_in_silence_with_strengths_and_side
         np.testing.assert_array_equal(boxes.strength_n, [np.nan, 90.5])
         assert boxes.upright is not None
         assert boxes.upright.tolist() == [[False, False, True], [True, False, True]]
-    with pytest.warns(PlanWarning, match="1 row without an order's name: order orders"):
-        assert len(Orders(frame.assign(order_id=["a", None])).some(0)) == 2
+    with pytest.warns(PlanWarning, match="order_id filled down"):
+        assert len(Orders(frame.assign(order_id=["a", None])).some(0)) == 1
     (boxes,) = Orders(pd.DataFrame(dict(zip(BOXES, np.outer([1, 1, 1, 1], [600, 200, 400]), strict=True)))).some(0)
     assert len(boxes) == 3, "the last box is no row of means"
     frame.assign(x_mm=[0, 600], y_mm=0, z_mm=[0, 1]).to_csv(tmp_path / "placed.csv", index=False)
