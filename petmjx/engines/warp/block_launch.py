@@ -245,36 +245,48 @@ class Launch:
         return self.blocks * self.worlds
 
     @property
+    def traits(self) -> tuple[bool, bool, bool, bool]:
+        """The features of the kernel, as arguments of :meth:`of`."""
+        return self.hands, self.gives, self.wraps, self.lands
+
+    @property
     def tile_words(self) -> int:
         """Size of the tile in a block's shared memory, in numbers of four bytes; 0: no tile."""
         newton_words = newton.own_bytes(self.panels, self.worlds) // 4 if self.worlds > 1 else 0
         return self.worlds * (self.shared_words + newton_words)
 
     @classmethod
-    def here(cls, n_boxes: int, hands: bool = False, gives: bool = False, wraps: bool = False) -> Launch:
+    def here(
+        cls, n_boxes: int, hands: bool = False, gives: bool = False, wraps: bool = False, lands: bool = False
+    ) -> Launch:
         """The launch for worlds of up to ``n_boxes`` boxes on Warp's current device. On a CPU a block is one thread,
         and one kernel serves all sizes."""
-        return cls.of(size_for(n_boxes), hands, gives, wraps)
+        return cls.of(size_for(n_boxes), hands, gives, wraps, lands)
 
     @classmethod
-    def of(cls, size: Size, hands: bool = False, gives: bool = False, wraps: bool = False) -> Launch:
+    def of(
+        cls, size: Size, hands: bool = False, gives: bool = False, wraps: bool = False, lands: bool = False
+    ) -> Launch:
         """The launch for blocks of this size. Blocks have fewer worlds if a GPU's shared memory is too small."""
         device = wp.get_device()
         if not device.is_cuda:
-            return cls(1, 1, 1, 0, most_panels(MAX_BOXES), hands, gives, wraps)
+            return cls(1, 1, 1, 0, most_panels(MAX_BOXES), hands, gives, wraps, lands=lands)
         panels = most_panels(size.most_boxes)
         newton_bytes = newton.own_bytes(panels, size.worlds)
         most = device.max_shared_memory_per_block // size.per_sm - newton.DRIVER_BYTES
-        traits = hands, gives, wraps
         if size.worlds > 1:
             room = most - TILE_BYTES * size.threads - size.worlds * newton_bytes
             if room < 0:
-                return cls.of(replace(size, threads=size.threads // 2, worlds=size.worlds // 2), *traits)
+                return cls.of(
+                    replace(size, threads=size.threads // 2, worlds=size.worlds // 2), hands, gives, wraps, lands
+                )
             words = min(size.shared_bytes, room) // size.worlds // (4 * PANEL**2) * PANEL**2
         else:
             words = min(size.shared_bytes, most - newton_bytes) // 4
         blocks = size.per_sm * device.sm_count
-        return cls(blocks, size.threads, size.per_sm, words, panels, *traits, size.worlds, size.pause_after)
+        return cls(
+            blocks, size.threads, size.per_sm, words, panels, hands, gives, wraps, size.worlds, size.pause_after, lands
+        )
 
 
 @functools.cache

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import replace
 
 import numpy as np
 
@@ -70,8 +69,8 @@ class BlockPools:
     def _of_size(self, run: Run, size: int, boards: int) -> BlockPool:
         """The largest block pool for worlds of a size whose carriers have ``boards`` shapes."""
         n_boxes = run.needs.widths[size]
-        launch = Launch.here(n_boxes, run.needs.hands, run.needs.gives, run.needs.wraps)
-        launch = replace(launch, lands=run.sim.physics.has_landings)
+        needs = run.needs
+        launch = Launch.here(n_boxes, needs.hands, needs.gives, needs.wraps, run.sim.physics.has_landings)
         shapes = self._boxes_of_room(run, size) + boards - 1
         return BlockPool(
             launch, self._blocks(launch), n_boxes, boards, PAIRS_PER_BOX * shapes, CONTACTS_PER_BOX * shapes

@@ -127,7 +127,7 @@ def _block_pool(
     sim: Simulation, blocks: Callable[[Launch], int], width: int, k: int, boards: int, worlds: int, growth: int
 ) -> BlockPool:
     """The block pool for worlds of k boxes. If there are enough worlds, a block has many of them, a warp each."""
-    launch = replace(Launch.here(width), lands=sim.physics.has_landings)
+    launch = Launch.here(width, lands=sim.physics.has_landings)
     shapes = growth * (width + MORE_BOXES) + boards - 1
     pool = BlockPool(launch, blocks(launch), width, boards, PAIRS_PER_BOX * shapes, CONTACTS_PER_BOX * shapes)
     few = small_world_pool(pool, worlds) if k <= FEW_BOXES.most_boxes else None

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from typing import Final, NamedTuple
 
 import jax
@@ -79,7 +78,7 @@ class Simulator:
         threads: int | None = None,
         traits: Traits = ALL_TRAITS,
     ) -> None:
-        launch = replace(Launch.here(most_boxes, *traits), lands=sim.physics.has_landings)
+        launch = Launch.here(most_boxes, *traits, lands=sim.physics.has_landings)
         shapes = room * (most_boxes + MORE_BOXES) + boards - 1
         pairs, contacts = PAIRS_PER_BOX * shapes, CONTACTS_PER_BOX * shapes
         pool = BlockPool(launch, threads or launch.blocks, most_boxes, boards, pairs, contacts)

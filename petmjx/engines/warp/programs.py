@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import functools
 import time
-from dataclasses import replace
 from threading import Lock
 from typing import Any
 
@@ -178,7 +177,7 @@ def load_usual_kernels(sim: Simulation) -> None:
         return
     hands, lands = not sim.placing.appears, sim.physics.has_landings
     with _COMPILING:
-        load_kernels([replace(Launch.of(size, hands), lands=lands) for size in USUAL])
+        load_kernels([Launch.of(size, hands, lands=lands) for size in USUAL])
 
 
 MOST_KEPT = 16

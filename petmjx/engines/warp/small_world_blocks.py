@@ -29,7 +29,7 @@ def small_world_pool(pool: BlockPool, worlds: int, lanes: int | None = None) -> 
         lanes: most worlds in blocks of one kind; None: as many as the device has room for.
     """
     one = pool.launch
-    launch = replace(Launch.of(FEW_BOXES, one.hands, one.gives, one.wraps), lands=one.lands)
+    launch = Launch.of(FEW_BOXES, *one.traits)
     blocks = min((lanes or launch.lanes) // launch.worlds, launch.blocks)
     of_all = blocks * launch.worlds
     if launch.worlds == 1 or one.threads != size_for(1).threads or not 0 < ENOUGH_SHARE * of_all <= worlds:

@@ -40,7 +40,7 @@ def tail_pool(pool: BlockPool, lanes: int | None = None) -> BlockPool | None:
     one = pool.launch
     if one.per_sm == 1:
         return None
-    launch = replace(Launch.of(LAST, one.hands, one.gives, one.wraps), lands=one.lands)
+    launch = Launch.of(LAST, *one.traits)
     return replace(pool, launch=launch, blocks=min(lanes or launch.blocks, launch.blocks), last=True)
 
 
