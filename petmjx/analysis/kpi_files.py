@@ -115,5 +115,6 @@ def _is_our_workbook(file: Path) -> bool:
     try:
         with zipfile.ZipFile(file) as parts, parts.open("docProps/core.xml") as properties:
             return f">{_CREATOR}<".encode() in properties.read(_MOST_PROPERTIES)
+    # all errors of a file that is no zip file, is encrypted, or is packed in another way: then it is not ours
     except (OSError, ValueError, KeyError, zipfile.BadZipFile, NotImplementedError, RuntimeError):
         return False

@@ -146,8 +146,7 @@ class Labeller:
         running: dict[int, Episode] = {}
         waiting: deque[Episode] = deque()  # episodes in order; the first ones are yielded when they are over
         begun = made = given = barren = 0
-        while running or (made < count and barren < 2 * self.orders.count):
-            goes_on = made < count and barren < 2 * self.orders.count
+        while (goes_on := made < count and barren < 2 * self.orders.count) or running:
             for row in range(len(self.pallets)):
                 if row not in running and goes_on:
                     running[row] = self._begun(begun)

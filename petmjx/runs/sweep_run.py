@@ -9,7 +9,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from functools import cached_property
+from functools import cached_property, partial
 from itertools import chain
 from typing import Any
 
@@ -46,8 +46,8 @@ class Batching:
             dropped.
         placements: largest number of stored settled states. A state with 43 boxes takes 10 to 20 KB.
         worlds: largest number of variants forked from stored states (a single placement may have more).
-        drives: largest number of forked worlds in one call of the engine. In a search these are the first tests of all
-            items, in a chain a leg of all worlds.
+        drives: largest number of forked worlds in one call of the engine, where they are not the drives of a grid. In a
+            search these are the first tests of all items, in a chain a leg of all worlds.
         histories: largest number of settled states stored with their histories. A history with 43 boxes takes 1 MB.
     """
 
@@ -193,6 +193,13 @@ class _LegWorld(World):
     @property
     def leg(self) -> LegSpec:
         return self.begin.changes[0].legs[self.begin.number]
+
+
+def _drained(worlds: list[_DriveWorld]) -> list[_DriveWorld]:
+    """The worlds of a list, which is emptied."""
+    drained = worlds.copy()
+    worlds.clear()
+    return drained
 
 
 @dataclass(eq=False)
@@ -391,12 +398,7 @@ class SweepRun:
         begin = time.perf_counter()
         n_settled = 0
         ready_drives: list[_DriveWorld] = []
-
-        def following() -> list[_DriveWorld]:
-            drives = ready_drives.copy()
-            ready_drives.clear()
-            return drives
-
+        following = partial(_drained, ready_drives)
         worlds: Iterator[_PlacementWorld | _DriveWorld] = self._placements(groups, keep_state=True)
         for result in self._score(worlds, self.batching.drives, forks=True, following=following):
             if isinstance(result.world, _DriveWorld):
@@ -549,21 +551,15 @@ class SweepRun:
                 tested.update((test, now[test]) for test in bisection.bounds(which) if test in now)
             return []
 
-        next_ones: list[_DriveWorld] = []
-
-        def following() -> list[_DriveWorld]:
-            drives = next_ones.copy()
-            next_ones.clear()
-            return drives
-
+        ready_drives: list[_DriveWorld] = []
         # a list, since the thread of a source must not search
         first = [drive for which in range(len(searches)) for drive in next_drives(which)]
-        for test, world in self._drive(first, following):
+        for test, world in self._drive(first, partial(_drained, ready_drives)):
             which, _ = test
             tested[test] = Probe.of(world.outcome, tilt_deg, self.values_of(world))
             missing[which].remove(test)
             if not missing[which]:
-                next_ones += next_drives(which)
+                ready_drives += next_drives(which)
             yield world
         self._answer([(start.group, number) for start, number in searches], bisection, tested)
 

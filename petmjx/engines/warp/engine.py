@@ -140,7 +140,7 @@ class MjxWarpEngine(Engine):
                     number = outcome.job if outcome is not None else None  # None: a pause
                     yield outcome
                     if number is not None:  # whoever takes outcomes has put the jobs that follow
-                        source.taken(number)
+                        source.answered(number)
             except Exception as error:
                 if not is_out_of_memory(error):
                     raise

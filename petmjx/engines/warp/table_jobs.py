@@ -128,8 +128,8 @@ class TableJobs:
         """Wait for a moment until a job follows from an outcome. Returns whether jobs may still follow."""
         return self._stream.wait_for_following(self.in_flight)
 
-    def taken(self, number: int) -> None:
-        """The outcome of a job has been taken."""
+    def answered(self, number: int) -> None:
+        """The outcome of a job has been taken, and the jobs that follow from it have been put."""
         del self.in_flight[number]
         self._stream.wake()
 
