@@ -161,8 +161,8 @@ def _all_edges(
     bearing = bearings_of(scenes, at_rest, pos)
     _, *edges = loads_and_edges(bearing, [*placed, *(scene.n_boxes for scene in at_rest)])
     n_built = [scene.n_boxes if is_built else 0 for scene, is_built in zip(scenes, are_built, strict=True)]
-    built = building_edges(bearing, n_built + [0] * len(at_rest))
-    return bearing.boxes.first.tolist(), Edges(*edges), built[: len(planned)]
+    built = building_edges(bearing.of_first(len(planned)), n_built)
+    return bearing.boxes.first.tolist(), Edges(*edges), built
 
 
 def _least_edge(edge_m: FloatArray, place: int | None, first: int) -> tuple[float, int]:

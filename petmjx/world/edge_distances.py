@@ -120,12 +120,7 @@ def below_several(bearing: Bearing, among: NDArray[np.bool_]) -> NDArray[np.bool
     Args:
         among: (n,) the boxes that count.
     """
-    several = among & (bearing.n_supports > 1)
-    below = np.zeros(len(among), bool)
-    for between in bearing.levels:
-        upper, lower = bearing.upper[between], bearing.lower[between]
-        np.logical_or.at(below, lower, below[upper] | several[upper])
-    return below
+    return bearing.all_below(among & (bearing.n_supports > 1))
 
 
 MOST_PROGRAMMES: Final = 2
@@ -179,8 +174,10 @@ def building_edges(bearing: Bearing, placed: Sequence[int]) -> list[LeastBuildin
     Args:
         placed: number of placed boxes of each scene.
     """
-    bearing = bearing_in_order(bearing)
     n_scenes = len(bearing.boxes.first) - 1
+    if not any(placed):
+        return [_NO_EDGE] * n_scenes
+    bearing = bearing_in_order(bearing)
     built = building_loads_of(bearing, placed)
     beyond, depends = built.edge_m < 0, depends_on_sharing(bearing, built)
     scene = np.searchsorted(bearing.boxes.first, built.box, side="right") - 1
@@ -240,6 +237,36 @@ def _parts(bearing: Bearing, among: NDArray[np.bool_]) -> tuple[IntArray, IntArr
     """(p,) and (p,) sorted pairs of a box and a box whose weight it bears in part, itself included, and (p, 3) the
     parts."""
     n, boxes = len(among), np.flatnonzero(among)
+    alone = bearing.n_supports == 1
+    below = np.full(n, CARRIER)
+    below[alone] = bearing.lower[bearing.ends[:-1][alone]]
+    # down to the carrier or to the first box with several supports, weights stay whole
+    pairs, box, step = [(boxes[:0], boxes[:0])], boxes, boxes
+    while len(box):
+        pairs.append((box, step))
+        under = below[box]
+        goes_on = np.flatnonzero(under != CARRIER)
+        box, step = under[goes_on], step[goes_on]
+    box, step = (np.concatenate(numbers) for numbers in zip(*pairs, strict=True))
+    weights = bearing.weights[:, :3] + 0.0  # no negative zeros, as in sums
+    several = bearing.n_supports[box] > 1
+    keys, parts = _shared_parts(bearing, box[several] * n + step[several], weights[step[several]])
+    box, step = np.concatenate([box[~several], keys // n]), np.concatenate([step[~several], keys % n])
+    order = np.argsort(box * n + step)
+    box, step, whole = box[order], step[order], order < len(order) - len(keys)
+    part = weights[step]
+    part[~whole] = parts[order[~whole] - (len(order) - len(keys))]
+    return box, step, part
+
+
+def _shared_parts(bearing: Bearing, keys: IntArray, parts: FloatArray) -> tuple[IntArray, FloatArray]:
+    """The parts of weights at boxes with several supports and at all boxes that they reach further below: (k,) number
+    of the box · n + number of the box whose weight it is, and (k, 3) the parts.
+
+    Args:
+        keys, parts: the same for weights that reach the boxes with several supports whole.
+    """
+    n = len(bearing.boxes.mass)
     between = np.flatnonzero(bearing.lower != CARRIER)
     count = np.bincount(bearing.upper[between], minlength=n)
     first = np.cumsum(count) - count
@@ -252,8 +279,8 @@ def _parts(bearing: Bearing, among: NDArray[np.bool_]) -> tuple[IntArray, IntArr
             in_level = level == number
             waiting[number].append((key[in_level], part[in_level]))
 
-    wait(boxes * n + boxes, bearing.weights[boxes, :3])
-    finished_parts = []
+    wait(keys, parts)
+    finished_parts = [(keys[:0], parts[:0])]
     for level in waiting:
         if not level:
             continue
@@ -268,18 +295,20 @@ def _parts(bearing: Bearing, among: NDArray[np.bool_]) -> tuple[IntArray, IntArr
         if len(rows):
             passed = np.einsum("cij,cj->ci", bearing.shares[contact], part[rows])
             wait(bearing.lower[contact] * n + key[rows] % n, passed)
-    all_keys = np.concatenate([boxes[:0], *(key for key, _ in finished_parts)])
-    order = np.argsort(all_keys)
-    sums: FloatArray = np.concatenate([np.zeros((0, 3)), *(part for _, part in finished_parts)])[order]
-    return all_keys[order] // n, all_keys[order] % n, sums
+    all_keys, all_parts = (np.concatenate(arrays) for arrays in zip(*finished_parts, strict=True))
+    return all_keys, all_parts
 
 
 def _running_sums(part: FloatArray, begins: IntArray) -> FloatArray:
     """(p, 3) running sums over the pairs of each box."""
     sums, count = part.copy(), np.diff(begins)
-    for k in range(1, int(count.max(initial=0))):  # box by box, so that sums do not depend on other boxes
-        later = begins[:-1][count > k] + k
-        sums[later] += sums[later - 1]
+    longest = np.argsort(-count, kind="stable")
+    place = begins[:-1][longest]
+    still = np.searchsorted(-count[longest], -np.arange(int(count.max(initial=0)))).tolist()
+    for boxes in still[1:]:  # box by box, so that sums do not depend on other boxes
+        before = place[:boxes]
+        place = before + 1
+        sums[place] += sums[before]
     return sums
 
 
@@ -296,8 +325,7 @@ def _without_pulls(bearing: Bearing, begins: IntArray, step: IntArray, load: Flo
     pulled[bearing.upper[contact[pulls(force, bearing.low[contact], bearing.high[contact], load[pair, 0])]]] = True
     if not pulled.any():
         return
-    for between in bearing.levels:
-        np.logical_or.at(pulled, bearing.lower[between], pulled[bearing.upper[between]])
+    pulled |= bearing.all_below(pulled)
     count, n = np.diff(begins), len(pulled)
     above = np.argsort(bearing.lower, kind="stable")
     n_above = np.bincount(bearing.lower[bearing.lower != CARRIER], minlength=n)

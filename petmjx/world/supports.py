@@ -149,11 +149,14 @@ class Bearing:
         x, y and z, kg·m. 0 for the other boxes."""
         load = self.weights
         load[~self.boxes.among(placed)] = 0.0
-        for level, between in enumerate(self.levels):
-            upper, lower = self.upper[between], self.lower[between]
-            passed = self.forces(load, self.borne_together[level])[between]
-            height = load[upper, 3] / np.where(load[upper, 0] > 0, load[upper, 0], 1.0)
-            np.add.at(load, lower, np.c_[passed, passed[:, 0] * height])
+        for between, together in zip(self.levels, self.borne_together, strict=True):
+            passed = load[self.upper[between]]
+            height = passed[:, 3] / np.where(passed[:, 0] > 0, passed[:, 0], 1.0)
+            if len(together):
+                shared = np.flatnonzero(self.n_supports[self.upper[between]] > 1)
+                passed[shared, :3] = self.forces(load, together)[np.searchsorted(together, between[shared])]
+            passed[:, 3] = passed[:, 0] * height
+            np.add.at(load, self.lower[between], passed)
         return load
 
     @property
@@ -165,25 +168,22 @@ class Bearing:
         return weights
 
     def forces(self, load: FloatArray, together: IntArray) -> FloatArray:
-        """(c, 3) force and first moments along x and y with which the loaded upper box presses on each contact.
+        """(k, 3) force and first moments along x and y with which loaded boxes with several supports press on them.
 
-        The units are those of ``load``. A box on one support presses on it with its load.
+        The units are those of ``load``.
 
         Args:
             load: (n, 3) or more columns.
-            together: the contacts of boxes with several supports to compute. Forces at other contacts of such boxes
-                have no meaning.
+            together: (k,) all contacts of these boxes, in order.
         """
-        force = load[self.upper, :3]
-        if not len(together):
-            return force
         upper, low, high = self.upper[together], self.low[together], self.high[together]
-        force[together] = np.einsum("cij,cj->ci", self.shares[together], load[upper, :3])
-        pulled = np.unique(upper[pulls(force[together], low, high, load[upper, 0])])
+        under = load[upper, :3]
+        force: FloatArray = np.einsum("cij,cj->ci", self.shares[together], under)
+        pulled = np.unique(upper[pulls(force, low, high, under[:, 0])])
         if len(pulled):
-            contacts = together[np.isin(upper, pulled)]
-            owner = np.searchsorted(pulled, self.upper[contacts])
-            force[contacts] = self.pushed(load[pulled, :3], pulled, owner, self.low[contacts], self.high[contacts])
+            chosen = np.flatnonzero(np.isin(upper, pulled))
+            owner = np.searchsorted(pulled, upper[chosen])
+            force[chosen] = self.pushed(load[pulled, :3], pulled, owner, low[chosen], high[chosen])
         return force
 
     def pushed(
@@ -216,25 +216,33 @@ class Bearing:
 
     def inside_m(self, box: IntArray, point: FloatArray) -> FloatArray:
         """(p,) distance of (p, 2) points from the nearest edge of the supports of (p,) boxes, as ``edges_m``."""
-        distance_m = np.full(len(box), np.nan)
-        alone = np.flatnonzero(self.n_supports[box] == 1)
-        contact, held = self.ends[box[alone]], self.boxes.held[box[alone]]
-        low, high = self.low[contact], self.high[contact]
-        if held.any():
-            low, high = low - held[:, 0], high + held[:, 1]
-        nearer = np.minimum(point[alone] - low, high - point[alone])
-        distance_m[alone] = np.minimum(nearer[:, 0], nearer[:, 1])  # ``min(axis=1)`` of two columns takes long
+        low, high = self.rectangles
+        nearer = np.minimum(point - low[box], high[box] - point)
+        distance_m: FloatArray = np.minimum(nearer[:, 0], nearer[:, 1])  # ``min(axis=1)`` of two columns takes long
         several = np.flatnonzero(self.n_supports[box] > 1)
         if len(several):
-            hull, held = self.number_of_hull[box[several]], self.boxes.held[box[several]]
+            hull = self.number_of_hull[box[several]]
             wider: FloatArray | float = 0.0
-            if held.any():
+            if self.boxes.held.any():
+                held = self.boxes.held[box[several]]
                 outward = -self.hulls.normal[hull]
                 wider = (np.maximum(outward, 0.0) * held[:, None, 1] - np.minimum(outward, 0.0) * held[:, None, 0]).sum(
                     axis=2
                 )
             distance_m[several] = (self.hulls.distances_m(hull, point[several]) + wider).min(axis=1, initial=np.inf)
         return distance_m
+
+    @cached_property
+    def rectangles(self) -> tuple[FloatArray, FloatArray]:
+        """(n, 2) each: low and high corners of what bears boxes that have one support, as far as walls hold them, m;
+        NaN for other boxes."""
+        low, high = np.full((len(self.boxes.mass), 2), np.nan), np.full((len(self.boxes.mass), 2), np.nan)
+        alone = np.flatnonzero(self.n_supports == 1)
+        contact = self.ends[alone]
+        low[alone], high[alone] = self.low[contact], self.high[contact]
+        if self.boxes.held.any():
+            low, high = low - self.boxes.held[:, 0], high + self.boxes.held[:, 1]
+        return low, high
 
     @cached_property
     def hulls(self) -> HullTable:
@@ -250,6 +258,23 @@ class Bearing:
         hulls = slice(before, before + count)
         vars(one)["hulls"] = HullTable(self.hulls.normal[hulls], self.hulls.offset[hulls])
         return one
+
+    def of_first(self, count: int) -> Bearing:
+        """The bearing of the first scenes alone. It has its part of these hulls, shares and levels."""
+        end = int(self.boxes.first[count])
+        contacts = int(self.ends[end])
+        values = (getattr(self.boxes, field.name) for field in fields(self.boxes) if field.name != "first")
+        first = Bearing(
+            Boxes(self.boxes.first[: count + 1], *(value[:end] for value in values)),
+            *(getattr(self, name)[:contacts] for name in ("upper", "lower", "low", "high")),
+        )
+        hulls = slice(int(np.count_nonzero(self.n_supports[:end] > 1)))
+        vars(first).update(
+            hulls=HullTable(self.hulls.normal[hulls], self.hulls.offset[hulls]),
+            shares=self.shares[:contacts],
+            level=self.level[:end],
+        )
+        return first
 
     def of_scenes(self, numbers: IntArray) -> Bearing:
         """The bearing of some of the scenes, in this order."""
@@ -311,15 +336,28 @@ class Bearing:
         order = np.argsort(level, kind="stable")
         return np.split(between[order], np.flatnonzero(np.diff(level[order])) + 1) if len(order) else []
 
+    def all_below(self, boxes: NDArray[np.bool_]) -> NDArray[np.bool_]:
+        """(n,) which boxes bear one of these (n,) boxes, directly or through others."""
+        below = np.zeros(len(boxes), bool)
+        new = np.flatnonzero(boxes)
+        while len(new):
+            lower = self.lower[spans(self.n_supports, new)]
+            lower = lower[lower != CARRIER]
+            new = np.unique(lower[~below[lower]])
+            below[new] = True
+        return below
+
     @cached_property
     def borne_together(self) -> list[IntArray]:
         """For each group of ``levels`` the contacts of its boxes with several supports, those with the carrier
         included."""
         groups = []
+        together = np.flatnonzero((self.n_supports > 1)[self.upper])
+        upper = self.upper[together]
         for between in self.levels:
             chosen = np.zeros(len(self.boxes.mass), bool)
             chosen[self.upper[between]] = True
-            groups.append(np.flatnonzero((chosen & (self.n_supports > 1))[self.upper]))
+            groups.append(together[chosen[upper]])
         return groups
 
     @cached_property
