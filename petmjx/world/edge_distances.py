@@ -28,7 +28,7 @@ from petmjx.world.balance_programme import BEYOND_M, balanced_loads
 from petmjx.world.history import CARRIER
 from petmjx.world.load_sharing import IntArray, pulls
 from petmjx.world.scene import Scene
-from petmjx.world.supports import Bearing, bearing_of, spans
+from petmjx.world.supports import Bearing, add_rows, bearing_of, spans
 
 ROUNDING_M: Final = 1e-9
 """A load beyond an edge by less than this lies on the edge: rounding errors of sums of millimetres."""
@@ -248,14 +248,14 @@ def _parts(bearing: Bearing, among: NDArray[np.bool_]) -> tuple[IntArray, IntArr
         goes_on = np.flatnonzero(under != CARRIER)
         box, step = under[goes_on], step[goes_on]
     box, step = (np.concatenate(numbers) for numbers in zip(*pairs, strict=True))
-    weights = bearing.weights[:, :3] + 0.0  # no negative zeros, as in sums
+    weights = (bearing.weights + 0.0)[:, :3].copy()  # no negative zeros, as in sums
     several = bearing.n_supports[box] > 1
-    keys, parts = _shared_parts(bearing, box[several] * n + step[several], weights[step[several]])
+    keys, parts = _shared_parts(bearing, box[several] * n + step[several], weights.take(step[several], axis=0))
     box, step = np.concatenate([box[~several], keys // n]), np.concatenate([step[~several], keys % n])
     order = np.argsort(box * n + step)
     box, step, whole = box[order], step[order], order < len(order) - len(keys)
-    part = weights[step]
-    part[~whole] = parts[order[~whole] - (len(order) - len(keys))]
+    part = weights.take(step, axis=0)
+    part[~whole] = parts.take(order[~whole] - (len(order) - len(keys)), axis=0)
     return box, step, part
 
 
@@ -293,10 +293,21 @@ def _shared_parts(bearing: Bearing, keys: IntArray, parts: FloatArray) -> tuple[
         rows = np.repeat(np.arange(len(key)), times)
         contact = between[first[upper[rows]] + np.arange(len(rows)) - np.repeat(np.cumsum(times) - times, times)]
         if len(rows):
-            passed = np.einsum("cij,cj->ci", bearing.shares[contact], part[rows])
-            wait(bearing.lower[contact] * n + key[rows] % n, passed)
+            wait(bearing.lower[contact] * n + key[rows] % n, _passed(bearing, contact, part.take(rows, axis=0)))
     all_keys, all_parts = (np.concatenate(arrays) for arrays in zip(*finished_parts, strict=True))
     return all_keys, all_parts
+
+
+def _passed(bearing: Bearing, contact: IntArray, load: FloatArray) -> FloatArray:
+    """(k, 3) the parts of loads that reach (k,) contacts. Boxes on one support pass them on whole.
+
+    Args:
+        load: (k, 3) load of the upper box of each contact.
+    """
+    passed = load + 0.0  # no negative zeros, as in sums
+    several = np.flatnonzero(bearing.n_supports.take(bearing.upper.take(contact)) > 1)
+    passed[several] = bearing.shared(contact[several], load.take(several, axis=0))
+    return passed
 
 
 def _running_sums(part: FloatArray, begins: IntArray) -> FloatArray:
@@ -308,7 +319,7 @@ def _running_sums(part: FloatArray, begins: IntArray) -> FloatArray:
     for boxes in still[1:]:  # box by box, so that sums do not depend on other boxes
         before = place[:boxes]
         place = before + 1
-        sums[place] += sums[before]
+        sums[place] = sums.take(place, axis=0) + sums.take(before, axis=0)
     return sums
 
 
@@ -320,9 +331,11 @@ def _without_pulls(bearing: Bearing, begins: IntArray, step: IntArray, load: Flo
     pair = np.arange(times.sum()) - np.repeat(np.cumsum(times) - times, times)
     contact = np.repeat(contacts, times)
     pair += begins[bearing.upper[contact]]
-    force = np.einsum("cij,cj->ci", bearing.shares[contact], load[pair])
+    under = load.take(pair, axis=0)
+    force = bearing.shared(contact, under)
+    low, high = bearing.low.take(contact, axis=0), bearing.high.take(contact, axis=0)
     pulled = np.zeros(len(bearing.boxes.mass), bool)
-    pulled[bearing.upper[contact[pulls(force, bearing.low[contact], bearing.high[contact], load[pair, 0])]]] = True
+    pulled[bearing.upper[contact[pulls(force, low, high, under[:, 0])]]] = True
     if not pulled.any():
         return
     pulled |= bearing.all_below(pulled)
@@ -334,7 +347,7 @@ def _without_pulls(bearing: Bearing, begins: IntArray, step: IntArray, load: Flo
     # forces at the contacts of corrected boxes: one force for each load of the box
     size = np.where(pulled[bearing.upper], count[bearing.upper], 0)
     first, forces = np.cumsum(size) - size, np.zeros((size.sum(), 3))
-    weights, boxes = bearing.weights[:, :3], np.flatnonzero(pulled)
+    weights, boxes = bearing.weights[:, :3].copy(), np.flatnonzero(pulled)
     level = bearing.level[boxes]
     for number in np.unique(level).tolist():
         some = boxes[level == number]
@@ -346,13 +359,13 @@ def _without_pulls(bearing: Bearing, begins: IntArray, step: IntArray, load: Flo
         rows, contact, upper, last = rows[placed], contact[placed], upper[placed], last[placed]
         through = pulled[upper]
         passed = np.zeros((len(rows), 3))
-        passed[through] = forces[(first[contact] + last - begins[upper])[through]]
-        passed[~through] = np.einsum("cij,cj->ci", bearing.shares[contact[~through]], load[last[~through]])
-        load[pairs] = np.where((step[pairs] >= owner)[:, None], weights[owner], 0.0)
-        np.add.at(load, pairs[rows], passed)
+        passed[through] = forces.take((first[contact] + last - begins[upper])[through], axis=0)
+        passed[~through] = _passed(bearing, contact[~through], load.take(last[~through], axis=0))
+        load[pairs] = np.where((step[pairs] >= owner)[:, None], weights.take(owner, axis=0), 0.0)
+        add_rows(load, pairs[rows], passed)
         rows, contact = np.repeat(np.arange(len(pairs)), bearing.n_supports[owner]), spans(bearing.n_supports, owner)
         place = first[contact] + (pairs - begins[owner])[rows]
-        forces[place] = _contact_pushes(bearing, owner, load[pairs], rows, contact)
+        forces[place] = _contact_pushes(bearing, owner, load.take(pairs, axis=0), rows, contact)
 
 
 def _contact_pushes(
@@ -366,15 +379,19 @@ def _contact_pushes(
         rows: (k,) number of the load that presses at each contact.
         contact: (k,) the contacts: all of each load's box.
     """
-    under, several = load[rows], (bearing.n_supports[owner] > 1)[rows]
-    force = np.where(several[:, None], np.einsum("cij,cj->ci", bearing.shares[contact], under), under)
-    low, high = bearing.low[contact], bearing.high[contact]
+    force = load.take(rows, axis=0)
+    several = np.flatnonzero((bearing.n_supports[owner] > 1)[rows])
+    rows, contact, under = rows[several], contact[several], force.take(several, axis=0)
+    shared = bearing.shared(contact, under)
+    low, high = bearing.low.take(contact, axis=0), bearing.high.take(contact, axis=0)
     pulled = np.zeros(len(owner), bool)
-    pulled[rows[several & pulls(force, low, high, under[:, 0])]] = True
+    pulled[rows[pulls(shared, low, high, under[:, 0])]] = True
     if pulled.any():
-        pulled_rows = pulled[rows]
-        number = (np.cumsum(pulled) - 1)[rows[pulled_rows]]
-        force[pulled_rows] = bearing.pushed(load[pulled], owner[pulled], number, low[pulled_rows], high[pulled_rows])
+        of_pulled = np.flatnonzero(pulled[rows])
+        number = (np.cumsum(pulled) - 1)[rows[of_pulled]]
+        low, high = low.take(of_pulled, axis=0), high.take(of_pulled, axis=0)
+        shared[of_pulled] = bearing.pushed(load[pulled], owner[pulled], number, low, high)
+    force[several] = shared
     return force
 
 

@@ -9,7 +9,7 @@ and moments. If springs would pull, supports push with the least energy (petmjx.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, fields, replace
 from functools import cached_property, lru_cache
 from typing import Final
@@ -86,7 +86,7 @@ class Boxes:
         rows = spans(counts, numbers)
         first = np.concatenate([[0], np.cumsum(counts[numbers])])
         names = [field.name for field in fields(self) if field.name != "first"]
-        return Boxes(first, *(getattr(self, name)[rows] for name in names)), rows
+        return Boxes(first, *(getattr(self, name).take(rows, axis=0) for name in names)), rows
 
     @cached_property
     def bottom(self) -> FloatArray:
@@ -150,13 +150,14 @@ class Bearing:
         load = self.weights
         load[~self.boxes.among(placed)] = 0.0
         for between, together in zip(self.levels, self.borne_together, strict=True):
-            passed = load[self.upper[between]]
+            upper, lower = self.upper.take(between), self.lower.take(between)
+            passed = load.take(upper, axis=0)
             height = passed[:, 3] / np.where(passed[:, 0] > 0, passed[:, 0], 1.0)
             if len(together):
-                shared = np.flatnonzero(self.n_supports[self.upper[between]] > 1)
+                shared = np.flatnonzero(self.n_supports.take(upper) > 1)
                 passed[shared, :3] = self.forces(load, together)[np.searchsorted(together, between[shared])]
             passed[:, 3] = passed[:, 0] * height
-            np.add.at(load, self.lower[between], passed)
+            add_rows(load, lower, passed)
         return load
 
     @property
@@ -176,15 +177,26 @@ class Bearing:
             load: (n, 3) or more columns.
             together: (k,) all contacts of these boxes, in order.
         """
-        upper, low, high = self.upper[together], self.low[together], self.high[together]
-        under = load[upper, :3]
-        force: FloatArray = np.einsum("cij,cj->ci", self.shares[together], under)
+        upper, low, high = self.upper[together], self.low.take(together, axis=0), self.high.take(together, axis=0)
+        under = load.take(upper, axis=0)[:, :3]
+        force = self.shared(together, under)
         pulled = np.unique(upper[pulls(force, low, high, under[:, 0])])
         if len(pulled):
             chosen = np.flatnonzero(np.isin(upper, pulled))
             owner = np.searchsorted(pulled, upper[chosen])
-            force[chosen] = self.pushed(load[pulled, :3], pulled, owner, low[chosen], high[chosen])
+            under = load.take(pulled, axis=0)[:, :3]
+            force[chosen] = self.pushed(under, pulled, owner, low.take(chosen, axis=0), high.take(chosen, axis=0))
         return force
+
+    def shared(self, contact: IntArray, load: FloatArray) -> FloatArray:
+        """(k, 3) the parts of loads that reach (k,) contacts of boxes with several supports, by equal springs.
+
+        Args:
+            load: (k, 3) load of the upper box of each contact.
+        """
+        number = np.searchsorted(self.together, contact)
+        part: FloatArray = np.einsum("cij,cj->ci", self.shares.take(number, axis=0), load)
+        return part
 
     def pushed(
         self, load: FloatArray, boxes: IntArray, owner: IntArray, low: FloatArray, high: FloatArray
@@ -200,8 +212,9 @@ class Bearing:
         within = self.hulls.inside_m(hull, load[:, 1:] / load[:, :1]) > ON_EDGE_M
         for chosen in (within, ~within):
             if chosen.any():
-                is_chosen = chosen[owner]
-                contact_args = load[chosen], (np.cumsum(chosen) - 1)[owner[is_chosen]], low[is_chosen], high[is_chosen]
+                is_chosen = np.flatnonzero(chosen[owner])
+                rows = low.take(is_chosen, axis=0), high.take(is_chosen, axis=0)
+                contact_args = load[chosen], (np.cumsum(chosen) - 1)[owner[is_chosen]], *rows
                 force[is_chosen] = (
                     pushes(*contact_args) if chosen is within else on_edges(*contact_args, self.hulls, hull[chosen])
                 )
@@ -217,9 +230,9 @@ class Bearing:
     def inside_m(self, box: IntArray, point: FloatArray) -> FloatArray:
         """(p,) distance of (p, 2) points from the nearest edge of the supports of (p,) boxes, as ``edges_m``."""
         low, high = self.rectangles
-        nearer = np.minimum(point - low[box], high[box] - point)
+        nearer = np.minimum(point - low.take(box, axis=0), high.take(box, axis=0) - point)
         distance_m: FloatArray = np.minimum(nearer[:, 0], nearer[:, 1])  # ``min(axis=1)`` of two columns takes long
-        several = np.flatnonzero(self.n_supports[box] > 1)
+        several = np.flatnonzero(self.n_supports.take(box) > 1)
         if len(several):
             hull = self.number_of_hull[box[several]]
             wider: FloatArray | float = 0.0
@@ -229,7 +242,8 @@ class Bearing:
                 wider = (np.maximum(outward, 0.0) * held[:, None, 1] - np.minimum(outward, 0.0) * held[:, None, 0]).sum(
                     axis=2
                 )
-            distance_m[several] = (self.hulls.distances_m(hull, point[several]) + wider).min(axis=1, initial=np.inf)
+            distances_m = self.hulls.distances_m(hull, point.take(several, axis=0)) + wider
+            distance_m[several] = distances_m.min(axis=1, initial=np.inf)
         return distance_m
 
     @cached_property
@@ -239,7 +253,7 @@ class Bearing:
         low, high = np.full((len(self.boxes.mass), 2), np.nan), np.full((len(self.boxes.mass), 2), np.nan)
         alone = np.flatnonzero(self.n_supports == 1)
         contact = self.ends[alone]
-        low[alone], high[alone] = self.low[contact], self.high[contact]
+        low[alone], high[alone] = self.low.take(contact, axis=0), self.high.take(contact, axis=0)
         if self.boxes.held.any():
             low, high = low - self.boxes.held[:, 0], high + self.boxes.held[:, 1]
         return low, high
@@ -247,8 +261,8 @@ class Bearing:
     @cached_property
     def hulls(self) -> HullTable:
         """Hulls of the supports of boxes that have several, in order."""
-        several = self.n_supports[self.upper] > 1
-        return hull_table(self.low[several], self.high[several], self.n_supports[self.n_supports > 1])
+        low, high = self.low.take(self.together, axis=0), self.high.take(self.together, axis=0)
+        return hull_table(low, high, self.n_supports[self.n_supports > 1])
 
     def of_scene(self, number: int) -> Bearing:
         """The bearing of one scene alone. It has its part of these hulls, so that it does not compute them."""
@@ -271,7 +285,7 @@ class Bearing:
         hulls = slice(int(np.count_nonzero(self.n_supports[:end] > 1)))
         vars(first).update(
             hulls=HullTable(self.hulls.normal[hulls], self.hulls.offset[hulls]),
-            shares=self.shares[:contacts],
+            shares=self.shares[: int(np.searchsorted(self.together, contacts))],
             level=self.level[:end],
         )
         return first
@@ -288,8 +302,8 @@ class Bearing:
             boxes,
             self.upper[contacts] + moved,
             np.where(lower == CARRIER, CARRIER, lower + moved),
-            self.low[contacts],
-            self.high[contacts],
+            self.low.take(contacts, axis=0),
+            self.high.take(contacts, axis=0),
         )
 
     @cached_property
@@ -301,8 +315,9 @@ class Bearing:
     def widths_m(self) -> FloatArray:
         """(n,) extent of each box's supports along x or y, whichever is shorter, m; NaN without support."""
         low, high = np.full((len(self.boxes.mass), 2), np.inf), np.full((len(self.boxes.mass), 2), -np.inf)
-        np.minimum.at(low, self.upper, self.low)
-        np.maximum.at(high, self.upper, self.high)
+        for axis in range(2):
+            np.minimum.at(low[:, axis], self.upper, self.low[:, axis])
+            np.maximum.at(high[:, axis], self.upper, self.high[:, axis])
         width: FloatArray = (high - low).min(axis=1)
         return np.where(np.isfinite(width), width, np.nan)
 
@@ -352,40 +367,48 @@ class Bearing:
         """For each group of ``levels`` the contacts of its boxes with several supports, those with the carrier
         included."""
         groups = []
-        together = np.flatnonzero((self.n_supports > 1)[self.upper])
-        upper = self.upper[together]
+        upper = self.upper[self.together]
         for between in self.levels:
             chosen = np.zeros(len(self.boxes.mass), bool)
             chosen[self.upper[between]] = True
-            groups.append(together[chosen[upper]])
+            groups.append(self.together[chosen[upper]])
         return groups
 
     @cached_property
+    def together(self) -> IntArray:
+        """(k,) the contacts of boxes with several supports, in order."""
+        return np.flatnonzero((self.n_supports > 1)[self.upper])
+
+    @cached_property
     def shares(self) -> FloatArray:
-        """(c, 3, 3): load of the upper box (mass and moments) → the part that reaches the lower one at this contact."""
-        share = np.tile(np.eye(3), (len(self.upper), 1, 1))
-        several = self.n_supports[self.upper] > 1
-        if not several.any():
-            return share
-        boxes, upper = self.boxes, self.upper[several]
+        """(k, 3, 3), of the contacts ``together``: load of the upper box (mass and moments) → the part that reaches the
+        lower one at this contact."""
+        boxes, upper = self.boxes, self.upper[self.together]
         # about the upper box's centre and in its lengths, which keeps the 3 × 3 systems well conditioned
-        origin, scale = boxes.target[upper, :2], boxes.half_size[upper, :2]
-        low, high = (self.low[several] - origin) / scale, (self.high[several] - origin) / scale
+        origin, scale = boxes.target.take(upper, axis=0)[:, :2], boxes.half_size.take(upper, axis=0)[:, :2]
+        low = (self.low.take(self.together, axis=0) - origin) / scale
+        high = (self.high.take(self.together, axis=0) - origin) / scale
         middle, length = np.c_[np.ones(len(upper)), (low + high) / 2], high - low
         area = length.prod(axis=1)
         moments = area[:, None, None] * middle[:, :, None] * middle[:, None, :]
         moments[:, [1, 2], [1, 2]] += area[:, None] * length**2 / 12
-        total_moments = np.zeros((len(boxes.mass), 3, 3))
-        np.add.at(total_moments, upper, moments)
+        box = self.number_of_hull[upper]
+        total_moments = np.zeros((np.count_nonzero(self.n_supports > 1), 3, 3))
+        add_rows(total_moments.reshape(-1, 9), box, moments.reshape(-1, 9))
         to_global = np.zeros_like(moments)
         to_global[:, 0, 0] = 1.0
         to_global[:, 1:, 0] = origin
         to_global[:, [1, 2], [1, 2]] = scale
-        inverse = np.zeros_like(total_moments)
-        together = self.n_supports > 1
-        inverse[together] = np.linalg.inv(total_moments[together])
-        share[several] = to_global @ (moments @ inverse[upper]) @ np.linalg.inv(to_global)
+        inverse = np.linalg.inv(total_moments).take(box, axis=0)
+        share: FloatArray = to_global @ (moments @ inverse) @ np.linalg.inv(to_global)
         return share
+
+
+def add_rows(sums: FloatArray, row: IntArray, values: FloatArray) -> None:
+    """Add (k, m) values to these rows of (n, m) sums, one after the other. ``numpy.add.at`` takes six times as long for
+    rows as for columns."""
+    for column in range(sums.shape[1]):
+        np.add.at(sums[:, column], row, values[:, column])
 
 
 def spans(count: IntArray, chosen: IntArray) -> IntArray:
@@ -410,8 +433,8 @@ def bearings_of(scenes: Sequence[Scene], at_rest: Sequence[Scene] = (), pos: Seq
     return find_bearings([*scenes, *at_rest], [*(scene.target for scene in scenes), *pos])
 
 
-MOST_PAIRS: Final = 1 << 17
-"""Pairs of boxes that are looked at together: a matrix of numbers takes 1 MB then, which caches hold."""
+_SORTED_M: Final = 1e-4
+"""So much further than they touch boxes are looked at: sums of heights of many scenes are rounded."""
 
 
 def find_bearings(
@@ -435,7 +458,7 @@ def find_bearings(
         parts.append(_plain_contacts(boxes, scenes, chosen, most_gap_m))
     upper, lower, low, high = (np.concatenate(values) for values in zip(*parts, strict=True))
     order = np.lexsort((lower, upper))  # stable: boards of a deck keep their order
-    return Bearing(boxes, upper[order], lower[order], low[order], high[order])
+    return Bearing(boxes, upper[order], lower[order], low.take(order, axis=0), high.take(order, axis=0))
 
 
 def _plain_contacts(
@@ -457,48 +480,46 @@ def _plain_contacts(
     rows, scene_of = spans(counts, chosen), np.repeat(np.arange(len(chosen)), counts[chosen])
     lies = low[rows, 2] <= np.repeat(most_gap_m[chosen], counts[chosen])
     lying, board = np.repeat(rows[lies], boards[scene_of[lies]]), spans(boards, scene_of[lies])
-    by_size = chosen[np.argsort(counts[chosen], kind="stable")]
-    pairs = [
-        _touching(boxes.first, counts, some, low[:, 2], high[:, 2], most_gap_m[some, None, None])
-        for some in _groups(counts, by_size)
-    ]
-    below, above = (np.concatenate(numbers) for numbers in zip(*pairs, strict=True))
+    below, above = _touching(rows, scene_of, low[:, 2], high[:, 2], np.repeat(most_gap_m[chosen], counts[chosen]))
     upper = np.concatenate([lying, above])
     lower = np.concatenate([np.full(len(board), CARRIER), below])
-    area_low = np.maximum(low[upper, :2], np.concatenate([deck_low[board], low[below, :2]]))
-    area_high = np.minimum(high[upper, :2], np.concatenate([deck_high[board], high[below, :2]]))
-    wide = (area_high - area_low > _LEAST_OVERLAP_M).all(axis=1)
-    return upper[wide], lower[wide], area_low[wide], area_high[wide]
-
-
-def _groups(counts: IntArray, by_size: IntArray) -> Iterator[IntArray]:
-    """Scenes, sorted by their numbers of boxes, in groups of at most ``MOST_PAIRS`` pairs (padded) or one scene."""
-    while len(by_size):
-        padded = np.arange(1, len(by_size) + 1) * counts[by_size] ** 2
-        size = max(int(np.searchsorted(padded, MOST_PAIRS, side="right")), 1)
-        yield by_size[:size]
-        by_size = by_size[size:]
+    low, high = low[:, :2].copy(), high[:, :2].copy()
+    area_low = np.maximum(low.take(upper, axis=0), np.concatenate([deck_low[board], low.take(below, axis=0)]))
+    area_high = np.minimum(high.take(upper, axis=0), np.concatenate([deck_high[board], high.take(below, axis=0)]))
+    extent = area_high - area_low
+    wide = np.flatnonzero((extent[:, 0] > _LEAST_OVERLAP_M) & (extent[:, 1] > _LEAST_OVERLAP_M))
+    return upper[wide], lower[wide], area_low.take(wide, axis=0), area_high.take(wide, axis=0)
 
 
 def _touching(
-    first: IntArray, counts: IntArray, some: IntArray, low: FloatArray, high: FloatArray, most_gap_m: FloatArray
+    rows: IntArray, scene: IntArray, low: FloatArray, high: FloatArray, most_gap_m: FloatArray
 ) -> tuple[IntArray, IntArray]:
-    """(p,) and (p,) boxes of some scenes, the lower one and the upper one, whose faces are at the same height.
+    """(p,) and (p,) boxes of the same scene, the lower one and the upper one, whose faces are at the same height.
+
+    Sorted heights give the few pairs to look at.
 
     Args:
+        rows: (r,) the boxes.
+        scene: (r,) the scene of each.
         low, high: (n,) heights of all boxes' bottoms and tops, m.
-        most_gap_m: (m, 1, 1) of each scene, as in ``find_bearing``.
+        most_gap_m: (r,) as in ``find_bearing``.
     """
-    is_box = np.arange(counts[some].max()) < counts[some, None]
-    tables = []
-    for values in (low, high):
-        table = np.full(is_box.shape, np.nan)  # touches nothing
-        table[is_box] = values[spans(counts, some)]
-        tables.append(table)
-    bottom, top = tables
-    touching = meets(bottom, top, TOUCH_M, most_gap_m) & (bottom[..., :, None] < bottom[..., None, :])
-    scene, below, above = np.nonzero(touching)
-    return first[some[scene]] + below, first[some[scene]] + above
+    is_somewhere = np.isfinite(low[rows]) & np.isfinite(high[rows])
+    rows, scene, most_gap_m = rows[is_somewhere], scene[is_somewhere], most_gap_m[is_somewhere]
+    bottom, top, reach = low[rows], high[rows], TOUCH_M + most_gap_m.max(initial=0.0)
+    # scene above scene, further apart than boxes touch
+    rise = scene * (np.maximum(bottom, top).max(initial=0.0) - np.minimum(bottom, top).min(initial=0.0) + 2 * reach)
+    least_m, most_m = bottom + rise - most_gap_m - _SORTED_M, bottom + rise + TOUCH_M + _SORTED_M
+    tops, bottoms = np.argsort(top + rise), np.argsort(least_m)
+    in_order = (top + rise)[tops]
+    begins = np.searchsorted(in_order, least_m[bottoms])
+    times = np.maximum(np.searchsorted(in_order, most_m[bottoms], side="right") - begins, 0)
+    above = np.repeat(bottoms, times)
+    below = tops[np.arange(times.sum()) + np.repeat(begins - (np.cumsum(times) - times), times)]
+    over = top[below] - bottom[above]
+    touching = (over <= TOUCH_M) & (over >= -most_gap_m[above]) & (bottom[below] < bottom[above])
+    touching &= scene[below] == scene[above]
+    return rows[below[touching]], rows[above[touching]]
 
 
 def find_bearing(scene: Scene, most_gap_m: float = TOUCH_M) -> Bearing:
