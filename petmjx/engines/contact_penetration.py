@@ -10,14 +10,14 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 from dataclasses import replace
 from functools import cached_property, lru_cache
-from itertools import compress, pairwise
+from itertools import pairwise
 from typing import Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from petmjx.common.units import FloatArray
-from petmjx.engines.contact_tilt import BOUND_SHARE, contact_tilt_suspects
+from petmjx.engines.contact_tilt import BOUND_SHARE
 from petmjx.engines.verdict import Flag, Outcome, Reason, Verdict, judge
 from petmjx.options.physics import Cone, Physics
 from petmjx.options.simulation import Simulation
@@ -176,35 +176,23 @@ ON_CARRIER_M = 0.001
 """A box whose planned bottom is lower than this stands on the carrier."""
 
 
-def note_softness(outcomes: Sequence[Outcome], jobs: Sequence[Job], sim: Simulation) -> list[Outcome]:
-    """The outcomes, with ``Flag.SINKING`` if the depth of contacts may have decided the verdict.
+def note_penetration(outcomes: Sequence[Outcome], jobs: Sequence[Job], sim: Simulation) -> list[Outcome]:
+    """The outcomes, with ``Flag.SINKING`` if boxes sank so far that the depth of contacts may have decided the verdict.
 
-    A world whose boxes sank has no verdict. A world that may have tipped over because contacts are soft keeps its
-    verdict, in case stiffer contacts do not change it. With pyramidal cones, as in preset ``reference``, all worlds
-    keep their verdict.
+    A world whose boxes sank has no verdict. With pyramidal cones, as in preset ``reference``, all worlds keep their
+    verdict.
     """
     noted, elliptic = list(outcomes), sim.physics.cone is Cone.ELLIPTIC
-    may_lean: list[int] = []
     scenes = [job.scene for job in jobs]
     did_not = penetration_excluded(outcomes, scenes, sim) if elliptic else [False] * len(outcomes)
     for k, (outcome, scene) in enumerate(zip(outcomes, scenes, strict=True)):
         if outcome.verdict is Verdict.INVALID or scene.soft is not None:  # soft boxes have contacts of their own
             continue
         if not did_not[k] and has_penetrated(outcome, scene, sim):
-            noted[k] = _softened_outcome(outcome, sim, sank=elliptic)
-        elif elliptic and outcome.verdict is Verdict.UNSTABLE:
-            may_lean.append(k)
-    if may_lean:
-        leans = contact_tilt_suspects([outcomes[k] for k in may_lean], [jobs[k] for k in may_lean], sim)
-        for k in compress(may_lean, leans):
-            noted[k] = _softened_outcome(outcomes[k], sim, sank=False)
+            flags = outcome.flags | Flag.SINKING
+            verdict, reason = judge(flags, outcome.boxes, outcome.n_placed, sim.thresholds, sank=elliptic)
+            noted[k] = replace(outcome, flags=flags, verdict=verdict, reason=reason)
     return noted
-
-
-def _softened_outcome(outcome: Outcome, sim: Simulation, *, sank: bool) -> Outcome:
-    flags = outcome.flags | Flag.SINKING
-    verdict, reason = judge(flags, outcome.boxes, outcome.n_placed, sim.thresholds, sank=sank)
-    return replace(outcome, flags=flags, verdict=verdict, reason=reason)
 
 
 def penetration_excluded(outcomes: Sequence[Outcome], scenes: Sequence[Scene], sim: Simulation) -> list[bool]:

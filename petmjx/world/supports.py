@@ -267,7 +267,7 @@ class Bearing:
     def of_scene(self, number: int) -> Bearing:
         """The bearing of one scene alone. It has its part of these hulls, so that it does not compute them."""
         begin, end = self.boxes.first[number : number + 2].tolist()
-        one = self.of_scenes(np.array([number]))
+        one, _ = self.of_scenes(np.array([number]))
         before, count = (int(np.count_nonzero(self.n_supports[a:b] > 1)) for a, b in ((0, begin), (begin, end)))
         hulls = slice(before, before + count)
         vars(one)["hulls"] = HullTable(self.hulls.normal[hulls], self.hulls.offset[hulls])
@@ -290,21 +290,22 @@ class Bearing:
         )
         return first
 
-    def of_scenes(self, numbers: IntArray) -> Bearing:
-        """The bearing of some of the scenes, in this order."""
+    def of_scenes(self, numbers: IntArray) -> tuple[Bearing, IntArray]:
+        """The bearing of some of the scenes, in this order, and (k,) their boxes' numbers among all boxes."""
         boxes, rows = self.boxes.of_scenes(numbers)
         counts = self.n_supports[rows]
         contacts = spans(self.n_supports, rows)
         begins = np.repeat(boxes.first[:-1] - self.boxes.first[numbers], np.diff(boxes.first))
         moved = np.repeat(begins, counts)
         lower = self.lower[contacts]
-        return Bearing(
+        some = Bearing(
             boxes,
             self.upper[contacts] + moved,
             np.where(lower == CARRIER, CARRIER, lower + moved),
             self.low.take(contacts, axis=0),
             self.high.take(contacts, axis=0),
         )
+        return some, rows
 
     @cached_property
     def number_of_hull(self) -> IntArray:
@@ -424,13 +425,24 @@ def bearing_of(scene: Scene) -> Bearing:
     return find_bearing(scene)
 
 
-def bearings_of(scenes: Sequence[Scene], at_rest: Sequence[Scene] = (), pos: Sequence[FloatArray] = ()) -> Bearing:
-    """The bearings of scenes by the planned places, and then of the scenes ``at_rest`` with their boxes at (n, 3)
-    places ``pos``, m: joined, with the boxes scene after scene, so that all are computed at once."""
-    if len({id(scene) for scene in scenes}) == 1 and not at_rest:
+def bearings_of(
+    scenes: Sequence[Scene],
+    elsewhere: Sequence[Scene] = (),
+    pos: Sequence[FloatArray] = (),
+    most_gap_m: Sequence[float] = (),
+) -> Bearing:
+    """The bearings of scenes by the planned places, and then of the scenes ``elsewhere``: joined, with the boxes scene
+    after scene, so that all are computed at once.
+
+    Args:
+        pos: (n, 3) places of the boxes of each scene ``elsewhere``, m.
+        most_gap_m: as in ``find_bearing``, of each scene ``elsewhere``; empty: as for planned places.
+    """
+    if len({id(scene) for scene in scenes}) == 1 and not elsewhere:
         one = bearing_of(scenes[0])
-        return one if len(scenes) == 1 else one.of_scenes(np.zeros(len(scenes), np.intp))
-    return find_bearings([*scenes, *at_rest], [*(scene.target for scene in scenes), *pos])
+        return one if len(scenes) == 1 else one.of_scenes(np.zeros(len(scenes), np.intp))[0]
+    gaps_m = np.array([TOUCH_M] * len(scenes) + list(most_gap_m or [TOUCH_M] * len(elsewhere)))
+    return find_bearings([*scenes, *elsewhere], [*(scene.target for scene in scenes), *pos], gaps_m)
 
 
 _SORTED_M: Final = 1e-4
