@@ -74,14 +74,11 @@ class ContactTilt(NamedTuple):
     shift_m: FloatArray
 
 
-def contact_tilt_of(
-    bearing: Bearing, load: FloatArray, edge_m: FloatArray, physics: Physics, under: Sequence[Sequence[int]]
-) -> ContactTilt:
+def contact_tilt_of(bearing: Bearing, load: FloatArray, edge_m: FloatArray, physics: Physics) -> ContactTilt:
     """How far boxes lean under loads that act ``edge_m`` inside the edges of their supports: upper estimates.
 
     Args:
         load: (n, 4) as in ``Bearing.loads``.
-        under: the boxes that bear each box.
     """
     boxes, width = bearing.boxes, bearing.widths_m
     with np.errstate(divide="ignore", invalid="ignore"):
@@ -98,25 +95,25 @@ def contact_tilt_of(
 
     own_lean = np.nan_to_num(angle(np.clip(edge_m / width, 0.0, 0.5)))
     own_lean[edge_m < -KNIFE_EDGE_M] = 0.0  # it tips over in any contacts
-    below, shift = _tilt_from_below(bearing, own_lean, under)
+    below, shift = _tilt_from_below(bearing, own_lean)
     loss = (SHARES[:, None] * width + angle(SHARES[:, None]) * height).min(axis=0)
     return ContactTilt(loss + below * height, below + own_lean, shift)
 
 
-def _tilt_from_below(
-    bearing: Bearing, own_lean: FloatArray, under: Sequence[Sequence[int]]
-) -> tuple[FloatArray, FloatArray]:
+def _tilt_from_below(bearing: Bearing, own_lean: FloatArray) -> tuple[FloatArray, FloatArray]:
     """(n,) each: the angle by which boxes lean because the boxes below them lean, and how far their centres move
     sideways."""
-    bottom, angle = bearing.boxes.bottom.tolist(), own_lean.tolist()
-    half, middle = bearing.boxes.half_size[:, 2].tolist(), bearing.boxes.target[:, 2].tolist()
-    below, shift = [0.0] * len(angle), [0.0] * len(angle)
-    for box in np.argsort(bottom, kind="stable").tolist():
-        if under[box]:
-            below[box] = max(below[lower] + angle[lower] for lower in under[box])
-            shift[box] = max(shift[k] + (below[k] + angle[k]) * (bottom[box] - middle[k]) for k in under[box])
-        shift[box] += (below[box] + angle[box]) * half[box]
-    return np.array(below), np.array(shift)
+    bottom, middle, half = bearing.boxes.bottom, bearing.boxes.target[:, 2], bearing.boxes.half_size[:, 2]
+    below, moved = np.zeros((2, len(own_lean)))
+    turned, shift = own_lean.copy(), own_lean * half
+    for between in reversed(bearing.levels):  # from the lowest boxes up
+        upper, lower = bearing.upper[between], bearing.lower[between]
+        below[upper] = moved[upper] = -np.inf
+        np.maximum.at(below, upper, turned[lower])
+        np.maximum.at(moved, upper, shift[lower] + turned[lower] * (bottom[upper] - middle[lower]))
+        turned[upper] = below[upper] + own_lean[upper]
+        shift[upper] = moved[upper] + turned[upper] * half[upper]
+    return below, shift
 
 
 def n_loading(outcome: Outcome) -> int:
@@ -154,7 +151,7 @@ def contact_tilt_suspects(
     """
     placed = [n_loading(outcome) for outcome in outcomes]
     under = _supports(bearing)
-    lean = contact_tilt_of(bearing, load, edge, sim.physics, under)
+    lean = contact_tilt_of(bearing, load, edge, sim.physics)
     limits, first = sim.thresholds, bearing.boxes.first.tolist()
     most_safety = STIFF_SAFETY if is_stiff(sim.physics) else SAFETY
 

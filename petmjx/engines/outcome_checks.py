@@ -8,7 +8,7 @@ work of the process of the run.
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from itertools import compress, pairwise
 from typing import Final
 
@@ -143,7 +143,7 @@ def note_edges(outcomes: Sequence[Outcome], jobs: Sequence[Job], sim: Simulation
         if rest is not None:
             rest_edge_m, is_knife_edge = least[boxes_of[rest]], is_knife_edge or near[rest]
             outcome.rest_edge_m, outcome.rest_edge_box = _least_edge(least, least_of.get(rest), first[rest])
-        outcome.boxes = replace(outcome.boxes, plan_edge_m=least[boxes_of[number]], rest_edge_m=rest_edge_m)
+        outcome.boxes = outcome.boxes.with_edges(least[boxes_of[number]], rest_edge_m)
         if is_knife_edge:
             outcome.flags |= Flag.KNIFE_EDGE
 

@@ -28,7 +28,7 @@ from petmjx.world.balance_programme import BEYOND_M, balanced_loads
 from petmjx.world.history import CARRIER
 from petmjx.world.load_sharing import IntArray, pulls
 from petmjx.world.scene import Scene
-from petmjx.world.supports import Bearing, add_rows, bearing_of, spans
+from petmjx.world.supports import Bearing, add_rows, bearing_of, ranges
 
 ROUNDING_M: Final = 1e-9
 """A load beyond an edge by less than this lies on the edge: rounding errors of sums of millimetres."""
@@ -325,12 +325,9 @@ def _running_sums(part: FloatArray, begins: IntArray) -> FloatArray:
 
 def _without_pulls(bearing: Bearing, begins: IntArray, step: IntArray, load: FloatArray) -> None:
     """Correct the loads of boxes on which a support would pull, and of all boxes below them."""
-    several = np.flatnonzero(bearing.n_supports > 1)
-    contacts = spans(bearing.n_supports, several)
-    times = np.diff(begins)[bearing.upper[contacts]]
-    pair = np.arange(times.sum()) - np.repeat(np.cumsum(times) - times, times)
-    contact = np.repeat(contacts, times)
-    pair += begins[bearing.upper[contact]]
+    count, contacts = np.diff(begins), bearing.together
+    upper = bearing.upper[contacts]
+    pair, contact = ranges(begins[upper], count[upper]), np.repeat(contacts, count[upper])
     under = load.take(pair, axis=0)
     force = bearing.shared(contact, under)
     low, high = bearing.low.take(contact, axis=0), bearing.high.take(contact, axis=0)
@@ -339,10 +336,11 @@ def _without_pulls(bearing: Bearing, begins: IntArray, step: IntArray, load: Flo
     if not pulled.any():
         return
     pulled |= bearing.all_below(pulled)
-    count, n = np.diff(begins), len(pulled)
+    n = len(pulled)
     above = np.argsort(bearing.lower, kind="stable")
     n_above = np.bincount(bearing.lower[bearing.lower != CARRIER], minlength=n)
     above = above[np.count_nonzero(bearing.lower == CARRIER) :]
+    first_above = np.cumsum(n_above) - n_above
     key = np.repeat(np.arange(n), count) * n + step  # in order
     # forces at the contacts of corrected boxes: one force for each load of the box
     size = np.where(pulled[bearing.upper], count[bearing.upper], 0)
@@ -351,8 +349,11 @@ def _without_pulls(bearing: Bearing, begins: IntArray, step: IntArray, load: Flo
     level = bearing.level[boxes]
     for number in np.unique(level).tolist():
         some = boxes[level == number]
-        pairs, owner = spans(count, some), np.repeat(some, count[some])
-        rows, contact = np.repeat(np.arange(len(pairs)), n_above[owner]), above[spans(n_above, owner)]
+        pairs, owner = ranges(begins[some], count[some]), np.repeat(some, count[some])
+        rows, contact = (
+            np.repeat(np.arange(len(pairs)), n_above[owner]),
+            above[ranges(first_above[owner], n_above[owner])],
+        )
         upper = bearing.upper[contact]
         last = np.searchsorted(key, upper * n + step[pairs[rows]], side="right") - 1
         placed = last >= begins[upper]
@@ -363,7 +364,8 @@ def _without_pulls(bearing: Bearing, begins: IntArray, step: IntArray, load: Flo
         passed[~through] = _passed(bearing, contact[~through], load.take(last[~through], axis=0))
         load[pairs] = np.where((step[pairs] >= owner)[:, None], weights.take(owner, axis=0), 0.0)
         add_rows(load, pairs[rows], passed)
-        rows, contact = np.repeat(np.arange(len(pairs)), bearing.n_supports[owner]), spans(bearing.n_supports, owner)
+        supports = bearing.n_supports[owner]
+        rows, contact = np.repeat(np.arange(len(pairs)), supports), ranges(bearing.ends[owner], supports)
         place = first[contact] + (pairs - begins[owner])[rows]
         forces[place] = _contact_pushes(bearing, owner, load.take(pairs, axis=0), rows, contact)
 

@@ -65,19 +65,23 @@ class Boxes:
     @classmethod
     def of(cls, scenes: Sequence[Scene], targets: Sequence[FloatArray]) -> Boxes:
         """The boxes of scenes, with their middles at these (n, 3) places, m."""
-        counts = [scene.n_boxes for scene in scenes]
-        centred = [
-            np.zeros((n, 3)) if scene.mass_center is None else scene.mass_center
-            for scene, n in zip(scenes, counts, strict=True)
-        ]
+        mass = [scene.mass for scene in scenes]
+        counts = [*map(len, mass)]
+        first = np.concatenate([[0], np.cumsum(counts)])
+        centred, held = np.zeros((first[-1], 3)), np.zeros((first[-1], 2, 2))
+        for scene, target, begin, n in zip(scenes, targets, first.tolist(), counts, strict=False):
+            if scene.mass_center is not None:
+                centred[begin : begin + n] = scene.mass_center
+            if scene.carrier.walls:
+                held[begin : begin + n] = _held_by_walls(scene, target)
         return cls(
-            np.concatenate([[0], np.cumsum(counts)]),
+            first,
             np.concatenate(targets),
             np.concatenate([scene.half_size for scene in scenes]),
-            np.concatenate([scene.mass for scene in scenes]),
-            np.concatenate(centred),
+            np.concatenate(mass),
+            centred,
             np.repeat([scene.carrier.mass for scene in scenes], counts),
-            np.concatenate([_held_by_walls(scene, target) for scene, target in zip(scenes, targets, strict=True)]),
+            held,
         )
 
     def of_scenes(self, numbers: IntArray) -> tuple[Boxes, IntArray]:
@@ -103,19 +107,16 @@ class Boxes:
 
 
 def _held_by_walls(scene: Scene, target: FloatArray) -> FloatArray:
-    """(n, 2, 2) as ``Boxes.held``, with the boxes at these (n, 3) places, m.
+    """(n, 2, 2) as ``Boxes.held`` of a scene with walls, with the boxes at these (n, 3) places, m.
 
     A box whose load W acts e beyond an edge tips until it touches the wall there, at the height h of its top or of the
     wall's, above its bottom. The wall then presses with W·e/h, and the edge must bear this force by friction: so the
     wall holds the box up to e = µ·h. The wall counts as smooth, and the support of the box as fixed.
     """
-    held = np.zeros((scene.n_boxes, 2, 2))
-    if not scene.carrier.walls:
-        return held
     room, half = scene.carrier.room, scene.half_size
     bottom, top = (target - half)[:, 2], (target + half)[:, 2]
     height = np.minimum(top[:, None, None], room.top) - bottom[:, None, None]
-    return np.where(room.gaps(target, half, TOUCH_M) <= LEANS_M, _least_friction(scene)[:, None, None] * height, held)
+    return np.where(room.gaps(target, half, TOUCH_M) <= LEANS_M, _least_friction(scene)[:, None, None] * height, 0.0)
 
 
 def _least_friction(scene: Scene) -> FloatArray:
@@ -338,8 +339,14 @@ class Bearing:
         between = np.flatnonzero(self.lower != CARRIER)
         upper, lower = self.upper[between], self.lower[between]
         level = np.zeros(len(self.boxes.mass), int)
-        while (level[lower] <= level[upper]).any():
-            np.maximum.at(level, lower, level[upper] + 1)
+        while len(upper):
+            above = level[upper] + 1
+            deeper = np.flatnonzero(above > level[lower])
+            np.maximum.at(level, lower[deeper], above[deeper])
+            boxes = np.unique(lower[deeper])
+            contacts = ranges(self.ends[boxes], self.n_supports[boxes])
+            upper, lower = self.upper[contacts], self.lower[contacts]
+            upper, lower = upper[lower != CARRIER], lower[lower != CARRIER]
         return level
 
     @cached_property
@@ -357,7 +364,7 @@ class Bearing:
         below = np.zeros(len(boxes), bool)
         new = np.flatnonzero(boxes)
         while len(new):
-            lower = self.lower[spans(self.n_supports, new)]
+            lower = self.lower[ranges(self.ends[new], self.n_supports[new])]
             lower = lower[lower != CARRIER]
             new = np.unique(lower[~below[lower]])
             below[new] = True
@@ -414,8 +421,12 @@ def add_rows(sums: FloatArray, row: IntArray, values: FloatArray) -> None:
 
 def spans(count: IntArray, chosen: IntArray) -> IntArray:
     """The numbers of all members of the chosen groups. ``count`` has the number of members of each group."""
-    first, times = (np.cumsum(count) - count)[chosen], count[chosen]
-    numbers: IntArray = np.arange(times.sum()) + np.repeat(first - (np.cumsum(times) - times), times)
+    return ranges((np.cumsum(count) - count)[chosen], count[chosen])
+
+
+def ranges(first: IntArray, count: IntArray) -> IntArray:
+    """The numbers of ranges, one after the other: ``count`` numbers from ``first`` on of each."""
+    numbers: IntArray = np.arange(count.sum()) + np.repeat(first - (np.cumsum(count) - count), count)
     return numbers
 
 
@@ -480,9 +491,10 @@ def _plain_contacts(
     low, high = boxes.target - boxes.half_size, boxes.target + boxes.half_size
     counts = np.diff(boxes.first)
     carriers = [scenes[k].carrier for k in chosen.tolist()]
-    boards = np.array([carrier.n_boards for carrier in carriers])
+    n_boards = [carrier.n_boards for carrier in carriers]
+    boards = np.array(n_boards)
     shape_pos, half = (
-        np.concatenate([getattr(carrier, name)[: carrier.n_boards] for carrier in carriers])
+        np.concatenate([getattr(carrier, name)[:n] for carrier, n in zip(carriers, n_boards, strict=True)])
         for name in ("shape_pos", "half_size")
     )
     center = np.repeat([carrier.pos for carrier in carriers], boards, axis=0) + shape_pos
