@@ -339,14 +339,8 @@ class Bearing:
         between = np.flatnonzero(self.lower != CARRIER)
         upper, lower = self.upper[between], self.lower[between]
         level = np.zeros(len(self.boxes.mass), int)
-        while len(upper):
-            above = level[upper] + 1
-            deeper = np.flatnonzero(above > level[lower])
-            np.maximum.at(level, lower[deeper], above[deeper])
-            boxes = np.unique(lower[deeper])
-            contacts = ranges(self.ends[boxes], self.n_supports[boxes])
-            upper, lower = self.upper[contacts], self.lower[contacts]
-            upper, lower = upper[lower != CARRIER], lower[lower != CARRIER]
+        while (level[lower] <= level[upper]).any():
+            np.maximum.at(level, lower, level[upper] + 1)
         return level
 
     @cached_property
@@ -365,8 +359,9 @@ class Bearing:
         new = np.flatnonzero(boxes)
         while len(new):
             lower = self.lower[ranges(self.ends[new], self.n_supports[new])]
-            lower = lower[lower != CARRIER]
-            new = np.unique(lower[~below[lower]])
+            is_new = np.zeros(len(boxes), bool)
+            is_new[lower[lower != CARRIER]] = True
+            new = np.flatnonzero(is_new & ~below)
             below[new] = True
         return below
 
