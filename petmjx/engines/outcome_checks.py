@@ -20,7 +20,7 @@ from petmjx.engines.contact_penetration import note_penetration
 from petmjx.engines.contact_tilt import contact_tilt_suspects, n_loading, places_with_errors
 from petmjx.engines.knife_edges import AT_REST, BY_PLAN, WHILE_BUILT, KnifeEdge, edges_when, sets_flag
 from petmjx.engines.mujoco.box_motion import tilt_deg
-from petmjx.engines.verdict import Flag, Outcome, Verdict, margins_of
+from petmjx.engines.verdict import Flag, Outcome, Verdict, judge, margins_of
 from petmjx.options.physics import Cone
 from petmjx.options.simulation import Check, Simulation
 from petmjx.world.edge_distances import Edges, LeastBuildingEdge, building_edges, first_least, loads_and_edges
@@ -120,8 +120,10 @@ def note_edges(outcomes: Sequence[Outcome], jobs: Sequence[Job], sim: Simulation
         some, rows = bearing.of_scenes(np.array([*number_fallen.values()]))
         of_some = some, load.take(rows, axis=0), edges.by_load[rows]
         leans = contact_tilt_suspects([outcomes[k] for k in fallen], [jobs[k] for k in fallen], sim, *of_some)
-        for k in compress(fallen, leans):
-            outcomes[k].flags |= Flag.SINKING
+        for outcome in compress((outcomes[k] for k in fallen), leans):
+            outcome.flags |= Flag.SINKING
+            judged = judge(outcome.flags, outcome.boxes, outcome.n_placed, sim.thresholds)
+            outcome.verdict, outcome.reason = judged
     first = bearing.boxes.first.tolist()
     least, boxes_of = edges.least, [slice(*ends) for ends in pairwise(first)]
     scene = np.repeat(np.arange(len(boxes_of)), np.diff(first))

@@ -174,7 +174,8 @@ def test_a_verdict_against_a_load_within_a_millimetre_has_the_flag() -> None:
             Simulation(size_reduction_mm=0.0),
         )
         verdict = (Verdict.UNSTABLE, Reason.TILT) if falls else (Verdict.STABLE, Reason.NONE)
-        outcome = make_outcome(2, *verdict, pos=np.full((2, 3), 10.0))  # at rest nothing bears anything
+        tilt_deg = np.full(2, 90.0 * falls)
+        outcome = make_outcome(2, *verdict, max_tilt_deg=tilt_deg, pos=np.full((2, 3), 10.0))  # nothing bears anything
         note_edges([outcome], [Job(scene)], Simulation())
         assert bool(outcome.flags & Flag.KNIFE_EDGE) is (falls == (inside_mm > 0))
 
