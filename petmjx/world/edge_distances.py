@@ -109,8 +109,9 @@ def rebalanced_loads(
     balancing, beyond = result
     # without a balance, a load that is inside keeps its distance
     is_unchanged = (edge_m >= 0) if (beyond > BEYOND_M).any() else (balancing == load[:, :3]).all(axis=1)
-    edges = np.where(~placed | is_unchanged, edge_m, np.maximum(bearing.edges_m(balancing), 0.0))
-    edges = np.where(beyond > BEYOND_M, np.minimum(bearing.edges_m(balancing), -beyond), edges)
+    balanced_m = bearing.edges_m(balancing)
+    edges = np.where(~placed | is_unchanged, edge_m, np.maximum(balanced_m, 0.0))
+    edges = np.where(beyond > BEYOND_M, np.minimum(balanced_m, -beyond), edges)
     return balancing, edges
 
 
