@@ -86,7 +86,7 @@ class TableJobs:
         if grows and not self.feedback:
             needs = _roomy(needs | self.needs)
         self.needs, self._begun = needs, True
-        taken = self._take(len(further))
+        taken = self._take(further)
         rows = min(max(SPARE_ROWS * len(every), self._least_rows), self._size) if grows else 0
         return every, [*numbers, *taken], padded_rows(max(len(every), rows))
 
@@ -106,7 +106,7 @@ class TableJobs:
             return []
         numbers = range(self._number, self._number + len(fitting))
         rows: list[int] = table.add(fitting, numbers, FEEDBACK_ROWS if self.feedback else JOIN_ROWS).tolist()
-        self._take(len(rows))
+        self._take(fitting[: len(rows)])
         return rows
 
     def needs_another(self, table: WorldTable, blocks: int) -> bool:
@@ -138,11 +138,12 @@ class TableJobs:
         lost, self.in_flight, self.running = self.in_flight, {}, None
         return lost
 
-    def _take(self, count: int) -> Sequence[int]:
-        """Take so many jobs; returns their numbers."""
-        numbers = range(self._number, self._number + count)
-        self.in_flight.update(zip(numbers, self._stream.take(count, wait=False), strict=True))
-        self._number += count
+    def _take(self, jobs: Sequence[Job]) -> Sequence[int]:
+        """Take the first jobs of the stream; returns their numbers."""
+        numbers = range(self._number, self._number + len(jobs))
+        self._stream.take_peeked(jobs)
+        self.in_flight.update(zip(numbers, jobs, strict=True))
+        self._number += len(jobs)
         return numbers
 
 
