@@ -19,19 +19,18 @@ from petmjx.engines.attempt_stream import FIRST_WORLDS, MOST_PENDING, check_pool
 from petmjx.engines.attempts import ATTEMPTS
 from petmjx.engines.protocol import Engine, Progress
 from petmjx.engines.subprocess.check_pool import CheckPool
-from petmjx.engines.verdict import Attempt, Flag, Outcome, Verdict, judge
+from petmjx.engines.verdict import Outcome, Verdict
 from petmjx.engines.world_results import AnyWorld, World, WorldResult
-from petmjx.options.simulation import Simulation, Thresholds
-from petmjx.options.walls import Side
+from petmjx.options.simulation import Simulation
 from petmjx.plans.plan import Plan
 from petmjx.results.history_tables import NO_RECORDING, Recording
 from petmjx.results.resume import CompletedWorlds
 from petmjx.runs.chain_legs import PLACING, after, with_sustained_force
+from petmjx.runs.forked_worlds import DriveWorld, LegStart, LegWorld, SettledPlacement, Test
 from petmjx.runs.level_search import Bisection, Probe, SearchBracket
 from petmjx.runs.study import FinishedWorld, LegEnd
 from petmjx.runs.sweep_design import SearchItem
 from petmjx.runs.sweep_worlds import PlacementGroup, SweepPlan
-from petmjx.runs.transport_limits import load_height_m
 from petmjx.world.job import Job
 from petmjx.world.scene import Scene
 from petmjx.world.variants import LegSpec, Variant
@@ -71,62 +70,6 @@ class Tally:
 
 
 @dataclass(frozen=True, eq=False)
-class SettledPlacement:
-    """A placement that has settled: its outcome, with the state from which drives start."""
-
-    group: PlacementGroup
-    scene: Scene
-    outcome: Outcome
-    attempts: tuple[Attempt, ...]
-    _of_legs: dict[tuple[float | None, tuple[Side, ...]], Scene] = field(default_factory=dict, init=False)
-    """Turns of film and open walls → the scene with both."""
-
-    @cached_property
-    def load_height_m(self) -> float:
-        """Height of the load at rest, m. The settled state is the same for all drives of the placement."""
-        return load_height_m(self.outcome.boxes.pos, self.scene.half_size)
-
-    def shaken(self, outcome: Outcome, thresholds: Thresholds) -> Outcome:
-        """The outcome of a fork, judged together with its placement. The history of a fork begins with that of the
-        placement."""
-        placed = self.outcome
-        if outcome.verdict is Verdict.STABLE and placed.verdict is not Verdict.STABLE:
-            judge_args = outcome.flags, outcome.boxes, outcome.n_placed, thresholds
-            verdict, reason = judge(*judge_args, placement=(placed.verdict, placed.reason))
-            outcome = replace(
-                outcome,
-                verdict=verdict,
-                reason=reason,
-                culprit=placed.culprit,
-                first_sign_s=placed.first_sign_s,
-                margin=min(outcome.margin, placed.margin),
-            )
-        if outcome.history is None or placed.history is None:
-            return outcome
-        return replace(outcome, history=placed.history.then(outcome.history))
-
-    def undriven(self, variant: Variant) -> FinishedWorld:
-        """A world with the outcome of the placement. No step was simulated for such a world."""
-        outcome = replace(self.outcome, flags=self.outcome.flags | Flag.FORKED, n_steps=0, state=None)
-        end = LegEnd(PLACING, 0.0) if variant.legs else None
-        return FinishedWorld(self.group.plan, variant, self.scene, outcome, self.attempts, self.outcome, ended_in=end)
-
-    def scene_of(self, leg: LegSpec) -> Scene:
-        """The scene on a leg: with its film around the pallet, and its walls open."""
-        key = leg.wrap_turns, leg.open_walls
-        if key == (None, ()):
-            return self.scene
-        if key not in self._of_legs:
-            scene = self.scene
-            if leg.wrap_turns is not None:
-                scene = replace(scene, wrap=scene.wrap.changed(turns=leg.wrap_turns))
-            # walls that are open by the options are not among those of the carrier
-            closed = [side for side in leg.open_walls if side in scene.carrier.walls]
-            self._of_legs[key] = scene.with_open_walls(closed) if closed else scene
-        return self._of_legs[key]
-
-
-@dataclass(frozen=True, eq=False)
 class Answer:
     """The answer of a search for one placement, profile and direction.
 
@@ -148,9 +91,6 @@ SAME_STEP_ATTEMPTS = tuple(attempt for attempt in ATTEMPTS if attempt.timestep_d
 """The attempts for placements with stored states, and for their forks. The attempt with half the timestep is left
 out: a state counts time in steps, so no world can start from a state that was reached with half the timestep."""
 
-Test = tuple[int, int]
-"""Item of a search and index of the tested level, as in `Bisection`."""
-
 
 @dataclass(frozen=True, eq=False)
 class _PlacementWorld(World):
@@ -159,43 +99,7 @@ class _PlacementWorld(World):
     group: PlacementGroup
 
 
-@dataclass(frozen=True, eq=False)
-class _DriveWorld(World):
-    """A fork as a world that the engine simulates. ``test`` is its test of a search."""
-
-    settled: SettledPlacement
-    change: Variant
-    test: Test = (-1, -1)
-
-
-@dataclass(frozen=True, eq=False)
-class _LegStart:
-    """Where a leg of a chain begins.
-
-    Attributes:
-        changes: the worlds that begin there, with equal chains up to this leg.
-        number: of the leg in their chains.
-        before: the outcome after the legs before; None: this is the first leg.
-    """
-
-    settled: SettledPlacement
-    changes: tuple[Variant, ...]
-    number: int
-    before: Outcome | None
-
-
-@dataclass(frozen=True, eq=False)
-class _LegWorld(World):
-    """A leg of a chain as a world that the engine simulates."""
-
-    begin: _LegStart
-
-    @property
-    def leg(self) -> LegSpec:
-        return self.begin.changes[0].legs[self.begin.number]
-
-
-def _drained(worlds: list[_DriveWorld]) -> list[_DriveWorld]:
+def _drained(worlds: list[DriveWorld]) -> list[DriveWorld]:
     """The worlds of a list, which is emptied."""
     drained = worlds.copy()
     worlds.clear()
@@ -275,7 +179,7 @@ class SweepRun:
         if not self._can_be_driven(start):
             return start.undriven(variant)
         if variant.legs:
-            (world,) = self._through_legs([_LegStart(start, (variant,), 0, None)])
+            (world,) = self._through_legs([LegStart(start, (variant,), 0, None)])
             return world
         ((_, world),) = self._drive([self._driving(start, variant)])
         return world
@@ -397,11 +301,11 @@ class SweepRun:
         that take longer."""
         begin = time.perf_counter()
         n_settled = 0
-        ready_drives: list[_DriveWorld] = []
+        ready_drives: list[DriveWorld] = []
         following = partial(_drained, ready_drives)
-        worlds: Iterator[_PlacementWorld | _DriveWorld] = self._placements(groups, keep_state=True)
+        worlds: Iterator[_PlacementWorld | DriveWorld] = self._placements(groups, keep_state=True)
         for result in self._score(worlds, self.batching.drives, forks=True, following=following):
-            if isinstance(result.world, _DriveWorld):
+            if isinstance(result.world, DriveWorld):
                 yield self._driven(result)
                 continue
             start, n_settled = self._settled(result), n_settled + 1
@@ -415,17 +319,17 @@ class SweepRun:
                 yield from map(start.undriven, self._missing(start.group))
         self.tally.drive_s += time.perf_counter() - begin
 
-    def _drives_of(self, start: SettledPlacement) -> Iterator[_DriveWorld]:
+    def _drives_of(self, start: SettledPlacement) -> Iterator[DriveWorld]:
         return (self._driving(start, variant) for variant in self._missing(start.group))
 
-    def _driving(self, start: SettledPlacement, variant: Variant, test: Test = (-1, -1)) -> _DriveWorld:
+    def _driving(self, start: SettledPlacement, variant: Variant, test: Test = (-1, -1)) -> DriveWorld:
         plan = start.group.plan
         drive, record = self.plan.drive(plan, variant, start.load_height_m), self.recording.of(plan)
         job = Job(start.scene, drive=drive, start=start.outcome.state, record=record)
-        return _DriveWorld(plan, variant.index, job, start, variant, test)
+        return DriveWorld(plan, variant.index, job, start, variant, test)
 
     def _drive(
-        self, worlds: Iterable[_DriveWorld], following: Callable[[], Iterable[_DriveWorld]] | None = None
+        self, worlds: Iterable[DriveWorld], following: Callable[[], Iterable[DriveWorld]] | None = None
     ) -> Iterator[tuple[Test, FinishedWorld]]:
         """Simulate forks; yield each world with its test. ``following`` gives forks that follow from results."""
         begin = time.perf_counter()
@@ -447,16 +351,16 @@ class SweepRun:
 
     def _chain(self, groups: Sequence[PlacementGroup]) -> Iterator[FinishedWorld]:
         """Take placements through the legs of their chains, each leg from the end of the leg before."""
-        first: list[_LegStart] = []
+        first: list[LegStart] = []
         for start in self._settling(groups):
             missing = self._missing(start.group)
             if self._can_be_driven(start):
-                first.append(_LegStart(start, tuple(missing), 0, None))
+                first.append(LegStart(start, tuple(missing), 0, None))
             else:
                 yield from map(start.undriven, missing)
         yield from self._through_legs(first)
 
-    def _legs_of(self, begin: _LegStart) -> Iterator[_LegWorld]:
+    def _legs_of(self, begin: LegStart) -> Iterator[LegWorld]:
         """The next legs of some worlds, which had the same outcome so far. Worlds with the same leg share a drive."""
         placed, before = begin.settled, begin.before
         plan, record = placed.group.plan, self.recording.of(placed.group.plan)
@@ -468,9 +372,9 @@ class SweepRun:
             poses = None if before is None else np.concatenate([before.boxes.pos, before.boxes.quat], axis=1)
             scene = placed.scene_of(leg)
             job = Job(scene, drive=drive, start=placed.outcome.state, poses=poses, record=record)
-            yield _LegWorld(plan, changes_of_leg[0].index, job, replace(begin, changes=tuple(changes_of_leg)))
+            yield LegWorld(plan, changes_of_leg[0].index, job, replace(begin, changes=tuple(changes_of_leg)))
 
-    def _through_legs(self, starts: Sequence[_LegStart]) -> Iterator[FinishedWorld]:
+    def _through_legs(self, starts: Sequence[LegStart]) -> Iterator[FinishedWorld]:
         """Simulate a leg of all worlds, then the next one of those that go on; yield each world at the end of its way.
 
         A device that waited for worlds to follow from outcomes would stand still meanwhile.
@@ -494,7 +398,7 @@ class SweepRun:
                 number, on = world.begin.number + 1, outcome.verdict is Verdict.STABLE
                 further_changes = tuple(change for change in world.begin.changes if on and len(change.legs) > number)
                 if further_changes:
-                    starts.append(_LegStart(placed, further_changes, number, outcome))
+                    starts.append(LegStart(placed, further_changes, number, outcome))
                 end = None if on else self._end(world, outcome, result.outcome.n_steps)
                 for change in world.begin.changes:
                     if change not in further_changes:
@@ -504,7 +408,7 @@ class SweepRun:
         self.progress.message = ""
         self.tally.drive_s += time.perf_counter() - begin
 
-    def _end(self, world: _LegWorld, outcome: Outcome, n_steps: int) -> LegEnd:
+    def _end(self, world: LegWorld, outcome: Outcome, n_steps: int) -> LegEnd:
         """Where a world ended that does not stand. ``n_steps``: those of its last leg."""
         if world.begin.settled.outcome.verdict is not Verdict.STABLE:
             return LegEnd(PLACING, 0.0)
@@ -537,7 +441,7 @@ class SweepRun:
         tested: dict[Test, Probe] = {}
         missing: dict[int, set[Test]] = {}
 
-        def next_drives(which: int) -> list[_DriveWorld]:
+        def next_drives(which: int) -> list[DriveWorld]:
             """The drives that an item needs next; empty if the item is finished."""
             while tests := bisection.next_tests(which):
                 probes = {test: probe for test in tests if (probe := tested.get(test) or recorded(*test)) is not None}
@@ -551,7 +455,7 @@ class SweepRun:
                 tested.update((test, now[test]) for test in bisection.bounds(which) if test in now)
             return []
 
-        ready_drives: list[_DriveWorld] = []
+        ready_drives: list[DriveWorld] = []
         # a list, since the thread of a source must not search
         first = [drive for which in range(len(searches)) for drive in next_drives(which)]
         for test, world in self._drive(first, partial(_drained, ready_drives)):
