@@ -18,6 +18,13 @@ from petmjx.world.variants import LegSpec, Variant
 
 
 @dataclass(frozen=True, eq=False)
+class PlacementWorld(World):
+    """A placement as a world that the engine simulates."""
+
+    group: PlacementGroup
+
+
+@dataclass(frozen=True, eq=False)
 class SettledPlacement:
     """A placement that has settled: its outcome, with the state from which drives start."""
 

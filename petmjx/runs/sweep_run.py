@@ -1,6 +1,6 @@
-"""Runs a sweep: simulates each placement once, forks its settled state into all drives, and searches levels.
+"""Runs a sweep: simulates each placement once, forks its settled state into all drives or ways, and searches levels.
 
-The engine gets placements and drives in batches over many plans, since a device is fast with large batches.
+The engine gets placements, drives and legs of many plans in one stream, since a device is fast with many worlds.
 ``Batching`` limits the memory, for sweeps of any size.
 """
 
@@ -10,7 +10,6 @@ import time
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property, partial
-from itertools import chain
 from typing import Any
 
 import numpy as np
@@ -20,13 +19,13 @@ from petmjx.engines.attempts import ATTEMPTS
 from petmjx.engines.protocol import Engine, Progress
 from petmjx.engines.subprocess.check_pool import CheckPool
 from petmjx.engines.verdict import Outcome, Verdict
-from petmjx.engines.world_results import AnyWorld, World, WorldResult
+from petmjx.engines.world_results import AnyWorld, WorldResult
 from petmjx.options.simulation import Simulation
 from petmjx.plans.plan import Plan
 from petmjx.results.history_tables import NO_RECORDING, Recording
 from petmjx.results.resume import CompletedWorlds
 from petmjx.runs.chain_legs import PLACING, after, with_sustained_force
-from petmjx.runs.forked_worlds import DriveWorld, LegStart, LegWorld, SettledPlacement, Test
+from petmjx.runs.forked_worlds import DriveWorld, LegStart, LegWorld, PlacementWorld, SettledPlacement, Test
 from petmjx.runs.level_search import Bisection, Probe, SearchBracket
 from petmjx.runs.study import FinishedWorld, LegEnd
 from petmjx.runs.sweep_design import SearchItem
@@ -45,8 +44,8 @@ class Batching:
             dropped.
         placements: largest number of stored settled states. A state with 43 boxes takes 10 to 20 KB.
         worlds: largest number of variants forked from stored states (a single placement may have more).
-        drives: largest number of forked worlds in one call of the engine, where they are not the drives of a grid. In a
-            search these are the first tests of all items, in a chain a leg of all worlds.
+        drives: largest number of forked worlds in one call of the engine, where they are not the drives of a grid: in
+            a search the first tests of all items, in a chain all worlds.
         histories: largest number of settled states stored with their histories. A history with 43 boxes takes 1 MB.
     """
 
@@ -92,14 +91,7 @@ SAME_STEP_ATTEMPTS = tuple(attempt for attempt in ATTEMPTS if attempt.timestep_d
 out: a state counts time in steps, so no world can start from a state that was reached with half the timestep."""
 
 
-@dataclass(frozen=True, eq=False)
-class _PlacementWorld(World):
-    """A placement as a world that the engine simulates."""
-
-    group: PlacementGroup
-
-
-def _drained(worlds: list[DriveWorld]) -> list[DriveWorld]:
+def _drained(worlds: list[AnyWorld]) -> list[AnyWorld]:
     """The worlds of a list, which is emptied."""
     drained = worlds.copy()
     worlds.clear()
@@ -156,9 +148,7 @@ class SweepRun:
         if not has_drives:
             return
         for chunk in self._chunks():
-            if self.plan.sweep.legs:
-                yield from self._chain(chunk)
-            elif self.plan.sweep.search is None:
+            if self.plan.sweep.search is None:
                 yield from self._fork(chunk)
             else:
                 yield from self._search(self._settle([group for group in chunk if not self._answer_again(group)]))
@@ -175,13 +165,7 @@ class SweepRun:
         group, variant = self.plan.find(plan_id, index)
         if not group.driven:
             return next(world for world in self._run_placements([group]) if world.variant.index == index)
-        (start,) = self._settle([group])
-        if not self._can_be_driven(start):
-            return start.undriven(variant)
-        if variant.legs:
-            (world,) = self._through_legs([LegStart(start, (variant,), 0, None)])
-            return world
-        ((_, world),) = self._drive([self._driving(start, variant)])
+        (world,) = self._fork([replace(group, variants=(variant,))])
         return world
 
     def _groups(self) -> Iterator[PlacementGroup]:
@@ -201,7 +185,7 @@ class SweepRun:
     def _chunks(self) -> Iterator[list[PlacementGroup]]:
         """Placements with drives, in chunks as large as ``Batching`` allows."""
         search = self.plan.sweep.search
-        # of a search and of a chain the engine gets all drives of a chunk in one call
+        # a leg of each world of a chain may have samples of its own
         most = self.batching.worlds if search is None and not self.plan.sweep.legs else self.batching.drives
         per_search = 0 if search is None else len(self.plan.search_items()) * search.sections
         chunk: list[PlacementGroup] = []
@@ -250,9 +234,9 @@ class SweepRun:
             yield self._settled(result)
         self.tally.placement_s += time.perf_counter() - begin
 
-    def _placements(self, groups: Iterable[PlacementGroup], keep_state: bool) -> Iterator[_PlacementWorld]:
+    def _placements(self, groups: Iterable[PlacementGroup], keep_state: bool) -> Iterator[PlacementWorld]:
         return (
-            _PlacementWorld(group.plan, group.index, self._placement(group, scene, keep_state), group)
+            PlacementWorld(group.plan, group.index, self._placement(group, scene, keep_state), group)
             for group, scene in self.plan.scenes(groups)
         )
 
@@ -297,30 +281,36 @@ class SweepRun:
     # Drives.
 
     def _fork(self, groups: Sequence[PlacementGroup]) -> Iterator[FinishedWorld]:
-        """Fork placements into all their variants. Drives begin when their placement has settled, beside placements
-        that take longer."""
+        """Fork placements into all their variants, beside placements that take longer: drives and the first legs of
+        chains begin when their placement has settled, further legs when the one before has ended."""
         begin = time.perf_counter()
         n_settled = 0
-        ready_drives: list[DriveWorld] = []
-        following = partial(_drained, ready_drives)
-        worlds: Iterator[_PlacementWorld | DriveWorld] = self._placements(groups, keep_state=True)
+        ready: list[DriveWorld | LegWorld] = []
+        following = partial(_drained, ready)
+        worlds: Iterator[PlacementWorld | DriveWorld | LegWorld] = self._placements(groups, keep_state=True)
         for result in self._score(worlds, self.batching.drives, forks=True, following=following):
             if isinstance(result.world, DriveWorld):
                 yield self._driven(result)
+                continue
+            if isinstance(result.world, LegWorld):
+                ended, further = self._after_leg(result)
+                if further is not None:
+                    ready += self._legs_of(further)
+                yield from ended
                 continue
             start, n_settled = self._settled(result), n_settled + 1
             self.progress.message = f"placed {n_settled:,} of {len(groups):,}" if n_settled < len(groups) else ""
             if n_settled == len(groups):
                 self.tally.placement_s += time.perf_counter() - begin
                 begin = time.perf_counter()
-            if self._can_be_driven(start):
-                ready_drives += self._drives_of(start)
+            missing = self._missing(start.group)
+            if not self._can_be_driven(start):
+                yield from map(start.undriven, missing)
+            elif missing[0].legs:
+                ready += self._legs_of(LegStart(start, tuple(missing), 0, None))
             else:
-                yield from map(start.undriven, self._missing(start.group))
+                ready += (self._driving(start, variant) for variant in missing)
         self.tally.drive_s += time.perf_counter() - begin
-
-    def _drives_of(self, start: SettledPlacement) -> Iterator[DriveWorld]:
-        return (self._driving(start, variant) for variant in self._missing(start.group))
 
     def _driving(self, start: SettledPlacement, variant: Variant, test: Test = (-1, -1)) -> DriveWorld:
         plan = start.group.plan
@@ -349,17 +339,6 @@ class SweepRun:
 
     # Chains.
 
-    def _chain(self, groups: Sequence[PlacementGroup]) -> Iterator[FinishedWorld]:
-        """Take placements through the legs of their chains, each leg from the end of the leg before."""
-        first: list[LegStart] = []
-        for start in self._settling(groups):
-            missing = self._missing(start.group)
-            if self._can_be_driven(start):
-                first.append(LegStart(start, tuple(missing), 0, None))
-            else:
-                yield from map(start.undriven, missing)
-        yield from self._through_legs(first)
-
     def _legs_of(self, begin: LegStart) -> Iterator[LegWorld]:
         """The next legs of some worlds, which had the same outcome so far. Worlds with the same leg share a drive."""
         placed, before = begin.settled, begin.before
@@ -374,39 +353,27 @@ class SweepRun:
             job = Job(scene, drive=drive, start=placed.outcome.state, poses=poses, record=record)
             yield LegWorld(plan, changes_of_leg[0].index, job, replace(begin, changes=tuple(changes_of_leg)))
 
-    def _through_legs(self, starts: Sequence[LegStart]) -> Iterator[FinishedWorld]:
-        """Simulate a leg of all worlds, then the next one of those that go on; yield each world at the end of its way.
-
-        A device that waited for worlds to follow from outcomes would stand still meanwhile.
-        """
-        begin = time.perf_counter()
-        while starts:
-            name, total = starts[0].changes[0].legs[starts[0].number].name, len(starts)
-            # made by the thread of the source, since each leg has samples of its own where strengths are drawn
-            worlds, starts = chain.from_iterable(map(self._legs_of, starts)), []
-            for ended, result in enumerate(self._score(worlds, self.batching.drives, forks=True), start=1):
-                self.progress.message = f"leg {name}: {ended:,} of {max(total, ended):,}"
-                self.tally.drives += 1
-                self.tally.drive_steps += result.outcome.n_steps
-                world = result.world
-                placed, before = world.begin.settled, world.begin.before
-                if before is None:
-                    outcome = placed.shaken(result.outcome, self.sim.thresholds)
-                    outcome = with_sustained_force(outcome, placed.outcome.boxes)
-                else:
-                    outcome = after(before, result.outcome, self.sim.physics.timestep_s)
-                number, on = world.begin.number + 1, outcome.verdict is Verdict.STABLE
-                further_changes = tuple(change for change in world.begin.changes if on and len(change.legs) > number)
-                if further_changes:
-                    starts.append(LegStart(placed, further_changes, number, outcome))
-                end = None if on else self._end(world, outcome, result.outcome.n_steps)
-                for change in world.begin.changes:
-                    if change not in further_changes:
-                        yield FinishedWorld(
-                            world.plan, change, world.job.scene, outcome, result.attempts, placed.outcome, True, end
-                        )
-        self.progress.message = ""
-        self.tally.drive_s += time.perf_counter() - begin
+    def _after_leg(self, result: WorldResult[LegWorld]) -> tuple[list[FinishedWorld], LegStart | None]:
+        """The worlds whose way ends with a leg, and where the next leg of the others begins."""
+        self.tally.drives += 1
+        self.tally.drive_steps += result.outcome.n_steps
+        world, begin = result.world, result.world.begin
+        if begin.before is None:
+            outcome = begin.settled.shaken(result.outcome, self.sim.thresholds)
+            outcome = with_sustained_force(outcome, begin.settled.outcome.boxes)
+        else:
+            outcome = after(begin.before, result.outcome, self.sim.physics.timestep_s)
+        stands, number = outcome.verdict is Verdict.STABLE, begin.number + 1
+        end = None if stands else self._end(world, outcome, result.outcome.n_steps)
+        further = tuple(change for change in begin.changes if stands and len(change.legs) > number)
+        ended = [
+            FinishedWorld(
+                world.plan, change, world.job.scene, outcome, result.attempts, begin.settled.outcome, True, end
+            )
+            for change in begin.changes
+            if change not in further
+        ]
+        return ended, LegStart(begin.settled, further, number, outcome) if further else None
 
     def _end(self, world: LegWorld, outcome: Outcome, n_steps: int) -> LegEnd:
         """Where a world ended that does not stand. ``n_steps``: those of its last leg."""
