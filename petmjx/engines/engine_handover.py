@@ -232,7 +232,7 @@ class _Shared(Generic[Faster]):
         """Run jobs on the other engine. After an error of the other engine C MuJoCo simulates the unanswered jobs."""
         faster, progress = self._engine._faster, self._progress
         assert faster is not None
-        stream = JobStream[_Numbered](feedback=self._jobs.feedback)
+        stream = JobStream[_Numbered](feedback=self._jobs.feedback, bounds=self._jobs.bounds)
 
         def feed() -> None:
             while self._faster:

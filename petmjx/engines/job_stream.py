@@ -6,7 +6,7 @@ import threading
 from collections import deque
 from collections.abc import Collection, Iterable, Iterator
 from itertools import chain, islice
-from typing import Any, Final, Generic, TypeVar
+from typing import Any, Final, Generic, NamedTuple, TypeVar
 
 from petmjx.world.job import Job
 
@@ -14,6 +14,20 @@ WAIT_S: Final = 0.25
 """Longest wait without a look for signals, s: a signal just before a wait is noticed only after the wait."""
 
 Tag = TypeVar("Tag")
+
+
+class JobBounds(NamedTuple):
+    """Bounds of all jobs of a run, for an engine that makes room before they come.
+
+    Attributes:
+        box_counts: numbers of boxes of their scenes.
+        drive_steps: samples of the longest drive.
+        excitations: number of different excitations; None: as many as worlds.
+    """
+
+    box_counts: Collection[int]
+    drive_steps: int
+    excitations: int | None
 
 
 class JobStream(Generic[Tag]):
@@ -29,13 +43,21 @@ class JobStream(Generic[Tag]):
         most_boxes: boxes of the waiting jobs from which on ``put`` waits.
         feedback: whether jobs may follow from outcomes.
         begin_with: number of jobs for which an engine that simulates many at once should wait at first.
+        bounds: bounds of all jobs, also of those that follow; None: unknown.
 
     Attributes:
         in_flight: number → tag of the jobs that were taken and have no outcome.
     """
 
-    def __init__(self, *, most_boxes: int | None = None, feedback: bool = False, begin_with: int = 1) -> None:
-        self.feedback, self.begin_with = feedback, begin_with
+    def __init__(
+        self,
+        *,
+        most_boxes: int | None = None,
+        feedback: bool = False,
+        begin_with: int = 1,
+        bounds: JobBounds | None = None,
+    ) -> None:
+        self.feedback, self.begin_with, self.bounds = feedback, begin_with, bounds
         self.in_flight: dict[int, Tag] = {}
         self._most_boxes = most_boxes
         self._following: deque[tuple[Job, Tag]] = deque()

@@ -16,6 +16,7 @@ import numpy as np
 
 from petmjx.engines.attempt_stream import FIRST_WORLDS, MOST_PENDING, check_pool_for, score_worlds
 from petmjx.engines.attempts import ATTEMPTS
+from petmjx.engines.job_stream import JobBounds
 from petmjx.engines.protocol import Engine, Progress
 from petmjx.engines.subprocess.check_pool import CheckPool
 from petmjx.engines.verdict import Outcome, Verdict
@@ -211,6 +212,7 @@ class SweepRun:
         forks: bool,
         begin_with: int = FIRST_WORLDS,
         following: Callable[[], Iterable[AnyWorld]] | None = None,
+        bounds: JobBounds | None = None,
     ) -> Iterator[WorldResult[AnyWorld]]:
         return score_worlds(
             worlds,
@@ -221,6 +223,7 @@ class SweepRun:
             most_pending=most_pending,
             attempts=SAME_STEP_ATTEMPTS if forks else ATTEMPTS,
             following=following,
+            bounds=bounds,
             check_pool=self._check_pool,
         )
 
@@ -286,9 +289,9 @@ class SweepRun:
         begin = time.perf_counter()
         n_settled = 0
         ready: list[DriveWorld | LegWorld] = []
-        following = partial(_drained, ready)
+        following, bounds = partial(_drained, ready), self.plan.job_bounds(groups)
         worlds: Iterator[PlacementWorld | DriveWorld | LegWorld] = self._placements(groups, keep_state=True)
-        for result in self._score(worlds, self.batching.drives, forks=True, following=following):
+        for result in self._score(worlds, self.batching.drives, forks=True, following=following, bounds=bounds):
             if isinstance(result.world, DriveWorld):
                 yield self._driven(result)
                 continue

@@ -30,7 +30,7 @@ from petmjx.engines.warp.kernel_features import KernelFeatures, size_of
 from petmjx.engines.warp.kernel_launcher import BlockPool
 from petmjx.engines.warp.open_worlds import WarpWorlds
 from petmjx.engines.warp.slice_result import SliceResult, outcomes_of
-from petmjx.engines.warp.table_jobs import SPARE_ROWS, TableJobs
+from petmjx.engines.warp.table_jobs import TableJobs
 from petmjx.engines.warp.time_slices import Rollout
 from petmjx.engines.warp.world_table import Run, WorldTable
 from petmjx.options.simulation import Simulation
@@ -177,20 +177,23 @@ class MjxWarpEngine(Engine):
         while not source.ended and source.recorded == waits:
             jobs, numbers, rows = source.begin()
             running, source.running = source.running, None
-            table = self._load(Run.of(source.needs, sim, progress), jobs, numbers, rows)
+            room = source.profile_room(jobs, rows)
+            table = self._load(Run.of(source.needs, sim, progress), jobs, numbers, rows, room)
             if running is not None:
                 table.put_running(running)
                 running = None  # its memory is needed
             yield from self._slices_of(table, source, waits=waits)
 
-    def _load(self, run: Run, jobs: list[Job], numbers: list[int], rows: int) -> WorldTable:
+    def _load(
+        self, run: Run, jobs: list[Job], numbers: list[int], rows: int, profile_room: tuple[int, int] = (0, 0)
+    ) -> WorldTable:
         """A table of worlds.
 
         Args:
-            rows: number of rows. With spare rows there is also room for further profiles.
+            rows: number of rows.
+            profile_room: as in ``load``.
         """
-        spare = SPARE_ROWS if rows >= SPARE_ROWS * len(jobs) else 1
-        batch = load(jobs, rows, run.needs.most_boxes, run.sim, run.timetable, spare)
+        batch = load(jobs, rows, run.needs.most_boxes, run.sim, run.timetable, profile_room)
         return WorldTable(**vars(batch), run=run, numbers=numbers)
 
     def _slices_of(

@@ -9,7 +9,7 @@ from typing import Any, Final
 from petmjx.engines.job_stream import JobStream
 from petmjx.engines.mjx.host_to_device import padded_rows, round_up
 from petmjx.engines.warp.block_launch import SIZES
-from petmjx.engines.warp.kernel_features import KernelFeatures
+from petmjx.engines.warp.kernel_features import KernelFeatures, widths_of
 from petmjx.engines.warp.world_arrays import MAX_BOXES
 from petmjx.engines.warp.world_table import RunningWorlds, WorldTable
 from petmjx.world.job import Job
@@ -27,6 +27,12 @@ MOST_JOINING: Final = 512
 
 JOIN_ROWS, FEEDBACK_ROWS = 256, 64
 """Jobs that are written into a table at a time, and those that follow from outcomes."""
+
+MOST_PROFILE_BYTES: Final = 1 << 30
+"""Most memory for the profiles of jobs that follow: for 7,000 worlds whose profiles of 20 s differ. Further worlds wait
+until a profile's row is free."""
+
+_SAMPLE_BYTES: Final = 3 * 4
 
 LARGE_GRANULE: Final = 64
 """Box columns for worlds larger than the smaller size are a multiple of this if larger plans may follow."""
@@ -83,12 +89,24 @@ class TableJobs:
         grows = self.feedback or not self._stream.closed or self._stream.ready > len(further)
         # A table that others may join has columns for them. Each width is compiled once.
         needs = KernelFeatures.of(every, self._granule)
-        if grows and not self.feedback:
+        if grows and self._stream.bounds is not None:
+            counts = [count for count in self._stream.bounds.box_counts if count <= MAX_BOXES]
+            needs |= KernelFeatures(widths_of(counts, self._granule))
+        elif grows and not self.feedback:
             needs = _roomy(needs | self.needs)
         self.needs, self._begun = needs, True
         taken = self._take(further)
         rows = min(max(SPARE_ROWS * len(every), self._least_rows), self._size) if grows else 0
         return every, [*numbers, *taken], padded_rows(max(len(every), rows))
+
+    def profile_room(self, jobs: Sequence[Job], rows: int) -> tuple[int, int]:
+        """Number and steps of the profiles for which a table with these jobs and so many rows should have room."""
+        bounds = self._stream.bounds
+        if bounds is not None and bounds.drive_steps:
+            most = MOST_PROFILE_BYTES // (bounds.drive_steps * _SAMPLE_BYTES)
+            return min(rows, most, rows if bounds.excitations is None else bounds.excitations), bounds.drive_steps
+        spare = SPARE_ROWS if rows >= SPARE_ROWS * len(jobs) else 1
+        return spare * len({id(job.drive.excitation) for job in jobs if job.drive}), 0
 
     def join(self, table: WorldTable, *, wait: bool = False) -> list[int]:
         """Put waiting jobs into free rows of a table, in order, until one does not fit. Returns their rows.

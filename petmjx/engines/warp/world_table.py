@@ -135,7 +135,9 @@ class WorldTable(Batch):
         has_blocks = job.scene.n_boxes <= needs.widths.get(size_of(job), 0)
         has_blocks &= len(job.scene.carrier.half_size) <= self.boards
         has_times = job.scene.n_boxes < len(self.run.timetable.one_by_one_end)
-        return has_blocks and has_times and needs.know(job) and job.record is None and self.recorder.idle
+        excitation = _excitation(job)
+        has_steps = excitation is None or len(excitation.samples) <= self.profiles.shape[1]
+        return has_blocks and has_times and has_steps and needs.know(job) and job.record is None and self.recorder.idle
 
     def add(self, jobs: Sequence[Job], numbers: Sequence[int], at_once: int) -> NDArray[np.intp]:
         """Put jobs that fit into free rows. Returns their rows, fewer than jobs if there is no room for all profiles.
@@ -174,7 +176,7 @@ class WorldTable(Batch):
         for number, excitation in enumerate(map(_excitation, jobs)):
             if excitation is None or id(excitation) in self.profile_rows:
                 continue
-            if not free or len(excitation.samples) > self.profiles.shape[1]:
+            if not free:
                 fitting = number
                 break
             rows.append(free.pop())
