@@ -92,6 +92,11 @@ SAME_STEP_ATTEMPTS = tuple(attempt for attempt in ATTEMPTS if attempt.timestep_d
 out: a state counts time in steps, so no world can start from a state that was reached with half the timestep."""
 
 
+def _n_drives(variant: Variant) -> int:
+    """Number of drives or legs of a world that stands until its end."""
+    return len(variant.legs) or int(variant.drive is not None)
+
+
 def _drained(worlds: list[AnyWorld]) -> list[AnyWorld]:
     """The worlds of a list, which is emptied."""
     drained = worlds.copy()
@@ -125,6 +130,9 @@ class SweepRun:
     batching: Batching = field(default_factory=Batching)
     tally: Tally = field(default_factory=Tally)
     _check_pool: CheckPool[Any] | None = field(default=None, init=False)
+    _work_done: int = field(default=0, init=False)
+    _work: int = field(default=0, init=False)
+    """Boxes of all placements, drives and legs; 0 if it is unknown, or worlds are placements alone."""
 
     @cached_property
     def sim(self) -> Simulation:
@@ -144,6 +152,10 @@ class SweepRun:
 
     def _all_worlds(self) -> Iterator[FinishedWorld]:
         has_drives = self.plan.sweep.has_drives
+        if has_drives and self.plan.sweep.search is None:
+            self._work = sum(
+                group.plan.n_boxes * (1 + sum(map(_n_drives, self._missing(group)))) for group in self._groups()
+            )
         if self.plan.sweep.nominal or not has_drives:
             yield from self._run_placements(group for group in self._groups() if not group.driven)
         if not has_drives:
@@ -243,7 +255,14 @@ class SweepRun:
             for group, scene in self.plan.scenes(groups)
         )
 
+    def _note_work(self, plan: Plan, count: int = 1) -> None:
+        """Note that so many placements, drives or legs of a plan are done, or will not be simulated."""
+        self._work_done += count * plan.n_boxes
+        if self._work:
+            self.progress.work_share = self._work_done / self._work
+
     def _settled(self, result: WorldResult[Any]) -> SettledPlacement:
+        self._note_work(result.world.plan)
         self.tally.placements += 1
         self.tally.placement_steps += result.outcome.n_steps
         return SettledPlacement(result.world.group, result.world.job.scene, result.outcome, result.attempts)
@@ -308,6 +327,7 @@ class SweepRun:
                 begin = time.perf_counter()
             missing = self._missing(start.group)
             if not self._can_be_driven(start):
+                self._note_work(start.group.plan, sum(map(_n_drives, missing)))
                 yield from map(start.undriven, missing)
             elif missing[0].legs:
                 ready += self._legs_of(LegStart(start, tuple(missing), 0, None))
@@ -333,6 +353,7 @@ class SweepRun:
 
     def _driven(self, result: WorldResult[Any]) -> FinishedWorld:
         world, outcome = result.world, result.outcome
+        self._note_work(world.plan)
         self.tally.drives += 1
         self.tally.drive_steps += outcome.n_steps
         final = world.settled.shaken(outcome, self.sim.thresholds)
@@ -369,13 +390,14 @@ class SweepRun:
         stands, number = outcome.verdict is Verdict.STABLE, begin.number + 1
         end = None if stands else self._end(world, outcome, result.outcome.n_steps)
         further = tuple(change for change in begin.changes if stands and len(change.legs) > number)
-        ended = [
-            FinishedWorld(
-                world.plan, change, world.job.scene, outcome, result.attempts, begin.settled.outcome, True, end
-            )
-            for change in begin.changes
-            if change not in further
-        ]
+        ended = []
+        for change in begin.changes:
+            if change in further:
+                self._note_work(world.plan)
+                continue
+            self._note_work(world.plan, len(change.legs) - begin.number)
+            scene, placed = world.job.scene, begin.settled.outcome
+            ended.append(FinishedWorld(world.plan, change, scene, outcome, result.attempts, placed, True, end))
         return ended, LegStart(begin.settled, further, number, outcome) if further else None
 
     def _end(self, world: LegWorld, outcome: Outcome, n_steps: int) -> LegEnd:

@@ -110,7 +110,14 @@ def test_a_world_says_in_which_leg_which_box_failed_and_when(tmp_path: Path) -> 
     text = QUICK.replace("early_stop = false", 'carrier = "euro-pallet"')
     text += legs(conveyor=PUSH.replace("0.45", "0.2"), truck=strong, dock=PUSH)
     plans = [replace(BLOCK, plan_id="stands"), make_plan("falls", stack(2, -380.0, at_mm=(600, 250)))]
-    worlds = petmjx.sweep(write_sweep(tmp_path, text), plans, engine="mujoco").worlds.set_index("plan_id")
+    plan = SweepPlan(load_sweep(file := write_sweep(tmp_path, text), plans_given=True), plans)
+    progress = Progress()
+    shares = {
+        world.plan.plan_id: progress.work_share for world in SweepRun(plan, MujocoEngine(1), progress=progress).worlds()
+    }
+    # a placement and three legs of each; the stack of two ends with its placement, the box in its second leg
+    assert shares == {"falls": pytest.approx((8 + 1) / 12), "stands": 1.0}
+    worlds = petmjx.sweep(file, plans, engine="mujoco").worlds.set_index("plan_id")
     falls, stands = worlds.loc["falls"], worlds.loc["stands"]
     assert (falls["leg"], falls["n_steps"]) == ("placing", 0)
     assert (stands["leg"], stands["mode"]) == ("truck", "slide")
