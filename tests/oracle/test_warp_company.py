@@ -35,8 +35,7 @@ from support.tiny_worlds import (
 )
 from support.worlds import simulate
 
-from petmjx.engines.warp import engine as mjx_warp
-from petmjx.engines.warp import slice_result, table_jobs
+from petmjx.engines.warp import slice_result, table_jobs, time_slices
 from petmjx.engines.warp.block_launch import Launch
 from petmjx.engines.warp.block_queues import Queues
 from petmjx.engines.warp.engine import MjxWarpEngine
@@ -217,7 +216,7 @@ def test_worlds_of_each_size_have_blocks_of_their_own(monkeypatch: pytest.Monkey
             super().add(*args)
             queues.append(np.asarray(self.order))
 
-    monkeypatch.setattr(mjx_warp, "Queues", Watched)
+    monkeypatch.setattr(time_slices, "Queues", Watched)
     some = engine()
     assert_equal_worlds(simulate(some, scenes, SHORT), alike)
     ((_, rollout),) = some._kept.values()

@@ -7,7 +7,6 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from petmjx.common.errors import EngineUnavailable
 from petmjx.common.machine import why_no_warp
@@ -16,31 +15,23 @@ from petmjx.common.warp_setup import set_up_warp
 from petmjx.engines.job_stream import JobStream
 from petmjx.engines.mjx.host_to_device import GRANULE, is_out_of_memory, load
 from petmjx.engines.mjx.jax_setup import set_up_jax
-from petmjx.engines.mjx.readback import prepare_readback, read_back
-from petmjx.engines.mjx.world_state import Status
 from petmjx.engines.open_worlds import MOST_BOXES
 from petmjx.engines.protocol import GROUP_WORLDS, Engine, Progress, RunLock, says_at_hand, takes_stream
-from petmjx.engines.verdict import Flag, Outcome
+from petmjx.engines.verdict import Outcome
 from petmjx.engines.warp.block_launch import Launch
 from petmjx.engines.warp.block_pool import BlockPools
-from petmjx.engines.warp.block_queues import Queues
-from petmjx.engines.warp.frame_buffers import hand_over, pick_frames
 from petmjx.engines.warp.free_bodies import paths
 from petmjx.engines.warp.kernel_features import KernelFeatures, size_of
 from petmjx.engines.warp.kernel_launcher import BlockPool
 from petmjx.engines.warp.open_worlds import WarpWorlds
 from petmjx.engines.warp.slice_result import SliceResult, outcomes_of
 from petmjx.engines.warp.table_jobs import TableJobs
-from petmjx.engines.warp.time_slices import Rollout
+from petmjx.engines.warp.time_slices import Rollout, TableSlices
 from petmjx.engines.warp.world_table import Run, WorldTable
 from petmjx.options.simulation import Simulation
 from petmjx.world.free_bodies import FreeBodies
 from petmjx.world.job import Job
 from petmjx.world.scene import Scene
-
-UNDER_WAY = 2
-"""Slices in flight, so that the device is never idle. Worlds that end in one slice come to the host when the next slice
-has ended."""
 
 GPU_SLICE_NS = 100_000_000
 """Time slice of a call on a GPU, ns. If it is longer, the host waits for worlds; if shorter, the device waits for
@@ -199,95 +190,13 @@ class MjxWarpEngine(Engine):
     def _slices_of(
         self, table: WorldTable, source: TableJobs, *, waits: bool, simulate: bool = True
     ) -> Generator[SliceResult]:
-        """Run time slices until all worlds of a table have ended, or go on in another table. While the device runs a
-        slice, the host makes outcomes of ended worlds, and puts further jobs into their rows.
-
-        Args:
-            waits: whether each slice waits for the outcomes of the slice before, since the host must fetch frames of
-                recorded worlds.
-            simulate: False if memory has run out; all worlds are given up then.
-        """
-        run = table.run
-        queues = Queues(run.needs.sizes, size_of, table.rows)
-        queues.add(table.jobs, np.arange(len(table.jobs)), table.live, run.sim)
-        rollout = self._rollout(table) if simulate else None
-
-        def slices_at_once() -> int:
-            # a job that follows from an outcome joins after the slices in flight: while blocks are idle, only one is
-            blocks_idle = rollout is not None and int(table.live.sum()) <= rollout.launcher.blocks
-            return 1 if waits or (source.feedback and blocks_idle) else UNDER_WAY
-
+        """The time slices of a table, as ``TableSlices``. After an error the memory of all rollouts is freed."""
+        slices = TableSlices(table, source, waits, self._pools, self._rollout)
         try:
-            if rollout is None:
-                table.give_up(np.flatnonzero(table.live), Flag.OUT_OF_MEMORY)
-            else:
-                rollout.keep_under_way(slices_at_once(), table, queues.order)
-                prepare_readback(table.table, table.worlds, run.sim)
-            while table.live.any():
-                frames = None
-                if rollout is None:
-                    status = table.status()
-                else:
-                    status, ended_slice = rollout.wait(table)
-                    frames = None if table.recorder.idle else pick_frames(ended_slice.frames)
-                if rollout is not None and (status == Status.OVERFLOWED).any():
-                    rollout.finish(table)
-                    rollout = self._make_room(table, np.flatnonzero(table.status() == Status.OVERFLOWED))
-                    status = table.status()
-                ended = table.ended(status)
-                picked = read_back(ended, table.table, table.worlds, run.sim)
-                jobs, numbers = ({row: values[row] for row in ended.tolist()} for values in (table.jobs, table.numbers))
-                table.end(ended)
-                if rollout is not None:
-                    self._join(table, queues, source)
-                    if table.live.any():
-                        rollout.keep_under_way(slices_at_once(), table, queues.order)
-                    else:
-                        rollout.finish(table)  # no world runs in the slices in flight
-                if frames is not None:
-                    hand_over(frames, table.recorder)
-                yield SliceResult(picked, table.recorder, jobs, numbers)
-                if rollout is None:
-                    continue
-                while not table.live.any() and not waits and source.wait_for_following():
-                    yield SliceResult((), table.recorder, {}, {})  # whoever takes outcomes may have left
-                if not table.live.any() and self._join(table, queues, source, wait=True):
-                    rollout.keep_under_way(slices_at_once(), table, queues.order)
-                elif source.needs_another(table, rollout.launcher.blocks):
-                    rollout.finish(table)
-                    source.running = table.take_running()
-                    return
+            yield from slices.results(simulate=simulate)
         except BaseException:
             self._drop()  # the memory of a call that did not return is lost
             raise
-
-    @staticmethod
-    def _join(table: WorldTable, queues: Queues, source: TableJobs, *, wait: bool = False) -> bool:
-        """Put waiting jobs into free rows. Returns whether any was added."""
-        rows = source.join(table, wait=wait)
-        if rows:
-            queues.add([table.jobs[row] for row in rows], np.array(rows), table.live, table.run.sim)
-        return bool(rows)
-
-    def _make_room(self, table: WorldTable, rows: NDArray[np.int64]) -> Rollout | None:
-        """Enlarge the buffers of worlds that overflowed them and were stopped. Worlds that overflow at ``most_room``
-        are given up."""
-        sizes = np.array([size_of(table.jobs[row]) for row in rows.tolist()])
-        for size in np.unique(sizes).tolist():
-            some = rows[sizes == size]
-            growth = self._pools.grow(table.run, size)
-            if growth is None:
-                table.give_up(some, Flag.NONE)
-                continue
-            table.run.progress.message = f"{len(some)} worlds overflowed their buffers, on with {growth}× as large ones"
-            table.retry(some)
-            table.table = table.table._replace(status=table.table.status.at[some].set(Status.RUNNING))
-        rollout = self._rollout(table)
-        if rollout is None:
-            is_live = table.live.copy()
-            is_live[table.ended(table.status())] = False
-            table.give_up(np.flatnonzero(is_live), Flag.OUT_OF_MEMORY)
-        return rollout
 
     def _rollout(self, table: WorldTable) -> Rollout | None:
         """The rollout for a table, with fewer blocks if memory is short; None if not even ``MIN_BLOCKS`` fit. With
