@@ -43,7 +43,7 @@ Faster = TypeVar("Faster", bound=Engine)
 
 
 _Numbered = tuple[int, Job]
-"""A job, with its number in the run."""
+"""A job, with its stream number in the run."""
 
 
 class HandoverEngine(Engine, Generic[Faster]):
@@ -191,8 +191,8 @@ class _Shared(Generic[Faster]):
 
         def feed() -> None:
             while self._mujoco and len(stream.in_flight) + stream.ready < 2 * mujoco.threads:
-                number, job = self._mujoco.popleft()
-                stream.put(ready_for(mujoco.name, job), (number, job))
+                stream_number, job = self._mujoco.popleft()
+                stream.put(ready_for(mujoco.name, job), (stream_number, job))
 
         feed()
         stream.close()  # further jobs are put between outcomes
@@ -236,8 +236,8 @@ class _Shared(Generic[Faster]):
 
         def feed() -> None:
             while self._faster:
-                number, job = self._faster.popleft()
-                stream.put(ready_for(faster.name, job), (number, job))
+                stream_number, job = self._faster.popleft()
+                stream.put(ready_for(faster.name, job), (stream_number, job))
 
         feed()
         stream.close()  # further jobs are put between outcomes

@@ -37,7 +37,7 @@ class JobStream(Generic[Tag]):
     puts the jobs that follow from outcomes. These are taken first: so few worlds are half done at any time, and few of
     their states wait in memory. An engine takes jobs when it has capacity.
 
-    The number of a job is its place among the jobs that were taken since ``begin``.
+    The stream number of a job is its place among the jobs that were taken since ``begin``.
 
     Args:
         most_boxes: boxes of the waiting jobs from which on ``put`` waits.
@@ -46,7 +46,7 @@ class JobStream(Generic[Tag]):
         bounds: bounds of all jobs, also of those that follow; None: unknown.
 
     Attributes:
-        in_flight: number → tag of the jobs that were taken and have no outcome.
+        in_flight: stream number → tag of the jobs that were taken and have no outcome.
     """
 
     def __init__(
@@ -78,7 +78,7 @@ class JobStream(Generic[Tag]):
         return stream
 
     def begin(self) -> None:
-        """Begin a run of an engine with the waiting jobs: numbers begin at 0, and no job is in flight."""
+        """Begin a run of an engine with the waiting jobs: stream numbers begin at 0, and no job is in flight."""
         self.in_flight, self._taken, self._unfollowed = {}, 0, 0
 
     def put(self, job: Job, tag: Tag, *, bounded: bool = False) -> bool:
@@ -152,14 +152,14 @@ class JobStream(Generic[Tag]):
             self._ready(count, True)
             return self.ready
 
-    def answered(self, number: int) -> Tag:
+    def answered(self, stream_number: int) -> Tag:
         """The tag of a job that has its outcome.
 
         Raises:
             KeyError: the job is not in flight.
         """
         with self._changed:
-            tag = self.in_flight.pop(number)
+            tag = self.in_flight.pop(stream_number)
             self._unfollowed += 1
             return tag
 
@@ -174,8 +174,8 @@ class JobStream(Generic[Tag]):
         thread than the one that takes its outcomes.
 
         Args:
-            in_flight: numbers of the engine's jobs whose outcomes have not been taken. The thread that takes them calls
-                ``wake`` when it has changed them.
+            in_flight: stream numbers of the engine's jobs whose outcomes have not been taken. The thread that takes
+                outcomes calls ``wake`` when it has changed them.
 
         Returns:
             Whether no job is ready, and jobs may still follow from outcomes.

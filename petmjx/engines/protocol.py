@@ -144,7 +144,7 @@ class StreamEngine(Protocol):
     def run(
         self, jobs: Sequence[Job] | JobStream[Any], sim: Simulation, progress: Progress | None = None
     ) -> Iterator[Outcome]:
-        """As of ``MinimalEngine``. The number of a job is its place among the jobs that the run takes.
+        """As of ``MinimalEngine``. The stream number of a job is its place among the jobs that the run takes.
 
         A run takes jobs while it has capacity. The run ends when it has no job in flight and waits for more in vain
         (``JobStream.take``).

@@ -377,11 +377,12 @@ class SweepRun:
             job = Job(scene, drive=drive, start=placed.outcome.state, poses=poses, record=record)
             yield LegWorld(plan, changes_of_leg[0].index, job, replace(begin, changes=tuple(changes_of_leg)))
 
-    def _after_leg(self, result: WorldResult[LegWorld]) -> tuple[list[FinishedWorld], LegStart | None]:
+    def _after_leg(self, result: WorldResult[Any]) -> tuple[list[FinishedWorld], LegStart | None]:
         """The worlds whose way ends with a leg, and where the next leg of the others begins."""
         self.tally.drives += 1
         self.tally.drive_steps += result.outcome.n_steps
-        world, begin = result.world, result.world.begin
+        world: LegWorld = result.world
+        begin = world.begin
         if begin.before is None:
             outcome = begin.settled.shaken(result.outcome, self.sim.thresholds)
             outcome = with_sustained_force(outcome, begin.settled.outcome.boxes)

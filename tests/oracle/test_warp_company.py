@@ -282,7 +282,7 @@ def test_worlds_that_come_later_are_as_those_that_were_there(
         if outcome.job == 0:
             put(stream, *[Job(jobs[name]) for name in names[1:]])
     assert sorted(numbers) == list(range(len(names)))
-    assert [table.numbers for table in tables] == [[1, 2], [3, 4, 5]]
+    assert [table.stream_numbers for table in tables] == [[1, 2], [3, 4, 5]]
     tables.clear()
     some.least_rows = some.granule = 16
     stream, numbers = feedback_stream([Job(jobs[names[0]])]), []
@@ -291,7 +291,7 @@ def test_worlds_that_come_later_are_as_those_that_were_there(
         if outcome.job == 0:
             put(stream, *[Job(jobs[name]) for name in names[1:]])
     assert sorted(numbers) == list(range(len(names)))
-    assert [sorted(table.numbers) for table in tables] == [[1, 2, 3, 4, 5]]
+    assert [sorted(table.stream_numbers) for table in tables] == [[1, 2, 3, 4, 5]]
 
 
 @pytest.mark.slow

@@ -36,7 +36,7 @@ class RowsOnly(WorldTable):
         sim = Simulation()
         self.run: Any = SimpleNamespace(needs=needs, sim=sim, timetable=build_timetable(sim, needs.most_boxes))
         self.table: Any = SimpleNamespace(status=np.zeros(rows, np.int32))
-        self.jobs, self.numbers, self.slices = jobs, list(range(len(jobs))), 0
+        self.jobs, self.stream_numbers, self.slices = jobs, list(range(len(jobs))), 0
         self.recorder: Any = SimpleNamespace(idle=all(job.record is None for job in jobs))
         self.profiles: Any = jnp.zeros((profiles, 4, 3))
         self.profile_rows = dict[int, int]()

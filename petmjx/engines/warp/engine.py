@@ -123,15 +123,15 @@ class MjxWarpEngine(Engine):
         return TableJobs(stream, self.most_rows, self.least_rows, self.granule)
 
     def _outcomes(self, source: TableJobs, sim: Simulation, progress: Progress) -> Iterator[Outcome]:
-        """Outcomes of all jobs of a source, by their numbers."""
+        """Outcomes of all jobs of a source, by their stream numbers."""
         while not source.ended:
             waits = source.recorded
             try:
                 for outcome in outcomes_of(self._slices(source, sim, progress, waits), sim, progress, waits=waits):
-                    number = outcome.job if outcome is not None else None  # None: a pause
+                    stream_number = outcome.job if outcome is not None else None  # None: a pause
                     yield outcome
-                    if number is not None:  # whoever takes outcomes has put the jobs that follow
-                        source.answered(number)
+                    if stream_number is not None:  # whoever takes outcomes has put the jobs that follow
+                        source.answered(stream_number)
             except Exception as error:
                 if not is_out_of_memory(error):
                     raise
@@ -151,13 +151,13 @@ class MjxWarpEngine(Engine):
                 self._slices_of(table, source, waits=True, simulate=False), sim, progress, waits=True
             )
             return
-        numbers = np.array([*lost], int)
+        stream_numbers = np.array([*lost], int)
         sizes = np.array([size_of(job) for job in lost.values()])
-        apart = [numbers[sizes == size] for size in np.unique(sizes)]
-        for part in apart if len(apart) > 1 else np.array_split(numbers, 2):
+        apart = [stream_numbers[sizes == size] for size in np.unique(sizes)]
+        for part in apart if len(apart) > 1 else np.array_split(stream_numbers, 2):
             if len(part):
                 progress.message = f"out of device memory, again with {len(part)} of the worlds"
-                jobs = self._table_jobs(JobStream.of([lost[number] for number in part.tolist()]))
+                jobs = self._table_jobs(JobStream.of([lost[stream_number] for stream_number in part.tolist()]))
                 for outcome in self._outcomes(jobs, sim, progress):
                     if outcome is not None:
                         outcome.job = int(part[outcome.job])
@@ -166,17 +166,17 @@ class MjxWarpEngine(Engine):
     def _slices(self, source: TableJobs, sim: Simulation, progress: Progress, waits: bool) -> Generator[SliceResult]:
         """Slice results of one table after another, as long as they agree in whether slices wait for the host."""
         while not source.ended and source.recorded == waits:
-            jobs, numbers, rows = source.begin()
+            jobs, stream_numbers, rows = source.begin()
             running, source.running = source.running, None
             room = source.profile_room(jobs, rows)
-            table = self._load(Run.of(source.needs, sim, progress), jobs, numbers, rows, room)
+            table = self._load(Run.of(source.needs, sim, progress), jobs, stream_numbers, rows, room)
             if running is not None:
                 table.put_running(running)
                 running = None  # its memory is needed
             yield from self._slices_of(table, source, waits=waits)
 
     def _load(
-        self, run: Run, jobs: list[Job], numbers: list[int], rows: int, profile_room: tuple[int, int] = (0, 0)
+        self, run: Run, jobs: list[Job], stream_numbers: list[int], rows: int, profile_room: tuple[int, int] = (0, 0)
     ) -> WorldTable:
         """A table of worlds.
 
@@ -185,7 +185,7 @@ class MjxWarpEngine(Engine):
             profile_room: as in ``load``.
         """
         batch = load(jobs, rows, run.needs.most_boxes, run.sim, run.timetable, profile_room)
-        return WorldTable(**vars(batch), run=run, numbers=numbers)
+        return WorldTable(**vars(batch), run=run, stream_numbers=stream_numbers)
 
     def _slices_of(
         self, table: WorldTable, source: TableJobs, *, waits: bool, simulate: bool = True
@@ -224,7 +224,7 @@ class MjxWarpEngine(Engine):
                             raise  # each size may fit alone
                         return None
                 self._drop()  # kept rollouts of other sizes may take the memory: try again without them
-                lanes = sum(pool.blocks for pool in pools)
+                lanes = sum(pool.lanes for pool in pools)
                 run.progress.message = f"out of device memory, again with {lanes} lanes"
             else:
                 self._kept[launches] = (key, rollout)

@@ -36,13 +36,13 @@ PickedFrames = tuple[dict[str, jax.Array], int]
 """Frames of a slice on the device, and how many of them count."""
 
 
-def room_for(table: WorldTable, blocks: int) -> dict[str, jax.Array]:
+def room_for(table: WorldTable, lanes: int) -> dict[str, jax.Array]:
     """Empty frame buffers; nearly none if no world of the table is recorded."""
     n_worlds, n_boxes = table.table.qpos.shape[:2]
     words = sum(math.prod(shape) for shape in _shapes(1, n_boxes, 0).values())
     n_recorded = int(np.count_nonzero(table.recorder.every))
     needed = min(FRAMES_PER_WORLD * n_recorded, MOST_BYTES // (4 * words))
-    n_frames = 1 if table.recorder.idle else max(needed, FRAMES_PER_BLOCK * blocks)
+    n_frames = 1 if table.recorder.idle else max(needed, FRAMES_PER_BLOCK * lanes)
     room = {name: np.zeros(shape, _KINDS[name]) for name, shape in _shapes(n_frames, n_boxes, n_worlds).items()}
     room["every"][: len(table.jobs)] = table.recorder.every
     placed: dict[str, jax.Array] = jax.device_put(room)

@@ -50,7 +50,7 @@ class TableJobs:
         needs: features of the jobs of the latest table.
         alone: whether there is one job in all.
         running: worlds of the table before, which go on in the next one.
-        in_flight: number → job, for jobs that have been taken and have no outcome yet.
+        in_flight: stream number → job, for jobs that have been taken and have no outcome yet.
     """
 
     def __init__(self, stream: JobStream[Any], size: int, least_rows: int, granule: int) -> None:
@@ -58,7 +58,7 @@ class TableJobs:
         self.alone = stream.closed and stream.ready == 1 and not stream.feedback
         self.running: RunningWorlds | None = None
         self._stream, self._size, self._least_rows, self._granule = stream, size, least_rows, granule
-        self._begun, self._number = False, 0
+        self._begun, self._taken = False, 0
 
     @property
     def feedback(self) -> bool:
@@ -76,12 +76,14 @@ class TableJobs:
         return any(job.record is not None for job in self._stream.peek(self._size))
 
     def begin(self) -> tuple[list[Job], list[int], int]:
-        """The jobs of the next table, first those of running worlds, their numbers, and the number of its rows.
+        """The jobs of the next table, first those of running worlds, their stream numbers, and the number of its rows.
 
         Raises:
             InputError: a job has more boxes than any block has room for.
         """
-        jobs, numbers = (self.running.jobs, self.running.numbers) if self.running is not None else ([], [])
+        jobs, stream_numbers = list[Job](), list[int]()
+        if self.running is not None:
+            jobs, stream_numbers, _ = self.running
         room = self._size - len(jobs)
         least = min(1 if self._begun else self._stream.begin_with, room)
         further = self._stream.peek(room, least=least, wait=not jobs)
@@ -97,7 +99,7 @@ class TableJobs:
         self.needs, self._begun = needs, True
         taken = self._take(further)
         rows = min(max(SPARE_ROWS * len(every), self._least_rows), self._size) if grows else 0
-        return every, [*numbers, *taken], padded_rows(max(len(every), rows))
+        return every, [*stream_numbers, *taken], padded_rows(max(len(every), rows))
 
     def profile_room(self, jobs: Sequence[Job], rows: int) -> tuple[int, int]:
         """Number and steps of the profiles for which a table with these jobs and so many rows should have room."""
@@ -122,8 +124,8 @@ class TableJobs:
         fitting = list(takewhile(table.fits, self._stream.peek(most, wait=wait)))
         if not fitting:
             return []
-        numbers = range(self._number, self._number + len(fitting))
-        rows: list[int] = table.add(fitting, numbers, FEEDBACK_ROWS if self.feedback else JOIN_ROWS).tolist()
+        stream_numbers = range(self._taken, self._taken + len(fitting))
+        rows: list[int] = table.add(fitting, stream_numbers, FEEDBACK_ROWS if self.feedback else JOIN_ROWS).tolist()
         self._take(fitting[: len(rows)])
         return rows
 
@@ -146,9 +148,9 @@ class TableJobs:
         """Wait for a moment until a job follows from an outcome. Returns whether jobs may still follow."""
         return self._stream.wait_for_following(self.in_flight)
 
-    def answered(self, number: int) -> None:
+    def answered(self, stream_number: int) -> None:
         """The outcome of a job has been taken, and the jobs that follow from it have been put."""
-        del self.in_flight[number]
+        del self.in_flight[stream_number]
         self._stream.wake()
 
     def lose(self) -> dict[int, Job]:
@@ -157,12 +159,12 @@ class TableJobs:
         return lost
 
     def _take(self, jobs: Sequence[Job]) -> Sequence[int]:
-        """Take the first jobs of the stream; returns their numbers."""
-        numbers = range(self._number, self._number + len(jobs))
+        """Take the first jobs of the stream; returns their stream numbers."""
+        stream_numbers = range(self._taken, self._taken + len(jobs))
         self._stream.take_peeked(jobs)
-        self.in_flight.update(zip(numbers, jobs, strict=True))
-        self._number += len(jobs)
-        return numbers
+        self.in_flight.update(zip(stream_numbers, jobs, strict=True))
+        self._taken += len(jobs)
+        return stream_numbers
 
 
 def _roomy(needs: KernelFeatures) -> KernelFeatures:

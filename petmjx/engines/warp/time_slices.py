@@ -223,9 +223,10 @@ class TableSlices:
         table = self._table
         ended = table.ended(status)
         picked = read_back(ended, table.table, table.worlds, table.run.sim)
-        jobs, numbers = ({row: values[row] for row in ended.tolist()} for values in (table.jobs, table.numbers))
+        jobs = {row: table.jobs[row] for row in ended.tolist()}
+        stream_numbers = {row: table.stream_numbers[row] for row in ended.tolist()}
         table.end(ended)
-        return SliceResult(picked, table.recorder, jobs, numbers)
+        return SliceResult(picked, table.recorder, jobs, stream_numbers)
 
     def _refill(self, rollout: Rollout) -> None:
         """Put waiting jobs into free rows, and begin the next slices."""
