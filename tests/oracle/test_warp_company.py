@@ -35,8 +35,7 @@ from support.tiny_worlds import (
 )
 from support.worlds import simulate
 
-from petmjx.engines.warp import engine as mjx_warp
-from petmjx.engines.warp import slice_result, table_jobs
+from petmjx.engines.warp import slice_result, table_jobs, time_slices
 from petmjx.engines.warp.block_launch import Launch
 from petmjx.engines.warp.block_queues import Queues
 from petmjx.engines.warp.engine import MjxWarpEngine
@@ -217,7 +216,7 @@ def test_worlds_of_each_size_have_blocks_of_their_own(monkeypatch: pytest.Monkey
             super().add(*args)
             queues.append(np.asarray(self.order))
 
-    monkeypatch.setattr(mjx_warp, "Queues", Watched)
+    monkeypatch.setattr(time_slices, "Queues", Watched)
     some = engine()
     assert_equal_worlds(simulate(some, scenes, SHORT), alike)
     ((_, rollout),) = some._kept.values()
@@ -283,7 +282,7 @@ def test_worlds_that_come_later_are_as_those_that_were_there(
         if outcome.job == 0:
             put(stream, *[Job(jobs[name]) for name in names[1:]])
     assert sorted(numbers) == list(range(len(names)))
-    assert [table.numbers for table in tables] == [[1, 2], [3, 4, 5]]
+    assert [table.stream_numbers for table in tables] == [[1, 2], [3, 4, 5]]
     tables.clear()
     some.least_rows = some.granule = 16
     stream, numbers = feedback_stream([Job(jobs[names[0]])]), []
@@ -292,7 +291,7 @@ def test_worlds_that_come_later_are_as_those_that_were_there(
         if outcome.job == 0:
             put(stream, *[Job(jobs[name]) for name in names[1:]])
     assert sorted(numbers) == list(range(len(names)))
-    assert [sorted(table.numbers) for table in tables] == [[1, 2, 3, 4, 5]]
+    assert [sorted(table.stream_numbers) for table in tables] == [[1, 2, 3, 4, 5]]
 
 
 @pytest.mark.slow

@@ -55,18 +55,24 @@ class Batch:
 
 
 def load(
-    jobs: list[Job], rows: int, width: int, sim: Simulation, timetable: Timetable, spare_profiles: int = 1
+    jobs: list[Job],
+    rows: int,
+    width: int,
+    sim: Simulation,
+    timetable: Timetable,
+    profile_room: tuple[int, int] = (0, 0),
 ) -> Batch:
     """The tables of some jobs.
 
     Args:
         rows: rows of the tables, at least one a job.
         width: box columns, at least as many as the largest plan has boxes.
-        spare_profiles: rows for profiles, as a multiple of the number of profiles.
+        profile_room: least number of rows for profiles, and their least steps.
     """
     excitations = {id(job.drive.excitation): job.drive.excitation for job in jobs if job.drive}
-    steps = round_up(max([len(e.samples) for e in excitations.values()], default=1), PROFILE_GRANULE)
-    profiles = np.zeros((padded_rows(max(spare_profiles * len(excitations), 1)), steps, 3), np.float32)
+    least_rows, least_steps = profile_room
+    steps = round_up(max(1, least_steps, *(len(e.samples) for e in excitations.values())), PROFILE_GRANULE)
+    profiles = np.zeros((padded_rows(max(1, least_rows, len(excitations))), steps, 3), np.float32)
     for row, excitation in enumerate(excitations.values()):
         profiles[row, : len(excitation.samples)] = excitation.samples
     profile_rows = {key: row for row, key in enumerate(excitations)}

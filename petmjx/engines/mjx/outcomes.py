@@ -23,13 +23,21 @@ from petmjx.world.job import Job
 
 
 def outcomes(
-    picked: Sequence[Readback], jobs: Mapping[int, Job] | Sequence[Job], sim: Simulation, recorder: Recorder
+    picked: Sequence[Readback],
+    jobs: Mapping[int, Job] | Sequence[Job],
+    stream_numbers: Mapping[int, int] | Sequence[int],
+    sim: Simulation,
+    recorder: Recorder,
 ) -> Iterator[Outcome]:
-    """Outcomes, with histories, of the rows that ``read_back`` has read back; ``jobs`` by row."""
+    """Outcomes, with histories, of the rows that ``read_back`` has read back.
+
+    Args:
+        jobs, stream_numbers: row → job, and its ``Outcome.job``.
+    """
     clock = Clock(sim.physics.timestep_s)
     for batch in picked:
         state, measured = batch.on_host()
-        yield from _outcomes(batch.rows, state, measured, jobs, clock, sim, recorder)
+        yield from _outcomes(batch.rows, state, measured, jobs, stream_numbers, clock, sim, recorder)
 
 
 def _outcomes(
@@ -37,6 +45,7 @@ def _outcomes(
     host: State,
     measured: RunMetrics,
     jobs: Mapping[int, Job] | Sequence[Job],
+    stream_numbers: Mapping[int, int] | Sequence[int],
     clock: Clock,
     sim: Simulation,
     recorder: Recorder,
@@ -59,7 +68,7 @@ def _outcomes(
         verdict, reason = judge(flags, boxes, int(host.placed[i]), sim.thresholds)
         has_culprit = verdict is not Verdict.STABLE and m.culprit[i] >= 0
         yield Outcome(
-            job=int(row),
+            job=stream_numbers[int(row)],
             verdict=verdict,
             reason=reason,
             culprit=int(m.culprit[i]) if has_culprit else -1,

@@ -130,22 +130,23 @@ def _say(progress: Progress, last_line: str, words: str) -> str:
 
 
 def _simulate(
-    index: int,
+    stream_number: int,
     job: Job,
     sim: Simulation,
     stop: threading.Event,
     timeout_s: float | None,
     running: dict[int, Budget],
 ) -> tuple[Outcome, float]:
-    """A world's outcome, and the CPU time of this thread for it, s. ``running``: budgets of running worlds, by job."""
+    """A world's outcome, and the CPU time of this thread for it, s. ``running``: budgets of running worlds, by
+    stream number."""
     begin_s = time.thread_time()
     try:
-        running[index] = budget = Budget(job, sim, timeout_s)
-        outcome = WorldRun(index, job, sim, stop.is_set, budget).run()
+        running[stream_number] = budget = Budget(job, sim, timeout_s)
+        outcome = WorldRun(stream_number, job, sim, stop.is_set, budget).run()
     except WorldCancelled:
         raise
     except Exception as error:
-        outcome = failed_outcome(index, job, sim, one_line(error))
+        outcome = failed_outcome(stream_number, job, sim, one_line(error))
     finally:
-        running.pop(index, None)
+        running.pop(stream_number, None)
     return outcome, time.thread_time() - begin_s

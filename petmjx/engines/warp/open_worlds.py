@@ -189,7 +189,7 @@ class WarpWorlds(OpenWorlds):
         begun = OpenState(batch.worlds, self._jitted_finish(OpenState(batch.worlds, state)))
         ended = self._to_the_end(begun, batch.profiles)
         picked = read_back(np.arange(len(jobs)), ended.state, ended.worlds, self._sim)
-        return list(outcomes(picked, jobs, self._sim, batch.recorder))
+        return list(outcomes(picked, jobs, range(len(jobs)), self._sim, batch.recorder))
 
     def _to_the_end(self, open_: OpenState, profiles: Float[Array, "profile step 3"]) -> OpenState:
         """Let worlds go on. Worlds that overflow their buffers go on with larger ones."""
