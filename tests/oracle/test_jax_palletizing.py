@@ -13,6 +13,10 @@ import pytest
 import petmjx.jax
 from petmjx.common.errors import InputError
 from petmjx.jax import REASONS, StepType
+from petmjx.jax.extreme_places import Candidates
+from petmjx.jax.free_cells import Pile
+from petmjx.packers.learned_candidates import FourSidedStream, lowest_first
+from petmjx.plans.order_generator import draw_order
 
 TABLE = pd.DataFrame(
     {
@@ -113,6 +117,10 @@ def test_specs_fit_and_what_is_wrong_is_one_line(env: petmjx.jax.Palletizing) ->
         ({"carrier": "footprint"}, "carrier: footprint depends"),
         ({"rewards": {"plced": 1}}, "rewards: unknown term 'plced'"),
         ({"look_ahead": 0}, "look_ahead must be at least 1"),
+        ({"actions": "candidate"}, "unknown actions 'candidate'; did you mean candidates"),
+        ({"gap_mm": -1}, "gap_mm must be at least 0"),
+        ({"inside_mm": 20}, "inside_mm: only candidates have it"),
+        ({"actions": "candidates", "n_candidates": 0}, "n_candidates must be at least 1"),
     ):
         with pytest.raises(InputError, match=message):
             petmjx.jax.Palletizing(**{**OPTIONS, **options})
@@ -135,3 +143,97 @@ def test_candidates_of_many_states_are_asked_in_one_call() -> None:
     )(states, corners)
     assert tried.stable.all()
     assert tried.n_boxes.tolist() == [[2]] * 20
+
+
+MOST = 16
+"""Boxes of the piles below."""
+
+
+def pile_of(low: Any, high: Any) -> Pile:
+    padding = ((0, MOST - len(low)), (0, 0))
+    size, corner = (jnp.asarray(np.pad(values, padding), jnp.float32) for values in (high - low, low))
+    return Pile(size, corner, jnp.arange(MOST) < len(low))
+
+
+@pytest.mark.parametrize("gap_mm", [0.0, 6.0])
+def test_candidates_are_the_places_of_the_packer_learned(gap_mm: float) -> None:
+    """Without a gap the same places, seen from all four corners. With a gap they are those of them whose base is borne
+    without the free space, which the packer counts as borne."""
+    candidates = Candidates((1200.0, 800.0), 160, 2000.0, 0.5, gap_mm, 0.0)
+    look = jax.jit(lambda pile, size, mass: candidates.ways(candidates.points(pile), size, mass, pile))
+    stream, n_compared = FourSidedStream(draw_order(33, 0).items[:MOST], (1200.0, 800.0), gap_mm), 0
+    for item in draw_order(33, 0).items[:MOST]:
+        low, high = stream.bare_boxes
+        size = jnp.array([item.length_mm, item.width_mm, item.height_mm], jnp.float32)
+        ways = look(pile_of(low, high), size, jnp.float32(item.weight_kg))
+        legal = np.asarray(ways.legal)
+        rows = np.column_stack([ways.corner_mm, ways.size_mm])[legal]
+        ours = {tuple(row) for row in rows.round(2).tolist()}
+        assert len(ours) == len(rows) < candidates.count, "each place once, and all of them"
+        places = stream.places(0.5)
+        bare = places.size_mm - [gap_mm, gap_mm, 0.0]
+        theirs = {tuple(row) for row in np.column_stack([places.corner_mm, bare]).round(2).tolist()}
+        assert ours <= theirs
+        assert len(ours) > 0.7 * len(theirs)
+        if not gap_mm:
+            assert ours == theirs
+        n_compared += len(ours)
+        best = rows[0, :3]
+        assert best[2] == pytest.approx(places.corner_mm[:, 2].min(), abs=20.0), "the first one is low"
+        chosen = lowest_first(stream)
+        assert chosen is not None
+        stream.put(chosen)
+    assert n_compared > 300
+
+
+@pytest.mark.parametrize(("overhang_mm", "inside_mm"), [(100.0, 100.0), (180.0, 20.0), (250.0, -50.0)])
+def test_how_far_a_middle_is_inside_the_hull_of_its_supports(overhang_mm: float, inside_mm: float) -> None:
+    """A base of 400 mm hangs over an edge: its middle is 200 mm less the overhang inside. Between two piers the hull
+    is that of both."""
+    from petmjx.jax.extreme_places import _borne
+
+    size, corner = jnp.array([[400.0, 400.0, 200.0]]), jnp.array([[overhang_mm, 0.0, 200.0]])
+    pile = pile_of(np.array([[0.0, 0.0, 0.0]]), np.array([[400.0, 400.0, 200.0]]))
+    support, inside = _borne(size, corner, pile)
+    assert float(support[0]) == pytest.approx(1 - overhang_mm / 400)
+    assert float(inside[0]) == pytest.approx(inside_mm, abs=0.1)
+    low = np.array([[overhang_mm - 50, 0.0, 0.0], [overhang_mm + 350, 100.0, 0.0]])
+    support, inside = _borne(size, corner, pile_of(low, low + np.array([[100.0, 200.0, 200.0]])))
+    assert float(support[0]) == pytest.approx(2 * 50 * 200 / 400**2)
+    # from the corner (0, 200) of one pier to (350, 300) of the other; the middle is at (200, 200)
+    assert float(inside[0]) == pytest.approx(200 * 100 / np.hypot(350, 100), rel=1e-4)
+
+
+def test_boxes_keep_their_gap_and_an_order_can_be_chosen() -> None:
+    table = pd.DataFrame(
+        {
+            "order_id": [0] * 2 + [1] * 8,
+            "length_mm": [600] * 2 + [390] * 8,
+            "width_mm": [400] * 2 + [390] * 8,
+            "height_mm": [300] * 2 + [200] * 8,
+            "weight_kg": [5.0] * 10,
+        }
+    )
+    env = petmjx.jax.Palletizing(
+        orders=table, actions="candidates", n_candidates=8, gap_mm=10.0, inside_mm=20.0, most_boxes=8, engine="mujoco"
+    )
+    assert env.num_orders == 2
+    step = jax.jit(env.step)
+    state, timestep = env.reset(jax.random.key(0), 1)
+    assert int(timestep.observation.left) == 8
+    while not timestep.last():
+        seen = timestep.observation
+        assert seen.candidates.shape == (8, len(env.features))
+        assert not np.asarray(seen.candidates)[~np.asarray(seen.action_mask)].any()
+        state, timestep = step(state, int(np.flatnonzero(seen.action_mask)[0]))
+    assert int(timestep.extras["placed"]) == 8
+    low = np.asarray(state.corner_mm)
+    high = low + np.asarray(state.size_mm)
+    for i in range(8):
+        for j in range(i):
+            level = max(low[i, 2], low[j, 2]) < min(high[i, 2], high[j, 2]) - 0.01
+            apart = np.maximum(low[i] - high[j], low[j] - high[i])[:2].max()
+            assert not level or apart >= 10 - 0.01
+    # 3 × 2 of these bases fit on 1200 × 800 mm with 10 mm between them; two boxes stand on others
+    assert (low[:, 2] < 1).sum() == 6
+    assert (high <= [1200.01, 800.01, 1800]).all()
