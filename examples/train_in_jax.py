@@ -21,7 +21,7 @@ from petmjx.plans.order_generator import draw_order
 OPTIONS: dict[str, Any] = {
     "actions": "candidates",
     "n_candidates": 24,
-    "mask": "support_75",
+    "mask": "support_50",
     "gap_mm": 6.0,  # what a robot needs to put boxes beside each other
     "inside_mm": 20.0,
     "max_height_mm": 2000.0,
@@ -100,7 +100,7 @@ def seen(env: Any, observation: Any) -> Seen:
     """An observation as numbers of about 1. A candidate's are those of its place, and those of the pile with it on."""
     cells = observation.height_map / 1000
     side = OPTIONS["cell_mm"]
-    turned, x, y, z, dx, dy, dz, mass, support, inside = jnp.moveaxis(observation.candidates, -1, 0)
+    turned, x, y, z, dx, dy, dz, mass, support, inside, pile = jnp.moveaxis(observation.candidates, -1, 0)
     covers = []
     for start, length, count in ((x, dx, cells.shape[0]), (y, dy, cells.shape[1])):
         middle = (jnp.arange(count) + 0.5) * side
@@ -112,7 +112,7 @@ def seen(env: Any, observation: Any) -> Seen:
     aside = (
         jnp.minimum(start, end - start - length) for start, length, end in ((x, dx, extent[0]), (y, dy, extent[1]))
     )
-    place = [turned, z / 1000, dx / 500, dy / 500, dz / 500, mass / 10, support, inside / 200, 10 * below]
+    place = [turned, z / 1000, dx / 500, dy / 500, dz / 500, mass / 10, support, inside / 200, pile / 200, 10 * below]
     place += [distance / 500 for distance in aside]
     now = of_piles(cells)
     candidates = jnp.concatenate([jnp.stack(place, axis=1), of_piles(after), of_piles(after) - now], axis=1)

@@ -11,26 +11,24 @@ from typing import Final, NamedTuple
 
 import jax
 import jax.numpy as jnp
-import numpy as np
 from jaxtyping import Array, Bool, Float
 
+from petmjx.common.units import MM_PER_M
 from petmjx.jax.free_cells import TOUCH_MM, TURNS, Pile, Ways
+from petmjx.jax.pile_statics import Statics, contacts_of, hull_planes, least_m, margins_m, no_boxes, with_box
 from petmjx.packers.learned_candidates import MIRRORS, OVERHANG_MM
 
-FEATURES: Final = ("turned", "x", "y", "z", "length_x", "length_y", "height", "mass", "support", "inside")
+FEATURES: Final = ("turned", "x", "y", "z", "length_x", "length_y", "height", "mass", "support", "inside", "below")
 """Features of a candidate: whether it is turned by 90°, its corner and extents, mm, its mass, kg, the supported share
-of its base, and how far the middle of its base is inside the hull of its supports, mm (negative: outside)."""
+of its base, how far its weight acts inside the hull of its contacts, and the least such distance of the loads of all
+boxes below, mm, at most 200 (negative: outside)."""
 
 _PER_ASIDE: Final = 0.01
 """Cost of a millimetre of distance to the nearest edges, mm of height: of equally low places the outer one comes first
 (``cost_mm`` of petmjx/packers/learned_candidates.py)."""
 
-_SHARE_OF_SIDE: Final = 0.2
-"""A middle never has to be further inside than this share of the base's shorter side, as in the packer ``balanced``."""
-
-_ANGLES: Final = np.arange(32) * (2 * np.pi / 32)
-"""Directions in which the corners of a hull are looked for. A corner that reaches farthest in none of them is missed,
-so that a hull is too small rather than too large."""
+LOOKED_AT: Final = 3
+"""Places of least cost that are looked at, for each candidate: some of them are borne too little."""
 
 _FAR: Final = 1e9
 """A cost of no place, and a coordinate beyond every carrier, mm."""
@@ -43,14 +41,22 @@ class Points(NamedTuple):
     mirrored: Bool[Array, "point 2"]
 
 
+class View(NamedTuple):
+    """What is the same for all boxes that may be next: the points, the pile, and its balance."""
+
+    points: Points
+    pile: Pile
+    statics: Statics
+
+
 class Candidates:
     """The n places of least cost for a box: low, well supported, and near the carrier's edges.
 
     Args:
         extent_mm: extent of the carrier; ``gap_mm``: free space between a box and its neighbours along x and y.
         least_support: smallest supported share of a base; None: any.
-        inside_mm: how far the middle of a base must be inside the hull of its supports, or a fifth of its shorter side
-            if that is less.
+        inside_mm: how far the load of each box must act inside the hull of its contacts, or a fifth of the shorter side
+            of its base if that is less; 0: anywhere.
 
     Attributes:
         count: number of actions; ``features``: names of their features.
@@ -72,7 +78,22 @@ class Candidates:
         self._extent = jnp.asarray([extent_mm], jnp.float32) + gap_mm  # larger by the free space of the last box
         self._inside = inside_mm
 
-    def points(self, pile: Pile) -> Points:
+    def no_boxes(self, most: int) -> Statics:
+        """The balance of an empty pile of at most this number of boxes."""
+        return no_boxes(most)
+
+    def put(
+        self, statics: Statics, row: Array, size_mm: Array, corner_mm: Array, mass_kg: Array, pile: Pile
+    ) -> Statics:
+        """The balance with one more box in a row; a row beyond the end is dropped. ``pile``: without the box."""
+        contacts = contacts_of(size_mm[None], corner_mm[None], pile)
+        return with_box(statics, row, contacts, mass_kg, least_m(size_mm[None], self._inside)[0])
+
+    def view(self, pile: Pile, statics: Statics) -> View:
+        """The part of ``ways`` that does not depend on the next box."""
+        return View(self._points(pile), pile, statics)
+
+    def _points(self, pile: Pile) -> Points:
         """The points of a pile: those of each box, with the boxes before it in the way."""
         k = len(pile.present)
         low, high = pile.corner_mm, pile.corner_mm + pile.size_mm + self._gap
@@ -89,8 +110,9 @@ class Candidates:
         at = jax.vmap(seen_from)(mirrors)
         return Points(at.reshape(-1, 2), jnp.broadcast_to(mirrors[:, None], at.shape).reshape(-1, 2))
 
-    def ways(self, points: Points, size_mm: Float[Array, " 3"], mass_kg: Float[Array, ""], pile: Pile) -> Ways:
+    def ways(self, view: View, size_mm: Float[Array, " 3"], mass_kg: Float[Array, ""]) -> Ways:
         """The actions for a box of this size; none if the size is 0."""
+        points, pile, statics = view
         sizes = jnp.stack([size_mm, size_mm[jnp.array([1, 0, 2])]])
         bases = (sizes + self._gap)[:, None, :2]
         at = jnp.where(points.mirrored[None], (self._extent - points.at)[None] - bases, points.at[None])  # (2, p, 2)
@@ -104,16 +126,17 @@ class Candidates:
         chosen, is_place = self._cheapest(jnp.where(fits, cost, _FAR), corner, z, turned)
         size = sizes[turned[chosen]]
         corner = jnp.concatenate([jnp.maximum(corner[chosen], 0.0), z[chosen, None]], axis=1)
-        support, inside = _borne(size, corner, pile)
-        legal = is_place & (support >= self._least - 1e-6)
-        legal &= (self._inside <= 0) | (
-            inside >= jnp.minimum(self._inside, _SHARE_OF_SIDE * size[:, :2].min(axis=1)) - TOUCH_MM
-        )
-        mass = jnp.broadcast_to(mass_kg, (self.count, 1))
-        features = jnp.concatenate(
-            [turned[chosen, None], corner, size, mass, support[:, None], inside[:, None]], axis=1
-        )
-        return Ways(legal, size, corner, jnp.where(legal[:, None], features, 0.0))
+        contacts = contacts_of(size, corner, pile)
+        inside, below, is_far_enough = margins_m(statics, contacts, hull_planes(contacts), mass_kg)
+        legal = is_place & (contacts.support >= self._least - 1e-6)
+        if self._inside > 0:
+            legal &= is_far_enough & (inside >= least_m(size, self._inside) - TOUCH_MM / MM_PER_M)
+        first = jnp.argsort(~legal, stable=True)[: self.count]
+        mass = jnp.broadcast_to(mass_kg, (len(legal), 1))
+        margins = MM_PER_M * jnp.stack([inside, below], axis=1)
+        columns = [turned[chosen, None], corner, size, mass, contacts.support[:, None], margins]
+        features = jnp.where(legal[:, None], jnp.concatenate(columns, axis=1), 0.0)
+        return Ways(legal[first], size[first], corner[first], features[first])
 
     def _costs(
         self, corner: Float[Array, "place 2"], base: Float[Array, "place 2"], pile: Pile
@@ -137,7 +160,7 @@ class Candidates:
     def _cheapest(
         self, cost: Float[Array, " place"], corner: Float[Array, "place 2"], z: Float[Array, " place"], turned: Array
     ) -> tuple[Array, Bool[Array, " action"]]:
-        """(a,) the places of least cost, each once, and whether there is such a place. Several points may be one place;
+        """(q,) the places of least cost, each once, and whether there is such a place. Several points may be one place;
         so the places are taken one by one, which is also faster on a GPU than sorting them all."""
 
         def take(cost: jax.Array, _: None) -> tuple[jax.Array, tuple[jax.Array, jax.Array]]:
@@ -145,7 +168,7 @@ class Candidates:
             same = (jnp.abs(corner - corner[best][None]) <= TOUCH_MM).all(axis=1) & (turned == turned[best])
             return jnp.where(same, _FAR, cost), (best, cost[best] < _FAR)
 
-        return jax.lax.scan(take, cost, None, length=self.count)[1]
+        return jax.lax.scan(take, cost, None, length=LOOKED_AT * self.count)[1]
 
 
 def _corner_points(
@@ -172,34 +195,3 @@ def _corner_points(
     beside = [(x_end, y), (x_end, south), (x, y_end), (west, y_end)]
     pairs = [*beside, (x, y), (west_on_top, y), (x, south_on_top)]
     return jnp.stack([jnp.stack(pair, axis=1) for pair in pairs])
-
-
-def _borne(
-    size: Float[Array, "action 3"], corner: Float[Array, "action 3"], pile: Pile
-) -> tuple[Float[Array, " action"], Float[Array, " action"]]:
-    """(a,) supported shares of bases, and how far their middles are inside the hulls of their supports, mm. Without
-    free space."""
-    low, high = corner[:, None, :2], (corner + size)[:, None, :2]
-    start = jnp.maximum(low, pile.corner_mm[None, :, :2])
-    end = jnp.minimum(high, (pile.corner_mm + pile.size_mm)[None, :, :2])
-    tops = (pile.corner_mm + pile.size_mm)[:, 2]
-    bears = (
-        (end - start > TOUCH_MM).all(axis=2) & (jnp.abs(tops[None] - corner[:, 2:]) <= TOUCH_MM) & pile.present[None]
-    )
-    on_carrier = corner[:, 2] <= TOUCH_MM
-    area = jnp.where(bears, (end - start).prod(axis=2), 0.0).sum(axis=1)
-    support = jnp.where(on_carrier, 1.0, area / jnp.maximum(size[:, :2].prod(axis=1), 1.0))
-    middle = (low + high) / 2
-    x, y = (jnp.asarray(values, jnp.float32)[None, None] for values in (np.cos(_ANGLES), np.sin(_ANGLES)))
-    # (a, k, 32): the corner of each support that reaches farthest in each direction, seen from the middle
-    at_x = jnp.where(x > 0, (end - middle)[..., :1], (start - middle)[..., :1])
-    at_y = jnp.where(y > 0, (end - middle)[..., 1:], (start - middle)[..., 1:])
-    farthest = jnp.where(bears[..., None], at_x * x + at_y * y, -_FAR).argmax(axis=1, keepdims=True)
-    at_x, at_y = (jnp.take_along_axis(values, farthest, axis=1)[:, 0] for values in (at_x, at_y))
-    # the corners of the hull, anticlockwise; the middle is left of its edges, or outside
-    along_x, along_y = jnp.roll(at_x, -1, axis=1) - at_x, jnp.roll(at_y, -1, axis=1) - at_y
-    length = jnp.hypot(along_x, along_y)
-    left = (at_x * along_y - at_y * along_x) / jnp.maximum(length, TOUCH_MM)
-    inside = jnp.where(length > TOUCH_MM, left, _FAR).min(axis=1)
-    half = size[:, :2].min(axis=1) / 2
-    return support, jnp.where(on_carrier, half, jnp.where(bears.any(axis=1), inside, -half))

@@ -67,10 +67,17 @@ class Cells:
         self._least, self._gap = least_support, gap_mm
         self.count = TURNS * len(corners)
 
-    def points(self, pile: Pile) -> None:
-        """Cells are those of any pile."""
+    def no_boxes(self, most: int) -> None:
+        """Cells need no more than the boxes of a pile."""
 
-    def ways(self, points: None, size_mm: Float[Array, " 3"], mass_kg: Float[Array, ""], pile: Pile) -> Ways:
+    def put(self, statics: None, row: Array, size_mm: Array, corner_mm: Array, mass_kg: Array, pile: Pile) -> None:
+        """The same with one more box."""
+
+    def view(self, pile: Pile, statics: None) -> Pile:
+        """The part of ``ways`` that does not depend on the next box."""
+        return pile
+
+    def ways(self, pile: Pile, size_mm: Float[Array, " 3"], mass_kg: Float[Array, ""]) -> Ways:
         """The actions for a box of this size; none if the size is 0."""
         size = jnp.where(self._turned[:, None], size_mm[jnp.array([1, 0, 2])][None], size_mm[None])
         low, high = self._corners, self._corners + size[:, :2]

@@ -67,7 +67,8 @@ class Observation(NamedTuple):
 
 class State(NamedTuple):
     """The state of an episode. ``order`` is the number of its order, ``next`` that of the next box. Boxes on the pallet
-    are stored as requested, with 0 after the last box."""
+    are stored as requested, with 0 after the last box. ``ways`` are the actions for the next box, ``statics`` is the
+    balance of the pile where candidates need it."""
 
     key: jax.Array
     pallet: Pallet
@@ -83,6 +84,7 @@ class State(NamedTuple):
     illegal: Int[Array, ""]
     over: Bool[Array, ""]
     ways: Ways
+    statics: Any
 
     @property
     def mask(self) -> Bool[Array, " action"]:
@@ -105,8 +107,8 @@ class Palletizing:
             points, seen from all four corners of the carrier, with features: low and well supported ones first.
         mask: ``geometry``, or ``support_50`` … ``support_100``.
         gap_mm: free space between a box and its neighbours along x and y, which a robot needs.
-        inside_mm: how far the middle of a candidate's base must be inside the hull of its supports, or a fifth of its
-            shorter side if that is less; 0: anywhere.
+        inside_mm: how far the load of each box must act inside the hull of its contacts, or a fifth of the shorter side
+            of its base if that is less, as in the packer ``balanced``, which has 20; 0: anywhere. For candidates only.
         action_cell_mm, cell_mm: side of the cells of actions, and of maps.
         rewards: weights of terms.
         most_illegal: illegal actions after which an episode is truncated; an illegal action changes nothing.
@@ -209,6 +211,7 @@ class Palletizing:
             illegal=none,
             over=jnp.array(False),
             ways=self._no_ways,
+            statics=self._actions.no_boxes(k),
         )
         state = self._looked(state, most=1)
         extras = {**self._about(state), "reason": none, "culprit": jnp.int32(-1), "margin": jnp.float32(1.0)}
@@ -240,6 +243,7 @@ class Palletizing:
             volume_mm3=state.volume_mm3 + jnp.where(legal & outcome.stable, size.prod(), 0.0),
             placed=state.placed + legal,
             illegal=state.illegal + ~legal,
+            statics=self._actions.put(state.statics, row, size, corner, mass, self._pile(state)),
         )
         after = after._replace(over=state.over | (legal & ~outcome.stable) | (after.placed >= self._most_boxes))
         after = self._looked(after)
@@ -269,9 +273,8 @@ class Palletizing:
         Args:
             most: most boxes on the pallet, if fewer than ever: the program is smaller then.
         """
-        present = jnp.arange(self._most_boxes) < state.placed
-        pile = Pile(*(values[:most] for values in (state.size_mm, state.corner_mm, present)))
-        points = self._actions.points(pile)
+        pile, statics = self._pile(state, most), state.statics if most is None else self._actions.no_boxes(most)
+        view: Any = self._actions.view(pile, statics)
 
         def goes_on(carry: tuple[State, jax.Array]) -> jax.Array:
             state, is_first = carry
@@ -281,11 +284,17 @@ class Palletizing:
             state, is_first = carry
             state = state._replace(next=state.next + ~is_first, left_out=state.left_out + ~is_first)
             box = self._boxes[state.order, state.next]
-            ways = self._actions.ways(points, box[:3], box[3], pile)
+            ways = self._actions.ways(view, box[:3], box[3])
             return state._replace(ways=ways._replace(legal=ways.legal & ~state.over)), jnp.array(False)
 
-        looked, _ = jax.lax.while_loop(goes_on, look, (state._replace(pallet=None), jnp.array(True)))
-        return looked._replace(pallet=state.pallet)
+        small = state._replace(pallet=None, statics=None)  # what the loop does not change
+        looked, _ = jax.lax.while_loop(goes_on, look, (small, jnp.array(True)))
+        return looked._replace(pallet=state.pallet, statics=state.statics)
+
+    def _pile(self, state: State, most: int | None = None) -> Pile:
+        """The boxes on the pallet, of at most ``most``."""
+        present = jnp.arange(self._most_boxes) < state.placed
+        return Pile(*(values[:most] for values in (state.size_mm, state.corner_mm, present)))
 
     def _terms(self, before: State, after: State, outcome: PlacementArrays, legal: jax.Array) -> dict[str, jax.Array]:
         """The terms of the reward, not weighted, as in ``petmjx.loop.rewards.TERMS``."""

@@ -16,6 +16,7 @@ from petmjx.jax import REASONS, StepType
 from petmjx.jax.extreme_places import Candidates
 from petmjx.jax.free_cells import Pile
 from petmjx.packers.learned_candidates import FourSidedStream, lowest_first
+from petmjx.packers.pile_balance import Balance
 from petmjx.plans.order_generator import draw_order
 
 TABLE = pd.DataFrame(
@@ -160,7 +161,7 @@ def test_candidates_are_the_places_of_the_packer_learned(gap_mm: float) -> None:
     """Without a gap the same places, seen from all four corners. With a gap they are those of them whose base is borne
     without the free space, which the packer counts as borne."""
     candidates = Candidates((1200.0, 800.0), 160, 2000.0, 0.5, gap_mm, 0.0)
-    look = jax.jit(lambda pile, size, mass: candidates.ways(candidates.points(pile), size, mass, pile))
+    look = jax.jit(lambda pile, *box: candidates.ways(candidates.view(pile, candidates.no_boxes(MOST)), *box))
     stream, n_compared = FourSidedStream(draw_order(33, 0).items[:MOST], (1200.0, 800.0), gap_mm), 0
     for item in draw_order(33, 0).items[:MOST]:
         low, high = stream.bare_boxes
@@ -186,22 +187,53 @@ def test_candidates_are_the_places_of_the_packer_learned(gap_mm: float) -> None:
     assert n_compared > 300
 
 
-@pytest.mark.parametrize(("overhang_mm", "inside_mm"), [(100.0, 100.0), (180.0, 20.0), (250.0, -50.0)])
-def test_how_far_a_middle_is_inside_the_hull_of_its_supports(overhang_mm: float, inside_mm: float) -> None:
-    """A base of 400 mm hangs over an edge: its middle is 200 mm less the overhang inside. Between two piers the hull
-    is that of both."""
-    from petmjx.jax.extreme_places import _borne
+MISSED_MM = 5.0
+"""By so much a hull may be too small, since its corners are looked for in 32 directions."""
 
-    size, corner = jnp.array([[400.0, 400.0, 200.0]]), jnp.array([[overhang_mm, 0.0, 200.0]])
-    pile = pile_of(np.array([[0.0, 0.0, 0.0]]), np.array([[400.0, 400.0, 200.0]]))
-    support, inside = _borne(size, corner, pile)
-    assert float(support[0]) == pytest.approx(1 - overhang_mm / 400)
-    assert float(inside[0]) == pytest.approx(inside_mm, abs=0.1)
-    low = np.array([[overhang_mm - 50, 0.0, 0.0], [overhang_mm + 350, 100.0, 0.0]])
-    support, inside = _borne(size, corner, pile_of(low, low + np.array([[100.0, 200.0, 200.0]])))
-    assert float(support[0]) == pytest.approx(2 * 50 * 200 / 400**2)
-    # from the corner (0, 200) of one pier to (350, 300) of the other; the middle is at (200, 200)
-    assert float(inside[0]) == pytest.approx(200 * 100 / np.hypot(350, 100), rel=1e-4)
+
+def test_the_balance_of_a_pile_is_that_of_the_packer_balanced() -> None:
+    """Margins of all candidates and which of them keep the balance, on a pile that random ones of these made."""
+    free, strict = (Candidates((1200.0, 800.0), 40, 2000.0, 0.3, 0.0, inside) for inside in (0.0, 20.0))
+
+    @jax.jit
+    def look(pile: Pile, statics: Any, *box: jax.Array) -> Any:
+        return [kind.ways(kind.view(pile, statics), *box) for kind in (free, strict)]
+
+    put, rng, statics = jax.jit(strict.put), np.random.default_rng(5), strict.no_boxes(MOST)
+    balance, low, high = Balance(MOST), np.zeros((0, 3)), np.zeros((0, 3))
+    n_kept = n_lost = 0
+    for row, item in enumerate(draw_order(33, 3).items[:MOST]):
+        pile, mass = pile_of(low, high), jnp.float32(item.weight_kg)
+        ways, kept = look(pile, statics, jnp.array([item.length_mm, item.width_mm, item.height_mm]), mass)
+        kept_places = {tuple(box) for box in np.column_stack([kept.corner_mm, kept.size_mm])[kept.legal].tolist()}
+        good = []
+        for at in np.flatnonzero(ways.legal):
+            corner, extents = np.asarray(ways.corner_mm[at], float), np.asarray(ways.size_mm[at], float)
+            x, y, z = corner.tolist()
+            base = (float(extents[0]), float(extents[1]))
+            margins, rest = (
+                balance.margins_m((x, y, z), base, item.weight_kg),
+                balance.rest((x, y, z), base, float(mass)),
+            )
+            values = dict(zip(free.features, np.asarray(ways.features[at]).tolist(), strict=True))
+            for name, margin_m in (("inside", margins.own_m), ("below", margins.pile_m)):
+                assert -MISSED_MM < values[name] - 1000 * margin_m < 0.1, name
+            is_kept = (*corner, *extents) in kept_places
+            n_kept, n_lost = n_kept + is_kept, n_lost + (rest is None)
+            assert rest is not None or not is_kept
+            if min(values["inside"], values["below"]) > 20:
+                assert is_kept
+            if is_kept:
+                good.append((corner, extents, rest))
+        corner, extents, rest = good[int(rng.integers(len(good)))]
+        assert rest is not None
+        statics = put(statics, jnp.int32(row), jnp.float32(extents), jnp.float32(corner), mass, pile)
+        x, y, z = extents.tolist()
+        balance.add((float(corner[0]), float(corner[1]), float(corner[2])), (x, y, z), rest)
+        np.testing.assert_allclose(np.asarray(statics.load)[: row + 1], balance.loads, rtol=1e-4, atol=1e-5)
+        low, high = np.vstack([low, corner]), np.vstack([high, corner + extents])
+    assert n_kept > 100
+    assert n_lost > 20
 
 
 def test_boxes_keep_their_gap_and_an_order_can_be_chosen() -> None:
