@@ -29,7 +29,7 @@ OPTIONS: dict[str, Any] = {
     "rewards": {"utilisation": 20, "fall": 2},
 }
 
-GAMMA, TRACE, CLIP, ENTROPY, PARTS = 1.0, 0.95, 0.2, 0.003, 4
+GAMMA, TRACE, CLIP, ENTROPY, PARTS = 1.0, 0.95, 0.2, 0.003, 8
 """Of PPO (Schulman et al. 2017) with generalised advantages (Schulman et al. 2016), and ``PARTS`` minibatches."""
 
 WIDTH = 64
