@@ -114,8 +114,8 @@ def seen(env: Any, observation: Any) -> Seen:
     )
     place = [turned, z / 1000, dx / 500, dy / 500, dz / 500, mass / 10, support, inside / 200, pile / 200, 10 * below]
     place += [distance / 500 for distance in aside]
-    now = of_piles(cells)
-    candidates = jnp.concatenate([jnp.stack(place, axis=1), of_piles(after), of_piles(after) - now], axis=1)
+    now, then = of_piles(cells), of_piles(after)
+    candidates = jnp.concatenate([jnp.stack(place, axis=1), then, then - now], axis=1)
     box = observation.boxes[0] / jnp.array([500.0, 500.0, 500.0, 10.0])
     left = observation.left / 40
     state = jnp.concatenate([now, box, jnp.stack([left, jnp.minimum(left, 0.25), observation.mass / 300])])
@@ -224,7 +224,7 @@ def update(env: Any, steps: int, epochs: int, rate: float, learner: Learner) -> 
     advantage = advantages(batch, last)
     returns = advantage + batch.value
     rows = jax.tree.map(lambda values: values.reshape(steps * n, *values.shape[2:]), (batch, advantage, returns))
-    size = steps * n // PARTS
+    size = max(steps * n // PARTS, 1)
 
     def improve(carry: Any, part: jax.Array) -> tuple[Any, None]:
         layers, moments, count = carry
@@ -233,7 +233,7 @@ def update(env: Any, steps: int, epochs: int, rate: float, learner: Learner) -> 
         return (layers, moments, count + 1), None
 
     orders = jax.vmap(lambda k: jax.random.permutation(k, steps * n))(jax.random.split(order_key, epochs))
-    parts = orders[:, : size * PARTS].reshape(epochs * PARTS, size)
+    parts = orders[:, : steps * n // size * size].reshape(-1, size)
     carry, _ = jax.lax.scan(improve, (learner.layers, learner.moments, learner.count), parts)
     ended = batch.over.sum()
     episodes = {"episodes": ended, "return": (batch.total * batch.over).sum() / jnp.maximum(ended, 1)}
@@ -269,6 +269,7 @@ def main() -> None:
     parser.add_argument("--rate", type=float, default=1e-3)
     parser.add_argument("--boxes", type=int, default=20, help="most boxes of a pallet")
     parser.add_argument("--orders", type=int, default=256, help="number of drawn orders")
+    parser.add_argument("--held-out", type=int, default=16, help="other orders, packed at the end; 0: none")
     parser.add_argument("--engine", default="auto")
     parser.add_argument("--seed", type=int, default=0)
     arguments = parser.parse_args()
@@ -280,6 +281,12 @@ def main() -> None:
         learner, episodes = learn(learner)
         count, value = int(episodes["episodes"]), float(episodes["return"])
         print(f"update {number + 1}: {count} episodes with a mean return of {value:.3f}", flush=True)
+    if not arguments.held_out:
+        return
+    others = environment(arguments.boxes, arguments.engine, 1, arguments.held_out)
+    pack = jax.jit(jax.vmap(lambda layers, order: packed(others, layers, order, learner.key)[1], in_axes=(None, 0)))
+    returns = pack(learner.layers, jnp.arange(others.num_orders))
+    print(f"{len(returns)} other orders: a mean return of {returns.mean():.3f}")
 
 
 if __name__ == "__main__":
