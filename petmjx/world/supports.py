@@ -105,9 +105,10 @@ class Boxes:
 def _held_by_walls(scene: Scene, target: FloatArray) -> FloatArray:
     """(n, 2, 2) as ``Boxes.held``, with the boxes at these (n, 3) places, m.
 
-    A box whose load W acts e beyond an edge tips until it touches the wall there, at the height h of its top or of the
-    wall's, above its bottom. The wall then presses with W·e/h, and the edge must bear this force by friction: so the
-    wall holds the box up to e = µ·h. The wall counts as smooth, and the support of the box as fixed.
+    A box whose load W acts e beyond an edge tips until it touches the wall there. It touches at its own top or at the
+    wall's, whichever is lower, a height h above its bottom. The wall then presses with W·e/h, and the edge must bear
+    this force by friction: so the wall holds the box up to e = µ·h. The wall counts as smooth, and the support of the
+    box as fixed.
     """
     held = np.zeros((scene.n_boxes, 2, 2))
     if not scene.carrier.walls:
@@ -243,7 +244,7 @@ class Bearing:
         return hull_table(self.low[several], self.high[several], self.n_supports[self.n_supports > 1])
 
     def of_scene(self, number: int) -> Bearing:
-        """The bearing of one scene alone. It has its part of these hulls, so that it does not compute them."""
+        """The bearing of one scene alone. The result has its part of these hulls, and does not compute them again."""
         begin, end = self.boxes.first[number : number + 2].tolist()
         one = self.of_scenes(np.array([number]))
         before, count = (int(np.count_nonzero(self.n_supports[a:b] > 1)) for a, b in ((0, begin), (begin, end)))
@@ -364,8 +365,8 @@ def bearing_of(scene: Scene) -> Bearing:
 
 
 def bearings_of(scenes: Sequence[Scene], at_rest: Sequence[Scene] = (), pos: Sequence[FloatArray] = ()) -> Bearing:
-    """The bearings of scenes by the planned places, and then of the scenes ``at_rest`` with their boxes at (n, 3)
-    places ``pos``, m: joined, with the boxes scene after scene, so that all are computed at once."""
+    """The bearings of several scenes, joined, with the boxes scene after scene. All are computed at once. First come
+    ``scenes`` by the planned places, then the scenes ``at_rest`` with their boxes at (n, 3) places ``pos``, m."""
     if len({id(scene) for scene in scenes}) == 1 and not at_rest:
         one = bearing_of(scenes[0])
         return one if len(scenes) == 1 else one.of_scenes(np.zeros(len(scenes), np.intp))
@@ -467,7 +468,7 @@ def find_bearing(scene: Scene, most_gap_m: float = TOUCH_M) -> Bearing:
     """The supports of boxes by the planned places.
 
     A box lies on a board of the carrier's deck if its bottom is not above the deck. A box also lies on another box that
-    begins lower if the top of the other is at the height of its bottom. Both rules hold within ``TOUCH_M``, and only if
+    begins lower if the other's top is at the height of its own bottom. Both rules hold within ``TOUCH_M``, and only if
     the two boxes overlap along x and y.
 
     Args:

@@ -34,7 +34,7 @@ MAX_CSV_BYTES = 1 << 20
 MAX_PARQUET_BYTES = 64 << 20
 
 MAX_PUSH_S = 100 * MAX_PROFILE_S
-"""All windows of a profile together, s: each window is added to the samples separately."""
+"""Longest time of all windows of a profile together, s: each window is added to the samples separately."""
 
 Seconds = Annotated[StrictFloat, Field(ge=0), within(0, MAX_PROFILE_S)]
 LongerThanNothing = Annotated[StrictFloat, Field(gt=0), within(0, MAX_PROFILE_S)]

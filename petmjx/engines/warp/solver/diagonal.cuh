@@ -29,7 +29,7 @@ inline __device__ float inverse_root(float x) {
 }
 
 // Two pivot rows that are eliminated at once. Other rows are reduced by the first row, and by the second row minus b/a
-// times the first. So no division waits for another. In the two rows' own columns are a b; b c. The second pivot is then
+// times the first. So no division waits for another. The two rows' own columns hold a b; b c. The second pivot is then
 // (a·c − b²)/a.
 struct Pivots {
     float a, b, determinant, over_a, over_determinant, factor;

@@ -12,8 +12,8 @@ namespace petmjx {
 // are products of both.
 const int DIAGONAL_PRODUCTS = 10;
 
-// Lists the panels after panel K whose columns reach up to it, and returns their number. Called by one warp. `top`: as in
-// System.
+// Lists the panels after panel K whose columns reach up to it, and returns their number. Called by one warp. `top`: as
+// in System.
 template <class Number>
 inline CUDA_CALLABLE int list_reaching(const int* top, int panels, int K, Number* list, int lane) {
     int found = 0;
