@@ -48,7 +48,8 @@ reference acceleration, whatever their masses. The law:
   contact should open by e·v₀ (Newton's law of impact; e is ``restitution``, or that of the pair of materials), plus
   the speed that takes the box out of the depth that it has reached. The contact is decelerated by
   (1 + e)·v₀ / ``landing_s``, or by less if that is enough in this step. So the force is constant in a landing and
-  does not depend on the timestep. A box goes v₀·``landing_s`` / 2 / (1 + e) deep, plus the distance that it passes in a step before.
+  does not depend on the timestep. A box goes v₀·``landing_s`` / 2 / (1 + e) deep, plus the distance that it passes in
+  a step before.
 - Meanwhile all contacts of the world are as stiff as beyond the width of ``solimp``. Otherwise boxes below, whose
   contacts carry little, would be pressed in before these contacts became stiff.
 
