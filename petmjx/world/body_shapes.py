@@ -1,7 +1,7 @@
 """Bodies of a scene and their shapes. A shape is a solid box that is fixed to its body.
 
-The origin of a body's frame is the centre of mass. The axes are those of the shapes, which count as the principal axes.
-So the inertia matrix of any number of bodies is diagonal, and MuJoCo's qpos and qvel are those of the centre of mass.
+The origin of a body's frame is the centre of mass. The axes are the shapes' axes, which count as the principal axes.
+So the inertia matrix of any number of bodies is diagonal, and MuJoCo's qpos and qvel describe the centre of mass.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ class Body:
         inertia_box: (3,) half extents of the solid box that has the body's mass and moments of inertia, m: MuJoCo's
             equivalent inertia box.
         surface: (s,) numbers of their surfaces (petmjx/world/friction_pairs.py); None: all 0.
-        walls: sides of a carrier with a wall. Walls are the last shapes, in this order; all others are boards.
+        walls: sides of a carrier with a wall. Walls are the last shapes, in this order; all other shapes are boards.
     """
 
     pos: FloatArray

@@ -116,9 +116,9 @@ def cone_factor(physics: Physics, one: FloatArray | float, two: FloatArray | flo
 
 
 SLACK_M_S2: Final = 5.0
-"""Excess that is left uncorrected: that of a slip of 1 cm/s with friction's time constant of 4 ms. This excess raises a
-contact by less than a hundredth of a millimetre, within its soft onset. With this slack pallets at rest are the same
-as without the correction, to the last bit. Stiff contacts have no soft onset, and no slack."""
+"""Excess that is left uncorrected: the excess of a slip of 1 cm/s with friction's time constant of 4 ms. This excess
+raises a contact by less than a hundredth of a millimetre, within its soft onset. With this slack pallets at rest are
+the same as without the correction, to the last bit. Stiff contacts have no soft onset, and no slack."""
 
 STICKS_M_S: Final = 0.01
 """Up to this slip a contact has the whole friction; at twice this slip it has the kinetic friction. So friction does

@@ -59,7 +59,7 @@ OF_BOXES: Final = (
 class Scene:
     """The world of one plan and one variant. Arrays are float64; rows are boxes in packing order.
 
-    Places of boxes are those of their middles, wherever their centres of mass are.
+    The place of a box is the place of its middle, wherever its centre of mass is.
 
     Attributes:
         half_size: (n, 3) half extents, m.

@@ -62,7 +62,7 @@ CONTACT_SOLIMP: Final = (MOST_IMPEDANCE, MOST_IMPEDANCE, 0.001)
 Under 1,000 times its own weight a box's contacts are 0.1 mm deep."""
 
 _ALONE: Final = 1e9
-"""MuJoCo's weight for mixing the laws of two partners; that of rigid shapes is 1."""
+"""MuJoCo's weight for mixing the laws of two partners; rigid shapes have the weight 1."""
 
 _ELEMENTS: Final = 2
 _BALLS: Final = 4

@@ -314,8 +314,8 @@ class Bearing:
 
     @cached_property
     def borne_together(self) -> list[IntArray]:
-        """For each group of ``levels`` the contacts of its boxes with several supports, those with the carrier
-        included."""
+        """For each group of ``levels`` the contacts of its boxes with several supports, including contacts with
+        the carrier."""
         groups = []
         for between in self.levels:
             chosen = np.zeros(len(self.boxes.mass), bool)

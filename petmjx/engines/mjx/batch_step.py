@@ -21,8 +21,8 @@ from petmjx.world.mujoco_model import CARRIER_NAME, geom_bodies
 
 LINE_SEARCH_ITERATIONS = 30
 """Line search iterations. Under ``vmap`` all branches are computed, also unneeded ones. With 10 iterations, a force on
-a box differed by more than 50 N from that of C MuJoCo in 2.2 % of the steps of small piles: the solver had given up
-while boxes landed. With 30 iterations this happens in 0.2 %."""
+a box differed by more than 50 N from the force in C MuJoCo in 2.2 % of the steps of small piles: the solver had given
+up while boxes landed. With 30 iterations this happens in 0.2 %."""
 
 
 class StepResult(NamedTuple):

@@ -129,7 +129,7 @@ class Rules:
         """Begin the drives of worlds whose placement has settled."""
         begins = (state.status == Status.SETTLED) & worlds.driven
         end = _drive_end(state, worlds)
-        # signs from the placement (such as of a hard landing) are dropped where no box is over a threshold now
+        # signs from the placement (for example, of a hard landing) are dropped where no box is over a threshold now
         metrics = state.metrics.without_sign(begins & ~self._is_over(state, worlds)).without_rest(begins)
         middles = motion.middles(state.qpos, worlds.middle)
         anchor = jnp.where(begins[:, None, None], middles[..., :2], metrics.sway_anchor)

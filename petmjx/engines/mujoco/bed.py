@@ -245,7 +245,7 @@ def _sides(edges: FloatArray, at: FloatArray, lines: FloatArray) -> None:
 
     Args:
         edges: (p, 2, 2, 2) half edges: parallelogram, edge, coordinate.
-        at: (p, 2) middle of the first parallelogram; that of the second is the origin.
+        at: (p, 2) middle of the first parallelogram; the middle of the second is the origin.
         lines: (p, 9, 3); the first eight of each nine are filled in.
     """
     cross = edges[:, :, :1, 0] * edges[:, :, 1:, 1] - edges[:, :, :1, 1] * edges[:, :, 1:, 0]

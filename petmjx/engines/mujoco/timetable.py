@@ -63,7 +63,8 @@ class Waits:
         self._latest = self.longest_wait if self._patient and not restless else self._latest_after(step)
 
     def lasts_longer(self, step: int) -> bool:
-        """Whether a short wait goes on after this step if it is the last one, and an earlier wait was in vain."""
+        """Whether a short wait goes on after this step if it is the last one, and an earlier wait
+        ended with a moving world."""
         return self._patient and step < self.longest_wait
 
     def deadline(self, sign_step: int | None) -> int:

@@ -65,7 +65,7 @@ class Call:
 
 @contextmanager
 def others_may_call() -> Iterator[None]:
-    """Context inside a call from JAX to Python: other threads may have such a call at the same time.
+    """Within a call from JAX to Python, let other threads have such calls at the same time.
 
     Warp (1.18) holds a lock during a call from JAX. So engines in several threads of a CPU would take turns, one slice
     each. The data that the lock guards are read before Warp calls our function. Other versions may not have this lock.
@@ -205,7 +205,7 @@ LAST = Size(SIZES[0].most_boxes, 256, 1, 144 << 10)
 
 
 USUAL: Final = (SIZES[0], FEW_BOXES, LAST)
-"""Blocks of most runs: those of runs without large plans."""
+"""Blocks of most runs, which have no large plans."""
 
 
 def size_for(n_boxes: int) -> Size:
@@ -223,7 +223,8 @@ class Launch:
         shared_words: shared memory for rows of a world's factor and its Hessian, in numbers of four bytes.
         panels: panels of the largest system.
         hands: whether a hand may carry boxes. Without this a kernel spills fewer registers.
-        gives, wraps: whether boxes may be compliant, and whether film may hold them. The same holds for these.
+        gives, wraps: whether boxes may be compliant, and whether film may hold them. Without these a kernel
+            spills fewer registers, too.
         lands: whether landing boxes follow a law of their own.
     """
 

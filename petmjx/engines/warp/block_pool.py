@@ -16,7 +16,7 @@ from petmjx.world.contact_laws import is_stiff
 
 
 def most_room(size: int) -> int:
-    """Largest number of boxes for whose contacts and pairs the buffers of a world of this size may grow.
+    """Limit on the buffers for a world of this size: the number of boxes whose contacts and pairs they may hold.
 
     The limit is the same in all runs. So the largest plan of a run does not affect which worlds are given up."""
     return MAX_GROWTH * (size + MORE_BOXES)

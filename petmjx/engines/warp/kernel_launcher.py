@@ -207,6 +207,6 @@ def _launch(launcher: int, *arrays: Any) -> None:
 
 # Warp reads the types of the buffers from the signature.
 _launch.__annotations__ = {"launcher": int} | _INPUTS | _CHANGED
-_launch.__signature__ = inspect.Signature(  # type: ignore[attr-defined]  # what inspect reads
+_launch.__signature__ = inspect.Signature(  # type: ignore[attr-defined]  # inspect reads it
     [inspect.Parameter(name, inspect.Parameter.POSITIONAL_OR_KEYWORD) for name in _launch.__annotations__]
 )

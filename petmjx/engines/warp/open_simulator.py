@@ -170,7 +170,7 @@ class Simulator:
         return state._replace(flags=state.flags | jnp.where(moves, int(Flag.MOVING), 0))
 
     def _moves(self, state: State) -> Bool[Array, " world"]:
-        """Which paused worlds are not quiet, although they have not failed."""
+        """Which paused worlds are neither quiet nor failed."""
         return ~state.metrics.has_failed(self._sim.thresholds) & (state.quiet_steps < self._sim.quiet.steps)
 
     def _lasts_longer(self, state: State) -> Bool[Array, " world"]:

@@ -45,8 +45,8 @@ another verdict."""
 
 
 def friction_damping(physics: Physics) -> float:
-    """Damping of friction, 1/s, as in MuJoCo (its documentation, "Modeling", "Solver parameters"); 0 if it is the same
-    as that of contacts."""
+    """Damping of friction, 1/s, as in MuJoCo (its documentation, "Modeling", "Solver parameters"); 0 if it equals the
+    damping of contacts."""
     if not physics.has_own_friction:
         return 0.0
     time_s, damping = physics.solreffriction
@@ -173,7 +173,8 @@ _COMPILING = Lock()
 
 def load_usual_kernels(sim: Simulation) -> None:
     """Compile the kernels that most runs with these options need, or take them from Warp's cache, before the plans are
-    known. Runs of plans with compliant boxes, film, or many boxes need others. Without a GPU nothing is compiled."""
+    known. Runs of plans with compliant boxes, film, or many boxes need other kernels. Without a GPU nothing is
+    compiled."""
     if not wp.get_device().is_cuda:
         return
     hands, lands = not sim.placing.appears, sim.physics.has_landings

@@ -83,8 +83,8 @@ class _WindowFile(CheckedRecord):
 def read_windows(path: Path) -> tuple[WindowRow, ...]:
     """Force windows of a file.
 
-    Parquet: the columns start_s, duration_s, x, y, z; others are ignored. TOML: an array of tables ``[[window]]`` with
-    these five keys.
+    Parquet: the columns start_s, duration_s, x, y, z; other columns are ignored. TOML: an array of tables
+    ``[[window]]`` with these five keys.
 
     Raises:
         InputError: one line with file, row and field: "push.toml: window[3].duration_s must be > 0, got 0".
