@@ -82,8 +82,8 @@ have errors."""
 class ApproachPath(NamedTuple):
     """The ways on which the n boxes of a scene come to their places.
 
-    For several stackable scenes every array has a leading axis of the scenes. All places
-    are places of the boxes' middles, m.
+    For several stackable scenes every array has a leading axis of the scenes. All places are places of the boxes'
+    middles, m.
 
     Attributes:
         lift: (n, 3) from the place at which a box would rest to its release.

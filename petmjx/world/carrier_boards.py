@@ -32,9 +32,8 @@ class Pallet:
     Attributes:
         boards: corner and size of each board, mm.
         masses_kg: mass of each board.
-        frictions: coefficient of sliding friction of each board; None: the coefficient of carriers in
-            the physics. Empty: no board
-            has a value of its own.
+        frictions: coefficient of sliding friction of each board; None: the coefficient of carriers in the physics.
+            Empty: no board has a value of its own.
         materials: material of each board; empty: all boards are of wood.
     """
 

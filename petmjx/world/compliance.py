@@ -36,8 +36,7 @@ their places is no bed of springs."""
 
 
 POINTS_PER_BED: Final = 4
-"""Number of contacts between two faces that press on one another, if at least one of the boxes is
-compliant."""
+"""Number of contacts between two faces that press on one another, if at least one of the boxes is compliant."""
 
 EDGE_SHARE: Final = 2 / 3
 """Least share of the common area of two faces that counts as pressed: a smaller share is as stiff as this one. On

@@ -3,9 +3,9 @@
 Thread blocks for worlds of one size form a block pool, with a kernel of its own (petmjx/engines/warp/block_launch.py).
 All pools work at the same time on the same tables. A block takes a world from its pool's queue and steps it until the
 world ends, its drive begins, or the time slice is over. Then it takes the next world. No world waits
-for another: it costs only its own boxes, and a step takes as long as its own solver needs. States are in the tables of
-petmjx/engines/mjx/world_state.py, and a world that was interrupted goes on in the next call. So results do not depend
-on blocks, on the order of worlds, or on time.
+for another: a world costs only its own boxes, and a step takes as long as its own solver needs. States are in the
+tables of petmjx/engines/mjx/world_state.py, and a world that was interrupted goes on in the next call. So results do
+not depend on blocks, on the order of worlds, or on time.
 """
 
 from __future__ import annotations
@@ -142,8 +142,8 @@ class KernelLauncher:
         workspace: jax.Array,
         frames: Mapping[str, jax.Array],
     ) -> tuple[dict[str, jax.Array], jax.Array, dict[str, jax.Array], dict[str, jax.Array]]:
-        """States after a time slice, the workspace, frames, and ``Counts``. Fields of a state that no
-        kernel knows stay as they are."""
+        """States after a time slice, the workspace, frames, and ``Counts``. Fields of a state that no kernel
+        knows stay as they are."""
         kinds, shapes = array_types(Counts), world_arrays.array_shapes(Counts, {"queue": len(self.pools)})
         counts = {name: jnp.zeros(shapes[name], wp.dtype_to_numpy(kind.dtype)) for name, kind in kinds.items()}
         arrays = {**worlds, **state, **counts, "workspace": workspace}

@@ -121,9 +121,9 @@ class Simulator:
         return self.put(open_, rows, with_new_box(take_rows(open_.worlds, rows), box))
 
     def finish(self, open_: OpenState) -> State:
-        """Let paused worlds begin their rest window or their drive, as their constants say. Some worlds
-        paused because their boxes did not come to rest in time. If they still move, they wait on first, since the last
-        wait of a world may last longer."""
+        """Let paused worlds begin their rest window or their drive, as their constants say. Some worlds paused
+        because their boxes did not come to rest in time. If they still move, they first wait on, since the last wait of
+        a world may last longer."""
         state, worlds = open_.state, open_.worlds
         paused = state.status == Status.PAUSED
         goes = paused & ~(self._moves(state) & self._lasts_longer(state))

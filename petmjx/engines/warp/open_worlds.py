@@ -255,8 +255,8 @@ class WarpWorlds(OpenWorlds):
         """Rows of these worlds, padded with rows beyond the tables.
 
         Args:
-            length: None: a power of two, and at least the length of the largest call so far. So later calls
-                compile nothing, although their number of pallets changes as pallets end and begin anew.
+            length: None: a power of two, and at least the length of the largest call so far. So later calls compile
+                nothing, although their number of pallets changes as pallets end and begin anew.
         """
         if length is None:
             length = self._most_rows = max(self._most_rows, padded_rows(len(worlds)))
