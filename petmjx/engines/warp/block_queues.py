@@ -16,7 +16,7 @@ from petmjx.world.job import Job
 
 
 class Queues:
-    """A queue for each size of worlds. The longest come first, so that the last ones to end are short.
+    """A queue for each size of worlds. The longest worlds come first, so that the last worlds to end are short.
 
     Args:
         sizes: most boxes of a world of each size, in the order of the queues.
