@@ -296,12 +296,12 @@ class SweepPlan(Design):
         if self.sweep.legs:
             legs = {leg for legs in self.ways.values() for leg in legs}
             drawn = any(self._is_drawn(drive) for leg in legs for drive in leg.drives)
-            return JobBounds(box_counts, max(map(self._leg_samples, legs)), None if drawn else len(legs))
+            return JobBounds(box_counts, max(map(self._leg_samples, legs)), None if drawn else len(legs), self._filmed)
         profiles, sim = self.sweep.profiles.values(), self.sweep.simulation
         drive_steps = max((profile.n_steps(sim.physics.timestep_s) for profile in profiles), default=0)
         # with the fixed schedule profiles of forces begin at other times in each plan
         drawn = any(profile.random for profile in profiles) or sim.schedule is Schedule.FIXED
-        return JobBounds(box_counts, drive_steps, None if drawn else len(profiles))
+        return JobBounds(box_counts, drive_steps, None if drawn else len(profiles), self._filmed)
 
     def _leg_samples(self, leg: LegSpec) -> int:
         """Steps in which the drives of a leg act, with its pauses."""
@@ -331,13 +331,20 @@ class SweepPlan(Design):
             carried=self._carried,
             drives=round((self.n_variants - nominal) * n_legs) if self.sweep.has_drives else 0,
             drive_steps=sum(drives) / len(drives) if drives else 0.0,
-            filmed=sim.wrap.holds or "wrap_turns" in self.sweep.axes or any(leg.wrap_turns for leg in self.sweep.legs),
+            filmed=self._filmed,
             placed_share=placed_shares(self.plans),
         )
 
     def _leg_steps(self, leg: LegSpec) -> float:
         """Expected steps of a leg, if the pallet stands until its end."""
         return self._leg_samples(leg) + rest_steps(self.sweep.simulation, self.sweep.simulation.rest_s)
+
+    @property
+    def _filmed(self) -> bool:
+        """Whether film is around shaken pallets in some worlds."""
+        sweep = self.sweep
+        turns = [table.wrap_turns for table in (*sweep.legs, *sweep.remedies)]
+        return sweep.simulation.wrap.holds or "wrap_turns" in sweep.axes or any(turns)
 
     @property
     def amount(self) -> str:
