@@ -290,18 +290,22 @@ class SweepPlan(Design):
         total_s = sim.total_time_factor * (sim.interval_s * plan.n_boxes)
         return seconds_to_steps(total_s, timestep_s) - seconds_to_steps(self.drive_start_s(plan), timestep_s)
 
-    def job_bounds(self, groups: Iterable[PlacementGroup]) -> JobBounds:
+    def job_bounds(self, groups: Sequence[PlacementGroup]) -> JobBounds:
         """Bounds of some placements, and of the drives and legs that follow."""
+        sim, profiles = self.sweep.simulation, self.sweep.profiles.values()
         box_counts = {group.plan.n_boxes for group in groups}
         if self.sweep.legs:
             legs = {leg for legs in self.ways.values() for leg in legs}
             drawn = any(self._is_drawn(drive) for leg in legs for drive in leg.drives)
-            return JobBounds(box_counts, max(map(self._leg_samples, legs)), None if drawn else len(legs), self._filmed)
-        profiles, sim = self.sweep.profiles.values(), self.sweep.simulation
+            wraps = sim.wrap.holds or any(leg.wrap_turns for leg in legs)
+            return JobBounds(box_counts, max(map(self._leg_samples, legs)), None if drawn else len(legs), wraps)
         drive_steps = max((profile.n_steps(sim.physics.timestep_s) for profile in profiles), default=0)
+        if sim.total_time_factor is not None:
+            drive_steps = min(drive_steps, max(self._drive_steps_left(group.plan) or 0 for group in groups))
         # with the fixed schedule profiles of forces begin at other times in each plan
         drawn = any(profile.random for profile in profiles) or sim.schedule is Schedule.FIXED
-        return JobBounds(box_counts, drive_steps, None if drawn else len(profiles), self._filmed)
+        wraps = sim.wrap.holds or "wrap_turns" in self.sweep.axes
+        return JobBounds(box_counts, drive_steps, None if drawn else len(profiles), wraps)
 
     def _leg_samples(self, leg: LegSpec) -> int:
         """Steps in which the drives of a leg act, with its pauses."""
@@ -331,20 +335,13 @@ class SweepPlan(Design):
             carried=self._carried,
             drives=round((self.n_variants - nominal) * n_legs) if self.sweep.has_drives else 0,
             drive_steps=sum(drives) / len(drives) if drives else 0.0,
-            filmed=self._filmed,
+            filmed=sim.wrap.holds or "wrap_turns" in self.sweep.axes or any(leg.wrap_turns for leg in self.sweep.legs),
             placed_share=placed_shares(self.plans),
         )
 
     def _leg_steps(self, leg: LegSpec) -> float:
         """Expected steps of a leg, if the pallet stands until its end."""
         return self._leg_samples(leg) + rest_steps(self.sweep.simulation, self.sweep.simulation.rest_s)
-
-    @property
-    def _filmed(self) -> bool:
-        """Whether film is around shaken pallets in some worlds."""
-        sweep = self.sweep
-        turns = [table.wrap_turns for table in (*sweep.legs, *sweep.remedies)]
-        return sweep.simulation.wrap.holds or "wrap_turns" in sweep.axes or any(turns)
 
     @property
     def amount(self) -> str:
