@@ -178,6 +178,7 @@ class MjxWarpEngine(Engine):
                 table.put_running(running)
                 running = None  # its memory is needed
             yield from self._slices_of(table, source, waits=waits)
+            del table  # its memory is needed by the next one
 
     def _load(
         self, run: Run, jobs: list[Job], stream_numbers: list[int], rows: int, profile_room: tuple[int, int] = (0, 0)
