@@ -18,7 +18,7 @@ from petmjx.common.errors import InputError
 from petmjx.common.processes import defer_signals
 from petmjx.common.text import count_text
 from petmjx.engines.attempt_runner import AttemptResult, AttemptRunner, Pending
-from petmjx.engines.attempts import ATTEMPTS, BESIDE, AttemptRecipe, Engines, ready_for
+from petmjx.engines.attempts import ATTEMPTS, BESIDE, AttemptRecipe, Engines, may_go_on, ready_for
 from petmjx.engines.contact_penetration import may_penetrate
 from petmjx.engines.job_stream import JobBounds, JobStream
 from petmjx.engines.protocol import GROUP_WORLDS, Capability, Engine, Progress
@@ -237,8 +237,10 @@ class _AttemptRun(Generic[AnyWorld]):
         """
         world, outcome, records = pending
         assert outcome is not None
-        later = self.attempts[self.attempts.index(attempt) + 1 :]
-        next_attempt = next((recipe for recipe in later if recipe.is_for(outcome, self.sim)), None)
+        next_attempt = None
+        if may_go_on(outcome, self.sim):
+            later = self.attempts[self.attempts.index(attempt) + 1 :]
+            next_attempt = next((recipe for recipe in later if recipe.is_for(outcome, self.sim)), None)
         if next_attempt is None:
             yield WorldResult(world, outcome, records)
         elif not self.side_tasks.begin(next_attempt, pending):

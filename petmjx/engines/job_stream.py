@@ -20,12 +20,14 @@ class JobBounds(NamedTuple):
     """Bounds of all jobs of a run, for an engine that makes room before they come.
 
     Attributes:
+        jobs: most jobs that are ready at once.
         box_counts: numbers of boxes of their scenes.
         drive_steps: samples of the longest drive.
         excitations: number of different excitations; None: as many as worlds.
         wraps: whether film is around the boxes of some drives.
     """
 
+    jobs: int
     box_counts: Collection[int]
     drive_steps: int
     excitations: int | None

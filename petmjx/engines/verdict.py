@@ -260,5 +260,5 @@ class Attempt:
     @classmethod
     def of(cls, outcome: Outcome, timestep_s: float) -> Attempt:
         """The record of an outcome that was simulated with ``timestep_s`` (s)."""
-        fields = {name: getattr(outcome, name) for name in cls.__dataclass_fields__ if name != "timestep_s"}
-        return cls(timestep_s=timestep_s, **fields)
+        o = outcome
+        return cls(o.attempt, o.engine, o.solver, timestep_s, o.verdict, o.reason, o.flags, o.n_steps)

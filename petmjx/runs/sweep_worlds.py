@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Final
 
@@ -290,22 +290,23 @@ class SweepPlan(Design):
         total_s = sim.total_time_factor * (sim.interval_s * plan.n_boxes)
         return seconds_to_steps(total_s, timestep_s) - seconds_to_steps(self.drive_start_s(plan), timestep_s)
 
-    def job_bounds(self, groups: Sequence[PlacementGroup]) -> JobBounds:
+    def job_bounds(self, groups: Collection[PlacementGroup]) -> JobBounds:
         """Bounds of some placements, and of the drives and legs that follow."""
         sim, profiles = self.sweep.simulation, self.sweep.profiles.values()
+        jobs = sum(max(len(group.variants), 1) for group in groups)
         box_counts = {group.plan.n_boxes for group in groups}
         if self.sweep.legs:
             legs = {leg for legs in self.ways.values() for leg in legs}
             drawn = any(self._is_drawn(drive) for leg in legs for drive in leg.drives)
             wraps = sim.wrap.holds or any(leg.wrap_turns for leg in legs)
-            return JobBounds(box_counts, max(map(self._leg_samples, legs)), None if drawn else len(legs), wraps)
+            return JobBounds(jobs, box_counts, max(map(self._leg_samples, legs)), None if drawn else len(legs), wraps)
         drive_steps = max((profile.n_steps(sim.physics.timestep_s) for profile in profiles), default=0)
         if sim.total_time_factor is not None:
             drive_steps = min(drive_steps, max(self._drive_steps_left(group.plan) or 0 for group in groups))
         # with the fixed schedule profiles of forces begin at other times in each plan
         drawn = any(profile.random for profile in profiles) or sim.schedule is Schedule.FIXED
         wraps = sim.wrap.holds or "wrap_turns" in self.sweep.axes
-        return JobBounds(box_counts, drive_steps, None if drawn else len(profiles), wraps)
+        return JobBounds(jobs, box_counts, drive_steps, None if drawn else len(profiles), wraps)
 
     def _leg_samples(self, leg: LegSpec) -> int:
         """Steps in which the drives of a leg act, with its pauses."""

@@ -170,6 +170,9 @@ def _least(
     from scipy.optimize import Bounds, LinearConstraint, milp  # takes a second to load; few plans need it
     from scipy.sparse import csc_array
 
-    result = milp(cost, constraints=LinearConstraint(csc_array(rows), least, most), bounds=Bounds(0.0, bound))
+    column, row = np.nonzero(rows.T)
+    begins = np.searchsorted(column, np.arange(rows.shape[1] + 1)).astype(np.int32)
+    table = csc_array((rows[row, column], row.astype(np.int32), begins), shape=rows.shape)
+    result = milp(cost, constraints=LinearConstraint(table, least, most), bounds=Bounds(0.0, bound))
     answer: FloatArray | None = result.x
     return answer

@@ -48,7 +48,7 @@ def test_what_a_box_bears_counts_and_so_does_its_own_weight_alone() -> None:
     scene = make_scene([((400, 300, 300), (0, 0, 0), 5.0), plank, weight], Simulation(size_reduction_mm=0.0))
     outcome = replace(make_outcome(3, Verdict.UNSTABLE, Reason.DROP), n_placed=3)
     first = replace(outcome, n_placed=1)
-    note_edges([outcome, first], [Job(scene), Job(scene)])
+    note_edges([outcome, first], [Job(scene), Job(scene)], Simulation())
     # with the weight the plank's load acts at 136 mm, alone at 500 mm; the weight itself is 100 mm inside
     assert outcome.boxes.plan_edge_m[1] == pytest.approx((5 * 0.5 + 50 * 0.1) / 55)
     assert (outcome.plan_edge_m, outcome.plan_edge_box) == (pytest.approx(0.1), 2)
@@ -56,7 +56,7 @@ def test_what_a_box_bears_counts_and_so_does_its_own_weight_alone() -> None:
     assert first.plan_edge_m == pytest.approx(0.15)  # a box alone on the carrier
     assert np.isnan(first.boxes.plan_edge_m[1:]).all()
     at_once = replace(outcome, build_edge_m=np.nan, build_edge_box=-1)
-    note_edges([at_once], [Job(scene)], in_order=False)
+    note_edges([at_once], [Job(scene)], Simulation(check="static"))
     assert np.isnan(at_once.build_edge_m)
     assert at_once.build_edge_box == -1
 
@@ -174,8 +174,9 @@ def test_a_verdict_against_a_load_within_a_millimetre_has_the_flag() -> None:
             Simulation(size_reduction_mm=0.0),
         )
         verdict = (Verdict.UNSTABLE, Reason.TILT) if falls else (Verdict.STABLE, Reason.NONE)
-        outcome = make_outcome(2, *verdict, pos=np.full((2, 3), 10.0))  # at rest nothing bears anything
-        note_edges([outcome], [Job(scene)])
+        tilt_deg = np.full(2, 90.0 * falls)
+        outcome = make_outcome(2, *verdict, max_tilt_deg=tilt_deg, pos=np.full((2, 3), 10.0))  # nothing bears anything
+        note_edges([outcome], [Job(scene)], Simulation())
         assert bool(outcome.flags & Flag.KNIFE_EDGE) is (falls == (inside_mm > 0))
 
 
@@ -283,7 +284,7 @@ def test_the_nearest_load_while_a_plan_is_built_is_named() -> None:
         Simulation(),
     )
     fell = make_outcome(5, Verdict.UNSTABLE, Reason.DROP, culprit=4)
-    note_edges([fell], [Job(scene)])
+    note_edges([fell], [Job(scene)], Simulation())
     assert fell.flags & Flag.KNIFE_EDGE
     assert fell.build_edge_box == 4
     nearest = nearest_edge((edge for edge in edges_again(scene, fell) if edge.when == WHILE_BUILT), fell.verdict)

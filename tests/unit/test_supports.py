@@ -161,7 +161,8 @@ def test_scenes_that_are_alike_are_looked_at_together() -> None:
             edges = expected.hulls.offset
             np.testing.assert_array_equal(bearing.hulls.offset[:, : edges.shape[1]], edges)
         one, other = bearing_of(scenes[0]), bearing_of(scenes[3])
-        picked = bearings_of(scenes).of_scenes(np.array([0, 3, 0]))
+        picked, rows = bearings_of(scenes).of_scenes(np.array([0, 3, 0]))
+        assert rows.tolist() == [*range(6), *range(18, 27), *range(6)]
         for several in (picked, bearings_of([scenes[0], scenes[3], scenes[0]])):
             np.testing.assert_array_equal(several.low, np.concatenate([one.low, other.low, one.low]))
             np.testing.assert_array_equal(several.of_scene(2).lower, one.lower)

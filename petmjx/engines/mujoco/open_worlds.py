@@ -109,7 +109,7 @@ class OpenWorld(WorldRun):
             WorldCancelled: the run was interrupted.
         """
         self.go_on()
-        self._index, self._pauses = index, False
+        self._stream_number, self._pauses = index, False
         self._job = replace(self._job, drive=drive)
         self._waits.settles = self._settles
         if self.paused and self._lingers():

@@ -18,6 +18,10 @@ SPARE_ROWS: Final = 4
 """Rows of a table if more jobs may follow, as a multiple of the jobs at the beginning. Blocks take the longest of the
 waiting worlds first."""
 
+MOST_FOLLOWING_ROWS: Final = 2048
+"""Most rows for jobs that are not there yet, such as the many drives of a single placement: a GPU has fewer blocks than
+half of them."""
+
 REFILL_SHARE: Final = 2
 """Jobs join a table while fewer than one in ``REFILL_SHARE`` of its rows are live: then many join at a time. Those that
 follow from outcomes join at once."""
@@ -103,7 +107,8 @@ class TableJobs:
             needs = _roomy(needs | self.needs)
         self.needs, self._begun = needs, True
         taken = self._take(further)
-        rows = min(max(SPARE_ROWS * len(every), self._least_rows), self._size) if grows else 0
+        following = min(self._stream.bounds.jobs, MOST_FOLLOWING_ROWS) if self._stream.bounds is not None else 0
+        rows = min(max(SPARE_ROWS * len(every), self._least_rows, following), self._size) if grows else 0
         return every, [*stream_numbers, *taken], padded_rows(max(len(every), rows))
 
     def profile_room(self, jobs: Sequence[Job], rows: int) -> tuple[int, int]:
