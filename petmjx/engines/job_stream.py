@@ -24,12 +24,14 @@ class JobBounds(NamedTuple):
         box_counts: numbers of boxes of their scenes.
         drive_steps: samples of the longest drive.
         excitations: number of different excitations; None: as many as worlds.
+        wraps: whether film is around the boxes of some drives.
     """
 
     jobs: int
     box_counts: Collection[int]
     drive_steps: int
     excitations: int | None
+    wraps: bool = False
 
 
 class JobStream(Generic[Tag]):

@@ -292,17 +292,21 @@ class SweepPlan(Design):
 
     def job_bounds(self, groups: Collection[PlacementGroup]) -> JobBounds:
         """Bounds of some placements, and of the drives and legs that follow."""
+        sim, profiles = self.sweep.simulation, self.sweep.profiles.values()
         jobs = sum(max(len(group.variants), 1) for group in groups)
         box_counts = {group.plan.n_boxes for group in groups}
         if self.sweep.legs:
             legs = {leg for legs in self.ways.values() for leg in legs}
             drawn = any(self._is_drawn(drive) for leg in legs for drive in leg.drives)
-            return JobBounds(jobs, box_counts, max(map(self._leg_samples, legs)), None if drawn else len(legs))
-        profiles, sim = self.sweep.profiles.values(), self.sweep.simulation
+            wraps = sim.wrap.holds or any(leg.wrap_turns for leg in legs)
+            return JobBounds(jobs, box_counts, max(map(self._leg_samples, legs)), None if drawn else len(legs), wraps)
         drive_steps = max((profile.n_steps(sim.physics.timestep_s) for profile in profiles), default=0)
+        if sim.total_time_factor is not None:
+            drive_steps = min(drive_steps, max(self._drive_steps_left(group.plan) or 0 for group in groups))
         # with the fixed schedule profiles of forces begin at other times in each plan
         drawn = any(profile.random for profile in profiles) or sim.schedule is Schedule.FIXED
-        return JobBounds(jobs, box_counts, drive_steps, None if drawn else len(profiles))
+        wraps = sim.wrap.holds or "wrap_turns" in self.sweep.axes
+        return JobBounds(jobs, box_counts, drive_steps, None if drawn else len(profiles), wraps)
 
     def _leg_samples(self, leg: LegSpec) -> int:
         """Steps in which the drives of a leg act, with its pauses."""

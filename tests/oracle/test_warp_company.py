@@ -35,9 +35,11 @@ from support.tiny_worlds import (
 )
 from support.worlds import simulate
 
-from petmjx.engines.warp import slice_result, table_jobs, time_slices
+from petmjx.engines.warp import engine as mjx_warp
+from petmjx.engines.warp import slice_result, table_jobs
 from petmjx.engines.warp.block_launch import Launch
 from petmjx.engines.warp.block_queues import Queues
+from petmjx.engines.warp.cpu_engine import MjxWarpCpuEngine
 from petmjx.engines.warp.engine import MjxWarpEngine
 from petmjx.engines.warp.table_jobs import TableJobs
 from petmjx.engines.warp.time_slices import Rollout
@@ -216,7 +218,7 @@ def test_worlds_of_each_size_have_blocks_of_their_own(monkeypatch: pytest.Monkey
             super().add(*args)
             queues.append(np.asarray(self.order))
 
-    monkeypatch.setattr(time_slices, "Queues", Watched)
+    monkeypatch.setattr(mjx_warp, "Queues", Watched)
     some = engine()
     assert_equal_worlds(simulate(some, scenes, SHORT), alike)
     ((_, rollout),) = some._kept.values()
@@ -237,6 +239,17 @@ def test_blocks_take_the_longest_worlds_of_their_size_first() -> None:
     live[[1, 5]] = False, True
     queues.add([Job(make_scene(8))], np.array([5]), live, SHORT)
     assert np.asarray(queues.order).tolist() == [[5, 3] + [-1] * 6, [4, 0, 2] + [-1] * 5]
+
+
+def test_on_a_cpu_worlds_that_have_been_placed_go_on_before_others_begin() -> None:
+    queues = Queues(["12"], lambda job: "12", rows=4, depth_first=MjxWarpCpuEngine.depth_first)
+    push = Drive(Excitation("push", "force", np.zeros((1, 3))))
+    kept: Any = object()
+    jobs = [Job(make_scene(3)), Job(make_scene(9), push, start=kept), Job(make_scene(9))]
+    queues.add(jobs, np.arange(3), np.arange(4) < 3, SHORT)
+    assert np.asarray(queues.order).tolist() == [[1, 2, 0, -1]]
+    queues.add([Job(make_scene(3), push, start=kept)], np.array([3]), np.arange(4) < 4, SHORT)
+    assert np.asarray(queues.order).tolist() == [[3, 1, 2, 0]], "the latest first"
 
 
 @pytest.mark.gpu

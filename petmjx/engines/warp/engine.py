@@ -20,6 +20,7 @@ from petmjx.engines.protocol import GROUP_WORLDS, Engine, Progress, RunLock, say
 from petmjx.engines.verdict import Outcome
 from petmjx.engines.warp.block_launch import Launch
 from petmjx.engines.warp.block_pool import BlockPools
+from petmjx.engines.warp.block_queues import Queues
 from petmjx.engines.warp.free_bodies import paths
 from petmjx.engines.warp.kernel_features import KernelFeatures, size_of
 from petmjx.engines.warp.kernel_launcher import BlockPool
@@ -61,12 +62,15 @@ class MjxWarpEngine(Engine):
     Attributes:
         granule: box columns of tables are a multiple of this.
         least_rows: fewest rows of a table if more jobs may follow, for runs that begin with few jobs and last long.
+        depth_first: whether worlds that follow from outcomes are simulated before others begin. On a GPU the longest
+            worlds of both kinds come first, since many blocks are idle at the end if the last worlds are long.
 
     Raises:
         EngineUnavailable: no CUDA device, or Warp is not installed; the line says which.
     """
 
     name = "mjx-warp"
+    depth_first = False
 
     def __init__(
         self,
@@ -120,7 +124,7 @@ class MjxWarpEngine(Engine):
             yield from self._outcomes(self._table_jobs(stream), sim, progress or Progress())
 
     def _table_jobs(self, stream: JobStream[Any]) -> TableJobs:
-        return TableJobs(stream, self.most_rows, self.least_rows, self.granule)
+        return TableJobs(stream, self.most_rows, self.least_rows, self.granule, depth_first=self.depth_first)
 
     def _outcomes(self, source: TableJobs, sim: Simulation, progress: Progress) -> Iterator[Outcome]:
         """Outcomes of all jobs of a source, by their stream numbers."""
@@ -174,6 +178,7 @@ class MjxWarpEngine(Engine):
                 table.put_running(running)
                 running = None  # its memory is needed
             yield from self._slices_of(table, source, waits=waits)
+            del table  # its memory is needed by the next one
 
     def _load(
         self, run: Run, jobs: list[Job], stream_numbers: list[int], rows: int, profile_room: tuple[int, int] = (0, 0)
@@ -191,7 +196,8 @@ class MjxWarpEngine(Engine):
         self, table: WorldTable, source: TableJobs, *, waits: bool, simulate: bool = True
     ) -> Generator[SliceResult]:
         """The time slices of a table, as ``TableSlices``. After an error the memory of all rollouts is freed."""
-        slices = TableSlices(table, source, waits, self._pools, self._rollout)
+        queues = Queues(table.run.needs.sizes, size_of, table.rows, depth_first=self.depth_first)
+        slices = TableSlices(table, source, queues, waits, self._pools, self._rollout)
         try:
             yield from slices.results(simulate=simulate)
         except BaseException:

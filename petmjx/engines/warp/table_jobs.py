@@ -49,6 +49,7 @@ class TableJobs:
         size: most rows of a table.
         least_rows: fewest rows of a table if more jobs may follow.
         granule: as for ``KernelFeatures.of``.
+        depth_first: whether jobs that follow shall begin at once. The first table then also has their features.
 
     Attributes:
         needs: features of the jobs of the latest table.
@@ -57,11 +58,14 @@ class TableJobs:
         in_flight: stream number → job, for jobs that have been taken and have no outcome yet.
     """
 
-    def __init__(self, stream: JobStream[Any], size: int, least_rows: int, granule: int) -> None:
+    def __init__(
+        self, stream: JobStream[Any], size: int, least_rows: int, granule: int, *, depth_first: bool = False
+    ) -> None:
         self.needs, self.in_flight = KernelFeatures({}), dict[int, Job]()
         self.alone = stream.closed and stream.ready == 1 and not stream.feedback
         self.running: RunningWorlds | None = None
         self._stream, self._size, self._least_rows, self._granule = stream, size, least_rows, granule
+        self._depth_first = depth_first
         self._begun, self._taken = False, 0
 
     @property
@@ -97,7 +101,8 @@ class TableJobs:
         needs = KernelFeatures.of(every, self._granule)
         if grows and self._stream.bounds is not None:
             counts = [count for count in self._stream.bounds.box_counts if count <= MAX_BOXES]
-            needs |= KernelFeatures(widths_of(counts, self._granule))
+            wraps = self._depth_first and self._stream.bounds.wraps
+            needs |= KernelFeatures(widths_of(counts, self._granule), wraps=wraps)
         elif grows and not self.feedback:
             needs = _roomy(needs | self.needs)
         self.needs, self._begun = needs, True

@@ -133,14 +133,14 @@ class TableSlices:
         self,
         table: WorldTable,
         source: TableJobs,
+        queues: Queues,
         waits: bool,
         pools: BlockPools,
         rollout_for: Callable[[WorldTable], Rollout | None],
     ) -> None:
-        self._table, self._source, self._waits = table, source, waits
+        self._table, self._source, self._queues, self._waits = table, source, queues, waits
         self._pools, self._rollout_for = pools, rollout_for
         self._rollout: Rollout | None = None
-        self._queues = Queues(table.run.needs.sizes, size_of, table.rows)
 
     def results(self, *, simulate: bool) -> Generator[SliceResult]:
         """The worlds that end in each slice.
