@@ -69,7 +69,8 @@ class MjxWarpEngine(Engine):
 
     Attributes:
         granule: box columns of tables are a multiple of this.
-        least_rows: fewest rows of a table if more jobs may follow, for runs that begin with few jobs and last long.
+        least_rows: fewest rows of a table, for runs that begin with few jobs and last long, and for many runs of
+            different numbers of jobs: each number of rows, and of columns, is compiled.
 
     Raises:
         EngineUnavailable: no CUDA device, or Warp is not installed; the line says which.

@@ -37,7 +37,7 @@ class TableJobs:
 
     Args:
         size: most rows of a table.
-        least_rows: fewest rows of a table if more jobs may follow.
+        least_rows: fewest rows of a table.
         granule: as for ``KernelFeatures.of``.
 
     Attributes:
@@ -87,7 +87,7 @@ class TableJobs:
             needs = _roomy(needs | self.needs)
         self.needs, self._begun = needs, True
         taken = self._take(len(further))
-        rows = min(max(SPARE_ROWS * len(every), self._least_rows), self._size) if grows else 0
+        rows = min(max(SPARE_ROWS * len(every) if grows else 0, self._least_rows), self._size)
         return every, [*numbers, *taken], padded_rows(max(len(every), rows))
 
     def join(self, table: WorldTable, *, wait: bool = False) -> list[int]:
