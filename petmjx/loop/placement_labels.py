@@ -12,6 +12,7 @@ import hashlib
 from collections import deque
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
+from itertools import chain, islice
 from typing import Any, Final
 
 import numpy as np
@@ -143,9 +144,13 @@ class Labeller:
 
     def labels(self, count: int) -> Iterator[Label]:
         """The first ``count`` labels, in the order of episodes; fewer at the end of all orders."""
+        return islice(chain.from_iterable(self.episodes(count)), count)
+
+    def episodes(self, count: int, first: int = 0) -> Iterator[list[Label]]:
+        """The labels of whole episodes from number ``first`` on, in order, until there are at least ``count``."""
         running: dict[int, Episode] = {}
         waiting: deque[Episode] = deque()  # episodes in order; the first ones are yielded when they are over
-        begun = made = given = barren = 0
+        begun, made, given, barren = first, 0, 0, 0
         while (goes_on := made < count and barren < 2 * self.orders.count) or running:
             for row in range(len(self.pallets)):
                 if row not in running and goes_on:
@@ -158,9 +163,10 @@ class Labeller:
                 barren = 0 if running[row].labels else barren + 1
                 del running[row]
             while waiting and waiting[0].is_over:
-                new_labels = waiting.popleft().labels[: count - given]
-                given += len(new_labels)
-                yield from new_labels
+                labels = waiting.popleft().labels
+                if given < count:
+                    yield labels
+                given += len(labels)
 
     def _begun(self, number: int) -> Episode:
         order = number % self.orders.count
