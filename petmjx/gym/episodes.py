@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from petmjx.common.argument_checks import number_of
+from petmjx.common.checked_records import shown_value
 from petmjx.common.errors import InputError
 from petmjx.common.units import FloatArray
 from petmjx.gym.actions import Actions, Table, features_of
@@ -63,6 +64,7 @@ class Episodes:
         self.curriculum = Curriculum.of(self.options)
         self._several = self.options.open_pallets
         self.pallets = Pallets(n * self._several, **of_pallets)
+        self.orders.check_sizes(self.pallets.simulation.size_reduction_mm)
         self.n = n
         self.level: FloatArray = np.full(n, float(self.options.level))
         self._errors: FloatArray = np.zeros(n)
@@ -248,10 +250,13 @@ class Episodes:
         """Set the level of some environments, (m,) or one number, from their next episodes on.
 
         Raises:
-            InputError: a level is not from 0 to 1.
+            InputError: a level is not from 0 to 1, or there are neither one nor m of them.
         """
-        values = np.broadcast_to(np.asarray(level, object), len(rows)).tolist()
-        self.level[rows] = [number_of(value, "level", 0.0, 1.0) for value in values]
+        values = np.atleast_1d(np.asarray(level, object))
+        if values.shape not in ((1,), (len(rows),)):
+            raise InputError(f"level must be a number from 0 to 1, or {len(rows)} of them, {shown_value(level)}")
+        levels = [number_of(value, "level", 0.0, 1.0) for value in values.tolist()]
+        self.level[rows] = levels
 
     def picture(self, row: int) -> NDArray[np.uint8]:
         """A picture of an episode's pallets, side by side."""

@@ -134,6 +134,7 @@ class Labeller:
         self._errors = None if errors is None else integer_of(errors, "errors", 1, 100_000)
         self._highest_mm = number_of(max_height_mm, "max_height_mm", 1.0, 20_000.0)
         self.pallets = Pallets(integer_of(pallets, "pallets", 1), **others)
+        orders.check_sizes(self.pallets.simulation.size_reduction_mm)
         self.options = {
             "seed": self._seed,
             "explore": self._explore,

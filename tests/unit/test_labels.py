@@ -153,11 +153,20 @@ def test_baselines_are_judged_by_what_they_find() -> None:
 
 
 def test_what_is_wrong_with_labels_is_one_line(tmp_path: Path) -> None:
+    pytest.importorskip("gymnasium", reason="gymnasium is not installed (extra: gym)")
+    from petmjx.gym.env import PalletizingEnv
+
     sizes = {"length_mm": 2000, "width_mm": 2000, "height_mm": 100, "weight_kg": 1}
     too_long = pd.DataFrame([{"order_id": order, **sizes} for order in "abb"])
     with pytest.raises(InputError, match=r"orders: no box has a place on the empty carrier \(max_height_mm 1800, car"):
         write_labels(Labeller(Orders(too_long), pallets=4, **MUJOCO), 5, tmp_path / "none", source="endless")
     assert not (tmp_path / "none").exists()
+    thin = pd.DataFrame([{"order_id": order, **sizes, "length_mm": side} for order, side in (("A7", 90), ("B8", 4))])
+    for reader in (lambda **how: Labeller(Orders(thin), **how), lambda **how: PalletizingEnv(orders=thin, **how)):
+        with pytest.raises(InputError, match=r"^orders: order B8, box 1: a side of 4 mm vanishes under"):
+            reader(size_reduction_mm=6, **MUJOCO)
+    with pytest.raises(InputError, match=r"^size_mm: a side of 4 mm vanishes under the size reduction of 6 mm"):
+        petmjx.Pallets(1, size_reduction_mm=6, **MUJOCO).place(size_mm=[4, 300, 200], corner_mm=[0, 0, 0], mass_kg=1)
     with pytest.raises(InputError, match="explore must be"):
         Labeller(Orders(too_long), explore=2, **MUJOCO)
 
