@@ -83,6 +83,7 @@ class Outcome:
     """The outcome of one world. ``culprit`` is a box index (packing order, from 0), −1 for none."""
 
     job: int
+    """The stream number of its job (``JobStream``); of a list its index."""
     verdict: Verdict
     reason: Reason
     culprit: int

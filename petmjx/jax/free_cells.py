@@ -14,63 +14,85 @@ TOUCH_MM: Final = 0.01
 TURNS: Final = 2
 """Number of orientations of a box: along x, and turned by 90°."""
 
-Boxes = Float[Array, "box 3"]
+
+class Pile(NamedTuple):
+    """The boxes on a pallet, where ``present``: sizes, and front-left-bottom corners, mm."""
+
+    size_mm: Float[Array, "box 3"]
+    corner_mm: Float[Array, "box 3"]
+    present: Bool[Array, " box"]
 
 
 class Ways(NamedTuple):
-    """The actions for a box: for each orientation all cells, along x, then along y.
+    """The actions for a box.
 
     Attributes:
         legal: (a,) mask of legal actions.
         size_mm, corner_mm: (a, 3) extents and corner of the box if placed.
+        features: (a, f) features of the actions; 0 for an illegal action.
     """
 
     legal: Bool[Array, " action"]
     size_mm: Float[Array, "action 3"]
     corner_mm: Float[Array, "action 3"]
+    features: Float[Array, "action feature"]
 
 
 class Cells:
-    """The cells of a carrier.
+    """The cells of a carrier: for each orientation all cells, along x, then along y.
 
     Args:
         side_mm: side of a cell; ``least_support``: smallest supported share of a base; None: any.
+        gap_mm: free space between a box and its neighbours along x and y.
 
-        Attributes:
-            count: number of actions.
+    Attributes:
+        count: number of actions; ``features``: names of their features.
     """
 
+    features: Final[tuple[str, ...]] = ()
+
     def __init__(
-        self, extent_mm: tuple[float, float], side_mm: float, max_height_mm: float, least_support: float | None
+        self,
+        extent_mm: tuple[float, float],
+        side_mm: float,
+        max_height_mm: float,
+        least_support: float | None,
+        gap_mm: float,
     ) -> None:
         cells = [int(np.ceil(length / side_mm - 1e-9)) for length in extent_mm]
         corners = np.indices(cells).reshape(2, -1).T * side_mm
         self._corners = jnp.asarray(np.tile(corners, (TURNS, 1)), jnp.float32)
         self._turned = jnp.repeat(jnp.array([False, True]), len(corners))
         self._extent, self._highest = jnp.asarray(extent_mm, jnp.float32), max_height_mm
-        self._least = least_support
+        self._least, self._gap = least_support, gap_mm
         self.count = TURNS * len(corners)
 
-    def ways(
-        self, size_mm: Float[Array, " 3"], boxes_mm: Boxes, corners_mm: Boxes, present: Bool[Array, " box"]
-    ) -> Ways:
-        """The actions for a box of this size; none if the size is 0.
+    def no_boxes(self, most: int) -> None:
+        """Cells need no more than the boxes of a pile."""
 
-        Args:
-            boxes_mm, corners_mm: sizes and corners of the boxes on the pallet, where ``present``.
-        """
+    def put(self, statics: None, row: Array, size_mm: Array, corner_mm: Array, mass_kg: Array, pile: Pile) -> None:
+        """The same with one more box."""
+
+    def view(self, pile: Pile, statics: None) -> Pile:
+        """The part of ``ways`` that does not depend on the next box."""
+        return pile
+
+    def ways(self, pile: Pile, size_mm: Float[Array, " 3"], mass_kg: Float[Array, ""]) -> Ways:
+        """The actions for a box of this size; none if the size is 0."""
         size = jnp.where(self._turned[:, None], size_mm[jnp.array([1, 0, 2])][None], size_mm[None])
         low, high = self._corners, self._corners + size[:, :2]
-        start = jnp.maximum(low[:, None], corners_mm[None, :, :2])
-        end = jnp.minimum(high[:, None], (corners_mm + boxes_mm)[None, :, :2])
-        side = end - start
-        area = jnp.where((side > TOUCH_MM).all(axis=2) & present[None], side[..., 0] * side[..., 1], 0.0)
-        tops = jnp.broadcast_to((corners_mm + boxes_mm)[None, :, 2], area.shape)
-        z = jnp.where(area > 0, tops, 0.0).max(axis=1)
+        ends = pile.corner_mm + pile.size_mm
+        start = jnp.maximum(low[:, None], pile.corner_mm[None, :, :2])
+        side = jnp.minimum(high[:, None], ends[None, :, :2]) - start
+        # boxes and their free space end further on by the gap
+        under = (side + self._gap > TOUCH_MM).all(axis=2) & pile.present[None]
+        tops = jnp.broadcast_to(ends[None, :, 2], under.shape)
+        z = jnp.where(under, tops, 0.0).max(axis=1)
+        area = jnp.where(under & (side > TOUCH_MM).all(axis=2), side[..., 0] * side[..., 1], 0.0)
         carried = jnp.where(jnp.abs(tops - z[:, None]) <= TOUCH_MM, area, 0.0).sum(axis=1)
         support = jnp.where(z > 0, carried / jnp.maximum(size[:, 0] * size[:, 1], 1.0), 1.0)
         legal = (high <= self._extent[None] + TOUCH_MM).all(axis=1) & (z + size[:, 2] <= self._highest + TOUCH_MM)
         legal &= ~(self._turned & (size_mm[0] == size_mm[1])) & (size_mm[2] > 0)
         if self._least is not None:
             legal &= support >= self._least - 1e-6
-        return Ways(legal, size, jnp.concatenate([self._corners, z[:, None]], axis=1))
+        return Ways(legal, size, jnp.concatenate([self._corners, z[:, None]], axis=1), jnp.zeros((self.count, 0)))

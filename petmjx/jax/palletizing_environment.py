@@ -14,7 +14,8 @@ from petmjx.common.argument_checks import integer_of, number_of, text_of
 from petmjx.common.checked_records import hint
 from petmjx.common.errors import InputError
 from petmjx.common.units import MM_PER_M, STANDARD_GRAVITY
-from petmjx.jax.free_cells import Cells
+from petmjx.jax.extreme_places import Candidates
+from petmjx.jax.free_cells import Cells, Pile, Ways
 from petmjx.jax.pallet_functions import State as Pallet
 from petmjx.jax.pallet_functions import empty, place
 from petmjx.jax.placement_arrays import PlacementArrays
@@ -29,6 +30,11 @@ from petmjx.options.simulation import Simulation
 GEOMETRY: Final = "geometry"
 MASKS: Final = {GEOMETRY: None, **{f"support_{100 * share:.0f}": share for share in SUPPORT_SHARES}}
 """Mask → smallest supported share of a base; None: any."""
+
+CELLS: Final = "cells"
+CANDIDATES: Final = "candidates"
+ACTIONS: Final = (CELLS, CANDIDATES)
+MOST_CANDIDATES: Final = 4096
 
 _DRAWN: Final = 256
 """Number of orders instead of endless ones, since a program has arrays of fixed sizes."""
@@ -47,6 +53,7 @@ class Observation(NamedTuple):
         boxes: length, width, height, mm, and mass, kg, of the next boxes; 0 beyond the last box.
         left: number of remaining boxes; ``mass``: mass on the pallet, kg.
         action_mask: (a,) whether an action is legal.
+        candidates: (a, f) features of the candidates, ``Palletizing.features``; 0 for an illegal action.
     """
 
     height_map: Float[Array, "x y"]
@@ -55,11 +62,13 @@ class Observation(NamedTuple):
     left: Int[Array, ""]
     mass: Float[Array, ""]
     action_mask: Bool[Array, " action"]
+    candidates: Float[Array, "action feature"]
 
 
 class State(NamedTuple):
     """The state of an episode. ``order`` is the number of its order, ``next`` that of the next box. Boxes on the pallet
-    are stored as requested, with 0 after the last box."""
+    are stored as requested, with 0 after the last box. ``ways`` are the actions for the next box, ``statics`` is the
+    balance of the pile where candidates need it."""
 
     key: jax.Array
     pallet: Pallet
@@ -74,12 +83,17 @@ class State(NamedTuple):
     left_out: Int[Array, ""]
     illegal: Int[Array, ""]
     over: Bool[Array, ""]
-    mask: Bool[Array, " action"]
+    ways: Ways
+    statics: Any
+
+    @property
+    def mask(self) -> Bool[Array, " action"]:
+        """Whether an action is legal."""
+        return self.ways.legal
 
 
 class Palletizing:
-    """One pallet, a box a step, as ``petmjx/Palletizing-v0`` with the actions ``cells``: next box × two orientations ×
-    cell of the carrier.
+    """One pallet, a box a step, as ``petmjx/Palletizing-v0``.
 
     ``state, timestep = env.reset(key)``; ``state, timestep = env.step(state, action)``. Both are pure. Methods and
     classes have the names of jumanji's, which need not be installed. Under ``jax.vmap`` all pallets are simulated in
@@ -89,7 +103,12 @@ class Palletizing:
         orders: as in ``petmjx/Palletizing-v0``; ``endless``: 256 orders of the generator.
         orders_seed: seed of the generator; ``look_ahead``: number of visible boxes.
         orders_units, orders_columns, orders_density: as in ``petmjx/Palletizing-v0``.
+        actions: ``cells``: two orientations × cells of the carrier; ``candidates``: ``n_candidates`` places at extreme
+            points, seen from all four corners of the carrier, with features: low and well supported ones first.
         mask: ``geometry``, or ``support_50`` … ``support_100``.
+        gap_mm: free space between a box and its neighbours along x and y, which a robot needs.
+        inside_mm: how far the load of each box must act inside the hull of its contacts, or a fifth of the shorter side
+            of its base if that is less, as in the packer ``balanced``, which has 20; 0: anywhere. For candidates only.
         action_cell_mm, cell_mm: side of the cells of actions, and of maps.
         rewards: weights of terms.
         most_illegal: illegal actions after which an episode is truncated; an illegal action changes nothing.
@@ -110,7 +129,11 @@ class Palletizing:
         orders_columns: Any = None,
         orders_density: float | None = None,
         look_ahead: int = 1,
+        actions: str = CELLS,
+        n_candidates: int = 32,
         mask: str = "support_75",
+        gap_mm: float = 0.0,
+        inside_mm: float = 0.0,
         action_cell_mm: float = 100.0,
         cell_mm: float = 50.0,
         max_height_mm: float = 1800.0,
@@ -121,21 +144,33 @@ class Palletizing:
         engine: str | Any = AUTO,
         **options: Any,
     ) -> None:
-        if text_of(mask, "mask") not in MASKS:
-            raise InputError(f"unknown mask {mask!r}; {hint(mask, MASKS)}")
+        for name, value, choices in (("mask", mask, MASKS), ("actions", actions, ACTIONS)):
+            if text_of(value, name) not in choices:
+                raise InputError(f"unknown {name} {value!r}; {hint(value, choices)}")
         self._seen = integer_of(look_ahead, "look_ahead", 1, 512)
         self._most_illegal, self._most_boxes = integer_of(most_illegal, "most_illegal", 1), most_boxes
         self._highest = number_of(max_height_mm, "max_height_mm", 1.0, 20_000.0)
         side = number_of(action_cell_mm, "action_cell_mm", 10.0, 20_000.0)
         self._weights = weights_of(rewards)
         self._empty = empty(1, carrier=carrier, engine=engine, most_boxes=most_boxes, **options)
-        extent = extent_m(Simulation(carrier=carrier).carrier)
+        sim = Simulation(**{"carrier": carrier, **options})
+        extent = extent_m(sim.carrier)
         assert extent is not None  # otherwise ``empty`` has raised an error
         self._extent = extent[0] * MM_PER_M, extent[1] * MM_PER_M
-        self._cells = Cells(self._extent, side, self._highest, MASKS[mask])
+        gap, inside = (
+            number_of(value, name, 0.0, 1000.0) for name, value in (("gap_mm", gap_mm), ("inside_mm", inside_mm))
+        )
+        self._actions: Cells | Candidates = Cells(self._extent, side, self._highest, MASKS[mask], gap)
+        if actions == CANDIDATES:
+            count = integer_of(n_candidates, "n_candidates", 1, MOST_CANDIDATES)
+            self._actions = Candidates(self._extent, count, self._highest, MASKS[mask], gap, inside)
+        elif inside:
+            raise InputError("inside_mm: only candidates have it (actions='candidates')")
         self._maps, self._side = cells_of(self._extent, cell_mm), float(cell_mm)
         reading = order_reading(orders_units, orders_columns, orders_density)
-        of_orders = self._usable(Orders(orders, integer_of(orders_seed, "orders_seed", 0), reading=reading))
+        read = Orders(orders, integer_of(orders_seed, "orders_seed", 0), reading=reading)
+        read.check_sizes(sim.size_reduction_mm)
+        of_orders = self._usable(read)
         self._counts = jnp.array([len(boxes) for boxes in of_orders], jnp.int32)
         longest = int(self._counts.max()) + self._seen  # so that only zeros are visible beyond an order's end
         rows = [np.column_stack([boxes.size_mm, boxes.mass_kg]) for boxes in of_orders]
@@ -158,14 +193,16 @@ class Palletizing:
 
     # ------------------------------------------------------------------ what happens
 
-    def reset(self, key: jax.Array) -> tuple[State, TimeStep[Observation]]:
-        """Begin an episode with an order drawn by ``key``. The same key gives the same episode."""
+    def reset(self, key: jax.Array, order: Int[Array, ""] | int | None = None) -> tuple[State, TimeStep[Observation]]:
+        """Begin an episode with an order drawn by ``key``, or with the order of this number, from 0, below
+        ``num_orders``. The same key gives the same episode."""
         key, order_key = jax.random.split(key)
         k, none = self._most_boxes, jnp.int32(0)
+        drawn = jax.random.randint(order_key, (), 0, self.num_orders)
         state = State(
             key=key,
             pallet=self._empty,
-            order=jax.random.randint(order_key, (), 0, len(self._counts)),
+            order=drawn if order is None else jnp.clip(jnp.asarray(order, jnp.int32), 0, self.num_orders - 1),
             next=none,
             size_mm=jnp.zeros((k, 3)),
             corner_mm=jnp.zeros((k, 3)),
@@ -176,9 +213,10 @@ class Palletizing:
             left_out=none,
             illegal=none,
             over=jnp.array(False),
-            mask=jnp.zeros(self._cells.count, bool),
+            ways=self._no_ways,
+            statics=self._actions.no_boxes(k),
         )
-        state = self._looked(state)
+        state = self._looked(state, most=1)
         extras = {**self._about(state), "reason": none, "culprit": jnp.int32(-1), "margin": jnp.float32(1.0)}
         extras |= {f"reward_{name}": jnp.float32(0.0) for name in self._weights}
         first = jnp.int8(StepType.FIRST)
@@ -190,11 +228,11 @@ class Palletizing:
         chosen = jnp.asarray(action)
         if chosen.shape != () or not jnp.issubdtype(chosen.dtype, jnp.integer):
             raise InputError(f"action must be a whole number, got {chosen.dtype} of shape {chosen.shape}")
-        valid = (chosen >= 0) & (chosen < self._cells.count)
-        at = jnp.clip(chosen, 0, self._cells.count - 1)
+        valid = (chosen >= 0) & (chosen < self.num_actions)
+        at = jnp.clip(chosen, 0, self.num_actions - 1)
         legal = valid & state.mask[at] & ~state.over
-        ways, mass = self._ways(state), self._boxes[state.order, state.next, 3]
-        size, corner = ways.size_mm[at], ways.corner_mm[at]
+        mass = self._boxes[state.order, state.next, 3]
+        size, corner = state.ways.size_mm[at], state.ways.corner_mm[at]
         pallet, outcome = place(state.pallet, size[None], corner[None], mass[None], legal[None])
         outcome = jax.tree.map(lambda values: values[0], outcome)
         row = jnp.where(legal, state.placed, self._most_boxes)  # a row beyond the end is dropped
@@ -208,6 +246,7 @@ class Palletizing:
             volume_mm3=state.volume_mm3 + jnp.where(legal & outcome.stable, size.prod(), 0.0),
             placed=state.placed + legal,
             illegal=state.illegal + ~legal,
+            statics=self._actions.put(state.statics, row, size, corner, mass, self._pile(state)),
         )
         after = after._replace(over=state.over | (legal & ~outcome.stable) | (after.placed >= self._most_boxes))
         after = self._looked(after)
@@ -226,25 +265,39 @@ class Palletizing:
         kind = jnp.where(after.over, StepType.LAST, StepType.MID).astype(jnp.int8)
         return after, TimeStep(kind, reward, jnp.where(terminated, 0.0, 1.0), self._observed(after), extras)
 
-    def _ways(self, state: State) -> Any:
-        """The actions for the next box."""
+    @property
+    def _no_ways(self) -> Ways:
+        a = self.num_actions
+        return Ways(jnp.zeros(a, bool), jnp.zeros((a, 3)), jnp.zeros((a, 3)), jnp.zeros((a, len(self.features))))
+
+    def _looked(self, state: State, most: int | None = None) -> State:
+        """The state with the actions for the next box. Boxes without a legal place are left out.
+
+        Args:
+            most: most boxes on the pallet, if fewer than ever: the program is smaller then.
+        """
+        pile, statics = self._pile(state, most), state.statics if most is None else self._actions.no_boxes(most)
+        view: Any = self._actions.view(pile, statics)
+
+        def goes_on(carry: tuple[State, jax.Array]) -> jax.Array:
+            state, is_first = carry
+            return is_first | ((state.next < self._counts[state.order]) & ~state.mask.any() & ~state.over)
+
+        def look(carry: tuple[State, jax.Array]) -> tuple[State, jax.Array]:
+            state, is_first = carry
+            state = state._replace(next=state.next + ~is_first, left_out=state.left_out + ~is_first)
+            box = self._boxes[state.order, state.next]
+            ways = self._actions.ways(view, box[:3], box[3])
+            return state._replace(ways=ways._replace(legal=ways.legal & ~state.over)), jnp.array(False)
+
+        small = state._replace(pallet=None, statics=None)  # what the loop does not change
+        looked, _ = jax.lax.while_loop(goes_on, look, (small, jnp.array(True)))
+        return looked._replace(pallet=state.pallet, statics=state.statics)
+
+    def _pile(self, state: State, most: int | None = None) -> Pile:
+        """The boxes on the pallet, of at most ``most``."""
         present = jnp.arange(self._most_boxes) < state.placed
-        size = self._boxes[state.order, state.next, :3]
-        return self._cells.ways(size, state.size_mm, state.corner_mm, present)
-
-    def _looked(self, state: State) -> State:
-        """The state with the mask for the next box. Boxes without a legal place are left out."""
-
-        def stuck(state: State) -> jax.Array:
-            return (state.next < self._counts[state.order]) & ~state.mask.any() & ~state.over
-
-        def next_one(state: State) -> State:
-            after = state._replace(next=state.next + 1, left_out=state.left_out + 1)
-            return after._replace(mask=self._ways(after).legal)
-
-        state = state._replace(mask=self._ways(state).legal & ~state.over)
-        carried = jax.lax.while_loop(stuck, next_one, state._replace(pallet=None))
-        return carried._replace(pallet=state.pallet)
+        return Pile(*(values[:most] for values in (state.size_mm, state.corner_mm, present)))
 
     def _terms(self, before: State, after: State, outcome: PlacementArrays, legal: jax.Array) -> dict[str, jax.Array]:
         """The terms of the reward, not weighted, as in ``petmjx.loop.rewards.TERMS``."""
@@ -276,6 +329,7 @@ class Palletizing:
             left=self._counts[state.order] - state.next,
             mass=state.mass_kg.sum(),
             action_mask=state.mask,
+            candidates=jnp.where(state.mask[:, None], state.ways.features, 0.0),
         )
 
     def _covers(self, state: State) -> Bool[Array, "box x y"]:
@@ -306,11 +360,21 @@ class Palletizing:
     @property
     def num_actions(self) -> int:
         """Number of actions, legal or not."""
-        return self._cells.count
+        return self._actions.count
+
+    @property
+    def num_orders(self) -> int:
+        """Number of orders with a box that fits on the empty carrier."""
+        return len(self._counts)
+
+    @property
+    def features(self) -> tuple[str, ...]:
+        """The names of the features of candidates; none of cells."""
+        return self._actions.features
 
     @property
     def action_spec(self) -> Spec:
-        """A whole number: (orientation × cells along x + x) × cells along y + y."""
+        """A whole number: of a candidate; or of a cell, (orientation × cells along x + x) × cells along y + y."""
         return Spec("action", (), jnp.int32, 0, self.num_actions - 1, self.num_actions)
 
     @property
@@ -324,6 +388,7 @@ class Palletizing:
             Spec("left", (), jnp.int32, 0, longest),
             Spec("mass", (), jnp.float32, 0.0, _LARGEST),
             Spec("action_mask", (self.num_actions,), jnp.bool_, 0, 1),
+            Spec("candidates", (self.num_actions, len(self.features)), jnp.float32, -_LARGEST, _LARGEST),
         )
         return {spec.name: spec for spec in specs}
 

@@ -67,7 +67,7 @@ def edges_of(bearing: Bearing, placed: Sequence[int]) -> list[Edges]:
 
 
 def loads_and_edges(bearing: Bearing, placed: Sequence[int]) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """(n, 4) loads of all boxes as of ``Bearing.loads``, (n,) edges of their own weights and (n,) edges of their loads.
+    """(n, 4) loads of all boxes as in ``Bearing.loads``, (n,) edges of their own weights and (n,) edges of their loads.
 
     Args:
         placed: number of placed boxes of each scene.

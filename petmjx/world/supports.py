@@ -114,9 +114,10 @@ class Boxes:
 def _held_by_walls(scene: Scene, target: FloatArray) -> FloatArray:
     """(n, 2, 2) as ``Boxes.held`` of a scene with walls, with the boxes at these (n, 3) places, m.
 
-    A box whose load W acts e beyond an edge tips until it touches the wall there, at the height h of its top or of the
-    wall's, above its bottom. The wall then presses with W·e/h, and the edge must bear this force by friction: so the
-    wall holds the box up to e = µ·h. The wall counts as smooth, and the support of the box as fixed.
+    A box whose load W acts e beyond an edge tips until it touches the wall there. It touches at its own top or at the
+    wall's, whichever is lower, a height h above its bottom. The wall then presses with W·e/h, and the edge must bear
+    this force by friction: so the wall holds the box up to e = µ·h. The wall counts as smooth, and the support of the
+    box as fixed.
     """
     room, half = scene.carrier.room, scene.half_size
     bottom, top = (target - half)[:, 2], (target + half)[:, 2]
@@ -375,8 +376,8 @@ class Bearing:
 
     @cached_property
     def borne_together(self) -> list[IntArray]:
-        """For each group of ``levels`` the contacts of its boxes with several supports, those with the carrier
-        included."""
+        """For each group of ``levels`` the contacts of its boxes with several supports, including contacts with
+        the carrier."""
         groups = []
         upper = self.upper[self.together]
         for between in self.levels:
@@ -445,8 +446,8 @@ def bearings_of(
     pos: Sequence[FloatArray] = (),
     most_gap_m: Sequence[float] = (),
 ) -> Bearing:
-    """The bearings of scenes by the planned places, and then of the scenes ``elsewhere``: joined, with the boxes scene
-    after scene, so that all are computed at once.
+    """The bearings of several scenes, joined, with the boxes scene after scene. All are computed at once. First come
+    ``scenes`` by the planned places, then the scenes ``elsewhere``.
 
     Args:
         pos: (n, 3) places of the boxes of each scene ``elsewhere``, m.
@@ -553,7 +554,7 @@ def find_bearing(scene: Scene, most_gap_m: float = TOUCH_M) -> Bearing:
     """The supports of boxes by the planned places.
 
     A box lies on a board of the carrier's deck if its bottom is not above the deck. A box also lies on another box that
-    begins lower if the top of the other is at the height of its bottom. Both rules hold within ``TOUCH_M``, and only if
+    begins lower if the other's top is at the height of its own bottom. Both rules hold within ``TOUCH_M``, and only if
     the two boxes overlap along x and y.
 
     Args:

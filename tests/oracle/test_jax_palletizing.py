@@ -13,6 +13,11 @@ import pytest
 import petmjx.jax
 from petmjx.common.errors import InputError
 from petmjx.jax import REASONS, StepType
+from petmjx.jax.extreme_places import Candidates
+from petmjx.jax.free_cells import Pile
+from petmjx.packers.learned_candidates import FourSidedStream, lowest_first
+from petmjx.packers.pile_balance import Balance
+from petmjx.plans.order_generator import draw_order
 
 TABLE = pd.DataFrame(
     {
@@ -113,6 +118,10 @@ def test_specs_fit_and_what_is_wrong_is_one_line(env: petmjx.jax.Palletizing) ->
         ({"carrier": "footprint"}, "carrier: footprint depends"),
         ({"rewards": {"plced": 1}}, "rewards: unknown term 'plced'"),
         ({"look_ahead": 0}, "look_ahead must be at least 1"),
+        ({"actions": "candidate"}, "unknown actions 'candidate'; did you mean candidates"),
+        ({"gap_mm": -1}, "gap_mm must be at least 0"),
+        ({"inside_mm": 20}, "inside_mm: only candidates have it"),
+        ({"actions": "candidates", "n_candidates": 0}, "n_candidates must be at least 1"),
     ):
         with pytest.raises(InputError, match=message):
             petmjx.jax.Palletizing(**{**OPTIONS, **options})
@@ -135,3 +144,128 @@ def test_candidates_of_many_states_are_asked_in_one_call() -> None:
     )(states, corners)
     assert tried.stable.all()
     assert tried.n_boxes.tolist() == [[2]] * 20
+
+
+MOST = 16
+"""Boxes of the piles below."""
+
+
+def pile_of(low: Any, high: Any) -> Pile:
+    padding = ((0, MOST - len(low)), (0, 0))
+    size, corner = (jnp.asarray(np.pad(values, padding), jnp.float32) for values in (high - low, low))
+    return Pile(size, corner, jnp.arange(MOST) < len(low))
+
+
+@pytest.mark.parametrize("gap_mm", [0.0, 6.0])
+def test_candidates_are_the_places_of_the_packer_learned(gap_mm: float) -> None:
+    """Without a gap the same places, seen from all four corners. With a gap they are those of them whose base is borne
+    without the free space, which the packer counts as borne."""
+    candidates = Candidates((1200.0, 800.0), 160, 2000.0, 0.5, gap_mm, 0.0)
+    look = jax.jit(lambda pile, *box: candidates.ways(candidates.view(pile, candidates.no_boxes(MOST)), *box))
+    stream, n_compared = FourSidedStream(draw_order(33, 0).items[:MOST], (1200.0, 800.0), gap_mm), 0
+    for item in draw_order(33, 0).items[:MOST]:
+        low, high = stream.bare_boxes
+        size = jnp.array([item.length_mm, item.width_mm, item.height_mm], jnp.float32)
+        ways = look(pile_of(low, high), size, jnp.float32(item.weight_kg))
+        legal = np.asarray(ways.legal)
+        rows = np.column_stack([ways.corner_mm, ways.size_mm])[legal]
+        ours = {tuple(row) for row in rows.round(2).tolist()}
+        assert len(ours) == len(rows) < candidates.count, "each place once, and all of them"
+        places = stream.places(0.5)
+        bare = places.size_mm - [gap_mm, gap_mm, 0.0]
+        theirs = {tuple(row) for row in np.column_stack([places.corner_mm, bare]).round(2).tolist()}
+        assert ours <= theirs
+        assert len(ours) > 0.7 * len(theirs)
+        if not gap_mm:
+            assert ours == theirs
+        n_compared += len(ours)
+        best = rows[0, :3]
+        assert best[2] == pytest.approx(places.corner_mm[:, 2].min(), abs=20.0), "the first one is low"
+        chosen = lowest_first(stream)
+        assert chosen is not None
+        stream.put(chosen)
+    assert n_compared > 300
+
+
+MISSED_MM = 5.0
+"""By so much a hull may be too small, since its corners are looked for in 32 directions."""
+
+
+def test_the_balance_of_a_pile_is_that_of_the_packer_balanced() -> None:
+    """Margins of all candidates and which of them keep the balance, on a pile that random ones of these made."""
+    free, strict = (Candidates((1200.0, 800.0), 40, 2000.0, 0.3, 0.0, inside) for inside in (0.0, 20.0))
+
+    @jax.jit
+    def look(pile: Pile, statics: Any, *box: jax.Array) -> Any:
+        return [kind.ways(kind.view(pile, statics), *box) for kind in (free, strict)]
+
+    put, rng, statics = jax.jit(strict.put), np.random.default_rng(5), strict.no_boxes(MOST)
+    balance, low, high = Balance(MOST), np.zeros((0, 3)), np.zeros((0, 3))
+    n_kept = n_lost = 0
+    for row, item in enumerate(draw_order(33, 3).items[:MOST]):
+        pile, mass = pile_of(low, high), jnp.float32(item.weight_kg)
+        ways, kept = look(pile, statics, jnp.array([item.length_mm, item.width_mm, item.height_mm]), mass)
+        kept_places = {tuple(box) for box in np.column_stack([kept.corner_mm, kept.size_mm])[kept.legal].tolist()}
+        good = []
+        for at in np.flatnonzero(ways.legal):
+            corner, extents = np.asarray(ways.corner_mm[at], float), np.asarray(ways.size_mm[at], float)
+            x, y, z = corner.tolist()
+            base = (float(extents[0]), float(extents[1]))
+            margins, rest = (
+                balance.margins_m((x, y, z), base, item.weight_kg),
+                balance.rest((x, y, z), base, float(mass)),
+            )
+            values = dict(zip(free.features, np.asarray(ways.features[at]).tolist(), strict=True))
+            for name, margin_m in (("inside", margins.own_m), ("below", margins.pile_m)):
+                assert -MISSED_MM < values[name] - 1000 * margin_m < 0.1, name
+            is_kept = (*corner, *extents) in kept_places
+            n_kept, n_lost = n_kept + is_kept, n_lost + (rest is None)
+            assert rest is not None or not is_kept
+            if min(values["inside"], values["below"]) > 20:
+                assert is_kept
+            if is_kept:
+                good.append((corner, extents, rest))
+        corner, extents, rest = good[int(rng.integers(len(good)))]
+        assert rest is not None
+        statics = put(statics, jnp.int32(row), jnp.float32(extents), jnp.float32(corner), mass, pile)
+        x, y, z = extents.tolist()
+        balance.add((float(corner[0]), float(corner[1]), float(corner[2])), (x, y, z), rest)
+        np.testing.assert_allclose(np.asarray(statics.load)[: row + 1], balance.loads, rtol=1e-4, atol=1e-5)
+        low, high = np.vstack([low, corner]), np.vstack([high, corner + extents])
+    assert n_kept > 100
+    assert n_lost > 20
+
+
+def test_boxes_keep_their_gap_and_an_order_can_be_chosen() -> None:
+    table = pd.DataFrame(
+        {
+            "order_id": [0] * 2 + [1] * 8,
+            "length_mm": [600] * 2 + [390] * 8,
+            "width_mm": [400] * 2 + [390] * 8,
+            "height_mm": [300] * 2 + [200] * 8,
+            "weight_kg": [5.0] * 10,
+        }
+    )
+    env = petmjx.jax.Palletizing(
+        orders=table, actions="candidates", n_candidates=8, gap_mm=10.0, inside_mm=20.0, most_boxes=8, engine="mujoco"
+    )
+    assert env.num_orders == 2
+    step = jax.jit(env.step)
+    state, timestep = env.reset(jax.random.key(0), 1)
+    assert int(timestep.observation.left) == 8
+    while not timestep.last():
+        seen = timestep.observation
+        assert seen.candidates.shape == (8, len(env.features))
+        assert not np.asarray(seen.candidates)[~np.asarray(seen.action_mask)].any()
+        state, timestep = step(state, int(np.flatnonzero(seen.action_mask)[0]))
+    assert int(timestep.extras["placed"]) == 8
+    low = np.asarray(state.corner_mm)
+    high = low + np.asarray(state.size_mm)
+    for i in range(8):
+        for j in range(i):
+            level = max(low[i, 2], low[j, 2]) < min(high[i, 2], high[j, 2]) - 0.01
+            apart = np.maximum(low[i] - high[j], low[j] - high[i])[:2].max()
+            assert not level or apart >= 10 - 0.01
+    # 3 × 2 of these bases fit on 1200 × 800 mm with 10 mm between them; two boxes stand on others
+    assert (low[:, 2] < 1).sum() == 6
+    assert (high <= [1200.01, 800.01, 1800]).all()

@@ -1,0 +1,197 @@
+"""Candidates for a box at the extreme points of a pile, seen from all four corners of the carrier, as an array program.
+
+The points are those of ``petmjx.packers.learned_candidates``: Crainic, Perboli, Tadei (2008), "Extreme point-based
+heuristics for three-dimensional bin packing", INFORMS Journal on Computing 20(3), 368–384, in the pile and its three
+mirror images. With points of one corner alone a pile leaves its free space in slivers along the opposite edges.
+"""
+
+from __future__ import annotations
+
+from typing import Final, NamedTuple
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Bool, Float
+
+from petmjx.common.units import MM_PER_M
+from petmjx.jax.free_cells import TOUCH_MM, TURNS, Pile, Ways
+from petmjx.jax.pile_statics import Statics, contacts_of, hull_planes, least_m, margins_m, no_boxes, with_box
+from petmjx.packers.learned_candidates import MIRRORS, OVERHANG_MM
+
+FEATURES: Final = ("turned", "x", "y", "z", "length_x", "length_y", "height", "mass", "support", "inside", "below")
+"""Features of a candidate: whether it is turned by 90°, its corner and extents, mm, its mass, kg, the supported share
+of its base, how far its weight acts inside the hull of its contacts, and the least such distance of the loads of all
+boxes below, mm, at most 200 (negative: outside)."""
+
+_PER_ASIDE: Final = 0.01
+"""Cost of a millimetre of distance to the nearest edges, mm of height: of equally low places the outer one comes first
+(``cost_mm`` of petmjx/packers/learned_candidates.py)."""
+
+LOOKED_AT: Final = 3
+"""Places of least cost that are looked at, for each candidate: some of them are borne too little."""
+
+_FAR: Final = 1e9
+"""A cost of no place, and a coordinate beyond every carrier, mm."""
+
+
+class Points(NamedTuple):
+    """(p, 2) extreme points as seen from a corner of the carrier, mm, and (p, 2) whether x and y are mirrored."""
+
+    at: Float[Array, "point 2"]
+    mirrored: Bool[Array, "point 2"]
+
+
+class View(NamedTuple):
+    """What is the same for all boxes that may be next: the points, the pile, and its balance."""
+
+    points: Points
+    pile: Pile
+    statics: Statics
+
+
+class Candidates:
+    """The n places of least cost for a box: low, well supported, and near the carrier's edges.
+
+    Args:
+        extent_mm: extent of the carrier; ``gap_mm``: free space between a box and its neighbours along x and y.
+        least_support: smallest supported share of a base; None: any.
+        inside_mm: how far the load of each box must act inside the hull of its contacts, or a fifth of the shorter side
+            of its base if that is less; 0: anywhere.
+
+    Attributes:
+        count: number of actions; ``features``: names of their features.
+    """
+
+    features = FEATURES
+
+    def __init__(
+        self,
+        extent_mm: tuple[float, float],
+        count: int,
+        max_height_mm: float,
+        least_support: float | None,
+        gap_mm: float,
+        inside_mm: float,
+    ) -> None:
+        self.count, self._highest, self._least = count, max_height_mm, least_support or 0.0
+        self._gap = jnp.array([[gap_mm, gap_mm, 0.0]], jnp.float32)
+        self._extent = jnp.asarray([extent_mm], jnp.float32) + gap_mm  # larger by the free space of the last box
+        self._inside = inside_mm
+
+    def no_boxes(self, most: int) -> Statics:
+        """The balance of an empty pile of at most this number of boxes."""
+        return no_boxes(most)
+
+    def put(
+        self, statics: Statics, row: Array, size_mm: Array, corner_mm: Array, mass_kg: Array, pile: Pile
+    ) -> Statics:
+        """The balance with one more box in a row; a row beyond the end is dropped. ``pile``: without the box."""
+        contacts = contacts_of(size_mm[None], corner_mm[None], pile)
+        return with_box(statics, row, contacts, mass_kg, least_m(size_mm[None], self._inside)[0])
+
+    def view(self, pile: Pile, statics: Statics) -> View:
+        """The part of ``ways`` that does not depend on the next box."""
+        return View(self._points(pile), pile, statics)
+
+    def _points(self, pile: Pile) -> Points:
+        """The points of a pile: those of each box, with the boxes before it in the way."""
+        k = len(pile.present)
+        low, high = pile.corner_mm, pile.corner_mm + pile.size_mm + self._gap
+        earlier = (jnp.arange(k)[None] < jnp.arange(k)[:, None]) & pile.present[None]
+
+        def seen_from(mirror: jax.Array) -> jax.Array:
+            start = jnp.where(mirror[None], self._extent - high[:, :2], low[:, :2])
+            end = jnp.where(mirror[None], self._extent - low[:, :2], high[:, :2])
+            points = _corner_points(start, end, low[:, 2], high[:, 2], earlier)
+            points = jnp.where(pile.present[None, :, None], points, _FAR)
+            return jnp.concatenate([jnp.zeros((1, 2)), points.reshape(-1, 2)])
+
+        mirrors = jnp.array(MIRRORS)
+        at = jax.vmap(seen_from)(mirrors)
+        return Points(at.reshape(-1, 2), jnp.broadcast_to(mirrors[:, None], at.shape).reshape(-1, 2))
+
+    def ways(self, view: View, size_mm: Float[Array, " 3"], mass_kg: Float[Array, ""]) -> Ways:
+        """The actions for a box of this size; none if the size is 0."""
+        points, pile, statics = view
+        sizes = jnp.stack([size_mm, size_mm[jnp.array([1, 0, 2])]])
+        bases = (sizes + self._gap)[:, None, :2]
+        at = jnp.where(points.mirrored[None], (self._extent - points.at)[None] - bases, points.at[None])  # (2, p, 2)
+        corner = at.reshape(-1, 2)
+        base = jnp.broadcast_to(bases, at.shape).reshape(-1, 2)
+        turned = jnp.repeat(jnp.arange(TURNS), len(points.at))
+        cost, z = self._costs(corner, base, pile)
+        fits = (corner >= -TOUCH_MM).all(axis=1) & (corner + base <= self._extent + TOUCH_MM).all(axis=1)
+        fits &= (z + size_mm[2] <= self._highest + TOUCH_MM) & (size_mm[2] > 0)
+        fits &= (turned == 0) | (size_mm[0] != size_mm[1])
+        chosen, is_place = self._cheapest(jnp.where(fits, cost, _FAR), corner, z, turned)
+        size = sizes[turned[chosen]]
+        corner = jnp.concatenate([jnp.maximum(corner[chosen], 0.0), z[chosen, None]], axis=1)
+        contacts = contacts_of(size, corner, pile)
+        inside, below, is_far_enough = margins_m(statics, contacts, hull_planes(contacts), mass_kg)
+        legal = is_place & (contacts.support >= self._least - 1e-6)
+        if self._inside > 0:
+            legal &= is_far_enough & (inside >= least_m(size, self._inside) - TOUCH_MM / MM_PER_M)
+        first = jnp.argsort(~legal, stable=True)[: self.count]
+        mass = jnp.broadcast_to(mass_kg, (len(legal), 1))
+        margins = MM_PER_M * jnp.stack([inside, below], axis=1)
+        columns = [turned[chosen, None], corner, size, mass, contacts.support[:, None], margins]
+        features = jnp.where(legal[:, None], jnp.concatenate(columns, axis=1), 0.0)
+        return Ways(legal[first], size[first], corner[first], features[first])
+
+    def _costs(
+        self, corner: Float[Array, "place 2"], base: Float[Array, "place 2"], pile: Pile
+    ) -> tuple[Float[Array, " place"], Float[Array, " place"]]:
+        """(p,) costs of places, and the heights of their bottoms, mm. Boxes have their free space here."""
+        lows, highs = pile.corner_mm, pile.corner_mm + pile.size_mm + self._gap
+        end = corner + base
+        area = jnp.broadcast_to(jnp.where(pile.present[None], 1.0, 0.0), (len(corner), len(lows)))
+        for axis in (0, 1):
+            ends = jnp.minimum(end[:, axis, None], highs[None, :, axis])
+            side = ends - jnp.maximum(corner[:, axis, None], lows[None, :, axis])
+            area = jnp.where(side > TOUCH_MM, area * side, 0.0)
+        tops = jnp.broadcast_to(highs[None, :, 2], area.shape)
+        z = jnp.where(area > 0, tops, 0.0).max(axis=1)
+        carried = jnp.where(jnp.abs(tops - z[:, None]) <= TOUCH_MM, area, 0.0).sum(axis=1)
+        support = jnp.where(z > 0, carried / jnp.maximum(base.prod(axis=1), 1.0), 1.0)
+        aside = jnp.minimum(corner, self._extent - end).sum(axis=1)
+        cost = z + OVERHANG_MM * (1.0 - support) + _PER_ASIDE * aside
+        return jnp.where(support >= self._least - 1e-6, cost, _FAR), z
+
+    def _cheapest(
+        self, cost: Float[Array, " place"], corner: Float[Array, "place 2"], z: Float[Array, " place"], turned: Array
+    ) -> tuple[Array, Bool[Array, " action"]]:
+        """(q,) the places of least cost, each once, and whether there is such a place. Several points may be one place;
+        so the places are taken one by one, which is also faster on a GPU than sorting them all."""
+
+        def take(cost: jax.Array, _: None) -> tuple[jax.Array, tuple[jax.Array, jax.Array]]:
+            best = cost.argmin()
+            same = (jnp.abs(corner - corner[best][None]) <= TOUCH_MM).all(axis=1) & (turned == turned[best])
+            return jnp.where(same, _FAR, cost), (best, cost[best] < _FAR)
+
+        return jax.lax.scan(take, cost, None, length=LOOKED_AT * self.count)[1]
+
+
+def _corner_points(
+    start: Float[Array, "box 2"],
+    end: Float[Array, "box 2"],
+    bottom: Float[Array, " box"],
+    top: Float[Array, " box"],
+    earlier: Bool[Array, "box box"],
+) -> Float[Array, "7 box 2"]:
+    """As ``petmjx.packers.candidate_points.corner_points``, for all boxes of one pile.
+
+    Args:
+        start, end: corners of boxes along x and y; ``bottom``, ``top``: their heights.
+        earlier: row i: the boxes that may be in the way of the points of box i.
+    """
+    (x, y), (x_end, y_end) = start.T, end.T
+    # from the box's end in x along −y, and from its end in y along −x; on the box: from (x, y) along both
+    axes, levels = jnp.array([1, 0, 0, 1]), jnp.stack([bottom, bottom, top, top])[..., None]
+    begins, across = jnp.stack([y, x, x, y])[..., None], jnp.stack([x_end, y_end, y, x])[..., None]
+    lows, highs, ends = start.T[1 - axes][:, None], end.T[1 - axes][:, None], end.T[axes][:, None]
+    in_way = earlier[None] & (lows <= across) & (across < highs)
+    in_way &= (bottom[None, None] <= levels) & (levels < top[None, None])
+    south, west, west_on_top, south_on_top = jnp.where(in_way & (ends <= begins + TOUCH_MM), ends, 0.0).max(axis=2)
+    beside = [(x_end, y), (x_end, south), (x, y_end), (west, y_end)]
+    pairs = [*beside, (x, y), (west_on_top, y), (x, south_on_top)]
+    return jnp.stack([jnp.stack(pair, axis=1) for pair in pairs])
