@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import signal
 from pathlib import Path
 from typing import Annotated, Any, Final
 
@@ -9,6 +10,7 @@ import typer
 
 from petmjx.cli import command_options as opt
 from petmjx.common.argument_checks import integer_of
+from petmjx.common.errors import InputError
 from petmjx.common.text import count_text, printable
 
 MOST_LABELS: Final = 100_000_000
@@ -64,6 +66,9 @@ def label(
         ),
     ] = "euro-pallet",
     overwrite: opt.Overwrite = False,
+    resume: Annotated[
+        bool, typer.Option("--resume", help="Go on with the labels that an interrupted command left in DIR.")
+    ] = False,
     **options: Any,
 ) -> None:
     """Label placements of boxes by physics, to train or test a model with.
@@ -71,13 +76,17 @@ def label(
     Writes a Parquet table for each split (train, validation, test; no two have orders with the same boxes), and a card
     with the content, the way of making, and the accuracy of rules and of petmjx's own estimate.
     """
+    from petmjx.cli.run_command import RunInterrupted
     from petmjx.common.machine import why_no_warp
     from petmjx.loop.label_files import write_labels
+    from petmjx.loop.label_parts import n_unfinished
     from petmjx.loop.order_sources import ENDLESS, Orders, order_reading
     from petmjx.loop.placement_labels import Labeller
     from petmjx.show.progress import progress
 
     count = integer_of(n, "-n", 1, MOST_LABELS)
+    if resume and overwrite:
+        raise InputError("--resume contradicts --overwrite: drop one of them")
     reading = order_reading(*(options.pop(name, None) for name in ("units", "columns", "density")))
     source = Orders(ENDLESS if orders is None else orders, integer_of(seed, "--seed", 0), reading=reading)
     has_gpu = options.get("engine", "auto") in ("auto", "mjx-warp") and why_no_warp() is None
@@ -92,8 +101,18 @@ def label(
         carrier=carrier,
         **options,
     )
-    with progress(count, "label") as bar:
-        card = write_labels(labeller, count, out, source=orders or ENDLESS, overwrite=overwrite, progress=bar.update)
+    outputs: dict[str, Any] = {"source": orders or ENDLESS, "overwrite": overwrite, "resume": resume}
+    try:
+        with progress(count, "label") as bar:
+            card = write_labels(labeller, count, out, progress=bar.update, **outputs)
+    except KeyboardInterrupt as stop:
+        n_kept = n_unfinished(out)
+        raise RunInterrupted(
+            "nothing was written"
+            if n_kept is None
+            else f"{n_kept:,} of {count_text(count, 'label')} are in {out}; --resume goes on",
+            getattr(stop, "number", signal.SIGINT),
+        ) from None
     for split, numbers in card["splits"].items():
         print(
             f"{split}: {count_text(numbers['labels'], 'label')} of {count_text(numbers['orders'], 'order')}, "

@@ -130,7 +130,8 @@ def places_with_errors(job: Job) -> FloatArray:
     So boxes of these worlds count at their place of release. With the strip alone, 75 of 167 unstable worlds with
     errors would be simulated again; with this rule only a few.
     """
-    return np.c_[job.scene.start_pos[:, :2], job.scene.target[:, 2]]
+    places: FloatArray = np.c_[job.scene.start_pos[:, :2], job.scene.target[:, 2]]
+    return places
 
 
 def contact_tilt_suspects(

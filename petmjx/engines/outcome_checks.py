@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from petmjx.common.units import FloatArray
 from petmjx.engines.contact_penetration import note_penetration
 from petmjx.engines.contact_tilt import contact_tilt_suspects, n_loading, places_with_errors
-from petmjx.engines.knife_edges import AT_REST, BY_PLAN, WHILE_BUILT, KnifeEdge, edges_when, sets_flag
+from petmjx.engines.knife_edges import AT_REST, BY_PLAN, NEAR_M, WHILE_BUILT, KnifeEdge, edges_when, sets_flag
 from petmjx.engines.mujoco.box_motion import tilt_deg
 from petmjx.engines.verdict import Flag, Outcome, Verdict, judge, margins_of
 from petmjx.options.physics import Cone
@@ -128,9 +128,10 @@ def note_edges(outcomes: Sequence[Outcome], jobs: Sequence[Job], sim: Simulation
     least, boxes_of = edges.least, [slice(*ends) for ends in pairwise(first)]
     scene = np.repeat(np.arange(len(boxes_of)), np.diff(first))
     least_of = dict(zip(*(values.tolist() for values in first_least(least, scene)), strict=True))
+    close = np.flatnonzero(np.fmin(np.abs(edges.by_weight), np.abs(edges.by_load)) <= NEAR_M)  # few
+    by_weight, by_load = edges.by_weight[close], edges.by_load[close]
     near, contradicts_stable, contradicts_unstable = (
-        np.bincount(scene[sets_flag(edges.by_weight, side) | sets_flag(edges.by_load, side)], minlength=len(boxes_of))
-        > 0
+        np.bincount(scene[close[sets_flag(by_weight, side) | sets_flag(by_load, side)]], minlength=len(boxes_of)) > 0
         for side in (None, Verdict.STABLE, Verdict.UNSTABLE)
     )
     contradicts = {Verdict.STABLE: contradicts_stable, Verdict.UNSTABLE: contradicts_unstable}
@@ -193,7 +194,7 @@ class _Joined:
         bearing = bearings_of(scenes, moved, pos, gaps_m)
         load, *edges = loads_and_edges(bearing, [*placed, *placed_moved])
         n_built = [scene.n_boxes if is_built else 0 for scene, is_built in zip(scenes, are_built, strict=True)]
-        return bearing, load, Edges(*edges), building_edges(bearing.of_first(len(scenes)), n_built)
+        return bearing, load, Edges(*edges), building_edges(bearing.of_range(0, len(scenes)), n_built)
 
 
 def _least_edge(edge_m: FloatArray, place: int | None, first: int) -> tuple[float, int]:

@@ -260,5 +260,13 @@ class Attempt:
     @classmethod
     def of(cls, outcome: Outcome, timestep_s: float) -> Attempt:
         """The record of an outcome that was simulated with ``timestep_s`` (s)."""
-        o = outcome
-        return cls(o.attempt, o.engine, o.solver, timestep_s, o.verdict, o.reason, o.flags, o.n_steps)
+        return cls(
+            outcome.attempt,
+            outcome.engine,
+            outcome.solver,
+            timestep_s,
+            outcome.verdict,
+            outcome.reason,
+            outcome.flags,
+            outcome.n_steps,
+        )

@@ -72,6 +72,11 @@ class Table:
         for values in vars(self).values():
             values[rows] = 0
 
+    def copy(self, rows: NDArray[np.int64], table: Table, sources: NDArray[np.int64]) -> None:
+        """Copy episodes ``sources`` of another table to the rows of this one."""
+        for name, values in vars(self).items():
+            values[rows] = getattr(table, name)[sources]
+
     def features(self, rows: NDArray[np.int64], names: Sequence[str]) -> NDArray[np.float32]:
         """(m, a, f) features of some episodes, ``FEATURES`` and perhaps more."""
         features = np.empty((len(rows), self.legal.shape[1], len(names)), np.float32)
@@ -125,10 +130,13 @@ class Actions:
         size_mm: FloatArray,
         mass_kg: FloatArray,
         upright: NDArray[np.bool_],
+        episodes: NDArray[np.int64] | None = None,
     ) -> None:
         """Find the actions of some episodes.
 
         Args:
+            rows: (m,) rows of the table; ``episodes``: (m,) the episodes whose pallets the boxes are for; None: the
+                same numbers.
             size_mm: (m, k, 3) of the visible boxes; ``mass_kg``: (m, k), 0 without a box; ``upright``: (m, k, 3) which
                 sizes may be vertical.
         """
@@ -137,7 +145,7 @@ class Actions:
         stands = self._sides_of(size_mm[at, box], upright[at, box])
         of, side, pallet = np.nonzero(np.repeat(stands[..., None], self._options.open_pallets, axis=2))
         at, box = at[of], box[of]
-        on = rows[at] * self._options.open_pallets + pallet
+        on = (rows if episodes is None else episodes)[at] * self._options.open_pallets + pallet
         room = self._pallets.n_boxes[on] < self._pallets.most_boxes
         at, box, side, pallet, on = (values[room] for values in (at, box, side, pallet, on))
         sizes, masses = np.take_along_axis(size_mm[at, box], self._sides[side], axis=1), mass_kg[at, box]

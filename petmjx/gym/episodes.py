@@ -10,12 +10,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from petmjx.common.argument_checks import number_of
+from petmjx.common.checked_records import shown_value
 from petmjx.common.errors import InputError
 from petmjx.common.units import FloatArray
 from petmjx.gym.actions import Actions, Table, features_of
 from petmjx.gym.curriculum import Curriculum
 from petmjx.gym.environment_options import PalletizingOptions
-from petmjx.gym.item_queues import Queues
+from petmjx.gym.item_queues import Queues, parts_of
 from petmjx.gym.observation_maps import Maps
 from petmjx.gym.observation_spaces import Observation, ObservationSpaces, Space
 from petmjx.loop.candidate_trials import MOST_ERRORS_DRAWN
@@ -26,6 +27,9 @@ from petmjx.loop.rewards import TERMS, Placement
 
 _MOST_ORDERS: Final = 100
 """Largest number of draws until an order has a box that fits on the empty carrier."""
+
+_MOST_KINDS: Final = 16
+"""Most kinds of boxes behind the next one that are looked at in a call, for each episode."""
 
 PICTURE: Final = (480, 480)
 """Pixels of a pallet's picture."""
@@ -63,6 +67,7 @@ class Episodes:
         self.curriculum = Curriculum.of(self.options)
         self._several = self.options.open_pallets
         self.pallets = Pallets(n * self._several, **of_pallets)
+        self.orders.check_sizes(self.pallets.simulation.size_reduction_mm)
         self.n = n
         self.level: FloatArray = np.full(n, float(self.options.level))
         self._errors: FloatArray = np.zeros(n)
@@ -199,12 +204,44 @@ class Episodes:
         return {"error": np.array(numbers, np.int64), "error_strength": self._errors[rows]}
 
     def _look(self, rows: NDArray[np.int64]) -> None:
-        """Find the actions of episodes. Without such a box, the boxes that may be next are left out."""
+        """Find the actions of episodes. Without an action, the boxes that may be next are left out."""
         while len(rows):
             self._actions.fill(self.table, rows, *self._queues.seen(rows))
             stuck = rows[~self.table.legal[rows].any(axis=1)]
             rows = stuck[self._queues.counts[stuck] > 0]
+            if self.options.buffer == 1:
+                self._look_ahead(rows)
+                return
             self._queues.leave_out(rows, self.options.buffer)
+
+    def _look_ahead(self, rows: NDArray[np.int64]) -> None:
+        """Find the first of the boxes behind the next one that has an action, and leave out all boxes before it. Boxes
+        of one kind have the same actions, since no pallet changes. Several kinds are looked at in one call, more from
+        call to call: a call costs time even for few boxes."""
+        later = {row: self._queues.kinds(row) for row in rows.tolist()}
+        first = dict.fromkeys(later, 1)  # the kind of the next box has no action
+        most = 1
+        while first:
+            numbers = {row: range(begin, min(begin + most, len(later[row][0]))) for row, begin in first.items()}
+            episodes = np.array([row for row, kinds in numbers.items() for _ in kinds], np.int64)
+            table = Table.empty(len(episodes), self.n_actions)
+            if len(episodes):
+                boxes = np.array([later[row][1][kind] for row, kinds in numbers.items() for kind in kinds])
+                self._actions.fill(table, np.arange(len(episodes)), *parts_of(boxes[:, None]), episodes)
+            has_action, at = iter(table.legal.any(axis=1).tolist()), 0
+            for row, kinds in numbers.items():
+                legal = [kind for kind in kinds if next(has_action)]
+                if legal:
+                    source = at + legal[0] - kinds.start
+                    self.table.copy(np.array([row]), table, np.array([source]))
+                if legal or not kinds:
+                    n_left_out = later[row][0][legal[0]] if legal else self._queues.counts[row]
+                    self._queues.leave_out(np.array([row]), int(n_left_out))
+                    del first[row]
+                else:
+                    first[row] = kinds.stop
+                at += len(kinds)
+            most = min(2 * most, _MOST_KINDS)
 
     # ------------------------------------------------------------------ what is seen
 
@@ -248,10 +285,13 @@ class Episodes:
         """Set the level of some environments, (m,) or one number, from their next episodes on.
 
         Raises:
-            InputError: a level is not from 0 to 1.
+            InputError: a level is not from 0 to 1, or there are neither one nor m of them.
         """
-        values = np.broadcast_to(np.asarray(level, object), len(rows)).tolist()
-        self.level[rows] = [number_of(value, "level", 0.0, 1.0) for value in values]
+        values = np.atleast_1d(np.asarray(level, object))
+        if values.shape not in ((1,), (len(rows),)):
+            raise InputError(f"level must be a number from 0 to 1, or {len(rows)} of them, {shown_value(level)}")
+        levels = [number_of(value, "level", 0.0, 1.0) for value in values.tolist()]
+        self.level[rows] = levels
 
     def picture(self, row: int) -> NDArray[np.uint8]:
         """A picture of an episode's pallets, side by side."""

@@ -15,6 +15,16 @@ _MORE: Final = 32
 """Number of boxes in the table beyond the visible boxes. A row is refilled after the removal of this many boxes."""
 
 
+_STRENGTH: Final = 4
+"""Column of strengths in ``Boxes.rows``."""
+
+
+def parts_of(boxes: FloatArray) -> tuple[FloatArray, FloatArray, NDArray[np.bool_]]:
+    """Of (…, 8) rows of boxes: (…, 3) sizes, mm, (…) masses, kg, and (…, 3) whether each of the sizes may be
+    vertical."""
+    return boxes[..., :3], boxes[..., 3], boxes[..., 5:] > 0
+
+
 class Queues:
     """The boxes that n episodes have still to place.
 
@@ -45,7 +55,7 @@ class Queues:
     def take(self, rows: NDArray[np.int64], places: NDArray[np.int64]) -> FloatArray:
         """Remove the boxes at these places of queues. Returns their strengths, (m,) N; NaN: unknown."""
         first = self._first[rows]
-        strength: FloatArray = self._next[rows, first + places, 4]
+        strength: FloatArray = self._next[rows, first + places, _STRENGTH]
         for place in range(int(places.max(initial=0)), 0, -1):  # boxes before the taken one move up by a place
             is_after = places >= place
             at = rows[is_after], first[is_after] + place
@@ -54,10 +64,18 @@ class Queues:
         return strength
 
     def leave_out(self, rows: NDArray[np.int64], count: int) -> None:
-        """Leave out the first boxes of some queues."""
+        """Leave out the first ``count`` boxes of some queues."""
         n_removed = np.minimum(self.counts[rows], count)
         self.left_out[rows] += n_removed
         self._go_on(rows, n_removed)
+
+    def kinds(self, row: int) -> tuple[NDArray[np.intp], FloatArray]:
+        """The first box of each kind among the remaining boxes of a queue whose boxes were taken in their sequence:
+        (k,) their numbers, rising, and (k, 8) their rows. Boxes of a kind differ at most in strength."""
+        boxes = self._boxes[row].rows
+        boxes = boxes[len(boxes) - int(self.counts[row]) :]
+        first = np.sort(np.unique(np.delete(boxes, _STRENGTH, axis=1), axis=0, return_index=True)[1])
+        return first, boxes[first]
 
     def kept(self, rows: NDArray[np.int64]) -> list[NDArray[Any]]:
         """A copy of the state of queues, for ``restore``."""
@@ -73,10 +91,8 @@ class Queues:
         return self._next, self._first, self._behind, self.counts, self.left_out
 
     def seen(self, rows: NDArray[np.int64]) -> tuple[FloatArray, FloatArray, NDArray[np.bool_]]:
-        """(m, k, 3) sizes, mm, and (m, k) masses, kg, of the visible boxes, and (m, k, 3) whether each of their sizes
-        may be vertical; 0 beyond the last box."""
-        boxes = self._next[rows[:, None], self._first[rows, None] + np.arange(self._seen)]
-        return boxes[..., :3], boxes[..., 3], boxes[..., 5:] > 0
+        """``parts_of`` the visible boxes, (m, k, …); 0 beyond the last box."""
+        return parts_of(self._next[rows[:, None], self._first[rows, None] + np.arange(self._seen)])
 
     def _go_on(self, rows: NDArray[np.int64], count: NDArray[np.int64]) -> None:
         self._first[rows] += count
@@ -86,7 +102,10 @@ class Queues:
 
     def _fill(self, row: int) -> None:
         """Move the boxes of a row to its first column, and append as many boxes as there is room for."""
-        boxes, table, behind = self._boxes[row], self._next[row], int(self._behind[row])
+        boxes, table = self._boxes[row], self._next[row]
+        behind = min(
+            int(self._behind[row]), int(self.counts[row])
+        )  # fewer, if some were left out with all in the table
         n_items, first = int(self.counts[row]) - behind, int(self._first[row])
         table[:n_items] = table[first : first + n_items].copy()
         new_rows = slice(len(boxes) - behind, len(boxes) - behind + len(table) - n_items)

@@ -14,6 +14,7 @@ import numpy as np
 from gymnasium.vector import AutoresetMode
 from numpy.typing import NDArray
 
+from petmjx.common.checked_records import shown_value
 from petmjx.common.errors import EngineUnavailable, InputError
 from petmjx.gym.vector_env import PalletizingVectorEnv
 
@@ -106,7 +107,7 @@ class PalletizingVecEnv(VecEnv):  # type: ignore[misc, unused-ignore]  # where S
     def get_attr(self, attr_name: str, indices: Any = None) -> list[Any]:
         """An attribute of each environment: ``level``, ``action_masks``, or a common attribute, such as
         ``render_mode``."""
-        rows = self._get_indices(indices)
+        rows = self._rows(indices)
         if attr_name == "level":
             return [float(self.env.episodes.level[row]) for row in rows]
         if attr_name in self._methods:
@@ -115,24 +116,37 @@ class PalletizingVecEnv(VecEnv):  # type: ignore[misc, unused-ignore]  # where S
         return [value for _ in rows]
 
     def set_attr(self, attr_name: str, value: Any, indices: Any = None) -> None:
-        """Set ``level``, the level of the curriculum from the next episode on. Nothing else can be set.
+        """Set ``level``, the level of the curriculum from the next episode on, one number or one for each environment.
+        Nothing else can be set.
 
         Raises:
-            InputError: another name, or no level.
+            InputError: another name, no level, another number of levels, or no such environment.
         """
         if attr_name != "level":
             raise InputError(f"set_attr: an environment has level to set, got {attr_name!r}")
-        self.env.episodes.set_level(np.asarray(list(self._get_indices(indices)), np.int64), value)
+        self.env.episodes.set_level(np.asarray(self._rows(indices), np.int64), value)
 
     def env_method(self, method_name: str, *method_args: Any, indices: Any = None, **method_kwargs: Any) -> list[Any]:
         """The results of ``action_masks`` or ``render`` of each environment."""
         if method_name not in self._methods:
             raise AttributeError(f"an environment has the methods {', '.join(self._methods)}, got {method_name!r}")
-        return [self._methods[method_name](row, *method_args, **method_kwargs) for row in self._get_indices(indices)]
+        return [self._methods[method_name](row, *method_args, **method_kwargs) for row in self._rows(indices)]
 
     def env_is_wrapped(self, wrapper_class: type[Any], indices: Any = None) -> list[bool]:
         """Whether each environment has a wrapper's function: yes for ``Monitor``, no for all others."""
-        return [wrapper_class is Monitor for _ in self._get_indices(indices)]
+        return [wrapper_class is Monitor for _ in self._rows(indices)]
+
+    def _rows(self, indices: Any) -> list[int]:
+        """The numbers of environments; negative ones count from the last, as in a list.
+
+        Raises:
+            InputError: no such environment.
+        """
+        n, rows = self.num_envs, list(self._get_indices(indices))
+        for row in rows:
+            if not isinstance(row, int | np.integer) or not -n <= row < n:
+                raise InputError(f"indices: there are environments 0 to {n - 1}, {shown_value(row)}")
+        return [int(row) % n for row in rows]
 
     @property
     def _methods(self) -> dict[str, Callable[..., Any]]:

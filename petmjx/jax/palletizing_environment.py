@@ -153,7 +153,8 @@ class Palletizing:
         side = number_of(action_cell_mm, "action_cell_mm", 10.0, 20_000.0)
         self._weights = weights_of(rewards)
         self._empty = empty(1, carrier=carrier, engine=engine, most_boxes=most_boxes, **options)
-        extent = extent_m(Simulation(carrier=carrier).carrier)
+        sim = Simulation(**{"carrier": carrier, **options})
+        extent = extent_m(sim.carrier)
         assert extent is not None  # otherwise ``empty`` has raised an error
         self._extent = extent[0] * MM_PER_M, extent[1] * MM_PER_M
         gap, inside = (
@@ -167,7 +168,9 @@ class Palletizing:
             raise InputError("inside_mm: only candidates have it (actions='candidates')")
         self._maps, self._side = cells_of(self._extent, cell_mm), float(cell_mm)
         reading = order_reading(orders_units, orders_columns, orders_density)
-        of_orders = self._usable(Orders(orders, integer_of(orders_seed, "orders_seed", 0), reading=reading))
+        read = Orders(orders, integer_of(orders_seed, "orders_seed", 0), reading=reading)
+        read.check_sizes(sim.size_reduction_mm)
+        of_orders = self._usable(read)
         self._counts = jnp.array([len(boxes) for boxes in of_orders], jnp.int32)
         longest = int(self._counts.max()) + self._seen  # so that only zeros are visible beyond an order's end
         rows = [np.column_stack([boxes.size_mm, boxes.mass_kg]) for boxes in of_orders]

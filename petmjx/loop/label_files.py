@@ -1,27 +1,39 @@
-"""Files of labels: a Parquet table for each split, and a card with their content, and the accuracy of rules."""
+"""Files of labels: a Parquet table for each split, and a card with their content, and the accuracy of rules.
+
+Labels are written as parts while they are made (petmjx.loop.label_parts); the tables are made of the parts at the end.
+"""
 
 from __future__ import annotations
 
 import hashlib
 import json
+import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, suppress
-from functools import partial
-from itertools import islice
 from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
 import pyarrow as pa
+import pyarrow.compute as pc
 import pyarrow.parquet as pq
-from numpy.typing import NDArray
 
 from petmjx.analysis.criteria_run import criteria
 from petmjx.common.atomic_write import atomic_write, write_errors
 from petmjx.common.checked_records import option
 from petmjx.common.errors import InputError
 from petmjx.common.overwrite_guard import check_outputs
+from petmjx.common.safe_read import read_regular
 from petmjx.common.text import count_text, printable
+from petmjx.loop.label_parts import (
+    SPLIT,
+    TABLE,
+    UNFINISHED,
+    LabelParts,
+    check_same_set,
+    labels_of,
+    n_unfinished,
+)
 from petmjx.loop.placement_labels import COLUMNS, SCHEMA, SPLITS, Label, Labeller, plans_of_labels
 from petmjx.packers.robot_placement import placement_stability
 from petmjx.results.folder_lock import held_folder_lock
@@ -31,7 +43,12 @@ CARD: Final = "card.json"
 README: Final = "README.md"
 
 _ROWS: Final = 10_000
-"""Labels of a row group."""
+"""Labels of a part, and of a row group."""
+
+SECONDS_PER_PART: Final = 60.0
+"""Longest time that labels of whole episodes wait for their part to be written, s."""
+
+_MOST_CARD_BYTES: Final = 1 << 20
 
 _REPORTED: Final = 50
 """Labels between two reports of progress."""
@@ -56,40 +73,104 @@ def write_labels(
     *,
     source: str | Path,
     overwrite: bool = False,
+    resume: bool = False,
     progress: Callable[[int], object] = lambda n_written: None,
 ) -> dict[str, Any]:
-    """Make labels, and write them with their card. Files appear when all are complete.
+    """Make labels, and write them with their card. Labels of whole episodes are kept as parts if the process ends
+    before all are made. Tables and card appear at the end.
 
     Args:
         source: the file of the orders, or ``endless``, for the card.
+        resume: go on with the unfinished labels in the folder, if there are any. ``count`` may be another one.
         progress: called with the number of labels that are made.
 
     Returns:
         The card.
 
     Raises:
-        InputError: the files may not be written, another run writes into the folder, or no box of the orders has a
-            place.
+        InputError: the files may not be written, another run writes into the folder, unfinished labels in it are of
+            other orders or options, or no box of the orders has a place.
     """
     files = label_files(folder)
-    outputs = [*files.values(), folder / CARD, folder / README]
+    outputs = [*files.values(), folder / CARD, folder / README, folder / UNFINISHED, folder / TABLE / "x"]
     inputs = [source] if isinstance(source, Path) else []
-    check = partial(check_outputs, outputs, overwrite=overwrite, inputs=inputs, folder=folder)
-    check()
+    head = _head(labeller, source)
+
+    def check() -> dict[str, Any] | None:
+        """The card of finished labels that are to be resumed."""
+        n_there = n_unfinished(folder)
+        if n_there is None and resume and (folder / CARD).exists():
+            return _finished(folder, head, count)
+        if n_there is not None and not (overwrite or resume):
+            raise InputError(
+                f"{folder}: holds {count_text(n_there, 'label')} of an unfinished set; go on with "
+                f"{option('--resume', 'True')}, or pass {option('--overwrite', 'True')}"
+            )
+        goes_on = resume and n_there is not None
+        check_outputs(outputs, overwrite=overwrite or goes_on, inputs=inputs, folder=folder)
+        return None
+
+    if (card := check()) is not None:
+        return card
     with ExitStack() as stack:
         if not folder.exists():
             stack.callback(_remove_if_empty, folder)
         with write_errors(folder):
             folder.mkdir(parents=True, exist_ok=True)
             stack.enter_context(held_folder_lock(folder))
-        check()  # another process may have written since
-        return _write(labeller, count, files, source, progress)
+            if (card := check()) is not None:  # another process may have written since
+                return card
+            parts = LabelParts(folder, head, resume=resume)
+            _make(labeller, count, parts, progress)
+        if not parts.n_labels:
+            parts.remove()
+            name = printable(str(source)) if isinstance(source, Path) else "orders"
+            raise InputError(
+                f"{name}: no box has a place on the empty carrier "
+                f"({option('--max-height-mm')} {labeller.options['max_height_mm']:g}, {option('--carrier')})"
+            )
+        card = _write(parts, count, files, head)
+        with write_errors(folder):
+            parts.remove()
+        return card
 
 
-def _write(
-    labeller: Labeller, count: int, files: Mapping[str, Path], source: str | Path, progress: Callable[[int], object]
-) -> dict[str, Any]:
-    """Write the tables and the card. Arguments, result and errors are those of :func:`write_labels`."""
+def _finished(folder: Path, head: Mapping[str, Any], count: int) -> dict[str, Any]:
+    """The card of finished labels. Raises InputError if they are others than those that are asked for."""
+    try:
+        card: dict[str, Any] = json.loads(read_regular(folder / CARD, _MOST_CARD_BYTES))
+        there = sum(numbers["labels"] for numbers in card["splits"].values())
+    except (OSError, ValueError, TypeError, KeyError, AttributeError, RecursionError):
+        raise InputError(f"{folder / CARD}: damaged; name another folder with {option('--out')}") from None
+    check_same_set(folder, {name: card.get(name) for name in head}, json.loads(json.dumps(head)))
+    if there != count and head["orders"]["number"] is None:  # a file of orders may have fewer
+        raise InputError(
+            f"{folder}: its {count_text(there, 'label')} are finished; name another folder with {option('--out')}, or "
+            f"pass {option('--overwrite', 'True')}"
+        )
+    return card
+
+
+def _make(labeller: Labeller, count: int, parts: LabelParts, progress: Callable[[int], object]) -> None:
+    """Make the labels that the parts lack, and add them part by part. What is made of whole episodes is added also if
+    an error or a signal ends it."""
+    waiting: list[Label] = []
+    written_s, reported = time.monotonic(), parts.n_labels
+    try:
+        for labels in labeller.episodes(count - parts.n_labels, parts.next_episode):
+            waiting += labels
+            if (n_made := parts.n_labels + len(waiting)) - reported >= _REPORTED:
+                progress(min(n_made, count))
+                reported = n_made
+            if len(waiting) >= _ROWS or time.monotonic() - written_s > SECONDS_PER_PART:
+                parts.add(waiting)
+                waiting, written_s = [], time.monotonic()
+    finally:
+        parts.add(waiting)
+
+
+def _write(parts: LabelParts, count: int, files: Mapping[str, Path], head: Mapping[str, Any]) -> dict[str, Any]:
+    """Write the tables and the card of the first ``count`` labels of the parts. Returns the card."""
     tally = {split: _Tally() for split in SPLITS}
     judged: list[Label] = []
     last = list(SPLITS)[-1]
@@ -98,22 +179,20 @@ def _write(
             split: stack.enter_context(pq.ParquetWriter(stack.enter_context(atomic_write(file)), SCHEMA))
             for split, file in files.items()
         }
-        n_written = 0
-        for group_labels in _groups(_watched(labeller.labels(count), progress), _ROWS):
+        for table in _groups(parts.tables(), count):
             for split in SPLITS:
-                rows = [label for label in group_labels if label["split"] == split]
-                if rows:
-                    writers[split].write_table(_table(rows))
+                rows = table.filter(pc.equal(table[SPLIT], split)).select(SCHEMA.names)
+                if len(rows):
+                    writers[split].write_table(rows.cast(SCHEMA))
                 tally[split].add(rows)
-            judged += [label for label in group_labels if label["split"] == last][: MOST_JUDGED - len(judged)]
-            n_written += len(group_labels)
-        if not n_written:
-            name = printable(str(source)) if isinstance(source, Path) else "orders"
-            raise InputError(
-                f"{name}: no box has a place on the empty carrier "
-                f"({option('--max-height-mm')} {labeller.options['max_height_mm']:g}, {option('--carrier')})"
-            )
-    card = _card(labeller, source, tally, judged)
+                if split == last:
+                    judged += labels_of(rows.slice(0, MOST_JUDGED - len(judged)))
+    card = {
+        **head,
+        "splits": {split: numbers.numbers for split, numbers in tally.items()},
+        "columns": {name: {"type": str(kind), "meaning": meaning} for name, (kind, meaning) in COLUMNS.items()},
+        "baselines": baselines(judged),
+    }
     folder = files[last].parent
     for name, text in ((CARD, json.dumps(card, indent=2) + "\n"), (README, _page(card))):
         with atomic_write(folder / name) as path:
@@ -126,36 +205,17 @@ def _remove_if_empty(folder: Path) -> None:
         folder.rmdir()
 
 
-def _watched(labels: Iterator[Label], progress: Callable[[int], object]) -> Iterator[Label]:
-    for number, label in enumerate(labels, 1):
-        if number % _REPORTED == 0:
-            progress(number)
-        yield label
-
-
-def _groups(labels: Iterator[Label], most: int) -> Iterator[list[Label]]:
-    while group := list(islice(labels, most)):
-        yield group
-
-
-def _table(labels: Sequence[Label]) -> pa.Table:
-    """A table of ``COLUMNS``."""
-    columns = []
-    for name, kind in zip(SCHEMA.names, SCHEMA.types, strict=True):
-        values = [label[name] for label in labels]
-        columns.append(_lists(values, kind) if pa.types.is_list(kind) else pa.array(values, kind))
-    return pa.Table.from_arrays(columns, schema=SCHEMA)
-
-
-def _lists(values: Sequence[NDArray[Any] | None], kind: pa.DataType) -> pa.Array:
-    """An array of lists of numbers, or of lists of threes."""
-    rows = [np.zeros(0) if row is None else np.asarray(row, np.float32) for row in values]
-    ends = np.cumsum([0, *(len(row) for row in rows)])
-    flat = pa.array(np.concatenate([row.ravel() for row in rows]).astype(np.float32))
-    items = pa.FixedSizeListArray.from_arrays(flat, 3) if pa.types.is_fixed_size_list(kind.value_type) else flat
-    missing = np.array([row is None for row in values])
-    offsets = pa.array(ends, pa.int32(), mask=np.append(missing, False))
-    return pa.ListArray.from_arrays(offsets, items, kind)
+def _groups(tables: Iterator[pa.Table], count: int) -> Iterator[pa.Table]:
+    """The first ``count`` rows of tables, in tables of at least ``_ROWS`` rows. Parts of a slow machine are small."""
+    waiting: list[pa.Table] = []
+    for table in tables:
+        waiting.append(table.slice(0, count))
+        count -= len(waiting[-1])
+        if sum(map(len, waiting)) >= _ROWS:
+            yield pa.concat_tables(waiting)
+            waiting = []
+    if waiting:
+        yield pa.concat_tables(waiting)
 
 
 class _Tally:
@@ -165,18 +225,19 @@ class _Tally:
         self.labels, self.stand, self.fall = 0, 0, 0
         self.orders: set[int] = set()
 
-    def add(self, labels: Sequence[Label]) -> None:
+    def add(self, labels: pa.Table) -> None:
         self.labels += len(labels)
-        self.stand += sum(label["stands"] is True for label in labels)
-        self.fall += sum(label["stands"] is False for label in labels)
-        self.orders |= {label["order"] for label in labels}
+        self.stand += pc.sum(labels["stands"]).as_py() or 0
+        self.fall += pc.sum(pc.invert(labels["stands"])).as_py() or 0
+        self.orders |= set(labels["order"].unique().to_pylist())
 
     @property
     def numbers(self) -> dict[str, int]:
         return {"labels": self.labels, "orders": len(self.orders), "stand": self.stand, "fall": self.fall}
 
 
-def _card(labeller: Labeller, source: str | Path, tally: dict[str, _Tally], judged: Sequence[Label]) -> dict[str, Any]:
+def _head(labeller: Labeller, source: str | Path) -> dict[str, Any]:
+    """The part of the card that says what labels are of. Labels with the same head are the same."""
     is_file = isinstance(source, Path)
     return {
         "what": "placements of boxes on pallets, labelled by physics",
@@ -189,9 +250,6 @@ def _card(labeller: Labeller, source: str | Path, tally: dict[str, _Tally], judg
         "options": labeller.options,
         "simulation": labeller.pallets.simulation.model_dump(mode="json"),
         "engine": labeller.pallets.engine,
-        "splits": {split: numbers.numbers for split, numbers in tally.items()},
-        "columns": {name: {"type": str(kind), "meaning": meaning} for name, (kind, meaning) in COLUMNS.items()},
-        "baselines": baselines(judged),
     }
 
 

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from petmjx.common.argument_checks import list_of, path_of
 from petmjx.common.errors import InputError
+from petmjx.common.text import printable_name
 from petmjx.common.units import FloatArray
 from petmjx.options.run_options import RunOptions
 from petmjx.plans.articles import Articles, read_articles
@@ -19,6 +20,7 @@ from petmjx.plans.item_columns import MOST_PIECES, SIZE_LETTERS
 from petmjx.plans.item_orders import OrderReading
 from petmjx.plans.order_generator import Item, Order, draw_order
 from petmjx.plans.order_reader import read_order_frame, read_orders
+from petmjx.plans.plan_fields import vanishing_side
 
 ENDLESS: Final = "endless"
 """The value of ``orders`` for generated orders, as in ``petmjx samples``: each episode draws a new order."""
@@ -50,12 +52,14 @@ class Boxes:
         size_mm: (k, 3) length, width and height; ``mass_kg``: (k,).
         strength_n: (k,) the load that each box bears on its top, N; NaN: unknown.
         upright: (k, 3) whether the length, the width and the height may be vertical; None: the height alone.
+        name: the order's id in its source; "": none.
     """
 
     size_mm: FloatArray
     mass_kg: FloatArray
     strength_n: FloatArray
     upright: NDArray[np.bool_] | None = None
+    name: str = ""
 
     @property
     def rows(self) -> FloatArray:
@@ -66,7 +70,7 @@ class Boxes:
     def take(self, rows: Any) -> Boxes:
         """Some of the boxes."""
         upright = None if self.upright is None else self.upright[rows]
-        return Boxes(self.size_mm[rows], self.mass_kg[rows], self.strength_n[rows], upright)
+        return Boxes(self.size_mm[rows], self.mass_kg[rows], self.strength_n[rows], upright, self.name)
 
     def __len__(self) -> int:
         return len(self.mass_kg)
@@ -102,6 +106,12 @@ class Orders:
         self.have_strengths = articles is not None or any(np.isfinite(boxes.strength_n).any() for boxes in orders)
         self.lie = any(boxes.upright is not None and boxes.upright[:, :2].any() for boxes in orders)
 
+    def check_sizes(self, size_reduction_mm: float) -> None:
+        """Raises InputError, which names the order, for a box that has no extent left after the size reduction."""
+        for boxes in self._all or ():
+            if (thin := vanishing_side(boxes.size_mm, size_reduction_mm)) is not None:
+                raise InputError(f"orders: order {printable_name(boxes.name)}, box {thin[0] + 1}: {thin[1]}")
+
     def draw(self, rng: np.random.Generator) -> Boxes:
         """A random order of the source, or with ``endless`` a newly drawn order."""
         if self._all is None:
@@ -128,23 +138,23 @@ class Orders:
 
 def _read(source: Any, articles: Articles | None, reading: OrderReading) -> list[Boxes]:
     if isinstance(source, pd.DataFrame):
-        read = [order for _, order in read_order_frame(source, reading=reading)]
+        read = list(read_order_frame(source, reading=reading))
     elif isinstance(source, str | PathLike):
-        read = [order for _, order in read_orders(path_of(source, "orders"), reading=reading)]
+        read = list(read_orders(path_of(source, "orders"), reading=reading))
     else:
-        read = list_of(source, "orders", Order, "orders")
+        read = [(str(number), order) for number, order in enumerate(list_of(source, "orders", Order, "orders"))]
     if not read:
         raise InputError("orders must hold at least one order")
-    return [_of_order(order, articles) for order in read]
+    return [_of_order(order, articles, name) for name, order in read]
 
 
-def _of_order(order: Order, articles: Articles | None) -> Boxes:
+def _of_order(order: Order, articles: Articles | None, name: str = "") -> Boxes:
     rows = np.array([[item.length_mm, item.width_mm, item.height_mm, item.weight_kg] for item in order.items], float)
     strengths = np.array([_strength(item, articles) for item in order.items], float)
     upright = None
     if any(item.upright for item in order.items):
         upright = np.array([[letter in (item.upright or "h") for letter in SIZE_LETTERS] for item in order.items])
-    return Boxes(rows[:, :3], rows[:, 3], strengths, upright)
+    return Boxes(rows[:, :3], rows[:, 3], strengths, upright, name)
 
 
 def _strength(item: Item, articles: Articles | None) -> float:

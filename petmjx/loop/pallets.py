@@ -31,6 +31,7 @@ from petmjx.options.carriers import AnyCarrier, extent_m
 from petmjx.options.run_options import AUTO, RunOptions, sorted_options
 from petmjx.options.simulation import Simulation
 from petmjx.plans.plan import Plan
+from petmjx.plans.plan_fields import vanishing_side
 from petmjx.results.run_reader import RunResults
 from petmjx.runs.simulate import simulate
 from petmjx.runs.study import Nominal
@@ -440,6 +441,8 @@ class Pallets(Closable):
 
     def _placements(self, size_mm: Any, corner_mm: Any, mass_kg: Any, pallet: Any) -> Placements:
         request = placements_of(size_mm, corner_mm, mass_kg, pallet, self.n)
+        if (thin := vanishing_side(request.size_mm, self.simulation.size_reduction_mm)) is not None:
+            raise InputError(f"size_mm: {thin[1]}")
         if (dead := request.pallet[self._standing.dead[request.pallet]]).size:
             raise InputError(f"pallet: {dead[0]} has fallen; reset it, or take its last box back")
         if (full := request.pallet[self._boxes.count[request.pallet] >= self.most_boxes]).size:

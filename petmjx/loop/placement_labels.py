@@ -13,6 +13,7 @@ from collections import deque
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import closing
 from dataclasses import dataclass, field
+from itertools import chain, islice
 from typing import Any, Final
 
 import numpy as np
@@ -143,6 +144,7 @@ class Labeller:
         self._errors = None if errors is None else integer_of(errors, "errors", 1, 100_000)
         self._highest_mm = number_of(max_height_mm, "max_height_mm", 1.0, 20_000.0)
         self.pallets = Pallets(integer_of(pallets, "pallets", 1), **others)
+        orders.check_sizes(self.pallets.simulation.size_reduction_mm)
         self.options = {
             "seed": self._seed,
             "explore": self._explore,
@@ -153,17 +155,21 @@ class Labeller:
 
     def labels(self, count: int) -> Iterator[Label]:
         """The first ``count`` labels, in the order of episodes; fewer at the end of all orders."""
-        packing = _Packing(self, count)
+        return islice(chain.from_iterable(self.episodes(count)), count)
+
+    def episodes(self, count: int, first: int = 0) -> Iterator[list[Label]]:
+        """The labels of whole episodes from number ``first`` on, in order, until there are at least ``count``."""
+        packing = _Packing(self, count, first)
         n_yielded = 0
         with closing(self.pallets.outcomes(packing.next_pallets, packing.name)) as outcomes:
             for row, outcome in outcomes:
                 packing.add(row, outcome)
-                for label in packing.take_ended(count - n_yielded):
-                    n_yielded += 1
-                    yield label
-                if n_yielded == count:
-                    return
-        yield from packing.take_ended(count - n_yielded)
+                for labels in packing.take_ended():
+                    yield labels
+                    n_yielded += len(labels)
+                    if n_yielded >= count:
+                        return
+        yield from packing.take_ended()
 
     def begun(self, number: int) -> Episode:
         """An episode at its beginning."""
@@ -222,13 +228,13 @@ class _Packing:
         scoring: pallets whose last placement has no label yet.
     """
 
-    def __init__(self, labeller: Labeller, count: int) -> None:
+    def __init__(self, labeller: Labeller, count: int, first: int) -> None:
         self.running: dict[int, Episode] = {}
         self.scoring: set[int] = set()
         self._labeller, self._pallets, self._count = labeller, labeller.pallets, count
         self._waiting: deque[Episode] = deque()
         """Episodes in order; the first ones are taken when they are over."""
-        self._begun = self._made = self._barren = 0
+        self._begun, self._made, self._barren = first, 0, 0
         self._fallen: list[int] = []
 
     def name(self, row: int) -> str:
@@ -300,12 +306,10 @@ class _Packing:
             episode.next += not episode.again
         self._end_over([row])
 
-    def take_ended(self, most: int) -> Iterator[Label]:
-        """The labels of the first episodes that are over, at most so many."""
-        while self._waiting and self._waiting[0].is_over and most > 0:
-            labels = self._waiting.popleft().labels[:most]
-            most -= len(labels)
-            yield from labels
+    def take_ended(self) -> Iterator[list[Label]]:
+        """The labels of the first episodes, as long as these are over."""
+        while self._waiting and self._waiting[0].is_over:
+            yield self._waiting.popleft().labels
 
 
 def _any_place(some: Any, rng: np.random.Generator) -> int | None:

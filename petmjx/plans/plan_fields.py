@@ -35,6 +35,15 @@ LARGEST_DEG: Final = 360.0
 """Limit of the direction of approach, in both senses of rotation."""
 
 
+def vanishing_side(size_mm: FloatArray, size_reduction_mm: float) -> tuple[int, str] | None:
+    """The first of (n, 3) boxes that has no extent left after the size reduction, with a text; None: none."""
+    thin = np.flatnonzero((size_mm <= size_reduction_mm).any(axis=1))
+    if not len(thin):
+        return None
+    box, side = int(thin[0]), float(size_mm[thin[0]].min())
+    return box, f"a side of {side:g} mm vanishes under the size reduction of {size_reduction_mm:g} mm"
+
+
 class SparseField(NamedTuple):
     """An optional number of placements.
 

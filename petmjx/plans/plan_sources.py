@@ -10,8 +10,6 @@ from os import PathLike
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-import numpy as np
-
 from petmjx.common.argument_checks import list_of, path_of
 from petmjx.common.checked_records import similar
 from petmjx.common.errors import InputError
@@ -26,6 +24,7 @@ from petmjx.plans.convention_checks import warn, with_conventions
 from petmjx.plans.file_formats import SupportsArrow
 from petmjx.plans.input_conventions import USUAL, InputConventions
 from petmjx.plans.plan import Plan
+from petmjx.plans.plan_fields import vanishing_side
 from petmjx.plans.plan_reader import read_plans
 from petmjx.plans.plan_set import PlanSet, Skipped
 
@@ -197,12 +196,8 @@ def without_vanishing_boxes(plan_set: PlanSet, size_reduction_mm: float, strict:
     """
 
     def fault(plan: Plan) -> str | None:
-        thin = np.flatnonzero((plan.size_mm <= size_reduction_mm).any(axis=1))
-        if not len(thin):
-            return None
-        box = int(thin[0])
-        side = f"a side of {plan.size_mm[box].min():g} mm vanishes under the size reduction of {size_reduction_mm:g} mm"
-        return f", placement {box}: {side}"
+        thin = vanishing_side(plan.size_mm, size_reduction_mm)
+        return None if thin is None else f", placement {thin[0]}: {thin[1]}"
 
     return _without_faults(plan_set, fault, strict)
 

@@ -100,7 +100,7 @@ class Row:
         n = outcome.n_boxes
         if not n == plan.n_boxes == len(outcome.boxes.max_tilt_deg) or n == 0:
             raise ValueError(f"plan {plan.plan_id} has {plan.n_boxes} boxes, its outcome {n}")
-        cells = {"plan_id": plan.plan_id, "variant": variant, RANK: rank, "schedule": schedule}
+        cells: dict[str, Any] = {"plan_id": plan.plan_id, "variant": variant, RANK: rank, "schedule": schedule}
         cells |= zip(_CELLS, _CELLS_OF(outcome), strict=True)
         for name in _NUMBERS:
             if cells[name] < 0:

@@ -1,7 +1,7 @@
 """Loads that a stack can balance, by a linear programme with vertical forces.
 
-Statics does not determine how a box shares its load among several supports. Under one sharing of the loads a load may
-be beyond the edge of its supports, under another all loads inside: rigid boxes then stand. The unknowns are forces at
+Statics does not determine how a box shares its load among several supports. Under one sharing a load may be beyond the
+edge of its supports, and under another sharing all loads are inside: rigid boxes then stand. The unknowns are forces at
 the corners of all contact areas of boxes with several supports. The forces must push and balance every box. The
 programme picks feasible forces so that the load nearest to an edge is as far inside as possible. If no forces are
 feasible, loads are as little beyond edges as possible. (Forces of this kind: Livesley 1978, "Limit analysis of

@@ -67,7 +67,7 @@ def edges_of(bearing: Bearing, placed: Sequence[int]) -> list[Edges]:
 
 
 def loads_and_edges(bearing: Bearing, placed: Sequence[int]) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """(n, 4) loads of all boxes as of ``Bearing.loads``, (n,) edges of their own weights and (n,) edges of their loads.
+    """(n, 4) loads of all boxes as in ``Bearing.loads``, (n,) edges of their own weights and (n,) edges of their loads.
 
     Args:
         placed: number of placed boxes of each scene.
@@ -109,8 +109,9 @@ def rebalanced_loads(
     balancing, beyond = result
     # without a balance, a load that is inside keeps its distance
     is_unchanged = (edge_m >= 0) if (beyond > BEYOND_M).any() else (balancing == load[:, :3]).all(axis=1)
-    edges = np.where(~placed | is_unchanged, edge_m, np.maximum(bearing.edges_m(balancing), 0.0))
-    edges = np.where(beyond > BEYOND_M, np.minimum(bearing.edges_m(balancing), -beyond), edges)
+    balanced_m = bearing.edges_m(balancing)
+    edges = np.where(~placed | is_unchanged, edge_m, np.maximum(balanced_m, 0.0))
+    edges = np.where(beyond > BEYOND_M, np.minimum(balanced_m, -beyond), edges)
     return balancing, edges
 
 
@@ -280,13 +281,13 @@ def _shared_parts(bearing: Bearing, keys: IntArray, parts: FloatArray) -> tuple[
             waiting[number].append((key[in_level], part[in_level]))
 
     wait(keys, parts)
-    finished_parts = [(keys[:0], parts[:0])]
+    finished_parts: list[tuple[IntArray, FloatArray]] = [(keys[:0], parts[:0])]
     for level in waiting:
         if not level:
             continue
-        keys, parts = (np.concatenate(arrays) for arrays in zip(*level, strict=True))
-        key, place = np.unique(keys, return_inverse=True)
-        part = np.stack([np.bincount(place, weights=column, minlength=len(key)) for column in parts.T], axis=1)
+        all_keys, all_parts = (np.concatenate(arrays) for arrays in zip(*level, strict=True))
+        key, place = np.unique(all_keys, return_inverse=True)
+        part: FloatArray = np.stack([np.bincount(place, column, len(key)) for column in all_parts.T], axis=1)
         finished_parts.append((key, part))
         upper = key // n
         times = count[upper]
@@ -294,8 +295,8 @@ def _shared_parts(bearing: Bearing, keys: IntArray, parts: FloatArray) -> tuple[
         contact = between[first[upper[rows]] + np.arange(len(rows)) - np.repeat(np.cumsum(times) - times, times)]
         if len(rows):
             wait(bearing.lower[contact] * n + key[rows] % n, _passed(bearing, contact, part.take(rows, axis=0)))
-    all_keys, all_parts = (np.concatenate(arrays) for arrays in zip(*finished_parts, strict=True))
-    return all_keys, all_parts
+    finished_keys, sums = zip(*finished_parts, strict=True)
+    return np.concatenate(finished_keys), np.concatenate(sums)
 
 
 def _passed(bearing: Bearing, contact: IntArray, load: FloatArray) -> FloatArray:
@@ -350,10 +351,8 @@ def _without_pulls(bearing: Bearing, begins: IntArray, step: IntArray, load: Flo
     for number in np.unique(level).tolist():
         some = boxes[level == number]
         pairs, owner = ranges(begins[some], count[some]), np.repeat(some, count[some])
-        rows, contact = (
-            np.repeat(np.arange(len(pairs)), n_above[owner]),
-            above[ranges(first_above[owner], n_above[owner])],
-        )
+        times = n_above[owner]
+        rows, contact = np.repeat(np.arange(len(pairs)), times), above[ranges(first_above[owner], times)]
         upper = bearing.upper[contact]
         last = np.searchsorted(key, upper * n + step[pairs[rows]], side="right") - 1
         placed = last >= begins[upper]

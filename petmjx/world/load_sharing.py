@@ -1,8 +1,8 @@
 """Load sharing: the forces with which supports bear a box, if supports can only push.
 
 The pressure of a box on a bed of equal springs is a plane (petmjx.world.supports). If a load is far from the middle of
-the supports, the plane pulls: springs on the opposite side would be stretched. Real supports only push. So the solution
-is the forces that push, each within its own contact area, and balance the load with the least energy of the springs
+the supports, the plane pulls: springs on the opposite side would be stretched. Real supports only push. The solution is
+a set of forces that push, each within its own contact area, and balance the load with the least energy of the springs
 (Menabrea 1858, "Nouveau principe sur la distribution des tensions dans les systèmes élastiques"). If the plane pulls
 nowhere, the plane is the solution.
 

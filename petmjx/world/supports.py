@@ -98,6 +98,11 @@ class Boxes:
         low: FloatArray = (self.target - self.half_size)[:, 2]
         return low
 
+    @cached_property
+    def is_held(self) -> bool:
+        """Whether walls hold any of the boxes."""
+        return bool(self.held.any())
+
     def among(self, placed: int | Sequence[int]) -> NDArray[np.bool_]:
         """(n,) which boxes are among the first ``placed`` boxes of their scene."""
         counts = np.diff(self.first)
@@ -109,9 +114,10 @@ class Boxes:
 def _held_by_walls(scene: Scene, target: FloatArray) -> FloatArray:
     """(n, 2, 2) as ``Boxes.held`` of a scene with walls, with the boxes at these (n, 3) places, m.
 
-    A box whose load W acts e beyond an edge tips until it touches the wall there, at the height h of its top or of the
-    wall's, above its bottom. The wall then presses with W·e/h, and the edge must bear this force by friction: so the
-    wall holds the box up to e = µ·h. The wall counts as smooth, and the support of the box as fixed.
+    A box whose load W acts e beyond an edge tips until it touches the wall there. It touches at its own top or at the
+    wall's, whichever is lower, a height h above its bottom. The wall then presses with W·e/h, and the edge must bear
+    this force by friction: so the wall holds the box up to e = µ·h. The wall counts as smooth, and the support of the
+    box as fixed.
     """
     room, half = scene.carrier.room, scene.half_size
     bottom, top = (target - half)[:, 2], (target + half)[:, 2]
@@ -237,7 +243,7 @@ class Bearing:
         if len(several):
             hull = self.number_of_hull[box[several]]
             wider: FloatArray | float = 0.0
-            if self.boxes.held.any():
+            if self.boxes.is_held:
                 held = self.boxes.held[box[several]]
                 outward = -self.hulls.normal[hull]
                 wider = (np.maximum(outward, 0.0) * held[:, None, 1] - np.minimum(outward, 0.0) * held[:, None, 0]).sum(
@@ -255,7 +261,7 @@ class Bearing:
         alone = np.flatnonzero(self.n_supports == 1)
         contact = self.ends[alone]
         low[alone], high[alone] = self.low.take(contact, axis=0), self.high.take(contact, axis=0)
-        if self.boxes.held.any():
+        if self.boxes.is_held:
             low, high = low - self.boxes.held[:, 0], high + self.boxes.held[:, 1]
         return low, high
 
@@ -266,30 +272,33 @@ class Bearing:
         return hull_table(low, high, self.n_supports[self.n_supports > 1])
 
     def of_scene(self, number: int) -> Bearing:
-        """The bearing of one scene alone. It has its part of these hulls, so that it does not compute them."""
-        begin, end = self.boxes.first[number : number + 2].tolist()
-        one, _ = self.of_scenes(np.array([number]))
-        before, count = (int(np.count_nonzero(self.n_supports[a:b] > 1)) for a, b in ((0, begin), (begin, end)))
-        hulls = slice(before, before + count)
-        vars(one)["hulls"] = HullTable(self.hulls.normal[hulls], self.hulls.offset[hulls])
-        return one
+        """The bearing of one scene alone, as ``of_range``."""
+        return self.of_range(number, number + 1)
 
-    def of_first(self, count: int) -> Bearing:
-        """The bearing of the first scenes alone. It has its part of these hulls, shares and levels."""
-        end = int(self.boxes.first[count])
-        contacts = int(self.ends[end])
-        values = (getattr(self.boxes, field.name) for field in fields(self.boxes) if field.name != "first")
-        first = Bearing(
-            Boxes(self.boxes.first[: count + 1], *(value[:end] for value in values)),
-            *(getattr(self, name)[:contacts] for name in ("upper", "lower", "low", "high")),
+    def of_range(self, begin: int, end: int) -> Bearing:
+        """The bearing of the scenes ``begin`` to ``end`` alone. It has its part of these hulls, shares and levels, so
+        that it does not compute them."""
+        first, last = int(self.boxes.first[begin]), int(self.boxes.first[end])
+        rows, contacts = slice(first, last), slice(int(self.ends[first]), int(self.ends[last]))
+        values = (getattr(self.boxes, field.name)[rows] for field in fields(self.boxes) if field.name != "first")
+        lower = self.lower[contacts]
+        some = Bearing(
+            Boxes(self.boxes.first[begin : end + 1] - first, *values),
+            self.upper[contacts] - first,
+            np.where(lower == CARRIER, CARRIER, lower - first),
+            self.low[contacts],
+            self.high[contacts],
         )
-        hulls = slice(int(np.count_nonzero(self.n_supports[:end] > 1)))
-        vars(first).update(
+        ends = np.searchsorted(self.together, [contacts.start, contacts.stop])
+        hulls = slice(*(int(self.number_of_hull[row - 1]) + 1 if row else 0 for row in (first, last)))
+        vars(some).update(
+            n_supports=self.n_supports[rows],
+            rectangles=tuple(corners[rows] for corners in self.rectangles),
             hulls=HullTable(self.hulls.normal[hulls], self.hulls.offset[hulls]),
-            shares=self.shares[: int(np.searchsorted(self.together, contacts))],
-            level=self.level[:end],
+            shares=self.shares[slice(*ends.tolist())],
+            level=self.level[rows],
         )
-        return first
+        return some
 
     def of_scenes(self, numbers: IntArray) -> tuple[Bearing, IntArray]:
         """The bearing of some of the scenes, in this order, and (k,) their boxes' numbers among all boxes."""
@@ -367,8 +376,8 @@ class Bearing:
 
     @cached_property
     def borne_together(self) -> list[IntArray]:
-        """For each group of ``levels`` the contacts of its boxes with several supports, those with the carrier
-        included."""
+        """For each group of ``levels`` the contacts of its boxes with several supports, including contacts with
+        the carrier."""
         groups = []
         upper = self.upper[self.together]
         for between in self.levels:
@@ -437,8 +446,8 @@ def bearings_of(
     pos: Sequence[FloatArray] = (),
     most_gap_m: Sequence[float] = (),
 ) -> Bearing:
-    """The bearings of scenes by the planned places, and then of the scenes ``elsewhere``: joined, with the boxes scene
-    after scene, so that all are computed at once.
+    """The bearings of several scenes, joined, with the boxes scene after scene. All are computed at once. First come
+    ``scenes`` by the planned places, then the scenes ``elsewhere``.
 
     Args:
         pos: (n, 3) places of the boxes of each scene ``elsewhere``, m.
@@ -545,7 +554,7 @@ def find_bearing(scene: Scene, most_gap_m: float = TOUCH_M) -> Bearing:
     """The supports of boxes by the planned places.
 
     A box lies on a board of the carrier's deck if its bottom is not above the deck. A box also lies on another box that
-    begins lower if the top of the other is at the height of its bottom. Both rules hold within ``TOUCH_M``, and only if
+    begins lower if the other's top is at the height of its own bottom. Both rules hold within ``TOUCH_M``, and only if
     the two boxes overlap along x and y.
 
     Args:

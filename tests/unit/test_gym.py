@@ -351,3 +351,33 @@ def test_pictures() -> None:
 
 
 assert petmjx.gym
+
+
+def test_boxes_without_a_place_are_left_out_in_few_calls(monkeypatch: pytest.MonkeyPatch) -> None:
+    """50 boxes of three kinds have no place; the first behind them has one. Kinds are looked at once, more in each
+    call: the next box, the two other kinds, and the last box."""
+    sizes = [(600, 400, 200), *[(600, 400, 1900 + 10 * (number % 3)) for number in range(50)], (300, 200, 100)]
+    rows = [(0, *size, 5.0) for size in sizes]
+    orders = pd.DataFrame(rows, columns=["order_id", "length_mm", "width_mm", "height_mm", "weight_kg"])
+    for options in ({}, {"buffer": 2, "look_ahead": 2}):  # a buffer looks at its boxes one after another
+        env = PalletizingEnv(orders=orders, engine="mujoco", mask="geometry", **options)
+        fill, numbers = env.episodes._actions.fill, []
+
+        def counted(table: Any, rows: Any, *boxes: Any, fill: Any = fill, numbers: Any = numbers) -> None:
+            numbers.append(len(rows))
+            fill(table, rows, *boxes)
+
+        monkeypatch.setattr(env.episodes._actions, "fill", counted)
+        observed, _ = env.reset(seed=0)
+        assert numbers == [1]
+        first_box = int(np.flatnonzero(observed["action_mask"])[0])
+        observed, _, terminated, _, info = env.step(first_box)
+        assert not terminated
+        assert (info["left_out"], info["placed"]) == (50, 1)
+        assert observed["boxes"][0].tolist() == [300.0, 200.0, 100.0, 5.0]
+        assert observed["action_mask"].any()
+        assert options or numbers == [1, 1, 1, 2]
+        _, _, terminated, _, info = env.step(int(np.flatnonzero(observed["action_mask"])[0]))
+        assert terminated
+        assert info["placed"] == 2
+        env.close()

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -16,6 +17,7 @@ import petmjx
 from petmjx.cli import main
 from petmjx.common.errors import InputError
 from petmjx.loop.label_files import CARD, README, RULES, baselines, label_files, write_labels
+from petmjx.loop.label_parts import LabelParts, labels_of
 from petmjx.loop.order_sources import Boxes, Orders
 from petmjx.loop.placement_labels import COLUMNS, SPLITS, Label, Labeller, plans_of_labels, split_of
 
@@ -151,11 +153,20 @@ def test_baselines_are_judged_by_what_they_find() -> None:
 
 
 def test_what_is_wrong_with_labels_is_one_line(tmp_path: Path) -> None:
+    pytest.importorskip("gymnasium", reason="gymnasium is not installed (extra: gym)")
+    from petmjx.gym.env import PalletizingEnv
+
     sizes = {"length_mm": 2000, "width_mm": 2000, "height_mm": 100, "weight_kg": 1}
     too_long = pd.DataFrame([{"order_id": order, **sizes} for order in "abb"])
     with pytest.raises(InputError, match=r"orders: no box has a place on the empty carrier \(max_height_mm 1800, car"):
         write_labels(Labeller(Orders(too_long), pallets=4, **MUJOCO), 5, tmp_path / "none", source="endless")
     assert not (tmp_path / "none").exists()
+    thin = pd.DataFrame([{"order_id": order, **sizes, "length_mm": side} for order, side in (("A7", 90), ("B8", 4))])
+    for reader in (lambda **how: Labeller(Orders(thin), **how), lambda **how: PalletizingEnv(orders=thin, **how)):
+        with pytest.raises(InputError, match=r"^orders: order B8, box 1: a side of 4 mm vanishes under"):
+            reader(size_reduction_mm=6, **MUJOCO)
+    with pytest.raises(InputError, match=r"^size_mm: a side of 4 mm vanishes under the size reduction of 6 mm"):
+        petmjx.Pallets(1, size_reduction_mm=6, **MUJOCO).place(size_mm=[4, 300, 200], corner_mm=[0, 0, 0], mass_kg=1)
     with pytest.raises(InputError, match="explore must be"):
         Labeller(Orders(too_long), explore=2, **MUJOCO)
 
@@ -167,16 +178,77 @@ def test_one_run_at_a_time_writes_labels_into_a_folder(tmp_path: Path) -> None:
     refusals: list[str] = []
 
     class Watched(Labeller):
-        def labels(self, count: int) -> Iterator[Label]:
+        def episodes(self, count: int, first: int = 0) -> Iterator[list[Label]]:
             with pytest.raises(InputError) as refused:
                 write_labels(labeller, 1, out, source="endless", overwrite=True)
             refusals.append(str(refused.value))
-            yield from super().labels(count)
+            yield from super().episodes(count, first)
 
     card = write_labels(Watched(Orders(some_orders(2)), pallets=1, **MUJOCO), 2, out, source="endless")
     assert sum(numbers["labels"] for numbers in card["splits"].values()) == 2
     assert len(refusals) == 1
     assert "another run (process" in refusals[0]
-    assert not list(out.glob(".*")), "neither the lock nor hidden tables are left"
+    assert {file.name for file in out.iterdir()} == {
+        "train.parquet",
+        "validation.parquet",
+        "test.parquet",
+        CARD,
+        README,
+    }
     with pytest.raises(InputError, match="exists"):
         write_labels(labeller, 1, out, source="endless")
+
+
+def test_labels_that_were_interrupted_go_on_as_if_they_had_not_been(
+    folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """The same labels, in the same order, and the same card as of one run."""
+    monkeypatch.setattr("petmjx.loop.label_files._ROWS", 10)
+    out, whole = tmp_path / "set", Labeller.episodes
+    command = ["label", str(folder / "orders.csv"), "-o", str(out), "--engine", "mujoco", "--threads", "1"]
+    command += ["--explore", "0.8", "--pallets"]
+
+    def cut_short(labeller: Labeller, count: int, first: int = 0) -> Iterator[list[Label]]:
+        for number, labels in enumerate(whole(labeller, count, first)):
+            if number == 4:
+                raise KeyboardInterrupt
+            yield labels
+
+    monkeypatch.setattr(Labeller, "episodes", cut_short)
+    assert main([*command, "8", "-n", "60"]) == 130
+    (n_kept,) = re.findall(r"interrupted: (\d+) of 60 labels are in .*set; --resume goes on", capsys.readouterr().err)
+    assert 8 <= int(n_kept) < 30
+    assert main([*command, "8", "-n", "60"]) == 2
+    assert f"set: holds {n_kept} labels of an unfinished set; go on with --resume, or" in capsys.readouterr().err
+    assert main([*command, "8", "-n", "60", "--resume", "--seed", "1"]) == 2
+    assert "cannot be resumed, its labels are others (options.seed was 0, is 1)" in capsys.readouterr().err
+    monkeypatch.setattr(Labeller, "episodes", whole)
+    assert main([*command, "3", "-n", "60", "--resume"]) == 0
+    for split, file in label_files(folder / "set").items():
+        assert pq.read_table(file).equals(pq.read_table(out / f"{split}.parquet")), split
+    assert (out / CARD).read_text(encoding="utf-8") == (folder / "set" / CARD).read_text(encoding="utf-8")
+    assert len(list(out.iterdir())) == 5
+    assert main([*command, "3", "-n", "60", "--resume"]) == 0, "finished labels stay as they are"
+    assert main([*command, "3", "-n", "60", "--resume", "--overwrite"]) == 2
+
+
+def test_damaged_parts_are_named(tmp_path: Path) -> None:
+    orders = Orders(some_orders(2))
+    out, labeller = tmp_path / "set", Labeller(orders, pallets=1, **MUJOCO)
+    parts = LabelParts(tmp_path, {}, resume=False)
+    (labels, *_) = labeller.episodes(1)
+    parts.add(labels)
+    again = LabelParts(tmp_path, {}, resume=True)
+    assert (again.n_labels, again.next_episode) == (len(labels), 1)
+    (table,) = again.tables()
+    for ours, theirs in zip(labels_of(table), labels, strict=True):
+        assert ours["stands"] == theirs["stands"]
+        np.testing.assert_allclose(ours["corner_mm"], theirs["corner_mm"], rtol=1e-6)
+    (part,) = (tmp_path / "parts").iterdir()
+    part.write_bytes(part.read_bytes()[:-1])
+    with pytest.raises(InputError, match=r"part-00000.parquet: damaged part, it differs from what the run wrote"):
+        list(LabelParts(tmp_path, {}, resume=True).tables())
+    (tmp_path / "unfinished.json").write_text("{}")
+    with pytest.raises(InputError, match=r"unfinished.json: damaged; make the labels again"):
+        write_labels(labeller, 1, tmp_path, source="endless", resume=True)
+    assert not out.exists()

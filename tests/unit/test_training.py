@@ -309,6 +309,16 @@ def test_the_vec_env_is_the_vector_environment_with_infos_of_each(vec_env: tuple
     assert ended > 3
     env.set_attr("level", 0.5, [1])
     assert env.get_attr("level") == [1.0, 0.5, 1.0]
+    env.set_attr("level", [0.5, 0.75], [1, -1])
+    assert env.get_attr("level", -1) == [0.75] == env.get_attr("level")[2:]
+    np.testing.assert_array_equal(env.env_method("action_masks", indices=-1)[0], env.action_masks(2))
+    for value, line in (([0.1, 0.2], "level must be a number from 0 to 1, or 3 of them, got"), ("x", "level must be")):
+        with pytest.raises(InputError, match=line):
+            env.set_attr("level", value)
+    assert env.get_attr("level") == [1.0, 0.5, 0.75], "a refused level changes nothing"
+    for indices in (3, -4, [0, 3]):
+        with pytest.raises(InputError, match=r"indices: there are environments 0 to 2, got (3|-4)"):
+            env.get_attr("level", indices)
     env.set_options({"level": 0.25})
     env.reset()
     assert env.get_attr("level") == [0.25] * 3

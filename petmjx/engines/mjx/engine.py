@@ -71,7 +71,7 @@ class Program:
 
 
 MOST_KEPT = 16
-"""Number of programs that a process keeps for engines to come."""
+"""Number of programs that a process keeps for later engines."""
 
 _kept: dict[tuple[type, ProgramKey], Program] = {}
 """Class of an engine and key → program, the latest last. Engines of several threads may share a program."""

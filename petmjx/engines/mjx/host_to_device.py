@@ -23,7 +23,8 @@ GRANULE = 4
 """Box columns of a table are a multiple of this, so that runs with different plans use the same programs."""
 
 PROFILE_GRANULE = 512
-"""Steps of a table of profiles are a multiple of this, for the same reason: the legs of a chain differ in length."""
+"""Steps of a table of profiles are a multiple of this, so that the legs of a chain use the same programs, although they
+differ in length."""
 
 
 @dataclass
@@ -99,7 +100,7 @@ def tables(
                 ends[row] = timetable.static_end if static else timetable.one_by_one_end[job.scene.n_boxes]
     fresh = partial(fresh_state, all_placed=static, rest_steps=timetable.rest_steps)
     if all(isinstance(job.start, State) for job in jobs):
-        # no job needs a fresh state, and so its program need not be compiled
+        # no job needs a fresh state, so the program of fresh states need not be compiled
         return worlds, started_states(jobs, jax.eval_shape(fresh, worlds, ends=ends))
     return worlds, started_states(jobs, fresh(worlds, ends=device_array(ends)))
 

@@ -90,7 +90,7 @@ def _outcomes(
 
 
 def _put_at_rest(jobs: Sequence[Job], host: State) -> None:
-    """Put the boxes of jobs with ``poses`` to rest there, in states on the host."""
+    """Put the boxes of jobs with ``poses`` at these poses, at rest, in states on the host."""
     for row, job in enumerate(jobs):
         if job.poses is None:
             continue
@@ -107,7 +107,7 @@ def started_states(jobs: Sequence[Job], fresh: State) -> State:
     only if a job needs them. Padding rows never run, and may have any state.
 
     Args:
-        fresh: arrays without values, only shapes and types, are enough if all jobs start from kept states.
+        fresh: fresh states; if all jobs start from kept states, shapes and types without values are enough.
     """
     # a drive that follows a placement at once begins on the device, where boxes cannot be put elsewhere
     assert all(job.poses is None or isinstance(job.start, State) for job in jobs)

@@ -55,11 +55,11 @@ class MujocoEngine(Engine):
         self.world_timeout_s = world_timeout_s
 
     def open(self, scenes: Sequence[Scene], sim: Simulation, most_boxes: int = MOST_BOXES) -> MujocoWorlds:
-        """Like ``Engine.open``, on this engine's threads, with room for any number of boxes."""
+        """See ``Engine.open``. Worlds run on this engine's threads, and have room for any number of boxes."""
         return MujocoWorlds(scenes, sim, self.threads)
 
     def paths(self, bodies: FreeBodies, sim: Simulation) -> FloatArray:
-        """Like the method of the protocol, on this engine's threads."""
+        """See ``Engine.paths``. Worlds run on this engine's threads."""
         return paths(bodies, sim, self.threads)
 
     @property

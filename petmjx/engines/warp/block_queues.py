@@ -16,7 +16,7 @@ from petmjx.world.job import Job
 
 
 class Queues:
-    """A queue for each size of worlds. The longest come first, so that the last ones to end are short.
+    """A queue for each size of worlds. The longest worlds come first, so that the last worlds to end are short.
 
     On few threads worlds that start from a state come before all others, the latest first (``depth_first``): so worlds
     end all the time, and few are half done.

@@ -30,7 +30,7 @@ class MjxWarpCpuEngine(MjxWarpEngine):
         threads: worlds simulated at once; None: as many as CPU threads this process may use.
 
     Raises:
-        EngineUnavailable: Warp is not installed, or JAX uses a GPU in this process; the line says which.
+        EngineUnavailable: Warp is not installed, or JAX uses a GPU in this process; the message says which.
     """
 
     name = "mjx-warp-cpu"

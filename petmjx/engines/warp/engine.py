@@ -61,7 +61,8 @@ class MjxWarpEngine(Engine):
 
     Attributes:
         granule: box columns of tables are a multiple of this.
-        least_rows: fewest rows of a table if more jobs may follow, for runs that begin with few jobs and last long.
+        least_rows: fewest rows of a table, for runs that begin with few jobs and last long, and for many runs of
+            different numbers of jobs: each number of rows, and of columns, is compiled.
         depth_first: whether worlds that follow from outcomes are simulated before others begin. On a GPU the longest
             worlds of both kinds come first, since many blocks are idle at the end if the last worlds are long.
 

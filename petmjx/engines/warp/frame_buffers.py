@@ -27,7 +27,8 @@ FRAMES_PER_BLOCK: Final = 4
 """Least room for each block, in frames: each block may be about to write a frame when room is checked."""
 
 FEWEST: Final = 1024
-"""Fewest frames that are read back together; else eight times as many, and so on. Each number is compiled once."""
+"""Fewest frames that are read back together. If a slice has more, eight times as many are read, and so on: a program is
+compiled for each of these numbers."""
 
 _KINDS: Final = {name: wp.dtype_to_numpy(kind.dtype) for name, kind in world_arrays.array_types(FrameBuffer).items()}
 
@@ -37,7 +38,7 @@ PickedFrames = tuple[dict[str, jax.Array], int]
 
 
 def room_for(table: WorldTable, lanes: int) -> dict[str, jax.Array]:
-    """Empty frame buffers; nearly none if no world of the table is recorded."""
+    """Empty frame buffers. They have room for one frame if no world of the table is recorded."""
     n_worlds, n_boxes = table.table.qpos.shape[:2]
     words = sum(math.prod(shape) for shape in _shapes(1, n_boxes, 0).values())
     n_recorded = int(np.count_nonzero(table.recorder.every))
@@ -50,8 +51,8 @@ def room_for(table: WorldTable, lanes: int) -> dict[str, jax.Array]:
 
 
 def pick_frames(frames: dict[str, jax.Array]) -> PickedFrames:
-    """The frames of an ended slice and their number, still on the device. Call it before the next slice begins; else
-    the device would finish that slice first."""
+    """The frames of an ended slice, still on the device, and their number. Call this before the next slice begins;
+    otherwise the device would finish that slice first."""
     used, room = int(np.asarray(frames["used"])[0]), len(frames["of"])
     some = FEWEST
     while some < used:

@@ -47,7 +47,7 @@ class TableJobs:
 
     Args:
         size: most rows of a table.
-        least_rows: fewest rows of a table if more jobs may follow.
+        least_rows: fewest rows of a table.
         granule: as for ``KernelFeatures.of``.
         depth_first: whether jobs that follow shall begin at once. The first table then also has their features.
 
@@ -107,8 +107,9 @@ class TableJobs:
             needs = _roomy(needs | self.needs)
         self.needs, self._begun = needs, True
         taken = self._take(further)
-        following = min(self._stream.bounds.jobs, MOST_FOLLOWING_ROWS) if self._stream.bounds is not None else 0
-        rows = min(max(SPARE_ROWS * len(every), self._least_rows, following), self._size) if grows else 0
+        bounds = self._stream.bounds if grows else None
+        following = min(bounds.jobs, MOST_FOLLOWING_ROWS) if bounds is not None else 0
+        rows = min(max(SPARE_ROWS * len(every) if grows else 0, following, self._least_rows), self._size)
         return every, [*stream_numbers, *taken], padded_rows(max(len(every), rows))
 
     def profile_room(self, jobs: Sequence[Job], rows: int) -> tuple[int, int]:

@@ -1,0 +1,185 @@
+"""The labels of a set that is not finished: Parquet parts in its folder, and a file that lists them.
+
+    DIR/unfinished.json        the set (orders, options, engine), how many labels are there, the next episode, the parts
+    DIR/parts/part-*.parquet   labels of whole episodes, in order
+
+Parts are written and read as those of a run (petmjx.results.run_table_files): a part counts once it is listed, with its
+digest. So a killed process loses the labels of the last minute and of the episodes under way, and another one goes on.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import suppress
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+from numpy.typing import NDArray
+
+from petmjx.common.arrow_files import open_for_arrow
+from petmjx.common.checked_records import option
+from petmjx.common.errors import InputError
+from petmjx.common.processes import defer_signals
+from petmjx.common.safe_read import read_regular
+from petmjx.loop.placement_labels import SCHEMA, Label
+from petmjx.results.run_folder import part_files, write_text
+from petmjx.results.run_table_files import Tables
+from petmjx.results.run_tables import LISTED, Parts
+from petmjx.results.schema import SCHEMA_VERSION
+
+UNFINISHED: Final = "unfinished.json"
+TABLE: Final = "parts"
+SPLIT: Final = "split"
+
+_MOST_BYTES: Final = 1 << 26
+"""Largest list of parts: a million parts."""
+
+_PART_SCHEMA: Final = SCHEMA.append(pa.field(SPLIT, pa.string())).with_metadata(
+    {"schema_version": str(SCHEMA_VERSION), "table": TABLE}
+)
+
+
+class LabelParts:
+    """The parts of a set of labels. Raises OSError where a file cannot be written.
+
+    Args:
+        folder: of the set; ``head``: what the set is of, as plain JSON values.
+        resume: go on with the parts in the folder, if there are any. Otherwise they are deleted.
+
+    Attributes:
+        n_labels: number of labels in the parts; ``next_episode``: number of the first episode that they lack.
+
+    Raises:
+        InputError: the parts are of another set, or damaged.
+    """
+
+    def __init__(self, folder: Path, head: Mapping[str, Any], *, resume: bool) -> None:
+        self._folder, self._head = folder, json.loads(json.dumps(head))
+        self.n_labels = self.next_episode = 0
+        self._tables = Tables(folder)
+        if resume and (entries := _entries(folder)) is not None:
+            check_same_set(folder, entries["set"], self._head)
+            self.n_labels, self.next_episode = entries["labels"], entries["next_episode"]
+            self._tables = Tables(folder, Parts.of(folder, entries))
+        else:
+            self._list()  # first, so that no old list names deleted parts
+        listed = self._tables.parts.files(TABLE)
+        for file in part_files(folder, TABLE):
+            if file not in listed:
+                file.unlink()
+
+    def add(self, labels: Sequence[Label]) -> None:
+        """Write labels of whole episodes as a part."""
+        if not labels:
+            return
+        with defer_signals(afterwards=True):
+            number = self._tables.parts.next_number(TABLE)
+            self._tables.add(self._tables.write(TABLE, number, table_of(labels)))
+            self.n_labels += len(labels)
+            self.next_episode = labels[-1]["episode"] + 1
+            self._list()
+
+    def tables(self) -> Iterator[pa.Table]:
+        """The parts, in order: columns of ``SCHEMA``, and ``SPLIT``. Raises InputError for a damaged one."""
+        for file in self._tables.parts.files(TABLE):
+            self._tables.parts.check(file)  # it is as it was written, so that Arrow can read its lists
+            with open_for_arrow(file) as stream:
+                yield pq.read_table(stream)
+
+    def remove(self) -> None:
+        """Delete the list and the parts."""
+        (self._folder / UNFINISHED).unlink(missing_ok=True)
+        for file in part_files(self._folder, TABLE):
+            file.unlink()
+        with suppress(OSError):  # somebody else's files are in it, or it was never made
+            (self._folder / TABLE).rmdir()
+
+    def _list(self) -> None:
+        entries = {
+            "set": self._head,
+            "labels": self.n_labels,
+            "next_episode": self.next_episode,
+            LISTED: self._tables.parts.digests,
+        }
+        write_text(json.dumps(entries, indent=2) + "\n", self._folder / UNFINISHED)
+
+
+def n_unfinished(folder: Path) -> int | None:
+    """The number of labels in the parts of an unfinished set in a folder; None: there is no such set.
+
+    Raises:
+        InputError: the list is damaged.
+    """
+    entries = _entries(folder)
+    return None if entries is None else int(entries["labels"])
+
+
+def check_same_set(folder: Path, before: Mapping[str, Any], now: Mapping[str, Any]) -> None:
+    """Raises InputError, which names what differs, if labels in a folder are of another set."""
+    if different := _difference(before, now):
+        raise InputError(f"{folder}: cannot be resumed, its labels are others ({different})")
+
+
+def _difference(before: Any, now: Any, name: str = "") -> str:
+    """The first entry in which two sets differ: "options.seed was 0, is 1"; "": none."""
+    if isinstance(before, Mapping) and isinstance(now, Mapping):
+        of_each = (
+            _difference(before.get(key), now.get(key), f"{name}.{key}" if name else key) for key in {**before, **now}
+        )
+        return next(filter(None, of_each), "")
+    return "" if before == now else f"{name} was {json.dumps(before)}, is {json.dumps(now)}"
+
+
+def _entries(folder: Path) -> dict[str, Any] | None:
+    """The list of parts in a folder; None: there is none.
+
+    Raises:
+        InputError: it is damaged.
+    """
+    file = folder / UNFINISHED
+    if not file.exists():
+        return None
+    try:
+        entries: dict[str, Any] = json.loads(read_regular(file, _MOST_BYTES))
+        whole = all(isinstance(entries[name], int) for name in ("labels", "next_episode"))
+        tables = entries[LISTED]
+        whole = whole and isinstance(entries["set"], dict) and set(tables) <= {TABLE}
+        whole = whole and all(name.startswith("part-") for name in tables.get(TABLE, ()))
+    except (OSError, ValueError, TypeError, KeyError, AttributeError, RecursionError):
+        whole = False
+    if not whole:
+        raise InputError(f"{file}: damaged; make the labels again, with {option('--overwrite', 'True')}")
+    return entries
+
+
+def table_of(labels: Sequence[Label]) -> pa.Table:
+    """A table of ``SCHEMA`` and ``SPLIT``."""
+    columns = []
+    for name, kind in zip(_PART_SCHEMA.names, _PART_SCHEMA.types, strict=True):
+        values = [label[name] for label in labels]
+        columns.append(_lists(values, kind) if pa.types.is_list(kind) else pa.array(values, kind))
+    return pa.Table.from_arrays(columns, schema=_PART_SCHEMA)
+
+
+def _lists(values: Sequence[NDArray[Any] | None], kind: pa.DataType) -> pa.Array:
+    """An array of lists of numbers, or of lists of threes."""
+    rows = [np.zeros(0) if row is None else np.asarray(row, np.float32) for row in values]
+    ends = np.cumsum([0, *(len(row) for row in rows)])
+    flat = pa.array(np.concatenate([row.ravel() for row in rows]).astype(np.float32))
+    items = pa.FixedSizeListArray.from_arrays(flat, 3) if pa.types.is_fixed_size_list(kind.value_type) else flat
+    missing = np.array([row is None for row in values])
+    offsets = pa.array(ends, pa.int32(), mask=np.append(missing, False))
+    return pa.ListArray.from_arrays(offsets, items, kind)
+
+
+def labels_of(table: pa.Table) -> list[Label]:
+    """The labels of a table; lists of boxes are arrays."""
+    labels = table.to_pylist()
+    for label in labels:
+        for name in ("size_mm", "corner_mm", "mass_kg"):
+            label[name] = np.array(label[name], float)
+    return labels
