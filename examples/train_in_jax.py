@@ -26,6 +26,7 @@ OPTIONS: dict[str, Any] = {
     "inside_mm": 20.0,
     "max_height_mm": 2000.0,
     "cell_mm": 50.0,
+    "longest_wait_s": 2.0,  # all pallets wait for the one that trembles longest
     "rewards": {"utilisation": 20, "fall": 2},
 }
 
