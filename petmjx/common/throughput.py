@@ -23,24 +23,29 @@ class Throughput:
 
     def __init__(self, total: int | None, what: str, clock: Callable[[], float] = time.monotonic) -> None:
         self._total, self._what, self._clock = total, what, clock
-        self._done = 0
+        self._done, self._work = 0, 0.0
         self._begin = clock()
-        self._marks = deque([(0, self._begin)])
-        """Pairs of a number of finished worlds and the time at which it was first seen, s. The oldest pair is where the
-        time window of ``left`` begins."""
+        self._marks = deque([(0.0, self._begin)])
+        """Pairs of an amount of work, in worlds, and the time at which it was first seen, s. The oldest pair is where
+        the time window of ``left`` begins."""
 
-    def update(self, done: int) -> None:
-        """Set the number of finished worlds."""
-        if done == self._done:
+    def update(self, done: int, share: float | None = None) -> None:
+        """Set the number of finished worlds.
+
+        Args:
+            share: share of the work that is done, 0 to 1; None: that of finished worlds.
+        """
+        work = float(done) if share is None or self._total is None else share * self._total
+        if (done, work) == (self._done, self._work):
             return
-        self._done = done
-        mark = done, self._clock()
+        self._done, self._work = done, work
+        mark = work, self._clock()
         if len(self._marks) > 2 and mark[1] - self._marks[-2][1] < MARK_S:
             self._marks[-1] = mark
         else:
             self._marks.append(mark)
-        n_left = (self._total or 0) - done
-        while n_left > 0 and len(self._marks) > 1 and self._marks[1][0] <= done - n_left:
+        work_left = (self._total or 0) - work
+        while work_left > 0 and len(self._marks) > 1 and self._marks[1][0] <= work - work_left:
             self._marks.popleft()
 
     @property
@@ -62,13 +67,13 @@ class Throughput:
         """How long the remaining worlds will take: "1 min 20 s left". Empty if the remaining time is not known, and at
         the end.
 
-        If n worlds remain, the estimate is the time that the last n finished worlds took. The rate of the whole run
-        would be wrong at the end: the last worlds of a run are few and long.
+        If the work of n worlds remains, the estimate is the time that the last n worlds' work took. The rate of the
+        whole run would be wrong at the end: the last worlds of a run are few and long.
         """
-        if not self._done or self._total is None or self._done >= self._total:
+        if not self._work or self._total is None or self._done >= self._total:
             return ""
-        n_left = self._total - self._done
-        seconds = (self._clock() - self._marks[0][1]) * max(n_left / self._done, 1.0)
+        work_left = self._total - self._work
+        seconds = (self._clock() - self._marks[0][1]) * max(work_left / self._work, 1.0)
         return f"{time_left(max(seconds, 1.0))} left"
 
     @property

@@ -239,6 +239,5 @@ class AttemptRunner(Generic[AnyWorld]):
         changed."""
         if checked.verdict is before.verdict:
             return before
-        name = f"{world.plan.plan_id}, variant {world.variant}" if world.variant else world.plan.plan_id
-        self.engines.note(f"{name}: {before.verdict}, and {checked.verdict} at half the timestep")
+        self.engines.note(f"{world.name}: {before.verdict}, and {checked.verdict} at half the timestep")
         return replace(before, flags=before.flags | Flag.TIMESTEP)

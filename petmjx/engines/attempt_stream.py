@@ -18,9 +18,9 @@ from petmjx.common.errors import InputError
 from petmjx.common.processes import defer_signals
 from petmjx.common.text import count_text
 from petmjx.engines.attempt_runner import AttemptResult, AttemptRunner, Pending
-from petmjx.engines.attempts import ATTEMPTS, BESIDE, AttemptRecipe, Engines, ready_for
+from petmjx.engines.attempts import ATTEMPTS, BESIDE, AttemptRecipe, Engines, may_go_on, ready_for
 from petmjx.engines.contact_penetration import may_penetrate
-from petmjx.engines.job_stream import JobStream
+from petmjx.engines.job_stream import JobBounds, JobStream
 from petmjx.engines.protocol import GROUP_WORLDS, Capability, Engine, Progress
 from petmjx.engines.subprocess.attempt_process import READY, Answer, Task
 from petmjx.engines.subprocess.check_pool import LARGE, CheckPool
@@ -64,6 +64,7 @@ def score_worlds(
     most_pending: int = MOST_PENDING,
     attempts: Sequence[AttemptRecipe] = ATTEMPTS,
     following: Callable[[], Iterable[AnyWorld]] | None = None,
+    bounds: JobBounds | None = None,
     check_pool: CheckPool[Any] | None = None,
 ) -> Iterator[WorldResult[AnyWorld]]:
     """Simulate worlds and yield the result of each one when it is final, in any order.
@@ -77,7 +78,7 @@ def score_worlds(
     each outcome. An engine that takes a stream simulates these worlds beside the running ones, any other engine after
     these have ended.
 
-    ``begin_with``: number of worlds with which a GPU begins.
+    ``begin_with``: number of worlds with which a GPU begins. ``bounds``: bounds of all jobs, also of those that follow.
 
     ``check_pool``: a pool that several calls use one after the other; None: a call with many worlds starts its own.
 
@@ -95,7 +96,10 @@ def score_worlds(
     if sim.has_soft and not engines.has_fallback and Capability.SOFT not in engine.capabilities:
         raise InputError(f"soft boxes need the engine mujoco, got {engine.name}")
     stream = JobStream[Pending[AnyWorld]](
-        most_boxes=PENDING_BOXES * engine.devices, feedback=following is not None, begin_with=begin_with
+        most_boxes=PENDING_BOXES * engine.devices,
+        feedback=following is not None,
+        begin_with=begin_with,
+        bounds=bounds,
     )
     most_pending *= engine.devices
     first_runner = AttemptRunner[AnyWorld](attempts[0], attempts[0].apply_to_sim(sim), engines, most=most_pending)
@@ -233,8 +237,10 @@ class _AttemptRun(Generic[AnyWorld]):
         """
         world, outcome, records = pending
         assert outcome is not None
-        later = self.attempts[self.attempts.index(attempt) + 1 :]
-        next_attempt = next((recipe for recipe in later if recipe.is_for(outcome, self.sim)), None)
+        next_attempt = None
+        if may_go_on(outcome, self.sim):
+            later = self.attempts[self.attempts.index(attempt) + 1 :]
+            next_attempt = next((recipe for recipe in later if recipe.is_for(outcome, self.sim)), None)
         if next_attempt is None:
             yield WorldResult(world, outcome, records)
         elif not self.side_tasks.begin(next_attempt, pending):

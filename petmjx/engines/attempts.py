@@ -156,6 +156,12 @@ ATTEMPTS: tuple[AttemptRecipe, ...] = (
 )
 """The attempts, in order. Attempts 1 and 6 to 9 use the run's own solver (Newton by default)."""
 
+
+def may_go_on(outcome: Outcome, sim: Simulation) -> bool:
+    """Whether a further attempt may be for a world: not for most worlds of a run, whatever the attempt."""
+    return outcome.verdict is Verdict.INVALID or bool(int(outcome.flags) & _SINKING) or sim.check_timestep
+
+
 FALLBACKS: Final = {"mjx-jax": "mujoco", "mjx-warp": "mujoco", "mjx-warp-cpu": "mujoco"}
 """Engine → its fallback engine."""
 

@@ -10,14 +10,14 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 from dataclasses import replace
 from functools import cached_property, lru_cache
-from itertools import compress, pairwise
+from itertools import pairwise
 from typing import Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from petmjx.common.units import FloatArray
-from petmjx.engines.contact_tilt import BOUND_SHARE, contact_tilt_suspects
+from petmjx.engines.contact_tilt import BOUND_SHARE
 from petmjx.engines.verdict import Flag, Outcome, Reason, Verdict, judge
 from petmjx.options.physics import Cone, Physics
 from petmjx.options.simulation import Simulation
@@ -176,35 +176,23 @@ ON_CARRIER_M = 0.001
 """A box whose planned bottom is lower than this stands on the carrier."""
 
 
-def note_softness(outcomes: Sequence[Outcome], jobs: Sequence[Job], sim: Simulation) -> list[Outcome]:
-    """The outcomes, with ``Flag.SINKING`` if the depth of contacts may have decided the verdict.
+def note_penetration(outcomes: Sequence[Outcome], jobs: Sequence[Job], sim: Simulation) -> list[Outcome]:
+    """The outcomes, with ``Flag.SINKING`` if boxes sank so far that the depth of contacts may have decided the verdict.
 
-    A world whose boxes sank has no verdict. A world that may have tipped over because contacts are soft keeps its
-    verdict, in case stiffer contacts do not change it. With pyramidal cones, as in preset ``reference``, all worlds
-    keep their verdict.
+    A world whose boxes sank has no verdict. With pyramidal cones, as in preset ``reference``, all worlds keep their
+    verdict.
     """
     noted, elliptic = list(outcomes), sim.physics.cone is Cone.ELLIPTIC
-    may_lean: list[int] = []
     scenes = [job.scene for job in jobs]
     did_not = penetration_excluded(outcomes, scenes, sim) if elliptic else [False] * len(outcomes)
     for k, (outcome, scene) in enumerate(zip(outcomes, scenes, strict=True)):
         if outcome.verdict is Verdict.INVALID or scene.soft is not None:  # soft boxes have contacts of their own
             continue
         if not did_not[k] and has_penetrated(outcome, scene, sim):
-            noted[k] = _softened_outcome(outcome, sim, sank=elliptic)
-        elif elliptic and outcome.verdict is Verdict.UNSTABLE:
-            may_lean.append(k)
-    if may_lean:
-        leans = contact_tilt_suspects([outcomes[k] for k in may_lean], [jobs[k] for k in may_lean], sim)
-        for k in compress(may_lean, leans):
-            noted[k] = _softened_outcome(outcomes[k], sim, sank=False)
+            flags = outcome.flags | Flag.SINKING
+            verdict, reason = judge(flags, outcome.boxes, outcome.n_placed, sim.thresholds, sank=elliptic)
+            noted[k] = replace(outcome, flags=flags, verdict=verdict, reason=reason)
     return noted
-
-
-def _softened_outcome(outcome: Outcome, sim: Simulation, *, sank: bool) -> Outcome:
-    flags = outcome.flags | Flag.SINKING
-    verdict, reason = judge(flags, outcome.boxes, outcome.n_placed, sim.thresholds, sank=sank)
-    return replace(outcome, flags=flags, verdict=verdict, reason=reason)
 
 
 def penetration_excluded(outcomes: Sequence[Outcome], scenes: Sequence[Scene], sim: Simulation) -> list[bool]:
@@ -259,9 +247,9 @@ _PLACES: Final = (("target", np.inf), ("half_size", 0.0))
 
 
 def _deepest_m(outcomes: Sequence[Outcome], scenes: Sequence[Scene], physics: Physics) -> FloatArray:
-    """(m,) upper bound of ``contact_penetration_m`` in each world, m: the largest one, but for rounding, if the largest
-    force on each box's top rests there. Impacts beyond the weight of everything above a box are rare. Arrays have as
-    many columns as the largest world has boxes."""
+    """(m,) upper bound of ``contact_penetration_m`` in each world, m: the depths on both sides of a contact are added,
+    and the largest force on each box's top rests there. Impacts beyond the weight of everything above a box are rare.
+    Arrays have as many rows as the largest world has boxes, and a column for each world."""
     counts = np.array([scene.n_boxes for scene in scenes], np.intp)
     is_box = np.arange(counts.max()) < counts[:, None]
 
@@ -274,26 +262,30 @@ def _deepest_m(outcomes: Sequence[Outcome], scenes: Sequence[Scene], physics: Ph
     # rows without a box are infinitely high, and overlap none
     place, half = (filled((getattr(scene, name) for scene in scenes), fill) for name, fill in _PLACES)
     order = np.argsort(place[..., 2], axis=1, kind="stable")
-    place, half = (np.take_along_axis(values, order[..., None], axis=1) for values in (place, half))
     placed = np.arange(counts.max()) < np.array([outcome.n_placed for outcome in outcomes])[:, None]
     top_n = np.where(placed, filled((outcome.boxes.max_top_force_n for outcome in outcomes), 0.0), 0.0)
-    mass = filled((scene.mass for scene in scenes), 1.0)
-    top_n, mass = (np.take_along_axis(values, order, axis=1) for values in (top_n, mass))
+    mass = filled((scene.mass for scene in scenes), np.inf)
     carrier = np.array([scene.carrier.mass for scene in scenes])
     total, gravity = np.array([scene.total_mass for scene in scenes]), physics.gravity_m_s2
     low, high = place - half, place + half
-    over = overlap(low[..., 0], high[..., 0]) & overlap(low[..., 1], high[..., 1])
     inverse = 1 / mass + np.where(low[..., 2] < ON_CARRIER_M, 1 / carrier[:, None], 0.0)
-    above = top_n / mass / CONTACTS_PER_FACE
-    below = inverse * (top_n + mass * gravity) / CONTACTS_PER_FACE
-    world, upper, lower = np.nonzero(np.tril(over, -1))
-    through = np.full(over.shape, -np.inf)
-    through[world, upper, lower] = depth_m(physics, below[world, upper] + above[world, lower])
-    sinking = depth_m(physics, total * gravity / carrier / CONTACTS_PER_FACE)[:, None] + depth_m(physics, below)
-    for number in range(1, sinking.shape[1]):
-        deeper = (sinking[:, :number] + through[:, number, :number]).max(axis=1)
-        np.maximum(sinking[:, number], deeper, out=sinking[:, number])
-    deepest: FloatArray = np.where(np.take_along_axis(is_box, order, axis=1), sinking, 0.0).max(axis=1)
+    pull = top_n + np.where(is_box, mass, 0.0) * gravity
+    above, below = (depth_m(physics, part / CONTACTS_PER_FACE) for part in (top_n / mass, inverse * pull))
+    columns = (low[..., 0], high[..., 0], low[..., 1], high[..., 1], above, below)
+    low_x, high_x, low_y, high_y, above, below = (
+        np.ascontiguousarray(np.take_along_axis(values, order, axis=1).T) for values in columns
+    )
+    # from the floor up: the depth at each box's top, below the first row that of the carrier
+    depth = np.empty((len(above) + 1, len(scenes)))
+    depth[0] = depth_m(physics, total * gravity / carrier / CONTACTS_PER_FACE)
+    over = np.ones((len(above), *depth.shape), bool)
+    over[:, 1:] = (high_x > low_x[:, None]) & (low_x < high_x[:, None])
+    over[:, 1:] &= (high_y > low_y[:, None]) & (low_y < high_y[:, None])
+    otherwise = np.where(over, 0.0, -np.inf)
+    for box, part in enumerate(above + below, start=1):
+        (depth[:box] + otherwise[box - 1, :box]).max(axis=0, out=depth[box])
+        depth[box] += part
+    deepest: FloatArray = (depth[1:] - above).max(axis=0)
     return deepest
 
 

@@ -26,10 +26,9 @@ from petmjx.engines.verdict import Outcome
 from petmjx.options.physics import Physics
 from petmjx.options.simulation import Simulation
 from petmjx.world.contact_laws import depth_m, is_stiff
-from petmjx.world.edge_distances import loads_and_edges
 from petmjx.world.history import CARRIER
 from petmjx.world.job import Job
-from petmjx.world.supports import TOUCH_M, Bearing, bearings_of, find_bearings
+from petmjx.world.supports import Bearing
 
 CONTACTS_PER_SIDE: Final = 2
 
@@ -75,14 +74,11 @@ class ContactTilt(NamedTuple):
     shift_m: FloatArray
 
 
-def contact_tilt_of(
-    bearing: Bearing, load: FloatArray, edge_m: FloatArray, physics: Physics, under: Sequence[Sequence[int]]
-) -> ContactTilt:
+def contact_tilt_of(bearing: Bearing, load: FloatArray, edge_m: FloatArray, physics: Physics) -> ContactTilt:
     """How far boxes lean under loads that act ``edge_m`` inside the edges of their supports: upper estimates.
 
     Args:
         load: (n, 4) as in ``Bearing.loads``.
-        under: the boxes that bear each box.
     """
     boxes, width = bearing.boxes, bearing.widths_m
     with np.errstate(divide="ignore", invalid="ignore"):
@@ -99,35 +95,64 @@ def contact_tilt_of(
 
     own_lean = np.nan_to_num(angle(np.clip(edge_m / width, 0.0, 0.5)))
     own_lean[edge_m < -KNIFE_EDGE_M] = 0.0  # it tips over in any contacts
-    below, shift = _tilt_from_below(bearing, own_lean, under)
+    below, shift = _tilt_from_below(bearing, own_lean)
     loss = (SHARES[:, None] * width + angle(SHARES[:, None]) * height).min(axis=0)
     return ContactTilt(loss + below * height, below + own_lean, shift)
 
 
-def _tilt_from_below(
-    bearing: Bearing, own_lean: FloatArray, under: Sequence[Sequence[int]]
-) -> tuple[FloatArray, FloatArray]:
+def _tilt_from_below(bearing: Bearing, own_lean: FloatArray) -> tuple[FloatArray, FloatArray]:
     """(n,) each: the angle by which boxes lean because the boxes below them lean, and how far their centres move
     sideways."""
-    bottom, angle = bearing.boxes.bottom.tolist(), own_lean.tolist()
-    half, middle = bearing.boxes.half_size[:, 2].tolist(), bearing.boxes.target[:, 2].tolist()
-    below, shift = [0.0] * len(angle), [0.0] * len(angle)
-    for box in np.argsort(bottom, kind="stable").tolist():
-        if under[box]:
-            below[box] = max(below[lower] + angle[lower] for lower in under[box])
-            shift[box] = max(shift[k] + (below[k] + angle[k]) * (bottom[box] - middle[k]) for k in under[box])
-        shift[box] += (below[box] + angle[box]) * half[box]
-    return np.array(below), np.array(shift)
+    bottom, middle, half = bearing.boxes.bottom, bearing.boxes.target[:, 2], bearing.boxes.half_size[:, 2]
+    below, moved = np.zeros((2, len(own_lean)))
+    turned, shift = own_lean.copy(), own_lean * half
+    for between in reversed(bearing.levels):  # from the lowest boxes up
+        upper, lower = bearing.upper[between], bearing.lower[between]
+        below[upper] = moved[upper] = -np.inf
+        np.maximum.at(below, upper, turned[lower])
+        np.maximum.at(moved, upper, shift[lower] + turned[lower] * (bottom[upper] - middle[lower]))
+        turned[upper] = below[upper] + own_lean[upper]
+        shift[upper] = moved[upper] + turned[upper] * half[upper]
+    return below, shift
 
 
-def contact_tilt_suspects(outcomes: Sequence[Outcome], jobs: Sequence[Job], sim: Simulation) -> list[bool]:
+def n_loading(outcome: Outcome) -> int:
+    """Number of boxes that were placed when a world fell."""
+    return outcome.n_at_sign if outcome.n_at_sign > 0 else outcome.n_placed
+
+
+def places_with_errors(job: Job) -> FloatArray:
+    """(n, 3) places at which boxes of a world with errors of placement or size count, m. They lie on all bodies with a
+    gap below them of at most the threshold of shift.
+
+    With errors of placement or size, a box often overlaps a neighbour that is millimetres higher, and is released on
+    the strip that they share. A box does not stand on such a strip: it tips, and leans on the bodies beside the strip.
+    So boxes of these worlds count at their place of release. With the strip alone, 75 of 167 unstable worlds with
+    errors would be simulated again; with this rule only a few.
+    """
+    places: FloatArray = np.c_[job.scene.start_pos[:, :2], job.scene.target[:, 2]]
+    return places
+
+
+def contact_tilt_suspects(
+    outcomes: Sequence[Outcome],
+    jobs: Sequence[Job],
+    sim: Simulation,
+    bearing: Bearing,
+    load: FloatArray,
+    edge: FloatArray,
+) -> list[bool]:
     """Which worlds may be unstable because of soft contacts: boxes lean too far, or a load that is inside the edge in
-    the plan may have moved beyond it. ``outcomes`` is not empty."""
-    placed = [outcome.n_at_sign if outcome.n_at_sign > 0 else outcome.n_placed for outcome in outcomes]
-    bearing = _bearing(jobs, sim.thresholds.shift_m)
-    load, _, edge = loads_and_edges(bearing, placed)
+    the plan may have moved beyond it. ``outcomes`` is not empty.
+
+    Args:
+        bearing: of these worlds, joined; of worlds with errors with ``places_with_errors``.
+        load: (n, 4) loads of their boxes as of ``Bearing.loads``, once ``n_loading`` boxes are placed.
+        edge: (n,) distances of these loads from the edges, m.
+    """
+    placed = [n_loading(outcome) for outcome in outcomes]
     under = _supports(bearing)
-    lean = contact_tilt_of(bearing, load, edge, sim.physics, under)
+    lean = contact_tilt_of(bearing, load, edge, sim.physics)
     limits, first = sim.thresholds, bearing.boxes.first.tolist()
     most_safety = STIFF_SAFETY if is_stiff(sim.physics) else SAFETY
 
@@ -148,26 +173,6 @@ def contact_tilt_suspects(outcomes: Sequence[Outcome], jobs: Sequence[Job], sim:
         leans(outcome, job.has_errors, k, k + n)
         for outcome, job, k, n in zip(outcomes, jobs, first, placed, strict=False)
     ]
-
-
-def _bearing(jobs: Sequence[Job], most_gap_m: float) -> Bearing:
-    """The bearing of the worlds, joined.
-
-    With errors of placement or size, a box often overlaps a neighbour that is millimetres higher, and is released on
-    the strip that they share. A box does not stand on such a strip: it tips, and leans on the bodies beside the strip.
-    So boxes of these worlds count at their place of release, and lie on all bodies with a gap below them of at most the
-    threshold of shift. With the strip alone, 75 of 167 unstable worlds with errors would be simulated again; with this
-    rule only a few.
-    """
-    has_errors = np.array([job.has_errors for job in jobs])
-    if not has_errors.any():
-        return bearings_of([job.scene for job in jobs])
-    scenes = [job.scene for job in jobs]
-    places = [
-        np.c_[scene.start_pos[:, :2], scene.target[:, 2]] if job.has_errors else scene.target
-        for scene, job in zip(scenes, jobs, strict=True)
-    ]
-    return find_bearings(scenes, places, np.where(has_errors, most_gap_m, TOUCH_M))
 
 
 def _supports(bearing: Bearing) -> list[list[int]]:

@@ -43,7 +43,7 @@ Faster = TypeVar("Faster", bound=Engine)
 
 
 _Numbered = tuple[int, Job]
-"""A job, with its number in the run."""
+"""A job, with its stream number in the run."""
 
 
 class HandoverEngine(Engine, Generic[Faster]):
@@ -112,14 +112,16 @@ class HandoverEngine(Engine, Generic[Faster]):
         """Time of finished worlds relative to the expected time."""
         return self._spent_s / self._expected_s if self._expected_s > 0 else 1.0
 
-    def _hands_over(self, jobs: Sequence[Job], sim: Simulation, progress: Progress) -> bool:
+    def _hands_over(self, waiting: Callable[[], Sequence[Job]], sim: Simulation, progress: Progress) -> bool:
         """Whether the other engine takes the jobs that have not begun. True: the other engine exists.
 
         Args:
-            jobs: the jobs that have not begun.
+            waiting: gives the jobs that have not begun.
         """
         slower = self._slower()
-        if self._stays or self._worlds < LEAST_WORLDS or slower < SLOWER or not jobs:
+        if self._stays or self._worlds < LEAST_WORLDS or slower < SLOWER:
+            return False
+        if not (jobs := waiting()):
             return False
         threads, costs = self.threads, self._costs
         mujoco_s = slower * float(costs.of_jobs(jobs, sim).sum()) / threads
@@ -159,13 +161,16 @@ class _Shared(Generic[Faster]):
         self._mujoco, self._faster = deque[_Numbered](), deque[_Numbered]()
 
     def take(self, *, wait: bool = False) -> bool:
-        """Take the jobs that are ready; returns whether any job is left.
+        """Take the jobs that can begin; returns whether any job is left. What C MuJoCo cannot begin yet stays in the
+        stream, where jobs that follow from outcomes are taken first.
 
         Args:
             wait: wait for jobs if none is left.
         """
-        left = self.next_is_mujoco or bool(self._faster)
-        for job in self._jobs.take(sys.maxsize, least=2 * self._engine.threads, wait=wait and not left):
+        wait = wait and not self.next_is_mujoco and not self._faster
+        room = 2 * self._engine.threads
+        most = room - len(self._mujoco) if self._engine._faster is None else sys.maxsize
+        for job in self._jobs.take(most, least=room if wait else 1, wait=wait):
             (self._mujoco if self._is_for_mujoco(job) else self._faster).append((self._taken, job))
             self._taken += 1
         return self.next_is_mujoco or bool(self._faster)
@@ -191,8 +196,8 @@ class _Shared(Generic[Faster]):
 
         def feed() -> None:
             while self._mujoco and len(stream.in_flight) + stream.ready < 2 * mujoco.threads:
-                number, job = self._mujoco.popleft()
-                stream.put(ready_for(mujoco.name, job), (number, job))
+                stream_number, job = self._mujoco.popleft()
+                stream.put(ready_for(mujoco.name, job), (stream_number, job))
 
         feed()
         stream.close()  # further jobs are put between outcomes
@@ -206,7 +211,7 @@ class _Shared(Generic[Faster]):
                     spent_s = self._progress.thread_s
                 yield outcome
                 self.take()
-                if outcome is not None and self._first_attempt and self._mujoco:
+                if outcome is not None and self._first_attempt:
                     self._reconsider()
                 feed()
 
@@ -220,24 +225,26 @@ class _Shared(Generic[Faster]):
             engine._expected_s += float(engine._costs.of_jobs([job], self._sim)[0])
 
     def _reconsider(self) -> None:
-        if self._engine._faster is None and self._engine._hands_over(
-            [job for _, job in self._mujoco], self._sim, self._progress
-        ):
+        if self._engine._faster is None and self._engine._hands_over(self._waiting, self._sim, self._progress):
             left = [numbered for numbered in self._mujoco if self._is_for_mujoco(numbered[1])]
             self._faster += [numbered for numbered in self._mujoco if not self._is_for_mujoco(numbered[1])]
             self._mujoco.clear()
             self._mujoco += left
 
+    def _waiting(self) -> list[Job]:
+        """The jobs that have not begun."""
+        return [job for _, job in self._mujoco] + self._jobs.peek(sys.maxsize)
+
     def on_faster(self) -> Iterator[Outcome]:
         """Run jobs on the other engine. After an error of the other engine C MuJoCo simulates the unanswered jobs."""
         faster, progress = self._engine._faster, self._progress
         assert faster is not None
-        stream = JobStream[_Numbered](feedback=self._jobs.feedback)
+        stream = JobStream[_Numbered](feedback=self._jobs.feedback, bounds=self._jobs.bounds)
 
         def feed() -> None:
             while self._faster:
-                number, job = self._faster.popleft()
-                stream.put(ready_for(faster.name, job), (number, job))
+                stream_number, job = self._faster.popleft()
+                stream.put(ready_for(faster.name, job), (stream_number, job))
 
         feed()
         stream.close()  # further jobs are put between outcomes

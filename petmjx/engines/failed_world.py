@@ -10,14 +10,14 @@ from petmjx.options.simulation import Simulation
 from petmjx.world.job import Job
 
 
-def failed_outcome(index: int, job: Job, sim: Simulation, message: str) -> Outcome:
+def failed_outcome(stream_number: int, job: Job, sim: Simulation, message: str) -> Outcome:
     """An invalid outcome without metrics; ``message`` says what happened, in one line."""
     scene = job.scene
     boxes = BoxMetrics.measured(scene.n_boxes, pos=scene.start_pos, quat=scene.start_quat)
     flags = Flag.FAILED | (Flag.FORKED if job.start is not None else Flag.NONE)
     verdict, reason = judge(flags, boxes, 0, sim.thresholds)
     return Outcome(
-        job=index,
+        job=stream_number,
         verdict=verdict,
         reason=reason,
         culprit=-1,

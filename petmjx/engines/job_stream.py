@@ -5,8 +5,8 @@ from __future__ import annotations
 import threading
 from collections import deque
 from collections.abc import Collection, Iterable, Iterator
-from itertools import islice
-from typing import Any, Final, Generic, TypeVar
+from itertools import chain, islice
+from typing import Any, Final, Generic, NamedTuple, TypeVar
 
 from petmjx.world.job import Job
 
@@ -16,27 +16,55 @@ WAIT_S: Final = 0.25
 Tag = TypeVar("Tag")
 
 
+class JobBounds(NamedTuple):
+    """Bounds of all jobs of a run, for an engine that makes room before they come.
+
+    Attributes:
+        jobs: most jobs that are ready at once.
+        box_counts: numbers of boxes of their scenes.
+        drive_steps: samples of the longest drive.
+        excitations: number of different excitations; None: as many as worlds.
+        wraps: whether film is around the boxes of some drives.
+    """
+
+    jobs: int
+    box_counts: Collection[int]
+    drive_steps: int
+    excitations: int | None
+    wraps: bool = False
+
+
 class JobStream(Generic[Tag]):
     """Jobs in order, with the run's tag of each. Thread-safe.
 
     One thread puts the jobs of the run's worlds and waits while the stream is full. The thread that takes outcomes also
-    puts the jobs that follow from outcomes. An engine takes jobs when it has capacity.
+    puts the jobs that follow from outcomes. These are taken first: so few worlds are half done at any time, and few of
+    their states wait in memory. An engine takes jobs when it has capacity.
 
-    The number of a job is its place among the jobs that were taken since ``begin``.
+    The stream number of a job is its place among the jobs that were taken since ``begin``.
 
     Args:
         most_boxes: boxes of the waiting jobs from which on ``put`` waits.
         feedback: whether jobs may follow from outcomes.
         begin_with: number of jobs for which an engine that simulates many at once should wait at first.
+        bounds: bounds of all jobs, also of those that follow; None: unknown.
 
     Attributes:
-        in_flight: number → tag of the jobs that were taken and have no outcome.
+        in_flight: stream number → tag of the jobs that were taken and have no outcome.
     """
 
-    def __init__(self, *, most_boxes: int | None = None, feedback: bool = False, begin_with: int = 1) -> None:
-        self.feedback, self.begin_with = feedback, begin_with
+    def __init__(
+        self,
+        *,
+        most_boxes: int | None = None,
+        feedback: bool = False,
+        begin_with: int = 1,
+        bounds: JobBounds | None = None,
+    ) -> None:
+        self.feedback, self.begin_with, self.bounds = feedback, begin_with, bounds
         self.in_flight: dict[int, Tag] = {}
         self._most_boxes = most_boxes
+        self._following: deque[tuple[Job, Tag]] = deque()
         self._waiting: deque[tuple[Job, Tag]] = deque()
         self._boxes = self._taken = self._unfollowed = 0
         self._open, self._paused = True, False
@@ -54,14 +82,15 @@ class JobStream(Generic[Tag]):
         return stream
 
     def begin(self) -> None:
-        """Begin a run of an engine with the waiting jobs: numbers begin at 0, and no job is in flight."""
+        """Begin a run of an engine with the waiting jobs: stream numbers begin at 0, and no job is in flight."""
         self.in_flight, self._taken, self._unfollowed = {}, 0, 0
 
     def put(self, job: Job, tag: Tag, *, bounded: bool = False) -> bool:
-        """Append a job.
+        """Add a job.
 
         Args:
-            bounded: wait while the stream is full. False: jobs that follow from outcomes never wait.
+            bounded: wait while the stream is full, for jobs of the source. False: jobs that follow from outcomes never
+                wait, and are taken before those of the source.
 
         Returns:
             Whether the stream was open. A closed stream takes no job.
@@ -70,7 +99,7 @@ class JobStream(Generic[Tag]):
             while bounded and self._open and self._is_full:
                 self._changed.wait()
             if self._open or not bounded:
-                self._waiting.append((job, tag))
+                (self._waiting if bounded else self._following).append((job, tag))
                 self._boxes += job.scene.n_boxes
                 self._changed.notify_all()
             return self._open or not bounded
@@ -101,7 +130,14 @@ class JobStream(Generic[Tag]):
         with self._changed:
             if not self._ready(least, wait):
                 return []
-            return [self._pop() for _ in range(min(most, len(self._waiting)))]
+            return [self._pop(self._following or self._waiting) for _ in range(min(most, self.ready))]
+
+    def take_peeked(self, jobs: Iterable[Job]) -> None:
+        """Take the first jobs of the last ``peek``. Jobs that have followed since then wait."""
+        with self._changed:
+            for job in jobs:
+                follows = bool(self._following) and self._following[0][0] is job
+                self._pop(self._following if follows else self._waiting)
 
     def __iter__(self) -> Iterator[Job]:
         """Take one job after another, and wait for each."""
@@ -111,22 +147,23 @@ class JobStream(Generic[Tag]):
     def peek(self, most: int, *, least: int = 1, wait: bool = False) -> list[Job]:
         """As ``take``, and the jobs stay in the stream."""
         with self._changed:
-            return [job for job, _ in islice(self._waiting, most)] if self._ready(least, wait) else []
+            ready = chain(self._following, self._waiting) if self._ready(least, wait) else ()
+            return [job for job, _ in islice(ready, most)]
 
     def wait_for(self, count: int) -> int:
         """Wait as ``take`` for ``count`` jobs; returns the number of jobs that are ready."""
         with self._changed:
             self._ready(count, True)
-            return len(self._waiting)
+            return self.ready
 
-    def answered(self, number: int) -> Tag:
+    def answered(self, stream_number: int) -> Tag:
         """The tag of a job that has its outcome.
 
         Raises:
             KeyError: the job is not in flight.
         """
         with self._changed:
-            tag = self.in_flight.pop(number)
+            tag = self.in_flight.pop(stream_number)
             self._unfollowed += 1
             return tag
 
@@ -141,8 +178,8 @@ class JobStream(Generic[Tag]):
         thread than the one that takes its outcomes.
 
         Args:
-            in_flight: numbers of the engine's jobs whose outcomes have not been taken. The thread that takes them calls
-                ``wake`` when it has changed them.
+            in_flight: stream numbers of the engine's jobs whose outcomes have not been taken. The thread that takes
+                outcomes calls ``wake`` when it has changed them.
 
         Returns:
             Whether no job is ready, and jobs may still follow from outcomes.
@@ -160,7 +197,7 @@ class JobStream(Generic[Tag]):
     @property
     def ready(self) -> int:
         """Number of jobs that wait in the stream."""
-        return len(self._waiting)
+        return len(self._following) + len(self._waiting)
 
     @property
     def taken(self) -> int:
@@ -176,7 +213,7 @@ class JobStream(Generic[Tag]):
     def ended(self) -> bool:
         """Whether no job is ready, and the source has ended."""
         with self._changed:
-            return not self._waiting and not self._comes
+            return not self.ready and not self._comes
 
     @property
     def _comes(self) -> bool:
@@ -184,7 +221,7 @@ class JobStream(Generic[Tag]):
 
     def _may_follow(self, in_flight: Collection[int]) -> bool:
         """Whether no job is ready, and an outcome is left from which jobs may follow."""
-        return self.feedback and not self._waiting and bool(in_flight or self._unfollowed)
+        return self.feedback and not self.ready and bool(in_flight or self._unfollowed)
 
     @property
     def _is_full(self) -> bool:
@@ -192,14 +229,14 @@ class JobStream(Generic[Tag]):
 
     def _ready(self, least: int, wait: bool) -> bool:
         """Whether ``least`` jobs are ready, or all jobs of the source."""
-        while len(self._waiting) < least and self._comes and not self._is_full:
+        while self.ready < least and self._comes and not self._is_full:
             if not wait:
                 return False
             self._changed.wait(WAIT_S)
         return True
 
-    def _pop(self) -> Job:
-        job, tag = self._waiting.popleft()
+    def _pop(self, entries: deque[tuple[Job, Tag]]) -> Job:
+        job, tag = entries.popleft()
         self._boxes -= job.scene.n_boxes
         self.in_flight[self._taken] = tag
         self._taken += 1

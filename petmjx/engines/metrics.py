@@ -15,7 +15,7 @@ import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from enum import StrEnum
-from typing import Any, Final
+from typing import Any, Final, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -313,6 +313,12 @@ class BoxMetrics:
             metric.attribute: metric.nothing(*n) for metric in box_metrics() if metric.attribute not in values
         }
         return cls(**missing, **values)
+
+    def with_edges(self, plan_edge_m: FloatArray, rest_edge_m: FloatArray) -> Self:
+        """The same metrics with other distances from edges. ``dataclasses.replace`` takes ten times as long."""
+        other = object.__new__(type(self))
+        vars(other).update(vars(self), plan_edge_m=plan_edge_m, rest_edge_m=rest_edge_m)
+        return other
 
     def __reduce__(self) -> tuple[Any, ...]:
         """Pickle and copy as one array of float64: eleven small arrays take two and a half times as long. Attributes

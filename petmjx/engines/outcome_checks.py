@@ -8,23 +8,25 @@ work of the process of the run.
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import replace
-from itertools import pairwise
+from dataclasses import dataclass, field
+from itertools import compress, pairwise
 from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 
 from petmjx.common.units import FloatArray
-from petmjx.engines.contact_penetration import note_softness
-from petmjx.engines.knife_edges import AT_REST, BY_PLAN, WHILE_BUILT, KnifeEdge, edges_when, sets_flag
+from petmjx.engines.contact_penetration import note_penetration
+from petmjx.engines.contact_tilt import contact_tilt_suspects, n_loading, places_with_errors
+from petmjx.engines.knife_edges import AT_REST, BY_PLAN, NEAR_M, WHILE_BUILT, KnifeEdge, edges_when, sets_flag
 from petmjx.engines.mujoco.box_motion import tilt_deg
-from petmjx.engines.verdict import Flag, Outcome, Verdict, margins_of
+from petmjx.engines.verdict import Flag, Outcome, Verdict, judge, margins_of
+from petmjx.options.physics import Cone
 from petmjx.options.simulation import Check, Simulation
 from petmjx.world.edge_distances import Edges, LeastBuildingEdge, building_edges, first_least, loads_and_edges
 from petmjx.world.job import Job
 from petmjx.world.scene import Scene
-from petmjx.world.supports import bearings_of
+from petmjx.world.supports import TOUCH_M, Bearing, bearings_of
 
 LEANS_DEG: Final = 2.0
 """A box of a stable world leans if its tilt at rest is larger. At this tilt a box of half a metre is 17 mm lower on one
@@ -46,7 +48,7 @@ def outcome_checks(outcomes: Sequence[Outcome], jobs: Sequence[Job], sim: Simula
         jobs: the jobs of the engine, one for each outcome.
         sim: the options of the engine.
     """
-    noted = note_softness(outcomes, jobs, sim)
+    noted = note_penetration(outcomes, jobs, sim)
     for outcome, margin in zip(noted, margins_of(noted, sim.thresholds), strict=True):
         outcome.flags &= ~Flag.RERUN_AFTER_OVERFLOW
         outcome.margin = margin
@@ -54,10 +56,7 @@ def outcome_checks(outcomes: Sequence[Outcome], jobs: Sequence[Job], sim: Simula
     for k, leans in zip(at_rest, _leaning([noted[k] for k in at_rest]), strict=True):
         if leans.any():
             noted[k].flags |= Flag.LEANS
-    if sim.check is Check.STATIC:
-        note_edges(noted, jobs, in_order=False)
-    else:
-        note_edges(noted, jobs)
+    note_edges(noted, jobs, sim)
     return noted
 
 
@@ -81,40 +80,64 @@ def _leaning(outcomes: Sequence[Outcome]) -> list[NDArray[np.bool_]]:
     return np.split(leans | (lower & ~sinks), np.cumsum(placed)[:-1])
 
 
-def note_edges(outcomes: Sequence[Outcome], jobs: Sequence[Job], *, in_order: bool = True) -> None:
+def note_edges(outcomes: Sequence[Outcome], jobs: Sequence[Job], sim: Simulation) -> None:
     """Fill in the least distances of loads from edges: by the plan, at rest and while the plan is built. Also fill in
-    the distances of boxes, and the flag of a knife's edge, which any box may set.
+    the distances of boxes, the flag of a knife's edge, which any box may set, and ``Flag.SINKING`` of worlds that may
+    have tipped over because contacts are soft: these keep their verdict, in case stiffer contacts do not change it.
 
     Distances at rest count in worlds that stand and were not shaken: there the carrier is at its place. Distances
-    while the plan is built are those of plans whose boxes are placed ``in_order``, without errors. Worlds that stand
+    while the plan is built are those of plans whose boxes are placed in order, without errors. Worlds that stand
     after a further leg of a chain are left out: they have the distances, and the flag, of the leg before.
     """
-    scenes = [job.scene for job in jobs]
+    scenes, in_order = [job.scene for job in jobs], sim.check is not Check.STATIC
     valid = [
         k
         for k, outcome in enumerate(outcomes)
         if outcome.verdict is not Verdict.INVALID and (jobs[k].poses is None or outcome.verdict is not Verdict.STABLE)
     ]
+    if not valid:
+        return
     # drives share a scene
     keys = [(scenes[k], outcomes[k].n_placed, in_order and not jobs[k].has_errors) for k in valid]
     planned = {key: number for number, key in enumerate(dict.fromkeys(keys))}
     at_rest = [k for k in valid if outcomes[k].verdict is Verdict.STABLE and jobs[k].drive is None]
-    first, edges, built = _all_edges(
-        list(planned), [scenes[k] for k in at_rest], [outcomes[k].boxes.pos for k in at_rest]
-    )
+    elliptic = sim.physics.cone is Cone.ELLIPTIC
+    fallen = [k for k in valid if elliptic and outcomes[k].verdict is Verdict.UNSTABLE and scenes[k].soft is None]
+    joined = _Joined(list(planned))
+    number_at_rest = {k: joined.add(scenes[k], outcomes[k].boxes.pos) for k in at_rest}
+    number_fallen = {}
+    for k in fallen:
+        placed, moved = n_loading(outcomes[k]), jobs[k].has_errors
+        key = scenes[k], placed, in_order
+        if not moved and key in planned:
+            number_fallen[k] = planned[key]
+        else:
+            places = places_with_errors(jobs[k]) if moved else scenes[k].target
+            gap_m = sim.thresholds.shift_m if moved else TOUCH_M
+            number_fallen[k] = joined.add(scenes[k], places, placed, gap_m)
+    bearing, load, edges, built = joined.edges()
+    if fallen:
+        some, rows = bearing.of_scenes(np.array([*number_fallen.values()]))
+        of_some = some, load.take(rows, axis=0), edges.by_load[rows]
+        leans = contact_tilt_suspects([outcomes[k] for k in fallen], [jobs[k] for k in fallen], sim, *of_some)
+        for outcome in compress((outcomes[k] for k in fallen), leans):
+            outcome.flags |= Flag.SINKING
+            judged = judge(outcome.flags, outcome.boxes, outcome.n_placed, sim.thresholds)
+            outcome.verdict, outcome.reason = judged
+    first = bearing.boxes.first.tolist()
     least, boxes_of = edges.least, [slice(*ends) for ends in pairwise(first)]
     scene = np.repeat(np.arange(len(boxes_of)), np.diff(first))
     least_of = dict(zip(*(values.tolist() for values in first_least(least, scene)), strict=True))
+    close = np.flatnonzero(np.fmin(np.abs(edges.by_weight), np.abs(edges.by_load)) <= NEAR_M)  # few
+    by_weight, by_load = edges.by_weight[close], edges.by_load[close]
     near, contradicts_stable, contradicts_unstable = (
-        np.bincount(scene[sets_flag(edges.by_weight, side) | sets_flag(edges.by_load, side)], minlength=len(boxes_of))
-        > 0
+        np.bincount(scene[close[sets_flag(by_weight, side) | sets_flag(by_load, side)]], minlength=len(boxes_of)) > 0
         for side in (None, Verdict.STABLE, Verdict.UNSTABLE)
     )
     contradicts = {Verdict.STABLE: contradicts_stable, Verdict.UNSTABLE: contradicts_unstable}
     for verdict, of_edges in contradicts.items():
         of_edges[: len(built)] |= sets_flag(np.array([edge.edge_m for edge in built]), verdict)
         of_edges[: len(built)] |= sets_flag(np.array([edge.nearest_m for edge in built]), None)
-    number_at_rest = {k: number for number, k in enumerate(at_rest, len(planned))}
     for k, key in zip(valid, keys, strict=True):
         outcome, number, rest = outcomes[k], planned[key], number_at_rest.get(k)
         outcome.plan_edge_m, outcome.plan_edge_box = _least_edge(least, least_of.get(number), first[number])
@@ -123,7 +146,7 @@ def note_edges(outcomes: Sequence[Outcome], jobs: Sequence[Job], *, in_order: bo
         if rest is not None:
             rest_edge_m, is_knife_edge = least[boxes_of[rest]], is_knife_edge or near[rest]
             outcome.rest_edge_m, outcome.rest_edge_box = _least_edge(least, least_of.get(rest), first[rest])
-        outcome.boxes = replace(outcome.boxes, plan_edge_m=least[boxes_of[number]], rest_edge_m=rest_edge_m)
+        outcome.boxes = outcome.boxes.with_edges(least[boxes_of[number]], rest_edge_m)
         if is_knife_edge:
             outcome.flags |= Flag.KNIFE_EDGE
 
@@ -132,10 +155,11 @@ def edges_again(scene: Scene, outcome: Outcome) -> Iterator[KnifeEdge]:
     """All distances of loads from edges that ``note_edges`` looked at, also distances without a column: of own weights,
     and the nearest distance while the plan is built."""
     in_order, at_rest = not np.isnan(outcome.build_edge_m), not np.isnan(outcome.rest_edge_m)
-    first, edges, (built,) = _all_edges(
-        [(scene, outcome.n_placed, in_order)], [scene] * at_rest, [outcome.boxes.pos] * at_rest
-    )
-    for when, (begin, end) in zip((BY_PLAN, AT_REST), pairwise(first), strict=False):
+    joined = _Joined([(scene, outcome.n_placed, in_order)])
+    if at_rest:
+        joined.add(scene, outcome.boxes.pos)
+    bearing, _, edges, (built,) = joined.edges()
+    for when, (begin, end) in zip((BY_PLAN, AT_REST), pairwise(bearing.boxes.first.tolist()), strict=False):
         yield from edges_when(edges.by_load[begin:end], when)
         yield from edges_when(edges.by_weight[begin:end], when, own_weight=True)
     if in_order:
@@ -143,26 +167,34 @@ def edges_again(scene: Scene, outcome: Outcome) -> Iterator[KnifeEdge]:
         yield KnifeEdge(built.nearest_m, built.nearest_box, WHILE_BUILT, built.nearest_step)
 
 
-def _all_edges(
-    planned: Sequence[tuple[Scene, int, bool]], at_rest: Sequence[Scene], pos: Sequence[FloatArray]
-) -> tuple[list[int], Edges, list[LeastBuildingEdge]]:
-    """First boxes of planned scenes and of scenes at rest, and the end; the edges of all their boxes; and the least
-    edges while planned scenes are built.
+@dataclass
+class _Joined:
+    """Scenes whose loads and edges are computed at once: the time depends on the number of calls.
 
-    All are computed at once: the time depends on the number of calls.
-
-    Args:
-        planned: scene, number of placed boxes, and whether the least edges while the plan is built are needed.
-        at_rest: scenes at rest, with their boxes at the (n, 3) places ``pos``, m.
+    Attributes:
+        planned: scenes at their planned places, each with the number of placed boxes, and whether the least edges while
+            the plan is built are needed; at least one.
+        elsewhere: further scenes, each with (n, 3) places of its boxes, m, the number of placed boxes, and the largest
+            gap as in ``find_bearing``, m.
     """
-    if not planned:
-        return [0], Edges(np.zeros(0), np.zeros(0)), []
-    scenes, placed, are_built = zip(*planned, strict=True)
-    bearing = bearings_of(scenes, at_rest, pos)
-    _, *edges = loads_and_edges(bearing, [*placed, *(scene.n_boxes for scene in at_rest)])
-    n_built = [scene.n_boxes if is_built else 0 for scene, is_built in zip(scenes, are_built, strict=True)]
-    built = building_edges(bearing, n_built + [0] * len(at_rest))
-    return bearing.boxes.first.tolist(), Edges(*edges), built[: len(planned)]
+
+    planned: Sequence[tuple[Scene, int, bool]]
+    elsewhere: list[tuple[Scene, FloatArray, int, float]] = field(default_factory=list)
+
+    def add(self, scene: Scene, pos: FloatArray, placed: int | None = None, most_gap_m: float = TOUCH_M) -> int:
+        """Add a scene, with all boxes or the first ``placed`` ones; returns its number among all scenes."""
+        self.elsewhere.append((scene, pos, scene.n_boxes if placed is None else placed, most_gap_m))
+        return len(self.planned) + len(self.elsewhere) - 1
+
+    def edges(self) -> tuple[Bearing, FloatArray, Edges, list[LeastBuildingEdge]]:
+        """The bearing of all scenes, the loads of their boxes, as of ``Bearing.loads``, and their edges; and the least
+        edges while planned scenes are built."""
+        scenes, placed, are_built = zip(*self.planned, strict=True)
+        moved, pos, placed_moved, gaps_m = zip(*self.elsewhere, strict=True) if self.elsewhere else ((),) * 4
+        bearing = bearings_of(scenes, moved, pos, gaps_m)
+        load, *edges = loads_and_edges(bearing, [*placed, *placed_moved])
+        n_built = [scene.n_boxes if is_built else 0 for scene, is_built in zip(scenes, are_built, strict=True)]
+        return bearing, load, Edges(*edges), building_edges(bearing.of_range(0, len(scenes)), n_built)
 
 
 def _least_edge(edge_m: FloatArray, place: int | None, first: int) -> tuple[float, int]:

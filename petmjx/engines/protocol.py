@@ -31,6 +31,7 @@ class Progress:
     Attributes:
         thread_s: CPU time of ``mujoco``'s threads for finished worlds, s.
         message: what the engine is doing (compiling, …).
+        work_share: share of the run's work that is done, 0 to 1; None: that of finished worlds. Set by the run.
         at_hand: at least this many outcomes follow the last one at once; None if the engine does not report it. The
             method is only used if the engine's ``run`` is marked with ``says_at_hand``.
         pauses: whether the engine may yield None while no world ends, so that the caller can do other work of the run.
@@ -42,6 +43,7 @@ class Progress:
     thread_s: float = 0.0
     compile_s: float = 0.0
     message: str = ""
+    work_share: float | None = None
     at_hand: int | None = None
     pauses: bool = False
     extra: dict[str, float] = field(default_factory=dict)
@@ -142,7 +144,7 @@ class StreamEngine(Protocol):
     def run(
         self, jobs: Sequence[Job] | JobStream[Any], sim: Simulation, progress: Progress | None = None
     ) -> Iterator[Outcome]:
-        """As of ``MinimalEngine``. The number of a job is its place among the jobs that the run takes.
+        """As of ``MinimalEngine``. The stream number of a job is its place among the jobs that the run takes.
 
         A run takes jobs while it has capacity. The run ends when it has no job in flight and waits for more in vain
         (``JobStream.take``).

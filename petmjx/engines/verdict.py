@@ -83,6 +83,7 @@ class Outcome:
     """The outcome of one world. ``culprit`` is a box index (packing order, from 0), −1 for none."""
 
     job: int
+    """The stream number of its job (``JobStream``); of a list its index."""
     verdict: Verdict
     reason: Reason
     culprit: int
@@ -259,5 +260,13 @@ class Attempt:
     @classmethod
     def of(cls, outcome: Outcome, timestep_s: float) -> Attempt:
         """The record of an outcome that was simulated with ``timestep_s`` (s)."""
-        fields = {name: getattr(outcome, name) for name in cls.__dataclass_fields__ if name != "timestep_s"}
-        return cls(timestep_s=timestep_s, **fields)
+        return cls(
+            outcome.attempt,
+            outcome.engine,
+            outcome.solver,
+            timestep_s,
+            outcome.verdict,
+            outcome.reason,
+            outcome.flags,
+            outcome.n_steps,
+        )

@@ -3,23 +3,43 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Generic, TypeVar
+from typing import Generic, Protocol, TypeVar
 
 from petmjx.engines.verdict import Attempt, Outcome
 from petmjx.plans.plan import Plan
 from petmjx.world.job import Job
 
 
+class NamedJob(Protocol):
+    """A world of any run: its job, and its name in notes. It is simulated once, and again if the outcome is invalid."""
+
+    @property
+    def job(self) -> Job: ...
+
+    @property
+    def name(self) -> str: ...
+
+    @property
+    def variant(self) -> int:
+        """Number of the variant; 0: the plan without errors and other changes."""
+        ...
+
+
 @dataclass(frozen=True, eq=False)
 class World:
-    """One plan in one of its variants. A world is simulated once, and again if the outcome is invalid."""
+    """One plan in one of its variants."""
 
     plan: Plan
     variant: int
     job: Job
 
+    @property
+    def name(self) -> str:
+        """The name in notes."""
+        return f"{self.plan.plan_id}, variant {self.variant}" if self.variant else self.plan.plan_id
 
-AnyWorld = TypeVar("AnyWorld", bound=World)
+
+AnyWorld = TypeVar("AnyWorld", bound=NamedJob)
 
 
 @dataclass(frozen=True, eq=False)

@@ -3,15 +3,15 @@ same bits."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Generator, Iterator, Sequence
+from dataclasses import dataclass
 
+from petmjx.engines.attempt_stream import score_worlds
 from petmjx.engines.open_worlds import OpenWorlds
-from petmjx.engines.protocol import Engine, Progress
+from petmjx.engines.protocol import Engine, Progress, says_at_hand
 from petmjx.engines.verdict import Outcome
 from petmjx.options.simulation import Simulation
-from petmjx.plans.plan import Plan
 from petmjx.world.job import Job
-from petmjx.world.scene import build_scene
 
 AT_ONCE = 4096
 """Most worlds that are finished side by side."""
@@ -25,30 +25,32 @@ class SettledEngine(Engine):
     model, and affect the last digits. So for exact digits no attempt comes from open worlds there.
 
     Args:
-        plans: open world → the plan with the same boxes.
         to_the_bit: whether outcomes must have the digits of a score.
     """
 
-    def __init__(
-        self,
-        engine: Engine,
-        open_worlds: OpenWorlds,
-        plans: Mapping[int, Plan],
-        sim: Simulation,
-        *,
-        to_the_bit: bool = True,
-    ) -> None:
+    def __init__(self, engine: Engine, open_worlds: OpenWorlds, sim: Simulation, *, to_the_bit: bool = True) -> None:
         self.name, self._engine, self._open, self._sim = engine.name, engine, open_worlds, sim
+        self._same_bits = engine.name in ("mjx-warp", "mjx-warp-cpu") or not to_the_bit
         self._worlds: dict[bytes, int] = {}
-        if engine.name in ("mjx-warp", "mjx-warp-cpu") or not to_the_bit:
-            self._worlds = {_key(Job(build_scene(plan, sim))): world for world, plan in plans.items()}
+        self._keys: dict[int, bytes] = {}
 
     @property
     def device(self) -> str:
         return self._engine.device
 
+    def settle(self, job: Job, world: int) -> None:
+        """Say that an open world has the boxes of a job, and has settled."""
+        if self._same_bits:
+            earlier = self._keys.pop(world, None)
+            if earlier is not None and self._worlds.get(earlier) == world:
+                del self._worlds[earlier]
+            self._keys[world] = key = _key(job)
+            self._worlds[key] = world
+
+    @says_at_hand
     def run(self, jobs: Sequence[Job], sim: Simulation, progress: Progress | None = None) -> Iterator[Outcome]:
         """See ``Engine.run``."""
+        progress = progress or Progress()
         world_by_job: dict[int, int] = {}
         if sim == self._sim:
             open_worlds = {index: self._worlds.get(_key(job)) for index, job in enumerate(jobs) if job.record is None}
@@ -56,14 +58,49 @@ class SettledEngine(Engine):
         numbers = list(world_by_job)
         for first in range(0, len(numbers), AT_ONCE):
             chunk_numbers = numbers[first : first + AT_ONCE]
-            for outcome in self._open.finish([world_by_job[index] for index in chunk_numbers]):
-                outcome.job = chunk_numbers[outcome.job]
+            outcomes = self._open.finish([world_by_job[index] for index in chunk_numbers])
+            for at_hand, outcome in zip(range(len(outcomes) - 1, -1, -1), outcomes, strict=True):
+                outcome.job, progress.at_hand = chunk_numbers[outcome.job], at_hand
                 yield outcome
+        progress.at_hand = None
         other_jobs = [index for index in range(len(jobs)) if index not in world_by_job]
         if other_jobs:
             for outcome in self._engine.run([jobs[index] for index in other_jobs], sim, progress):
-                outcome.job = other_jobs[outcome.job]
+                if outcome is not None:  # None: a pause of the engine
+                    outcome.job = other_jobs[outcome.job]
                 yield outcome
+
+
+@dataclass(frozen=True, eq=False)
+class PalletWorld:
+    """A pallet as it is now, whose score is asked for."""
+
+    pallet: int
+    name: str
+    job: Job
+    variant: int = 0
+
+
+def pallet_scores(
+    engine: SettledEngine, sim: Simulation, following: Callable[[], Sequence[PalletWorld]]
+) -> Generator[tuple[int, Outcome]]:
+    """Scores of pallets, further attempts included, while other pallets go on: (pallet, outcome), in any order.
+
+    Args:
+        following: gives the pallets to score next, perhaps none while others have no score yet. It is called after each
+            outcome, and may put boxes onto pallets that have their score. The end comes when it gives none and all have
+            their score.
+    """
+    progress = Progress()
+
+    def settled() -> Sequence[PalletWorld]:
+        worlds = following()
+        for world in worlds:
+            engine.settle(world.job, world.pallet)
+        return worlds
+
+    for result in score_worlds((), sim, engine, progress=progress, following=settled):
+        yield result.world.pallet, result.outcome
 
 
 def _key(job: Job) -> bytes:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import threading
 import warnings
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Generator, Iterator, Sequence
 from contextlib import contextmanager
 from functools import partial
 from typing import Any, Final
@@ -17,11 +17,12 @@ from petmjx.common.checked_records import shown_value
 from petmjx.common.errors import InputError
 from petmjx.common.units import MM_PER_M, FloatArray
 from petmjx.engines.protocol import Engine
+from petmjx.engines.verdict import Outcome
 from petmjx.loop.candidate_places import Places, free_places
 from petmjx.loop.candidate_trials import drive_of, driven_results, errors_asked, errors_of, shares
 from petmjx.loop.engine_setup import MOST_PALLETS, OF_RUN, Closable, check_open, open_engine
 from petmjx.loop.height_maps import height_maps
-from petmjx.loop.pallet_verdicts import SettledEngine
+from petmjx.loop.pallet_verdicts import PalletWorld, SettledEngine, pallet_scores
 from petmjx.loop.pallet_worlds import PalletWorlds
 from petmjx.loop.placement_bounds import FALLS, OPEN, STANDS
 from petmjx.loop.placement_results import PlacementResults
@@ -34,6 +35,8 @@ from petmjx.plans.plan_fields import vanishing_side
 from petmjx.results.run_reader import RunResults
 from petmjx.runs.simulate import simulate
 from petmjx.runs.study import Nominal
+from petmjx.world.job import Job
+from petmjx.world.scene import build_scene
 
 MOST_BOXES: Final = 96
 """Default for the most boxes of a pallet."""
@@ -333,10 +336,29 @@ class Pallets(Closable):
                 raise InputError("pallet: none has boxes")
             plans = {row: self.plan(row) for row in rows.tolist()}
             digits = flag_of(to_the_bit, "to_the_bit")
-            exact = {row: plan for row, plan in plans.items() if not self._standing.has_errors(row)}
-            settled = SettledEngine(self._engine, self._worlds, exact, self.simulation, to_the_bit=digits)
+            settled = SettledEngine(self._engine, self._worlds, self.simulation, to_the_bit=digits)
+            for row, plan in plans.items():
+                if not self._standing.has_errors(row):
+                    settled.settle(Job(build_scene(plan, self.simulation)), row)
             run = RunOptions(**{"engine": settled, **options})
             return simulate(partial(Nominal, self.simulation), self.simulation, list(plans.values()), run)
+
+    def outcomes(
+        self, following: Callable[[], Sequence[int]], names: Callable[[int], str]
+    ) -> Generator[tuple[int, Outcome]]:
+        """Outcomes of ``score`` for one pallet after another, while other pallets go on, without tables: (pallet,
+        outcome), in any order. On ``mujoco`` last digits differ as with ``to_the_bit=False``.
+
+        Args:
+            following: gives the pallets to score next, as in ``pallet_scores``. Their boxes must be placed exactly.
+            names: the name of a pallet in notes.
+        """
+        settled = SettledEngine(self._engine, self._worlds, self.simulation, to_the_bit=False)
+
+        def worlds() -> list[PalletWorld]:
+            return [PalletWorld(row, names(row), Job(self._worlds.scene(row))) for row in following()]
+
+        yield from pallet_scores(settled, self.simulation, worlds)
 
     def verdict(self, pallet: int = 0) -> str:
         """The verdict of a score of one pallet: "stable", "unstable" or "invalid". See ``score``."""

@@ -10,22 +10,21 @@ from __future__ import annotations
 
 import hashlib
 from collections import deque
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import closing
 from dataclasses import dataclass, field
 from itertools import chain, islice
 from typing import Any, Final
 
 import numpy as np
-import pandas as pd
 import pyarrow as pa
 
 from petmjx.common.argument_checks import integer_of, number_of
-from petmjx.common.units import FloatArray
+from petmjx.engines.verdict import Outcome, Verdict
 from petmjx.loop.candidate_places import Places
 from petmjx.loop.order_sources import Boxes, Orders
 from petmjx.loop.pallets import Pallets
 from petmjx.plans.plan import Plan
-from petmjx.results.run_reader import RunResults
 
 SPLITS: Final = {"train": 0.8, "validation": 0.1, "test": 0.1}
 """Share of the orders in each split."""
@@ -35,6 +34,13 @@ CAREFUL_SUPPORT: Final = 0.75
 
 LOWEST: Final = 4
 """A careful packer chooses among this many lowest places."""
+
+SCORING_SHARE: Final = 8
+"""Boxes are placed when fewer than one in this many pallets waits for a label: a pallet that needs a further attempt
+holds up no other."""
+
+MOST_EPISODES: Final = 4
+"""Most episodes that wait for an earlier one, whose labels come first, as a multiple of the pallets."""
 
 COLUMNS: Final[dict[str, tuple[pa.DataType, str]]] = {
     "order": (pa.int64(), "number of the order in its source, from 0"),
@@ -82,6 +88,8 @@ class Episode:
     Attributes:
         boxes: boxes of the order, of which those from ``next`` on are not placed yet; ``again``: the second try of the
             next box.
+        careful: whether the last box went to a place of a careful packer.
+        share: share of worlds with errors in which the last box stands; None: not simulated.
         labels: of the boxes so far.
     """
 
@@ -92,6 +100,8 @@ class Episode:
     rng: np.random.Generator
     next: int = 0
     again: bool = False
+    careful: bool = False
+    share: float | None = None
     labels: list[Label] = field(default_factory=list)
 
     @property
@@ -149,33 +159,33 @@ class Labeller:
 
     def episodes(self, count: int, first: int = 0) -> Iterator[list[Label]]:
         """The labels of whole episodes from number ``first`` on, in order, until there are at least ``count``."""
-        running: dict[int, Episode] = {}
-        waiting: deque[Episode] = deque()  # episodes in order; the first ones are yielded when they are over
-        begun, made, given, barren = first, 0, 0, 0
-        while (goes_on := made < count and barren < 2 * self.orders.count) or running:
-            for row in range(len(self.pallets)):
-                if row not in running and goes_on:
-                    running[row] = self._begun(begun)
-                    waiting.append(running[row])
-                    begun += 1
-                    self.pallets.reset(row)
-            made += self._step(running)
-            for row in [row for row, episode in running.items() if episode.is_over]:
-                barren = 0 if running[row].labels else barren + 1
-                del running[row]
-            while waiting and waiting[0].is_over:
-                labels = waiting.popleft().labels
-                if given < count:
+        packing = _Packing(self, count, first)
+        n_yielded = 0
+        with closing(self.pallets.outcomes(packing.next_pallets, packing.name)) as outcomes:
+            for row, outcome in outcomes:
+                packing.add(row, outcome)
+                for labels in packing.take_ended():
                     yield labels
-                given += len(labels)
+                    n_yielded += len(labels)
+                    if n_yielded >= count:
+                        return
+        yield from packing.take_ended()
 
-    def _begun(self, number: int) -> Episode:
+    def begun(self, number: int) -> Episode:
+        """An episode at its beginning."""
         order = number % self.orders.count
         boxes = self.orders.numbered(order)
         return Episode(number, order, split_of(boxes), boxes, np.random.default_rng([self._seed, number]))
 
-    def _step(self, running: dict[int, Episode]) -> int:
-        """Place a box in each running episode, and label it. Returns the number of labels."""
+    def place(self, running: Mapping[int, Episode]) -> list[int]:
+        """Place the next box of each of these episodes. Boxes without a place are left out.
+
+        Args:
+            running: pallet → its episode.
+
+        Returns:
+            The pallets that have a new box.
+        """
         rows = np.array(list(running), np.int64)
         sizes = np.array([episode.boxes.size_mm[episode.next] for episode in running.values()])
         ways = np.stack([sizes, sizes[:, [1, 0, 2]]], axis=1).reshape(-1, 3)
@@ -183,7 +193,7 @@ class Labeller:
             size_mm=ways, pallet=np.repeat(rows, 2), max_height_mm=self._highest_mm, hulls=False
         )
         of_row = np.split(np.arange(len(places.row)), np.searchsorted(places.row // 2, np.arange(1, len(rows))))
-        chosen, careful, placed = [], [], []
+        chosen, placed = [], []
         for row, row_places in zip(rows.tolist(), of_row, strict=True):
             episode = running[row]
             explores = not episode.again and episode.rng.random() < self._explore
@@ -192,39 +202,114 @@ class Labeller:
                 episode.next, episode.again = episode.next + 1, False
                 continue
             chosen.append(pick)
-            careful.append(not explores)
             placed.append(row)
+            episode.careful = not explores
         if not placed:
-            return 0
-        on, at = np.array(placed), np.array(chosen)
+            return []
+        at = np.array(chosen)
         box = {
             "size_mm": ways[places.row[at]],
             "corner_mm": places.corner_mm[at],
             "mass_kg": np.array([running[row].boxes.mass_kg[running[row].next] for row in placed]),
-            "pallet": on,
+            "pallet": np.array(placed),
         }
-        shares = np.full(len(on), np.nan)
         if self._errors is not None:
-            shares = self.pallets.try_all(**box, errors=self._errors).share
+            for row, share in zip(placed, self.pallets.try_all(**box, errors=self._errors).share.tolist(), strict=True):
+                running[row].share = share
         self.pallets.place(**box)
-        results = self.pallets.score(on, to_the_bit=False)
-        fallen = []
-        labels = _labels_of(results, self.pallets, on, shares)
-        for row, is_careful, label in zip(placed, careful, labels, strict=True):
-            episode = running[row]
-            label |= {"order": episode.order, "episode": episode.number, "step": len(episode.labels)}
-            episode.labels.append(label | {"careful": is_careful, "split": episode.split})
-            if label["stands"] and not self.pallets.ended[row]:  # a later attempt may stand where the first has fallen
-                episode.next, episode.again = episode.next + 1, False
-                if self.pallets.n_boxes[row] >= self.pallets.most_boxes:
-                    episode.next = len(episode.boxes)
-                continue
-            fallen.append(row)
-            episode.again = not is_careful and not label["stands"]
+        return placed
+
+
+class _Packing:
+    """The episodes of a call of ``Labeller.labels``, each on its pallet.
+
+    Attributes:
+        running: pallet → its episode, for episodes that are not over.
+        scoring: pallets whose last placement has no label yet.
+    """
+
+    def __init__(self, labeller: Labeller, count: int, first: int) -> None:
+        self.running: dict[int, Episode] = {}
+        self.scoring: set[int] = set()
+        self._labeller, self._pallets, self._count = labeller, labeller.pallets, count
+        self._waiting: deque[Episode] = deque()
+        """Episodes in order; the first ones are taken when they are over."""
+        self._begun, self._made, self._barren = first, 0, 0
+        self._fallen: list[int] = []
+
+    def name(self, row: int) -> str:
+        """The name of a pallet in messages."""
+        episode = self.running[row]
+        return f"order {episode.order}, box {episode.next}"
+
+    def next_pallets(self) -> list[int]:
+        """Place boxes on the pallets whose placements have labels, and return these pallets. A GPU takes as long for
+        few pallets as for many: nothing is placed while more than one pallet in ``SCORING_SHARE`` waits for its label.
+        """
+        n = len(self._pallets)
+        if SCORING_SHARE * len(self.scoring) > n or len(self._waiting) > MOST_EPISODES * n:
+            return []
+        if self._fallen:
+            self._pallets.take_back(self._fallen)
+            self._fallen = []
+        while True:
+            self._begin()
+            free = {row: episode for row, episode in self.running.items() if row not in self.scoring}
+            if not free:
+                return []
+            placed = self._labeller.place(free)
+            self._end_over(free)
+            if placed:
+                self.scoring |= {*placed}
+                self._made += len(placed)
+                return placed
+
+    def _begin(self) -> None:
+        """Begin episodes on empty pallets, until the labels are enough or no order has a box with a place."""
+        n_orders = self._labeller.orders.count
+        rows = []
+        for row in range(len(self._pallets)):
+            if row not in self.running and self._made < self._count and self._barren < 2 * n_orders:
+                self.running[row] = self._labeller.begun(self._begun)
+                self._waiting.append(self.running[row])
+                self._begun += 1
+                rows.append(row)
+        if rows:
+            self._pallets.reset(rows)
+
+    def _end_over(self, rows: Iterable[int]) -> None:
+        for row in rows:
+            if row in self.running and self.running[row].is_over:
+                self._barren = 0 if self.running[row].labels else self._barren + 1
+                del self.running[row]
+
+    def add(self, row: int, outcome: Outcome) -> None:
+        """Label the last placement on a pallet."""
+        episode, pallets = self.running[row], self._pallets
+        (size_mm,), (corner_mm,), (mass_kg,) = pallets.boxes(row)
+        label = _label_of(outcome) | {
+            "size_mm": size_mm.copy(),
+            "corner_mm": corner_mm.copy(),
+            "mass_kg": mass_kg.copy(),
+        }
+        label |= {"order": episode.order, "episode": episode.number, "step": len(episode.labels)}
+        label |= {"careful": episode.careful, "split": episode.split, "share": episode.share}
+        episode.labels.append(label)
+        self.scoring.discard(row)
+        if label["stands"] and not pallets.ended[row]:  # a later attempt may stand where the first has fallen
+            episode.next, episode.again = episode.next + 1, False
+            if pallets.n_boxes[row] >= pallets.most_boxes:
+                episode.next = len(episode.boxes)
+        else:
+            self._fallen.append(row)
+            episode.again = not episode.careful and not label["stands"]
             episode.next += not episode.again
-        if fallen:
-            self.pallets.take_back(fallen)
-        return len(placed)
+        self._end_over([row])
+
+    def take_ended(self) -> Iterator[list[Label]]:
+        """The labels of the first episodes, as long as these are over."""
+        while self._waiting and self._waiting[0].is_over:
+            yield self._waiting.popleft().labels
 
 
 def _any_place(some: Any, rng: np.random.Generator) -> int | None:
@@ -238,28 +323,17 @@ def _careful_place(places: Places, some: Any, rng: np.random.Generator) -> int |
     return int(rng.choice(lowest)) if len(lowest) else None
 
 
-def _labels_of(results: RunResults, pallets: Pallets, on: Any, shares: FloatArray) -> Iterator[Label]:
-    """The results of a score for pallets."""
-    worlds = results.worlds
-    forces = {name: rows.to_numpy() for name, rows in results.boxes.groupby("plan_id", sort=False)["rest_top_force_n"]}
-    sizes, corners, masses = pallets.boxes(on)
-    counts = pallets.n_boxes[on]
-    for number, (plan_id, verdict, reason, culprit, margin, share) in enumerate(
-        zip(*(worlds[name] for name in ("plan_id", "verdict", "reason", "culprit", "margin")), shares, strict=True)
-    ):
-        k, force = counts[number], forces[plan_id]
-        invalid = verdict == "invalid"
-        yield {
-            "size_mm": sizes[number, :k].copy(),
-            "corner_mm": corners[number, :k].copy(),
-            "mass_kg": masses[number, :k].copy(),
-            "stands": None if invalid else verdict == "stable",
-            "reason": reason or "",
-            "culprit": None if pd.isna(culprit) else int(culprit),
-            "margin": None if invalid else float(margin),
-            "share": None if np.isnan(share) else float(share),
-            "top_force_n": None if np.isnan(force).any() else force,
-        }
+def _label_of(outcome: Outcome) -> Label:
+    """The columns of a label that are results of a score."""
+    invalid, force = outcome.verdict is Verdict.INVALID, outcome.boxes.rest_top_force_n[: outcome.n_placed]
+    rests = len(force) == outcome.n_boxes and not np.isnan(force).any()
+    return {
+        "stands": None if invalid else outcome.verdict is Verdict.STABLE,
+        "reason": outcome.reason.value,
+        "culprit": None if outcome.culprit < 0 else outcome.culprit,
+        "margin": None if invalid else outcome.margin,
+        "top_force_n": np.asarray(force, np.float64) if rests else None,
+    }
 
 
 def plans_of_labels(labels: Sequence[Label]) -> list[Plan]:

@@ -24,7 +24,11 @@ class SupportsArrow(Protocol):
         """The columns of the table, as a stream for Arrow."""
 
 
-class NoBoxes(InputError):
+class NoGeometry(InputError):
+    """The error of a file without columns of sizes and places of boxes."""
+
+
+class NoBoxes(NoGeometry):
     """The error of a file without boxes: it may be of another kind."""
 
 

@@ -19,7 +19,7 @@ from petmjx.common.text import count_text, first_names, printable, printable_nam
 from petmjx.common.units import FloatArray
 from petmjx.plans.box_columns import IGNORED, BoxColumns, box_columns, role_of
 from petmjx.plans.column_names import LENGTH_UNITS, MASS_UNITS, column_meanings, plain_text, word_set, words_of
-from petmjx.plans.file_formats import NoBoxes
+from petmjx.plans.file_formats import NoBoxes, NoGeometry
 from petmjx.plans.foreign_formats import PACKINGSOLVER, POSES, BoxSource, rows_of, sources_of_bytes
 from petmjx.plans.input_conventions import Limits
 from petmjx.plans.json_reader import unpacked_bytes
@@ -305,7 +305,7 @@ def _rows_by_name(table: RawTable, other: RawTable) -> list[int | None] | None:
     return best
 
 
-def _no_geometry(columns: BoxColumns, sources: Sequence[BoxSource], path: Path | None, source: str) -> InputError:
+def _no_geometry(columns: BoxColumns, sources: Sequence[BoxSource], path: Path | None, source: str) -> NoGeometry:
     """The reason why a file has no places or sizes, and advice. ``NoBoxes``: it seems to be no file of boxes at all."""
     boxes = columns.source.boxes
     kinds = set().union(*(other.boxes.kinds for other in sources))
@@ -319,24 +319,24 @@ def _no_geometry(columns: BoxColumns, sources: Sequence[BoxSource], path: Path |
     sized = some_sizes and n_sizes != 1  # one of three is no box's size
     places_named = bool(boxes.kinds & {"position", "positions", "low", "matrix"}) or columns.source.form == POSES
     if not columns.n_boxes:
-        return InputError("holds no box")
+        return NoGeometry("holds no box")
     items_of_packingsolver = {name.upper() for name in boxes.table.header} >= {"X", "Y", "Z", "COPIES"}
     if quantities and (items_of_packingsolver or (some_sizes and not places_named)):
         content = "quantities and layers" if "layers" in kinds else "quantities"
-        return InputError(f"has types of boxes with {content}, and no places: {PACK.format(file=file)}")
+        return NoGeometry(f"has types of boxes with {content}, and no places: {PACK.format(file=file)}")
     names = f"there are {', '.join(map(printable_name, boxes.table.header[:20]))}"
     if places_named and not sized:
-        return InputError(f"has places of boxes, but no sizes: name a file that has them with --items FILE; {names}")
+        return NoGeometry(f"has places of boxes, but no sizes: name a file that has them with --items FILE; {names}")
     if sized and not places_named:
-        return InputError(f"has sizes of boxes, but no places (x, y, z): {PACK.format(file=file)}; {names}")
+        return NoGeometry(f"has sizes of boxes, but no places (x, y, z): {PACK.format(file=file)}; {names}")
     if sized:
-        return InputError(f"lacks one of the sizes or coordinates; {names}; say which with --columns x=NAME,…")
+        return NoGeometry(f"lacks one of the sizes or coordinates; {names}; say which with --columns x=NAME,…")
     advice = "say which with --columns length=NAME,width=NAME,height=NAME,x=NAME,y=NAME,z=NAME"
     if some_sizes:
-        return InputError(f"lacks some of the sizes, and places (x, y, z) of boxes; {names}; {advice}")
+        return NoGeometry(f"lacks some of the sizes, and places (x, y, z) of boxes; {names}; {advice}")
     table = boxes.table
     if table.has_header and path is not None and are_numbers(table.rows, _NUMBERS_OF_A_BOX):
-        return InputError(f"no column is known as a size or a place of boxes; {names}; {advice}")
+        return NoGeometry(f"no column is known as a size or a place of boxes; {names}; {advice}")
     return NoBoxes(f"lacks places (x, y, z) and sizes of boxes; {names}; {advice}")
 
 
@@ -366,12 +366,14 @@ class _Builder:
             lost = self._plans_with_lost(names)
             single_name = self.of_one if len(plans) == 1 and not lost else None
             reading, candidate = single_name or choose_reading(self.columns, plans, self.wishes, lost)
-        except AmbiguousFile:  # missing rows make the other boxes implausible
+        except InputError:  # no good row, or missing rows make the other boxes implausible
             if self.boxes.table.lost:
                 place, fault = self.boxes.table.lost[0]
                 raise InputError(f"{place}: {fault}") from None
             if (bad_row := self._first_bad_row()) is not None:
-                raise InputError(f"{self._place_of(bad_row[0])}: {bad_row[1]}") from None
+                row, fault = bad_row
+                plan = "" if self.columns.plan is None else f"plan {printable_name(names[row])}, "
+                raise InputError(f"{plan}{self._place_of(row)}: {fault}") from None
             raise
         self.faults = {row: f"{column} {text}" for row, (column, text) in self.columns.faults.items()}
         size, low, containers = self._geometry(reading, candidate, plans)

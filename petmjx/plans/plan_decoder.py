@@ -206,11 +206,13 @@ def _plans_of(
     }
     shared = {name: list(map(names.setdefault, column, column)) for name, column in texts.items()}
     ends = np.cumsum([len(plan) for plan in plans])
+    begins = np.concatenate([[0], ends[:-1]])
+    are_good = np.logical_and.reduceat(is_good, begins)  # no plan is without placements
     return [
-        _plan(plan_id, options.source, slice(end - len(plan), end), arrays, shared)
-        if is_good[end - len(plan) : end].all()
-        else None
-        for plan_id, plan, end in zip(plan_ids, plans, ends.tolist(), strict=True)
+        _plan(plan_id, options.source, slice(begin, end), arrays, shared) if all_good else None
+        for plan_id, begin, end, all_good in zip(
+            plan_ids, begins.tolist(), ends.tolist(), are_good.tolist(), strict=True
+        )
     ]
 
 

@@ -26,6 +26,7 @@ from petmjx.plans.file_formats import (
     CSV_SUFFIXES,
     PARQUET_SUFFIX,
     NoBoxes,
+    NoGeometry,
     SupportsArrow,
     is_csv,
     is_of_other_tools,
@@ -44,7 +45,7 @@ from petmjx.plans.plan_validation import PlanError, parse_plan
 
 if TYPE_CHECKING:
     from petmjx.plans.foreign_plans import ForeignPlans
-    from petmjx.plans.placement_table import Table
+    from petmjx.plans.placement_table import Table, TableError
     from petmjx.plans.readings import Reading, Wishes
 
 DEFAULT_MAX_BOXES: Final = 512
@@ -283,8 +284,7 @@ class _PlanLoader:
         except TableError as error:
             fault = error if error.is_own else self._read_foreign_frame(frame)
             if fault is not None:
-                is_own = error.n_known > _MOSTLY_OWN or isinstance(fault, NoBoxes)
-                raise InputError(f"{FRAME}: {error if is_own else fault}") from None
+                raise InputError(f"{FRAME}: {_likelier(error, fault)}") from None
         else:
             self._take_table(FRAME, table, self.given)
         self._count_unlisted(FRAME)
@@ -404,8 +404,7 @@ class _PlanLoader:
         except TableError as error:
             fault = error if otherwise is None or error.is_own else otherwise()
             if fault is not None:
-                is_own = error.n_known > _MOSTLY_OWN or isinstance(fault, NoBoxes)
-                self._skip(source, None, f"{source}: {error if is_own else fault}", error)
+                self._skip(source, None, f"{source}: {_likelier(error, fault)}", error)
             return
         self._take_table(source, table, self.given)
 
@@ -533,6 +532,16 @@ class _PlanLoader:
         if plan_id is not None:
             plan_id = printable(plan_id) if len(plan_id) <= LONGEST_NAME else printable_name(plan_id)
         self.found.skipped.append(Skipped(source, plan_id, message, number))
+
+
+def _likelier(own: TableError, other: InputError) -> InputError:
+    """The reason to tell for a table that is read neither as one of petmjx's nor as another tool's.
+
+    Another tool's table needs fewer columns. So a bad cell, or two ways to read it, is the reason; columns that only
+    petmjx's tables need are one only where sizes or places are missing, too.
+    """
+    lacks_columns = isinstance(other, NoBoxes) or (own.n_known > _MOSTLY_OWN and isinstance(other, NoGeometry))
+    return own if lacks_columns else other
 
 
 def _kind_of_text(data: bytearray, named: bool) -> str | None:

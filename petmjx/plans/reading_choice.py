@@ -196,8 +196,7 @@ def choose_reading(
     """
     sample = _sample_of(columns, plans, damaged)
     if not sample.rows:
-        row, (column, text) = next(iter(sorted(columns.faults.items())), (0, ("", "no row has positive sizes")))
-        raise InputError(f"{columns.source.boxes.table.places[row]}: {column} {text}" if column else text)
+        raise InputError("no row can be used")
     judged = _judged_candidates(columns, wishes, sample)
     best = judged[0]
     tie = TIE + _FEW_MORE * (len(best.rows) < _FEW_BOXES)

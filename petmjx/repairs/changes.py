@@ -327,8 +327,10 @@ def applied(draft: Draft, changes: Sequence[Change]) -> Draft | None:
 
 
 def with_change(changes: Sequence[Change], change: Change) -> tuple[Change, ...]:
-    """A list of changes with one more. Two moves of the same boxes become one, and earlier changes of a box are dropped
-    if it is then put elsewhere or left out."""
+    """A list of changes with one more. Two moves of the same boxes become one, of two orders of a box the second one
+    counts, and earlier changes of a box are dropped if it is then put elsewhere or left out."""
+    if isinstance(change, Order) and changes and isinstance(changes[-1], Order) and changes[-1].box == change.box:
+        return (*changes[:-1], change)
     if isinstance(change, Move) and changes and isinstance(changes[-1], Move):
         joined = changes[-1].joined(change)
         if joined is not None:

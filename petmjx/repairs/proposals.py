@@ -34,8 +34,11 @@ SPARE_MM: Final = (2.0, 6.0, 12.0, 25.0)
 STEPS_MM: Final = (10.0, 20.0, 30.0, 45.0, 60.0, 80.0, 100.0, 130.0, 160.0, 200.0)
 """Further ways for moves of boxes."""
 
-MOST_PLACES: Final = 12
+MOST_PLACES: Final = 24
 """Other places for one box: the lowest places, and of equal heights those with the largest support."""
+
+SPOT_MM: Final = 10.0
+"""Places that differ by less along x and y are one place."""
 
 LEAST_SUPPORT: Final = 0.5
 """Smallest supported share of a base at another place."""
@@ -379,9 +382,15 @@ def resting_corners(
             is_good = (share >= LEAST_SUPPORT) & (np.abs(z + size[2] - ceiling) <= TOLERANCE_MM)
             is_good &= _shared_mm2(x, y, size, draft.corner_mm[below], draft.size_mm[below]) > 0
         chosen = np.flatnonzero(is_good)
-        chosen = chosen[np.lexsort((-share[chosen], z[chosen]))][:MOST_PLACES]
+        chosen = chosen[np.lexsort((-share[chosen], z[chosen]))]
+        spots: set[tuple[float, float, float]] = set()
         for k in chosen.tolist():
-            yield turn, (float(x[k]), float(y[k]), float(z[k]))
+            spot = (x[k] // SPOT_MM, y[k] // SPOT_MM, z[k])
+            if spot not in spots:
+                spots.add(spot)
+                yield turn, (float(x[k]), float(y[k]), float(z[k]))
+            if len(spots) == MOST_PLACES:
+                break
 
 
 def _rest(

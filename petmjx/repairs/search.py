@@ -1,8 +1,10 @@
 """The search for the smallest change that makes a plan stand.
 
-A beam of changed plans is simulated, until one stands. Each step changes a plan at the place of its failure: statics
-ranks the possible changes, and the best ranked are judged at once, by one short simulation each. Standing plans are
-scored. Then needless changes are taken back, so that the plan falls without any one of the remaining changes.
+Changed plans are changed further, first those that promise the shortest repair: by their changes so far, and by the
+faults that are left, which are counted by simulations without the boxes that fall. A plan is changed where it fails:
+statics ranks the possible changes, and the best ranked are judged at once, by one short simulation each.
+Standing plans are scored. Then needless changes are taken back, so that the plan falls without any one of the remaining
+changes.
 
 ``search`` is a generator: it yields drafts to be simulated and is sent their trials. So the searches of many plans can
 share runs of an engine. The simulated plans depend only on the plan and the options, not on time.
@@ -10,10 +12,9 @@ share runs of an engine. The simulated plans depend only on the plan and the opt
 
 from __future__ import annotations
 
-import itertools
 import math
 from collections import Counter
-from collections.abc import Generator, Iterator, Sequence
+from collections.abc import Generator, Sequence
 from dataclasses import dataclass, replace
 from typing import Final
 
@@ -32,22 +33,42 @@ from petmjx.repairs.trials import Asked, Trial
 Asking = Generator[list[Asked], list[Trial], None]
 
 BEAM: Final = 4
-"""Number of changed plans that are changed further in each step."""
+"""Number of changed plans that are changed further at once."""
 
-AT_ONCE: Final = (24, 48, 96)
-"""Number of changed plans that are judged at once in a step: the best ranked first, then more until one has more
-standing boxes. If one stands, this many more are judged for the choice by errors."""
+AT_ONCE: Final = 24
+"""Number of changed plans that are judged at once. If one stands, as many more are judged for the choice by errors."""
 
-STEPS_ALONE: Final = 4
-"""Steps in which single changes are tried first. A plan that falls even then has faults all over: it is built anew."""
+MOST_RANKED: Final = 168
+"""Allowed changes of a plan that are kept, the most promising ones."""
+
+MOST_COUNTED: Final = 12
+"""Number of plans whose faults are counted, of those that are judged at once."""
+
+PILE: Final = 4.0
+"""Boxes that must be taken off with one that falls and count as a fault of their own: a large pile has no other place,
+and hides faults of its own."""
+
+PER_BATCH: Final = 0.25
+"""A plan of which ``AT_ONCE`` changes were judged in vain counts as if it needed so much of a change more."""
+
+ALONE: Final = 0.7
+"""Share of all trials in which only single changes are tried. A plan that falls even then has faults all over: it is
+built anew."""
+
+SHORTER: Final = 0.15
+"""Share of all trials in which a shorter repair is sought when one is known."""
+
+MOST_NEARLY: Final = 6
+"""Number of plans that fall when judged, by the tilt of boxes, with a single fault, and are scored before plans are
+built anew."""
 
 MOST_ANEW: Final = 2
-"""Changed plans of a step that are built anew, each in up to sixteen ways, which take a tenth of a second each."""
+"""Changed plans that are built anew at once, each in up to sixteen ways, which take a tenth of a second each."""
 
-CONFIRMED_AT_ONCE: Final = 6
+CONFIRMED_AT_ONCE: Final = 8
 """Plans that stand when judged, and are scored at once."""
 
-MOST_FINALISTS: Final = 4
+MOST_FINALISTS: Final = 6
 """Repairs with the least number of changes that are compared with errors."""
 
 MOST_UNDONE: Final = 8
@@ -81,11 +102,13 @@ class State:
         draft: the changed plan.
         changes: the changes.
         trial: its simulation.
+        faults: an estimate of the changes that are still needed.
     """
 
     draft: Draft
     changes: tuple[Change, ...]
     trial: Trial
+    faults: float = math.inf
 
     @property
     def cost(self) -> float:
@@ -100,6 +123,7 @@ class _Candidate:
     Attributes:
         proposal: the changes that make it of another state's plan.
         key: its rank: smaller is better.
+        parent: the other state.
     """
 
     draft: Draft
@@ -107,6 +131,35 @@ class _Candidate:
     proposal: Proposal
     trouble: float
     key: float
+    parent: State
+
+
+@dataclass(eq=False)
+class _Node:
+    """A changed plan that may be changed further.
+
+    Attributes:
+        queue: its allowed changes that were not judged, the most promising first; None: not proposed yet.
+        n_judged: its changes that were judged.
+        is_anew: whether it was built anew.
+    """
+
+    state: State
+    queue: list[_Candidate] | None = None
+    n_judged: int = 0
+    is_anew: bool = False
+
+    @property
+    def n_expected(self) -> float:
+        """The number of changes of a repair by way of this plan, by the estimate of its faults."""
+        return len(self.state.changes) + self.state.faults
+
+    @property
+    def key(self) -> tuple[float, int, int, float]:
+        """Its rank: smaller is better. Plans of which many changes were judged in vain wait."""
+        state = self.state
+        n_held, n_standing = state.trial.progress
+        return self.n_expected + PER_BATCH * (self.n_judged // AT_ONCE), -n_held, -n_standing, state.cost
 
 
 @dataclass(eq=False)
@@ -164,19 +217,19 @@ class Search:
         standing: list[State] = []
         if Kind.FILM in kinds:
             standing = yield from self._wrapped(start)
-        beam, kinds_with_all_boxes = [start], kinds - {Kind.FILM, Kind.LEAVE_OUT}
+        promising, kinds_with_all_boxes = [start], kinds - {Kind.FILM, Kind.LEAVE_OUT}
         most = self.options.trials if self.options.profile is None else self.options.trials // PER_DRIVE
         if not standing and self.options.profile is None:
             (judged,) = yield from self._simulated([self._start], judged=True)
             if not judged.stands:
-                beam = [State(self._start, (), judged)]
+                promising = [State(self._start, (), judged)]
         if not standing and kinds_with_all_boxes:
-            standing, beam = yield from self._changed(beam, kinds_with_all_boxes, most)
+            standing, promising = yield from self._changed(promising, kinds_with_all_boxes, most)
         if not standing and Kind.LEAVE_OUT in kinds:
             self._seen.clear()
-            standing, beam = yield from self._changed(beam, kinds - {Kind.FILM}, most // 2)
+            standing, promising = yield from self._changed(promising, kinds - {Kind.FILM}, most // 2)
             if not standing:
-                standing = yield from self._stripped(beam[0])
+                standing = yield from self._stripped(promising[0])
         if standing:
             self.repairs = tuple(standing)
             yield from self._finished(standing)
@@ -213,60 +266,133 @@ class Search:
     # ------------------------------------------------------------------ changes
 
     def _changed(
-        self, beam: list[State], kinds: frozenset[Kind], most_trials: int
+        self, start: Sequence[State], kinds: frozenset[Kind], most_trials: int
     ) -> Generator[list[Asked], list[Trial], tuple[list[State], list[State]]]:
-        """Plans that stand after changes of these kinds, and without such plans those that stood furthest."""
+        """Plans that stand after changes of these kinds, and the most promising ones of those that fall."""
         options = self.options
         limits = Limits(kinds, options.most_move_mm, options.sheet_mm, options.sheet_kg_m2)
-        last = self.n_trials + most_trials
-        best = beam
-        for step in itertools.count():
-            if not beam or self.n_trials >= last:
-                break
-            tried: list[tuple[State, _Candidate]] = []
-            progress = max(state.trial.progress for state in beam)
-            for count, queues in self._queues(beam, limits, step):
-                batch = _batch(queues, min(count, last - self.n_trials))
-                states = yield from self._judged(batch)
-                if any(state.trial.stands for state in states):  # further plans may stand more often with errors
-                    next_candidates = _batch(queues, min(AT_ONCE[0], last - self.n_trials))
-                    batch, states = batch + next_candidates, states + (yield from self._judged(next_candidates))
-                    standing = yield from self._confirmed(states)
-                    if standing:
-                        return standing, best
-                tried += zip(states, batch, strict=True)
-                if any(state.trial.progress > progress for state, _ in tried):
+        last, alone = self.n_trials + most_trials, self.n_trials + int(ALONE * most_trials)
+        faults = yield from self._faults(start, math.inf)
+        nodes = [_Node(replace(state, faults=count)) for state, count in zip(start, faults, strict=True)]
+        ways = {_way(node.state) for node in nodes}
+        standing: list[State] = []
+        is_late = False
+        while self.n_trials < last:
+            if standing:  # only shorter repairs are of use
+                fewest = len(standing[0].changes)
+                nodes = [n for n in nodes if len(n.state.changes) < fewest - 1 and n.n_expected <= fewest]
+            nodes.sort(key=lambda node: node.key)
+            if not (standing or is_late) and self.n_trials >= alone:
+                is_late = True
+                standing = yield from self._nearly(nodes)
+                if standing:
                     break
-            tried.sort(key=lambda p: (tuple(-n for n in p[0].trial.progress), p[1].trouble, p[0].cost))
-            beam = _different([state for state, _ in tried if self._is_short(state)], BEAM)
-            if beam and beam[0].trial.progress > best[0].trial.progress:
-                best = beam
-        return [], best
+            queues = self._queues(nodes, limits, anew=is_late)
+            if not queues:
+                break
+            batch = _batch(queues, min(2 * AT_ONCE if is_late else AT_ONCE, last - self.n_trials))
+            states = yield from self._judged(batch)
+            if any(state.trial.stands for state in states):  # further plans may stand more often with errors
+                next_candidates = _batch(queues, min(AT_ONCE, last - self.n_trials))
+                batch, states = batch + next_candidates, states + (yield from self._judged(next_candidates))
+                confirmed = yield from self._confirmed(states)
+                shortened = yield from self._pruned(confirmed, judged=True)
+                if shortened and not standing:
+                    last = min(last, self.n_trials + int(SHORTER * most_trials))
+                standing = _shortest([*standing, *shortened])
+                self.repairs = tuple(standing)
+            states = yield from self._counted(states, batch)
+            for state in sorted(states, key=lambda state: _Node(state).key):
+                if self._is_short(state) and not state.trial.stands and (way := _way(state)) not in ways:
+                    ways.add(way)
+                    nodes.append(_Node(state))
+        nodes.sort(key=lambda node: (node.n_expected, node.key))
+        return standing, [node.state for node in nodes[:BEAM]]
 
-    def _queues(self, beam: Sequence[State], limits: Limits, step: int) -> Iterator[tuple[int, list[list[_Candidate]]]]:
-        """Numbers of changed plans to judge, and queues from which to take them: single changes, and plans that are
-        built anew; these first where some single changes have not helped."""
-        for anew in (True, False) if step >= STEPS_ALONE else (False, True):
-            if not anew:
-                queues = [self._ranked(state, limits) for state in beam]
-                yield from ((count, queues) for count in AT_ONCE)
-            elif Kind.PLACE in limits.kinds:
-                queues = [self._ranked(state, limits, anew=True) for state in beam[:MOST_ANEW]]
-                yield AT_ONCE[-1], queues
+    def _nearly(self, nodes: Sequence[_Node]) -> Generator[list[Asked], list[Trial], list[State]]:
+        """The shortest of the plans with a single fault that stand when scored: a box tilts, and leans."""
+        if self.options.profile is not None:
+            return []
+        chosen = sorted((node.state for node in nodes if node.state.faults <= 1), key=lambda state: len(state.changes))
+        chosen = chosen[:MOST_NEARLY]
+        trials = (yield from self._simulated([state.draft for state in chosen])) if chosen else []
+        scored = [replace(state, trial=trial) for state, trial in zip(chosen, trials, strict=True)]
+        return _shortest([state for state in scored if state.trial.stands])
+
+    def _queues(self, nodes: Sequence[_Node], limits: Limits, *, anew: bool) -> list[list[_Candidate]]:
+        """Changes of the best nodes that were not judged; if wanted, these plans built anew, unless they were."""
+        if anew and Kind.PLACE in limits.kinds:
+            chosen = [node for node in nodes if not node.is_anew][:MOST_ANEW]
+            queues = []
+            for node in chosen:
+                node.is_anew = True
+                queues.append(self._ranked(node.state, limits, anew=True))
+            if any(queues):
+                return queues
+        queues = []
+        for node in nodes:
+            if node.queue is None:
+                node.queue = self._ranked(node.state, limits)
+            if node.queue:
+                queues.append(node.queue)
+                node.n_judged += AT_ONCE
+            if len(queues) == BEAM:
+                break
+        return queues
 
     def _judged(self, batch: Sequence[_Candidate]) -> Generator[list[Asked], list[Trial], list[State]]:
         """The states of candidates that are only judged."""
         trials = (yield from self._simulated([c.draft for c in batch], judged=True)) if batch else []
         return [State(c.draft, c.changes, trial) for c, trial in zip(batch, trials, strict=True)]
 
+    def _counted(
+        self, states: Sequence[State], batch: Sequence[_Candidate]
+    ) -> Generator[list[Asked], list[Trial], list[State]]:
+        """The states with their faults. The faults of the most promising ones are counted, of each way to change a plan
+        one; the others are taken to have as many as before."""
+
+        def rank(k: int) -> tuple[bool, int, int, float]:
+            trial, before = states[k].trial, batch[k].parent.trial
+            is_same = trial.culprit == before.culprit and trial.progress <= before.progress
+            return is_same, -trial.progress[0], -trial.progress[1], batch[k].trouble
+
+        different: dict[tuple[object, ...], int] = {}
+        for k in sorted(range(len(states)), key=rank):
+            different.setdefault(_way(states[k]), k)
+        chosen = [*different.values()][:MOST_COUNTED]
+        faults = [0.0 if state.trial.stands else c.parent.faults for state, c in zip(states, batch, strict=True)]
+        counts = yield from self._faults([states[k] for k in chosen], max((faults[k] for k in chosen), default=0.0))
+        for k, count in zip(chosen, counts, strict=True):
+            faults[k] = count
+        return [replace(state, faults=count) for state, count in zip(states, faults, strict=True)]
+
+    def _faults(self, states: Sequence[State], most: float) -> Generator[list[Asked], list[Trial], list[float]]:
+        """The number of faults of plans, counted up to a limit: a box that falls is taken off, with all boxes that need
+        it, until the rest stands. With a drive, which is too dear for that, the boxes that fall are counted."""
+        faults = [0.0] * len(states)
+        falling = {k: (state.draft, state.trial) for k, state in enumerate(states) if not state.trial.stands}
+        while falling:
+            drafts = {}
+            for k, (draft, trial) in falling.items():
+                if self.options.profile is not None:
+                    faults[k] = max(1.0, len(trial.fallen) / PILE)
+                    continue
+                lifted = lifted_with(draft, _lost(draft, trial))
+                faults[k] += max(1.0, len(lifted) / PILE)
+                if faults[k] > most or min(lifted) < self.rules.built or len(lifted) == len(draft.order):
+                    continue
+                drafts[k] = replace(draft, order=tuple(box for box in draft.order if box not in lifted))
+            trials = (yield from self._simulated([*drafts.values()], judged=True)) if drafts else []
+            falling = {
+                k: (draft, trial) for (k, draft), trial in zip(drafts.items(), trials, strict=True) if not trial.stands
+            }
+        return faults
+
     def _stripped(self, state: State) -> Generator[list[Asked], list[Trial], list[State]]:
         """The state without the boxes that fall, left out one by one with all boxes on them, until the remaining boxes
         stand; empty: boxes that stand already fall. The loop always ends, since each step leaves out a box."""
         while not state.trial.stands:
-            box = state.trial.culprit
-            if box is None:
-                box = state.draft.order[min(state.trial.n_placed, len(state.draft.order)) - 1]
-            lifted = lifted_with(state.draft, box)
+            lifted = lifted_with(state.draft, _lost(state.draft, state.trial))
             if min(lifted) < self.rules.built or len(lifted) >= len(state.draft.order):
                 return []
             changes = state.changes
@@ -346,29 +472,27 @@ class Search:
             unsolved = first is not None and after.depth_of(first.box) > 0
             risk = after.trouble + PER_WEAKNESS * after.weakness
             rank = risk + UNSOLVED * unsolved + PER_COST * cost_of(proposal)
-            ranked.append(_Candidate(draft, changes, proposal, after.trouble, rank))
+            ranked.append(_Candidate(draft, changes, proposal, after.trouble, rank, state))
         ranked.sort(key=lambda candidate: candidate.key)
-        self._seen.difference_update(_key(candidate.draft) for candidate in ranked[sum(AT_ONCE) :])
-        return ranked
+        self._seen.difference_update(_key(candidate.draft) for candidate in ranked[MOST_RANKED:])
+        return ranked[:MOST_RANKED]
 
     # ------------------------------------------------------------------ the end
 
     def _finished(self, standing: Sequence[State]) -> Asking:
         """Take back needless changes, and keep the repairs with the fewest changes."""
         fewest = min(len(state.changes) for state in standing)
-        short = [state for state in standing if len(state.changes) == fewest]
-        pruned = []
-        for state in short[: min(MOST_FINALISTS, max(MOST_UNDONE // fewest, 1))]:
-            reduced = yield from self._reduced(state)
-            pruned.append((yield from self._pruned(reduced)))
-        fewest = min(len(state.changes) for state in pruned)
-        different = [*{_key(state.draft): state for state in pruned if len(state.changes) == fewest}.values()]
+        reduced = []
+        for state in _shortest(standing)[: min(MOST_FINALISTS, max(MOST_UNDONE // fewest, 1))]:
+            reduced.append((yield from self._reduced(state)))
+        pruned = _shortest((yield from self._pruned(reduced, judged=fewest > MOST_UNDONE)))
+        different = [*{_key(state.draft): state for state in pruned}.values()]
         ranks = zip(self._weakness(different), (math.floor(state.cost / SAME_COST) for state in different), strict=True)
         self.repairs = tuple(state for _, state in sorted(zip(ranks, different, strict=True), key=lambda p: p[0]))
 
     def _reduced(self, state: State) -> Generator[list[Asked], list[Trial], State]:
-        """The state without groups of needless changes: halves first, then smaller groups."""
-        size = len(state.changes) // 2
+        """The state without groups of needless changes if it has many: halves first, then smaller groups."""
+        size = len(state.changes) // 2 if len(state.changes) > MOST_UNDONE else 0
         shorter = state
         while size > 1:
             changes = shorter.changes
@@ -395,20 +519,34 @@ class Search:
         trials = yield from self._simulated([draft for draft, _ in made], judged=judged)
         return [State(draft, changes, trial) for (draft, changes), trial in zip(made, trials, strict=True)]
 
-    def _pruned(self, state: State) -> Generator[list[Asked], list[Trial], State]:
-        """The state without needless changes, tried one by one."""
-        while len(state.changes) > 1:
-            many = len(state.changes) > MOST_UNDONE  # scores of all of them would take minutes
-            change_lists = [(*state.changes[:k], *state.changes[k + 1 :]) for k in range(len(state.changes))]
-            trials = yield from self._trials_of(change_lists, judged=many)
-            standing = sorted((shorter for shorter in trials if shorter.trial.stands), key=lambda one: one.cost)[:1]
-            if standing and many:
-                (trial,) = yield from self._simulated([standing[0].draft])
-                standing = [replace(standing[0], trial=trial)] if trial.stands else []
-            if not standing:
-                break
-            state = standing[0]
-        return state
+    def _pruned(self, states: Sequence[State], *, judged: bool) -> Generator[list[Asked], list[Trial], list[State]]:
+        """States that stand, without needless changes, which are taken back one by one.
+
+        Args:
+            judged: whether that is judged, and only the shortest is scored; scores of many would take minutes.
+        """
+        shorter = list(states)
+        remaining = [k for k, state in enumerate(states) if len(state.changes) > 1]
+        while remaining:
+            change_lists = {
+                k: [(*changes[:n], *changes[n + 1 :]) for n in range(len(changes))]
+                for k in remaining
+                for changes in [shorter[k].changes]
+            }
+            different = dict.fromkeys(changes for lists in change_lists.values() for changes in lists)
+            tried = yield from self._trials_of([*different], judged=judged)
+            standing = {state.changes: state for state in tried if state.trial.stands}
+            remaining = []
+            for k, lists in change_lists.items():
+                if some := [standing[changes] for changes in lists if changes in standing]:
+                    shorter[k] = min(some, key=lambda state: state.cost)
+                    if len(shorter[k].changes) > 1:
+                        remaining.append(k)
+        changed = [k for k, state in enumerate(states) if judged and shorter[k] is not state]
+        trials = (yield from self._simulated([shorter[k].draft for k in changed])) if changed else []
+        for k, trial in zip(changed, trials, strict=True):
+            shorter[k] = replace(shorter[k], trial=trial) if trial.stands else states[k]
+        return shorter
 
     def _weakness(self, states: Sequence[State]) -> list[int]:
         """What makes each changed plan fall with errors only, in steps of ``SAME_WEAKNESS``."""
@@ -419,6 +557,17 @@ class Search:
 def _n_counted(changes: Sequence[Change]) -> int:
     """Number of changes but for boxes that are left out."""
     return sum(change.kind is not Kind.LEAVE_OUT for change in changes)
+
+
+def _shortest(states: Sequence[State]) -> list[State]:
+    """The states with the fewest changes."""
+    fewest = min((len(state.changes) for state in states), default=0)
+    return [state for state in states if len(state.changes) == fewest]
+
+
+def _lost(draft: Draft, trial: Trial) -> int:
+    """The box that fell first; if none is known, the one that was placed last."""
+    return draft.order[min(trial.n_placed, len(draft.order)) - 1] if trial.culprit is None else trial.culprit
 
 
 def _way(state: State) -> tuple[object, ...]:
@@ -443,11 +592,6 @@ def _batch(queues: Sequence[list[_Candidate]], count: int) -> list[_Candidate]:
         for rank in sorted(chosen, reverse=True):
             del queue[rank]
     return batch
-
-
-def _different(states: Sequence[State], count: int) -> list[State]:
-    """The first states; of states with the same changes by different amounts only one."""
-    return [*{_way(state): state for state in reversed(states)}.values()][::-1][:count]
 
 
 def _key(draft: Draft) -> bytes:

@@ -20,6 +20,7 @@ from petmjx.engines.protocol import Engine, Progress
 from petmjx.engines.verdict import Outcome, Signs, Verdict, failures
 from petmjx.options.run_options import AUTO, Confidence, RunOptions, sorted_options
 from petmjx.options.simulation import Simulation, Thresholds
+from petmjx.packers.pack_flow import TableEngine
 from petmjx.plans.plan import Plan
 from petmjx.repairs.drafts import BoolArray, Draft
 from petmjx.repairs.repair_options import RepairOptions
@@ -44,6 +45,11 @@ LONGEST_WAIT_S: Final = 2.0
 JUDGED_TILT_DEG: Final = 5.0
 """Tilt beyond which a box falls where a draft is only judged. Most boxes that shift tilt by more, so a world ends when
 they do. Of 133 generated plans that stand, boxes of one tilt by more than 3° (5.4°)."""
+
+ON_A_GPU: Final = "mjx-warp"
+TABLE: Final = 512, 32
+"""Fewest rows of a table on a GPU, and boxes in steps of which it has columns. Each batch of trials has another number
+of worlds, and each size of a table takes seconds to compile."""
 
 Asked = tuple[Draft, bool]
 """A draft, and whether it is only judged, that is simulated once until a box is lost. Otherwise the draft is scored."""
@@ -244,9 +250,12 @@ def _engines(run: RunOptions) -> tuple[Engine, RunOptions | None]:
         return run.engine, None
     name = run.engine
     if name == AUTO:
-        name = "mjx-warp" if why_no_warp() is None else "mjx-warp-cpu" if why_no_warp_on_cpu() is None else "mujoco"
+        name = ON_A_GPU if why_no_warp() is None else "mjx-warp-cpu" if why_no_warp_on_cpu() is None else "mujoco"
     second = RunOptions(engine="mujoco", threads=run.threads) if run.engine == AUTO and name != "mujoco" else None
-    return make_engine(name, **options_of(name, run)), second
+    engine = make_engine(name, **options_of(name, run))
+    if engine.name == ON_A_GPU and isinstance(engine, TableEngine):
+        engine.least_rows, engine.granule = TABLE
+    return engine, second
 
 
 def _over_limits(boxes: Signs | BoxMetrics, limits: Thresholds) -> BoolArray:

@@ -34,39 +34,34 @@ def placements_table(plans: Iterable[Plan]) -> pa.Table | None:
     """The table; None if a text of the plans cannot be written as UTF-8."""
     plans, schema = list(plans), placements_schema()
     counts = [plan.n_boxes for plan in plans]
-    columns: dict[str, Any] = {"plan_id": np.repeat(np.array([plan.plan_id for plan in plans], dtype=object), counts)}
+    columns: dict[str, Sequence[Any]] = {}
     for name, field in _TEXTS.items():
-        columns[name] = _texts([getattr(plan, field) for plan in plans], counts)
+        columns[name] = [getattr(plan, field) or None for plan in plans]
     for name, field in _VECTORS.items():
         values = [getattr(plan, field) for plan in plans]
         for axis, letter in enumerate("xyz"):
-            columns[f"{name}_{letter}_mm"] = _numbers([v if v is None else v[:, axis] for v in values], counts)
+            columns[f"{name}_{letter}_mm"] = [v if v is None else v[:, axis] for v in values]
     for name in _NUMBERS:
-        columns[name] = _numbers([getattr(plan, name) for plan in plans], counts)
+        columns[name] = [getattr(plan, name) for plan in plans]
     try:
-        arrays = [_array(columns[field.name], field.type) for field in schema]
+        plan_ids = pa.array([plan.plan_id for plan in plans], pa.string())
+        of_box = plan_ids.take(pa.array(np.repeat(np.arange(len(plans)), np.array(counts, np.intp))))
+        arrays = [_array(columns[field.name], counts, field.type) for field in schema if field.name != "plan_id"]
     except (pa.ArrowException, UnicodeError):
         return None
-    return pa.Table.from_arrays(arrays, schema=schema)
+    return pa.Table.from_arrays([of_box, *arrays], schema=schema)
 
 
-def _texts(values: Sequence[tuple[str, ...]], counts: Sequence[int]) -> list[str | None]:
-    """The texts of all boxes; None for the boxes of plans without this field."""
-    return [text for texts, count in zip(values, counts, strict=True) for text in texts or (None,) * count]
-
-
-def _numbers(values: Sequence[Any], counts: Sequence[int]) -> tuple[Any, Any]:
-    """The numbers of all boxes, and a mask of the boxes of plans without this field."""
-    filled_arrays = [np.zeros(count) if array is None else array for array, count in zip(values, counts, strict=True)]
-    lacks = np.repeat([array is None for array in values], counts) if values else np.zeros(0, bool)
-    return np.concatenate(filled_arrays) if filled_arrays else np.zeros(0), lacks
-
-
-def _array(values: Any, kind: pa.DataType) -> pa.Array:
-    if isinstance(values, tuple):
-        numbers, lacks = values
-        return pa.array(numbers, mask=lacks, from_pandas=False).cast(kind)
-    return pa.array(values, kind)
+def _array(values: Sequence[Any], counts: Sequence[int], kind: pa.DataType) -> pa.Array:
+    """The values of all boxes; null for the boxes of plans without this field, whose entry in ``values`` is None."""
+    if all(of_plan is None for of_plan in values):
+        return pa.nulls(sum(counts), kind)
+    if kind == pa.string():
+        texts = (of_plan or (None,) * count for of_plan, count in zip(values, counts, strict=True))
+        return pa.array(list(itertools.chain.from_iterable(texts)), kind)
+    filled = [np.zeros(count) if array is None else array for array, count in zip(values, counts, strict=True)]
+    lacks = np.repeat([array is None for array in values], counts)
+    return pa.array(np.concatenate(filled), mask=lacks, from_pandas=False).cast(kind)
 
 
 def kept_plans(parts: Parts, records: Mapping[str, PlanRecord], wanted: Collection[str]) -> dict[str, Plan]:

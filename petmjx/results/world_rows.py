@@ -5,6 +5,8 @@ from __future__ import annotations
 import time
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import cached_property
+from operator import attrgetter
 from typing import Any, Final
 
 import numpy as np
@@ -30,13 +32,31 @@ def _block_columns() -> list[Column]:
     return [*box_columns(), *FORCE_INTERVAL]
 
 
+def _block_rows() -> Iterator[tuple[int | slice, str]]:
+    """The row of a block, or the rows of its components, and the field of ``BoxMetrics``, of each metric of boxes."""
+    first = 0
+    for metric in box_metrics():
+        end = first + len(metric.columns)
+        yield (slice(first, end) if end > first + 1 else first), metric.attribute
+        first = end
+
+
+# a loop over these for each world takes longer than the values
+_NUMBERS: Final = ("culprit", *(metric.name for metric in world_metrics() if metric.numbers))
+_CELLS: Final = ("culprit", *_OF_OUTCOME, *(metric.name for metric in world_metrics()))
+_CELLS_OF: Final = attrgetter(*_CELLS)
+_N_COLUMNS: Final = len(_block_columns())
+_BLOCK_ROWS: Final = tuple(_block_rows())
+_BLOCK_OF: Final = attrgetter(*(attribute for _, attribute in _BLOCK_ROWS))
+
+
 @dataclass(frozen=True, eq=False)
 class Row:
     """One finished world that waits to be written. The row has copies, so the engine may reuse its arrays.
 
     Attributes:
         cells: columns of ``worlds`` that are not reductions over boxes.
-        block: (boxes, columns) metrics of boxes, in the order of ``_block_columns``.
+        block: (columns, boxes) metrics of boxes, in the order of ``_block_columns``.
         attempts: all attempts; empty if the world needed only one.
         recorded: the recorded world with its history; None without a recording.
         ended_s: when the world ended (monotonic clock).
@@ -80,17 +100,18 @@ class Row:
         n = outcome.n_boxes
         if not n == plan.n_boxes == len(outcome.boxes.max_tilt_deg) or n == 0:
             raise ValueError(f"plan {plan.plan_id} has {plan.n_boxes} boxes, its outcome {n}")
-        culprit = outcome.culprit if outcome.culprit >= 0 else None
-        cells = {"plan_id": plan.plan_id, "variant": variant, RANK: rank, "schedule": schedule}
-        cells |= {name: getattr(outcome, name) for name in (*_OF_OUTCOME, *(metric.name for metric in world_metrics()))}
-        cells |= {
-            metric.name: None for metric in world_metrics() if metric.numbers and getattr(outcome, metric.name) < 0
-        }
-        cells |= {"culprit": culprit, **params}
-        values = [np.asarray(getattr(outcome.boxes, metric.attribute)).reshape(n, -1) for metric in box_metrics()]
-        values.append(np.full((n, len(FORCE_INTERVAL)), np.nan) if interval_n is None else interval_n)
-        block = np.concatenate(values, axis=1, dtype=np.float64)
-        block[outcome.n_placed :] = np.nan  # never placed; boolean columns read NaN as "no"
+        cells: dict[str, Any] = {"plan_id": plan.plan_id, "variant": variant, RANK: rank, "schedule": schedule}
+        cells |= zip(_CELLS, _CELLS_OF(outcome), strict=True)
+        for name in _NUMBERS:
+            if cells[name] < 0:
+                cells[name] = None
+        cells |= params
+        block = np.full((_N_COLUMNS, n), np.nan)
+        placed = slice(outcome.n_placed)  # boolean columns read NaN as "no"
+        for (rows, _), values in zip(_BLOCK_ROWS, _BLOCK_OF(outcome.boxes), strict=True):
+            block[rows, placed] = np.asarray(values)[placed].T
+        if interval_n is not None:
+            block[-len(FORCE_INTERVAL) :, placed] = interval_n[placed].T
         history = outcome.history
         recorded = None if history is None else history_tables.RecordedWorld(plan.plan_id, variant, history, rank)
         return cls(plan, cells, block, tuple(attempts) if len(attempts) > 1 else (), recorded)
@@ -117,12 +138,12 @@ class Part:
 
     def worlds(self, schema: pa.Schema) -> pa.Table:
         """The ``worlds`` table, with reductions over boxes, for the whole part at once."""
-        blocks, counts = self._blocks()
+        blocks, counts = self._blocks
         starts = np.cumsum(counts) - counts
         columns: dict[str, Any] = {}
         first = 0
         for metric in box_metrics():
-            values = blocks[:, first : first + len(metric.columns)]
+            values = blocks[first : first + len(metric.columns)].T
             first += len(metric.columns)
             if metric.of_world is not None:
                 columns[metric.of_world.name] = reduce_boxes(metric.of_world.reduction, values, starts)
@@ -131,11 +152,11 @@ class Part:
 
     def boxes(self, schema: pa.Schema) -> pa.Table:
         """The ``boxes`` table: world after world, boxes in packing order."""
-        blocks, counts = self._blocks()
+        blocks, counts = self._blocks
         world = np.repeat(np.arange(len(self.rows)), counts)
         columns: dict[str, Any] = {
             column.name: values > 0 if column.dtype is np.bool_ else values
-            for column, values in zip(_block_columns(), blocks.T, strict=True)
+            for column, values in zip(_block_columns(), blocks, strict=True)
         }
         columns["plan_id"] = pa.array([row.plan.plan_id for row in self.rows], pa.string()).take(pa.array(world))
         for name, kind in (("variant", np.int32), (RANK, np.int64)):
@@ -152,10 +173,11 @@ class Part:
         cells = [{**row.cells, **vars(attempt)} for row, attempt in rows]
         return _typed_table({name: [cell[name] for cell in cells] for name in schema.names}, schema)
 
+    @cached_property
     def _blocks(self) -> tuple[FloatArray, NDArray[np.int64]]:
-        """All box metrics of the part, and the number of boxes of each world."""
-        blocks = np.concatenate([np.empty((0, len(_block_columns()))), *(row.block for row in self.rows)])
-        return blocks, np.array([len(row.block) for row in self.rows], dtype=np.int64)
+        """(columns, boxes) all box metrics of the part, and the number of boxes of each world."""
+        blocks = np.concatenate([np.empty((_N_COLUMNS, 0)), *(row.block for row in self.rows)], axis=1)
+        return blocks, np.array([row.block.shape[1] for row in self.rows], dtype=np.int64)
 
 
 def _typed_table(columns: Mapping[str, Any], schema: pa.Schema) -> pa.Table:

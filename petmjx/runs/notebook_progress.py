@@ -58,11 +58,13 @@ class NotebookBar:
     def _as_html(self) -> str:
         start, left = self._start, self._left
         assert start is not None  # the run begins before the first drawing
-        self._pace.update(self._done)
+        share = start.progress.work_share
+        self._pace.update(self._done, share)
         parts = self._pace.words
         if self._done != left and start.progress.message:
             parts.append(start.progress.message)
-        value = "" if left is None else f' value="{self._done}" max="{max(left, 1)}"'
+        drawn = self._done if share is None or left is None else round(share * left, 1)
+        value = "" if left is None else f' value="{drawn}" max="{max(left, 1)}"'
         about = f"{start.size}; engine {start.choice.name} ({start.choice.reason})"
         bar = f'<progress{value} style="width: 16em"></progress> {html.escape(", ".join(parts))}'
         return f"<div><div>{html.escape(about)}</div><div>{bar}</div></div>"
@@ -104,7 +106,7 @@ class ScriptLines:
             self._say_pace()
 
     def _say_pace(self) -> None:
-        self._pace.update(self._done)
+        self._pace.update(self._done, self._progress.work_share)
         message = "" if self._done == self._total else self._progress.message
         self._say(", ".join(filter(None, (*self._pace.words, message))))
 

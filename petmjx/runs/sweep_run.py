@@ -1,6 +1,6 @@
-"""Runs a sweep: simulates each placement once, forks its settled state into all drives, and searches levels.
+"""Runs a sweep: simulates each placement once, forks its settled state into all drives or ways, and searches levels.
 
-The engine gets placements and drives in batches over many plans, since a device is fast with large batches.
+The engine gets placements, drives and legs of many plans in one stream, since a device is fast with many worlds.
 ``Batching`` limits the memory, for sweeps of any size.
 """
 
@@ -10,28 +10,27 @@ import time
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property, partial
-from itertools import chain
 from typing import Any
 
 import numpy as np
 
 from petmjx.engines.attempt_stream import FIRST_WORLDS, MOST_PENDING, check_pool_for, score_worlds
 from petmjx.engines.attempts import ATTEMPTS
+from petmjx.engines.job_stream import JobBounds
 from petmjx.engines.protocol import Engine, Progress
 from petmjx.engines.subprocess.check_pool import CheckPool
-from petmjx.engines.verdict import Attempt, Flag, Outcome, Verdict, judge
-from petmjx.engines.world_results import AnyWorld, World, WorldResult
-from petmjx.options.simulation import Simulation, Thresholds
-from petmjx.options.walls import Side
+from petmjx.engines.verdict import Outcome, Verdict
+from petmjx.engines.world_results import AnyWorld, WorldResult
+from petmjx.options.simulation import Simulation
 from petmjx.plans.plan import Plan
 from petmjx.results.history_tables import NO_RECORDING, Recording
 from petmjx.results.resume import CompletedWorlds
 from petmjx.runs.chain_legs import PLACING, after, with_sustained_force
+from petmjx.runs.forked_worlds import DriveWorld, LegStart, LegWorld, PlacementWorld, SettledPlacement, Test
 from petmjx.runs.level_search import Bisection, Probe, SearchBracket
 from petmjx.runs.study import FinishedWorld, LegEnd
 from petmjx.runs.sweep_design import SearchItem
 from petmjx.runs.sweep_worlds import PlacementGroup, SweepPlan
-from petmjx.runs.transport_limits import load_height_m
 from petmjx.world.job import Job
 from petmjx.world.scene import Scene
 from petmjx.world.variants import LegSpec, Variant
@@ -46,8 +45,8 @@ class Batching:
             dropped.
         placements: largest number of stored settled states. A state with 43 boxes takes 10 to 20 KB.
         worlds: largest number of variants forked from stored states (a single placement may have more).
-        drives: largest number of forked worlds in one call of the engine, where they are not the drives of a grid. In a
-            search these are the first tests of all items, in a chain a leg of all worlds.
+        drives: largest number of forked worlds in one call of the engine, where they are not the drives of a grid: in
+            a search the first tests of all items, in a chain all worlds.
         histories: largest number of settled states stored with their histories. A history with 43 boxes takes 1 MB.
     """
 
@@ -68,62 +67,6 @@ class Tally:
     drives: int = 0
     drive_steps: int = 0
     drive_s: float = 0.0
-
-
-@dataclass(frozen=True, eq=False)
-class SettledPlacement:
-    """A placement that has settled: its outcome, with the state from which drives start."""
-
-    group: PlacementGroup
-    scene: Scene
-    outcome: Outcome
-    attempts: tuple[Attempt, ...]
-    _of_legs: dict[tuple[float | None, tuple[Side, ...]], Scene] = field(default_factory=dict, init=False)
-    """Turns of film and open walls → the scene with both."""
-
-    @cached_property
-    def load_height_m(self) -> float:
-        """Height of the load at rest, m. The settled state is the same for all drives of the placement."""
-        return load_height_m(self.outcome.boxes.pos, self.scene.half_size)
-
-    def shaken(self, outcome: Outcome, thresholds: Thresholds) -> Outcome:
-        """The outcome of a fork, judged together with its placement. The history of a fork begins with that of the
-        placement."""
-        placed = self.outcome
-        if outcome.verdict is Verdict.STABLE and placed.verdict is not Verdict.STABLE:
-            judge_args = outcome.flags, outcome.boxes, outcome.n_placed, thresholds
-            verdict, reason = judge(*judge_args, placement=(placed.verdict, placed.reason))
-            outcome = replace(
-                outcome,
-                verdict=verdict,
-                reason=reason,
-                culprit=placed.culprit,
-                first_sign_s=placed.first_sign_s,
-                margin=min(outcome.margin, placed.margin),
-            )
-        if outcome.history is None or placed.history is None:
-            return outcome
-        return replace(outcome, history=placed.history.then(outcome.history))
-
-    def undriven(self, variant: Variant) -> FinishedWorld:
-        """A world with the outcome of the placement. No step was simulated for such a world."""
-        outcome = replace(self.outcome, flags=self.outcome.flags | Flag.FORKED, n_steps=0, state=None)
-        end = LegEnd(PLACING, 0.0) if variant.legs else None
-        return FinishedWorld(self.group.plan, variant, self.scene, outcome, self.attempts, self.outcome, ended_in=end)
-
-    def scene_of(self, leg: LegSpec) -> Scene:
-        """The scene on a leg: with its film around the pallet, and its walls open."""
-        key = leg.wrap_turns, leg.open_walls
-        if key == (None, ()):
-            return self.scene
-        if key not in self._of_legs:
-            scene = self.scene
-            if leg.wrap_turns is not None:
-                scene = replace(scene, wrap=scene.wrap.changed(turns=leg.wrap_turns))
-            # walls that are open by the options are not among those of the carrier
-            closed = [side for side in leg.open_walls if side in scene.carrier.walls]
-            self._of_legs[key] = scene.with_open_walls(closed) if closed else scene
-        return self._of_legs[key]
 
 
 @dataclass(frozen=True, eq=False)
@@ -148,54 +91,13 @@ SAME_STEP_ATTEMPTS = tuple(attempt for attempt in ATTEMPTS if attempt.timestep_d
 """The attempts for placements with stored states, and for their forks. The attempt with half the timestep is left
 out: a state counts time in steps, so no world can start from a state that was reached with half the timestep."""
 
-Test = tuple[int, int]
-"""Item of a search and index of the tested level, as in `Bisection`."""
+
+def _n_drives(variant: Variant) -> int:
+    """Number of drives or legs of a world that stands until its end."""
+    return len(variant.legs) or int(variant.drive is not None)
 
 
-@dataclass(frozen=True, eq=False)
-class _PlacementWorld(World):
-    """A placement as a world that the engine simulates."""
-
-    group: PlacementGroup
-
-
-@dataclass(frozen=True, eq=False)
-class _DriveWorld(World):
-    """A fork as a world that the engine simulates. ``test`` is its test of a search."""
-
-    settled: SettledPlacement
-    change: Variant
-    test: Test = (-1, -1)
-
-
-@dataclass(frozen=True, eq=False)
-class _LegStart:
-    """Where a leg of a chain begins.
-
-    Attributes:
-        changes: the worlds that begin there, with equal chains up to this leg.
-        number: of the leg in their chains.
-        before: the outcome after the legs before; None: this is the first leg.
-    """
-
-    settled: SettledPlacement
-    changes: tuple[Variant, ...]
-    number: int
-    before: Outcome | None
-
-
-@dataclass(frozen=True, eq=False)
-class _LegWorld(World):
-    """A leg of a chain as a world that the engine simulates."""
-
-    begin: _LegStart
-
-    @property
-    def leg(self) -> LegSpec:
-        return self.begin.changes[0].legs[self.begin.number]
-
-
-def _drained(worlds: list[_DriveWorld]) -> list[_DriveWorld]:
+def _drained(worlds: list[AnyWorld]) -> list[AnyWorld]:
     """The worlds of a list, which is emptied."""
     drained = worlds.copy()
     worlds.clear()
@@ -228,6 +130,9 @@ class SweepRun:
     batching: Batching = field(default_factory=Batching)
     tally: Tally = field(default_factory=Tally)
     _check_pool: CheckPool[Any] | None = field(default=None, init=False)
+    _work_done: int = field(default=0, init=False)
+    _work: int = field(default=0, init=False)
+    """Boxes of all placements, drives and legs; 0 if it is unknown, or worlds are placements alone."""
 
     @cached_property
     def sim(self) -> Simulation:
@@ -247,14 +152,16 @@ class SweepRun:
 
     def _all_worlds(self) -> Iterator[FinishedWorld]:
         has_drives = self.plan.sweep.has_drives
+        if has_drives and self.plan.sweep.search is None:
+            self._work = sum(
+                group.plan.n_boxes * (1 + sum(map(_n_drives, self._missing(group)))) for group in self._groups()
+            )
         if self.plan.sweep.nominal or not has_drives:
             yield from self._run_placements(group for group in self._groups() if not group.driven)
         if not has_drives:
             return
         for chunk in self._chunks():
-            if self.plan.sweep.legs:
-                yield from self._chain(chunk)
-            elif self.plan.sweep.search is None:
+            if self.plan.sweep.search is None:
                 yield from self._fork(chunk)
             else:
                 yield from self._search(self._settle([group for group in chunk if not self._answer_again(group)]))
@@ -271,13 +178,7 @@ class SweepRun:
         group, variant = self.plan.find(plan_id, index)
         if not group.driven:
             return next(world for world in self._run_placements([group]) if world.variant.index == index)
-        (start,) = self._settle([group])
-        if not self._can_be_driven(start):
-            return start.undriven(variant)
-        if variant.legs:
-            (world,) = self._through_legs([_LegStart(start, (variant,), 0, None)])
-            return world
-        ((_, world),) = self._drive([self._driving(start, variant)])
+        (world,) = self._fork([replace(group, variants=(variant,))])
         return world
 
     def _groups(self) -> Iterator[PlacementGroup]:
@@ -297,7 +198,7 @@ class SweepRun:
     def _chunks(self) -> Iterator[list[PlacementGroup]]:
         """Placements with drives, in chunks as large as ``Batching`` allows."""
         search = self.plan.sweep.search
-        # of a search and of a chain the engine gets all drives of a chunk in one call
+        # a leg of each world of a chain may have samples of its own
         most = self.batching.worlds if search is None and not self.plan.sweep.legs else self.batching.drives
         per_search = 0 if search is None else len(self.plan.search_items()) * search.sections
         chunk: list[PlacementGroup] = []
@@ -323,6 +224,7 @@ class SweepRun:
         forks: bool,
         begin_with: int = FIRST_WORLDS,
         following: Callable[[], Iterable[AnyWorld]] | None = None,
+        bounds: JobBounds | None = None,
     ) -> Iterator[WorldResult[AnyWorld]]:
         return score_worlds(
             worlds,
@@ -333,6 +235,7 @@ class SweepRun:
             most_pending=most_pending,
             attempts=SAME_STEP_ATTEMPTS if forks else ATTEMPTS,
             following=following,
+            bounds=bounds,
             check_pool=self._check_pool,
         )
 
@@ -346,13 +249,20 @@ class SweepRun:
             yield self._settled(result)
         self.tally.placement_s += time.perf_counter() - begin
 
-    def _placements(self, groups: Iterable[PlacementGroup], keep_state: bool) -> Iterator[_PlacementWorld]:
+    def _placements(self, groups: Iterable[PlacementGroup], keep_state: bool) -> Iterator[PlacementWorld]:
         return (
-            _PlacementWorld(group.plan, group.index, self._placement(group, scene, keep_state), group)
+            PlacementWorld(group.plan, group.index, self._placement(group, scene, keep_state), group)
             for group, scene in self.plan.scenes(groups)
         )
 
+    def _note_work(self, plan: Plan, count: int = 1) -> None:
+        """Note that so many placements, drives or legs of a plan are done, or will not be simulated."""
+        self._work_done += count * plan.n_boxes
+        if self._work:
+            self.progress.work_share = self._work_done / self._work
+
     def _settled(self, result: WorldResult[Any]) -> SettledPlacement:
+        self._note_work(result.world.plan)
         self.tally.placements += 1
         self.tally.placement_steps += result.outcome.n_steps
         return SettledPlacement(result.world.group, result.world.job.scene, result.outcome, result.attempts)
@@ -393,39 +303,46 @@ class SweepRun:
     # Drives.
 
     def _fork(self, groups: Sequence[PlacementGroup]) -> Iterator[FinishedWorld]:
-        """Fork placements into all their variants. Drives begin when their placement has settled, beside placements
-        that take longer."""
+        """Fork placements into all their variants, beside placements that take longer: drives and the first legs of
+        chains begin when their placement has settled, further legs when the one before has ended."""
         begin = time.perf_counter()
         n_settled = 0
-        ready_drives: list[_DriveWorld] = []
-        following = partial(_drained, ready_drives)
-        worlds: Iterator[_PlacementWorld | _DriveWorld] = self._placements(groups, keep_state=True)
-        for result in self._score(worlds, self.batching.drives, forks=True, following=following):
-            if isinstance(result.world, _DriveWorld):
+        ready: list[DriveWorld | LegWorld] = []
+        following, bounds = partial(_drained, ready), self.plan.job_bounds(groups)
+        worlds: Iterator[PlacementWorld | DriveWorld | LegWorld] = self._placements(groups, keep_state=True)
+        for result in self._score(worlds, self.batching.drives, forks=True, following=following, bounds=bounds):
+            if isinstance(result.world, DriveWorld):
                 yield self._driven(result)
+                continue
+            if isinstance(result.world, LegWorld):
+                ended, further = self._after_leg(result)
+                if further is not None:
+                    ready += self._legs_of(further)
+                yield from ended
                 continue
             start, n_settled = self._settled(result), n_settled + 1
             self.progress.message = f"placed {n_settled:,} of {len(groups):,}" if n_settled < len(groups) else ""
             if n_settled == len(groups):
                 self.tally.placement_s += time.perf_counter() - begin
                 begin = time.perf_counter()
-            if self._can_be_driven(start):
-                ready_drives += self._drives_of(start)
+            missing = self._missing(start.group)
+            if not self._can_be_driven(start):
+                self._note_work(start.group.plan, sum(map(_n_drives, missing)))
+                yield from map(start.undriven, missing)
+            elif missing[0].legs:
+                ready += self._legs_of(LegStart(start, tuple(missing), 0, None))
             else:
-                yield from map(start.undriven, self._missing(start.group))
+                ready += (self._driving(start, variant) for variant in missing)
         self.tally.drive_s += time.perf_counter() - begin
 
-    def _drives_of(self, start: SettledPlacement) -> Iterator[_DriveWorld]:
-        return (self._driving(start, variant) for variant in self._missing(start.group))
-
-    def _driving(self, start: SettledPlacement, variant: Variant, test: Test = (-1, -1)) -> _DriveWorld:
+    def _driving(self, start: SettledPlacement, variant: Variant, test: Test = (-1, -1)) -> DriveWorld:
         plan = start.group.plan
         drive, record = self.plan.drive(plan, variant, start.load_height_m), self.recording.of(plan)
         job = Job(start.scene, drive=drive, start=start.outcome.state, record=record)
-        return _DriveWorld(plan, variant.index, job, start, variant, test)
+        return DriveWorld(plan, variant.index, job, start, variant, test)
 
     def _drive(
-        self, worlds: Iterable[_DriveWorld], following: Callable[[], Iterable[_DriveWorld]] | None = None
+        self, worlds: Iterable[DriveWorld], following: Callable[[], Iterable[DriveWorld]] | None = None
     ) -> Iterator[tuple[Test, FinishedWorld]]:
         """Simulate forks; yield each world with its test. ``following`` gives forks that follow from results."""
         begin = time.perf_counter()
@@ -436,6 +353,7 @@ class SweepRun:
 
     def _driven(self, result: WorldResult[Any]) -> FinishedWorld:
         world, outcome = result.world, result.outcome
+        self._note_work(world.plan)
         self.tally.drives += 1
         self.tally.drive_steps += outcome.n_steps
         final = world.settled.shaken(outcome, self.sim.thresholds)
@@ -445,18 +363,7 @@ class SweepRun:
 
     # Chains.
 
-    def _chain(self, groups: Sequence[PlacementGroup]) -> Iterator[FinishedWorld]:
-        """Take placements through the legs of their chains, each leg from the end of the leg before."""
-        first: list[_LegStart] = []
-        for start in self._settling(groups):
-            missing = self._missing(start.group)
-            if self._can_be_driven(start):
-                first.append(_LegStart(start, tuple(missing), 0, None))
-            else:
-                yield from map(start.undriven, missing)
-        yield from self._through_legs(first)
-
-    def _legs_of(self, begin: _LegStart) -> Iterator[_LegWorld]:
+    def _legs_of(self, begin: LegStart) -> Iterator[LegWorld]:
         """The next legs of some worlds, which had the same outcome so far. Worlds with the same leg share a drive."""
         placed, before = begin.settled, begin.before
         plan, record = placed.group.plan, self.recording.of(placed.group.plan)
@@ -468,43 +375,33 @@ class SweepRun:
             poses = None if before is None else np.concatenate([before.boxes.pos, before.boxes.quat], axis=1)
             scene = placed.scene_of(leg)
             job = Job(scene, drive=drive, start=placed.outcome.state, poses=poses, record=record)
-            yield _LegWorld(plan, changes_of_leg[0].index, job, replace(begin, changes=tuple(changes_of_leg)))
+            yield LegWorld(plan, changes_of_leg[0].index, job, replace(begin, changes=tuple(changes_of_leg)))
 
-    def _through_legs(self, starts: Sequence[_LegStart]) -> Iterator[FinishedWorld]:
-        """Simulate a leg of all worlds, then the next one of those that go on; yield each world at the end of its way.
+    def _after_leg(self, result: WorldResult[Any]) -> tuple[list[FinishedWorld], LegStart | None]:
+        """The worlds whose way ends with a leg, and where the next leg of the others begins."""
+        self.tally.drives += 1
+        self.tally.drive_steps += result.outcome.n_steps
+        world: LegWorld = result.world
+        begin = world.begin
+        if begin.before is None:
+            outcome = begin.settled.shaken(result.outcome, self.sim.thresholds)
+            outcome = with_sustained_force(outcome, begin.settled.outcome.boxes)
+        else:
+            outcome = after(begin.before, result.outcome, self.sim.physics.timestep_s)
+        stands, number = outcome.verdict is Verdict.STABLE, begin.number + 1
+        end = None if stands else self._end(world, outcome, result.outcome.n_steps)
+        further = tuple(change for change in begin.changes if stands and len(change.legs) > number)
+        ended = []
+        for change in begin.changes:
+            if change in further:
+                self._note_work(world.plan)
+                continue
+            self._note_work(world.plan, len(change.legs) - begin.number)
+            scene, placed = world.job.scene, begin.settled.outcome
+            ended.append(FinishedWorld(world.plan, change, scene, outcome, result.attempts, placed, True, end))
+        return ended, LegStart(begin.settled, further, number, outcome) if further else None
 
-        A device that waited for worlds to follow from outcomes would stand still meanwhile.
-        """
-        begin = time.perf_counter()
-        while starts:
-            name, total = starts[0].changes[0].legs[starts[0].number].name, len(starts)
-            # made by the thread of the source, since each leg has samples of its own where strengths are drawn
-            worlds, starts = chain.from_iterable(map(self._legs_of, starts)), []
-            for ended, result in enumerate(self._score(worlds, self.batching.drives, forks=True), start=1):
-                self.progress.message = f"leg {name}: {ended:,} of {max(total, ended):,}"
-                self.tally.drives += 1
-                self.tally.drive_steps += result.outcome.n_steps
-                world = result.world
-                placed, before = world.begin.settled, world.begin.before
-                if before is None:
-                    outcome = placed.shaken(result.outcome, self.sim.thresholds)
-                    outcome = with_sustained_force(outcome, placed.outcome.boxes)
-                else:
-                    outcome = after(before, result.outcome, self.sim.physics.timestep_s)
-                number, on = world.begin.number + 1, outcome.verdict is Verdict.STABLE
-                further_changes = tuple(change for change in world.begin.changes if on and len(change.legs) > number)
-                if further_changes:
-                    starts.append(_LegStart(placed, further_changes, number, outcome))
-                end = None if on else self._end(world, outcome, result.outcome.n_steps)
-                for change in world.begin.changes:
-                    if change not in further_changes:
-                        yield FinishedWorld(
-                            world.plan, change, world.job.scene, outcome, result.attempts, placed.outcome, True, end
-                        )
-        self.progress.message = ""
-        self.tally.drive_s += time.perf_counter() - begin
-
-    def _end(self, world: _LegWorld, outcome: Outcome, n_steps: int) -> LegEnd:
+    def _end(self, world: LegWorld, outcome: Outcome, n_steps: int) -> LegEnd:
         """Where a world ended that does not stand. ``n_steps``: those of its last leg."""
         if world.begin.settled.outcome.verdict is not Verdict.STABLE:
             return LegEnd(PLACING, 0.0)
@@ -537,7 +434,7 @@ class SweepRun:
         tested: dict[Test, Probe] = {}
         missing: dict[int, set[Test]] = {}
 
-        def next_drives(which: int) -> list[_DriveWorld]:
+        def next_drives(which: int) -> list[DriveWorld]:
             """The drives that an item needs next; empty if the item is finished."""
             while tests := bisection.next_tests(which):
                 probes = {test: probe for test in tests if (probe := tested.get(test) or recorded(*test)) is not None}
@@ -551,7 +448,7 @@ class SweepRun:
                 tested.update((test, now[test]) for test in bisection.bounds(which) if test in now)
             return []
 
-        ready_drives: list[_DriveWorld] = []
+        ready_drives: list[DriveWorld] = []
         # a list, since the thread of a source must not search
         first = [drive for which in range(len(searches)) for drive in next_drives(which)]
         for test, world in self._drive(first, partial(_drained, ready_drives)):

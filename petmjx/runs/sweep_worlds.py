@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Final
 
@@ -12,6 +12,7 @@ from petmjx.common.errors import InputError
 from petmjx.common.text import count_text, printable_name
 from petmjx.common.units import STANDARD_GRAVITY, deg_to_rad, seconds_to_steps
 from petmjx.engines.cost_model import Work, rest_steps
+from petmjx.engines.job_stream import JobBounds
 from petmjx.options.carriers import walls_of
 from petmjx.options.placing import Way
 from petmjx.options.simulation import Check, Schedule
@@ -289,6 +290,30 @@ class SweepPlan(Design):
         total_s = sim.total_time_factor * (sim.interval_s * plan.n_boxes)
         return seconds_to_steps(total_s, timestep_s) - seconds_to_steps(self.drive_start_s(plan), timestep_s)
 
+    def job_bounds(self, groups: Collection[PlacementGroup]) -> JobBounds:
+        """Bounds of some placements, and of the drives and legs that follow."""
+        sim, profiles = self.sweep.simulation, self.sweep.profiles.values()
+        jobs = sum(max(len(group.variants), 1) for group in groups)
+        box_counts = {group.plan.n_boxes for group in groups}
+        if self.sweep.legs:
+            legs = {leg for legs in self.ways.values() for leg in legs}
+            drawn = any(self._is_drawn(drive) for leg in legs for drive in leg.drives)
+            wraps = sim.wrap.holds or any(leg.wrap_turns for leg in legs)
+            return JobBounds(jobs, box_counts, max(map(self._leg_samples, legs)), None if drawn else len(legs), wraps)
+        drive_steps = max((profile.n_steps(sim.physics.timestep_s) for profile in profiles), default=0)
+        if sim.total_time_factor is not None:
+            drive_steps = min(drive_steps, max(self._drive_steps_left(group.plan) or 0 for group in groups))
+        # with the fixed schedule profiles of forces begin at other times in each plan
+        drawn = any(profile.random for profile in profiles) or sim.schedule is Schedule.FIXED
+        wraps = sim.wrap.holds or "wrap_turns" in self.sweep.axes
+        return JobBounds(jobs, box_counts, drive_steps, None if drawn else len(profiles), wraps)
+
+    def _leg_samples(self, leg: LegSpec) -> int:
+        """Steps in which the drives of a leg act, with its pauses."""
+        timestep_s = self.sweep.simulation.physics.timestep_s
+        pauses = (len(leg.drives) - 1 if leg.drives else 1) * seconds_to_steps(leg.pause_s, timestep_s)
+        return pauses + sum(self.sweep.profiles[drive.profile].n_steps(timestep_s) for drive in leg.drives)
+
     # Cost.
 
     def work(self) -> Work:
@@ -317,10 +342,7 @@ class SweepPlan(Design):
 
     def _leg_steps(self, leg: LegSpec) -> float:
         """Expected steps of a leg, if the pallet stands until its end."""
-        sim = self.sweep.simulation
-        pauses = (len(leg.drives) - 1 if leg.drives else 1) * seconds_to_steps(leg.pause_s, sim.physics.timestep_s)
-        steps = sum(self.sweep.profiles[drive.profile].n_steps(sim.physics.timestep_s) for drive in leg.drives)
-        return steps + pauses + rest_steps(sim, sim.rest_s)
+        return self._leg_samples(leg) + rest_steps(self.sweep.simulation, self.sweep.simulation.rest_s)
 
     @property
     def amount(self) -> str:

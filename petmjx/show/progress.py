@@ -31,8 +31,9 @@ LINE_S: Final = 10.0
 class ProgressSink(Protocol):
     """The object that :func:`progress` yields."""
 
-    def update(self, done: int, message: str = "") -> None:
-        """Show that ``done`` worlds are finished, and a message (compiling, repeating invalid worlds)."""
+    def update(self, done: int, message: str = "", share: float | None = None) -> None:
+        """Show that ``done`` worlds are finished, and a message (compiling, repeating invalid worlds). ``share``: as of
+        ``Throughput.update``."""
 
 
 @contextmanager
@@ -75,9 +76,9 @@ class ProgressLines:
         self._last = clock()
         self._done = 0
 
-    def update(self, done: int, message: str = "") -> None:
+    def update(self, done: int, message: str = "", share: float | None = None) -> None:
         self._done = done
-        self._pace.update(done)
+        self._pace.update(done, share)
         now = self._clock()
         if now - self._last >= LINE_S:
             self._last = now
@@ -114,10 +115,13 @@ class _Bar(RichProgress):
         super().__init__(count, BarColumn(), rate, left, console=console)
         self._task = self.add_task("", total=total)
 
-    def update(self, done: int, message: str = "") -> None:  # type: ignore[override]  # its only task
+    def update(  # type: ignore[override]  # its only task
+        self, done: int, message: str = "", share: float | None = None
+    ) -> None:
         self._message = printable(message)
-        self._pace.update(done)
-        super().update(self._task, completed=done)
+        self._pace.update(done, share)
+        total = self.tasks[0].total
+        super().update(self._task, completed=done if share is None or total is None else share * total)
 
     def get_renderables(self) -> Iterator[RenderableType]:
         yield self.make_tasks_table(self.tasks)
@@ -158,7 +162,7 @@ class BarWatcher(AbstractContextManager["BarWatcher"]):
             stopped = False
             while not stopped:
                 stopped = stop.wait(REFRESH_S)
-                shown.update(self._done, start.progress.message)
+                shown.update(self._done, start.progress.message, start.progress.work_share)
 
         refresher = threading.Thread(target=refresh, name="petmjx-progress", daemon=True)
         refresher.start()

@@ -1,7 +1,7 @@
 """Approach paths: where a box begins, how it moves to its place, and the hand that holds it on the way.
 
 A box begins above its place. A carried box also begins beside its place, away from its neighbours. The way is straight:
-a spring and a damper draw the box to a point that moves smoothly from the begin to the place. Boxes that appear at
+a spring and a damper draw the box to a point that moves smoothly from there to the place. Boxes that appear at
 their places have no path. The rules: docs/rules.md, section 4.
 """
 
@@ -43,7 +43,7 @@ AT_PLACE_M: Final = 0.0002
 millimetre."""
 
 MISSED_M: Final = 0.01
-"""A box could not be placed if the hand releases the box further than this from its place. A box that finds room is
+"""A box counts as not placed if the hand releases it further than this from its place. A box that finds room is
 within 5 mm of its place. A box that stands on the edge of a neighbour is too high by the neighbour's height or half of
 it."""
 
@@ -68,7 +68,8 @@ MOST_SIDESTEPS: Final = 8
 """How often a box goes aside before it goes up."""
 
 ASIDE_SHARE: Final = 2.0
-"""Largest move aside, as a share of the distance between a box's begin and its place: errors of two places may add."""
+"""Largest move aside, as a multiple of the distance at which a box begins beside its place: errors of two places may
+add."""
 
 CLEARANCE_M: Final = 0.001
 """Height of a box's bottom above the bodies in its way when it begins above them."""
@@ -81,16 +82,17 @@ have errors."""
 class ApproachPath(NamedTuple):
     """The ways on which the n boxes of a scene come to their places.
 
-    For several stackable scenes every array has a leading axis of the scenes. Places are those of the boxes' middles,
-    m.
+    For several stackable scenes every array has a leading axis of the scenes. All places are places of the boxes'
+    middles, m.
 
     Attributes:
         lift: (n, 3) from the place at which a box would rest to its release.
         quat: (n, 4) orientation of the box on its way.
-        offset: (n, 3) from a box's release to the begin of its way, if the begin is free.
+        offset: (n, 3) from a box's release to the beginning of its way, if that place is free.
         steps: (n,) number of steps of its way; 0: the box is not carried, but falls.
         falls: (n,) True: the box is released at the end of its way and falls. False: the hand sets it down first.
-        aside: (n, 2, 2) free moves of a box from its begin towards the low and the high end of x and y, m.
+        aside: (n, 2, 2) free moves of a box from the beginning of its way towards the low and the high end of x and y,
+            m.
     """
 
     lift: FloatArray
@@ -162,9 +164,9 @@ def _between_walls(
 
     Args:
         end: (…, n, 3) the ends of the ways, where boxes are released, m.
-        offset: (…, n, 2) from the ends of the ways to their begins, m.
+        offset: (…, n, 2) from the ends of the ways to their beginnings, m.
         reaches: (…, n, 3) half extents of the boxes along the axes, m.
-        aside: as of ``ApproachPath``, without walls.
+        aside: as in ``ApproachPath``, but without walls.
     """
     gap = room.gaps(end, reaches, BESIDE_M)
     low, high = -gap[..., 0, :], gap[..., 1, :]
@@ -180,8 +182,8 @@ def way_steps(
 ) -> NDArray[np.int64]:
     """Number of steps of ways with these lengths.
 
-    The largest speed, 1.5 × length / time, is at most that of the options. Half of the hand's force is enough for the
-    largest acceleration, 6 × length / time². No way takes longer than ``MOST_WAY_S``.
+    The largest speed, 1.5 × length / time, is at most the speed of the options. Half of the hand's force is enough for
+    the largest acceleration, 6 × length / time². No way takes longer than ``MOST_WAY_S``.
     """
     seconds = np.maximum(1.5 * length_m / placing.speed_m_s, np.sqrt(12.0 * mass_kg * length_m / placing.force_n))
     steps: NDArray[np.int64] = np.ceil(np.minimum(seconds, MOST_WAY_S) / timestep_s).astype(np.int64)
@@ -189,8 +191,8 @@ def way_steps(
 
 
 def progress(step: int, steps: int) -> float:
-    """Share of the way behind a box after ``step`` of its ``steps``: 3t² − 2t³ with t = step / steps, at rest at both
-    ends."""
+    """Share of its way of ``steps`` steps that a box has covered after ``step`` steps: 3t² − 2t³ with t = step / steps.
+    The box is at rest at both ends."""
     share = min(max(step / steps, 0.0), 1.0)
     return share * share * (3.0 - 2.0 * share)
 
@@ -225,12 +227,12 @@ def free_begin(
 ) -> FloatArray:
     """(3,) the place nearest to ``begin`` at which a box overlaps no other box, m: ``begin`` itself, aside, or above.
 
-    The box goes aside from the first box that it overlaps, along x or y, whichever overlap is less. The move aside is
+    The box goes aside from the first box that it overlaps, along the axis, x or y, of the smaller overlap. This is
     repeated at most ``MOST_SIDESTEPS`` times. If the box would have to go aside by more than ``most_m``, or is still
     not free, it goes up from ``begin`` instead. ``begin`` is between the carrier's walls, and ``most_m`` ends at them.
 
     Args:
-        begin: (3,) planned begin of the box, m.
+        begin: (3,) place at which the box should begin, m.
         own_reach: (3,) half extents of the box, m.
         pos, reaches: (k, 3) middles and half extents of the boxes that stand, m.
         most_m: (2, 2) largest way aside to the low and the high end of x and y.

@@ -1,7 +1,7 @@
 """Loads that a stack can balance, by a linear programme with vertical forces.
 
-Statics does not determine how a box shares its load among several supports. Under one sharing of the loads a load may
-be beyond the edge of its supports, under another all loads inside: rigid boxes then stand. The unknowns are forces at
+Statics does not determine how a box shares its load among several supports. Under one sharing a load may be beyond the
+edge of its supports, and under another sharing all loads are inside: rigid boxes then stand. The unknowns are forces at
 the corners of all contact areas of boxes with several supports. The forces must push and balance every box. The
 programme picks feasible forces so that the load nearest to an edge is as far inside as possible. If no forces are
 feasible, loads are as little beyond edges as possible. (Forces of this kind: Livesley 1978, "Limit analysis of
@@ -170,6 +170,9 @@ def _least(
     from scipy.optimize import Bounds, LinearConstraint, milp  # takes a second to load; few plans need it
     from scipy.sparse import csc_array
 
-    result = milp(cost, constraints=LinearConstraint(csc_array(rows), least, most), bounds=Bounds(0.0, bound))
+    column, row = np.nonzero(rows.T)
+    begins = np.searchsorted(column, np.arange(rows.shape[1] + 1)).astype(np.int32)
+    table = csc_array((rows[row, column], row.astype(np.int32), begins), shape=rows.shape)
+    result = milp(cost, constraints=LinearConstraint(table, least, most), bounds=Bounds(0.0, bound))
     answer: FloatArray | None = result.x
     return answer

@@ -1,7 +1,7 @@
 """Bodies of a scene and their shapes. A shape is a solid box that is fixed to its body.
 
-The origin of a body's frame is the centre of mass. The axes are those of the shapes, which count as the principal axes.
-So the inertia matrix of any number of bodies is diagonal, and MuJoCo's qpos and qvel are those of the centre of mass.
+The origin of a body's frame is the centre of mass. The axes are the shapes' axes, which count as the principal axes.
+So the inertia matrix of any number of bodies is diagonal, and MuJoCo's qpos and qvel describe the centre of mass.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ class Body:
         inertia_box: (3,) half extents of the solid box that has the body's mass and moments of inertia, m: MuJoCo's
             equivalent inertia box.
         surface: (s,) numbers of their surfaces (petmjx/world/friction_pairs.py); None: all 0.
-        walls: sides of a carrier with a wall. Walls are the last shapes, in this order; all others are boards.
+        walls: sides of a carrier with a wall. Walls are the last shapes, in this order; all other shapes are boards.
     """
 
     pos: FloatArray
@@ -53,15 +53,14 @@ class Body:
         """Boards that are solid boxes.
 
         The axes of the shapes count as the principal axes of the body. Products of inertia of boards that do not
-        balance are
-        left out: a few per cent of the moments for a pallet without one of its outer deck boards. Principal axes would
-            matter only if the carrier turned, and it stands on the floor.
+        balance are left out: a few per cent of the moments for a pallet without one of its outer deck boards. Principal
+        axes would matter only if the carrier turned, and it stands on the floor.
 
         Args:
-            center: (s, 3) of each board, m.
-            half_size: (s, 3) m.
+            center: (s, 3) centres of the boards, m.
+            half_size: (s, 3) half extents, m.
             mass: (s,) kg.
-            friction: (s, 3).
+            friction: (s, 3) as in ``Body``.
         """
         pos = mass @ center / mass.sum()
         place = center - pos
@@ -178,7 +177,7 @@ class Room:
         the faces. Unlike in ``gaps``, every box counts wherever its middle is, also a box wholly behind a wall.
 
         Args:
-            place, half, least_m: as of ``gaps``.
+            place, half, least_m: as in ``gaps``.
         """
         inwards, beside = self._inwards(place, half, least_m)
         depth: FloatArray = np.where(beside, np.maximum(half[..., None, :2] - inwards, 0.0), 0.0)

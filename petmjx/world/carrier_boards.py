@@ -32,8 +32,8 @@ class Pallet:
     Attributes:
         boards: corner and size of each board, mm.
         masses_kg: mass of each board.
-        frictions: coefficient of sliding friction of each board; None: that of the physics' carrier. Empty: no board
-            has a value of its own.
+        frictions: coefficient of sliding friction of each board; None: the coefficient of carriers in the physics.
+            Empty: no board has a value of its own.
         materials: material of each board; empty: all boards are of wood.
     """
 
@@ -49,7 +49,7 @@ class Pallet:
 
     @property
     def deck_mm(self) -> FloatArray:
-        """(b, 2, 2) lowest and highest corner along x and y of each board whose top is the pallet's."""
+        """(b, 2, 2) lowest and highest corner along x and y of each board that reaches the top of the pallet."""
         corner, size = np.array(self.boards, np.float64).swapaxes(0, 1)
         end = corner + size
         on_top = end[:, 2] >= self.height_mm - TOUCH_MM
@@ -57,7 +57,8 @@ class Pallet:
 
 
 def _spread(length: float, widths: tuple[float, ...]) -> list[float]:
-    """Begins of boards of these widths along a length, mm: the outer boards are flush, and all gaps are equal."""
+    """Places where boards of these widths begin along a length, mm. The outer boards are flush, and all gaps are
+    equal."""
     gap = (length - sum(widths)) / (len(widths) - 1)
     return [sum(widths[:k]) + k * gap for k in range(len(widths))]
 
@@ -130,7 +131,7 @@ def _rollcontainer_grid() -> Pallet:
 
 def _gitterbox() -> Pallet:
     """The base of a box pallet of steel: a floor of 30 mm on four feet, 150 mm high, 25 kg. UIC 435-3 has the sizes of
-    the whole; its feet are plain blocks here."""
+    the whole box pallet. Its feet are plain blocks here."""
     length, width, floor, foot, top = 1200.0, 800.0, 30.0, 100.0, 150.0
     boards: list[Board] = [((0, 0, top - floor), (length, width, floor))]
     boards += [((x, y, 0), (foot, foot, top - floor)) for x in (0.0, length - foot) for y in (0.0, width - foot)]
@@ -197,7 +198,7 @@ def has_walls(sim: Simulation) -> bool:
 
 
 def with_walls(carrier: Body, sim: Simulation) -> Body:
-    """A carrier with the walls of the options, those that are open taken away.
+    """A carrier with the walls of the options, except the open ones.
 
     A wall stands along a whole side, and reaches over the ends of the walls beside it.
 

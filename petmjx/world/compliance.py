@@ -36,12 +36,12 @@ their places is no bed of springs."""
 
 
 POINTS_PER_BED: Final = 4
-"""Number of contacts between two faces that press on one another, if at least one of the faces gives."""
+"""Number of contacts between two faces that press on one another, if at least one of the boxes is compliant."""
 
 EDGE_SHARE: Final = 2 / 3
 """Least share of the common area of two faces that counts as pressed: a smaller share is as stiff as this one. On
-springs alone a load near an edge would sink in without end. A carton spreads it, and its edges bear more than its
-middle. Up to 0.28 of the width from the middle, a load leans as on springs."""
+springs alone a load near an edge would sink in without end. A carton spreads this load, and its edges bear more than
+its middle. Up to 0.28 of the width from the middle, a load leans as on springs."""
 
 OUTWARD: Final = 0.6
 """If the pressed share is below ``EDGE_SHARE``, the pressure also moves outward: by this factor times ``EDGE_SHARE`` /
@@ -103,7 +103,7 @@ def _spring_terms(physics: Physics, spring_n_m: Any, inverse_mass: Any) -> tuple
     """Both numbers of solref and the impedance, of one contact or (p,) of many."""
     time_s, damping = physics.solref
     time_s = time_s if time_s < 0 else max(time_s, 2 * physics.timestep_s)
-    # 1/s²: of the spring at rest, for each 1 / ((1 − d)·A)
+    # stiffness of the spring at rest, in units of 1 / ((1 − d)·A), 1/s²
     stiffness = -time_s if time_s < 0 else 1 / (time_s * damping) ** 2
     lack = stiffness / (spring_n_m * inverse_mass)
     impedance = np.clip(1 - lack, LEAST_IMPEDANCE, physics.solimp[1])
@@ -124,7 +124,7 @@ def law_between(physics: Physics, one: Face, two: Face | None) -> tuple[tuple[fl
 
 
 def bed_depth_m(scene: Scene, load_n: FloatArray) -> FloatArray:
-    """(n,) planned compression of the springs below each box, m; 0 if nothing gives.
+    """(n,) planned compression of the springs below each box, m; 0 if nothing is compliant.
 
     Args:
         load_n: (n,) weight of each box plus its load, N.
@@ -143,9 +143,9 @@ def bed_depth_m(scene: Scene, load_n: FloatArray) -> FloatArray:
 
 @lru_cache(maxsize=256)
 def sinks_m(scene: Scene, gravity_m_s2: float) -> FloatArray | None:
-    """(n,) expected descent of each box once all boxes are placed, m; None if no box gives.
+    """(n,) expected descent of each box once all boxes are placed, m; None if no box is compliant.
 
-    The descent is the sum of the compressions of its own face and of the boxes below under the planned loads.
+    The descent is the sum of the compressions of the box's own face and of the boxes below, under the planned loads.
     """
     if scene.stiffness is None:
         return None

@@ -44,11 +44,12 @@ reference acceleration, whatever their masses. The law:
 - A box begins to land in the step in which one of its contacts closes faster than ``FAST_M_S``. If the landing box
   lands on another, the box below lands, too. For ``lasts_steps`` the velocities of both before that step are
   remembered.
-- v is the speed at which a contact closes, v₀ the one with the velocities before. At the end of a landing the contact
-  should open by e·v₀ (Newton's law of impact; e is ``restitution``, or that of the pair of materials), plus the speed
-  that takes the box out of the depth that it has reached. The contact is decelerated by (1 + e)·v₀ / ``landing_s``, or
-  by less if that is enough in this step. So the force is constant in a landing and does not depend on the timestep. A
-  box goes v₀·``landing_s`` / 2 / (1 + e) deep, plus the distance that it passes in a step before.
+- v is the speed at which a contact closes, v₀ this speed with the velocities before. At the end of a landing the
+  contact should open by e·v₀ (Newton's law of impact; e is ``restitution``, or that of the pair of materials), plus
+  the speed that takes the box out of the depth that it has reached. The contact is decelerated by
+  (1 + e)·v₀ / ``landing_s``, or by less if that is enough in this step. So the force is constant in a landing and
+  does not depend on the timestep. A box goes v₀·``landing_s`` / 2 / (1 + e) deep, plus the distance that it passes in
+  a step before.
 - Meanwhile all contacts of the world are as stiff as beyond the width of ``solimp``. Otherwise boxes below, whose
   contacts carry little, would be pressed in before these contacts became stiff.
 
@@ -105,8 +106,8 @@ def pulls_m_s2(solref: tuple[float, float], solimp: Triple, timestep_s: float) -
 def cone_factor(physics: Physics, one: FloatArray | float, two: FloatArray | float) -> FloatArray:
     """The factor by which pyramidal cones make contacts with these sliding frictions softer.
 
-    Each of a pyramid's four edges has 2μ²(1 + μ²) times the regularisation of the elliptic cone's normal. They act
-    together.
+    Each of a pyramid's four edges has 2μ²(1 + μ²) times the regularisation of the elliptic cone's normal. The edges
+    act together.
     """
     if physics.cone is Cone.ELLIPTIC:
         return np.ones(np.broadcast_shapes(np.shape(one), np.shape(two)))
@@ -115,9 +116,9 @@ def cone_factor(physics: Physics, one: FloatArray | float, two: FloatArray | flo
 
 
 SLACK_M_S2: Final = 5.0
-"""Excess that is left uncorrected: that of a slip of 1 cm/s with friction's time constant of 4 ms. This excess raises a
-contact by less than the hundredth of a millimetre, within its soft onset. With this slack pallets at rest are the same
-as without the correction, to the last bit. Stiff contacts have no soft onset, and no slack."""
+"""Excess that is left uncorrected: the excess of a slip of 1 cm/s with friction's time constant of 4 ms. This excess
+raises a contact by less than a hundredth of a millimetre, within its soft onset. With this slack pallets at rest are
+the same as without the correction, to the last bit. Stiff contacts have no soft onset, and no slack."""
 
 STICKS_M_S: Final = 0.01
 """Up to this slip a contact has the whole friction; at twice this slip it has the kinetic friction. So friction does
@@ -160,7 +161,7 @@ def slack_m_s2(physics: Physics) -> float:
 
 
 def kinetic_share(physics: Physics) -> float:
-    """Friction of contacts that slide fast, as a share of that at rest."""
+    """Friction of contacts that slide fast, as a share of friction at rest."""
     return physics.kinetic_friction_share if physics.cone is Cone.ELLIPTIC else 1.0
 
 
@@ -171,7 +172,7 @@ def next_share(share: FloatArray, change: FloatArray, last: FloatArray) -> Float
     process).
 
     Args:
-        share: (k,) share that was taken of the last change.
+        share: (k,) share of the last change that was applied.
         change: (k,) change that is left, m/s².
         last: (k,) the last change, m/s²; 0 at first.
     """
@@ -180,7 +181,7 @@ def next_share(share: FloatArray, change: FloatArray, last: FloatArray) -> Float
 
 
 def friction_share(slip_m_s: FloatArray, kinetic: FloatArray | float) -> FloatArray:
-    """Friction of contacts at these slips, as a share of that at rest. ``kinetic``: the share of fast contacts."""
+    """Friction of contacts at these slips, as a share of friction at rest. ``kinetic``: the share of fast contacts."""
     return 1.0 - (1.0 - kinetic) * np.clip(slip_m_s / STICKS_M_S - 1.0, 0.0, 1.0)
 
 

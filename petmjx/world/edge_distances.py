@@ -28,7 +28,7 @@ from petmjx.world.balance_programme import BEYOND_M, balanced_loads
 from petmjx.world.history import CARRIER
 from petmjx.world.load_sharing import IntArray, pulls
 from petmjx.world.scene import Scene
-from petmjx.world.supports import Bearing, bearing_of, spans
+from petmjx.world.supports import Bearing, add_rows, bearing_of, ranges
 
 ROUNDING_M: Final = 1e-9
 """A load beyond an edge by less than this lies on the edge: rounding errors of sums of millimetres."""
@@ -67,7 +67,7 @@ def edges_of(bearing: Bearing, placed: Sequence[int]) -> list[Edges]:
 
 
 def loads_and_edges(bearing: Bearing, placed: Sequence[int]) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """(n, 4) loads of all boxes as of ``Bearing.loads``, (n,) edges of their own weights and (n,) edges of their loads.
+    """(n, 4) loads of all boxes as in ``Bearing.loads``, (n,) edges of their own weights and (n,) edges of their loads.
 
     Args:
         placed: number of placed boxes of each scene.
@@ -109,8 +109,9 @@ def rebalanced_loads(
     balancing, beyond = result
     # without a balance, a load that is inside keeps its distance
     is_unchanged = (edge_m >= 0) if (beyond > BEYOND_M).any() else (balancing == load[:, :3]).all(axis=1)
-    edges = np.where(~placed | is_unchanged, edge_m, np.maximum(bearing.edges_m(balancing), 0.0))
-    edges = np.where(beyond > BEYOND_M, np.minimum(bearing.edges_m(balancing), -beyond), edges)
+    balanced_m = bearing.edges_m(balancing)
+    edges = np.where(~placed | is_unchanged, edge_m, np.maximum(balanced_m, 0.0))
+    edges = np.where(beyond > BEYOND_M, np.minimum(balanced_m, -beyond), edges)
     return balancing, edges
 
 
@@ -120,12 +121,7 @@ def below_several(bearing: Bearing, among: NDArray[np.bool_]) -> NDArray[np.bool
     Args:
         among: (n,) the boxes that count.
     """
-    several = among & (bearing.n_supports > 1)
-    below = np.zeros(len(among), bool)
-    for between in bearing.levels:
-        upper, lower = bearing.upper[between], bearing.lower[between]
-        np.logical_or.at(below, lower, below[upper] | several[upper])
-    return below
+    return bearing.all_below(among & (bearing.n_supports > 1))
 
 
 MOST_PROGRAMMES: Final = 2
@@ -179,8 +175,10 @@ def building_edges(bearing: Bearing, placed: Sequence[int]) -> list[LeastBuildin
     Args:
         placed: number of placed boxes of each scene.
     """
-    bearing = bearing_in_order(bearing)
     n_scenes = len(bearing.boxes.first) - 1
+    if not any(placed):
+        return [_NO_EDGE] * n_scenes
+    bearing = bearing_in_order(bearing)
     built = building_loads_of(bearing, placed)
     beyond, depends = built.edge_m < 0, depends_on_sharing(bearing, built)
     scene = np.searchsorted(bearing.boxes.first, built.box, side="right") - 1
@@ -240,6 +238,36 @@ def _parts(bearing: Bearing, among: NDArray[np.bool_]) -> tuple[IntArray, IntArr
     """(p,) and (p,) sorted pairs of a box and a box whose weight it bears in part, itself included, and (p, 3) the
     parts."""
     n, boxes = len(among), np.flatnonzero(among)
+    alone = bearing.n_supports == 1
+    below = np.full(n, CARRIER)
+    below[alone] = bearing.lower[bearing.ends[:-1][alone]]
+    # down to the carrier or to the first box with several supports, weights stay whole
+    pairs, box, step = [(boxes[:0], boxes[:0])], boxes, boxes
+    while len(box):
+        pairs.append((box, step))
+        under = below[box]
+        goes_on = np.flatnonzero(under != CARRIER)
+        box, step = under[goes_on], step[goes_on]
+    box, step = (np.concatenate(numbers) for numbers in zip(*pairs, strict=True))
+    weights = (bearing.weights + 0.0)[:, :3].copy()  # no negative zeros, as in sums
+    several = bearing.n_supports[box] > 1
+    keys, parts = _shared_parts(bearing, box[several] * n + step[several], weights.take(step[several], axis=0))
+    box, step = np.concatenate([box[~several], keys // n]), np.concatenate([step[~several], keys % n])
+    order = np.argsort(box * n + step)
+    box, step, whole = box[order], step[order], order < len(order) - len(keys)
+    part = weights.take(step, axis=0)
+    part[~whole] = parts.take(order[~whole] - (len(order) - len(keys)), axis=0)
+    return box, step, part
+
+
+def _shared_parts(bearing: Bearing, keys: IntArray, parts: FloatArray) -> tuple[IntArray, FloatArray]:
+    """The parts of weights at boxes with several supports and at all boxes that they reach further below: (k,) number
+    of the box · n + number of the box whose weight it is, and (k, 3) the parts.
+
+    Args:
+        keys, parts: the same for weights that reach the boxes with several supports whole.
+    """
+    n = len(bearing.boxes.mass)
     between = np.flatnonzero(bearing.lower != CARRIER)
     count = np.bincount(bearing.upper[between], minlength=n)
     first = np.cumsum(count) - count
@@ -252,79 +280,93 @@ def _parts(bearing: Bearing, among: NDArray[np.bool_]) -> tuple[IntArray, IntArr
             in_level = level == number
             waiting[number].append((key[in_level], part[in_level]))
 
-    wait(boxes * n + boxes, bearing.weights[boxes, :3])
-    finished_parts = []
+    wait(keys, parts)
+    finished_parts: list[tuple[IntArray, FloatArray]] = [(keys[:0], parts[:0])]
     for level in waiting:
         if not level:
             continue
-        keys, parts = (np.concatenate(arrays) for arrays in zip(*level, strict=True))
-        key, place = np.unique(keys, return_inverse=True)
-        part = np.stack([np.bincount(place, weights=column, minlength=len(key)) for column in parts.T], axis=1)
+        all_keys, all_parts = (np.concatenate(arrays) for arrays in zip(*level, strict=True))
+        key, place = np.unique(all_keys, return_inverse=True)
+        part: FloatArray = np.stack([np.bincount(place, column, len(key)) for column in all_parts.T], axis=1)
         finished_parts.append((key, part))
         upper = key // n
         times = count[upper]
         rows = np.repeat(np.arange(len(key)), times)
         contact = between[first[upper[rows]] + np.arange(len(rows)) - np.repeat(np.cumsum(times) - times, times)]
         if len(rows):
-            passed = np.einsum("cij,cj->ci", bearing.shares[contact], part[rows])
-            wait(bearing.lower[contact] * n + key[rows] % n, passed)
-    all_keys = np.concatenate([boxes[:0], *(key for key, _ in finished_parts)])
-    order = np.argsort(all_keys)
-    sums: FloatArray = np.concatenate([np.zeros((0, 3)), *(part for _, part in finished_parts)])[order]
-    return all_keys[order] // n, all_keys[order] % n, sums
+            wait(bearing.lower[contact] * n + key[rows] % n, _passed(bearing, contact, part.take(rows, axis=0)))
+    finished_keys, sums = zip(*finished_parts, strict=True)
+    return np.concatenate(finished_keys), np.concatenate(sums)
+
+
+def _passed(bearing: Bearing, contact: IntArray, load: FloatArray) -> FloatArray:
+    """(k, 3) the parts of loads that reach (k,) contacts. Boxes on one support pass them on whole.
+
+    Args:
+        load: (k, 3) load of the upper box of each contact.
+    """
+    passed = load + 0.0  # no negative zeros, as in sums
+    several = np.flatnonzero(bearing.n_supports.take(bearing.upper.take(contact)) > 1)
+    passed[several] = bearing.shared(contact[several], load.take(several, axis=0))
+    return passed
 
 
 def _running_sums(part: FloatArray, begins: IntArray) -> FloatArray:
     """(p, 3) running sums over the pairs of each box."""
     sums, count = part.copy(), np.diff(begins)
-    for k in range(1, int(count.max(initial=0))):  # box by box, so that sums do not depend on other boxes
-        later = begins[:-1][count > k] + k
-        sums[later] += sums[later - 1]
+    longest = np.argsort(-count, kind="stable")
+    place = begins[:-1][longest]
+    still = np.searchsorted(-count[longest], -np.arange(int(count.max(initial=0)))).tolist()
+    for boxes in still[1:]:  # box by box, so that sums do not depend on other boxes
+        before = place[:boxes]
+        place = before + 1
+        sums[place] = sums.take(place, axis=0) + sums.take(before, axis=0)
     return sums
 
 
 def _without_pulls(bearing: Bearing, begins: IntArray, step: IntArray, load: FloatArray) -> None:
     """Correct the loads of boxes on which a support would pull, and of all boxes below them."""
-    several = np.flatnonzero(bearing.n_supports > 1)
-    contacts = spans(bearing.n_supports, several)
-    times = np.diff(begins)[bearing.upper[contacts]]
-    pair = np.arange(times.sum()) - np.repeat(np.cumsum(times) - times, times)
-    contact = np.repeat(contacts, times)
-    pair += begins[bearing.upper[contact]]
-    force = np.einsum("cij,cj->ci", bearing.shares[contact], load[pair])
+    count, contacts = np.diff(begins), bearing.together
+    upper = bearing.upper[contacts]
+    pair, contact = ranges(begins[upper], count[upper]), np.repeat(contacts, count[upper])
+    under = load.take(pair, axis=0)
+    force = bearing.shared(contact, under)
+    low, high = bearing.low.take(contact, axis=0), bearing.high.take(contact, axis=0)
     pulled = np.zeros(len(bearing.boxes.mass), bool)
-    pulled[bearing.upper[contact[pulls(force, bearing.low[contact], bearing.high[contact], load[pair, 0])]]] = True
+    pulled[bearing.upper[contact[pulls(force, low, high, under[:, 0])]]] = True
     if not pulled.any():
         return
-    for between in bearing.levels:
-        np.logical_or.at(pulled, bearing.lower[between], pulled[bearing.upper[between]])
-    count, n = np.diff(begins), len(pulled)
+    pulled |= bearing.all_below(pulled)
+    n = len(pulled)
     above = np.argsort(bearing.lower, kind="stable")
     n_above = np.bincount(bearing.lower[bearing.lower != CARRIER], minlength=n)
     above = above[np.count_nonzero(bearing.lower == CARRIER) :]
+    first_above = np.cumsum(n_above) - n_above
     key = np.repeat(np.arange(n), count) * n + step  # in order
     # forces at the contacts of corrected boxes: one force for each load of the box
     size = np.where(pulled[bearing.upper], count[bearing.upper], 0)
     first, forces = np.cumsum(size) - size, np.zeros((size.sum(), 3))
-    weights, boxes = bearing.weights[:, :3], np.flatnonzero(pulled)
+    weights, boxes = bearing.weights[:, :3].copy(), np.flatnonzero(pulled)
     level = bearing.level[boxes]
     for number in np.unique(level).tolist():
         some = boxes[level == number]
-        pairs, owner = spans(count, some), np.repeat(some, count[some])
-        rows, contact = np.repeat(np.arange(len(pairs)), n_above[owner]), above[spans(n_above, owner)]
+        pairs, owner = ranges(begins[some], count[some]), np.repeat(some, count[some])
+        times = n_above[owner]
+        rows, contact = np.repeat(np.arange(len(pairs)), times), above[ranges(first_above[owner], times)]
         upper = bearing.upper[contact]
         last = np.searchsorted(key, upper * n + step[pairs[rows]], side="right") - 1
         placed = last >= begins[upper]
         rows, contact, upper, last = rows[placed], contact[placed], upper[placed], last[placed]
         through = pulled[upper]
         passed = np.zeros((len(rows), 3))
-        passed[through] = forces[(first[contact] + last - begins[upper])[through]]
-        passed[~through] = np.einsum("cij,cj->ci", bearing.shares[contact[~through]], load[last[~through]])
-        load[pairs] = np.where((step[pairs] >= owner)[:, None], weights[owner], 0.0)
-        np.add.at(load, pairs[rows], passed)
-        rows, contact = np.repeat(np.arange(len(pairs)), bearing.n_supports[owner]), spans(bearing.n_supports, owner)
+        passed[through] = forces.take((first[contact] + last - begins[upper])[through], axis=0)
+        passed[~through] = _passed(bearing, contact[~through], load.take(last[~through], axis=0))
+        load[pairs] = np.where((step[pairs] >= owner)[:, None], weights.take(owner, axis=0), 0.0)
+        add_rows(load, pairs[rows], passed)
+        supports = bearing.n_supports[owner]
+        rows, contact = np.repeat(np.arange(len(pairs)), supports), ranges(bearing.ends[owner], supports)
         place = first[contact] + (pairs - begins[owner])[rows]
-        forces[place] = _contact_pushes(bearing, owner, load[pairs], rows, contact)
+        forces[place] = _contact_pushes(bearing, owner, load.take(pairs, axis=0), rows, contact)
 
 
 def _contact_pushes(
@@ -338,15 +380,19 @@ def _contact_pushes(
         rows: (k,) number of the load that presses at each contact.
         contact: (k,) the contacts: all of each load's box.
     """
-    under, several = load[rows], (bearing.n_supports[owner] > 1)[rows]
-    force = np.where(several[:, None], np.einsum("cij,cj->ci", bearing.shares[contact], under), under)
-    low, high = bearing.low[contact], bearing.high[contact]
+    force = load.take(rows, axis=0)
+    several = np.flatnonzero((bearing.n_supports[owner] > 1)[rows])
+    rows, contact, under = rows[several], contact[several], force.take(several, axis=0)
+    shared = bearing.shared(contact, under)
+    low, high = bearing.low.take(contact, axis=0), bearing.high.take(contact, axis=0)
     pulled = np.zeros(len(owner), bool)
-    pulled[rows[several & pulls(force, low, high, under[:, 0])]] = True
+    pulled[rows[pulls(shared, low, high, under[:, 0])]] = True
     if pulled.any():
-        pulled_rows = pulled[rows]
-        number = (np.cumsum(pulled) - 1)[rows[pulled_rows]]
-        force[pulled_rows] = bearing.pushed(load[pulled], owner[pulled], number, low[pulled_rows], high[pulled_rows])
+        of_pulled = np.flatnonzero(pulled[rows])
+        number = (np.cumsum(pulled) - 1)[rows[of_pulled]]
+        low, high = low.take(of_pulled, axis=0), high.take(of_pulled, axis=0)
+        shared[of_pulled] = bearing.pushed(load[pulled], owner[pulled], number, low, high)
+    force[several] = shared
     return force
 
 

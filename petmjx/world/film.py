@@ -3,8 +3,9 @@
 A model with three numbers, for a pallet that is wrapped to its carrier:
 
 - **Tension.** A layer of film pulls across its width with the force of a turn × the number of turns. So a strip of
-  the height h has the tension T = force · turns · h / width. Round a corner it pulls along both sides; each side of
-  the load is pressed inwards by T at either end, 2·T in all, which is spread over the outer faces of that side.
+  the height h has the tension T = force · turns · h / width. Around a corner the film pulls along both sides. So each
+  side of the load is pressed inwards by T at either end. This force, 2·T in all, is spread over the outer faces of that
+  side.
   If nothing stands behind a box, film draws it in and slackens: after ``SLACK_M`` nothing presses on the box.
 - **Hold.** Film sticks to an outer face with a force of at most friction × that pressure. A box that moves against the
   carrier is held by a spring, with this force at most. Beyond it the film slips.

@@ -1,8 +1,8 @@
 """Tables of friction and landings by pairs of surfaces, and the surfaces of a plan's world.
 
-A table is used if the coefficient between two shapes is not the larger one of the two. Shapes have surfaces, numbered
-from 1. The table has the coefficient of sliding friction of each pair of surfaces. Surface 0 is that of the floor, and
-of all shapes without a surface of their own. Surfaces follow from the materials of boxes and boards, and from the
+A table is used if the coefficient between two shapes is not the larger of their own coefficients. Shapes have surfaces,
+numbered from 1. The table has the coefficient of sliding friction of each pair of surfaces. The floor and all shapes
+without a surface of their own have surface 0. Surfaces follow from the materials of boxes and boards, and from the
 boards' own friction.
 """
 
@@ -26,7 +26,8 @@ MOST_SURFACES: Final = 16
 """Rows of a world's table on devices, surface 0 included."""
 
 LARGER: Final = -1.0
-"""Marks an entry without a coefficient: the larger one of the two shapes counts, as everywhere in MuJoCo."""
+"""Marks an entry without a coefficient: the larger coefficient of the two shapes counts, as everywhere in
+MuJoCo."""
 
 
 USUAL: Final = -1.0

@@ -116,8 +116,8 @@ class History:
     def then(self, later: History) -> History:
         """This history up to the first frame of a later one, followed by the later history.
 
-        Where both histories have a frame of the same moment, the frame of this one counts: the later world began there,
-        and does not know the forces before.
+        Where both histories have a frame of the same moment, the frame of this history counts: the later world began
+        there, and does not know the earlier forces.
         """
         is_before, is_after = self.time_s <= later.time_s[0], later.time_s > later.time_s[0]
         joined: dict[str, Any] = {}

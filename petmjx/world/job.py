@@ -85,8 +85,7 @@ class EngineState(Protocol):
 
 @dataclass(frozen=True, eq=False)
 class KeptState:
-    """A settled state and the name of the engine that made it. Only the engine that made the state can start from its
-    state."""
+    """A settled state and the name of the engine that made it. Only this engine can start from the state."""
 
     engine: str
     state: EngineState
@@ -97,7 +96,7 @@ class Job:
     """One world to simulate.
 
     ``start`` is the ``state`` of an earlier outcome: the world then skips soft start and placement, and begins with its
-    drive. The engine gets its own state; outside the engine it is a ``KeptState``. ``keep_state`` asks for a state,
+    drive. The engine gets its own state; outside the engine this is a ``KeptState``. ``keep_state`` asks for a state,
     taken when the placement has settled. A job with ``keep_state`` and no drive may end when the placement has settled,
     without a rest window. ``record`` asks for the world's history; no other result changes. ``has_errors``: boxes are
     not exactly at their planned places, and may stand on a neighbour that is a little higher

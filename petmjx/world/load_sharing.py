@@ -1,8 +1,8 @@
 """Load sharing: the forces with which supports bear a box, if supports can only push.
 
 The pressure of a box on a bed of equal springs is a plane (petmjx.world.supports). If a load is far from the middle of
-the supports, the plane pulls: springs on the opposite side would be stretched. Real supports only push. So the solution
-is the forces that push, each within its own contact area, and balance the load with the least energy of the springs
+the supports, the plane pulls: springs on the opposite side would be stretched. Real supports only push. The solution is
+a set of forces that push, each within its own contact area, and balance the load with the least energy of the springs
 (Menabrea 1858, "Nouveau principe sur la distribution des tensions dans les systèmes élastiques"). If the plane pulls
 nowhere, the plane is the solution.
 
@@ -128,33 +128,24 @@ def _planes(to_cone: FloatArray, owner: IntArray, begins: IntArray, unit_loads: 
 
 def _cone_projection(point: FloatArray) -> tuple[FloatArray, FloatArray]:
     """(c, 3) the nearest points of the cone |z₁|, |z₂| ≤ √3 z₀, and (c, 3, 3) their derivatives."""
-    size, sign = np.abs(point[:, 1:]), np.where(point[:, 1:] < 0, -1.0, 1.0)
-    first = np.argmax(size, axis=1)
-    rows = np.arange(len(point))
-    large, small, height = size[rows, first], size[rows, 1 - first], point[:, 0]
+    size, height = np.abs(point[:, 1:]), point[:, 0]
+    first_is_large = size[:, 0] >= size[:, 1]
+    large, small = np.maximum(size[:, 0], size[:, 1]), np.minimum(size[:, 0], size[:, 1])
     on_face = (height + _ROOT * large) / 4
     on_ridge = (height + _ROOT * (large + small)) / 7
     inside = _ROOT * height >= large
     face = ~inside & (_ROOT * on_face >= small)
-    ridge = ~inside & ~face & (on_ridge > 0)
-    nearest, slope = np.zeros_like(point), np.zeros((len(point), 3, 3))
-    nearest[inside] = point[inside]
-    slope[inside] = np.eye(3)
-    towards = np.zeros_like(point)
+    ridge = ~(inside | face) & (on_ridge > 0)
+    # which coordinates stay: all inside, and the smaller one on a face
+    stays = np.stack([inside, inside | (face & ~first_is_large), inside | (face & first_is_large)], axis=1)
+    towards = np.where(point < 0, -_ROOT, _ROOT)
     towards[:, 0] = 1.0
-    towards[rows, 1 + first] = _ROOT * sign[rows, first]
-    k = np.flatnonzero(face)
-    if len(k):
-        nearest[k] = on_face[k, None] * towards[k]
-        slope[k] = towards[k][:, :, None] * towards[k][:, None, :] / 4
-        other = 2 - first[k]
-        nearest[k, other] = point[k, other]
-        slope[k, other, other] = 1.0
-    k = np.flatnonzero(ridge)
-    if len(k):
-        towards[k, 2 - first[k]] = _ROOT * sign[k, 1 - first[k]]
-        nearest[k] = on_ridge[k, None] * towards[k]
-        slope[k] = towards[k][:, :, None] * towards[k][:, None, :] / 7
+    towards[stays | ~(face | ridge)[:, None]] = 0.0
+    slope = towards[:, :, None] * towards[:, None, :]
+    slope /= np.where(face, 4.0, 7.0)[:, None, None]
+    diagonal = slope.reshape(-1, 9)[:, ::4]
+    diagonal[stays] = 1.0
+    nearest = np.where(stays, point, np.where(face, on_face, on_ridge)[:, None] * towards)
     return nearest, slope
 
 

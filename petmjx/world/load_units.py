@@ -22,10 +22,10 @@ from petmjx.world.carrier_boards import pallet
 def with_pallets(
     plan: Plan, half_size: FloatArray, mass_center: FloatArray | None
 ) -> tuple[tuple[Pieces, ...], FloatArray | None, FloatArray | None]:
-    """The pieces of a plan's pallets, (n, 3) centres of mass and (n, 3) inertia boxes of all boxes, as of ``Scene``.
+    """The pieces of a plan's pallets, (n, 3) centres of mass and (n, 3) inertia boxes of all boxes, as in ``Scene``.
 
     Args:
-        half_size: (n, 3) half extents of the boxes, m. Boards are made smaller as much as the item is.
+        half_size: (n, 3) half extents of the boxes, m. Boards are scaled as the item is.
         mass_center: (n, 3) centres of mass that the plan gives; None: in the middles.
     """
     if not plan.pallets:

@@ -143,7 +143,7 @@ def geom_bodies(model: mujoco.MjModel, boxes: Sequence[int] | NDArray[np.integer
 
 
 def geom_surfaces(scene: Scene, bodies: NDArray[np.integer]) -> NDArray[np.intp]:
-    """(ngeom,) surfaces of geoms. ``bodies``: those of ``geom_bodies``."""
+    """(ngeom,) surfaces of geoms. ``bodies``: the result of ``geom_bodies``."""
     surface = np.zeros(len(bodies), np.intp)
     if scene.surface is not None:
         surface[bodies >= 0] = scene.surface[bodies[bodies >= 0]]
@@ -161,7 +161,7 @@ class _Partner:
     skin_m: float
     surface: int = 0
     face: Face | None = None
-    """Set if boxes of the scene give (petmjx/world/compliance.py); None for the floor."""
+    """Set if the scene has compliant boxes (petmjx/world/compliance.py); None for the floor."""
 
 
 def _declare_pairs(
@@ -218,7 +218,7 @@ def _partners(scene: Scene, physics: Physics, held: bool = False) -> dict[int, l
 
 
 def _faces(scene: Scene, held: bool) -> list[Face | None]:
-    """The face of each shape, for the laws of its contacts, if boxes of the scene give; else None for each."""
+    """The face of each shape, for the laws of its contacts, if the scene has compliant boxes; otherwise None."""
     if scene.stiffness is None:
         return [None] * len(scene.shapes.body)
     carrier, shapes = scene.carrier, scene.shapes
@@ -277,7 +277,7 @@ def _set_inertia(body: mujoco.MjsBody, scene: Scene, physics: Physics, number: i
     both differ, and the reference implementation has MuJoCo's."""
     mass = scene.carrier.mass if number == CARRIER else float(scene.mass[number])
     carrier = scene.carrier
-    of_one = len(carrier.half_size) == 1 and not carrier.shape_pos.any()  # a wall that is open has left its mass
+    of_one = len(carrier.half_size) == 1 and not carrier.shape_pos.any()  # an open wall has left its mass
     solid = scene.inertia_box is None and of_one and not scene.pieces
     if solid and scene.mass_center is None and not physics.skin_m:
         body.first_geom().mass = mass

@@ -187,7 +187,7 @@ def _attempt_notes(sim: Simulation, driven: bool) -> Iterator[str]:
 
 
 def _static_notes(sim: Simulation) -> Iterator[str]:
-    """A note on the option ``duration_s`` beside a static check: such a check ends when the pallet rests."""
+    """A note on the option ``duration_s`` beside a static check: this check ends when the pallet rests."""
     duration_set = sim.duration_s != Simulation.model_fields["duration_s"].default
     if duration_set and sim.check is Check.STATIC and sim.schedule is Schedule.ADAPTIVE:
         yield (

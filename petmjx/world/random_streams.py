@@ -23,7 +23,7 @@ class WorldKey:
 
     def rng(self, purpose: str) -> np.random.Generator:
         """A separate generator for each purpose ("size", "yaw", …), so that a new axis in a sweep does not change the
-        numbers of the others.
+        numbers of other axes.
 
         Philox (Salmon et al., SC'11) is counter-based: its 128-bit key is the BLAKE2b hash of the world's
         identity, the same on every platform, engine, batch and order.

@@ -59,8 +59,9 @@ class HullTable(NamedTuple):
 
     def distances_m(self, hull: IntArray, point: FloatArray) -> FloatArray:
         """(p, e) how far (p, 2) points are inside each edge of their hulls, m."""
-        normal = self.normal[hull]
-        inside: FloatArray = normal[..., 0] * point[:, :1] + normal[..., 1] * point[:, 1:] - self.offset[hull]
+        normal = self.normal.take(hull, axis=0)
+        inside: FloatArray = normal[..., 0] * point[:, :1] + normal[..., 1] * point[:, 1:]
+        inside -= self.offset.take(hull, axis=0)
         return inside
 
 

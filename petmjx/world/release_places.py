@@ -43,7 +43,7 @@ class Release(NamedTuple):
     Attributes:
         support: (n,) the support that each box follows, with which it shares most area; or ``CARRIER`` or ``NOTHING``.
         pos: (n, 3) centres of boxes whose support is at its planned place, m.
-        most_followed_m: how far a box follows its support at most, m: further if supports give.
+        most_followed_m: how far a box follows its support at most, m: further if supports are compliant.
     """
 
     support: NDArray[np.intp]

@@ -59,7 +59,7 @@ OF_BOXES: Final = (
 class Scene:
     """The world of one plan and one variant. Arrays are float64; rows are boxes in packing order.
 
-    Places of boxes are those of their middles, wherever their centres of mass are.
+    The place of a box is the place of its middle, wherever its centre of mass is.
 
     Attributes:
         half_size: (n, 3) half extents, m.
@@ -75,17 +75,15 @@ class Scene:
         inertia_box: (n, 3) as in ``Body``; None: the boxes are solid.
         surface: (n,) the boxes' surfaces; None: all 0.
         pair_friction: (k, k) sliding coefficient between surfaces, or ``petmjx.world.friction_pairs.LARGER``; None: the
-            larger
-            one of two shapes everywhere.
+            larger coefficient of two shapes everywhere.
         pair_landing: (k, k, 2) restitution and time, s, of landings between surfaces, or
-            ``petmjx.world.friction_pairs.USUAL``;
-            None: the physics' values for all.
+            ``petmjx.world.friction_pairs.USUAL``; None: the physics' values for all.
         pair_kinetic: (k, k) friction of sliding surfaces as a share of friction at rest, or
             ``petmjx.world.friction_pairs.USUAL``; None: the value of the physics everywhere.
         placing: the way of placing.
         approach: (n, 2) horizontal directions of the approaches, of length 1. 0, or None for all: the direction follows
             from the neighbours.
-        stiffness: (n,) force on a box's top per compression, N/m; inf: a rigid box. None: all are.
+        stiffness: (n,) force on a box's top per compression, N/m; inf: a rigid box. None: all boxes are rigid.
         soft: (n,) whether each box is a flex body (petmjx/world/soft_boxes.py); None: no box is.
         wrap: film around the pallet when it is shaken (petmjx/world/film.py).
         pieces: pieces of interlayer sheets, which bear only above other bodies (petmjx/world/sheets.py), and boards of

@@ -3,9 +3,8 @@
 A sheet of cardboard or paper between two layers is an item of its own. A rigid plate would carry a box over a hole in
 the layer below, which no sheet does. So a sheet bears only above bodies that lie under it by the plan. The body of a
 sheet has one shape for each area on a box or a board, or up to a centimetre above one, and no shape over gaps. The body
-holds these
-pieces together: the sheet ties the boxes of a layer by friction, as sheets do, and does not sag or tear. A sheet that
-lies on nothing is not divided.
+holds these pieces together: the sheet ties the boxes of a layer by friction, as sheets do, and does not sag or tear. A
+sheet that lies on nothing is not divided.
 """
 
 from __future__ import annotations

@@ -9,9 +9,9 @@ The points' masses are 1 : 4 : 1 along each axis, Simpson's weights, with which 
 of a solid box. Edges are as stiff as their points are heavy, so that a box also resists tilting as a bed does, with
 S·L²/12, and its own weight presses all its columns alike.
 
-MuJoCo gives an element one point of contact. On a flat face it jumps from step to step, and boxes tremble. So each
-point also has a ball, and elements touch a little later than balls: flat faces rest on balls, and elements bear where
-edges cross.
+MuJoCo gives an element one point of contact. On a flat face this contact jumps from step to step, and boxes tremble. So
+each point of a box also has a ball, and elements touch a little later than balls: flat faces rest on balls, and
+elements bear where edges cross.
 """
 
 from __future__ import annotations
@@ -43,8 +43,8 @@ ROUNDING_M: Final = 0.001
 overlapping faces, for which it finds no good normals."""
 
 BALL_M: Final = 0.0002
-"""How much deeper than balls elements must be to touch: more than contacts are deep. Elements and rigid shapes have
-half of the radius as a negative margin each, balls the whole as a positive one; margins add up."""
+"""How much deeper than balls elements must be to touch: more than contacts are deep. The margin of elements and rigid
+shapes is minus half of this, the margin of balls is plus half of this; margins add up."""
 
 MOST_ROUNDING: Final = 0.1
 """Largest rounding as a share of the shortest half size."""
@@ -62,7 +62,7 @@ CONTACT_SOLIMP: Final = (MOST_IMPEDANCE, MOST_IMPEDANCE, 0.001)
 Under 1,000 times its own weight a box's contacts are 0.1 mm deep."""
 
 _ALONE: Final = 1e9
-"""MuJoCo's weight for mixing the laws of two partners; that of rigid shapes is 1."""
+"""MuJoCo's weight for mixing the laws of two partners; rigid shapes have the weight 1."""
 
 _ELEMENTS: Final = 2
 _BALLS: Final = 4
@@ -118,7 +118,7 @@ def check_soft(scene: Scene) -> None:
     """Check that MuJoCo can simulate the soft boxes of a scene.
 
     Raises:
-        InputError: it cannot.
+        InputError: MuJoCo cannot simulate them.
     """
     if scene.soft is None:
         return
@@ -191,7 +191,7 @@ def point_name(box: str, point: int) -> str:
 
 
 def _add_points(spec: mujoco.MjSpec, box: str, places: FloatArray, mass: FloatArray) -> list[mujoco.MjsBody]:
-    """Bodies with three slides each, as the last of a spec."""
+    """Add bodies with three slides each, as the last bodies of a spec."""
     bodies = []
     for number, place in enumerate(places):
         body = spec.worldbody.add_body(name=point_name(box, number), pos=place)
@@ -217,7 +217,7 @@ def _add_flex(spec: mujoco.MjSpec, box: str) -> mujoco.MjsFlex:
 def add_soft_box(
     spec: mujoco.MjSpec, scene: Scene, physics: Physics, box: int, friction: Triple, rgba: Sequence[float]
 ) -> None:
-    """Add a soft box at its place, as the last bodies of a spec: 27, with three slides each."""
+    """Add a soft box at its place, as the last 27 bodies of a spec, with three slides each."""
     half, name = scene.half_size[box], f"box_{box}"
     (turn,) = rotations(scene.start_quat[box, None])
     places = scene.start_pos[box] + points_of(half) @ turn.T

@@ -19,8 +19,8 @@ AT_A_TIME: Final = 64
 
 
 def stackable_groups(scenes: Sequence[Scene]) -> Iterator[tuple[list[int], bool]]:
-    """Numbers of scenes that can be stacked, and whether they are plain: boxes that neither give nor lie on sheets.
-    A scene that is not plain is a group by itself. Worlds of one plan can be stacked."""
+    """Groups of scenes that can be stacked, by their numbers, and whether each group is plain (``is_plain``). A scene
+    that is not plain is a group by itself. Plain worlds of one plan can be stacked."""
     numbers_by_key: dict[Any, list[int]] = {}
     for number, scene in enumerate(scenes):
         if not is_plain(scene):

@@ -9,7 +9,7 @@ and moments. If springs would pull, supports push with the least energy (petmjx.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, fields, replace
 from functools import cached_property, lru_cache
 from typing import Final
@@ -65,19 +65,23 @@ class Boxes:
     @classmethod
     def of(cls, scenes: Sequence[Scene], targets: Sequence[FloatArray]) -> Boxes:
         """The boxes of scenes, with their middles at these (n, 3) places, m."""
-        counts = [scene.n_boxes for scene in scenes]
-        centred = [
-            np.zeros((n, 3)) if scene.mass_center is None else scene.mass_center
-            for scene, n in zip(scenes, counts, strict=True)
-        ]
+        mass = [scene.mass for scene in scenes]
+        counts = [*map(len, mass)]
+        first = np.concatenate([[0], np.cumsum(counts)])
+        centred, held = np.zeros((first[-1], 3)), np.zeros((first[-1], 2, 2))
+        for scene, target, begin, n in zip(scenes, targets, first.tolist(), counts, strict=False):
+            if scene.mass_center is not None:
+                centred[begin : begin + n] = scene.mass_center
+            if scene.carrier.walls:
+                held[begin : begin + n] = _held_by_walls(scene, target)
         return cls(
-            np.concatenate([[0], np.cumsum(counts)]),
+            first,
             np.concatenate(targets),
             np.concatenate([scene.half_size for scene in scenes]),
-            np.concatenate([scene.mass for scene in scenes]),
-            np.concatenate(centred),
+            np.concatenate(mass),
+            centred,
             np.repeat([scene.carrier.mass for scene in scenes], counts),
-            np.concatenate([_held_by_walls(scene, target) for scene, target in zip(scenes, targets, strict=True)]),
+            held,
         )
 
     def of_scenes(self, numbers: IntArray) -> tuple[Boxes, IntArray]:
@@ -86,13 +90,18 @@ class Boxes:
         rows = spans(counts, numbers)
         first = np.concatenate([[0], np.cumsum(counts[numbers])])
         names = [field.name for field in fields(self) if field.name != "first"]
-        return Boxes(first, *(getattr(self, name)[rows] for name in names)), rows
+        return Boxes(first, *(getattr(self, name).take(rows, axis=0) for name in names)), rows
 
     @cached_property
     def bottom(self) -> FloatArray:
         """(n,) heights of the planned bottoms, m."""
         low: FloatArray = (self.target - self.half_size)[:, 2]
         return low
+
+    @cached_property
+    def is_held(self) -> bool:
+        """Whether walls hold any of the boxes."""
+        return bool(self.held.any())
 
     def among(self, placed: int | Sequence[int]) -> NDArray[np.bool_]:
         """(n,) which boxes are among the first ``placed`` boxes of their scene."""
@@ -103,19 +112,17 @@ class Boxes:
 
 
 def _held_by_walls(scene: Scene, target: FloatArray) -> FloatArray:
-    """(n, 2, 2) as ``Boxes.held``, with the boxes at these (n, 3) places, m.
+    """(n, 2, 2) as ``Boxes.held`` of a scene with walls, with the boxes at these (n, 3) places, m.
 
-    A box whose load W acts e beyond an edge tips until it touches the wall there, at the height h of its top or of the
-    wall's, above its bottom. The wall then presses with W·e/h, and the edge must bear this force by friction: so the
-    wall holds the box up to e = µ·h. The wall counts as smooth, and the support of the box as fixed.
+    A box whose load W acts e beyond an edge tips until it touches the wall there. It touches at its own top or at the
+    wall's, whichever is lower, a height h above its bottom. The wall then presses with W·e/h, and the edge must bear
+    this force by friction: so the wall holds the box up to e = µ·h. The wall counts as smooth, and the support of the
+    box as fixed.
     """
-    held = np.zeros((scene.n_boxes, 2, 2))
-    if not scene.carrier.walls:
-        return held
     room, half = scene.carrier.room, scene.half_size
     bottom, top = (target - half)[:, 2], (target + half)[:, 2]
     height = np.minimum(top[:, None, None], room.top) - bottom[:, None, None]
-    return np.where(room.gaps(target, half, TOUCH_M) <= LEANS_M, _least_friction(scene)[:, None, None] * height, held)
+    return np.where(room.gaps(target, half, TOUCH_M) <= LEANS_M, _least_friction(scene)[:, None, None] * height, 0.0)
 
 
 def _least_friction(scene: Scene) -> FloatArray:
@@ -149,11 +156,15 @@ class Bearing:
         x, y and z, kg·m. 0 for the other boxes."""
         load = self.weights
         load[~self.boxes.among(placed)] = 0.0
-        for level, between in enumerate(self.levels):
-            upper, lower = self.upper[between], self.lower[between]
-            passed = self.forces(load, self.borne_together[level])[between]
-            height = load[upper, 3] / np.where(load[upper, 0] > 0, load[upper, 0], 1.0)
-            np.add.at(load, lower, np.c_[passed, passed[:, 0] * height])
+        for between, together in zip(self.levels, self.borne_together, strict=True):
+            upper, lower = self.upper.take(between), self.lower.take(between)
+            passed = load.take(upper, axis=0)
+            height = passed[:, 3] / np.where(passed[:, 0] > 0, passed[:, 0], 1.0)
+            if len(together):
+                shared = np.flatnonzero(self.n_supports.take(upper) > 1)
+                passed[shared, :3] = self.forces(load, together)[np.searchsorted(together, between[shared])]
+            passed[:, 3] = passed[:, 0] * height
+            add_rows(load, lower, passed)
         return load
 
     @property
@@ -165,26 +176,34 @@ class Bearing:
         return weights
 
     def forces(self, load: FloatArray, together: IntArray) -> FloatArray:
-        """(c, 3) force and first moments along x and y with which the loaded upper box presses on each contact.
+        """(k, 3) force and first moments along x and y with which loaded boxes with several supports press on them.
 
-        The units are those of ``load``. A box on one support presses on it with its load.
+        The units are those of ``load``.
 
         Args:
             load: (n, 3) or more columns.
-            together: the contacts of boxes with several supports to compute. Forces at other contacts of such boxes
-                have no meaning.
+            together: (k,) all contacts of these boxes, in order.
         """
-        force = load[self.upper, :3]
-        if not len(together):
-            return force
-        upper, low, high = self.upper[together], self.low[together], self.high[together]
-        force[together] = np.einsum("cij,cj->ci", self.shares[together], load[upper, :3])
-        pulled = np.unique(upper[pulls(force[together], low, high, load[upper, 0])])
+        upper, low, high = self.upper[together], self.low.take(together, axis=0), self.high.take(together, axis=0)
+        under = load.take(upper, axis=0)[:, :3]
+        force = self.shared(together, under)
+        pulled = np.unique(upper[pulls(force, low, high, under[:, 0])])
         if len(pulled):
-            contacts = together[np.isin(upper, pulled)]
-            owner = np.searchsorted(pulled, self.upper[contacts])
-            force[contacts] = self.pushed(load[pulled, :3], pulled, owner, self.low[contacts], self.high[contacts])
+            chosen = np.flatnonzero(np.isin(upper, pulled))
+            owner = np.searchsorted(pulled, upper[chosen])
+            under = load.take(pulled, axis=0)[:, :3]
+            force[chosen] = self.pushed(under, pulled, owner, low.take(chosen, axis=0), high.take(chosen, axis=0))
         return force
+
+    def shared(self, contact: IntArray, load: FloatArray) -> FloatArray:
+        """(k, 3) the parts of loads that reach (k,) contacts of boxes with several supports, by equal springs.
+
+        Args:
+            load: (k, 3) load of the upper box of each contact.
+        """
+        number = np.searchsorted(self.together, contact)
+        part: FloatArray = np.einsum("cij,cj->ci", self.shares.take(number, axis=0), load)
+        return part
 
     def pushed(
         self, load: FloatArray, boxes: IntArray, owner: IntArray, low: FloatArray, high: FloatArray
@@ -200,8 +219,9 @@ class Bearing:
         within = self.hulls.inside_m(hull, load[:, 1:] / load[:, :1]) > ON_EDGE_M
         for chosen in (within, ~within):
             if chosen.any():
-                is_chosen = chosen[owner]
-                contact_args = load[chosen], (np.cumsum(chosen) - 1)[owner[is_chosen]], low[is_chosen], high[is_chosen]
+                is_chosen = np.flatnonzero(chosen[owner])
+                rows = low.take(is_chosen, axis=0), high.take(is_chosen, axis=0)
+                contact_args = load[chosen], (np.cumsum(chosen) - 1)[owner[is_chosen]], *rows
                 force[is_chosen] = (
                     pushes(*contact_args) if chosen is within else on_edges(*contact_args, self.hulls, hull[chosen])
                 )
@@ -216,56 +236,86 @@ class Bearing:
 
     def inside_m(self, box: IntArray, point: FloatArray) -> FloatArray:
         """(p,) distance of (p, 2) points from the nearest edge of the supports of (p,) boxes, as ``edges_m``."""
-        distance_m = np.full(len(box), np.nan)
-        alone = np.flatnonzero(self.n_supports[box] == 1)
-        contact, held = self.ends[box[alone]], self.boxes.held[box[alone]]
-        low, high = self.low[contact], self.high[contact]
-        if held.any():
-            low, high = low - held[:, 0], high + held[:, 1]
-        nearer = np.minimum(point[alone] - low, high - point[alone])
-        distance_m[alone] = np.minimum(nearer[:, 0], nearer[:, 1])  # ``min(axis=1)`` of two columns takes long
-        several = np.flatnonzero(self.n_supports[box] > 1)
+        low, high = self.rectangles
+        nearer = np.minimum(point - low.take(box, axis=0), high.take(box, axis=0) - point)
+        distance_m: FloatArray = np.minimum(nearer[:, 0], nearer[:, 1])  # ``min(axis=1)`` of two columns takes long
+        several = np.flatnonzero(self.n_supports.take(box) > 1)
         if len(several):
-            hull, held = self.number_of_hull[box[several]], self.boxes.held[box[several]]
+            hull = self.number_of_hull[box[several]]
             wider: FloatArray | float = 0.0
-            if held.any():
+            if self.boxes.is_held:
+                held = self.boxes.held[box[several]]
                 outward = -self.hulls.normal[hull]
                 wider = (np.maximum(outward, 0.0) * held[:, None, 1] - np.minimum(outward, 0.0) * held[:, None, 0]).sum(
                     axis=2
                 )
-            distance_m[several] = (self.hulls.distances_m(hull, point[several]) + wider).min(axis=1, initial=np.inf)
+            distances_m = self.hulls.distances_m(hull, point.take(several, axis=0)) + wider
+            distance_m[several] = distances_m.min(axis=1, initial=np.inf)
         return distance_m
+
+    @cached_property
+    def rectangles(self) -> tuple[FloatArray, FloatArray]:
+        """(n, 2) each: low and high corners of what bears boxes that have one support, as far as walls hold them, m;
+        NaN for other boxes."""
+        low, high = np.full((len(self.boxes.mass), 2), np.nan), np.full((len(self.boxes.mass), 2), np.nan)
+        alone = np.flatnonzero(self.n_supports == 1)
+        contact = self.ends[alone]
+        low[alone], high[alone] = self.low.take(contact, axis=0), self.high.take(contact, axis=0)
+        if self.boxes.is_held:
+            low, high = low - self.boxes.held[:, 0], high + self.boxes.held[:, 1]
+        return low, high
 
     @cached_property
     def hulls(self) -> HullTable:
         """Hulls of the supports of boxes that have several, in order."""
-        several = self.n_supports[self.upper] > 1
-        return hull_table(self.low[several], self.high[several], self.n_supports[self.n_supports > 1])
+        low, high = self.low.take(self.together, axis=0), self.high.take(self.together, axis=0)
+        return hull_table(low, high, self.n_supports[self.n_supports > 1])
 
     def of_scene(self, number: int) -> Bearing:
-        """The bearing of one scene alone. It has its part of these hulls, so that it does not compute them."""
-        begin, end = self.boxes.first[number : number + 2].tolist()
-        one = self.of_scenes(np.array([number]))
-        before, count = (int(np.count_nonzero(self.n_supports[a:b] > 1)) for a, b in ((0, begin), (begin, end)))
-        hulls = slice(before, before + count)
-        vars(one)["hulls"] = HullTable(self.hulls.normal[hulls], self.hulls.offset[hulls])
-        return one
+        """The bearing of one scene alone, as ``of_range``."""
+        return self.of_range(number, number + 1)
 
-    def of_scenes(self, numbers: IntArray) -> Bearing:
-        """The bearing of some of the scenes, in this order."""
+    def of_range(self, begin: int, end: int) -> Bearing:
+        """The bearing of the scenes ``begin`` to ``end`` alone. It has its part of these hulls, shares and levels, so
+        that it does not compute them."""
+        first, last = int(self.boxes.first[begin]), int(self.boxes.first[end])
+        rows, contacts = slice(first, last), slice(int(self.ends[first]), int(self.ends[last]))
+        values = (getattr(self.boxes, field.name)[rows] for field in fields(self.boxes) if field.name != "first")
+        lower = self.lower[contacts]
+        some = Bearing(
+            Boxes(self.boxes.first[begin : end + 1] - first, *values),
+            self.upper[contacts] - first,
+            np.where(lower == CARRIER, CARRIER, lower - first),
+            self.low[contacts],
+            self.high[contacts],
+        )
+        ends = np.searchsorted(self.together, [contacts.start, contacts.stop])
+        hulls = slice(*(int(self.number_of_hull[row - 1]) + 1 if row else 0 for row in (first, last)))
+        vars(some).update(
+            n_supports=self.n_supports[rows],
+            rectangles=tuple(corners[rows] for corners in self.rectangles),
+            hulls=HullTable(self.hulls.normal[hulls], self.hulls.offset[hulls]),
+            shares=self.shares[slice(*ends.tolist())],
+            level=self.level[rows],
+        )
+        return some
+
+    def of_scenes(self, numbers: IntArray) -> tuple[Bearing, IntArray]:
+        """The bearing of some of the scenes, in this order, and (k,) their boxes' numbers among all boxes."""
         boxes, rows = self.boxes.of_scenes(numbers)
         counts = self.n_supports[rows]
         contacts = spans(self.n_supports, rows)
         begins = np.repeat(boxes.first[:-1] - self.boxes.first[numbers], np.diff(boxes.first))
         moved = np.repeat(begins, counts)
         lower = self.lower[contacts]
-        return Bearing(
+        some = Bearing(
             boxes,
             self.upper[contacts] + moved,
             np.where(lower == CARRIER, CARRIER, lower + moved),
-            self.low[contacts],
-            self.high[contacts],
+            self.low.take(contacts, axis=0),
+            self.high.take(contacts, axis=0),
         )
+        return some, rows
 
     @cached_property
     def number_of_hull(self) -> IntArray:
@@ -276,8 +326,9 @@ class Bearing:
     def widths_m(self) -> FloatArray:
         """(n,) extent of each box's supports along x or y, whichever is shorter, m; NaN without support."""
         low, high = np.full((len(self.boxes.mass), 2), np.inf), np.full((len(self.boxes.mass), 2), -np.inf)
-        np.minimum.at(low, self.upper, self.low)
-        np.maximum.at(high, self.upper, self.high)
+        for axis in range(2):
+            np.minimum.at(low[:, axis], self.upper, self.low[:, axis])
+            np.maximum.at(high[:, axis], self.upper, self.high[:, axis])
         width: FloatArray = (high - low).min(axis=1)
         return np.where(np.isfinite(width), width, np.nan)
 
@@ -311,49 +362,75 @@ class Bearing:
         order = np.argsort(level, kind="stable")
         return np.split(between[order], np.flatnonzero(np.diff(level[order])) + 1) if len(order) else []
 
+    def all_below(self, boxes: NDArray[np.bool_]) -> NDArray[np.bool_]:
+        """(n,) which boxes bear one of these (n,) boxes, directly or through others."""
+        below = np.zeros(len(boxes), bool)
+        new = np.flatnonzero(boxes)
+        while len(new):
+            lower = self.lower[ranges(self.ends[new], self.n_supports[new])]
+            is_new = np.zeros(len(boxes), bool)
+            is_new[lower[lower != CARRIER]] = True
+            new = np.flatnonzero(is_new & ~below)
+            below[new] = True
+        return below
+
     @cached_property
     def borne_together(self) -> list[IntArray]:
-        """For each group of ``levels`` the contacts of its boxes with several supports, those with the carrier
-        included."""
+        """For each group of ``levels`` the contacts of its boxes with several supports, including contacts with
+        the carrier."""
         groups = []
+        upper = self.upper[self.together]
         for between in self.levels:
             chosen = np.zeros(len(self.boxes.mass), bool)
             chosen[self.upper[between]] = True
-            groups.append(np.flatnonzero((chosen & (self.n_supports > 1))[self.upper]))
+            groups.append(self.together[chosen[upper]])
         return groups
 
     @cached_property
+    def together(self) -> IntArray:
+        """(k,) the contacts of boxes with several supports, in order."""
+        return np.flatnonzero((self.n_supports > 1)[self.upper])
+
+    @cached_property
     def shares(self) -> FloatArray:
-        """(c, 3, 3): load of the upper box (mass and moments) → the part that reaches the lower one at this contact."""
-        share = np.tile(np.eye(3), (len(self.upper), 1, 1))
-        several = self.n_supports[self.upper] > 1
-        if not several.any():
-            return share
-        boxes, upper = self.boxes, self.upper[several]
+        """(k, 3, 3), of the contacts ``together``: load of the upper box (mass and moments) → the part that reaches the
+        lower one at this contact."""
+        boxes, upper = self.boxes, self.upper[self.together]
         # about the upper box's centre and in its lengths, which keeps the 3 × 3 systems well conditioned
-        origin, scale = boxes.target[upper, :2], boxes.half_size[upper, :2]
-        low, high = (self.low[several] - origin) / scale, (self.high[several] - origin) / scale
+        origin, scale = boxes.target.take(upper, axis=0)[:, :2], boxes.half_size.take(upper, axis=0)[:, :2]
+        low = (self.low.take(self.together, axis=0) - origin) / scale
+        high = (self.high.take(self.together, axis=0) - origin) / scale
         middle, length = np.c_[np.ones(len(upper)), (low + high) / 2], high - low
         area = length.prod(axis=1)
         moments = area[:, None, None] * middle[:, :, None] * middle[:, None, :]
         moments[:, [1, 2], [1, 2]] += area[:, None] * length**2 / 12
-        total_moments = np.zeros((len(boxes.mass), 3, 3))
-        np.add.at(total_moments, upper, moments)
+        box = self.number_of_hull[upper]
+        total_moments = np.zeros((np.count_nonzero(self.n_supports > 1), 3, 3))
+        add_rows(total_moments.reshape(-1, 9), box, moments.reshape(-1, 9))
         to_global = np.zeros_like(moments)
         to_global[:, 0, 0] = 1.0
         to_global[:, 1:, 0] = origin
         to_global[:, [1, 2], [1, 2]] = scale
-        inverse = np.zeros_like(total_moments)
-        together = self.n_supports > 1
-        inverse[together] = np.linalg.inv(total_moments[together])
-        share[several] = to_global @ (moments @ inverse[upper]) @ np.linalg.inv(to_global)
+        inverse = np.linalg.inv(total_moments).take(box, axis=0)
+        share: FloatArray = to_global @ (moments @ inverse) @ np.linalg.inv(to_global)
         return share
+
+
+def add_rows(sums: FloatArray, row: IntArray, values: FloatArray) -> None:
+    """Add (k, m) values to these rows of (n, m) sums, one after the other. ``numpy.add.at`` takes six times as long for
+    rows as for columns."""
+    for column in range(sums.shape[1]):
+        np.add.at(sums[:, column], row, values[:, column])
 
 
 def spans(count: IntArray, chosen: IntArray) -> IntArray:
     """The numbers of all members of the chosen groups. ``count`` has the number of members of each group."""
-    first, times = (np.cumsum(count) - count)[chosen], count[chosen]
-    numbers: IntArray = np.arange(times.sum()) + np.repeat(first - (np.cumsum(times) - times), times)
+    return ranges((np.cumsum(count) - count)[chosen], count[chosen])
+
+
+def ranges(first: IntArray, count: IntArray) -> IntArray:
+    """The numbers of ranges, one after the other: ``count`` numbers from ``first`` on of each."""
+    numbers: IntArray = np.arange(count.sum()) + np.repeat(first - (np.cumsum(count) - count), count)
     return numbers
 
 
@@ -363,17 +440,28 @@ def bearing_of(scene: Scene) -> Bearing:
     return find_bearing(scene)
 
 
-def bearings_of(scenes: Sequence[Scene], at_rest: Sequence[Scene] = (), pos: Sequence[FloatArray] = ()) -> Bearing:
-    """The bearings of scenes by the planned places, and then of the scenes ``at_rest`` with their boxes at (n, 3)
-    places ``pos``, m: joined, with the boxes scene after scene, so that all are computed at once."""
-    if len({id(scene) for scene in scenes}) == 1 and not at_rest:
+def bearings_of(
+    scenes: Sequence[Scene],
+    elsewhere: Sequence[Scene] = (),
+    pos: Sequence[FloatArray] = (),
+    most_gap_m: Sequence[float] = (),
+) -> Bearing:
+    """The bearings of several scenes, joined, with the boxes scene after scene. All are computed at once. First come
+    ``scenes`` by the planned places, then the scenes ``elsewhere``.
+
+    Args:
+        pos: (n, 3) places of the boxes of each scene ``elsewhere``, m.
+        most_gap_m: as in ``find_bearing``, of each scene ``elsewhere``; empty: as for planned places.
+    """
+    if len({id(scene) for scene in scenes}) == 1 and not elsewhere:
         one = bearing_of(scenes[0])
-        return one if len(scenes) == 1 else one.of_scenes(np.zeros(len(scenes), np.intp))
-    return find_bearings([*scenes, *at_rest], [*(scene.target for scene in scenes), *pos])
+        return one if len(scenes) == 1 else one.of_scenes(np.zeros(len(scenes), np.intp))[0]
+    gaps_m = np.array([TOUCH_M] * len(scenes) + list(most_gap_m or [TOUCH_M] * len(elsewhere)))
+    return find_bearings([*scenes, *elsewhere], [*(scene.target for scene in scenes), *pos], gaps_m)
 
 
-MOST_PAIRS: Final = 1 << 17
-"""Pairs of boxes that are looked at together: a matrix of numbers takes 1 MB then, which caches hold."""
+_SORTED_M: Final = 1e-4
+"""So much further than they touch boxes are looked at: sums of heights of many scenes are rounded."""
 
 
 def find_bearings(
@@ -397,7 +485,7 @@ def find_bearings(
         parts.append(_plain_contacts(boxes, scenes, chosen, most_gap_m))
     upper, lower, low, high = (np.concatenate(values) for values in zip(*parts, strict=True))
     order = np.lexsort((lower, upper))  # stable: boards of a deck keep their order
-    return Bearing(boxes, upper[order], lower[order], low[order], high[order])
+    return Bearing(boxes, upper[order], lower[order], low.take(order, axis=0), high.take(order, axis=0))
 
 
 def _plain_contacts(
@@ -407,9 +495,10 @@ def _plain_contacts(
     low, high = boxes.target - boxes.half_size, boxes.target + boxes.half_size
     counts = np.diff(boxes.first)
     carriers = [scenes[k].carrier for k in chosen.tolist()]
-    boards = np.array([carrier.n_boards for carrier in carriers])
+    n_boards = [carrier.n_boards for carrier in carriers]
+    boards = np.array(n_boards)
     shape_pos, half = (
-        np.concatenate([getattr(carrier, name)[: carrier.n_boards] for carrier in carriers])
+        np.concatenate([getattr(carrier, name)[:n] for carrier, n in zip(carriers, n_boards, strict=True)])
         for name in ("shape_pos", "half_size")
     )
     center = np.repeat([carrier.pos for carrier in carriers], boards, axis=0) + shape_pos
@@ -419,55 +508,53 @@ def _plain_contacts(
     rows, scene_of = spans(counts, chosen), np.repeat(np.arange(len(chosen)), counts[chosen])
     lies = low[rows, 2] <= np.repeat(most_gap_m[chosen], counts[chosen])
     lying, board = np.repeat(rows[lies], boards[scene_of[lies]]), spans(boards, scene_of[lies])
-    by_size = chosen[np.argsort(counts[chosen], kind="stable")]
-    pairs = [
-        _touching(boxes.first, counts, some, low[:, 2], high[:, 2], most_gap_m[some, None, None])
-        for some in _groups(counts, by_size)
-    ]
-    below, above = (np.concatenate(numbers) for numbers in zip(*pairs, strict=True))
+    below, above = _touching(rows, scene_of, low[:, 2], high[:, 2], np.repeat(most_gap_m[chosen], counts[chosen]))
     upper = np.concatenate([lying, above])
     lower = np.concatenate([np.full(len(board), CARRIER), below])
-    area_low = np.maximum(low[upper, :2], np.concatenate([deck_low[board], low[below, :2]]))
-    area_high = np.minimum(high[upper, :2], np.concatenate([deck_high[board], high[below, :2]]))
-    wide = (area_high - area_low > _LEAST_OVERLAP_M).all(axis=1)
-    return upper[wide], lower[wide], area_low[wide], area_high[wide]
-
-
-def _groups(counts: IntArray, by_size: IntArray) -> Iterator[IntArray]:
-    """Scenes, sorted by their numbers of boxes, in groups of at most ``MOST_PAIRS`` pairs (padded) or one scene."""
-    while len(by_size):
-        padded = np.arange(1, len(by_size) + 1) * counts[by_size] ** 2
-        size = max(int(np.searchsorted(padded, MOST_PAIRS, side="right")), 1)
-        yield by_size[:size]
-        by_size = by_size[size:]
+    low, high = low[:, :2].copy(), high[:, :2].copy()
+    area_low = np.maximum(low.take(upper, axis=0), np.concatenate([deck_low[board], low.take(below, axis=0)]))
+    area_high = np.minimum(high.take(upper, axis=0), np.concatenate([deck_high[board], high.take(below, axis=0)]))
+    extent = area_high - area_low
+    wide = np.flatnonzero((extent[:, 0] > _LEAST_OVERLAP_M) & (extent[:, 1] > _LEAST_OVERLAP_M))
+    return upper[wide], lower[wide], area_low.take(wide, axis=0), area_high.take(wide, axis=0)
 
 
 def _touching(
-    first: IntArray, counts: IntArray, some: IntArray, low: FloatArray, high: FloatArray, most_gap_m: FloatArray
+    rows: IntArray, scene: IntArray, low: FloatArray, high: FloatArray, most_gap_m: FloatArray
 ) -> tuple[IntArray, IntArray]:
-    """(p,) and (p,) boxes of some scenes, the lower one and the upper one, whose faces are at the same height.
+    """(p,) and (p,) boxes of the same scene, the lower one and the upper one, whose faces are at the same height.
+
+    Sorted heights give the few pairs to look at.
 
     Args:
+        rows: (r,) the boxes.
+        scene: (r,) the scene of each.
         low, high: (n,) heights of all boxes' bottoms and tops, m.
-        most_gap_m: (m, 1, 1) of each scene, as in ``find_bearing``.
+        most_gap_m: (r,) as in ``find_bearing``.
     """
-    is_box = np.arange(counts[some].max()) < counts[some, None]
-    tables = []
-    for values in (low, high):
-        table = np.full(is_box.shape, np.nan)  # touches nothing
-        table[is_box] = values[spans(counts, some)]
-        tables.append(table)
-    bottom, top = tables
-    touching = meets(bottom, top, TOUCH_M, most_gap_m) & (bottom[..., :, None] < bottom[..., None, :])
-    scene, below, above = np.nonzero(touching)
-    return first[some[scene]] + below, first[some[scene]] + above
+    is_somewhere = np.isfinite(low[rows]) & np.isfinite(high[rows])
+    rows, scene, most_gap_m = rows[is_somewhere], scene[is_somewhere], most_gap_m[is_somewhere]
+    bottom, top, reach = low[rows], high[rows], TOUCH_M + most_gap_m.max(initial=0.0)
+    # scene above scene, further apart than boxes touch
+    rise = scene * (np.maximum(bottom, top).max(initial=0.0) - np.minimum(bottom, top).min(initial=0.0) + 2 * reach)
+    least_m, most_m = bottom + rise - most_gap_m - _SORTED_M, bottom + rise + TOUCH_M + _SORTED_M
+    tops, bottoms = np.argsort(top + rise), np.argsort(least_m)
+    in_order = (top + rise)[tops]
+    begins = np.searchsorted(in_order, least_m[bottoms])
+    times = np.maximum(np.searchsorted(in_order, most_m[bottoms], side="right") - begins, 0)
+    above = np.repeat(bottoms, times)
+    below = tops[np.arange(times.sum()) + np.repeat(begins - (np.cumsum(times) - times), times)]
+    over = top[below] - bottom[above]
+    touching = (over <= TOUCH_M) & (over >= -most_gap_m[above]) & (bottom[below] < bottom[above])
+    touching &= scene[below] == scene[above]
+    return rows[below[touching]], rows[above[touching]]
 
 
 def find_bearing(scene: Scene, most_gap_m: float = TOUCH_M) -> Bearing:
     """The supports of boxes by the planned places.
 
     A box lies on a board of the carrier's deck if its bottom is not above the deck. A box also lies on another box that
-    begins lower if the top of the other is at the height of its bottom. Both rules hold within ``TOUCH_M``, and only if
+    begins lower if the other's top is at the height of its own bottom. Both rules hold within ``TOUCH_M``, and only if
     the two boxes overlap along x and y.
 
     Args:

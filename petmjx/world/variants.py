@@ -94,16 +94,16 @@ class PlacementChange:
             larger coefficient of two touching geoms, so a lower value on one side alone changes little.
         mass_factor: on the mass of every box; the carrier's mass does not change.
         friction_rel: relative change of the friction of boxes and carrier, on top of the factors (0.1 = 10 % more). One
-            draw one error for the whole world: all cartons are of one board, on a day of one humidity.
+            error is drawn for the whole world: all cartons are of one board, on a day of one humidity.
         mass_rel: relative change of each box's mass, on top of the factor.
         size_mm: added to each dimension of each box, mm.
         size_rel: relative change of each dimension (0.01 = 1 % larger).
         x_mm, y_mm, yaw_deg: placement error of each box.
         drop_height_mm: height of a box's release above its place; negative draws count as 0.
         placing_name: how boxes are placed, a value of ``petmjx.options.placing.Way``; None: that of the options.
-        placing_height_mm, placing_side_mm, placing_speed_m_s, placing_force_n, tines_height_mm: replace those of
-            ``petmjx.options.placing.Placing``; None: those of the options.
-        wrap_turns: turns of film, replace those of ``petmjx.options.wrap.Wrap``; None: those of the options.
+        placing_height_mm, placing_side_mm, placing_speed_m_s, placing_force_n, tines_height_mm: replace the fields
+            of ``petmjx.options.placing.Placing``; None: those of the options.
+        wrap_turns: turns of film instead of those of ``petmjx.options.wrap.Wrap``; None: those of the options.
         shifts_from_release: True: shifts are measured from the place of release instead of from the plan.
     """
 

@@ -39,6 +39,7 @@ from petmjx.engines.warp import engine as mjx_warp
 from petmjx.engines.warp import slice_result, table_jobs
 from petmjx.engines.warp.block_launch import Launch
 from petmjx.engines.warp.block_queues import Queues
+from petmjx.engines.warp.cpu_engine import MjxWarpCpuEngine
 from petmjx.engines.warp.engine import MjxWarpEngine
 from petmjx.engines.warp.table_jobs import TableJobs
 from petmjx.engines.warp.time_slices import Rollout
@@ -240,6 +241,17 @@ def test_blocks_take_the_longest_worlds_of_their_size_first() -> None:
     assert np.asarray(queues.order).tolist() == [[5, 3] + [-1] * 6, [4, 0, 2] + [-1] * 5]
 
 
+def test_on_a_cpu_worlds_that_have_been_placed_go_on_before_others_begin() -> None:
+    queues = Queues(["12"], lambda job: "12", rows=4, depth_first=MjxWarpCpuEngine.depth_first)
+    push = Drive(Excitation("push", "force", np.zeros((1, 3))))
+    kept: Any = object()
+    jobs = [Job(make_scene(3)), Job(make_scene(9), push, start=kept), Job(make_scene(9))]
+    queues.add(jobs, np.arange(3), np.arange(4) < 3, SHORT)
+    assert np.asarray(queues.order).tolist() == [[1, 2, 0, -1]]
+    queues.add([Job(make_scene(3), push, start=kept)], np.array([3]), np.arange(4) < 4, SHORT)
+    assert np.asarray(queues.order).tolist() == [[3, 1, 2, 0]], "the latest first"
+
+
 @pytest.mark.gpu
 def test_blocks_of_two_sizes_at_the_same_time_give_what_each_gives_alone() -> None:
     """More worlds of each size than blocks, so that the small ones wait until the first large ones have ended."""
@@ -283,7 +295,7 @@ def test_worlds_that_come_later_are_as_those_that_were_there(
         if outcome.job == 0:
             put(stream, *[Job(jobs[name]) for name in names[1:]])
     assert sorted(numbers) == list(range(len(names)))
-    assert [table.numbers for table in tables] == [[1, 2], [3, 4, 5]]
+    assert [table.stream_numbers for table in tables] == [[1, 2], [3, 4, 5]]
     tables.clear()
     some.least_rows = some.granule = 16
     stream, numbers = feedback_stream([Job(jobs[names[0]])]), []
@@ -292,7 +304,7 @@ def test_worlds_that_come_later_are_as_those_that_were_there(
         if outcome.job == 0:
             put(stream, *[Job(jobs[name]) for name in names[1:]])
     assert sorted(numbers) == list(range(len(names)))
-    assert [sorted(table.numbers) for table in tables] == [[1, 2, 3, 4, 5]]
+    assert [sorted(table.stream_numbers) for table in tables] == [[1, 2, 3, 4, 5]]
 
 
 @pytest.mark.slow

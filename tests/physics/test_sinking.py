@@ -15,11 +15,12 @@ from petmjx.engines.attempt_stream import score_worlds
 from petmjx.engines.contact_penetration import (
     contact_penetration_m,
     has_penetrated,
-    note_softness,
+    note_penetration,
     penetration_excluded,
     stiffened_physics,
 )
 from petmjx.engines.mujoco.engine import MujocoEngine
+from petmjx.engines.outcome_checks import outcome_checks
 from petmjx.engines.verdict import Flag, Outcome, Reason, Verdict
 from petmjx.engines.world_results import World, WorldResult
 from petmjx.options.physics import PHYSICS
@@ -175,7 +176,7 @@ def test_only_a_shift_straight_down_may_be_sinking(shift_mm: tuple[float, float]
     shift[1, [0, 2]] = np.array(shift_mm) * MM
     moved_boxes = replace(outcome.boxes, shift_m=shift)
     shifted = replace(outcome, verdict=Verdict.UNSTABLE, reason=Reason.SHIFT, boxes=moved_boxes)
-    (noted,) = note_softness([shifted], [Job(scene)], Simulation())
+    (noted,) = note_penetration([shifted], [Job(scene)], Simulation())
     assert (noted.reason is Reason.SINKING) == (shift_mm == (0.0, -21.5))
 
 
@@ -186,7 +187,7 @@ def test_an_impact_is_no_sinking() -> None:
     force = outcome.boxes.max_top_force_n
     assert force[0] == pytest.approx(20.0 * 9.81, rel=0.1)
     hit = replace(outcome, boxes=replace(outcome.boxes, max_top_force_n=100 * force))
-    assert note_softness([hit], [Job(scene)], Simulation())[0] is hit
+    assert note_penetration([hit], [Job(scene)], Simulation())[0] is hit
     np.testing.assert_allclose(
         contact_penetration_m(scene, PHYSICS["pallet"], 100 * force),
         contact_penetration_m(scene, PHYSICS["pallet"], force),
@@ -236,5 +237,5 @@ def test_looking_for_it_costs_next_to_nothing() -> None:
     for world_outcome in (outcome, shaken):
         begin = time.process_time()
         for _ in range(100):
-            assert note_softness([world_outcome], [Job(scene)], Simulation())[0] is world_outcome
+            assert outcome_checks([world_outcome], [Job(scene)], Simulation())[0] is world_outcome
         assert (time.process_time() - begin) / 100 < simulated / 50

@@ -81,7 +81,7 @@ def test_answers_at_hand_are_looked_at_together_also_where_worlds_follow_from_th
                     yield outcome_of(index, Verdict.STABLE)
 
     together: list[int] = []
-    monkeypatch.setattr(looked_at, "note_edges", lambda outcomes, jobs: together.append(len(outcomes)))
+    monkeypatch.setattr(looked_at, "note_edges", lambda outcomes, jobs, sim: together.append(len(outcomes)))
     queue, worlds = [], worlds_failing(0, 0, 0, 0, 0)
 
     def following() -> list[World]:

@@ -518,7 +518,10 @@ def test_a_plan_without_its_bottom_layer_floats_beside_others(tmp_path: Path) ->
 @pytest.mark.parametrize(
     ("content", "fault"),
     [
-        ("Box,X,Y,Z,Length,Width,Height,Weight\na,0,0,,400,300,200,6\nb,0,0,,400,300,200,6\n", "row 2: Z is missing"),
+        (
+            "Box,X,Y,Z,Length,Width,Height,Weight\na,0,0,,400,300,200,6\nb,0,0,,400,300,200,6\n",
+            "row 2 (a): Z is missing",
+        ),
         ("Box,X,Y,Length,Width,Height,Weight\na,0,0,400,300,200,6\n", "lacks one of the sizes or coordinates"),
         ("Order,Length,Width,Height,Weight\nA,400,300,200,6\nA,400,300,200,x\n", "order A, row 3: Weight must be"),
     ],
@@ -528,3 +531,38 @@ def test_info_takes_no_file_for_orders_that_has_places_or_no_order(tmp_path: Pat
     infos, _ = file_infos([tmp_path / "a.csv"], {"up": "z"})
     assert not infos[0]["orders"]
     assert fault in "\n".join(info_lines(infos))
+
+
+@pytest.mark.parametrize(
+    "lacking", ["sequence", "article", "weight_kg", "sequence,article", "plan_id,sequence,article"]
+)
+@pytest.mark.parametrize(
+    ("field", "cell", "fault"),
+    [
+        ("length_mm", "nan", "length_mm must be finite, got nan"),
+        ("width_mm", "-5", "width_mm must be > 0, got -5"),
+        ("z_mm", "", "z_mm is missing"),
+    ],
+)
+def test_a_bad_cell_is_told_where_all_rows_are_bad_and_columns_are_missing(
+    tmp_path: Path, lacking: str, field: str, cell: str, fault: str
+) -> None:
+    """The columns that only petmjx's own tables need would not have been asked for without the bad cell."""
+    names = (
+        "plan_id",
+        "sequence",
+        "article",
+        "length_mm",
+        "width_mm",
+        "height_mm",
+        "weight_kg",
+        "x_mm",
+        "y_mm",
+        "z_mm",
+    )
+    row = dict(zip(names, ("A", 1, "box", 400, 300, 200, 6, 0, 0, 0), strict=True)) | {field: cell}
+    row = {name: value for name, value in row.items() if name not in lacking.split(",")}
+    (skipped,) = load(tmp_path, "a.csv", f"{','.join(row)}\n{','.join(map(str, row.values()))}\n").skipped
+    plan = "plan A, " if "plan_id" in row else ""
+    name = " (box)" if "article" in row else ""
+    assert str(skipped) == f"{tmp_path}/a.csv: {plan}row 2{name}: {fault}"

@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
+from itertools import islice
 from pathlib import Path
 from statistics import NormalDist
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -15,6 +18,11 @@ from support.sweeps import QUICK, Recorder, leaning, write_sweep
 import petmjx
 from petmjx.common.errors import InputError
 from petmjx.common.units import STANDARD_GRAVITY
+from petmjx.engines.job_stream import JobStream
+from petmjx.engines.mujoco.engine import MujocoEngine
+from petmjx.engines.protocol import Progress, says_at_hand, takes_stream
+from petmjx.engines.verdict import Outcome
+from petmjx.options.simulation import Simulation
 from petmjx.plans.bundled import bundled_path
 from petmjx.runs.chain_summary import ChainColumns, summarise_chain
 from petmjx.runs.merge import merge_runs
@@ -23,6 +31,7 @@ from petmjx.runs.sweep_file import load_sweep
 from petmjx.runs.sweep_run import SweepRun
 from petmjx.runs.sweep_worlds import SweepPlan
 from petmjx.runs.transport_limits import slide_m
+from petmjx.world.job import Job
 from petmjx.world.profiles.accelerations import eumos_40509
 from petmjx.world.random_streams import WorldKey, rngs
 from petmjx.world.variants import Distribution, DistributionShape
@@ -101,7 +110,14 @@ def test_a_world_says_in_which_leg_which_box_failed_and_when(tmp_path: Path) -> 
     text = QUICK.replace("early_stop = false", 'carrier = "euro-pallet"')
     text += legs(conveyor=PUSH.replace("0.45", "0.2"), truck=strong, dock=PUSH)
     plans = [replace(BLOCK, plan_id="stands"), make_plan("falls", stack(2, -380.0, at_mm=(600, 250)))]
-    worlds = petmjx.sweep(write_sweep(tmp_path, text), plans, engine="mujoco").worlds.set_index("plan_id")
+    plan = SweepPlan(load_sweep(file := write_sweep(tmp_path, text), plans_given=True), plans)
+    progress = Progress()
+    shares = {
+        world.plan.plan_id: progress.work_share for world in SweepRun(plan, MujocoEngine(1), progress=progress).worlds()
+    }
+    # a placement and three legs of each; the stack of two ends with its placement, the box in its second leg
+    assert shares == {"falls": pytest.approx((8 + 1) / 12), "stands": 1.0}
+    worlds = petmjx.sweep(file, plans, engine="mujoco").worlds.set_index("plan_id")
     falls, stands = worlds.loc["falls"], worlds.loc["stands"]
     assert (falls["leg"], falls["n_steps"]) == ("placing", 0)
     assert (stands["leg"], stands["mode"]) == ("truck", "slide")
@@ -239,6 +255,33 @@ def test_resumed_and_merged_runs_have_the_same_answers(tmp_path: Path) -> None:
     world = SweepRun(worlds, engine).world("p1", index)
     row = whole.worlds.query("plan_id == 'p1' and variant == 2").iloc[0]
     assert (world.outcome.margin, world.outcome.n_steps) == (row["margin"], row["n_steps"])
+
+
+class _Interrupted(MujocoEngine):
+    """Is interrupted after 15 of 30 outcomes."""
+
+    @says_at_hand
+    @takes_stream
+    def run(
+        self, jobs: Sequence[Job] | JobStream[Any], sim: Simulation, progress: Progress | None = None
+    ) -> Iterator[Outcome]:
+        yield from islice(super().run(jobs, sim, progress), 15)
+        raise KeyboardInterrupt
+
+
+def test_worlds_arrive_while_others_have_not_begun_and_an_interrupted_run_keeps_them(tmp_path: Path) -> None:
+    """Six placements, each with a leg and three second legs: not all placements come first."""
+    text = DRAWN.replace("5\n[", "2\n[") + QUICK + legs(one=PUSH.replace("0.45", "0.1"), two=BACK)
+    file = write_sweep(tmp_path, text + REMEDIES.replace("truck", "two"))
+    plans = [make_plan(f"p{k}", stack(1)) for k in range(3)]
+    with pytest.raises(KeyboardInterrupt):
+        petmjx.sweep(file, plans, engine=_Interrupted(1), out=tmp_path / "out")
+    assert 6 <= len(petmjx.load_run(tmp_path / "out").worlds) < 18
+    resumed = petmjx.sweep(file, plans, engine="mujoco", out=tmp_path / "out", resume=True)
+    whole = petmjx.sweep(file, plans, engine="mujoco")
+    assert len(whole.worlds) == 18
+    for one, other in ((whole.worlds, resumed.worlds), (whole.boxes, resumed.boxes), (whole.summary, resumed.summary)):
+        pd.testing.assert_frame_equal(one, other, check_exact=True)
 
 
 @pytest.mark.parametrize(

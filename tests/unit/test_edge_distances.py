@@ -11,8 +11,9 @@ import numpy as np
 import pytest
 from rich.console import Console
 from support.outcomes import make_outcome
-from support.plans import Box, make_plan, make_scene
+from support.plans import Box, make_plan, make_scene, stack
 from test_fallback import Scripted, never, scored
+from test_supports import random_heap
 
 import petmjx
 from petmjx.analysis.story import headline, notes_in_words
@@ -48,7 +49,7 @@ def test_what_a_box_bears_counts_and_so_does_its_own_weight_alone() -> None:
     scene = make_scene([((400, 300, 300), (0, 0, 0), 5.0), plank, weight], Simulation(size_reduction_mm=0.0))
     outcome = replace(make_outcome(3, Verdict.UNSTABLE, Reason.DROP), n_placed=3)
     first = replace(outcome, n_placed=1)
-    note_edges([outcome, first], [Job(scene), Job(scene)])
+    note_edges([outcome, first], [Job(scene), Job(scene)], Simulation())
     # with the weight the plank's load acts at 136 mm, alone at 500 mm; the weight itself is 100 mm inside
     assert outcome.boxes.plan_edge_m[1] == pytest.approx((5 * 0.5 + 50 * 0.1) / 55)
     assert (outcome.plan_edge_m, outcome.plan_edge_box) == (pytest.approx(0.1), 2)
@@ -56,7 +57,7 @@ def test_what_a_box_bears_counts_and_so_does_its_own_weight_alone() -> None:
     assert first.plan_edge_m == pytest.approx(0.15)  # a box alone on the carrier
     assert np.isnan(first.boxes.plan_edge_m[1:]).all()
     at_once = replace(outcome, build_edge_m=np.nan, build_edge_box=-1)
-    note_edges([at_once], [Job(scene)], in_order=False)
+    note_edges([at_once], [Job(scene)], Simulation(check="static"))
     assert np.isnan(at_once.build_edge_m)
     assert at_once.build_edge_box == -1
 
@@ -174,8 +175,9 @@ def test_a_verdict_against_a_load_within_a_millimetre_has_the_flag() -> None:
             Simulation(size_reduction_mm=0.0),
         )
         verdict = (Verdict.UNSTABLE, Reason.TILT) if falls else (Verdict.STABLE, Reason.NONE)
-        outcome = make_outcome(2, *verdict, pos=np.full((2, 3), 10.0))  # at rest nothing bears anything
-        note_edges([outcome], [Job(scene)])
+        tilt_deg = np.full(2, 90.0 * falls)
+        outcome = make_outcome(2, *verdict, max_tilt_deg=tilt_deg, pos=np.full((2, 3), 10.0))  # nothing bears anything
+        note_edges([outcome], [Job(scene)], Simulation())
         assert bool(outcome.flags & Flag.KNIFE_EDGE) is (falls == (inside_mm > 0))
 
 
@@ -283,7 +285,7 @@ def test_the_nearest_load_while_a_plan_is_built_is_named() -> None:
         Simulation(),
     )
     fell = make_outcome(5, Verdict.UNSTABLE, Reason.DROP, culprit=4)
-    note_edges([fell], [Job(scene)])
+    note_edges([fell], [Job(scene)], Simulation())
     assert fell.flags & Flag.KNIFE_EDGE
     assert fell.build_edge_box == 4
     nearest = nearest_edge((edge for edge in edges_again(scene, fell) if edge.when == WHILE_BUILT), fell.verdict)
@@ -311,3 +313,47 @@ def test_a_load_sets_the_flag_near_an_edge_and_less_near_on_the_wrong_side(
             assert nearest_edge([rounded], verdict) is rounded
         sides = [KnifeEdge(float(value), 3, AT_REST) for value in edge_m[2:]]
         assert nearest_edge(sides, verdict) is None, "at rest the side does not count"
+
+
+def test_outcomes_that_are_checked_together_are_those_checked_alone() -> None:
+    """Heaps and stacks that stand, that fell with all boxes or some of them, and with errors: all values to the last
+    bit, though one table has the loads of all."""
+    rng = np.random.default_rng(12)
+    sim, jobs, outcomes = Simulation(), list[Job](), list[Outcome]()
+    for number in range(48):
+        n = int(rng.integers(2, 14))
+        slender = stack(n, size_mm=(60, 60, 400), kg=[0.2] + [5.0] * (n - 1))  # they lean in soft contacts
+        boxes, has_errors = slender if number % 5 == 0 else random_heap(rng, n), number % 3 == 2
+        scene = make_scene(boxes, sim)
+        if has_errors:
+            scene = replace(scene, start_pos=scene.target + rng.normal(0, 2e-3, (n, 3)))
+        fell = bool(number % 2)
+        tilt_deg = np.where(np.arange(n) == n - 1, 90.0 * fell, 0.0)
+        outcomes.append(
+            make_outcome(
+                n,
+                *((Verdict.UNSTABLE, Reason.TILT) if fell else (Verdict.STABLE, Reason.NONE)),
+                culprit=n - 1 if fell else -1,
+                n_at_sign=int(rng.integers(1, n + 1)) if fell else 0,
+                max_tilt_deg=tilt_deg,
+                max_top_force_n=rng.uniform(0, 300, n),
+                pos=scene.target + rng.normal(0, 1e-4, (n, 3)),
+            )
+        )
+        jobs.append(Job(scene, has_errors=has_errors))
+    alone = [outcome_checks([replace(outcome)], [job], sim)[0] for outcome, job in zip(outcomes, jobs, strict=True)]
+    together = outcome_checks([replace(outcome) for outcome in outcomes], jobs, sim)
+    for one, other in zip(together, alone, strict=True):
+        assert _values(one) == _values(other)
+    assert {Flag.NONE, Flag.SINKING} <= {outcome.flags & Flag.SINKING for outcome in together if outcome.culprit >= 0}
+    assert sum(outcome.build_edge_m < 0 for outcome in together) > 5
+
+
+def _values(outcome: Outcome) -> dict[str, Any]:
+    """All values of an outcome and its boxes, with NaN equal to NaN."""
+    values = vars(outcome) | vars(outcome.boxes)
+    return {
+        name: value.tobytes() if isinstance(value, np.ndarray) else repr(value)
+        for name, value in values.items()
+        if name != "boxes"
+    }

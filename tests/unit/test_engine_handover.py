@@ -174,6 +174,20 @@ def test_each_engine_starts_from_its_own_states() -> None:
     assert kernels.closed
 
 
+def test_jobs_that_follow_do_not_wait_for_those_of_the_source() -> None:
+    """C MuJoCo takes no more jobs out of the stream than it begins next: four, and two that run."""
+    stream, tags = JobStream[str](feedback=True), dict[int, str]()
+    for number, job in enumerate(jobs(20)):
+        stream.put(job, f"source {number}", bounded=True)
+    stream.close()
+    for outcome in HandoverEngine(Slow(1.0), Kernels, CHEAP).run(stream, SIM, Progress()):
+        tags[outcome.job] = stream.answered(outcome.job)
+        if len(tags) == 1:
+            stream.put(jobs(1)[0], "follows")
+    assert sorted(tags) == list(range(21))
+    assert next(number for number, tag in tags.items() if tag == "follows") <= 5
+
+
 def test_a_run_of_both_engines_goes_on_after_ctrl_c(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Real worlds; the kernels are C MuJoCo under another name."""
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import threading
 import time
 from collections.abc import Generator, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import pytest
@@ -89,6 +89,21 @@ def test_an_engine_without_worlds_waits_for_jobs_that_follow_from_its_last_outco
     threading.Timer(0.05, stream.followed).start()
     assert not stream.wait_for_following([]), "no job followed"
     assert stream.ended
+
+
+def test_jobs_that_follow_are_taken_first_but_not_before_those_that_were_looked_at() -> None:
+    stream = JobStream[str](feedback=True)
+    source = [replace(ONE) for _ in range(3)]
+    for number, job in enumerate(source):
+        stream.put(job, f"source {number}", bounded=True)
+    follows, later = replace(THREE), replace(THREE)
+    stream.put(follows, "follows")
+    assert stream.peek(3) == [follows, *source[:2]]
+    stream.put(later, "later")  # meanwhile a table makes room for the three
+    stream.take_peeked([follows, *source[:2]])
+    assert stream.in_flight == {0: "follows", 1: "source 0", 2: "source 1"}
+    assert stream.take(9, wait=False) == [later, source[2]]
+    assert stream.ready == 0
 
 
 def test_a_source_waits_while_the_stream_is_full() -> None:

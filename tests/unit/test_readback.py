@@ -69,14 +69,18 @@ def test_of_a_small_table_no_more_rows_are_picked_than_it_has(tables: tuple[Worl
     jax.tree.map(assert_same_bits, state, take_rows(table, jnp.asarray([4, 0, 2, 4, 0])))
 
 
-def test_outcomes_have_their_rows_in_each_batch(tables: tuple[Worlds, State], monkeypatch: pytest.MonkeyPatch) -> None:
+def test_outcomes_have_their_stream_numbers_in_each_batch(
+    tables: tuple[Worlds, State], monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setattr(readback, "READ_BACK_ROWS", 2)
     jobs, rows = [Job(make_scene(BOXES))] * 5, np.array([4, 0, 2, 3, 1])
     worlds = take_rows(tables[0], jnp.arange(5))
     table = fresh_state(worlds, all_placed=True, ends=jnp.full(5, NEVER, jnp.int32), rest_steps=1)
     table = table._replace(steps_done=10 * jnp.arange(5, dtype=jnp.int32))
-    all_outcomes = outcomes(read_back(rows, table, worlds, SIM), jobs, SIM, Recorder(jobs, SIM))
-    assert [(outcome.job, outcome.n_steps) for outcome in all_outcomes] == [(4, 40), (0, 0), (2, 20), (3, 30), (1, 10)]
+    numbers = [11, 22, 33, 44, 55]
+    all_outcomes = outcomes(read_back(rows, table, worlds, SIM), jobs, numbers, SIM, Recorder(jobs, SIM))
+    steps = [(outcome.job, outcome.n_steps) for outcome in all_outcomes]
+    assert steps == [(55, 40), (11, 0), (33, 20), (44, 30), (22, 10)]
 
 
 def assert_same_bits(mine: np.ndarray[Any, Any], theirs: jax.Array) -> None:

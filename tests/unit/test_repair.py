@@ -261,6 +261,8 @@ def test_changes_of_one_box_become_one() -> None:
     assert with_change((first,), LeaveOut(1)) == (LeaveOut(1),)
     assert with_change((Film(4.0),), Film(3.0)) == (Film(3.0),)
     assert with_change((first,), Move(2, 1.0, 0.0)) == (first, Move(2, 1.0, 0.0))
+    assert with_change((Order(1, 4),), Order(1, 3, after=True)) == (Order(1, 3, after=True),)
+    assert with_change((Order(1, 4),), Order(2, 3)) == (Order(1, 4), Order(2, 3))
 
 
 def test_exchanged_boxes_have_each_others_place_and_time() -> None:
@@ -340,10 +342,37 @@ def test_only_changes_that_are_needed_are_left() -> None:
     assert count < 50, "one by one it is up to 16 + 15 + … + 3 = 133"
 
 
+TWO_FAULTS: Sequence[Box] = (*stack(3, 230.0), *stack(2, 230.0, at_mm=(0.0, 600.0)))
+"""Two stacks, each with a box that has more than half beyond the one below; on the first one's lies a third."""
+
+
+def test_faults_are_counted_by_taking_off_what_falls() -> None:
+    search = Search(make_plan(boxes=TWO_FAULTS), Simulation(), RepairOptions(worlds=0))
+    question = Question({"engine": "mujoco", "threads": 1}, RepairOptions(worlds=0))
+    moves = (), (Move(1, -60.0, 0.0),), (Move(1, -60.0, 0.0), Move(4, -60.0, 0.0))
+    drafts = [draft for changes in moves if (draft := applied(Draft.of(search.plan), changes)) is not None]
+    trials = question.trials([(draft, True) for draft in drafts])
+    steps = search._faults([State(draft, (), trial) for draft, trial in zip(drafts, trials, strict=True)], 9.0)
+    asked = next(steps)
+    assert [draft.order for draft, _ in asked] == [(0, 3, 4), (0, 1, 2, 3)], "with the box on it, which loses its hold"
+    second = steps.send(question.trials(asked))
+    assert [draft.order for draft, _ in second] == [(0, 3)]
+    with pytest.raises(StopIteration) as end:
+        steps.send(question.trials(second))
+    assert end.value.value == [2, 1, 0]
+
+
+def test_two_faults_are_mended_by_two_changes() -> None:
+    result = repaired(TWO_FAULTS, trials=60)
+    assert len(result.changes) == 2
+    assert verdict(result.plan) == "stable"
+
+
 def test_each_way_to_change_a_box_is_judged_before_other_amounts() -> None:
     draft = Draft.of(make_plan(boxes=stack(2)))
     proposals = [Move(0, 5.0, 0.0), Move(0, 9.0, 0.0), Move(0, 0.0, 7.0), Move(1, 5.0, 0.0), Order(1, 0)]
-    queue = [_Candidate(draft, (change,), (change,), 0.0, float(k)) for k, change in enumerate(proposals)]
+    start = State(draft, (), Trial("unstable", "tilt", 1, (1,), 2, 2, 0.0))
+    queue = [_Candidate(draft, (change,), (change,), 0.0, float(k), start) for k, change in enumerate(proposals)]
     assert [c.changes[0] for c in _batch([queue], 3)] == [proposals[0], proposals[3], proposals[4]]
     assert [c.changes[0] for c in queue] == [proposals[1], proposals[2]]
 

@@ -385,6 +385,17 @@ def test_the_last_worlds_are_expected_to_take_as_long_as_the_ones_before() -> No
     assert not Throughput(None, "world").left
 
 
+def test_the_time_left_follows_from_the_work_that_is_done_where_no_world_has_ended() -> None:
+    """A quarter of the work of a chain, its placements, takes 10 s; its four worlds arrive one after the other."""
+    now, left = 0.0, []
+    pace = Throughput(4, "world", lambda: now)
+    for now, done, share in ((10.0, 0, 0.25), (20.0, 0, 0.5), (35.0, 1, 0.875), (40.0, 4, 1.0)):  # noqa: B007
+        pace.update(done, share)
+        left.append(pace.left)
+    assert left == ["30 s left", "20 s left", "15 s left", ""]
+    assert pace.words == ["4 of 4 worlds", "0.1 worlds/s"]
+
+
 def test_of_a_million_worlds_few_moments_are_kept() -> None:
     now = 0.0
     pace = Throughput(1_000_000, "world", lambda: now)

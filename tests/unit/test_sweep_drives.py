@@ -15,6 +15,8 @@ from petmjx.runs.sweep_file import load_sweep
 from petmjx.runs.sweep_run import SweepRun
 from petmjx.runs.sweep_worlds import SweepPlan
 
+STACKS = [leaning(f"of {n}", n) for n in (1, 3)]
+
 
 def test_drives_start_from_their_own_placement(tmp_path: Path) -> None:
     grid = EUMOS_GRID.replace("from = 0.05, to = 0.8, step = 0.05", "from = 0.1, to = 0.2, step = 0.1")
@@ -35,6 +37,22 @@ def test_worlds_of_a_placement_that_is_not_driven_are_final_before_any_drive(tmp
     sweep = load_sweep(write_sweep(tmp_path, text), plans_given=True)
     run = SweepRun(SweepPlan(sweep, plans), Recorder(1))
     assert [world.plan.plan_id for world in run.worlds()] == ["falls"] * 64 + ["stands"] * 64
+
+
+@pytest.mark.parametrize("name", ["chain-film-truck", "chain-to-wrapper", "en-12195-1", "radial-force"])
+def test_the_bounds_of_a_sweep_hold_for_all_of_its_drives(name: str) -> None:
+    """An engine makes room for them before they come."""
+    plan = SweepPlan(load_sweep(Path(__file__).parents[2] / "sweeps" / f"{name}.toml", plans_given=True), STACKS)
+    groups = list(plan.groups())
+    worlds = [(group.plan, variant) for group in groups for variant in group.variants]
+    drives = [plan.drive(*world) for world in worlds]
+    drives += [plan.leg_drive(*world, leg) for world in worlds for leg in world[1].legs]
+    excitations = [drive.excitation for drive in drives if drive is not None]
+    bounds = plan.job_bounds(groups)
+    assert bounds.box_counts == {scene.n_boxes for _, scene in plan.scenes(groups)}
+    assert bounds.drive_steps == max(len(excitation.samples) for excitation in excitations)
+    assert bounds.excitations is None or bounds.excitations == len({id(excitation) for excitation in excitations})
+    assert bounds.wraps == name.startswith("chain")
 
 
 def test_early_stop_changes_no_answer_of_eumos_s_test(tmp_path: Path) -> None:

@@ -13,10 +13,10 @@ from support.job_streams import LateStream, feedback_stream, put
 from support.worlds import make_scene
 
 from petmjx.common.errors import InputError
-from petmjx.engines.job_stream import JobStream
+from petmjx.engines.job_stream import JobBounds, JobStream
 from petmjx.engines.mjx.timetable import build_timetable
 from petmjx.engines.warp.kernel_features import KernelFeatures
-from petmjx.engines.warp.table_jobs import TableJobs
+from petmjx.engines.warp.table_jobs import MOST_FOLLOWING_ROWS, MOST_PROFILE_BYTES, TableJobs
 from petmjx.engines.warp.world_arrays import MAX_BOXES
 from petmjx.engines.warp.world_table import WorldTable
 from petmjx.options.placing import Placing
@@ -36,7 +36,7 @@ class RowsOnly(WorldTable):
         sim = Simulation()
         self.run: Any = SimpleNamespace(needs=needs, sim=sim, timetable=build_timetable(sim, needs.most_boxes))
         self.table: Any = SimpleNamespace(status=np.zeros(rows, np.int32))
-        self.jobs, self.numbers, self.slices = jobs, list(range(len(jobs))), 0
+        self.jobs, self.stream_numbers, self.slices = jobs, list(range(len(jobs))), 0
         self.recorder: Any = SimpleNamespace(idle=all(job.record is None for job in jobs))
         self.profiles: Any = jnp.zeros((profiles, 4, 3))
         self.profile_rows = dict[int, int]()
@@ -146,9 +146,30 @@ def test_profiles_that_no_live_world_needs_give_way() -> None:
     assert table._with_profiles([SMALL, second, first, third]) == 3, "the third one has no room"
     assert np.asarray(table.profiles)[:, 0, 0].tolist() == [0.0, 2.0]
     table.end(np.array([0]))
-    assert table._with_profiles([third, driven(4, steps=5)]) == 1, "the other one is too long"
+    assert [table.fits(job) for job in (third, driven(4, steps=5))] == [True, False], "the other one is too long"
+    assert table._with_profiles([third]) == 1
     assert [*table.profile_rows] == [id(third.drive.excitation)]  # type: ignore[union-attr]
     assert 3.0 in np.asarray(table.profiles)[:, 0, 0]
+
+
+def test_a_table_has_room_for_what_will_follow() -> None:
+    """For larger plans and drives of which no job is there yet; profiles take a bounded part of the memory."""
+    pushed = replace(SMALL, drive=Drive(Excitation("push", "force", np.zeros((4, 3)))))
+    for excitations, drive_steps, room in ((3, 700, 3), (None, 700, 8), (None, MOST_PROFILE_BYTES // 36, 3)):
+        bounds = JobBounds(5, {2, 9, MAX_BOXES + 1}, drive_steps, excitations)
+        stream = JobStream[Any](feedback=True, bounds=bounds)
+        put(stream, SMALL, pushed)
+        source = jobs_of(stream)
+        jobs, _, rows = source.begin()
+        assert (rows, source.needs) == (8, KernelFeatures({96: 12})), "one that is refused waits for its turn"
+        assert source.profile_room(jobs, rows) == (room, drive_steps)
+    for n_jobs, rows in ((40, 64), (10**6, MOST_FOLLOWING_ROWS)):
+        stream = JobStream[Any](feedback=True, bounds=JobBounds(n_jobs, {2}, 700, 3))
+        put(stream, SMALL)
+        assert jobs_of(stream, 32_768).begin()[2] == rows, "many drives follow one placement"
+    source = jobs_of(feedback_stream([SMALL, pushed]))
+    jobs, _, rows = source.begin()
+    assert source.profile_room(jobs, rows) == (4, 0), "unknown: four times as many as there are"
 
 
 def test_needs_of_both() -> None:

@@ -21,8 +21,8 @@ from petmjx.world.mujoco_model import CARRIER_NAME, geom_bodies
 
 LINE_SEARCH_ITERATIONS = 30
 """Line search iterations. Under ``vmap`` all branches are computed, also unneeded ones. With 10 iterations, a force on
-a box differed by more than 50 N from that of C MuJoCo in 2.2 % of the steps of small piles: the solver had given up
-while boxes landed. With 30 iterations this happens in 0.2 %."""
+a box differed by more than 50 N from the force in C MuJoCo in 2.2 % of the steps of small piles: the solver had given
+up while boxes landed. With 30 iterations this happens in 0.2 %."""
 
 
 class StepResult(NamedTuple):
@@ -106,7 +106,7 @@ class PaddedModel:
             inputs: fields of the data: qpos, qvel, qacc_warmstart, xfrc_applied, and the place of a held carrier.
             forces: constraint forces of the step before.
             faces: for compliant boxes (``lay_beds``).
-            landing: the boxes that land, if they follow a law of their own.
+            landing: the landing boxes, if they follow a law of their own.
         """
 
         def ready(
@@ -124,8 +124,8 @@ class PaddedModel:
             return mjx.fwd_acceleration(model, data), landing
 
         def ended(fields: dict[str, jax.Array], data: Any, forces: jax.Array) -> Any:
-            # Between stiff contacts the solver's matrix may become NaN in float32. Then the accelerations and forces of
-            # the last step are used: from these the solver started.
+            # Between stiff contacts the solver's matrix may become NaN in float32. Then the accelerations from which
+            # the solver started are used, and the forces of the last step.
             lost = ~jnp.isfinite(data.qacc).all()
             qacc = jnp.where(lost, data.qacc_warmstart, data.qacc)
             forces = jnp.where(lost, forces, data._impl.efc_force)
@@ -146,7 +146,7 @@ class PaddedModel:
         contact = data._impl.contact
         rows_per_contact = 4 if self.pyramidal else 3
         geom = contact.geom[0]
-        # A contact has the same rows in every world; inactive ones have no force.
+        # A contact has the same rows in every world; inactive contacts have no force.
         row = jnp.asarray(contact.efc_address)[:, None] + jnp.arange(rows_per_contact)
         rows = data._impl.efc_force[:, row]
         rows = jnp.pad(rows, ((0, 0), (0, 0), (0, 4 - rows_per_contact)))

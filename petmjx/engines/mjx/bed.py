@@ -73,14 +73,14 @@ class FacePressure(NamedTuple):
 
 
 class Beds:
-    """Moves the contacts of two faces, at least one of them compliant, to where a bed has its force and moments."""
+    """Moves contacts of two faces, at least one of them compliant, so that they have the force and moments of a bed."""
 
     def __init__(self, model: Any, data: Any, physics: Physics) -> None:
         self._physics = physics
         # a contact's geoms are the same in all steps; the compiler finds them without a collision
         geom = np.asarray(jax.jit(lambda model, data: mjx.collision(model, data)._impl.contact.geom)(model, data))
         boxes = np.flatnonzero((np.asarray(model.geom_type)[geom] == mujoco.mjtGeom.mjGEOM_BOX).all(axis=1))
-        self._rows = boxes.reshape(-1, POINTS_PER_BED)  # of each pair
+        self._rows = boxes.reshape(-1, POINTS_PER_BED)  # rows of the contacts of each pair
         self._geom = geom[self._rows[:, 0]]
         assert (geom[self._rows] == self._geom[:, None]).all()
 

@@ -71,7 +71,7 @@ class Program:
 
 
 MOST_KEPT = 16
-"""Number of programs that a process keeps for engines to come."""
+"""Number of programs that a process keeps for later engines."""
 
 _kept: dict[tuple[type, ProgramKey], Program] = {}
 """Class of an engine and key → program, the latest last. Engines of several threads may share a program."""
@@ -136,9 +136,9 @@ class MjxJaxEngine(Engine):
                         batch = _load(jobs, batch_jobs, room, capacity, sim)
                         batch.give_up(rows, Flag.OUT_OF_MEMORY)
                     picked = read_back(rows, batch.table, batch.worlds, sim)
-                    for count, outcome in enumerate(outcomes(picked, batch.jobs, sim, batch.recorder), start=1):
+                    made = outcomes(picked, batch.jobs, batch_jobs, sim, batch.recorder)
+                    for count, outcome in enumerate(made, start=1):
                         progress.at_hand = len(batch_jobs) - count
-                        outcome.job = batch_jobs[outcome.job]
                         yield outcome
                     alike = alike[len(batch_jobs) :]
 

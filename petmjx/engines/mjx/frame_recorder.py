@@ -18,7 +18,7 @@ from petmjx.world.job import Job
 
 
 class Trail(NamedTuple):
-    """The steps of a chunk, world by world. Values are those after a step and after the rules.
+    """The steps of a chunk, world by world. Values are taken after a step and its rules.
 
     ``ran``: whether the step was taken; ``fresh``: whether a box has just been placed.
     """

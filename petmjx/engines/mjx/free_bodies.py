@@ -1,4 +1,4 @@
-"""Free motion of released boxes on mjx-jax: steps of ``BatchRollout``, with rules that only count the steps."""
+"""Free motion of released boxes on mjx-jax: steps of ``BatchRollout`` without the rules of a run."""
 
 from __future__ import annotations
 

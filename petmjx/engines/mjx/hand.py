@@ -69,7 +69,7 @@ def take_up(state: State, worlds: Worlds, where: Bool[Array, " world"], timestep
 
 def carry_on(state: State, worlds: Worlds, where: Bool[Array, " world"], sim: Simulation) -> State:
     """After a step in which boxes were carried: carry them further, or release them. A box that has arrived and rests
-    is set down first, unless it shall fall from its release pose."""
+    is set down first, unless it is meant to fall from its release pose."""
     box = jnp.maximum(state.placed - 1, 0)
     patience = stuck_steps(sim.physics.timestep_s)
     slow = _values_of_box(motion.speed(state.qvel, worlds.half), box) < sim.quiet.quiet_m_s
@@ -191,7 +191,7 @@ def _reaches(pose: Float[Array, "world box 7"], half: Float[Array, "world box 3"
 
 
 def _progress(step: Int[Array, " world"], steps: Int[Array, " world"]) -> Float[Array, " world"]:
-    """Share of the way that is covered after ``step`` of its ``steps``."""
+    """Share of a way of ``steps`` steps that is covered after ``step`` steps."""
     share = jnp.clip(step / steps, 0.0, 1.0)
     return share * share * (3.0 - 2.0 * share)
 

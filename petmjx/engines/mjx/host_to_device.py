@@ -23,7 +23,8 @@ GRANULE = 4
 """Box columns of a table are a multiple of this, so that runs with different plans use the same programs."""
 
 PROFILE_GRANULE = 512
-"""Steps of a table of profiles are a multiple of this, for the same reason: the legs of a chain differ in length."""
+"""Steps of a table of profiles are a multiple of this, so that the legs of a chain use the same programs, although they
+differ in length."""
 
 
 @dataclass
@@ -55,18 +56,24 @@ class Batch:
 
 
 def load(
-    jobs: list[Job], rows: int, width: int, sim: Simulation, timetable: Timetable, spare_profiles: int = 1
+    jobs: list[Job],
+    rows: int,
+    width: int,
+    sim: Simulation,
+    timetable: Timetable,
+    profile_room: tuple[int, int] = (0, 0),
 ) -> Batch:
     """The tables of some jobs.
 
     Args:
         rows: rows of the tables, at least one a job.
         width: box columns, at least as many as the largest plan has boxes.
-        spare_profiles: rows for profiles, as a multiple of the number of profiles.
+        profile_room: least number of rows for profiles, and their least steps.
     """
     excitations = {id(job.drive.excitation): job.drive.excitation for job in jobs if job.drive}
-    steps = round_up(max([len(e.samples) for e in excitations.values()], default=1), PROFILE_GRANULE)
-    profiles = np.zeros((padded_rows(max(spare_profiles * len(excitations), 1)), steps, 3), np.float32)
+    least_rows, least_steps = profile_room
+    steps = round_up(max(1, least_steps, *(len(e.samples) for e in excitations.values())), PROFILE_GRANULE)
+    profiles = np.zeros((padded_rows(max(1, least_rows, len(excitations))), steps, 3), np.float32)
     for row, excitation in enumerate(excitations.values()):
         profiles[row, : len(excitation.samples)] = excitation.samples
     profile_rows = {key: row for row, key in enumerate(excitations)}
@@ -93,7 +100,7 @@ def tables(
                 ends[row] = timetable.static_end if static else timetable.one_by_one_end[job.scene.n_boxes]
     fresh = partial(fresh_state, all_placed=static, rest_steps=timetable.rest_steps)
     if all(isinstance(job.start, State) for job in jobs):
-        # no job needs a fresh state, and so its program need not be compiled
+        # no job needs a fresh state, so the program of fresh states need not be compiled
         return worlds, started_states(jobs, jax.eval_shape(fresh, worlds, ends=ends))
     return worlds, started_states(jobs, fresh(worlds, ends=device_array(ends)))
 

@@ -24,8 +24,8 @@ CPU_COMPILER_OPTIONS = {
     # with the scheduler that is optimised for concurrency, programs of mjx-jax hang in XLA's thread pool
     # (jaxlib 0.10.2, two cores: 7 runs of 7; without it 0 of 4)
     "xla_cpu_enable_concurrency_optimized_scheduler": False,
-    # with the newer emitters of fused loops the programs of 12 plans compile for 91 s of CPU time, without them for
-    # 59 s (jaxlib 0.10.2); they run as fast
+    # with the newer emitters of fused loops the programs of 12 plans compile for 91 s of CPU time, without these
+    # emitters for 59 s (jaxlib 0.10.2); the programs run equally fast
     "xla_cpu_use_fusion_emitters": False,
 }
 """XLA's options for large programs on a CPU. Each is left out if a jaxlib does not have it."""

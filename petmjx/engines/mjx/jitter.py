@@ -19,8 +19,8 @@ def jitter_mask(state: State, sim: Simulation) -> Bool[Array, "world box"]:
 def after_look(
     state: State, worlds: Worlds, looks: Bool[Array, " world"], speed: Float[Array, "world box"], sim: Simulation
 ) -> State:
-    """States after a look for trembling at the worlds ``looks``. ``speed``: speeds of the boxes' fastest points,
-    m/s."""
+    """States after a look for trembling in the worlds marked by ``looks``. ``speed``: speeds of the boxes' fastest
+    points, m/s."""
     rule = sim.quiet
     period, look_s = rule.tremble_looks, rule.poll_steps * sim.physics.timestep_s
     look = state.tremble_looks

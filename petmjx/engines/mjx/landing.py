@@ -1,7 +1,7 @@
 """Contact law of landing boxes, for all worlds of a batch.
 
-Twin of petmjx/world/contact_laws.py and petmjx/engines/mujoco/landing.py, without shared arithmetic. The law is
-explained there.
+Twin of petmjx/world/contact_laws.py and petmjx/engines/mujoco/landing.py, which explain the law. It shares no
+arithmetic with them.
 """
 
 from __future__ import annotations

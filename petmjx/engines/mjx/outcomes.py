@@ -23,13 +23,21 @@ from petmjx.world.job import Job
 
 
 def outcomes(
-    picked: Sequence[Readback], jobs: Mapping[int, Job] | Sequence[Job], sim: Simulation, recorder: Recorder
+    picked: Sequence[Readback],
+    jobs: Mapping[int, Job] | Sequence[Job],
+    stream_numbers: Mapping[int, int] | Sequence[int],
+    sim: Simulation,
+    recorder: Recorder,
 ) -> Iterator[Outcome]:
-    """Outcomes, with histories, of the rows that ``read_back`` has read back; ``jobs`` by row."""
+    """Outcomes, with histories, of the rows that ``read_back`` has read back.
+
+    Args:
+        jobs, stream_numbers: row → job, and its ``Outcome.job``.
+    """
     clock = Clock(sim.physics.timestep_s)
     for batch in picked:
         state, measured = batch.on_host()
-        yield from _outcomes(batch.rows, state, measured, jobs, clock, sim, recorder)
+        yield from _outcomes(batch.rows, state, measured, jobs, stream_numbers, clock, sim, recorder)
 
 
 def _outcomes(
@@ -37,6 +45,7 @@ def _outcomes(
     host: State,
     measured: RunMetrics,
     jobs: Mapping[int, Job] | Sequence[Job],
+    stream_numbers: Mapping[int, int] | Sequence[int],
     clock: Clock,
     sim: Simulation,
     recorder: Recorder,
@@ -59,7 +68,7 @@ def _outcomes(
         verdict, reason = judge(flags, boxes, int(host.placed[i]), sim.thresholds)
         has_culprit = verdict is not Verdict.STABLE and m.culprit[i] >= 0
         yield Outcome(
-            job=int(row),
+            job=stream_numbers[int(row)],
             verdict=verdict,
             reason=reason,
             culprit=int(m.culprit[i]) if has_culprit else -1,
@@ -81,7 +90,7 @@ def _outcomes(
 
 
 def _put_at_rest(jobs: Sequence[Job], host: State) -> None:
-    """Put the boxes of jobs with ``poses`` to rest there, in states on the host."""
+    """Put the boxes of jobs with ``poses`` at these poses, at rest, in states on the host."""
     for row, job in enumerate(jobs):
         if job.poses is None:
             continue
@@ -98,7 +107,7 @@ def started_states(jobs: Sequence[Job], fresh: State) -> State:
     only if a job needs them. Padding rows never run, and may have any state.
 
     Args:
-        fresh: arrays without values, only shapes and types, are enough if all jobs start from kept states.
+        fresh: fresh states; if all jobs start from kept states, shapes and types without values are enough.
     """
     # a drive that follows a placement at once begins on the device, where boxes cannot be put elsewhere
     assert all(job.poses is None or isinstance(job.start, State) for job in jobs)

@@ -1,4 +1,4 @@
-"""The rollout of a batch: all worlds take a step, then the rules are applied. One program has many steps."""
+"""The rollout of a batch: all worlds take a step, then the rules are applied. A program takes many steps."""
 
 from __future__ import annotations
 

@@ -129,7 +129,7 @@ class Rules:
         """Begin the drives of worlds whose placement has settled."""
         begins = (state.status == Status.SETTLED) & worlds.driven
         end = _drive_end(state, worlds)
-        # signs from the placement (such as of a hard landing) are dropped where no box is over a threshold now
+        # signs from the placement (for example, of a hard landing) are dropped where no box is over a threshold now
         metrics = state.metrics.without_sign(begins & ~self._is_over(state, worlds)).without_rest(begins)
         middles = motion.middles(state.qpos, worlds.middle)
         anchor = jnp.where(begins[:, None, None], middles[..., :2], metrics.sway_anchor)
@@ -273,7 +273,7 @@ class Rules:
         creeps.
 
         A pallet is quiet after ``quiet.steps`` steps if no box creeps. Trembling boxes are ignored; the count restarts
-        at 0 when boxes are found to tremble. Looks for trembling happen where waits adapt.
+        at 0 when boxes are found to tremble. Looks for trembling are made in worlds whose waits adapt.
 
         Returns:
             The states, and which pallets are quiet.
@@ -332,8 +332,8 @@ class Rules:
         return self.place_next(state, worlds, go & has_more)
 
     def rest_from(self, state: State) -> Int[Array, " world"]:
-        """The step after which the rest window of a quiet world begins. By then the last box of the world has landed;
-        before a drive it has landed already."""
+        """The step after which the rest window of a quiet world begins. By then the world's last box has landed. In a
+        drive it has landed already."""
         if self.driven:
             return state.step
         return jnp.maximum(state.step, state.last_placed_at + self.sim.quiet.landing_steps)
@@ -348,16 +348,17 @@ class Rules:
         return self._adaptive and self.sim.waits_for_rest
 
     def _rests_in_drive(self, state: State) -> Bool[Array, " world"]:
-        """Whether quiet may bring the end of a drive forward: a rest window that begins now must be over when the last
-        one begins."""
+        """Which drives end early if the pallet is quiet: a rest window that begins now must be over when the last one
+        would begin."""
         early = (state.end != NEVER) & (state.step <= state.end - 2 * self.timetable.rest_steps)
         return early & (self.driven and self._rests_first)
 
     def _deadline(
         self, state: State, worlds: Worlds, more: Bool[Array, " world"], adapts: Bool[Array, " world"]
     ) -> Int[Array, " world"]:
-        """The latest step for the next event. The long wait ends early once a box has failed, counted from the first
-        sign. The wait before a further box also ends early if an earlier wait was in vain."""
+        """The latest step for the next event. A long wait becomes a short one once a box has failed; the short wait
+        counts from the first sign. It also becomes a short one before a further box if an earlier wait ended with a
+        moving world."""
         sim, table = self.sim, self.timetable
         hopeful = ~state.metrics.has_failed(sim.thresholds)
         plain_static = ~worlds.settles if sim.check == "static" and not self.driven else jnp.zeros_like(more)

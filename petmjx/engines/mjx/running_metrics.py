@@ -46,8 +46,8 @@ class Sample(NamedTuple):
 
 
 class Metrics(NamedTuple):
-    """Running statistics of boxes over the samples since a box was placed; tilt and sway also over looks in a drive.
-    And the first sign of failure."""
+    """Running statistics of boxes over the samples since a box was placed, and the first sign of failure. Tilt and sway
+    also cover looks in a drive."""
 
     max_tilt: Float[Array, "world box"]
     max_lin_acc: Float[Array, "world box"]
@@ -127,7 +127,7 @@ def no_metrics(n_worlds: int, n_boxes: int) -> Metrics:
 
 
 class RunMetrics(NamedTuple):
-    """Metrics of worlds that need the whole run."""
+    """Metrics that need the whole run of a world."""
 
     shift: Float[Array, "world box 3"]
     max_tilt: Float[Array, "world box"]

@@ -24,13 +24,13 @@ KEPT: Final = 8
 
 @dataclass(frozen=True, eq=False)
 class Timetable:
-    """Step numbers of a run; ``clock[s]`` is the time after step s, s (seconds).
+    """Step numbers of a run, and its clock.
 
     Attributes:
         clock: time after each step, s.
         due: a wait of ``interval_s`` that began after step s ends at step ``due[s]``.
         longest: the same for ``longest_wait_s``.
-        settled: the same steps for ``settle_s``, counted from the beginning of time.
+        settled: the same for ``settle_s``. The end's time on the clock is converted to steps.
         settled_nominally: by number of boxes, the step after which a drive starts with the fixed schedule. The
             reference counts from the nominal moment of the last placement, while rounding to steps delays the real
             moment a little.

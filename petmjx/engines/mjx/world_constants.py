@@ -35,11 +35,12 @@ class Worlds(NamedTuple):
 
     Drives: ``driven``: a drive follows; ``held``: it holds the carrier fast. ``drive_yaw`` is (cos, sin).
     ``profile_steps`` counts the drive's samples; ``drive_steps`` counts the steps to the world's end, unless it rests
-    earlier. ``allowed_sway``, m, is that of the drive.
+    earlier. ``allowed_sway``, m, is the drive's allowed sway.
 
     Ends: ``settles``: the placement ends in a settled state, for a drive or to keep. ``ends_when_lost``:
-    ``has_errors`` of ``petmjx.world.job.Job``. ``pauses``: when its boxes rest, the world waits for more
-    (petmjx/engines/open_worlds.py). ``ends_when_gone``: it is a trial, which ends when a box is gone.
+    ``has_errors`` of ``petmjx.world.job.Job``. ``pauses``: when its boxes rest, the world waits for
+    further boxes (petmjx/engines/open_worlds.py). ``ends_when_gone``: the world is a trial, which ends when a box is
+    gone.
 
     Placing: ``start`` is where a box is released if its ``support`` is where the plan has it. The release follows the
     support by at most ``most_followed``, m (petmjx/world/release_places.py). ``appears``: all boxes begin at ``start``.
@@ -106,7 +107,7 @@ def device_array(values: NDArray[Any]) -> jax.Array:
 
 
 def device_arrays(arrays: Iterable[NDArray[Any]]) -> list[jax.Array]:
-    """Like ``device_array``, for many arrays in one call. One call for many takes half of the time."""
+    """Like ``device_array``, for many arrays in one call. This takes half of the time of a call for each."""
     uploads: list[jax.Array] = jax.device_put([*arrays])
     return uploads
 
@@ -140,7 +141,7 @@ _NO_DRIVE: Final = Drive(Excitation("none", FORCE, np.zeros((0, 3))), scale=0.0,
 
 
 def _rows_of_jobs(jobs: Sequence[Job], profiles: dict[int, int], timestep_s: float) -> Rows:
-    """Fields of the tables that depend on the job and not only on its scene, without those of open worlds."""
+    """Fields of the tables that depend on the job and not only on its scene, without the fields of open worlds."""
     drives = [job.drive or _NO_DRIVE for job in jobs]
     profiles = {id(_NO_DRIVE.excitation): 0, **profiles}
     profile_steps = np.array([len(drive.excitation.samples) for drive in drives], np.int32)

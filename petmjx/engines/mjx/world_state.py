@@ -42,7 +42,7 @@ class State(NamedTuple):
 
     # MuJoCo's arrays of free bodies, with boxes and carrier in separate arrays: positions, velocities, accelerations of
     # the last step, and accelerations from which mjx-warp's solver starts in the next step. Other solvers start from
-    # the last step's.
+    # the accelerations of the last step.
     qpos: Float[Array, "world box 7"]
     qvel: Float[Array, "world box 6"]
     qacc: Float[Array, "world box 6"]

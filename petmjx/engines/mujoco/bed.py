@@ -1,4 +1,4 @@
-"""Contacts between faces of boxes that give, as beds of springs in MuJoCo's data. Law: petmjx/world/compliance.py."""
+"""Contacts between faces of compliant boxes: beds of springs in MuJoCo's data. The law: petmjx/world/compliance.py."""
 
 from __future__ import annotations
 
@@ -70,7 +70,7 @@ _FIELDS: Final = (
 
 
 class Beds:
-    """Moves contacts of faces of boxes that give to points with the forces and moments of a bed.
+    """Moves contacts between faces of compliant boxes to points at which they have the force and moments of a bed.
 
     Args:
         bodies: (ngeom,) body of each geom (``petmjx.world.mujoco_model.geom_bodies``).
@@ -100,7 +100,7 @@ class Beds:
         mujoco.mj_fwdVelocity(model, data)
 
     def press(self, model: mujoco.MjModel, data: mujoco.MjData) -> None:
-        """Replace the collider's contacts of two faces by those of a bed, if one of the faces gives."""
+        """Replace the collider's contacts of two faces by the contacts of a bed, if one of the boxes is compliant."""
         count = data.ncon
         if not count:
             return
@@ -245,8 +245,8 @@ def _sides(edges: FloatArray, at: FloatArray, lines: FloatArray) -> None:
 
     Args:
         edges: (p, 2, 2, 2) half edges: parallelogram, edge, coordinate.
-        at: (p, 2) middle of the first parallelogram; that of the second is the origin.
-        lines: (p, 9, 3), of which eight have values.
+        at: (p, 2) middle of the first parallelogram; the middle of the second is the origin.
+        lines: (p, 9, 3); the first eight of each nine are filled in.
     """
     cross = edges[:, :, :1, 0] * edges[:, :, 1:, 1] - edges[:, :, :1, 1] * edges[:, :, 1:, 0]
     length = np.sqrt((edges * edges).sum(axis=3))

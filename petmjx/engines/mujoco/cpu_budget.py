@@ -14,17 +14,18 @@ LEAST_S: Final = {Check.STATIC: 30.0, Check.ONE_BY_ONE: 300.0}
 """CPU time that any world may take, s. Static checks of third-party plans of up to 241 boxes take up to 6 s."""
 
 MOST_TIMES: Final = 20.0
-"""Largest time of a world as a multiple of the expected time. The slowest plans that collapse take five times it."""
+"""Largest time of a world as a multiple of the expected time. The slowest collapsing plans take five
+times the expected time."""
 
 LONG_S: Final = 5.0
 """Wall-clock time after which the progress of a world is shown, s."""
 
 SLOW_S: Final = 0.05
-"""If checks of the budget are further apart than this, each step checks it, s."""
+"""Time between two checks of the budget, s, from which on each step checks it."""
 
 
 class Budget:
-    """The time of one attempt at a world. Made and checked in the thread that simulates it.
+    """The time budget of one attempt at a world. The thread that simulates the world makes and checks its budget.
 
     Args:
         timeout_s: wall-clock time, s; None: the CPU time that ``LEAST_S`` and ``MOST_TIMES`` allow. Worlds with soft
@@ -45,7 +46,7 @@ class Budget:
         self.slow = False
 
     def is_spent(self, steps: int, placed: int) -> bool:
-        """Whether the time is up. ``steps``: of the world so far; ``placed``: number of placed boxes."""
+        """Whether the time is up. ``steps``: steps of the world so far; ``placed``: number of placed boxes."""
         self._steps, self._placed = steps, placed
         now_s = self._clock()
         self.slow, self._last_s = now_s - self._last_s >= SLOW_S, now_s
@@ -60,7 +61,7 @@ class Budget:
 
     @property
     def so_far(self) -> str:
-        """Progress of a world that takes long, as text for the user; empty before. Any thread may call it."""
+        """Progress of a world that takes long, as text for the user; empty before. Any thread may read it."""
         seconds = time.monotonic() - self._made_s
         if seconds < LONG_S:
             return ""

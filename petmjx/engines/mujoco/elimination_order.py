@@ -28,9 +28,8 @@ def body_order(scene: Scene, n_boxes: int, contacts: NDArray[np.integer], shaken
 
     Args:
         contacts: (m, 2) pairs of boxes that touch now, carrier and floor left out.
-        shaken: True: boxes will touch their neighbours at the sides. False: only pairs of which one box stands on the
-            other count. A pallet that stands has few other contacts, and these would cost half as many operations
-            again.
+        shaken: True: boxes will touch their neighbours at the sides. False: only pairs count in which one box stands on
+            the other. A pallet that stands has few other contacts, and these would cost half as many operations again.
     """
     joined = _may_touch(scene.start_pos[:n_boxes], scene.half_size[:n_boxes], NEAR_M if shaken else 0.0)
     first, second = contacts.T
@@ -51,7 +50,7 @@ def _may_touch(centre: FloatArray, half: FloatArray, beside_m: float) -> NDArray
 
 def minimum_degree(joined: NDArray[np.bool_]) -> list[int]:
     """The nodes of a graph in order of minimum degree: the next node is always the one with the fewest remaining
-    neighbours, and the lowest number of several.
+    neighbours. Of several such nodes it is the one with the lowest number.
 
     Args:
         joined: (k, k) symmetric; the diagonal is ignored.

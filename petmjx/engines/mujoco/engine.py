@@ -55,11 +55,11 @@ class MujocoEngine(Engine):
         self.world_timeout_s = world_timeout_s
 
     def open(self, scenes: Sequence[Scene], sim: Simulation, most_boxes: int = MOST_BOXES) -> MujocoWorlds:
-        """Like ``Engine.open``, on this engine's threads, with room for any number of boxes."""
+        """See ``Engine.open``. Worlds run on this engine's threads, and have room for any number of boxes."""
         return MujocoWorlds(scenes, sim, self.threads)
 
     def paths(self, bodies: FreeBodies, sim: Simulation) -> FloatArray:
-        """Like the method of the protocol, on this engine's threads."""
+        """See ``Engine.paths``. Worlds run on this engine's threads."""
         return paths(bodies, sim, self.threads)
 
     @property
@@ -130,22 +130,23 @@ def _say(progress: Progress, last_line: str, words: str) -> str:
 
 
 def _simulate(
-    index: int,
+    stream_number: int,
     job: Job,
     sim: Simulation,
     stop: threading.Event,
     timeout_s: float | None,
     running: dict[int, Budget],
 ) -> tuple[Outcome, float]:
-    """A world's outcome, and the CPU time of this thread for it, s. ``running``: budgets of running worlds, by job."""
+    """A world's outcome, and the CPU time of this thread for it, s. ``running``: budgets of running worlds, by
+    stream number."""
     begin_s = time.thread_time()
     try:
-        running[index] = budget = Budget(job, sim, timeout_s)
-        outcome = WorldRun(index, job, sim, stop.is_set, budget).run()
+        running[stream_number] = budget = Budget(job, sim, timeout_s)
+        outcome = WorldRun(stream_number, job, sim, stop.is_set, budget).run()
     except WorldCancelled:
         raise
     except Exception as error:
-        outcome = failed_outcome(index, job, sim, one_line(error))
+        outcome = failed_outcome(stream_number, job, sim, one_line(error))
     finally:
-        running.pop(index, None)
+        running.pop(stream_number, None)
     return outcome, time.thread_time() - begin_s

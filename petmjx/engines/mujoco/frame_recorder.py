@@ -56,14 +56,14 @@ class WorldRecorder:
         return step + self._every - step % self._every
 
     def look(self, step: int, live: LiveWorld) -> None:
-        """Take a frame after a step, unless there is one. This must happen before the world is changed: the forces
-        during the step are lost then."""
+        """Take a frame after a step, unless the step has one. Call this before the world is changed: a change loses
+        the forces of the step."""
         if self._frames and self._frames[-1].step == step:
             return
         self._take(step, live, acted=True)
 
     def begin(self, step: int, live: LiveWorld) -> None:
-        """Take the first frame of a world that starts from a settled state. The forces of such a frame are lost."""
+        """Take the first frame of a world that starts from a settled state. The forces of this frame are not known."""
         self._take(step, live, acted=False)
 
     def place(self, live: LiveWorld) -> None:

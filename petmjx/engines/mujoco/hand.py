@@ -57,12 +57,12 @@ class Hand:
         return self.short_m > MISSED_M
 
     def has_let_go(self, pose: FloatArray, slow: bool) -> bool:
-        """Whether the hand releases the box after this step: it does once the box has arrived and rests. A box
-        that does not fall from there is set down first.
+        """Whether the hand releases the box after this step: it does once the box has arrived and rests.
+        Unless the box is meant to fall, it is set down first.
 
         Args:
-            pose: (7,) of the box's frame, m and quaternion.
-            slow: whether the box is as slow as those of a quiet pallet.
+            pose: (7,) pose of the box's frame, m and quaternion.
+            slow: whether the box is as slow as boxes of a quiet pallet.
         """
         self.taken += 1
         self.short_m = float(np.linalg.norm(self.end - pose[:3]))
@@ -86,8 +86,8 @@ class Hand:
         bear its weight.
 
         Args:
-            pose: (7,) of its frame, m and quaternion.
-            velocity: (6,) of its frame, m/s, and in the box's axes rad/s.
+            pose: (7,) pose of the box's frame, m and quaternion.
+            velocity: (6,) velocity of the frame, m/s, and in the box's axes rad/s.
         """
         mass, half_size = float(self.scene.mass[self.box]), self.scene.half_size[self.box]
         most_n, weight_n = self.scene.placing.force_n, mass * self.gravity_m_s2
@@ -112,7 +112,7 @@ class Hand:
 
 
 def _limited(vector: FloatArray, most: float) -> FloatArray:
-    """The vector, shortened to the length ``most`` if longer."""
+    """The vector, shortened to the length ``most`` if it is longer."""
     length = float(np.linalg.norm(vector))
     return vector if length <= most else vector * (most / length)
 

@@ -22,7 +22,7 @@ class Jitter:
     """State of the search for trembling boxes after a look; each look makes a new one.
 
     Attributes:
-        boxes: (n,) whether each box seen at looks since the last placement trembles.
+        boxes: (n,) whether each box trembles; n boxes were seen at the looks since the last placement.
         looks: number of looks at this number of boxes.
         home: (n, 7) poses at the beginning of the measured period.
         path_m, away_m: (n,) length of each box's way since the first look, and its largest distance from ``home``, m.
@@ -39,7 +39,7 @@ class Jitter:
         return self.boxes if len(self.boxes) == n else np.zeros(n, bool)
 
     def after_look(self, sim: Simulation, pose: FloatArray, speed_m_s: FloatArray, radius_m: FloatArray) -> Self:
-        """Another look at the boxes of a wait.
+        """The state after another look at the boxes during a wait.
 
         Args:
             pose: (n, 7); speed_m_s, radius_m: (n,), of their fastest points, and half diagonals.

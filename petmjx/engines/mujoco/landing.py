@@ -1,4 +1,4 @@
-"""Landings on C MuJoCo: contacts that stop boxes that arrive fast, and let them bounce. The law:
+"""Contact law of landing boxes on C MuJoCo, which stops boxes that arrive fast or lets them bounce. The law:
 petmjx/world/contact_laws.py."""
 
 from __future__ import annotations
@@ -38,11 +38,11 @@ class MovingWorld(Protocol):
 
 
 class Landings:
-    """The boxes of a world that land, and their velocities before.
+    """The landing boxes of a world, and their velocities before the landing.
 
     Attributes:
         left: (n,) remaining steps for which each box counts as landing; 0: no landing.
-        before: (n, 6) velocities of boxes that land, before they touched.
+        before: (n, 6) velocities of landing boxes, before they touched.
     """
 
     def __init__(self, scene: Scene, sim: Simulation) -> None:
@@ -67,7 +67,7 @@ class Landings:
         return twin
 
     def over(self, live: MovingWorld) -> bool:
-        """Whether nothing lands, and nothing will in the next few steps."""
+        """Whether no box lands, and no box will land in the next few steps."""
         data = live.data
         placed, self._placed = self._placed, live.n_placed
         # a box that has just been placed has no acceleration yet, and may begin to fall

@@ -32,8 +32,9 @@ GROWTH_BLOCK = 8
 With 40 boxes and the schedule adaptive, blocks of 1 and blocks of 40 both take 5 % longer than blocks of 8."""
 
 ORDERED_FROM = 64
-"""Boxes of the smallest plan whose bodies are not in packing order. Third-party plans of 76 boxes and more are
-1.3 to 4.6 times as fast; those of 45 and 66 and generated ones gain no more than it takes to make whole models, 2 %."""
+"""Boxes of the smallest plan whose bodies are in elimination order. This makes third-party plans of 76 boxes and more
+1.3 to 4.6 times as fast. Third-party plans of 45 and 66 boxes and generated plans gain no more than 2 %, which it
+takes to make whole models."""
 
 _PARKING_M = 100.0
 _PARKING_PITCH_M = 10.0
@@ -58,8 +59,8 @@ class LiveWorld:
 
     With pyramidal cones another body represents waiting boxes (``petmjx.engines.mujoco.waiting_boxes``).
 
-    The bodies of a large plan are in elimination order (``petmjx.engines.mujoco.elimination_order``). Waiting boxes of
-    smaller plans are in packing order. With pyramidal cones all are in packing order, as in the reference
+    The bodies of a large plan are in elimination order (``petmjx.engines.mujoco.elimination_order``). The bodies of
+    smaller plans are in packing order. With pyramidal cones all bodies are in packing order, as in the reference
     implementation, to the last bit. All arrays that this class takes and returns have rows in packing order.
 
     Args:
@@ -93,7 +94,7 @@ class LiveWorld:
         self.hand: Hand | None = None
         self._has_waiting = n_boxes < scene.n_boxes and self.pyramidal
         self._slip = SlipLaw(sim.physics)
-        self._slides, self._looked = False, 0  # at the last look; steps since
+        self._slides, self._looked = False, 0  # whether bodies slid at the last look; steps since then
         lands = sim.physics.has_landings and scene.soft is None
         self._landings = Landings(scene, sim) if lands else None
         self._build(n_boxes)
@@ -202,7 +203,7 @@ class LiveWorld:
         self.scene = scene
         if self._landings is not None:
             self._landings = self._landings.extended(scene)
-        for name in ("release", "approach_path"):  # are computed again
+        for name in ("release", "approach_path"):  # these are computed anew
             vars(self).pop(name, None)
 
     def fork(self, *, grows: bool = False) -> LiveWorld:
@@ -237,7 +238,7 @@ class LiveWorld:
         return row
 
     def place_next(self) -> None:
-        """Place the next box: at rest at its release place, or at the begin of its fall or of its approach path."""
+        """Place the next box: at rest at its release place, or at the beginning of its fall or of its approach path."""
         if self.n_placed == self.capacity:
             self._grow()
         box = self.n_placed
@@ -296,7 +297,8 @@ class LiveWorld:
             self._forces(self.hand.box)[:] = self.hand.wrench(self._poses[row], self._velocities[row])
 
     def step(self, count: int) -> None:
-        """Advance by ``count`` steps in C, with the GIL released; one step at a time if boxes give, land, or may slide.
+        """Advance by ``count`` steps in C, with the GIL released; one step at a time if boxes are compliant, land, or
+        may slide.
 
         Motion is checked after every few steps of the world, however many steps a call takes.
         """
@@ -331,7 +333,7 @@ class LiveWorld:
         self.data.xfrc_applied[self._carrier, :3] = force_n
 
     def from_carrier(self) -> tuple[FloatArray, FloatArray]:
-        """(capacity, 3) centres of mass of the boxes, m, and their velocities, m/s, less those of the carrier."""
+        """(capacity, 3) centres of mass of the boxes, m, and their velocities, m/s, relative to the carrier's."""
         speed = np.zeros(3) if self._held is not None else self.data.qvel[:3]
         return self._poses[self._row, :3] - self.carrier_pose[:3], self.velocity[:, :3] - speed
 

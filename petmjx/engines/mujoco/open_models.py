@@ -24,7 +24,7 @@ from petmjx.world.scene import Scene
 _SOLVER = {Solver.NEWTON: mujoco.mjtSolver.mjSOL_NEWTON, Solver.CG: mujoco.mjtSolver.mjSOL_CG}
 
 MOST_KEPT: Final = 64
-"""Number of cached templates: the last ones used. A template of 31 boxes takes 0.2 MB, and each of its spare
+"""Number of cached templates, the most recently used ones. A template of 31 boxes takes 0.2 MB, and each of its spare
 worlds 0.7 MB in use."""
 
 MOST_SPARE: Final = 16

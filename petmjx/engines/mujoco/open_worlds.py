@@ -79,8 +79,8 @@ class OpenWorld(WorldRun):
         return twin
 
     def tried(self, scene: Scene, *, until_lost: bool = False) -> Reading:
-        """The reading of a fork after the additional boxes of this scene have been put into it and rest, or, with
-        ``until_lost``, a box is tilted too far at a sample, or gone at a look for quiet."""
+        """Put the additional boxes of this scene into a fork. Returns the fork's reading when they rest or, with
+        ``until_lost``, when a box is tilted too far at a sample, or gone at a look for quiet."""
         twin = self.fork(grows=self.paused)
         twin._job, twin._until_gone = replace(twin._job, has_errors=until_lost), until_lost
         twin.put(scene)
@@ -109,7 +109,7 @@ class OpenWorld(WorldRun):
             WorldCancelled: the run was interrupted.
         """
         self.go_on()
-        self._index, self._pauses = index, False
+        self._stream_number, self._pauses = index, False
         self._job = replace(self._job, drive=drive)
         self._waits.settles = self._settles
         if self.paused and self._lingers():
@@ -120,7 +120,7 @@ class OpenWorld(WorldRun):
         return self._outcome(came_to_end=not self.ended and self._loop())
 
     def _lingers(self) -> bool:
-        """Whether a world paused early, because a wait was in vain, and still moves: its last wait is long."""
+        """Whether a world paused because its time was up, and still moves: its last wait may be longer."""
         return not (self._quiet.holds or self._metrics.has_failed) and self._waits.lasts_longer(self._step)
 
     def _leave_pause(self) -> None:
@@ -130,8 +130,8 @@ class OpenWorld(WorldRun):
             self._keep_still_pose()
 
     def read(self) -> Reading:
-        """The reading of the world. The outcome has ``Flag.MOVING`` if the world paused because its time was up, not at
-        rest."""
+        """The reading of the world. It has ``Flag.MOVING`` if the world paused because its time was up, and not because
+        it rests."""
         live, k = self._live, self._live.n_placed
         pose = live.pose[:k]
         moves = self.paused and not (self._quiet.holds or self._metrics.has_failed)
@@ -168,7 +168,7 @@ class MujocoWorlds(OpenWorlds):
         self._worlds = self._map(self._begin, scenes)
 
     def go_on(self) -> None:
-        """As for all engines."""
+        """See ``OpenWorlds.go_on``."""
         self._map(OpenWorld.go_on, [world for world in self._worlds if not (world.paused or world.ended)])
 
     def _reset(self, worlds: Sequence[int], scenes: Sequence[Scene]) -> None:

@@ -46,8 +46,8 @@ class QuietRule:
         """Take one look; returns whether the pallet is quiet, except for boxes that tremble.
 
         Args:
-            pose: (k, 7) of the placed boxes, in m and unit quaternions.
-            velocity: (k, 6), linear in m/s and angular in rad/s.
+            pose: (k, 7) poses of the placed boxes, in m and unit quaternions.
+            velocity: (k, 6) velocities, linear in m/s and angular in rad/s.
             has_failed: whether a box has dropped or tilted too far; then the rule does not wait for creep.
             adapts: whether the wait ends as soon as the pallet is quiet: then trembling boxes are searched for.
         """
@@ -76,7 +76,7 @@ class QuietRule:
         return True
 
     def is_slow(self, velocity: FloatArray, boxes: slice) -> bool:
-        """Whether these boxes are as slow as those of a quiet pallet."""
+        """Whether these boxes are as slow as boxes of a quiet pallet."""
         return bool((box_motion.speed(velocity, self._radius_m[boxes]) < self._rule.quiet_m_s).all())
 
     def motion(self, before: FloatArray, after: FloatArray, velocity: FloatArray, seconds: float) -> tuple[bool, bool]:
@@ -84,9 +84,9 @@ class QuietRule:
         for such boxes. The world does not wait for trembling boxes slower than ``slow_m_s``.
 
         Args:
-            before, after: (k, 7) poses, ``seconds`` apart: a rocking box at its turning point has hardly moved on the
+            before, after: (k, 7) poses, ``seconds`` apart. A rocking box that turned between them has hardly moved on
                 average.
-            velocity: (k, 6) now.
+            velocity: (k, 6) velocities now.
         """
         rule, radius = self._rule, self._radius_m[: len(after)]
         moved = box_motion.moved(before, after, radius)
@@ -101,7 +101,7 @@ class Explosion:
 
     When light boxes land, or tipping boxes hit something, they reach 240 rad/s² for a few steps; one such sample is not
     an explosion. So samples right after a placement do not count. And one violent sample is not enough: the following
-    ones, over at least as many steps as a box needs to land, must be violent too.
+    samples, over at least as many steps as a box needs to land, must be violent, too.
 
     Args:
         landing: steps that a box needs to land.

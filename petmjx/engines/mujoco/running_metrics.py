@@ -147,12 +147,12 @@ class OracleMetrics:
         return too_fast and self.culprit < 0
 
     def add_look(self, time_s: float, pos: FloatArray, quat: FloatArray) -> None:
-        """Add these poses, of a sample or of a look during a drive: tilts, and all that ``add_pose`` checks."""
+        """Add the poses of a sample, or of a look during a drive: their tilts, and the checks of ``add_pose``."""
         tilt, k = self.add_pose(time_s, pos, quat), len(pos)
         np.maximum(self.max_tilt_deg[:k], tilt, out=self.max_tilt_deg[:k])
 
     def add_pose(self, time_s: float, pos: FloatArray, quat: FloatArray) -> FloatArray:
-        """Check these poses, of a look or the final state, for drops, sway and the first sign. Returns (k,) tilts."""
+        """Check the poses of a look, or of the final state, for drops, sway and the first sign. Returns (k,) tilts."""
         k = len(pos)
         tilt = tilt_deg(quat)
         dropped = has_dropped(pos, quat, self._scene.half_size[:k], self._thresholds)
@@ -169,7 +169,7 @@ class OracleMetrics:
 
     @staticmethod
     def _sway(pos: FloatArray, origin: FloatArray) -> FloatArray:
-        """(k,) horizontal distance of boxes from their places at the begin of the drive, m."""
+        """(k,) horizontal distance of boxes from their places at the beginning of the drive, m."""
         return np.asarray(np.hypot(*(pos - origin)[:, :2].T))
 
     def add_rest(self, top_force_n: FloatArray) -> None:
@@ -178,7 +178,7 @@ class OracleMetrics:
         self._rest_steps += 1
 
     def restart_rest(self) -> None:
-        """The rest window did not end the world: another one will."""
+        """Begin a new rest window, since the last one did not end the world."""
         self._rest_sum_n[:] = 0.0
         self._rest_steps = 0
 

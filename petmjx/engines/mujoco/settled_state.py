@@ -23,11 +23,11 @@ class SettledState:
     ended: Outcome | None
     """The outcome of a world that ended before it settled, and of all its forks; else None."""
 
-    def ended_as(self, job: int) -> Outcome | None:
+    def ended_as(self, stream_number: int) -> Outcome | None:
         """The outcome of a fork, if there is nothing left to simulate."""
         if self.ended is None:
             return None
-        return replace(self.ended, job=job, flags=self.ended.flags | Flag.FORKED, n_steps=0, state=None)
+        return replace(self.ended, job=stream_number, flags=self.ended.flags | Flag.FORKED, n_steps=0, state=None)
 
     def resumed(self, scene: Scene, sim: Simulation, time_s: float) -> LiveWorld | SoftWorld:
         """A world in this state, for a drive."""

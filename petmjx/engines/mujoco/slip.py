@@ -36,11 +36,11 @@ slower than half of ``STICKS_M_S``."""
 
 
 class SlipLaw:
-    """The law of contacts that slide, for worlds with these physics.
+    """The law of sliding contacts, for worlds with these physics.
 
     Args:
-        pair_kinetic: as of ``petmjx.world.scene.Scene``.
-        surfaces: (ngeom,) of the model's geoms, for ``pair_kinetic``.
+        pair_kinetic: as in ``petmjx.world.scene.Scene``.
+        surfaces: (ngeom,) surfaces of the model's geoms, for ``pair_kinetic``.
     """
 
     def __init__(
@@ -54,10 +54,10 @@ class SlipLaw:
         self._of_pairs, self._surfaces = pair_kinetic, surfaces
         self._slows = self._share < 1 or pair_kinetic is not None
         self.acts = physics.cone is Cone.ELLIPTIC and (math.isfinite(self._slack) or self._slows)
-        """Whether it changes anything."""
+        """Whether the law changes anything."""
 
     def may_slide(self, velocity: FloatArray) -> bool:
-        """Whether a contact may slide. ``velocity``: (nv,) of all bodies."""
+        """Whether a contact may slide. ``velocity``: (nv,) velocities of all bodies."""
         return self.acts and bool(velocity.dot(velocity) > SLOW_M_S**2)
 
     def step(self, model: mujoco.MjModel, data: mujoco.MjData) -> None:
@@ -66,8 +66,8 @@ class SlipLaw:
         self.step2(model, data)
 
     def step2(self, model: mujoco.MjModel, data: mujoco.MjData) -> None:
-        """As ``mj_step2``, with Euler's integrator. All contacts have three rows (``condim`` 3), behind those of other
-        constraints."""
+        """As ``mj_step2``, with Euler's integrator. All contacts have three rows (``condim`` 3), behind the rows of
+        other constraints."""
         first = data.ne + data.nf + data.nl
         if not self.acts or data.nefc == first:
             mujoco.mj_step2(model, data)
@@ -101,10 +101,10 @@ class SlipLaw:
     def _solve(
         self, model: mujoco.MjModel, data: mujoco.MjData, normal: NDArray[np.integer], reference: FloatArray
     ) -> None:
-        """Find accelerations and forces with the excess of contacts that slide.
+        """Find accelerations and forces with the excess of sliding contacts.
 
         Args:
-            normal: (k,) rows of their normals; the tangents' rows follow.
+            normal: (k,) rows of these contacts' normals; the tangents' rows follow.
             reference: (k,) their tangential reference accelerations, m/s².
         """
         one, two = normal + 1, normal + 2

@@ -81,7 +81,7 @@ class SoftWorld(LiveWorld):
         of_body[self._point_bodies] = self._soft[:, None]
         self.geom_bodies = of_body[np.asarray(self.model.geom_bodyid)]
 
-    # ------------------------------------------------------------------ what is measured
+    # ------------------------------------------------------------------ measurements
 
     def _now(self) -> FloatArray:
         """(s, 27, 3) points of the soft boxes after the last step, m."""
@@ -143,7 +143,7 @@ class SoftWorld(LiveWorld):
         return linear, np.linalg.solve(inertia, moment[..., None])[..., 0]
 
     def _rates(self, values: FloatArray, points: FloatArray) -> FloatArray:
-        """(capacity, 6) of all boxes, of soft boxes in world axes, of rigid boxes in MuJoCo's axes."""
+        """(capacity, 6) rates of all boxes: of soft boxes in world axes, of rigid boxes in MuJoCo's axes."""
         soft = np.hstack(self._turning(points, values[self._v_of].reshape(-1, COUNT, 3)))
         return self._joined(soft, values[self._rigid_v])
 
@@ -174,7 +174,7 @@ class SoftWorld(LiveWorld):
         index, force = contact_normal_and_tangents(data, self.pyramidal)
         frame = np.asarray(data.contact.frame)[index].reshape(-1, 3, 3)
         bodies = self.contact_bodies()[index]
-        # of boxes and, behind them, carrier and floor, whose numbers are negative
+        # heights of boxes, followed by those of carrier and floor, whose numbers are negative
         centre_z = np.zeros(self.capacity + 2)
         centre_z[FLOOR], centre_z[CARRIER] = -np.inf, data.xpos[self._carrier, 2]
         centre_z[self._soft] = (self._weight[..., 0] * data.xpos[self._point_bodies][..., 2]).sum(axis=1)
@@ -184,7 +184,7 @@ class SoftWorld(LiveWorld):
         np.add.at(total, box[counts], (sign * contact_force_z(force, frame[:, :, 2]))[counts])
         return total
 
-    # ------------------------------------------------------------------ what happens
+    # ------------------------------------------------------------------ placing and forces
 
     def place_next(self) -> None:
         box, state = self.n_placed, self._state()
@@ -241,7 +241,8 @@ class SoftWorld(LiveWorld):
         return SoftState(self.data.qpos.copy(), self.data.qvel.copy(), self.data.qacc_warmstart.copy())
 
     def _put(self, state: SoftState, skip_q: int = 0, skip_v: int = 0) -> None:
-        """Take over the state of a world with the same boxes, or fewer. ``skip_q``, ``skip_v``: without its carrier."""
+        """Take over the state of a world with the same boxes, or fewer. ``skip_q``, ``skip_v``: numbers of
+        its carrier, to leave them out."""
         data = self.data
         data.qpos[: len(state.pos) - skip_q] = state.pos[skip_q:]
         data.qvel[: len(state.velocity) - skip_v] = state.velocity[skip_v:]
@@ -258,7 +259,7 @@ class SoftWorld(LiveWorld):
         return self._state()
 
     @classmethod
-    def resume(  # type: ignore[override]  # with what ``body_state`` gave
+    def resume(  # type: ignore[override]  # takes the result of ``body_state``
         cls, scene: Scene, sim: Simulation, state: SoftState, time_s: float
     ) -> SoftWorld:
         live = cls(scene, sim, n_boxes=scene.n_boxes, shaken=True)

@@ -15,7 +15,7 @@ from petmjx.engines.mujoco.top_forces import top_force_inputs
 from petmjx.options.simulation import Simulation
 
 _RESTLESS_SQUARE = 0.5 * RESTLESS_M_S**2
-"""Sum of squares of all speeds, m/s and rad/s. Below this speed no point within 1 m of its box's centre is faster than
+"""Sum of squares of all speeds, m/s and rad/s. Below this sum no point within 1 m of its box's centre is faster than
 ``RESTLESS_M_S``."""
 
 
@@ -23,7 +23,7 @@ class Stepper:
     """Takes the steps of a world, within its time budget.
 
     Args:
-        sim: options, among them the looks for quiet, whose steps count like those of landings.
+        sim: options, among them the looks for quiet. Forces in the steps of these looks count, too.
         budget: the world's time; None: as much as it needs.
     """
 
@@ -44,7 +44,7 @@ class Stepper:
 
         Args:
             first: number of the first step.
-            metrics: takes in the forces of steps; None: forces are not needed.
+            metrics: records the forces of steps; None: forces are not needed.
             acts: True: a drive acts, so that any step may have the largest forces.
         """
         number, end, budget = first, first + count, self._budget
@@ -53,7 +53,7 @@ class Stepper:
                 return number - first
             placed, self._placed = self._placed, live.n_placed
             if placed != live.n_placed or (number - 1) % self._poll_steps == 0:
-                # for any number of steps per call: a recorded world, which stops at frames, must be equal
+                # independent of the steps per call: a recorded world stops at frames, and must be equal
                 self._restless = placed != live.n_placed or not _is_calm(live)
             last = min(end, number + self._poll_steps - (number - 1) % self._poll_steps)
             counts = metrics if self._looks and live.n_placed and (acts or self._restless) else None
@@ -82,6 +82,6 @@ class Stepper:
 
 
 def _is_calm(live: LiveWorld | SoftWorld) -> bool:
-    """Whether no box is fast, nor becomes fast before the next look for quiet."""
+    """Whether no box is fast, and no box becomes fast before the next look for quiet."""
     speed, acceleration = live.data.qvel, live.data.qacc
     return bool(speed.dot(speed) <= _RESTLESS_SQUARE and acceleration.dot(acceleration) <= CALM_M_S2**2)

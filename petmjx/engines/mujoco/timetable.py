@@ -1,4 +1,4 @@
-"""Waiting times of a world on C MuJoCo for its next event (docs/rules.md, sections 4 and 5).
+"""Waits of a world on C MuJoCo for its next event (docs/rules.md, sections 4 and 5).
 
 Twin: ``Timetable`` in petmjx/engines/mjx/timetable.py.
 """
@@ -55,7 +55,7 @@ class Waits:
         Args:
             n_boxes: number of boxes of the plan.
             all_placed: whether all boxes are placed.
-            restless: an earlier wait was in vain, and this wait is not the last one, which is long.
+            restless: whether an earlier wait ended with a moving world, and this is not the last wait, which is long.
         """
         self.since, self._boxes, self._all_placed = step, n_boxes, all_placed
         self._patient = self._sim.waits_for_rest and self.adapts and not self._is_plain_static
@@ -63,12 +63,13 @@ class Waits:
         self._latest = self.longest_wait if self._patient and not restless else self._latest_after(step)
 
     def lasts_longer(self, step: int) -> bool:
-        """Whether a short wait is extended after this step: an earlier wait was in vain, and this is the last wait."""
+        """Whether a short wait goes on after this step if it is the last one, and an earlier wait
+        ended with a moving world."""
         return self._patient and step < self.longest_wait
 
     def deadline(self, sign_step: int | None) -> int:
-        """The latest step for the next event. Once a box has failed, a patient wait gains nothing: it is then as long
-        as a short one, counted from the first sign.
+        """The latest step for the next event. Once a box has failed, a long wait gains nothing. It becomes a short
+        one, counted from the first sign.
 
         Args:
             sign_step: step of the first sign; None: no box has failed.

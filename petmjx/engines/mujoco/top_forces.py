@@ -27,7 +27,7 @@ def contact_normal_and_tangents(data: mujoco.MjData, pyramidal: bool) -> tuple[N
     in ``petmjx.engines.mjx.top_forces.contact_force_z``.
 
     Returns:
-        (k,) indices of those contacts and (k, 3) forces in the contact frame (normal, tangents), N, from geom 1 on geom
+        (k,) indices of these contacts and (k, 3) forces in the contact frame (normal, tangents), N, from geom 1 on geom
         2.
     """
     address = np.asarray(data.contact.efc_address)
@@ -103,9 +103,9 @@ class TopForceInputs(NamedTuple):
         address: (ncon,) first constraint row of each contact; negative: no row.
         geom: (ncon, 2) partners.
         frame: (ncon, 9) normal and tangents.
-        force: (nefc,) of all constraint rows, N.
+        force: (nefc,) forces of all constraint rows, N.
         place: (ngeom, 3) centres of the geoms, m.
-        bodies: (ngeom,) of the geoms, as ``petmjx.world.mujoco_model.geom_bodies`` gives them.
+        bodies: (ngeom,) bodies of the geoms, as in ``petmjx.world.mujoco_model.geom_bodies``.
         n_boxes: number of boxes that count: the first ones.
     """
 

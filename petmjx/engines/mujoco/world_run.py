@@ -37,14 +37,14 @@ class WorldRun:
 
     def __init__(
         self,
-        index: int,
+        stream_number: int,
         job: Job,
         sim: Simulation,
         cancelled: Callable[[], bool],
         budget: Budget | None = None,
     ) -> None:
         self._stepper = Stepper(sim, budget)
-        self._begun, self._index = False, index
+        self._begun, self._stream_number = False, stream_number
         self._job = job
         self._sim = sim
         self._cancelled = cancelled
@@ -80,7 +80,7 @@ class WorldRun:
         """
         start = self._job.start
         if isinstance(start, SettledState):
-            if (end_outcome := start.ended_as(self._index)) is not None:
+            if (end_outcome := start.ended_as(self._stream_number)) is not None:
                 return end_outcome
             self._resume(start)
             begun = True
@@ -379,7 +379,7 @@ class WorldRun:
         elif verdict is Verdict.UNSTABLE and culprit < 0:
             culprit = metrics.largest_excess(pos[:k], quat[:k])
         outcome = Outcome(
-            job=self._index,
+            job=self._stream_number,
             verdict=verdict,
             reason=reason,
             culprit=culprit,

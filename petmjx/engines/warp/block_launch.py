@@ -1,14 +1,14 @@
 """Launches of mjx-warp's thread blocks: block sizes, their kernels, and kernels that run side by side.
 
-On a GPU its scheduler runs the blocks. On a CPU each block runs in a thread of its own.
+On a GPU, the hardware's scheduler runs the blocks. On a CPU, each block runs in a thread of its own.
 
 The size of a world decides which blocks it has. A step of forty boxes is mostly latency, so another world should share
 the multiprocessor. A step of two hundred boxes is work for many threads. So there are blocks of two sizes, each with a
 kernel of its own.
 
 A step of few boxes is latency alone, so many worlds must be stepped together. A third kernel has sixteen worlds in a
-block, a warp each. Pallets of all sizes begin in these blocks. A run ends with its longest worlds, each of which is
-faster with a multiprocessor to itself. They have a fourth kernel.
+block, a warp each. Pallets of all sizes begin in these blocks. A run ends with its longest worlds. A world is faster
+with a multiprocessor to itself, so the last worlds have a fourth kernel.
 
 All kernels sum in the same order. So a world may move to another kernel after any step, with the same bits.
 """
@@ -65,9 +65,9 @@ class Call:
 
 @contextmanager
 def others_may_call() -> Iterator[None]:
-    """While JAX calls Python: let JAX call Python in other threads at the same time.
+    """Within a call from JAX to Python, let other threads have such calls at the same time.
 
-    Warp (1.18) holds a lock during a call from JAX. So engines in several threads on a CPU would take turns, a slice
+    Warp (1.18) holds a lock during a call from JAX. So engines in several threads of a CPU would take turns, one slice
     each. The data that the lock guards are read before Warp calls our function. Other versions may not have this lock.
     """
     lock = getattr(sys.modules[wp.jax_callable.__module__], "_FFI_CALLBACK_LOCK", None)
@@ -82,7 +82,7 @@ def others_may_call() -> Iterator[None]:
 
 
 def launch_all(calls: Sequence[Call], clock: Any, slice_ns: int) -> None:
-    """Launch all blocks of some calls on Warp's current device. JAX calls Python for this.
+    """Launch all blocks of some calls on Warp's current device. JAX calls this function.
 
     Args:
         clock: (1,) a number that tells blocks on a CPU when the time slice is over.
@@ -124,7 +124,7 @@ def _threads() -> ThreadPoolExecutor:
 
 
 def load_kernels(launches: Sequence[Launch]) -> None:
-    """Compile the kernels of some launches that run side by side, at the same time, or take them from Warp's cache."""
+    """Compile in parallel the kernels of launches that run side by side, or take them from Warp's cache."""
     kernels = [kernel(launch) for launch in launches] + own_kernels(len(launches))
     modules = list(dict.fromkeys(kernel.module for kernel in kernels))
     wp.force_load(wp.get_device(), modules, max_workers=len(modules))
@@ -205,7 +205,7 @@ LAST = Size(SIZES[0].most_boxes, 256, 1, 144 << 10)
 
 
 USUAL: Final = (SIZES[0], FEW_BOXES, LAST)
-"""Blocks of most runs: those of runs without large plans."""
+"""Blocks of most runs, which have no large plans."""
 
 
 def size_for(n_boxes: int) -> Size:
@@ -223,7 +223,8 @@ class Launch:
         shared_words: shared memory for rows of a world's factor and its Hessian, in numbers of four bytes.
         panels: panels of the largest system.
         hands: whether a hand may carry boxes. Without this a kernel spills fewer registers.
-        gives, wraps: whether boxes may be compliant, and whether film may hold them; also spared if unused.
+        gives, wraps: whether boxes may be compliant, and whether film may hold them. Without these a kernel
+            spills fewer registers, too.
         lands: whether landing boxes follow a law of their own.
     """
 

@@ -16,13 +16,14 @@ from petmjx.world.contact_laws import is_stiff
 
 
 def most_room(size: int) -> int:
-    """Number of boxes whose contacts and pairs the buffers of a world of this size can hold at most. It is the same in
-    all runs. So the largest plan of a run does not affect which worlds are given up."""
+    """Limit on the buffers for a world of this size: the number of boxes whose contacts and pairs they may hold.
+
+    The limit is the same in all runs. So the largest plan of a run does not affect which worlds are given up."""
     return MAX_GROWTH * (size + MORE_BOXES)
 
 
 class BlockPools:
-    """Makes the block pools of an engine's tables. Buffers that overflow grow, and stay large.
+    """Makes the block pools of an engine's tables, and enlarges buffers that overflow. Enlarged buffers stay large.
 
     Args:
         lanes: most worlds of a size at the same time; None: as many as the device has room for.
@@ -36,13 +37,14 @@ class BlockPools:
 
     def of(self, table: WorldTable) -> tuple[BlockPool, ...]:
         """The block pools of a table. The pools for the last worlds and for small worlds come first, if they are
-        worthwhile. The pools by size follow, the one for the largest worlds first. ``Programs._advance`` makes their
-        queues in the same order."""
+        worthwhile. The pools for each size follow; the pool for the largest worlds is the first of these.
+        ``Programs._advance`` makes the queues in the same order."""
         run = table.run
         pools = tuple(self._of_size(run, size, table.boards) for size in run.needs.sizes)
         usual = self._growth_of(run, run.needs.sizes[-1]) == 1
-        # Not with enlarged buffers, which all lanes would have. And not with stiff contacts: a step then takes five
-        # times as many iterations, in some worlds many more, and the other worlds of their block would wait for them.
+        # No pool for small worlds with enlarged buffers, since each of its many lanes would have them. Also none with
+        # stiff contacts: a step then takes five times as many iterations, and in some worlds many more. The other
+        # worlds of a block would wait for such a world.
         if usual and not is_stiff(run.sim.physics):
             worlds = int((np.asarray(table.table.placed)[: len(table.jobs)] <= FEW_BOXES.most_boxes).sum())
             few = small_world_pool(pools[-1], worlds, self._lanes)

@@ -30,10 +30,12 @@ class MjxWarpCpuEngine(MjxWarpEngine):
         threads: worlds simulated at once; None: as many as CPU threads this process may use.
 
     Raises:
-        EngineUnavailable: Warp is not installed, or JAX uses a GPU in this process; the line says which.
+        EngineUnavailable: Warp is not installed, or JAX uses a GPU in this process; the message says which.
     """
 
     name = "mjx-warp-cpu"
+    depth_first = True
+    """Few worlds run at once, so the last ones leave few threads idle; an interrupted run keeps more worlds."""
 
     def __init__(self, threads: int | None = None) -> None:
         if threads is not None and threads < 1:

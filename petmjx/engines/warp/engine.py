@@ -7,7 +7,6 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from petmjx.common.errors import EngineUnavailable
 from petmjx.common.machine import why_no_warp
@@ -16,31 +15,24 @@ from petmjx.common.warp_setup import set_up_warp
 from petmjx.engines.job_stream import JobStream
 from petmjx.engines.mjx.host_to_device import GRANULE, is_out_of_memory, load
 from petmjx.engines.mjx.jax_setup import set_up_jax
-from petmjx.engines.mjx.readback import prepare_readback, read_back
-from petmjx.engines.mjx.world_state import Status
 from petmjx.engines.open_worlds import MOST_BOXES
 from petmjx.engines.protocol import GROUP_WORLDS, Engine, Progress, RunLock, says_at_hand, takes_stream
-from petmjx.engines.verdict import Flag, Outcome
+from petmjx.engines.verdict import Outcome
 from petmjx.engines.warp.block_launch import Launch
 from petmjx.engines.warp.block_pool import BlockPools
 from petmjx.engines.warp.block_queues import Queues
-from petmjx.engines.warp.frame_buffers import hand_over, pick_frames
 from petmjx.engines.warp.free_bodies import paths
 from petmjx.engines.warp.kernel_features import KernelFeatures, size_of
 from petmjx.engines.warp.kernel_launcher import BlockPool
 from petmjx.engines.warp.open_worlds import WarpWorlds
 from petmjx.engines.warp.slice_result import SliceResult, outcomes_of
-from petmjx.engines.warp.table_jobs import SPARE_ROWS, TableJobs
-from petmjx.engines.warp.time_slices import Rollout
+from petmjx.engines.warp.table_jobs import TableJobs
+from petmjx.engines.warp.time_slices import Rollout, TableSlices
 from petmjx.engines.warp.world_table import Run, WorldTable
 from petmjx.options.simulation import Simulation
 from petmjx.world.free_bodies import FreeBodies
 from petmjx.world.job import Job
 from petmjx.world.scene import Scene
-
-UNDER_WAY = 2
-"""Slices in flight, so that the device is never idle. Worlds that end in one slice come to the host when the next slice
-has ended."""
 
 GPU_SLICE_NS = 100_000_000
 """Time slice of a call on a GPU, ns. If it is longer, the host waits for worlds; if shorter, the device waits for
@@ -69,13 +61,17 @@ class MjxWarpEngine(Engine):
 
     Attributes:
         granule: box columns of tables are a multiple of this.
-        least_rows: fewest rows of a table if more jobs may follow, for runs that begin with few jobs and last long.
+        least_rows: fewest rows of a table, for runs that begin with few jobs and last long, and for many runs of
+            different numbers of jobs: each number of rows, and of columns, is compiled.
+        depth_first: whether worlds that follow from outcomes are simulated before others begin. On a GPU the longest
+            worlds of both kinds come first, since many blocks are idle at the end if the last worlds are long.
 
     Raises:
         EngineUnavailable: no CUDA device, or Warp is not installed; the line says which.
     """
 
     name = "mjx-warp"
+    depth_first = False
 
     def __init__(
         self,
@@ -129,18 +125,18 @@ class MjxWarpEngine(Engine):
             yield from self._outcomes(self._table_jobs(stream), sim, progress or Progress())
 
     def _table_jobs(self, stream: JobStream[Any]) -> TableJobs:
-        return TableJobs(stream, self.most_rows, self.least_rows, self.granule)
+        return TableJobs(stream, self.most_rows, self.least_rows, self.granule, depth_first=self.depth_first)
 
     def _outcomes(self, source: TableJobs, sim: Simulation, progress: Progress) -> Iterator[Outcome]:
-        """Outcomes of all jobs of a source, by their numbers."""
+        """Outcomes of all jobs of a source, by their stream numbers."""
         while not source.ended:
             waits = source.recorded
             try:
                 for outcome in outcomes_of(self._slices(source, sim, progress, waits), sim, progress, waits=waits):
-                    number = outcome.job if outcome is not None else None  # None: a pause
+                    stream_number = outcome.job if outcome is not None else None  # None: a pause
                     yield outcome
-                    if number is not None:  # whoever takes outcomes has put the jobs that follow
-                        source.answered(number)
+                    if stream_number is not None:  # whoever takes outcomes has put the jobs that follow
+                        source.answered(stream_number)
             except Exception as error:
                 if not is_out_of_memory(error):
                     raise
@@ -160,13 +156,13 @@ class MjxWarpEngine(Engine):
                 self._slices_of(table, source, waits=True, simulate=False), sim, progress, waits=True
             )
             return
-        numbers = np.array([*lost], int)
+        stream_numbers = np.array([*lost], int)
         sizes = np.array([size_of(job) for job in lost.values()])
-        apart = [numbers[sizes == size] for size in np.unique(sizes)]
-        for part in apart if len(apart) > 1 else np.array_split(numbers, 2):
+        apart = [stream_numbers[sizes == size] for size in np.unique(sizes)]
+        for part in apart if len(apart) > 1 else np.array_split(stream_numbers, 2):
             if len(part):
                 progress.message = f"out of device memory, again with {len(part)} of the worlds"
-                jobs = self._table_jobs(JobStream.of([lost[number] for number in part.tolist()]))
+                jobs = self._table_jobs(JobStream.of([lost[stream_number] for stream_number in part.tolist()]))
                 for outcome in self._outcomes(jobs, sim, progress):
                     if outcome is not None:
                         outcome.job = int(part[outcome.job])
@@ -175,116 +171,39 @@ class MjxWarpEngine(Engine):
     def _slices(self, source: TableJobs, sim: Simulation, progress: Progress, waits: bool) -> Generator[SliceResult]:
         """Slice results of one table after another, as long as they agree in whether slices wait for the host."""
         while not source.ended and source.recorded == waits:
-            jobs, numbers, rows = source.begin()
+            jobs, stream_numbers, rows = source.begin()
             running, source.running = source.running, None
-            table = self._load(Run.of(source.needs, sim, progress), jobs, numbers, rows)
+            room = source.profile_room(jobs, rows)
+            table = self._load(Run.of(source.needs, sim, progress), jobs, stream_numbers, rows, room)
             if running is not None:
                 table.put_running(running)
                 running = None  # its memory is needed
             yield from self._slices_of(table, source, waits=waits)
+            del table  # its memory is needed by the next one
 
-    def _load(self, run: Run, jobs: list[Job], numbers: list[int], rows: int) -> WorldTable:
+    def _load(
+        self, run: Run, jobs: list[Job], stream_numbers: list[int], rows: int, profile_room: tuple[int, int] = (0, 0)
+    ) -> WorldTable:
         """A table of worlds.
 
         Args:
-            rows: number of rows. With spare rows there is also room for further profiles.
+            rows: number of rows.
+            profile_room: as in ``load``.
         """
-        spare = SPARE_ROWS if rows >= SPARE_ROWS * len(jobs) else 1
-        batch = load(jobs, rows, run.needs.most_boxes, run.sim, run.timetable, spare)
-        return WorldTable(**vars(batch), run=run, numbers=numbers)
+        batch = load(jobs, rows, run.needs.most_boxes, run.sim, run.timetable, profile_room)
+        return WorldTable(**vars(batch), run=run, stream_numbers=stream_numbers)
 
     def _slices_of(
         self, table: WorldTable, source: TableJobs, *, waits: bool, simulate: bool = True
     ) -> Generator[SliceResult]:
-        """Run time slices until all worlds of a table have ended, or go on in another table. While the device runs a
-        slice, the host makes outcomes of ended worlds, and puts further jobs into their rows.
-
-        Args:
-            waits: whether each slice waits for the outcomes of the slice before, since the host must fetch frames of
-                recorded worlds.
-            simulate: False if memory has run out; all worlds are given up then.
-        """
-        run = table.run
-        queues = Queues(run.needs.sizes, size_of, table.rows)
-        queues.add(table.jobs, np.arange(len(table.jobs)), table.live, run.sim)
-        rollout = self._rollout(table) if simulate else None
-
-        def slices_at_once() -> int:
-            # a job that follows from an outcome joins after the slices in flight: while blocks are idle, only one is
-            blocks_idle = rollout is not None and int(table.live.sum()) <= rollout.launcher.blocks
-            return 1 if waits or (source.feedback and blocks_idle) else UNDER_WAY
-
+        """The time slices of a table, as ``TableSlices``. After an error the memory of all rollouts is freed."""
+        queues = Queues(table.run.needs.sizes, size_of, table.rows, depth_first=self.depth_first)
+        slices = TableSlices(table, source, queues, waits, self._pools, self._rollout)
         try:
-            if rollout is None:
-                table.give_up(np.flatnonzero(table.live), Flag.OUT_OF_MEMORY)
-            else:
-                rollout.keep_under_way(slices_at_once(), table, queues.order)
-                prepare_readback(table.table, table.worlds, run.sim)
-            while table.live.any():
-                frames = None
-                if rollout is None:
-                    status = table.status()
-                else:
-                    status, ended_slice = rollout.wait(table)
-                    frames = None if table.recorder.idle else pick_frames(ended_slice.frames)
-                if rollout is not None and (status == Status.OVERFLOWED).any():
-                    rollout.finish(table)
-                    rollout = self._make_room(table, np.flatnonzero(table.status() == Status.OVERFLOWED))
-                    status = table.status()
-                ended = table.ended(status)
-                picked = read_back(ended, table.table, table.worlds, run.sim)
-                jobs, numbers = ({row: values[row] for row in ended.tolist()} for values in (table.jobs, table.numbers))
-                table.end(ended)
-                if rollout is not None:
-                    self._join(table, queues, source)
-                    if table.live.any():
-                        rollout.keep_under_way(slices_at_once(), table, queues.order)
-                    else:
-                        rollout.finish(table)  # no world runs in the slices in flight
-                if frames is not None:
-                    hand_over(frames, table.recorder)
-                yield SliceResult(picked, table.recorder, jobs, numbers)
-                if rollout is None:
-                    continue
-                while not table.live.any() and not waits and source.wait_for_following():
-                    yield SliceResult((), table.recorder, {}, {})  # whoever takes outcomes may have left
-                if not table.live.any() and self._join(table, queues, source, wait=True):
-                    rollout.keep_under_way(slices_at_once(), table, queues.order)
-                elif source.needs_another(table, rollout.launcher.blocks):
-                    rollout.finish(table)
-                    source.running = table.take_running()
-                    return
+            yield from slices.results(simulate=simulate)
         except BaseException:
             self._drop()  # the memory of a call that did not return is lost
             raise
-
-    @staticmethod
-    def _join(table: WorldTable, queues: Queues, source: TableJobs, *, wait: bool = False) -> bool:
-        """Put waiting jobs into free rows. Returns whether any was added."""
-        rows = source.join(table, wait=wait)
-        if rows:
-            queues.add([table.jobs[row] for row in rows], np.array(rows), table.live, table.run.sim)
-        return bool(rows)
-
-    def _make_room(self, table: WorldTable, rows: NDArray[np.int64]) -> Rollout | None:
-        """Enlarge the buffers of worlds that overflowed them and were stopped. Worlds that overflow at ``most_room``
-        are given up."""
-        sizes = np.array([size_of(table.jobs[row]) for row in rows.tolist()])
-        for size in np.unique(sizes).tolist():
-            some = rows[sizes == size]
-            growth = self._pools.grow(table.run, size)
-            if growth is None:
-                table.give_up(some, Flag.NONE)
-                continue
-            table.run.progress.message = f"{len(some)} worlds overflowed their buffers, on with {growth}× as large ones"
-            table.retry(some)
-            table.table = table.table._replace(status=table.table.status.at[some].set(Status.RUNNING))
-        rollout = self._rollout(table)
-        if rollout is None:
-            is_live = table.live.copy()
-            is_live[table.ended(table.status())] = False
-            table.give_up(np.flatnonzero(is_live), Flag.OUT_OF_MEMORY)
-        return rollout
 
     def _rollout(self, table: WorldTable) -> Rollout | None:
         """The rollout for a table, with fewer blocks if memory is short; None if not even ``MIN_BLOCKS`` fit. With
@@ -312,7 +231,7 @@ class MjxWarpEngine(Engine):
                             raise  # each size may fit alone
                         return None
                 self._drop()  # kept rollouts of other sizes may take the memory: try again without them
-                lanes = sum(pool.blocks for pool in pools)
+                lanes = sum(pool.lanes for pool in pools)
                 run.progress.message = f"out of device memory, again with {lanes} lanes"
             else:
                 self._kept[launches] = (key, rollout)

@@ -27,27 +27,32 @@ FRAMES_PER_BLOCK: Final = 4
 """Least room for each block, in frames: each block may be about to write a frame when room is checked."""
 
 FEWEST: Final = 1024
-"""Fewest frames that are read back together; else eight times as many, and so on. Each number is compiled once."""
+"""Fewest frames that are read back together. If a slice has more, eight times as many are read, and so on: a program is
+compiled for each of these numbers."""
 
 _KINDS: Final = {name: wp.dtype_to_numpy(kind.dtype) for name, kind in world_arrays.array_types(FrameBuffer).items()}
 
 
-def room_for(table: WorldTable, blocks: int) -> dict[str, jax.Array]:
-    """Empty frame buffers; nearly none if no world of the table is recorded."""
+PickedFrames = tuple[dict[str, jax.Array], int]
+"""Frames of a slice on the device, and how many of them count."""
+
+
+def room_for(table: WorldTable, lanes: int) -> dict[str, jax.Array]:
+    """Empty frame buffers. They have room for one frame if no world of the table is recorded."""
     n_worlds, n_boxes = table.table.qpos.shape[:2]
     words = sum(math.prod(shape) for shape in _shapes(1, n_boxes, 0).values())
     n_recorded = int(np.count_nonzero(table.recorder.every))
     needed = min(FRAMES_PER_WORLD * n_recorded, MOST_BYTES // (4 * words))
-    n_frames = 1 if table.recorder.idle else max(needed, FRAMES_PER_BLOCK * blocks)
+    n_frames = 1 if table.recorder.idle else max(needed, FRAMES_PER_BLOCK * lanes)
     room = {name: np.zeros(shape, _KINDS[name]) for name, shape in _shapes(n_frames, n_boxes, n_worlds).items()}
     room["every"][: len(table.jobs)] = table.recorder.every
     placed: dict[str, jax.Array] = jax.device_put(room)
     return placed
 
 
-def pick_frames(frames: dict[str, jax.Array]) -> tuple[dict[str, jax.Array], int]:
-    """The frames of an ended slice and their number, still on the device. Call it before the next slice begins; else
-    the device would finish that slice first."""
+def pick_frames(frames: dict[str, jax.Array]) -> PickedFrames:
+    """The frames of an ended slice, still on the device, and their number. Call this before the next slice begins;
+    otherwise the device would finish that slice first."""
     used, room = int(np.asarray(frames["used"])[0]), len(frames["of"])
     some = FEWEST
     while some < used:
@@ -55,7 +60,7 @@ def pick_frames(frames: dict[str, jax.Array]) -> tuple[dict[str, jax.Array], int
     return _first({name: frames[name] for name in ("of", *Frames._fields)}, min(some, room)), used
 
 
-def hand_over(picked: tuple[dict[str, jax.Array], int], recorder: Recorder) -> None:
+def hand_over(picked: PickedFrames, recorder: Recorder) -> None:
     """Give the frames of a slice to a recorder, world by world, in the order of steps."""
     firsts, used = picked
     if used == 0:

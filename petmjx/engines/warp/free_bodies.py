@@ -1,5 +1,5 @@
-"""Free motion of released boxes on the kernels of mjx-warp: its steps, with rules that never end a world or act on
-it."""
+"""Free motion of released boxes on the kernels of mjx-warp. Steps are the usual ones, but no rule ends a world or acts
+on it."""
 
 from __future__ import annotations
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 
 from petmjx.common.errors import InputError
@@ -57,9 +57,8 @@ class KernelFeatures:
         Raises:
             InputError: a job has more boxes than any block has room for.
         """
-        return cls(
-            _widths_of(jobs, granule), *(any(map(trait, jobs)) for trait in (wants_hands, has_compliance, is_wrapped))
-        )
+        traits = (any(map(trait, jobs)) for trait in (wants_hands, has_compliance, is_wrapped))
+        return cls(widths_of(_box_counts(jobs), granule), *traits)
 
     @property
     def sizes(self) -> list[int]:
@@ -90,16 +89,20 @@ def _box_counts(jobs: Sequence[Job]) -> set[int]:
     return {scene.n_boxes for scene in {job.scene for job in jobs}}
 
 
-def _widths_of(jobs: Sequence[Job], granule: int) -> dict[int, int]:
-    counts = _box_counts(jobs)
-    largest = max(counts)
+def widths_of(box_counts: Collection[int], granule: int) -> dict[int, int]:
+    """``KernelFeatures.widths`` for worlds with these numbers of boxes.
+
+    Raises:
+        InputError: more boxes than any block has room for.
+    """
+    largest = max(box_counts, default=0)
     if largest > MAX_BOXES:
         raise InputError(
             f"engine mjx-warp has room for plans of up to {MAX_BOXES} boxes, and one has {largest}: "
             "choose the engine mujoco"
         )
     widest: dict[int, int] = {}
-    for count in counts:
+    for count in box_counts:
         size = size_for(count).most_boxes
         widest[size] = max(widest.get(size, 0), round_up(count, granule))
     return widest

@@ -1,11 +1,11 @@
-"""The JAX call that launches the kernels of mjx-warp, in which every world goes at its own pace.
+"""Launcher of mjx-warp's kernels: a JAX call in which each world advances at its own pace.
 
 Thread blocks for worlds of one size form a block pool, with a kernel of its own (petmjx/engines/warp/block_launch.py).
 All pools work at the same time on the same tables. A block takes a world from its pool's queue and steps it until the
-world ends, its drive begins, or the time slice is over. Then it takes the next world. Nothing is done in lockstep: a
-world costs only its own boxes, and a step takes as long as its own solver needs. States are in the tables of
-petmjx/engines/mjx/world_state.py, and a world that was interrupted goes on in the next call. So results do not depend
-on blocks, on the order of worlds, or on time.
+world ends, its drive begins, or the time slice is over. Then it takes the next world. No world waits
+for another: a world costs only its own boxes, and a step takes as long as its own solver needs. States are in the
+tables of petmjx/engines/mjx/world_state.py, and a world that was interrupted goes on in the next call. So results do
+not depend on blocks, on the order of worlds, or on time.
 """
 
 from __future__ import annotations
@@ -74,12 +74,12 @@ class BlockPool:
 
     @property
     def is_extra(self) -> bool:
-        """Whether its worlds also have another pool."""
+        """Whether another pool has room for its worlds, too."""
         return self.last or self.least > 0
 
     @property
     def most_idle(self) -> int:
-        """Most lanes without a world with which the pool is still worthwhile."""
+        """Largest number of empty lanes with which the pool is still worthwhile."""
         return self.lanes - self.least if self.least else NEVER
 
     @property
@@ -119,7 +119,7 @@ class KernelLauncher:
             )
             for queue, pool in enumerate(pools)
         ]
-        # extra pools do not count: other pools have room for their worlds, too
+        # without extra pools: the worlds of an extra pool have room in another pool, too
         self.blocks = sum(pool.blocks for pool in pools if not pool.is_extra)
         self.lanes = sum(pool.lanes for pool in pools)
         self.slice_ns = slice_ns
@@ -132,7 +132,7 @@ class KernelLauncher:
         return jnp.zeros((rows, world_arrays.BUFFER_WORDS), jnp.float32)
 
     def load(self) -> None:
-        """Compile the kernels, at the same time, or take them from Warp's cache."""
+        """Compile the kernels in parallel, or take them from Warp's cache."""
         load_kernels([pool.launch for pool in self.pools])
 
     def __call__(
@@ -142,8 +142,8 @@ class KernelLauncher:
         workspace: jax.Array,
         frames: Mapping[str, jax.Array],
     ) -> tuple[dict[str, jax.Array], jax.Array, dict[str, jax.Array], dict[str, jax.Array]]:
-        """States after a time slice, the workspace, frames, and ``Counts``. Fields of a state that the kernels do not
-        have stay as they are."""
+        """States after a time slice, the workspace, frames, and ``Counts``. Fields of a state that no kernel
+        knows stay as they are."""
         kinds, shapes = array_types(Counts), world_arrays.array_shapes(Counts, {"queue": len(self.pools)})
         counts = {name: jnp.zeros(shapes[name], wp.dtype_to_numpy(kind.dtype)) for name, kind in kinds.items()}
         arrays = {**worlds, **state, **counts, "workspace": workspace}
@@ -196,7 +196,8 @@ _CHANGED = (
 
 _IDS = itertools.count()
 _LAUNCHERS: weakref.WeakValueDictionary[int, KernelLauncher] = weakref.WeakValueDictionary()
-"""Launchers by number. JAX never frees a function that it calls, so this function must not hold a run's memory."""
+"""Number → launcher. JAX never frees a function that it calls. So ``_launch`` gets a launcher's number: otherwise it
+would keep the memory of a run."""
 
 
 def _launch(launcher: int, *arrays: Any) -> None:
@@ -206,6 +207,6 @@ def _launch(launcher: int, *arrays: Any) -> None:
 
 # Warp reads the types of the buffers from the signature.
 _launch.__annotations__ = {"launcher": int} | _INPUTS | _CHANGED
-_launch.__signature__ = inspect.Signature(  # type: ignore[attr-defined]  # what inspect reads
+_launch.__signature__ = inspect.Signature(  # type: ignore[attr-defined]  # inspect reads it
     [inspect.Parameter(name, inspect.Parameter.POSITIONAL_OR_KEYWORD) for name in _launch.__annotations__]
 )

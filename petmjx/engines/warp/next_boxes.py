@@ -1,4 +1,4 @@
-"""The next boxes of many open worlds, in arrays, and their readings. No scene is built for a candidate."""
+"""Arrays of the next boxes of many open worlds, and the readings of these worlds. No scene is built for a candidate."""
 
 from __future__ import annotations
 
@@ -59,7 +59,7 @@ def new_box(before: Stacks, boxes: NextBoxes, blank: EmptyCarrier, sim: Simulati
 
 
 def with_new_box(worlds: Worlds, box: NewBox) -> Worlds:
-    """The constants of worlds with one more box each, to the last bit as ``upload_worlds`` makes them.
+    """The constants of worlds with one more box each. They equal those of ``upload_worlds`` to the last bit.
 
     Worlds without a free column stay as they are.
     """
@@ -113,7 +113,7 @@ class ReadingInputs(NamedTuple):
 
 @jax.jit
 def reading_inputs(state: State, rows: Int[Array, " row"]) -> ReadingInputs:
-    """The fields of some worlds. A row beyond the table gives those of any world."""
+    """The fields of some worlds. A row beyond the table gives the fields of an arbitrary world."""
     return take_rows(ReadingInputs.of(state), rows)
 
 

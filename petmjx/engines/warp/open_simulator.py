@@ -65,7 +65,7 @@ class Simulator:
         boards: most shapes of a carrier.
         room: factor by which buffers are larger than usual.
         threads: threads of a CPU; None: one.
-        traits: features that the kernel has; without the other ones it spills fewer registers.
+        traits: features that the kernel is compiled for. A kernel with fewer features spills fewer registers.
     """
 
     def __init__(
@@ -121,8 +121,9 @@ class Simulator:
         return self.put(open_, rows, with_new_box(take_rows(open_.worlds, rows), box))
 
     def finish(self, open_: OpenState) -> State:
-        """Let paused worlds begin their rest window or their drive, as their constants say. Worlds that paused early
-        because a wait was in vain, and that still move, wait on: their last wait is a long one."""
+        """Let paused worlds begin their rest window or their drive, as their constants say. Some worlds paused
+        because their boxes did not come to rest in time. If they still move, they first wait on, since the last wait of
+        a world may last longer."""
         state, worlds = open_.state, open_.worlds
         paused = state.status == Status.PAUSED
         goes = paused & ~(self._moves(state) & self._lasts_longer(state))
@@ -169,7 +170,7 @@ class Simulator:
         return state._replace(flags=state.flags | jnp.where(moves, int(Flag.MOVING), 0))
 
     def _moves(self, state: State) -> Bool[Array, " world"]:
-        """Whether worlds that have paused are not quiet, and have not failed."""
+        """Which paused worlds are neither quiet nor failed."""
         return ~state.metrics.has_failed(self._sim.thresholds) & (state.quiet_steps < self._sim.quiet.steps)
 
     def _lasts_longer(self, state: State) -> Bool[Array, " world"]:

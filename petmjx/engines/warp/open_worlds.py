@@ -50,13 +50,13 @@ class WarpWorlds(OpenWorlds):
 
     Args:
         scenes: the scenes of the worlds.
-            most_boxes: most boxes that a world will ever have.
-            threads: CPU threads on which the worlds run.
+        most_boxes: most boxes that a world will ever have.
+        threads: CPU threads on which the worlds run.
 
-        Attributes:
-            open: the worlds.
-            simulator: the pure functions on these worlds, also for jitted programs.
-            width: boxes for which a world has room; ``boards``: shapes for which its carrier has room.
+    Attributes:
+        open: the worlds.
+        simulator: the pure functions on these worlds, also for jitted programs.
+        width, boards: boxes for which a world has room, and shapes for which its carrier has room.
     """
 
     def __init__(self, scenes: Sequence[Scene], sim: Simulation, most_boxes: int, threads: int | None = None) -> None:
@@ -185,11 +185,11 @@ class WarpWorlds(OpenWorlds):
         return self._ended_outcomes(state, jobs, batch)
 
     def _ended_outcomes(self, state: State, jobs: Sequence[Job], batch: Batch) -> list[Outcome]:
-        """Outcomes of paused worlds into which nothing more is put."""
+        """Outcomes of paused worlds that get no further boxes."""
         begun = OpenState(batch.worlds, self._jitted_finish(OpenState(batch.worlds, state)))
         ended = self._to_the_end(begun, batch.profiles)
         picked = read_back(np.arange(len(jobs)), ended.state, ended.worlds, self._sim)
-        return list(outcomes(picked, jobs, self._sim, batch.recorder))
+        return list(outcomes(picked, jobs, range(len(jobs)), self._sim, batch.recorder))
 
     def _to_the_end(self, open_: OpenState, profiles: Float[Array, "profile step 3"]) -> OpenState:
         """Let worlds go on. Worlds that overflow their buffers go on with larger ones."""
@@ -225,12 +225,12 @@ class WarpWorlds(OpenWorlds):
         )
 
     def roomier(self, times: int) -> Simulator:
-        """The pure functions with buffers that are ``times`` as large, for jitted programs, which cannot enlarge
-        them."""
+        """The pure functions, with buffers ``times`` as large as usual. Jitted programs need this, since they cannot
+        enlarge buffers."""
         return Simulator(self._sim, self._timetable, self.width, self.boards, times, self._threads, self._traits)
 
     def _know(self, scenes: Sequence[Scene]) -> None:
-        """Change to kernels with all features of these scenes."""
+        """Add the features of these scenes to the kernels."""
         traits = self._traits
         for scene in scenes:
             traits |= Traits.of(scene)
@@ -255,8 +255,8 @@ class WarpWorlds(OpenWorlds):
         """Rows of these worlds, padded with rows beyond the tables.
 
         Args:
-            length: None: a power of two, and at least the length of the largest call so far. Later calls then compile
-                nothing, although pallets end and begin anew, and their number changes with every step.
+            length: None: a power of two, and at least the length of the largest call so far. So later calls compile
+                nothing, although their number of pallets changes as pallets end and begin anew.
         """
         if length is None:
             length = self._most_rows = max(self._most_rows, padded_rows(len(worlds)))

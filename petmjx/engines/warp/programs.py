@@ -1,4 +1,4 @@
-"""The compiled programs of mjx-warp, cached for the process: a call with the same options compiles nothing."""
+"""The compiled programs of mjx-warp, cached for the process: a later call with the same options compiles nothing."""
 
 from __future__ import annotations
 
@@ -39,13 +39,14 @@ thread waits for the interpreter's lock after each array that it fetches."""
 DRIVEN_ITERATIONS = 7
 """Most iterations of the solver in a drive. While a whole pallet slides and collapses, the last digits of accelerations
 take 20 iterations and more. Of 1,600 worlds of EUMOS's grid 1,598 have the same verdict as on ``mujoco``, which has no
-such limit. Costs and gains of the limit: benchmarks/notebook/performance.md, "Sliding contacts". It is not for carriers
-with walls, which throw piles back: of 240 driven worlds in roll containers with four walls 9 had another verdict."""
+such limit. Costs and gains of the limit: benchmarks/notebook/performance.md, "Sliding contacts". The limit is not
+for carriers with walls, which throw piles back: with it, 9 of 240 driven worlds in roll containers with four walls had
+another verdict."""
 
 
 def friction_damping(physics: Physics) -> float:
-    """Damping of friction, 1/s, as in MuJoCo (its documentation, "Modeling", "Solver parameters"); 0 if it is the same
-    as that of contacts."""
+    """Damping of friction, 1/s, as in MuJoCo (its documentation, "Modeling", "Solver parameters"); 0 if it equals the
+    damping of contacts."""
     if not physics.has_own_friction:
         return 0.0
     time_s, damping = physics.solreffriction
@@ -136,7 +137,7 @@ class Programs:
         if sizes in self._compiled:
             return self._compiled[sizes]
         begin, progress.message = time.perf_counter(), "compiling"
-        with _COMPILING:  # kernels may be compiled ahead: this waits for them
+        with _COMPILING:  # another thread may be compiling kernels ahead: wait for it
             if sizes not in self._compiled:
                 self.launcher.load()
                 self._compiled[sizes] = self._advancing.lower(*arguments).compile()
@@ -172,7 +173,8 @@ _COMPILING = Lock()
 
 def load_usual_kernels(sim: Simulation) -> None:
     """Compile the kernels that most runs with these options need, or take them from Warp's cache, before the plans are
-    known. Runs of plans with compliant boxes, film, or many boxes need others. Without a GPU nothing is compiled."""
+    known. Runs of plans with compliant boxes, film, or many boxes need other kernels. Without a GPU nothing is
+    compiled."""
     if not wp.get_device().is_cuda:
         return
     hands, lands = not sim.placing.appears, sim.physics.has_landings

@@ -28,19 +28,19 @@ class SliceResult(NamedTuple):
     Attributes:
         picked: states and metrics of these worlds, on the device.
         recorder: holds the histories of recorded worlds.
-        jobs, numbers: row → job of these worlds, and its number in the run. Their rows may have other worlds by now.
+        jobs, stream_numbers: row → job of these worlds, and its stream number. Their rows may have other worlds by now.
     """
 
     picked: Sequence[Readback]
     recorder: Recorder
     jobs: Mapping[int, Job]
-    numbers: Mapping[int, int]
+    stream_numbers: Mapping[int, int]
 
 
 def outcomes_of(
     slices: Generator[SliceResult], sim: Simulation, progress: Progress, *, waits: bool
 ) -> Iterator[Outcome]:
-    """The outcomes of slices' worlds, with the numbers of their jobs in the run.
+    """The outcomes of slices' worlds, with the stream numbers of their jobs.
 
     Args:
         waits: whether each slice waits for the outcomes of the slice before. Else a thread runs the slices, since for
@@ -63,11 +63,10 @@ def outcomes_of(
 
     try:
         with closing(counted() if waits else prefetch(counted(), MOST_AHEAD)) as ready_slices:
-            for picked, recorder, jobs, numbers in ready_slices:
+            for picked, recorder, jobs, stream_numbers in ready_slices:
                 if progress.pauses and at_hand <= 0:
                     yield None  # type: ignore[misc]  # who asked for pauses takes it
-                for outcome in outcomes(picked, jobs, sim, recorder):
-                    outcome.job = numbers[outcome.job]
+                for outcome in outcomes(picked, jobs, stream_numbers, sim, recorder):
                     count(-1)
                     yield outcome
     finally:

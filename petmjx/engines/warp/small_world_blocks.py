@@ -16,15 +16,15 @@ from petmjx.engines.warp.block_launch import FEW_BOXES, Launch, size_for
 from petmjx.engines.warp.kernel_launcher import BlockPool
 
 ENOUGH_SHARE, LEAST_SHARE = 0.75, 0.25
-"""Number of small worlds from which these blocks are used, and below which they are no longer used, as shares of their
-lanes. For few worlds blocks of one world are faster."""
+"""These blocks are taken into use if there are small worlds for at least the first share of their lanes. They are no
+longer used if small worlds are left for less than the second share. For few worlds, blocks of one world are faster."""
 
 
 def small_world_pool(pool: BlockPool, worlds: int, lanes: int | None = None) -> BlockPool | None:
     """The block pool for small worlds; None if this device has none, or if there are too few worlds.
 
     Args:
-        pool: the pool that has these worlds otherwise.
+        pool: the pool from which these worlds come.
         worlds: number of worlds that begin with few boxes.
         lanes: most worlds in blocks of one kind; None: as many as the device has room for.
     """
@@ -41,14 +41,14 @@ def small_world_pool(pool: BlockPool, worlds: int, lanes: int | None = None) -> 
 def small_world_queues(
     few: BlockPool, order: Int[Array, "queue world"], placed: Int[Array, " world"], running: Bool[Array, " world"]
 ) -> Int[Array, "queue+1 world"]:
-    """The queues with a new first one. It gets the worlds of the last queue that have few boxes now, if these are
-    enough.
+    """The queues, after a new first queue with small worlds. It gets the worlds of the last queue that have few boxes
+    now, if there are enough of them.
 
     Worlds keep their order. For jitted programs.
 
     Args:
         placed: boxes of each world.
-        running: worlds that go on.
+        running: whether each world goes on.
     """
     last = order[-1]
     chosen = (last >= 0) & (running & (placed <= few.n_boxes))[last]

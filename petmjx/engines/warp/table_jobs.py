@@ -9,7 +9,7 @@ from typing import Any, Final
 from petmjx.engines.job_stream import JobStream
 from petmjx.engines.mjx.host_to_device import padded_rows, round_up
 from petmjx.engines.warp.block_launch import SIZES
-from petmjx.engines.warp.kernel_features import KernelFeatures
+from petmjx.engines.warp.kernel_features import KernelFeatures, widths_of
 from petmjx.engines.warp.world_arrays import MAX_BOXES
 from petmjx.engines.warp.world_table import RunningWorlds, WorldTable
 from petmjx.world.job import Job
@@ -17,6 +17,10 @@ from petmjx.world.job import Job
 SPARE_ROWS: Final = 4
 """Rows of a table if more jobs may follow, as a multiple of the jobs at the beginning. Blocks take the longest of the
 waiting worlds first."""
+
+MOST_FOLLOWING_ROWS: Final = 2048
+"""Most rows for jobs that are not there yet, such as the many drives of a single placement: a GPU has fewer blocks than
+half of them."""
 
 REFILL_SHARE: Final = 2
 """Jobs join a table while fewer than one in ``REFILL_SHARE`` of its rows are live: then many join at a time. Those that
@@ -28,6 +32,12 @@ MOST_JOINING: Final = 512
 JOIN_ROWS, FEEDBACK_ROWS = 256, 64
 """Jobs that are written into a table at a time, and those that follow from outcomes."""
 
+MOST_PROFILE_BYTES: Final = 1 << 30
+"""Most memory for the profiles of jobs that follow: for 7,000 worlds whose profiles of 20 s differ. Further worlds wait
+until a profile's row is free."""
+
+_SAMPLE_BYTES: Final = 3 * 4
+
 LARGE_GRANULE: Final = 64
 """Box columns for worlds larger than the smaller size are a multiple of this if larger plans may follow."""
 
@@ -37,22 +47,26 @@ class TableJobs:
 
     Args:
         size: most rows of a table.
-        least_rows: fewest rows of a table if more jobs may follow.
+        least_rows: fewest rows of a table.
         granule: as for ``KernelFeatures.of``.
+        depth_first: whether jobs that follow shall begin at once. The first table then also has their features.
 
     Attributes:
         needs: features of the jobs of the latest table.
         alone: whether there is one job in all.
         running: worlds of the table before, which go on in the next one.
-        in_flight: number → job, for jobs that have been taken and have no outcome yet.
+        in_flight: stream number → job, for jobs that have been taken and have no outcome yet.
     """
 
-    def __init__(self, stream: JobStream[Any], size: int, least_rows: int, granule: int) -> None:
+    def __init__(
+        self, stream: JobStream[Any], size: int, least_rows: int, granule: int, *, depth_first: bool = False
+    ) -> None:
         self.needs, self.in_flight = KernelFeatures({}), dict[int, Job]()
         self.alone = stream.closed and stream.ready == 1 and not stream.feedback
         self.running: RunningWorlds | None = None
         self._stream, self._size, self._least_rows, self._granule = stream, size, least_rows, granule
-        self._begun, self._number = False, 0
+        self._depth_first = depth_first
+        self._begun, self._taken = False, 0
 
     @property
     def feedback(self) -> bool:
@@ -70,12 +84,14 @@ class TableJobs:
         return any(job.record is not None for job in self._stream.peek(self._size))
 
     def begin(self) -> tuple[list[Job], list[int], int]:
-        """The jobs of the next table, first those of running worlds, their numbers, and the number of its rows.
+        """The jobs of the next table, first those of running worlds, their stream numbers, and the number of its rows.
 
         Raises:
             InputError: a job has more boxes than any block has room for.
         """
-        jobs, numbers = (self.running.jobs, self.running.numbers) if self.running is not None else ([], [])
+        jobs, stream_numbers = list[Job](), list[int]()
+        if self.running is not None:
+            jobs, stream_numbers, _ = self.running
         room = self._size - len(jobs)
         least = min(1 if self._begun else self._stream.begin_with, room)
         further = self._stream.peek(room, least=least, wait=not jobs)
@@ -83,12 +99,27 @@ class TableJobs:
         grows = self.feedback or not self._stream.closed or self._stream.ready > len(further)
         # A table that others may join has columns for them. Each width is compiled once.
         needs = KernelFeatures.of(every, self._granule)
-        if grows and not self.feedback:
+        if grows and self._stream.bounds is not None:
+            counts = [count for count in self._stream.bounds.box_counts if count <= MAX_BOXES]
+            wraps = self._depth_first and self._stream.bounds.wraps
+            needs |= KernelFeatures(widths_of(counts, self._granule), wraps=wraps)
+        elif grows and not self.feedback:
             needs = _roomy(needs | self.needs)
         self.needs, self._begun = needs, True
-        taken = self._take(len(further))
-        rows = min(max(SPARE_ROWS * len(every), self._least_rows), self._size) if grows else 0
-        return every, [*numbers, *taken], padded_rows(max(len(every), rows))
+        taken = self._take(further)
+        bounds = self._stream.bounds if grows else None
+        following = min(bounds.jobs, MOST_FOLLOWING_ROWS) if bounds is not None else 0
+        rows = min(max(SPARE_ROWS * len(every) if grows else 0, following, self._least_rows), self._size)
+        return every, [*stream_numbers, *taken], padded_rows(max(len(every), rows))
+
+    def profile_room(self, jobs: Sequence[Job], rows: int) -> tuple[int, int]:
+        """Number and steps of the profiles for which a table with these jobs and so many rows should have room."""
+        bounds = self._stream.bounds
+        if bounds is not None and bounds.drive_steps:
+            most = MOST_PROFILE_BYTES // (bounds.drive_steps * _SAMPLE_BYTES)
+            return min(rows, most, rows if bounds.excitations is None else bounds.excitations), bounds.drive_steps
+        spare = SPARE_ROWS if rows >= SPARE_ROWS * len(jobs) else 1
+        return spare * len({id(job.drive.excitation) for job in jobs if job.drive}), 0
 
     def join(self, table: WorldTable, *, wait: bool = False) -> list[int]:
         """Put waiting jobs into free rows of a table, in order, until one does not fit. Returns their rows.
@@ -104,9 +135,9 @@ class TableJobs:
         fitting = list(takewhile(table.fits, self._stream.peek(most, wait=wait)))
         if not fitting:
             return []
-        numbers = range(self._number, self._number + len(fitting))
-        rows: list[int] = table.add(fitting, numbers, FEEDBACK_ROWS if self.feedback else JOIN_ROWS).tolist()
-        self._take(len(rows))
+        stream_numbers = range(self._taken, self._taken + len(fitting))
+        rows: list[int] = table.add(fitting, stream_numbers, FEEDBACK_ROWS if self.feedback else JOIN_ROWS).tolist()
+        self._take(fitting[: len(rows)])
         return rows
 
     def needs_another(self, table: WorldTable, blocks: int) -> bool:
@@ -128,9 +159,9 @@ class TableJobs:
         """Wait for a moment until a job follows from an outcome. Returns whether jobs may still follow."""
         return self._stream.wait_for_following(self.in_flight)
 
-    def answered(self, number: int) -> None:
+    def answered(self, stream_number: int) -> None:
         """The outcome of a job has been taken, and the jobs that follow from it have been put."""
-        del self.in_flight[number]
+        del self.in_flight[stream_number]
         self._stream.wake()
 
     def lose(self) -> dict[int, Job]:
@@ -138,12 +169,13 @@ class TableJobs:
         lost, self.in_flight, self.running = self.in_flight, {}, None
         return lost
 
-    def _take(self, count: int) -> Sequence[int]:
-        """Take so many jobs; returns their numbers."""
-        numbers = range(self._number, self._number + count)
-        self.in_flight.update(zip(numbers, self._stream.take(count, wait=False), strict=True))
-        self._number += count
-        return numbers
+    def _take(self, jobs: Sequence[Job]) -> Sequence[int]:
+        """Take the first jobs of the stream; returns their stream numbers."""
+        stream_numbers = range(self._taken, self._taken + len(jobs))
+        self._stream.take_peeked(jobs)
+        self.in_flight.update(zip(stream_numbers, jobs, strict=True))
+        self._taken += len(jobs)
+        return stream_numbers
 
 
 def _roomy(needs: KernelFeatures) -> KernelFeatures:

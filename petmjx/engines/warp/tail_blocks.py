@@ -1,4 +1,4 @@
-"""Thread blocks for a run's last worlds: each has a multiprocessor of the GPU to itself, and more threads.
+"""Thread blocks for a run's last worlds. Each block has a multiprocessor of the GPU to itself, and more threads.
 
 A run ends with its longest worlds. Two blocks that share a multiprocessor are each slower than alone. So the last world
 of a run loses the time that it spends beside another block. Worlds that are expected to be among the last ones get
@@ -20,8 +20,8 @@ from petmjx.engines.warp.kernel_launcher import BlockPool
 from petmjx.engines.warp.small_world_blocks import compacted_queue
 
 MOST_EXPECTED: Final = 16
-"""Most worlds that are expected to be the last ones while other worlds still wait. They are the ones with the most
-steps so far. Each takes the room of two."""
+"""Most worlds that are expected to be the last ones while other worlds still wait. They are the worlds with the most
+steps so far. Each of their blocks takes the room of two usual blocks."""
 
 LONG: Final = 2.0
 """A world is long if it has taken LONG times the mean number of steps of finished worlds."""
@@ -34,7 +34,7 @@ def tail_pool(pool: BlockPool, lanes: int | None = None) -> BlockPool | None:
     """The block pool for the last worlds; None if it would be the same as the usual pool, as on a CPU.
 
     Args:
-        pool: the pool that has these worlds otherwise.
+        pool: the pool from which these worlds come.
         lanes: most worlds in blocks of one kind; None: as many as the device has room for.
     """
     one = pool.launch
@@ -51,8 +51,8 @@ def tail_queues(
     running: Bool[Array, " world"],
     lanes: int,
 ) -> Int[Array, "queue+1 world"]:
-    """The queues with a new first one, which gets the last worlds of the run out of the last queue. Worlds keep their
-    order. For jitted programs.
+    """The queues, after a new first queue with the last worlds of the run. These worlds leave the last queue. Worlds
+    keep their order. For jitted programs.
 
     Args:
         order: the queues: worlds, then negative numbers.
@@ -74,7 +74,7 @@ def expected_tail(
     Args:
         order: the queues: worlds, then negative numbers.
         steps: steps of each world so far; 0 before it is taken from a queue.
-        running: worlds that go on.
+        running: whether each world goes on.
         lanes: worlds at the same time.
     """
     begun = steps > 0

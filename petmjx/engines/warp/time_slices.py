@@ -1,10 +1,11 @@
-"""Rollouts of mjx-warp: time slices in which every world of a table goes on."""
+"""Time slices of mjx-warp, in which every world of a table goes on: their programs and buffers, and what the host does
+between them."""
 
 from __future__ import annotations
 
 import time
 from collections import deque
-from collections.abc import Sequence
+from collections.abc import Callable, Generator, Sequence
 from contextlib import suppress
 from typing import NamedTuple
 
@@ -13,10 +14,22 @@ import numpy as np
 from jaxtyping import Array, Int
 from numpy.typing import NDArray
 
-from petmjx.engines.warp.frame_buffers import room_for
+from petmjx.engines.mjx.readback import prepare_readback, read_back
+from petmjx.engines.mjx.world_state import Status
+from petmjx.engines.verdict import Flag
+from petmjx.engines.warp.block_pool import BlockPools
+from petmjx.engines.warp.block_queues import Queues
+from petmjx.engines.warp.frame_buffers import PickedFrames, hand_over, pick_frames, room_for
+from petmjx.engines.warp.kernel_features import size_of
 from petmjx.engines.warp.kernel_launcher import SLICE_NS, BlockPool
 from petmjx.engines.warp.programs import READ_COUNTS, programs
+from petmjx.engines.warp.slice_result import SliceResult
+from petmjx.engines.warp.table_jobs import TableJobs
 from petmjx.engines.warp.world_table import Run, WorldTable
+
+UNDER_WAY = 2
+"""Slices in flight, so that the device is never idle. Worlds that end in one slice come to the host when the next slice
+has ended."""
 
 
 class Slice(NamedTuple):
@@ -103,3 +116,135 @@ class Rollout:
         extra["kernel lanes"] = max(extra.get("kernel lanes", 0), self.launcher.lanes)
         extra["kernel contacts"] = max(extra.get("kernel contacts", 0), counts["contacts"])
         return table.status_after(ended.number, readback[: table.rows]), ended
+
+
+class TableSlices:
+    """Time slices of a table, until all of its worlds have ended, or go on in another table. While the device runs a
+    slice, the host makes outcomes of ended worlds, and puts further jobs into their rows.
+
+    Args:
+        waits: whether each slice waits for the outcomes of the slice before, since the host must fetch frames of
+            recorded worlds.
+        pools: enlarges buffers.
+        rollout_for: gives the rollout for the table; None if memory has run out.
+    """
+
+    def __init__(
+        self,
+        table: WorldTable,
+        source: TableJobs,
+        queues: Queues,
+        waits: bool,
+        pools: BlockPools,
+        rollout_for: Callable[[WorldTable], Rollout | None],
+    ) -> None:
+        self._table, self._source, self._queues, self._waits = table, source, queues, waits
+        self._pools, self._rollout_for = pools, rollout_for
+        self._rollout: Rollout | None = None
+
+    def results(self, *, simulate: bool) -> Generator[SliceResult]:
+        """The worlds that end in each slice.
+
+        Args:
+            simulate: False if memory has run out; all worlds are given up then.
+        """
+        table = self._table
+        self._queues.add(table.jobs, np.arange(len(table.jobs)), table.live, table.run.sim)
+        self._rollout = self._rollout_for(table) if simulate else None
+        if self._rollout is None:
+            self._give_up_table()
+        else:
+            self._keep_under_way(self._rollout)
+            prepare_readback(table.table, table.worlds, table.run.sim)
+        while table.live.any():
+            status, frames = self._wait_for_slice()
+            if self._rollout is not None and (status == Status.OVERFLOWED).any():
+                status = self._grow_overflowed(self._rollout)
+            result = self._read_ended(status)
+            if self._rollout is not None:
+                self._refill(self._rollout)
+            if frames is not None:
+                hand_over(frames, table.recorder)
+            yield result
+            if self._rollout is None:
+                continue
+            while not table.live.any() and not self._waits and self._source.wait_for_following():
+                yield SliceResult((), table.recorder, {}, {})  # whoever takes outcomes may have left
+            if not table.live.any() and self._join(wait=True):
+                self._keep_under_way(self._rollout)
+            elif self._source.needs_another(table, self._rollout.launcher.blocks):
+                self._hand_to_next_table(self._rollout)
+                return
+
+    def _keep_under_way(self, rollout: Rollout) -> None:
+        """Begin slices until as many are in flight as there should be."""
+        # a job that follows from an outcome joins after the slices in flight: while blocks are idle, only one is
+        blocks_idle = int(self._table.live.sum()) <= rollout.launcher.blocks
+        single = self._waits or (self._source.feedback and blocks_idle)
+        rollout.keep_under_way(1 if single else UNDER_WAY, self._table, self._queues.order)
+
+    def _wait_for_slice(self) -> tuple[NDArray[np.int32], PickedFrames | None]:
+        """Wait for the first slice in flight. Returns the statuses of the worlds after it, and the frames of recorded
+        worlds."""
+        if self._rollout is None:
+            return self._table.status(), None
+        status, ended_slice = self._rollout.wait(self._table)
+        return status, None if self._table.recorder.idle else pick_frames(ended_slice.frames)
+
+    def _grow_overflowed(self, rollout: Rollout) -> NDArray[np.int32]:
+        """Enlarge the buffers of worlds that overflowed them and were stopped. Worlds that overflow at ``most_room``
+        are given up. Returns the statuses of all worlds."""
+        table = self._table
+        rollout.finish(table)
+        rows = np.flatnonzero(table.status() == Status.OVERFLOWED)
+        sizes = np.array([size_of(table.jobs[row]) for row in rows.tolist()])
+        for size in np.unique(sizes).tolist():
+            some = rows[sizes == size]
+            growth = self._pools.grow(table.run, size)
+            if growth is None:
+                table.give_up(some, Flag.NONE)
+                continue
+            table.run.progress.message = f"{len(some)} worlds overflowed their buffers, on with {growth}× as large ones"
+            table.retry(some)
+            table.table = table.table._replace(status=table.table.status.at[some].set(Status.RUNNING))
+        self._rollout = self._rollout_for(table)
+        if self._rollout is None:
+            self._give_up_table()
+        return table.status()
+
+    def _give_up_table(self) -> None:
+        """End all worlds that have not ended: memory has run out."""
+        is_live = self._table.live.copy()
+        is_live[self._table.ended(self._table.status())] = False
+        self._table.give_up(np.flatnonzero(is_live), Flag.OUT_OF_MEMORY)
+
+    def _read_ended(self, status: NDArray[np.int32]) -> SliceResult:
+        """Read back the worlds that have ended, and give their rows free."""
+        table = self._table
+        ended = table.ended(status)
+        picked = read_back(ended, table.table, table.worlds, table.run.sim)
+        jobs = {row: table.jobs[row] for row in ended.tolist()}
+        stream_numbers = {row: table.stream_numbers[row] for row in ended.tolist()}
+        table.end(ended)
+        return SliceResult(picked, table.recorder, jobs, stream_numbers)
+
+    def _refill(self, rollout: Rollout) -> None:
+        """Put waiting jobs into free rows, and begin the next slices."""
+        self._join()
+        if self._table.live.any():
+            self._keep_under_way(rollout)
+        else:
+            rollout.finish(self._table)  # no world runs in the slices in flight
+
+    def _join(self, *, wait: bool = False) -> bool:
+        """Put waiting jobs into free rows. Returns whether any was added."""
+        table = self._table
+        rows = self._source.join(table, wait=wait)
+        if rows:
+            self._queues.add([table.jobs[row] for row in rows], np.array(rows), table.live, table.run.sim)
+        return bool(rows)
+
+    def _hand_to_next_table(self, rollout: Rollout) -> None:
+        """Let the worlds that have not ended go on in the next table."""
+        rollout.finish(self._table)
+        self._source.running = self._table.take_running()

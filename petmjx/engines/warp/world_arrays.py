@@ -6,9 +6,9 @@ running_metrics.py. JAX passes these arrays, and the kernels change ``State`` in
 here. The workspace is one buffer, divided by the shapes given here.
 
 Axes. ``world``: a row of the tables. ``block``: a thread block, which has one world at a time. ``queue``: worlds of one
-size. ``body``: the carrier, then the boxes in packing order; ``free_body``: a body that moves; ``dof``: one of its six
-rows. ``geom``: the floor, then the shapes of the bodies. ``pair``: two geoms that are near one another; ``contact``: a
-point in which a pair touches. Units are SI.
+size. ``body``: the carrier, then the boxes in packing order; ``free_body``: a body that moves; ``dof``: a degree
+of freedom, six for each free body. ``geom``: the floor, then the shapes of the bodies. ``pair``: two geoms that are
+near one another; ``contact``: a point in which a pair touches. Units are SI.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ PANEL = 16
 """Rows of a panel of the Cholesky factorisation. The Hessian is padded to a multiple."""
 
 MAX_BOXES = 512
-"""Boxes of the largest world. Shared memory, which holds the solver's right-hand side, limits it."""
+"""Boxes of the largest world. The solver's right-hand side must fit in shared memory, which limits this number."""
 
 EFC_WORDS = 32
 """Numbers of a contact: frame (9), moment arms of both bodies (9 + 9), reference accelerations (aref, 3), stiffness of
@@ -42,10 +42,11 @@ if TYPE_CHECKING:
     Ref = Annotated[_Record, "passed by reference"]
 else:
     Ref = wp.ref
-    """Type of a record that a function of a kernel gets by reference.
+    """Type of a record that is passed to a kernel's function by reference.
 
-    Records have hundreds of fields. If functions get them by value, a compiler spends half of its time on their copies.
-    A function that is generic in another argument gets them by value: Warp (1.18) matches no references then."""
+    Records have hundreds of fields. If they are passed by value, their copies take half of a compiler's time. A
+    function that is generic in another argument takes records by value, since Warp (1.18) matches no references then.
+    """
 
 TYPES: Mapping[Any, Any] = {Float: wp.float32, Int: wp.int32, Bool: wp.bool}
 """Element type in JAX's annotations → element type on the device."""
@@ -83,20 +84,20 @@ class Model:
     solref: wp.vec2
     solimp: wp.vec3  # d₀, d_width, width
     skin: float  # added to boxes for the collider, m
-    carrier_skin: float  # the same of the carrier
+    carrier_skin: float  # the same for the carrier
     pyramidal: int  # 1 with pyramidal friction cones
-    friction_damping: float  # of a contact's tangents, 1/s; 0: the same as of its normal
+    friction_damping: float  # damping along a contact's tangents, 1/s; 0: as along its normal
     slip_slack: float  # reference acceleration of an uncorrected slip, m/s²; inf: no slip is corrected
-    kinetic_share: float  # friction of contacts that slide fast, as a share of that at rest
+    kinetic_share: float  # friction of contacts that slide fast, as a share of friction at rest
     impratio_invsqrt: wp.float64  # 1 / √impratio
-    tolerance: wp.float64  # of the solver, as MuJoCo's
+    tolerance: wp.float64  # of the solver, as in MuJoCo
     iterations: int  # most iterations of the solver
     driven_iterations: int  # the same in a drive
-    ls_iterations: int  # the same of its line search
+    ls_iterations: int  # most iterations of its line search
 
     queue: int  # the queue from which these blocks take worlds
-    most_idle: int  # most lanes without a world; with more, the other lanes drop theirs, too, for this call
-    most_placed: int  # most boxes of a world here; with more it goes on in other blocks in the next call
+    most_idle: int  # most lanes without a world; with more, the other lanes drop their worlds for this call
+    most_placed: int  # most boxes of a world here; with more, a world goes on in other blocks in the next call
     npairmax: int  # most pairs of near geoms of a world
     nconmax: int  # most contacts of a world
 
@@ -126,11 +127,11 @@ class Model:
     quiet_steps: int
     landing_steps: int
     poll_steps: int
-    hand_rate: float  # of the hand's spring, 1/s
-    lowering_rate: float  # of the damper by which it sets boxes down, 1/s
-    stuck_steps: int  # for which a hand waits at most
-    film_rate: float  # of a box's spring on its film, 1/s
-    landing_time: float  # in which what lands is stopped, s
+    hand_rate: float  # rate of the hand's spring, 1/s
+    lowering_rate: float  # rate of the damper by which the hand sets boxes down, 1/s
+    stuck_steps: int  # steps for which a hand waits at most
+    film_rate: float  # rate of a box's spring on its film, 1/s
+    landing_time: float  # time in which a landing box is stopped, s
     landing_lasts: int  # steps for which a box that has touched counts as landing
     restitution: float
 
@@ -142,7 +143,7 @@ class Model:
 
 @partial(record, tables=(world_constants.Worlds,), without=("driven",))
 class Worlds:
-    """Constants of worlds: the table ``world_constants.Worlds``. And ``profiles``, with a row for each excitation."""
+    """Constants of worlds: the table ``world_constants.Worlds``, a profile for each excitation, and the queues."""
 
     profiles: Annotated[wp.array3d[float], "profile step 3"]
     order: Annotated[wp.array2d[int], "queue world"]  # worlds in the order of their turns, then negative numbers
@@ -174,11 +175,11 @@ class Workspace:
     worst: Annotated[wp.array[wp.int64], "block"]  # the largest excess and its box
     hessian: Annotated[wp.array2d[float], "block entry"]  # its envelope, if it does not fit in shared memory
     strip: Annotated[wp.array2d[float], "block part"]  # rows of its factor, if they do not fit in shared memory
-    efc: Annotated[wp.array3d[float], "block contact efc_word"]  # make_constraint; where they lie: efc.cuh
+    efc: Annotated[wp.array3d[float], "block contact efc_word"]  # written by make_constraint; layout: efc.cuh
     curvature: Annotated[wp.array3d[float], "block contact 6"]
     qM: Annotated[wp.array2d[float], "block dof"]  # diagonal of the inertia matrix
     qacc_smooth: Annotated[wp.array2d[float], "block dof"]  # accelerations without contacts
-    drag: Annotated[wp.array3d[float], "block contact 2"]  # contact.cuh
+    drag: Annotated[wp.array3d[float], "block contact 2"]  # see contact.cuh
     excess: Annotated[wp.array2d[float], "block contact"]  # of sliding contacts (contact_laws.py); negative: sticks
     geom_xpos: Annotated[wp.array2d[wp.vec3], "block geom"]  # centres
     geom_xmat: Annotated[wp.array2d[wp.mat33], "block geom"]
@@ -190,7 +191,7 @@ class Workspace:
     pair_geom1: Annotated[wp.array2d[int], "block pair"]  # the lower geom of a pair
     pair_geom2: Annotated[wp.array2d[int], "block pair"]
     pair_normal: Annotated[wp.array2d[wp.vec3], "block pair"]
-    pair_points: Annotated[wp.array3d[wp.vec4], "block pair 8"]  # where a pair touches, and its distance there
+    pair_points: Annotated[wp.array3d[wp.vec4], "block pair 8"]  # a point of contact, and the distance in it
     pair_spring: Annotated[wp.array2d[float], "block pair"]  # stiffness of its contacts, N/m; 0: both are rigid
     geom1_pairadr: Annotated[wp.array2d[int], "block geom_end"]  # the first pair of each lower geom
     geom2_pair: Annotated[wp.array2d[int], "block pair"]  # the pairs of each higher geom
@@ -204,7 +205,7 @@ class Workspace:
     body_level: Annotated[wp.array2d[int], "block body"]  # when bodies are put in order
     position: Annotated[wp.array2d[int], "block free_body"]  # of a body in the solver's system
     lowest: Annotated[wp.array2d[int], "block free_body"]  # by position: lowest one that its body touches, or its own
-    bodies_conadr: Annotated[wp.array2d[int], "block contact"]  # first contact of each pair of free bodies, in no order
+    bodies_conadr: Annotated[wp.array2d[int], "block contact"]  # first contact of each pair of free bodies, unordered
     ncon: Annotated[wp.array[int], "block"]
     nfree: Annotated[wp.array[int], "block"]  # free bodies
     solver_niter: Annotated[wp.array[int], "block"]
@@ -305,8 +306,8 @@ def array_shapes(kind: Any, sizes: Mapping[str, int]) -> dict[str, tuple[int, ..
 
 
 def filled_record(kind: Any, values: Mapping[str, Any]) -> Any:
-    """A record with its fields from ``values``, which may have further entries. Arrays must have contiguous rows
-    (arrays.cuh)."""
+    """A record whose fields come from ``values``. Further entries of ``values`` are not used. Arrays must have
+    contiguous rows (arrays.cuh)."""
     instance = kind()
     for name in kind.vars:
         assert getattr(values[name], "is_contiguous", True), name

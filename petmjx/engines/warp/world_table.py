@@ -75,12 +75,12 @@ class RunningWorlds(NamedTuple):
     """The worlds of a table that have not ended, on their way into another table.
 
     Attributes:
-        jobs, numbers: their jobs, and the numbers of these in the run.
+        jobs, stream_numbers: their jobs, and the stream numbers of these.
         states: a row a world, then rows that belong to no world.
     """
 
     jobs: list[Job]
-    numbers: list[int]
+    stream_numbers: list[int]
     states: State
 
 
@@ -91,14 +91,14 @@ class WorldTable(Batch):
     ``jobs`` has the latest job of each row that was ever used.
 
     Attributes:
-        numbers: number in the run of each row's job.
+        stream_numbers: stream number of each row's job.
         live: (row,) whether the row's world has not ended.
         slices: number of time slices that have begun.
         since: (row,) number of the first slice with the row's world. Earlier slices tell of the world before.
     """
 
     run: Run
-    numbers: list[int]
+    stream_numbers: list[int]
     frames: dict[str, jax.Array] | None = None
     slices: int = 0
     live: NDArray[np.bool_] = field(init=False)
@@ -135,9 +135,11 @@ class WorldTable(Batch):
         has_blocks = job.scene.n_boxes <= needs.widths.get(size_of(job), 0)
         has_blocks &= len(job.scene.carrier.half_size) <= self.boards
         has_times = job.scene.n_boxes < len(self.run.timetable.one_by_one_end)
-        return has_blocks and has_times and needs.know(job) and job.record is None and self.recorder.idle
+        excitation = _excitation(job)
+        has_steps = excitation is None or len(excitation.samples) <= self.profiles.shape[1]
+        return has_blocks and has_times and has_steps and needs.know(job) and job.record is None and self.recorder.idle
 
-    def add(self, jobs: Sequence[Job], numbers: Sequence[int], at_once: int) -> NDArray[np.intp]:
+    def add(self, jobs: Sequence[Job], stream_numbers: Sequence[int], at_once: int) -> NDArray[np.intp]:
         """Put jobs that fit into free rows. Returns their rows, fewer than jobs if there is no room for all profiles.
 
         Args:
@@ -151,12 +153,12 @@ class WorldTable(Batch):
             worlds, states = tables(some, at_once, width, self.profile_rows, sim, timetable, self.boards)
             self.worlds = _put_into(self.worlds, rows, worlds)
             self.table = _put_into(self.table, rows, states)
-        for row, job, number in zip(free.tolist(), jobs, numbers, strict=False):
+        for row, job, stream_number in zip(free.tolist(), jobs, stream_numbers, strict=False):
             if row < len(self.jobs):
-                self.jobs[row], self.numbers[row] = job, number
+                self.jobs[row], self.stream_numbers[row] = job, stream_number
             else:
                 self.jobs.append(job)
-                self.numbers.append(number)
+                self.stream_numbers.append(stream_number)
         self.live[free], self.since[free] = True, self.slices
         return free
 
@@ -171,11 +173,11 @@ class WorldTable(Batch):
         free = sorted({*range(len(self.profiles))} - {*self.profile_rows.values()}, reverse=True)
         rows, samples = list[int](), list[NDArray[np.float32]]()
         fitting = len(jobs)
-        for number, excitation in enumerate(map(_excitation, jobs)):
+        for index, excitation in enumerate(map(_excitation, jobs)):
             if excitation is None or id(excitation) in self.profile_rows:
                 continue
-            if not free or len(excitation.samples) > self.profiles.shape[1]:
-                fitting = number
+            if not free:
+                fitting = index
                 break
             rows.append(free.pop())
             self.profile_rows[id(excitation)] = rows[-1]
@@ -197,9 +199,9 @@ class WorldTable(Batch):
         rows = np.flatnonzero(self.live)
         if not len(rows):
             return None
-        jobs, numbers = [self.jobs[row] for row in rows], [self.numbers[row] for row in rows]
+        jobs, stream_numbers = [self.jobs[row] for row in rows], [self.stream_numbers[row] for row in rows]
         padded = np.resize(rows, padded_rows(len(rows))).astype(np.int32)
-        return RunningWorlds(jobs, numbers, _take(self.table, device_array(padded)))
+        return RunningWorlds(jobs, stream_numbers, _take(self.table, device_array(padded)))
 
     def put_running(self, running: RunningWorlds) -> None:
         """Let worlds of another table go on in the first rows, which have their jobs. The tables may differ in box

@@ -177,7 +177,7 @@ class HalfSine:
 
 
 def _unit(axis: tuple[float, float, float]) -> FloatArray:
-    """(3,) the direction of an axis of any length; the square of a very long or short one is no float64."""
+    """(3,) the direction of an axis of any length; the square of a very long or short one does not fit a float64."""
     vector: FloatArray = np.asarray(axis, dtype=np.float64)
     longest = float(np.abs(vector).max())
     if not 0 < longest < math.inf:
@@ -189,7 +189,7 @@ def _unit(axis: tuple[float, float, float]) -> FloatArray:
 
 
 QUASI_STATIC_DEG_S: Final = 0.5
-"""Boxes fail 0.4 to 0.6° late at this rate, measured (docs/profiles.md); a rate of 5°/s makes it 2.5 to 2.7°."""
+"""Boxes fail 0.4 to 0.6° late at this rate, measured (docs/profiles.md), and 2.5 to 2.7° late at 5°/s."""
 
 
 def quasi_static_tilt() -> Tilt:
@@ -237,8 +237,8 @@ class RandomVibration:
     """Nearly Gaussian vibration: a sum of sine waves with the PSD's power and random phases.
 
     The sine waves have a spacing of 1 / duration, and each has exactly the power of the PSD in its band. So the RMS
-    over the duration equals the square root of the PSD's integral for any phases; only these are random. Source: the
-    user's PSD; method: spectral representation (Shinozuka and Deodatis, 1991).
+    over the duration equals the square root of the PSD's integral for any phases. Only the phases are random. Source:
+    the user's PSD; method: spectral representation (Shinozuka and Deodatis, 1991).
 
     Attributes:
         psd: rows of (Hz, g²/Hz).

@@ -47,9 +47,9 @@ class Window:
 class WindowProfile:
     """A force profile.
 
-    ``replaces``: False: windows that overlap add up. True: as in the reference implementation, the begin of a window
-    ends the window before, and the first end of any window sets the force to zero. Of windows that begin on the same
-    step only the last one acts. The chain of the reference's demo needs this.
+    ``replaces``: False: windows that overlap add up. True: as in the reference implementation, the beginning of a
+    window ends the window before, and the first end of any window sets the force to zero. Of windows that begin on the
+    same step only the last one acts. The chain of the reference's demo needs this.
     """
 
     name: str
@@ -91,7 +91,7 @@ class WindowProfile:
 def _one_at_a_time(spans: Sequence[tuple[int, int, Vector]]) -> list[tuple[int, int, Vector]]:
     """How the reference implementation treats overlapping windows: as spans that do not overlap.
 
-    The force changes once at every begin and every end, in order of time. At each change the old force is removed
+    The force changes once at every beginning and every end, in order of time. At each change the old force is removed
     first, and then the force of the next window is set, if that window has begun.
     """
     waiting = deque(sorted(spans, key=lambda span: span[0]))
@@ -110,7 +110,7 @@ def chain(
 
     Args:
         links: (profile, offset in s, scale) of each profile.
-        replaces: as of `WindowProfile`.
+        replaces: as in ``WindowProfile``.
     """
     windows = [
         replace(

@@ -34,7 +34,7 @@ MAX_CSV_BYTES = 1 << 20
 MAX_PARQUET_BYTES = 64 << 20
 
 MAX_PUSH_S = 100 * MAX_PROFILE_S
-"""All windows of a profile together, s: each window is added to the samples separately."""
+"""Longest time of all windows of a profile together, s: each window is added to the samples separately."""
 
 Seconds = Annotated[StrictFloat, Field(ge=0), within(0, MAX_PROFILE_S)]
 LongerThanNothing = Annotated[StrictFloat, Field(gt=0), within(0, MAX_PROFILE_S)]
@@ -83,8 +83,8 @@ class _WindowFile(CheckedRecord):
 def read_windows(path: Path) -> tuple[WindowRow, ...]:
     """Force windows of a file.
 
-    Parquet: the columns start_s, duration_s, x, y, z; others are ignored. TOML: an array of tables ``[[window]]`` with
-    these five keys.
+    Parquet: the columns start_s, duration_s, x, y, z; other columns are ignored. TOML: an array of tables
+    ``[[window]]`` with these five keys.
 
     Raises:
         InputError: one line with file, row and field: "push.toml: window[3].duration_s must be > 0, got 0".

@@ -96,8 +96,8 @@ def bed_of(
         toward: the collider's normal, from the first box to the second.
 
     Returns:
-        Whether faces meet; the normal; points and depths, row by row; the pressed area, m²; the smallest area that
-        counts for the stiffness, m².
+        Whether faces meet; the normal; four points and their distances (depths, negative), a row each; the pressed
+        area, m²; the smallest area that counts for the stiffness, m².
     """
     axis_a = _face_axis(turn_a, toward)
     axis_b = _face_axis(turn_b, toward)

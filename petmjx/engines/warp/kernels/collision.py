@@ -52,8 +52,8 @@ def list_pairs(
     # Data out:
     work: Ref[Workspace],
 ) -> int:
-    """List pairs of geoms that are at most ``apart`` from one another, m. Returns their number, which may be more than
-    fit.
+    """List pairs of geoms that are at most ``apart`` from one another, m. Returns their number, which may exceed
+    the room for pairs.
 
     The pairs of each lower geom begin at ``geom1_pairadr``. ``geom2_pair`` has the pairs of each higher geom in order,
     from ``geom2_pairadr`` on.
@@ -114,8 +114,8 @@ def collide(
     """Find the contacts of the listed pairs. Returns whether the numbering of contacts has changed since the last step.
 
     For the collider, boxes are enlarged by a skin, and contacts begin as deep as the skins are thick (``_add_shapes``
-    in petmjx/world/mujoco_model.py). ``pair_conadr[block, npair]`` is the number of contacts, which may be more than
-    fit. ``contact_pair`` is the pair of each contact that fits.
+    in petmjx/world/mujoco_model.py). ``pair_conadr[block, npair]`` is the number of contacts, which may exceed the
+    room for contacts. ``contact_pair`` is the pair of each contact that has room.
 
     Args:
         anew: whether pairs were listed anew for this step.

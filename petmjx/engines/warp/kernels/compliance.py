@@ -57,7 +57,7 @@ def compliance_of_pair(worlds: Ref[Worlds], world: int, first: int, second: int)
 
 @wp.func
 def spring_of_bed(area: float, give: float) -> float:
-    """Stiffness of a contact of two faces, N/m, that press on one another with this area, m²."""
+    """Stiffness of a contact between two faces that press on one another with this area (m²), N/m."""
     return area / give / CONTACTS
 
 

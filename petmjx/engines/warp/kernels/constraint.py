@@ -1,7 +1,7 @@
 """Constraints of a world: the rows of its contacts, and the contacts of each body.
 
 Contacts have MuJoCo's parameters (its documentation, "Modeling", "Solver parameters"). Each of a contact's two bodies
-is free or does not move. So its frame and three moment arms per body (27 numbers) describe it.
+is free or does not move. So the contact's frame and three moment arms per body (27 numbers) describe it.
 """
 
 from __future__ import annotations
@@ -87,7 +87,7 @@ def surface_of(worlds: Ref[Worlds], world: int, geom: int) -> int:
 
 @wp.func
 def _friction_of_pair(worlds: Ref[Worlds], world: int, first: int, second: int) -> float:
-    """Sliding friction between two geoms: that of their pair of surfaces, else the larger one of the two."""
+    """Sliding friction between two geoms: the value of their pair of surfaces, else the larger of their own values."""
     pair_friction = worlds.pair_friction[world, surface_of(worlds, world, first), surface_of(worlds, world, second)]
     if pair_friction >= 0.0:
         return pair_friction
@@ -96,7 +96,7 @@ def _friction_of_pair(worlds: Ref[Worlds], world: int, first: int, second: int) 
 
 @wp.func
 def _kinetic_share(model: Ref[Model], worlds: Ref[Worlds], world: int, first: int, second: int) -> float:
-    """Friction between two geoms while they slide, as a share of that at rest."""
+    """Friction between two geoms while they slide, as a share of friction at rest."""
     of_pair = worlds.pair_kinetic[world, surface_of(worlds, world, first), surface_of(worlds, world, second)]
     return wp.where(of_pair >= 0.0, of_pair, model.kinetic_share)
 
@@ -125,8 +125,8 @@ def make_constraint(
 
     Rows give the acceleration of the second body relative to the first, along normal and tangents. Moment arms are in
     the frames of the bodies. Sliding contacts have the law of petmjx/world/contact_laws.py. With pyramidal cones the
-    rows of the four edges are normal ± friction × tangent; they are not stored. ``excess`` is the largest one with
-    which the solver may begin.
+    rows of the four edges are normal ± friction × tangent; they are not stored. ``excess`` is set to the largest
+    excess with which the solver may begin.
     """
     block = at.block
     world = at.world
@@ -169,7 +169,7 @@ def make_constraint(
                 put_number(work.efc, block, contact, 18 + 3 * r + i, arms_two[r, i])
         pull = -times(times(kbi[0], kbi[2]), point[3])
         slip = wp.sqrt(fused(velocity[1], velocity[1], times(velocity[2], velocity[2])))
-        if slip > STICKS:  # else the share is 1; most contacts need not look it up
+        if slip > STICKS:  # otherwise the share is 1, and most contacts need no look-up
             mu = times(mu, friction_share(_kinetic_share(model, worlds, world, first, second), slip))
         excess = times(damping, slip) - model.slip_slack
         work.excess[block, contact] = wp.where(excess > 0.0, excess, -1.0)

@@ -1,7 +1,7 @@
 """The hand that carries a box to its place (docs/rules.md, section 4). Twin of petmjx/engines/mujoco/hand.py.
 
-The carried box is always the last placed one. Between two steps, one thread takes boxes up and lets them go. The hand's
-forces in a step are computed by the thread that has the box.
+The carried box is always the last placed one. Between two steps, one thread takes boxes up and lets them go. The
+first thread computes the hand's forces in a step.
 """
 
 from __future__ import annotations
@@ -70,7 +70,7 @@ def _first_obstacle(
     place: wp.vec3,
     reach: wp.vec3,
 ) -> tuple[int, float]:
-    """The first standing box that overlaps a box at this place, or -1, and the highest top of all that do, m."""
+    """The first standing box that overlaps a box at this place, or -1, and the highest top of such boxes, m."""
     first = int(-1)
     top = float(-1.0e30)
     for other in range(count):
@@ -136,8 +136,8 @@ def take_up(
     # Data out:
     state: Ref[State],
 ) -> None:
-    """Move a box from its release pose to the place where its way begins. If its way takes steps, a hand carries it. By
-    one thread."""
+    """Move a box from its release pose to the place where its way begins. If its way takes steps, a hand carries it.
+    Called by one thread."""
     end = center(state, world, box + 1)
     q = orientation(state, world, box + 1)
     offset = wp.vec3(
@@ -176,7 +176,7 @@ def lets_go(
     state: Ref[State],
 ) -> bool:
     """Whether the hand lets go after a step in which it has carried the box. It does when the box has arrived and
-    rests. Unless the box is meant to fall, it is set down first. By one thread."""
+    rests. Unless the box is meant to fall, it is set down first. Called by one thread."""
     elapsed = step - state.carried_from[world]
     slow = speed_of(worlds, state, world, box) < model.quiet_speed
     lowered_from = state.lowered_from[world]
@@ -212,7 +212,7 @@ def _world_vector(values: wp.array2d[float], world: int) -> wp.vec3:
 
 @wp.func
 def _progress(step: int, steps: int) -> float:
-    """Share of the way that is covered after ``step`` of its ``steps``."""
+    """Share of a way of ``steps`` steps that is covered after ``step`` steps."""
     share = wp.clamp(float(step) / float(steps), 0.0, 1.0)
     return times(share * share, 3.0 - 2.0 * share)
 

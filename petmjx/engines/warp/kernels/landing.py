@@ -24,7 +24,7 @@ BEGINS = wp.constant(-1)
 
 @wp.func
 def _speed(state: Ref[State], work: Ref[Workspace], at: Thread, contact: int, side: int, before: bool) -> float:
-    """Speed of a contact's body along the normal, m/s. ``before``: that before its landing, if it lands."""
+    """Speed of a contact's body along the normal, m/s. ``before``: a landing box has its speed before the landing."""
     free_body = work.contact_bodies[at.block, contact, side]
     if free_body < 0:
         return 0.0

@@ -2,8 +2,8 @@
 
 Bodies are rigid, with diagonal inertia in their frames (petmjx/world/body_shapes.py). Body 0 is the carrier, which is
 free or held fast, and box k is body k + 1. A free body moves, and has six rows in the equations. All bodies are free,
-except a held carrier. A free body's number is that of the body, less one if the carrier is held. A negative number
-stands for a body that does not move. Geom 0 is the floor, and shape k is geom k + 1.
+except a held carrier. The number of a free body is the body's number, less one if the carrier is held. A negative
+number stands for a body that does not move. Geom 0 is the floor, and shape k is geom k + 1.
 """
 
 from __future__ import annotations
@@ -323,7 +323,7 @@ def end_step(
 
 @wp.func
 def _top_force(work: Ref[Workspace], block: int, free_body: int) -> float:
-    """Force that presses on a box from above, N: that of contacts within 45° of level, with geoms whose centre is
+    """Force that presses on a box from above, N: the sum over contacts within 45° of level with geoms whose centre is
     higher."""
     total = wp.float64(0.0)
     for entry in range(work.body_conadr[block, free_body], work.body_conadr[block, free_body + 1]):

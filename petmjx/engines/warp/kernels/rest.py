@@ -20,9 +20,9 @@ def has_failed(
     # Data in:
     state: Ref[State],
 ) -> bool:
-    """Whether a box has failed for good: it has dropped, or was tilted too far at a look. A shift does not count here.
-    It is judged at rest, and may go back until then. ``culprit`` is that of the world; without one no box is
-    checked."""
+    """Whether a box has failed for good: it has dropped, or was tilted too far at a look. A shift does not count here,
+    since it is judged at rest, and may go back until then. ``culprit`` is the world's culprit; without a culprit no box
+    is checked."""
     if culprit < 0:
         return False
     world = at.world
@@ -46,8 +46,8 @@ def count_quiet(
     state: Ref[State],
 ) -> tuple[int, bool]:
     """At a poll: the steps for which all boxes have been quiet, and whether the pallet is quiet. If a box creeps, the
-    pallet is not quiet, and the count starts again. Trembling boxes do not count; if there are any, the count of a
-    quiet pallet is 0."""
+    pallet is not quiet, and the count starts again. Trembling boxes do not count. If any box of a quiet pallet
+    trembles, the count is 0."""
     world = at.world
     fast = bool(False)
     for box in range(at.thread, at.placed, at.threads):

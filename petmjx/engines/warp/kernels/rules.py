@@ -57,8 +57,9 @@ def _deadline(
     failed: bool,
     sign_step: int,
 ) -> int:
-    """The latest step for the next event. The long wait ends early once a box has failed, counted from the first sign.
-    It also ends early before a further box if an earlier wait was in vain."""
+    """The latest step for the next event. A long wait becomes a short one once a box has failed; the short wait counts
+    from the first sign. It also becomes a short one before a further box if an earlier wait ended with a moving
+    world."""
     settles = worlds.settles[world]
     plain_static = model.static_end != NEVER and not settles and not driven
     patient = adapts and not plain_static and model.waits_for_rest != 0
@@ -95,9 +96,10 @@ def _look_at_the_end(
     """Checks at the end of a world.
 
     Returns:
-        Whether a point of a box has moved too fast since ``still_qpos``, which is ``seconds`` old, or does so now.
-        Whether a box did so for which the rules must wait. And whether a box is lost: it has dropped, or is tilted too
-        far now; in a drive, a tilted box counts only if it has also swayed as far as its drive allows.
+        Whether a point of a box has moved too fast since ``still_qpos``, which is ``seconds`` old, or does so now;
+        whether this is true of a box for which the rules must wait; whether a box is lost. A box is lost if it has
+        dropped, or is tilted too far now. In a drive, a tilted box counts only if it has also swayed as far as its
+        drive allows.
     """
     world = at.world
     moves = bool(False)
@@ -132,7 +134,7 @@ def place_next(
     # Data out:
     state: Ref[State],
 ) -> None:
-    """Release the next box, at rest. By one thread."""
+    """Release the next box, at rest. Called by one thread."""
     world = at.world
     box = state.placed[world]
     support = worlds.support[world, box]
@@ -173,7 +175,7 @@ def carry_on(
     # Data out:
     state: Ref[State],
 ) -> None:
-    """After a step in which a box was carried: carry it on, or let it go. By one thread."""
+    """After a step in which a box was carried: carry it on, or let it go. Called by one thread."""
     box = state.placed[world] - 1
     if lets_go(model, worlds, world, box, step, state):
         if has_missed(state, world, box) and state.culprit[world] < 0:
@@ -203,8 +205,8 @@ def after_step(
     """Apply all rules between two steps.
 
     Args:
-        presses: forces on tops count.
-        nonfinite: a body's position or velocity is not finite or out of range.
+        presses: whether forces on tops count.
+        nonfinite: whether a body's position or velocity is not finite or out of range.
     """
     world = at.world
     step = state.step[world] + 1
@@ -272,7 +274,7 @@ def after_step(
     more = at.placed < n_boxes and not driven
     adapts = model.fixed == 0 or state.waits_since[world] > landed
     rests_first = model.fixed == 0 and model.waits_for_rest != 0
-    # quiet brings the end of a drive forward if a rest window that begins now is over when the last one begins
+    # a quiet pallet ends its drive early if a rest window that begins now is over when the last window would begin
     in_drive = driven and rests_first and end != NEVER and step <= end - 2 * model.rest_steps
     goes = bool(False)
     failed = bool(False)

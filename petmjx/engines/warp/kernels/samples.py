@@ -23,9 +23,9 @@ RESTLESS = wp.constant(RESTLESS_M_S)
 RISING = wp.constant(RISING_M_S2)
 
 UNBALANCED = wp.constant(10.0)
-"""Accelerations by which a body may be out of balance if forces of a solver that was stopped still count, m/s². Of
-towers and stacks that rock, peaks are then those of a solver that goes on, to 1 %; with 60 m/s² they were up to a fifth
-larger, with 1 m/s² a hundredth smaller."""
+"""Acceleration by which a body may be out of balance, m/s², so that the forces of a stopped solver still count. With
+this limit, peaks of rocking towers and stacks agree within 1 % with those of a solver that goes on. With 60 m/s²
+peaks were up to a fifth larger, with 1 m/s² a hundredth smaller."""
 
 
 @wp.func
@@ -93,8 +93,8 @@ def measure(
     state: Ref[State],
     work: Ref[Workspace],
 ) -> bool:
-    """Measure a box in a sample, in a look during a drive, or at the end. Returns whether it is lost; with early stop
-    its world then ends.
+    """Measure a box in a sample, in a look during a drive, or at the end. Returns whether the box is lost; with early
+    stop, its world then ends.
 
     Args:
         culprit: the culprit of an earlier look.
@@ -172,7 +172,7 @@ def rises(work: Ref[Workspace], at: Thread) -> bool:
 @wp.func
 def is_unbalanced(work: Ref[Workspace], at: Thread) -> bool:
     """Whether the forces on one of a thread's free bodies are out of balance by more than ``UNBALANCED`` × its mass,
-    after a solver that was stopped. Some forces between bodies are then a hundred times too large."""
+    after a solver that was stopped. Then some forces between bodies are a hundred times too large."""
     unbalanced = bool(False)
     for body in range(at.thread, at.placed + 1 - at.held, at.threads):
         most = wp.float64(UNBALANCED) * wp.float64(work.qM[at.block, 6 * body])

@@ -98,11 +98,11 @@ def advance(
     frames: FrameBuffer,
     counts: Counts,
 ) -> int:
-    """One step of a lane's world and the rules after it; or the part of a step before a pause of the solver, or after
-    it.
+    """Take a step of a lane's world, and apply the rules after it. If the solver pauses, the call ends there. A later
+    call then takes the rest of the step.
 
     Args:
-        goes: whether the lane has a world that goes on. Else its threads only wait for the other threads of the block.
+        goes: whether the lane has a world that goes on. If not, its threads only wait for other threads of the block.
         shared: a tile in shared memory with ``shared_words`` numbers for each world of the block, followed by more.
         listed: number of listed near pairs; negative: no list.
 
@@ -228,14 +228,14 @@ def run_worlds(
     """Take worlds and step them, until the queue is empty or the time slice is over.
 
     Args:
-        block: the lane's number, which is that of its rows in the workspace.
+        block: the lane's number, and the number of its rows in the workspace.
         thread: the thread's number among the threads that share a world.
         threads: the number of these threads.
         n_blocks: lanes of the call, of all sizes.
         hands: 1 if a hand may carry boxes.
-        gives: 1 if boxes may give.
+        gives: 1 if boxes may be compliant.
         wraps: 1 if film may hold boxes.
-        lands: 1 if boxes that land follow a law of their own.
+        lands: 1 if landing boxes follow a law of their own.
         slice_ns: time slice, ns, from the call's first step on. After it is over a lane takes one more step.
         shared: a tile in shared memory with ``shared_words`` numbers for each world of the block, followed by more.
     """

@@ -29,7 +29,7 @@
 
 namespace petmjx {
 
-// Threads of a warp; neighbouring threads that together sum over one body's contacts.
+// WARP: threads of a warp. SHARE: neighbouring threads that together sum over one body's contacts.
 #if defined(__CUDA_ARCH__)
 const int WARP = 32, SHARE = 8;
 #else
@@ -73,8 +73,8 @@ inline CUDA_CALLABLE void wait_for_warp() {
 #endif
 }
 
-// A barrier (1 or 2) between threads that arrive and go on, and threads that wait for these. `threads` counts both. The
-// waiting threads see the writes of the arriving threads.
+// A barrier (1 or 2): arriving threads go on, and waiting threads wait for them. `threads` counts both. The waiting
+// threads see the writes of the arriving threads.
 inline CUDA_CALLABLE void arrive(int barrier, int threads) {
 #if defined(__CUDA_ARCH__)
     __syncwarp();
@@ -109,8 +109,8 @@ inline CUDA_CALLABLE float* begin_of(const Tile& tile) {
 
 inline CUDA_CALLABLE float* begin_of(const wp::array_t<float>& array) { return array.data; }
 
-// Products and sums of products with fixed rounding. Of a·b − c·d a GPU's compiler would round one product or the
-// other, differently in each kernel. Then a world's result would depend on its kernel.
+// Products and sums of products with fixed rounding. In a·b − c·d, a GPU's compiler would round only one
+// of the two products, and not the same one in each kernel. Then a world's result would depend on its kernel.
 #if defined(__CUDA_ARCH__)
 inline __device__ float times(float a, float b) { return __fmul_rn(a, b); }
 inline __device__ double times(double a, double b) { return __dmul_rn(a, b); }
@@ -303,7 +303,7 @@ inline CUDA_CALLABLE void sum_over_all(int count, int thread, double* partial, d
     }
     __syncwarp();
 #elif defined(__CUDA_ARCH__)
-    const int PLACES = ORDER / PETMJX_THREADS;  // of a thread
+    const int PLACES = ORDER / PETMJX_THREADS;  // places of a thread
     static_assert(PLACES * PETMJX_THREADS == ORDER && PETMJX_THREADS % 32 == 0, "threads of a world must divide ORDER");
     double part[PLACES][COUNT];
     #pragma unroll

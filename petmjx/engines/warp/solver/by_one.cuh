@@ -19,7 +19,7 @@ typedef ByFours Elimination;
 const int ONE_SPREAD = 2;
 #endif
 
-// What the threads of a block share. MOST: panels of the largest system.
+// Shared memory of the threads of a world. MOST: panels of the largest system.
 template <int MOST>
 struct ByOne {
     static const int AT_ONCE = 1;  // panels

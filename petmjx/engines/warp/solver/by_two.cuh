@@ -2,7 +2,7 @@
 // The rows below are read and written half as often as with one panel at a time.
 //
 // Everything waits for the diagonal tiles, one after another. So the first warp does little else than find the next
-// one. The other warps find the rows of U and subtract their products from the rows below.
+// diagonal tile. The other warps find the rows of U and subtract their products from the rows below.
 
 #ifndef PETMJX_BY_TWO_CUH
 #define PETMJX_BY_TWO_CUH
@@ -11,7 +11,7 @@
 
 namespace petmjx {
 
-// What the threads of a block share. MOST: panels of the largest system.
+// Shared memory of the threads of a world. MOST: panels of the largest system.
 template <int MOST>
 struct ByTwo {
     static const int AT_ONCE = 2;  // panels
@@ -19,7 +19,7 @@ struct ByTwo {
     Diagonal diagonal;
     alignas(16) float W[2][B * PITCH];  // inverses of the two panels' diagonal tiles' factors
     alignas(16) float between[MOST_WARPS][TILE];  // the tile that links both panels; each warp finds it for itself
-    alignas(16) float solved[2][B];  // their parts of y
+    alignas(16) float solved[2][B];  // both panels' parts of y
     alignas(16) float solutions[MOST_WARPS * 3 * B];
     int reached[2][MOST];  // panels whose columns reach up to the current two panels, and up to the next two
     int reached_count[2];
@@ -40,8 +40,8 @@ struct Two {
     inline CUDA_CALLABLE static int place(int i, int half) { return (2 * i + half) * TILE; }
 };
 
-// W of a diagonal tile, after the products of `count` tiles in the strip, TILE numbers apart, have been subtracted. By
-// one warp.
+// W of a diagonal tile, after the products of `count` tiles in the strip, TILE numbers apart, have been subtracted.
+// Called by one warp.
 PETMJX_ONCE CUDA_CALLABLE void find_diagonal(
     Diagonal& tile, float* W, float* own, const float* strip, int count, int lane
 ) {
@@ -57,7 +57,7 @@ PETMJX_ONCE CUDA_CALLABLE void find_diagonal(
 }
 
 // Finds the first panel's row of U, in its place and in the strip. Subtracts its products with `between`, the tile that
-// links both panels, from the second panel's row. A warp for each tile.
+// links both panels, from the second panel's row. Each tile has a warp.
 inline CUDA_CALLABLE void factor_first_row(
     const System& system, const float* inverse, const float* between, const Two& two, int first, int stride, int lane
 ) {
@@ -89,8 +89,8 @@ inline CUDA_CALLABLE void factor_first_row(
     }
 }
 
-// Subtracts the products of N tiles of both rows, from place `left` on, with the tiles Y of both rows, from a panel's
-// tiles.
+// Subtracts products of both rows from N tiles of a panel. In each row, the factors are the N tiles from place `left`
+// on, and the tile Y.
 template <int N>
 inline CUDA_CALLABLE void update_tiles(
     const System& system, float* panel, const Two& two, int left, const Operand (&y)[2], int lane
@@ -116,7 +116,7 @@ inline CUDA_CALLABLE void update_tiles(
 }
 
 // Subtracts the products of both panels' rows from the rows below, for a warp's share of the pairs of reached panels.
-// Three tiles at a time, which do not wait for one another.
+// It takes three tiles at a time, which do not wait for one another.
 inline CUDA_CALLABLE void update_below(const System& system, const Two& two, Share share, int lane) {
     if (share.first >= share.end) return;
     Pair pair(share.first);

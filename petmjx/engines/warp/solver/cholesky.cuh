@@ -1,7 +1,7 @@
-// H·x = g by Cholesky within H's envelope, H = UᵀU: one world per block of threads; on a CPU one thread.
+// H·x = g by Cholesky within H's envelope, H = UᵀU, by the threads of a world. On a CPU this is one thread.
 //
-// Right-looking by panels of 16 rows: one panel at a time in kernels for few panels, else two. Any warp computes a
-// number in the same way, so results do not depend on how warps share the work.
+// Right-looking by panels of 16 rows: one panel at a time in kernels for few panels, else two. Every warp computes
+// a number in the same way, so results do not depend on how warps share the work.
 
 #ifndef PETMJX_CHOLESKY_CUH
 #define PETMJX_CHOLESKY_CUH
@@ -14,7 +14,7 @@ namespace petmjx {
 
 #if defined(__CUDA_ARCH__) || defined(PETMJX_BLOCKS_ON_CPU)  // tests run the code for blocks on a CPU, with one thread
 
-// What the threads of a block share. MOST: panels of the largest system.
+// Shared memory of the threads of a world. MOST: panels of the largest system.
 template <int MOST, bool FEW = (MOST <= PETMJX_FEW_PANELS)>
 struct Factoring : ByTwo<MOST> {};
 template <int MOST>

@@ -169,8 +169,8 @@ inline CUDA_CALLABLE void follow(const double* j, const double* v, float* drag) 
     drag[1] = (float)(two / most);
 }
 
-// Adds the first and second derivative of a contact's cost with respect to `length`, at residual j + length·v. They are
-// the results of `respond` there, times v once and twice, in fewer operations.
+// Adds the first and second derivative of a contact's cost with respect to `length`, at residual j + length·v. They
+// follow from the results of `respond` there, multiplied by v once and twice, but take fewer operations.
 inline CUDA_CALLABLE void respond_along(
     int pyramidal, double impratio_invsqrt, const double* j, const double* v, double length, const Numbers& contact,
     double (&cost)[2]

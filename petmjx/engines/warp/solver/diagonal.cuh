@@ -1,5 +1,5 @@
 // The inverse of a diagonal tile's factor: D = UᵀU, and W = U⁻¹, an upper triangle. Dividing by U is then a product
-// with W. By one warp.
+// with W. Called by one warp.
 
 #ifndef PETMJX_DIAGONAL_CUH
 #define PETMJX_DIAGONAL_CUH
@@ -28,8 +28,9 @@ inline __device__ float inverse_root(float x) {
     return y;
 }
 
-// Two rows that are eliminated at once: by the first, and by the second minus b/a times the first. So no division waits
-// for another. Their pivots are a b; b c, and the second pivot then is (a·c − b²)/a.
+// Two pivot rows that are eliminated at once. Other rows are reduced by the first row, and by the second row minus b/a
+// times the first. So no division waits for another. The two rows' own columns hold a b; b c. The second pivot is then
+// (a·c − b²)/a.
 struct Pivots {
     float a, b, determinant, over_a, over_determinant, factor;
 
@@ -50,8 +51,8 @@ struct Pivots {
         store_two(own, x, y);
     }
 
-    // The rest of a number v of another row. `one`, `two`: the numbers of the two rows in the column of that row's
-    // pivot.
+    // A number v of another row, after the elimination. `one`, `two`: the numbers of the two rows in the column of
+    // that row's pivot. `x`, `y`: the results of `first` and `second`.
     inline __device__ float left(float v, float one, float two, float x, float y) const {
         return v - fused(one, x, times(fused(-factor, one, two), y));
     }
@@ -82,8 +83,8 @@ struct ByPairs {
     }
 };
 
-// The same to the last bit, in four times as much code and two thirds of the time. Only the rest of rows is read and
-// subtracted. Every second pair of rows is exchanged between lanes, without shared memory.
+// The same to the last bit, in four times as much code and two thirds of the time. Only the remaining part of a row
+// is read and subtracted. Every second pair of rows is exchanged between lanes, without shared memory.
 struct ByFours {
     static inline __device__ void eliminate(Diagonal& tile, float (&v)[B], float* W, float* own, int lane) {
         W += (lane - B) * PITCH, own += (lane - B) * B;
@@ -120,7 +121,8 @@ struct ByPairs {};
 struct ByFours {};
 #endif
 
-// W of D, PITCH numbers a row, and at `own`, 16 numbers a row. By one warp. WAY: ByPairs or ByFours.
+// Finds W of D, and stores it at `W`, PITCH numbers a row, and at `own`, 16 numbers a row. Called by one warp. WAY:
+// ByPairs or ByFours.
 template <class WAY>
 inline CUDA_CALLABLE void factor_diagonal(Diagonal& tile, float* W, float* own, int lane) {
 #if defined(__CUDA_ARCH__)

@@ -137,7 +137,7 @@ inline void own_entries(const World& world, const System& system, int, int) {
     }
 }
 
-// The entries of two bodies that touch, likewise.
+// The entries of two bodies that touch, also as rows of six numbers.
 inline void pair_entries(const World& world, const System& system, int pairs, int, int) {
     const int* body = world.body;
     for (int pair = 0; pair < pairs; ++pair) {
@@ -170,7 +170,7 @@ inline void pair_entries(const World& world, const System& system, int pairs, in
 }
 #endif
 
-// H = M + Jᵀ·s″·J within its envelope, upper triangle, in whole tiles. Rows beyond its end: identity.
+// H = M + Jᵀ·s″·J within its envelope, upper triangle, in whole tiles. Rows beyond the last body: identity.
 inline CUDA_CALLABLE void hessian(const World& world, const System& system, int pairs, int thread, int threads) {
     const float nothing[4] = {0.0f, 0.0f, 0.0f, 0.0f};
     #pragma unroll 1

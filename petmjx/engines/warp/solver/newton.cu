@@ -16,7 +16,7 @@ namespace petmjx {
 // the cost still decreases there. Smaller shares save no iteration.
 const double ENOUGH_SLOPE = 0.1;
 
-const double INFINITE = 1e300;  // the step that a singular Hessian may give, instead of NaN
+const double INFINITE = 1e300;  // a singular Hessian may give an infinite step instead of NaN
 
 // One of six numbers. On a GPU they stay in registers; an array with a variable index would be in memory.
 template <class Six>
@@ -83,8 +83,8 @@ inline CUDA_CALLABLE double gradient(const World& world, float* rhs, double* par
     return bound[0];
 }
 
-// Layout of a block's system, kept from call to call. It is found again when a world's contacts or the order of its
-// bodies have changed, as in a block's first step of a world.
+// Layout of a block's system, kept from call to call. It is made anew when a world's contacts or the order of its
+// bodies have changed, and in a block's first step of a world.
 template <int PANELS>
 struct Layout {
     int top[PANELS], base[PANELS + 1];  // of the system
@@ -93,8 +93,8 @@ struct Layout {
     double trace;  // of M
 };
 
-// Finds the layout, and the first contact of each pair; the contacts of a pair are contiguous. `low`: by position, the
-// lowest position that a body touches, or its own.
+// Makes the layout, and finds the first contact of each pair; the contacts of a pair are contiguous. `low`: by a body's
+// position, the lowest position of a body that it touches, or its own.
 template <int PANELS>
 inline CUDA_CALLABLE void lay_out(
     const World& world, const int* low, Factoring<PANELS>& factoring, Layout<PANELS>& layout, double* partial, int thread,
@@ -174,7 +174,7 @@ inline CUDA_CALLABLE void newton(
     float* rhs = own.rhs;
     double* partial = own.partial;
 
-    if (WARP == 1) thread = 0, threads = 1;  // so that the compiler knows
+    if (WARP == 1) thread = 0, threads = 1;  // constants for the compiler
     const int at_once = Factoring<PANELS>::AT_ONCE;
     const int pyramidal = model.pyramidal;
     const double impratio_invsqrt = model.impratio_invsqrt, slack = model.slip_slack;
@@ -227,7 +227,7 @@ inline CUDA_CALLABLE void newton(
         for (int i = thread; i < nv; i += threads)
             if (world.body_conadr[i / 6] == world.body_conadr[i / 6 + 1]) qacc[i] = world.qacc_smooth[i];
     }
-    // On a CPU nothing is shared, and so nothing is kept.
+    // On a CPU there is no shared memory, so no layout is kept.
     if ((begun == 0 && changed) || WARP == 1) lay_out(world, low, factoring, layout, partial, thread, threads);
     else wait_for_all();
     const double enough = model.tolerance * layout.trace;  // MuJoCo measures costs in units of the inertia's trace
@@ -246,8 +246,8 @@ inline CUDA_CALLABLE void newton(
     bool last = false;
     #pragma unroll 1
     for (int iteration = begun;; ++iteration) {
-        // The stored forces belong to the accelerations before the last iteration. They are found once more only if
-        // wanted.
+        // The stored forces belong to the accelerations before the last iteration. They are computed anew only if
+        // the caller wants forces.
         const bool ends = last || iteration >= limit;
         if (ends && !forces) break;
         #pragma unroll 1
@@ -265,12 +265,12 @@ inline CUDA_CALLABLE void newton(
         }
         wait_for_all();
         if (ends) {
-            // Whether the forces of a solver that was stopped are in balance: kernels/samples.py, is_unbalanced.
+            // The gradient shows whether the forces of a stopped solver are in balance (samples.py, is_unbalanced).
             if (iteration >= limit) gradient(world, rhs, partial, thread);
             break;
         }
         const double bound = gradient(world, rhs, partial, thread);
-        // Since H ≥ M, the cost can decrease by at most this.
+        // Since H ≥ M, the cost can decrease by at most half of this bound.
         if (!(0.5 * bound > enough)) break;
         if (thread == 0) work.solver_niter.data[at] = iteration + 1;
         hessian(world, system, pairs, thread, threads);
@@ -309,8 +309,8 @@ inline CUDA_CALLABLE void newton(
         }
         #pragma unroll 1
         for (int i = thread; i < nv; i += threads) qacc[i] += length * search[i];
-        // Drags take the whole step, even if accelerations take only a part of it. This needs 20 iterations, and 25
-        // otherwise.
+        // Drags take the whole step, even if accelerations take only a part of it. The solver then needs 20
+        // iterations, otherwise 25.
         #pragma unroll 1
         for (int k = thread; k < ncon; k += threads) {
             if (!pyramidal) follow(Jaref + 3 * k, jv + 3 * k, world.drag + 2 * k);

@@ -16,13 +16,13 @@ Five things make it fast:
 - Each world stops as early as it can. Since H ≥ M, the cost can decrease by at most ½ gᵀM⁻¹g. This bound shows before
   each factorisation whether another iteration can help.
 - Friction of sliding contacts is an unknown of its own. The cost of sliding is nearly a norm, μ·p·|j|. Its curvature
-  μ·p/|j|·(I − j·jᵀ/|j|²) leaps from nothing (along j) to that of sticking within a tiny step, so that line searches end
-  at such kinks: plain Newton, also MuJoCo's, takes 30 iterations and more while a pallet slides. So j/|j| in it is
-  replaced by a vector w, |w| ≤ 1, that follows |j|·w = j linearised (Chan, Golub and Mulet, "A nonlinear primal-dual
-  method for total variation-based image restoration", SIAM J. Sci. Comput. 20, 1999; Andersen and others, "An efficient
-  primal-dual interior-point method for minimizing a sum of Euclidean norms", the same, 22, 2000). The minimum is the
-  same, and each direction descends. Iterations are nearly halved while a pallet slides, and a line search takes a
-  quarter of the evaluations.
+  μ·p/|j|·(I − j·jᵀ/|j|²) leaps from nothing (along j) to the curvature of sticking within a tiny step. Line searches
+  end at such kinks: plain Newton, also MuJoCo's, takes 30 iterations and more while a pallet slides. So j/|j| in the
+  curvature is replaced by a vector w, |w| ≤ 1, that follows |j|·w = j linearised (Chan, Golub and Mulet, "A nonlinear
+  primal-dual method for total variation-based image restoration", SIAM J. Sci. Comput. 20, 1999; Andersen and others,
+  "An efficient primal-dual interior-point method for minimizing a sum of Euclidean norms", SIAM J. Sci. Comput. 22,
+  2000). The minimum is the same, and each direction descends. Iterations are nearly halved while a pallet slides, and a
+  line search takes a quarter of the evaluations.
 
 Accelerations, residuals, forces and gradients are double precision; H and its factor are single precision. Rounding in
 the factor slows the convergence a little; rounding in the gradient would stop it. Every sum has a fixed order, so a

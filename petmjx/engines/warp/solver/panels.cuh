@@ -8,12 +8,12 @@
 
 namespace petmjx {
 
-// A diagonal tile takes the first warp about as long as this many products; with two panels at a time, products of
-// both.
+// Number of products that take as long as the first warp needs for a diagonal tile. With two panels at a time, these
+// are products of both.
 const int DIAGONAL_PRODUCTS = 10;
 
-// Lists the panels after panel K whose columns reach up to it, and returns their number. By one warp. `top`: as in
-// System.
+// Lists the panels after panel K whose columns reach up to it, and returns their number. Called by one warp. `top`: as
+// in System.
 template <class Number>
 inline CUDA_CALLABLE int list_reaching(const int* top, int panels, int K, Number* list, int lane) {
     int found = 0;
@@ -33,7 +33,7 @@ inline CUDA_CALLABLE int list_reaching(const int* top, int panels, int K, Number
 }
 
 // Finds a row of U for the panels `reached`, from place `first` on. Writes it to its place and to the strip, whose
-// tiles are `apart` numbers apart. W: inverse of the diagonal tile's factor. A warp for each tile.
+// tiles are `apart` numbers apart. W: inverse of the diagonal tile's factor. Each tile has a warp.
 template <class Number>
 inline CUDA_CALLABLE void factor_row(
     const System& system, const float* inverse, int row, const Number* reached, int first, int end, int stride, float* strip,

@@ -15,7 +15,8 @@ inline CUDA_CALLABLE float dot(const float* x, int stride, const float* y) {
     return (sums[0] + sums[1]) + (sums[2] + sums[3]);
 }
 
-// Forward, panel K's part: y = U⁻ᵀ·g, also into `solved`. W: the inverse of its diagonal tile's factor. By one warp.
+// Forward substitution: panel K's part of y = U⁻ᵀ·g, also stored in `solved`. W: the inverse of the factor of the
+// panel's diagonal tile. Called by one warp.
 inline CUDA_CALLABLE void solve_forward(const System& system, const float* W, int K, float* solved, int lane) {
     float* rhs = system.rhs + K * B;
 #if defined(__CUDA_ARCH__)

@@ -25,7 +25,7 @@ struct Columns {
 
 struct System {
     // A, strip and rhs begin at multiples of 16 bytes.
-    float* A;         // H, then its factor in its place: U's tiles, and on the diagonal their inverses
+    float* A;         // H, then its factor in its place: U's tiles, on the diagonal their inverses
     float* strip;     // room for the tiles of a panel's row, or two panels' rows
     int panels;
     const int* top;   // (panels,) first panel that each panel's columns reach up to

@@ -2,9 +2,9 @@
 //
 // Tensor cores multiply numbers of 11 bits and add in single precision, but truncate instead of rounding. So each
 // number is split into an upper and a lower part, which together have 22 of its 24 bits. A product of tiles is the sum
-// of the three products of parts that count. The subtraction of this product is not done by the tensor cores (Ootomo
-// and Yokota, "Recovering single precision accuracy from Tensor Cores while surpassing the FP32 theoretical peak
-// performance", Int. J. High Perform. Comput. Appl. 36, 2022).
+// of three products of parts; the product of the lower parts is left out. The tensor cores do not subtract this product
+// from other numbers (Ootomo and Yokota, "Recovering single precision accuracy from Tensor Cores while surpassing the
+// FP32 theoretical peak performance", Int. J. High Perform. Comput. Appl. 36, 2022).
 
 #ifndef PETMJX_TILES_CUH
 #define PETMJX_TILES_CUH
@@ -23,8 +23,8 @@ const int PITCH = 24;  // distance of rows in a separate tile: four rows begin i
 
 const int TILE = B * B;
 
-// A lane's piece of a tile: rows 2·(lane / 4) and the next one, columns 4·(lane % 4) and the next three. On a CPU the
-// whole tile.
+// A lane's piece of a tile: rows 2·(lane / 4) and the next one, columns 4·(lane % 4) and the next three. On a CPU it is
+// the whole tile.
 #if defined(__CUDA_ARCH__)
 const int PIECE_ROWS = 2, PIECE_COLUMNS = 4;
 #else
@@ -67,7 +67,7 @@ inline CUDA_CALLABLE void subtract(Piece& from, const Piece& what) {
 }
 
 // A lane's part of one factor of a product. With tensor cores: of rows 8·i + lane % 4 and the fourth row after it,
-// columns 2·(lane / 4) and the next one, row by row. Else the whole tile.
+// columns 2·(lane / 4) and the next one, row by row. Otherwise the whole tile.
 struct Operand {
 #ifdef PETMJX_TENSOR_CORES
     float upper[2][4], lower[2][4];
