@@ -276,8 +276,8 @@ class Palletizing:
         Args:
             most: most boxes on the pallet, if fewer than ever: the program is smaller then.
         """
-        pile, statics = self._pile(state, most), state.statics if most is None else self._actions.no_boxes(most)
-        view: Any = self._actions.view(pile, statics)
+        statics: Any = state.statics if most is None else self._actions.no_boxes(most)
+        view: Any = self._actions.view(self._pile(state, most), statics)
 
         def goes_on(carry: tuple[State, jax.Array]) -> jax.Array:
             state, is_first = carry
