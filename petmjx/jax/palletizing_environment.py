@@ -34,7 +34,7 @@ MASKS: Final = {GEOMETRY: None, **{f"support_{100 * share:.0f}": share for share
 CELLS: Final = "cells"
 CANDIDATES: Final = "candidates"
 ACTIONS: Final = (CELLS, CANDIDATES)
-MOST_CANDIDATES: Final = 4096
+MOST_CANDIDATES: Final = 512
 
 _DRAWN: Final = 256
 """Number of orders instead of endless ones, since a program has arrays of fixed sizes."""
