@@ -95,9 +95,7 @@ def train(of: Training, folder: Path, report: Callable[[str], None]) -> Result:
                 "train_s": round(time.monotonic() - begin_s - compiled_s, 1),
                 "steps": n_steps,
                 "mean_return": [round(float(value), 3) for value in total / np.maximum(episodes, 1)],
-                "held_out_return": [
-                    round(float(value), 3) for value in pack(learner.layers, looked_at)[1].mean(axis=1)
-                ],
+                "held_out_return": [round(float(value), 3) for value in held_out],
             }
             rows.append(row)
             report(json.dumps(row))
