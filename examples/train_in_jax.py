@@ -10,6 +10,7 @@ candidate, so that what is learned of one place holds for all.
 from __future__ import annotations
 
 import argparse
+from functools import partial
 from typing import Any, NamedTuple
 
 import jax
@@ -26,6 +27,7 @@ OPTIONS: dict[str, Any] = {
     "inside_mm": 20.0,
     "max_height_mm": 2000.0,
     "cell_mm": 50.0,
+    "longest_wait_s": 2.0,  # all pallets wait for the one that trembles longest
     "rewards": {"utilisation": 20, "fall": 2},
 }
 
@@ -60,11 +62,11 @@ class Step(NamedTuple):
 
 
 class Learner(NamedTuple):
-    """What training changes: the networks, Adam's moments and count, the pallets, and the key."""
+    """What training changes: the networks, Adam's moments and number of steps, the pallets, and the key."""
 
     layers: Any
     moments: Any
-    count: jax.Array
+    n_steps: jax.Array
     pallets: Any
     key: jax.Array
 
@@ -138,7 +140,8 @@ def applied(layers: Any, x: jax.Array) -> jax.Array:
     """The outputs of a network."""
     for weights, bias in layers[:-1]:
         x = jax.nn.relu(x @ weights + bias)
-    return x @ layers[-1][0] + layers[-1][1]
+    out: jax.Array = x @ layers[-1][0] + layers[-1][1]
+    return out
 
 
 def network(layers: Any, x: Seen) -> tuple[jax.Array, jax.Array]:
@@ -219,7 +222,7 @@ def update(env: Any, steps: int, epochs: int, rate: float, learner: Learner) -> 
     """A rollout of ``steps`` of each pallet, and ``epochs`` over it. Pure: ``jax.vmap`` trains several seeds."""
     key, play_key, order_key = jax.random.split(learner.key, 3)
     n = len(learner.pallets[1].left)
-    play = jax.vmap(lambda *values: rollout(env, steps, *values), in_axes=(None, 0, 0), out_axes=(0, 1, 0))
+    play = jax.vmap(partial(rollout, env, steps), in_axes=(None, 0, 0), out_axes=(0, 1, 0))
     pallets, batch, last = play(learner.layers, learner.pallets, jax.random.split(play_key, n))
     advantage = advantages(batch, last)
     returns = advantage + batch.value
@@ -234,7 +237,7 @@ def update(env: Any, steps: int, epochs: int, rate: float, learner: Learner) -> 
 
     orders = jax.vmap(lambda k: jax.random.permutation(k, steps * n))(jax.random.split(order_key, epochs))
     parts = orders[:, : steps * n // size * size].reshape(-1, size)
-    carry, _ = jax.lax.scan(improve, (learner.layers, learner.moments, learner.count), parts)
+    carry, _ = jax.lax.scan(improve, (learner.layers, learner.moments, learner.n_steps), parts)
     ended = batch.over.sum()
     episodes = {"episodes": ended, "return": (batch.total * batch.over).sum() / jnp.maximum(ended, 1)}
     return Learner(*carry, pallets, key), episodes

@@ -223,6 +223,27 @@ def packers(
 
 
 @app.command()
+def training(
+    out_dir: Annotated[Path, typer.Argument(metavar="DIR", help="Folder for the policies and their plans.")],
+    engine: Annotated[str, typer.Option(metavar="NAME", help="Engine.")] = "mjx-warp",
+    seeds: Annotated[int, typer.Option(metavar="N", min=1, help="Seeds, side by side.")] = 3,
+    pallets: Annotated[int, typer.Option(metavar="N", min=1, help="Pallets of each seed.")] = 1024,
+    boxes: Annotated[int, typer.Option(metavar="N", min=1, help="Most boxes of a pallet.")] = 80,
+    packed: Annotated[int, typer.Option(metavar="N", min=1, help="Held-out orders whose plans are written.")] = 200,
+    most_s: Annotated[float, typer.Option(metavar="S", help="Training ends after this time.")] = 400.0,
+    out: Out = DEFAULT_OUT,
+) -> None:
+    """Curves of the recipe in JAX, with held-out orders, and plans for python -m benchmarks packers --other."""
+    from benchmarks.record import append_line, environment
+    from benchmarks.training_curves import Training, train
+
+    of = Training(engine, seeds=seeds, pallets=pallets, boxes=boxes, packed=packed, most_s=most_s)
+    result = train(of, out_dir, lambda line: print(line, flush=True))
+    append_line(out, {"case": "train-in-jax", **result, **environment()})
+    print(f"{out_dir}: policies.npz, plans-0.json …; mean returns {result['returns']}")
+
+
+@app.command()
 def reality(
     data: Annotated[
         Path, typer.Option(metavar="PATH", help="Folder with the file of tosses, or that file itself.")

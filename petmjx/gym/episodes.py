@@ -228,7 +228,7 @@ class Episodes:
             if len(episodes):
                 boxes = np.array([later[row][1][kind] for row, kinds in numbers.items() for kind in kinds])
                 self._actions.fill(table, np.arange(len(episodes)), *parts_of(boxes[:, None]), episodes)
-            has_action, at = iter(table.legal.any(axis=1).tolist()), 0
+            has_action, at = iter(np.asarray(table.legal.any(axis=1)).tolist()), 0
             for row, kinds in numbers.items():
                 legal = [kind for kind in kinds if next(has_action)]
                 if legal:

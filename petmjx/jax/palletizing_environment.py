@@ -34,7 +34,7 @@ MASKS: Final = {GEOMETRY: None, **{f"support_{100 * share:.0f}": share for share
 CELLS: Final = "cells"
 CANDIDATES: Final = "candidates"
 ACTIONS: Final = (CELLS, CANDIDATES)
-MOST_CANDIDATES: Final = 4096
+MOST_CANDIDATES: Final = 512
 
 _DRAWN: Final = 256
 """Number of orders instead of endless ones, since a program has arrays of fixed sizes."""
@@ -276,8 +276,8 @@ class Palletizing:
         Args:
             most: most boxes on the pallet, if fewer than ever: the program is smaller then.
         """
-        pile, statics = self._pile(state, most), state.statics if most is None else self._actions.no_boxes(most)
-        view: Any = self._actions.view(pile, statics)
+        statics: Any = state.statics if most is None else self._actions.no_boxes(most)
+        view: Any = self._actions.view(self._pile(state, most), statics)
 
         def goes_on(carry: tuple[State, jax.Array]) -> jax.Array:
             state, is_first = carry

@@ -178,7 +178,7 @@ def _lists(values: Sequence[NDArray[Any] | None], kind: pa.DataType) -> pa.Array
 
 def labels_of(table: pa.Table) -> list[Label]:
     """The labels of a table; lists of boxes are arrays."""
-    labels = table.to_pylist()
+    labels: list[Label] = table.to_pylist()
     for label in labels:
         for name in ("size_mm", "corner_mm", "mass_kg"):
             label[name] = np.array(label[name], float)
