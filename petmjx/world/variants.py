@@ -471,10 +471,10 @@ def _set_down(scene: Scene, half_size: FloatArray, start_pos: FloatArray, yaw: F
     least_bottom = np.where(stands, -math.inf, planned_bottom)
     half_z = np.broadcast_to(half_size[..., 2], start_pos.shape[:2])
     centre_z = planned_bottom + half_z
-    bears = below.any(axis=0)
-    left = bears.any(axis=1)
+    bears: NDArray[np.bool_] = np.any(below, axis=0)
+    left: NDArray[np.bool_] = np.any(bears, axis=1)
     while left.any():  # all boxes at once whose boxes below are in place
-        boxes = np.flatnonzero(left & ~(bears & left).any(axis=1))
+        boxes = np.flatnonzero(left & ~np.any(bears & left, axis=1))
         left[boxes] = False
         actual_top = np.where(below[:, boxes], (centre_z + half_z)[:, None], -math.inf).max(axis=2)
         bottom = np.maximum(actual_top + gap[boxes], least_bottom[boxes])
