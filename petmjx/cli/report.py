@@ -57,7 +57,7 @@ def _write_pdf(runs: Sequence[Path], pdf: Path, plans: Sequence[Path], *, overwr
     from petmjx.show.report.report_plans import find_report_plans
 
     if len(runs) != 1:
-        raise InputError(f"--pdf: is about one run, got {len(runs)}")
+        raise InputError(f"--pdf: takes exactly one run, got {len(runs)}")
     figure_files(pdf, None, None, overwrite, list(runs), list(plans))
     run = load_run(runs[0])
     count = write_load_unit_pages(run, find_report_plans(run, plans).plans, pdf)

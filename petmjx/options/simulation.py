@@ -293,7 +293,7 @@ class Simulation(CheckedRecord):
         way = self.placing.name
         if not self.placing.appears and self.check is Check.STATIC:
             raise complaint(
-                f"{way} needs check one-by-one: in a static check all boxes stand from the start", "placing"
+                f"{way} needs check='one-by-one': in a static check, all boxes are in place from the start", "placing"
             )
         if self.placing.carries and self.schedule is Schedule.FIXED:
             raise complaint(
