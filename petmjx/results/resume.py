@@ -114,8 +114,8 @@ def engine_of_run(folder: Path) -> str | None:
 def resume_state(
     folder: Path, manifest: Manifest | None, versions: Mapping[str, str]
 ) -> tuple[dict[str, Any], Parts, list[str]]:
-    """The ``run.json`` of the earlier run, its files, and warnings about worlds that lack data but are not simulated
-    again.
+    """The ``run.json`` of the earlier run, its files, and its warnings, to which different versions and missing
+    data add further ones.
 
     Args:
         versions: package → version, as in the resumed run.

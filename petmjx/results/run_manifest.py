@@ -218,8 +218,8 @@ def _settings_of_command(settings: Mapping[str, Any]) -> Mapping[str, Any]:
 
 
 def _with_later_fields(simulation: Mapping[str, Any]) -> dict[str, Any]:
-    """Options of a simulation, completed with fields that earlier versions did not write. Their values turn them
-    off."""
+    """Options of a simulation, completed with fields that earlier versions did not write, at values without
+    effect."""
     walls = Walls().model_dump(mode="json")
     later = {"walls": walls, **simulation}
     if isinstance(carrier := later.get("carrier"), Mapping):

@@ -135,7 +135,7 @@ def _rows_of_one_world(part: pa.Table, plan_id: str, variant: int) -> pa.Table:
 
 
 FINISHED: Final = "finished"
-"""The status of a run that simulated all its worlds."""
+"""The status of a run that came to its normal end."""
 
 
 @dataclass(frozen=True, eq=False)

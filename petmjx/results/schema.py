@@ -3,11 +3,11 @@
 The types, with reasons:
 
 - Texts are plain strings. On disk, Parquet encodes them with a dictionary anyway. In memory they have the same type for
-    all readers, whereas two pandas categoricals with different categories could not even be compared.
+  all readers, whereas two pandas categoricals with different categories could not even be compared.
 - ``worlds`` is float64, because times are float64 sums of the timestep and are compared exactly. ``boxes`` is forty
-    times as long, so its measured values are float32 and only its times are float64.
+  times as long, so its measured values are float32 and only its times are float64.
 - A value that does not exist is null: there is no culprit, a box was never placed, or a world never came to rest. The
-    ``reason`` of a stable world, however, is the empty string, since pandas drops null keys when grouping.
+  ``reason`` of a stable world, however, is the empty string, since pandas drops null keys when grouping.
 """
 
 from __future__ import annotations
@@ -280,7 +280,7 @@ def summary_table(
 
 
 _NUMBERS: Final = tuple(metric.name for metric in metrics.world_metrics() if metric.numbers)
-"""Columns of ``worlds`` whose values are numbers of boxes or steps."""
+"""Columns of ``worlds`` whose value is the number of a box or of a step."""
 
 
 def data_frame(table: pa.Table) -> pd.DataFrame:
