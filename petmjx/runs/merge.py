@@ -168,8 +168,8 @@ def _orders(runs: Sequence[RunResults]) -> OrderCheck | None:
     for run, check in zip(runs, checks, strict=True):
         if (check and check.digest) != (checks[0] and checks[0].digest):
             raise InputError(
-                f"{run.path}: compared with other orders than {runs[0].path}; use {option('--resume', 'True')} on one "
-                f"of them with the {option('--orders')} of the other; nothing is simulated again"
+                f"{run.path}: was checked against other orders than {runs[0].path}; resume one of the two runs with "
+                f"{option('--resume', 'True')} and the other's {option('--orders')} (nothing is simulated again)"
             )
     order_checks = [check for check in checks if check is not None]
     return joined_check(order_checks) if order_checks else None
