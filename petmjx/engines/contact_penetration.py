@@ -46,7 +46,7 @@ def stiffened_physics(physics: Physics, share: float) -> Physics:
         "solref": (time_s, damping),
         "solreffriction": (share * friction_s if friction_s > 0 else friction_s, friction_damping),
     }
-    return physics.model_copy(update=changed)  # not validated again, since the timestep may be below the limit for users
+    return physics.model_copy(update=changed)  # not validated again: the timestep may be below the limit for users
 
 
 def contact_penetration_m(scene: Scene, physics: Physics, top_force_n: FloatArray, enough_m: float = 0.0) -> FloatArray:
