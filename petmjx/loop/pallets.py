@@ -18,7 +18,7 @@ from petmjx.common.errors import InputError
 from petmjx.common.units import MM_PER_M, FloatArray
 from petmjx.engines.protocol import Engine
 from petmjx.engines.verdict import Outcome
-from petmjx.loop.candidate_places import Places, free_places
+from petmjx.loop.candidate_places import LARGEST_GAP_MM, Places, free_places
 from petmjx.loop.candidate_trials import drive_of, driven_results, errors_asked, errors_of, shares
 from petmjx.loop.engine_setup import MOST_PALLETS, OF_RUN, Closable, check_open, open_engine
 from petmjx.loop.height_maps import height_maps
@@ -390,6 +390,7 @@ class Pallets(Closable):
         max_height_mm: float = 2000.0,
         grid_mm: FloatArray | None = None,
         least_support: float = 0.0,
+        gap_mm: float = 0.0,
         hulls: bool = True,
     ) -> Places:
         """Places where boxes could go: the extreme points of pallets inside the carrier, at the heights at which a box
@@ -400,6 +401,7 @@ class Pallets(Closable):
             max_height_mm: highest top of a box.
             grid_mm: (p, 2) corners on the carrier instead of the extreme points.
             least_support: smallest supported share of a box's base, from 0 to 1.
+            gap_mm: free space between a box and its neighbours along x and y, which a robot needs.
             hulls: whether to find ``Places.centred``, which doubles the time.
 
         Raises:
@@ -410,7 +412,10 @@ class Pallets(Closable):
             highest = number_of(max_height_mm, "max_height_mm", 0.0)
             grid = None if grid_mm is None else grid_of(grid_mm, self.extent_mm)
             least, centred = number_of(least_support, "least_support", 0.0, 1.0), flag_of(hulls, "hulls")
-            return free_places(self._boxes, request, self.extent_mm, highest, grid, least_support=least, hulls=centred)
+            gap = number_of(gap_mm, "gap_mm", 0.0, LARGEST_GAP_MM)
+            return free_places(
+                self._boxes, request, self.extent_mm, highest, grid, least_support=least, gap_mm=gap, hulls=centred
+            )
 
     def show(self, pallet: int = 0, *, size: tuple[int, int] = (640, 480), view: str = "iso") -> NDArray[np.uint8]:
         """(height, width, 3) a picture of a pallet in its current state. Boxes are coloured by their order.
