@@ -23,8 +23,9 @@ from petmjx.plans.plan_writer import save_plans
 from petmjx.repairs.changes import Change, Kind, applied, cost_of
 from petmjx.repairs.drafts import Draft
 from petmjx.repairs.repair_options import RepairOptions
-from petmjx.repairs.search import Search, State
+from petmjx.repairs.search import Search
 from petmjx.repairs.search_processes import OutOfTime, run_searches
+from petmjx.repairs.states import State
 from petmjx.repairs.trials import OF_RUN, Asked, Question, Share, Trial
 from petmjx.results.notebook_tables import ShownColumn, block_as_html, table_as_html
 from petmjx.results.plan_lookup import plans_in_place

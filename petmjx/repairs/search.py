@@ -28,15 +28,13 @@ from petmjx.repairs.drafts import Draft, Rules
 from petmjx.repairs.proposals import Limits, Proposal, lifted_with, proposals, targets
 from petmjx.repairs.rebuilds import rebuilds
 from petmjx.repairs.repair_options import RepairOptions
+from petmjx.repairs.states import AT_ONCE, Candidate, Node, State, batch_of, key_of, n_counted, shortest, way_of
 from petmjx.repairs.trials import Asked, Trial
 
 Asking = Generator[list[Asked], list[Trial], None]
 
 BEAM: Final = 4
 """Number of changed plans that are changed further at once."""
-
-AT_ONCE: Final = 24
-"""Number of changed plans that are judged at once. If one stands, as many more are judged for the choice by errors."""
 
 MOST_RANKED: Final = 168
 """Allowed changes of a plan that are kept, the most promising ones."""
@@ -47,9 +45,6 @@ MOST_COUNTED: Final = 12
 PILE: Final = 4.0
 """Boxes that must be taken off with one that falls and count as a fault of their own: a large pile has no other place,
 and hides faults of its own."""
-
-PER_BATCH: Final = 0.25
-"""A plan of which ``AT_ONCE`` changes were judged in vain counts as if it needed so much of a change more."""
 
 ALONE: Final = 0.7
 """Share of all trials in which only single changes are tried. A plan that falls even then has faults all over: it is
@@ -92,74 +87,6 @@ SAME_WEAKNESS: Final = 0.25
 
 UNSOLVED: Final = 3.0
 """Weight of the first cause if it remains."""
-
-
-@dataclass(frozen=True, eq=False)
-class State:
-    """A changed plan that was simulated.
-
-    Attributes:
-        draft: the changed plan.
-        changes: the changes.
-        trial: its simulation.
-        faults: an estimate of the changes that are still needed.
-    """
-
-    draft: Draft
-    changes: tuple[Change, ...]
-    trial: Trial
-    faults: float = math.inf
-
-    @property
-    def cost(self) -> float:
-        """The cost of the changes."""
-        return cost_of(self.changes)
-
-
-@dataclass(frozen=True, eq=False)
-class _Candidate:
-    """A changed plan before its simulation.
-
-    Attributes:
-        proposal: the changes that make it of another state's plan.
-        key: its rank: smaller is better.
-        parent: the other state.
-    """
-
-    draft: Draft
-    changes: tuple[Change, ...]
-    proposal: Proposal
-    trouble: float
-    key: float
-    parent: State
-
-
-@dataclass(eq=False)
-class _Node:
-    """A changed plan that may be changed further.
-
-    Attributes:
-        queue: its allowed changes that were not judged, the most promising first; None: not proposed yet.
-        n_judged: its changes that were judged.
-        is_anew: whether it was built anew.
-    """
-
-    state: State
-    queue: list[_Candidate] | None = None
-    n_judged: int = 0
-    is_anew: bool = False
-
-    @property
-    def n_expected(self) -> float:
-        """The number of changes of a repair by way of this plan, by the estimate of its faults."""
-        return len(self.state.changes) + self.state.faults
-
-    @property
-    def key(self) -> tuple[float, int, int, float]:
-        """Its rank: smaller is better. Plans of which many changes were judged in vain wait."""
-        state = self.state
-        n_held, n_standing = state.trial.progress
-        return self.n_expected + PER_BATCH * (self.n_judged // AT_ONCE), -n_held, -n_standing, state.cost
 
 
 @dataclass(eq=False)
@@ -273,8 +200,8 @@ class Search:
         limits = Limits(kinds, options.most_move_mm, options.sheet_mm, options.sheet_kg_m2)
         last, alone = self.n_trials + most_trials, self.n_trials + int(ALONE * most_trials)
         faults = yield from self._faults(start, math.inf)
-        nodes = [_Node(replace(state, faults=count)) for state, count in zip(start, faults, strict=True)]
-        ways = {_way(node.state) for node in nodes}
+        nodes = [Node(replace(state, faults=count)) for state, count in zip(start, faults, strict=True)]
+        ways = {way_of(node.state) for node in nodes}
         standing: list[State] = []
         is_late = False
         while self.n_trials < last:
@@ -290,26 +217,26 @@ class Search:
             queues = self._queues(nodes, limits, anew=is_late)
             if not queues:
                 break
-            batch = _batch(queues, min(2 * AT_ONCE if is_late else AT_ONCE, last - self.n_trials))
+            batch = batch_of(queues, min(2 * AT_ONCE if is_late else AT_ONCE, last - self.n_trials))
             states = yield from self._judged(batch)
             if any(state.trial.stands for state in states):  # further plans may stand more often with errors
-                next_candidates = _batch(queues, min(AT_ONCE, last - self.n_trials))
+                next_candidates = batch_of(queues, min(AT_ONCE, last - self.n_trials))
                 batch, states = batch + next_candidates, states + (yield from self._judged(next_candidates))
                 confirmed = yield from self._confirmed(states)
                 shortened = yield from self._pruned(confirmed, judged=True)
                 if shortened and not standing:
                     last = min(last, self.n_trials + int(SHORTER * most_trials))
-                standing = _shortest([*standing, *shortened])
+                standing = shortest([*standing, *shortened])
                 self.repairs = tuple(standing)
             states = yield from self._counted(states, batch)
-            for state in sorted(states, key=lambda state: _Node(state).key):
-                if self._is_short(state) and not state.trial.stands and (way := _way(state)) not in ways:
+            for state in sorted(states, key=lambda state: Node(state).key):
+                if self._is_short(state) and not state.trial.stands and (way := way_of(state)) not in ways:
                     ways.add(way)
-                    nodes.append(_Node(state))
+                    nodes.append(Node(state))
         nodes.sort(key=lambda node: (node.n_expected, node.key))
         return standing, [node.state for node in nodes[:BEAM]]
 
-    def _nearly(self, nodes: Sequence[_Node]) -> Generator[list[Asked], list[Trial], list[State]]:
+    def _nearly(self, nodes: Sequence[Node]) -> Generator[list[Asked], list[Trial], list[State]]:
         """The shortest of the plans with a single fault that stand when scored: a box tilts, and leans."""
         if self.options.profile is not None:
             return []
@@ -317,9 +244,9 @@ class Search:
         chosen = chosen[:MOST_NEARLY]
         trials = (yield from self._simulated([state.draft for state in chosen])) if chosen else []
         scored = [replace(state, trial=trial) for state, trial in zip(chosen, trials, strict=True)]
-        return _shortest([state for state in scored if state.trial.stands])
+        return shortest([state for state in scored if state.trial.stands])
 
-    def _queues(self, nodes: Sequence[_Node], limits: Limits, *, anew: bool) -> list[list[_Candidate]]:
+    def _queues(self, nodes: Sequence[Node], limits: Limits, *, anew: bool) -> list[list[Candidate]]:
         """Changes of the best nodes that were not judged; if wanted, these plans built anew, unless they were."""
         if anew and Kind.PLACE in limits.kinds:
             chosen = [node for node in nodes if not node.is_anew][:MOST_ANEW]
@@ -340,13 +267,13 @@ class Search:
                 break
         return queues
 
-    def _judged(self, batch: Sequence[_Candidate]) -> Generator[list[Asked], list[Trial], list[State]]:
+    def _judged(self, batch: Sequence[Candidate]) -> Generator[list[Asked], list[Trial], list[State]]:
         """The states of candidates that are only judged."""
         trials = (yield from self._simulated([c.draft for c in batch], judged=True)) if batch else []
         return [State(c.draft, c.changes, trial) for c, trial in zip(batch, trials, strict=True)]
 
     def _counted(
-        self, states: Sequence[State], batch: Sequence[_Candidate]
+        self, states: Sequence[State], batch: Sequence[Candidate]
     ) -> Generator[list[Asked], list[Trial], list[State]]:
         """The states with their faults. The faults of the most promising ones are counted, of each way to change a plan
         one; the others are taken to have as many as before."""
@@ -358,7 +285,7 @@ class Search:
 
         different: dict[tuple[object, ...], int] = {}
         for k in sorted(range(len(states)), key=rank):
-            different.setdefault(_way(states[k]), k)
+            different.setdefault(way_of(states[k]), k)
         chosen = [*different.values()][:MOST_COUNTED]
         faults = [0.0 if state.trial.stands else c.parent.faults for state, c in zip(states, batch, strict=True)]
         counts = yield from self._faults([states[k] for k in chosen], max((faults[k] for k in chosen), default=0.0))
@@ -413,7 +340,7 @@ class Search:
         numbers = [k for k, state in enumerate(states) if state.trial.stands]
         weakness = dict(zip(numbers, self._weakness([states[k] for k in numbers]), strict=True))
         for k in sorted(numbers, key=lambda k: (len(states[k].changes), weakness[k], states[k].cost)):
-            way = _way(states[k])
+            way = way_of(states[k])
             queue.append((len(states[k].changes), ways[way], k))  # one change of each way first
             ways[way] += 1
         queue.sort(key=lambda place: place[:2])
@@ -431,9 +358,9 @@ class Search:
 
     def _is_short(self, state: State) -> bool:
         """Whether a state may be changed further."""
-        return _n_counted(state.changes) < self.options.most_changes
+        return n_counted(state.changes) < self.options.most_changes
 
-    def _ranked(self, state: State, limits: Limits, *, anew: bool = False) -> list[_Candidate]:
+    def _ranked(self, state: State, limits: Limits, *, anew: bool = False) -> list[Candidate]:
         """Allowed changes of a plan, or ways to build it anew, the most promising first."""
         (balance,) = balances([state.draft], self.sim)
         trial = state.trial
@@ -450,7 +377,7 @@ class Search:
             draft = applied(state.draft, proposal)
             if draft is None:
                 continue
-            key = _key(draft)
+            key = key_of(draft)
             if key not in self._seen:
                 self._seen.add(key)
                 drafts.append(draft)
@@ -465,16 +392,16 @@ class Search:
             draft = drafts[number]
             if len(changes) < len(state.changes) + len(proposal):  # some changes became one
                 merged = applied(self._start, changes)
-                if merged is None or _key(merged) != _key(draft):
+                if merged is None or key_of(merged) != key_of(draft):
                     changes = (*state.changes, *proposal)
-            if _n_counted(changes) > self.options.most_changes:
+            if n_counted(changes) > self.options.most_changes:
                 continue
             unsolved = first is not None and after.depth_of(first.box) > 0
             risk = after.trouble + PER_WEAKNESS * after.weakness
             rank = risk + UNSOLVED * unsolved + PER_COST * cost_of(proposal)
-            ranked.append(_Candidate(draft, changes, proposal, after.trouble, rank, state))
+            ranked.append(Candidate(draft, changes, proposal, after.trouble, rank, state))
         ranked.sort(key=lambda candidate: candidate.key)
-        self._seen.difference_update(_key(candidate.draft) for candidate in ranked[MOST_RANKED:])
+        self._seen.difference_update(key_of(candidate.draft) for candidate in ranked[MOST_RANKED:])
         return ranked[:MOST_RANKED]
 
     # ------------------------------------------------------------------ the end
@@ -483,10 +410,10 @@ class Search:
         """Take back needless changes, and keep the repairs with the fewest changes."""
         fewest = min(len(state.changes) for state in standing)
         reduced = []
-        for state in _shortest(standing)[: min(MOST_FINALISTS, max(MOST_UNDONE // fewest, 1))]:
+        for state in shortest(standing)[: min(MOST_FINALISTS, max(MOST_UNDONE // fewest, 1))]:
             reduced.append((yield from self._reduced(state)))
-        pruned = _shortest((yield from self._pruned(reduced, judged=fewest > MOST_UNDONE)))
-        different = [*{_key(state.draft): state for state in pruned}.values()]
+        pruned = shortest((yield from self._pruned(reduced, judged=fewest > MOST_UNDONE)))
+        different = [*{key_of(state.draft): state for state in pruned}.values()]
         ranks = zip(self._weakness(different), (math.floor(state.cost / SAME_COST) for state in different), strict=True)
         self.repairs = tuple(state for _, state in sorted(zip(ranks, different, strict=True), key=lambda p: p[0]))
 
@@ -554,49 +481,6 @@ class Search:
         return [round((balance.weakness + balance.trouble) / SAME_WEAKNESS) for balance in some]
 
 
-def _n_counted(changes: Sequence[Change]) -> int:
-    """Number of changes but for boxes that are left out."""
-    return sum(change.kind is not Kind.LEAVE_OUT for change in changes)
-
-
-def _shortest(states: Sequence[State]) -> list[State]:
-    """The states with the fewest changes."""
-    fewest = min((len(state.changes) for state in states), default=0)
-    return [state for state in states if len(state.changes) == fewest]
-
-
 def _lost(draft: Draft, trial: Trial) -> int:
     """The box that fell first; if none is known, the one that was placed last."""
     return draft.order[min(trial.n_placed, len(draft.order)) - 1] if trial.culprit is None else trial.culprit
-
-
-def _way(state: State) -> tuple[object, ...]:
-    """Equal for repairs that change the same boxes in the same ways by different amounts."""
-    return tuple((change.kind, change.boxes) for change in state.changes)
-
-
-def _batch(queues: Sequence[list[_Candidate]], count: int) -> list[_Candidate]:
-    """Take equally many candidates off each ranked queue: the first of each way to change a box, then the second of
-    each. The first candidates by statics are often one move by many amounts."""
-    batch = []
-    for queue in queues:
-        ways: Counter[tuple[object, ...]] = Counter()
-        turns = []
-        for rank, candidate in enumerate(queue):
-            change = candidate.proposal[-1]
-            way = change.kind, change.boxes[:1], len(candidate.proposal) > 1
-            turns.append((ways[way], rank))
-            ways[way] += 1
-        chosen = [rank for _, rank in sorted(turns)[: max(count, 0) // len(queues)]]
-        batch += [queue[rank] for rank in chosen]
-        for rank in sorted(chosen, reverse=True):
-            del queue[rank]
-    return batch
-
-
-def _key(draft: Draft) -> bytes:
-    """Equal for drafts that are the same."""
-    order = np.array(draft.order)
-    places = np.round(np.hstack([draft.corner_mm, draft.size_mm])[order], 3)
-    key: bytes = order.tobytes() + places.tobytes() + np.array(draft.film_turns).tobytes()
-    return key

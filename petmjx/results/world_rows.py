@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import time
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -32,22 +33,38 @@ def _block_columns() -> list[Column]:
     return [*box_columns(), *FORCE_INTERVAL]
 
 
-def _block_rows() -> Iterator[tuple[int | slice, str]]:
-    """The row of a block, or the rows of its components, and the field of ``BoxMetrics``, of each metric of boxes."""
-    first = 0
-    for metric in box_metrics():
-        end = first + len(metric.columns)
-        yield (slice(first, end) if end > first + 1 else first), metric.attribute
-        first = end
+class _Layout:
+    """What a row takes from an outcome: a loop over the metrics of each world takes longer than their values.
+
+    Attributes:
+        of_boxes: the metrics of boxes.
+        cells: columns of ``worlds`` that are fields of an outcome.
+        cells_of: their values.
+        numbers: those that are numbers of boxes or steps.
+        block_of: the values of the metrics of boxes.
+        block_rows: the row of a block for each of these metrics, or the rows of its components.
+        n_rows: number of rows of a block.
+    """
+
+    def __init__(self) -> None:
+        self.of_boxes = box_metrics()
+        self.cells = ("culprit", *_OF_OUTCOME, *(metric.name for metric in world_metrics()))
+        self.cells_of = attrgetter(*self.cells)
+        self.numbers = ("culprit", *(metric.name for metric in world_metrics() if metric.numbers))
+        self.block_of = attrgetter(*(metric.attribute for metric in self.of_boxes))
+        ends = [0, *itertools.accumulate(len(metric.columns) for metric in self.of_boxes)]
+        self.block_rows = [slice(begin, end) if end > begin + 1 else begin for begin, end in itertools.pairwise(ends)]
+        self.n_rows = len(_block_columns())
 
 
-# a loop over these for each world takes longer than the values
-_NUMBERS: Final = ("culprit", *(metric.name for metric in world_metrics() if metric.numbers))
-_CELLS: Final = ("culprit", *_OF_OUTCOME, *(metric.name for metric in world_metrics()))
-_CELLS_OF: Final = attrgetter(*_CELLS)
-_N_COLUMNS: Final = len(_block_columns())
-_BLOCK_ROWS: Final = tuple(_block_rows())
-_BLOCK_OF: Final = attrgetter(*(attribute for _, attribute in _BLOCK_ROWS))
+_layouts: Final[list[_Layout]] = []
+
+
+def _layout() -> _Layout:
+    """The layout of the metrics as they are now."""
+    if not _layouts or _layouts[0].of_boxes is not box_metrics():
+        _layouts[:] = [_Layout()]
+    return _layouts[0]
 
 
 @dataclass(frozen=True, eq=False)
@@ -101,14 +118,15 @@ class Row:
         if not n == plan.n_boxes == len(outcome.boxes.max_tilt_deg) or n == 0:
             raise ValueError(f"plan {plan.plan_id} has {plan.n_boxes} boxes, its outcome {n}")
         cells: dict[str, Any] = {"plan_id": plan.plan_id, "variant": variant, RANK: rank, "schedule": schedule}
-        cells |= zip(_CELLS, _CELLS_OF(outcome), strict=True)
-        for name in _NUMBERS:
+        layout = _layout()
+        cells |= zip(layout.cells, layout.cells_of(outcome), strict=True)
+        for name in layout.numbers:
             if cells[name] < 0:
                 cells[name] = None
         cells |= params
-        block = np.full((_N_COLUMNS, n), np.nan)
+        block = np.full((layout.n_rows, n), np.nan)
         placed = slice(outcome.n_placed)  # boolean columns read NaN as "no"
-        for (rows, _), values in zip(_BLOCK_ROWS, _BLOCK_OF(outcome.boxes), strict=True):
+        for rows, values in zip(layout.block_rows, layout.block_of(outcome.boxes), strict=True):
             block[rows, placed] = np.asarray(values)[placed].T
         if interval_n is not None:
             block[-len(FORCE_INTERVAL) :, placed] = interval_n[placed].T
@@ -176,7 +194,7 @@ class Part:
     @cached_property
     def _blocks(self) -> tuple[FloatArray, NDArray[np.int64]]:
         """(columns, boxes) all box metrics of the part, and the number of boxes of each world."""
-        blocks = np.concatenate([np.empty((_N_COLUMNS, 0)), *(row.block for row in self.rows)], axis=1)
+        blocks = np.concatenate([np.empty((len(_block_columns()), 0)), *(row.block for row in self.rows)], axis=1)
         return blocks, np.array([row.block.shape[1] for row in self.rows], dtype=np.int64)
 
 

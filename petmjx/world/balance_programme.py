@@ -170,9 +170,10 @@ def _least(
     from scipy.optimize import Bounds, LinearConstraint, milp  # takes a second to load; few plans need it
     from scipy.sparse import csc_array
 
-    column, row = np.nonzero(rows.T)
-    begins = np.searchsorted(column, np.arange(rows.shape[1] + 1)).astype(np.int32)
-    table = csc_array((rows[row, column], row.astype(np.int32), begins), shape=rows.shape)
+    row, column = np.nonzero(rows)
+    order = np.argsort(column, kind="stable")
+    begins = np.searchsorted(column[order], np.arange(rows.shape[1] + 1)).astype(np.int32)
+    table = csc_array((rows[row, column][order], row[order].astype(np.int32), begins), shape=rows.shape)
     result = milp(cost, constraints=LinearConstraint(table, least, most), bounds=Bounds(0.0, bound))
     answer: FloatArray | None = result.x
     return answer

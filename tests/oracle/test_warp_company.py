@@ -241,7 +241,7 @@ def test_blocks_take_the_longest_worlds_of_their_size_first() -> None:
     assert np.asarray(queues.order).tolist() == [[5, 3] + [-1] * 6, [4, 0, 2] + [-1] * 5]
 
 
-def test_on_a_cpu_worlds_that_have_been_placed_go_on_before_others_begin() -> None:
+def test_worlds_on_their_way_come_first_on_a_cpu_all_that_have_been_placed() -> None:
     queues = Queues(["12"], lambda job: "12", rows=4, depth_first=MjxWarpCpuEngine.depth_first)
     push = Drive(Excitation("push", "force", np.zeros((1, 3))))
     kept: Any = object()
@@ -250,6 +250,12 @@ def test_on_a_cpu_worlds_that_have_been_placed_go_on_before_others_begin() -> No
     assert np.asarray(queues.order).tolist() == [[1, 2, 0, -1]]
     queues.add([Job(make_scene(3), push, start=kept)], np.array([3]), np.arange(4) < 4, SHORT)
     assert np.asarray(queues.order).tolist() == [[3, 1, 2, 0]], "the latest first"
+    queues = Queues(["12"], lambda job: "12", rows=4, depth_first=MjxWarpEngine.depth_first)
+    second_leg = Job(make_scene(3), push, start=kept, poses=np.zeros((3, 7)))
+    queues.add([*jobs, second_leg], np.arange(4), np.arange(4) < 4, SHORT)
+    order = np.asarray(queues.order)[0].tolist()
+    assert order[0] == 3
+    assert order[-1] == 0, "the others by their length"
 
 
 @pytest.mark.gpu

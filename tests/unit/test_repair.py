@@ -24,8 +24,9 @@ from petmjx.repairs.proposals import Target
 from petmjx.repairs.rebuilds import rebuilds
 from petmjx.repairs.repair import Repaired
 from petmjx.repairs.repair_options import RepairOptions
-from petmjx.repairs.search import Search, State, _batch, _Candidate
+from petmjx.repairs.search import Search
 from petmjx.repairs.search_processes import run_searches
+from petmjx.repairs.states import Candidate, State, batch_of
 from petmjx.repairs.trials import Asked, Question, Trial
 
 FAST = {"engine": "mujoco", "threads": 1, "worlds": 0, "trials": 40}
@@ -372,8 +373,8 @@ def test_each_way_to_change_a_box_is_judged_before_other_amounts() -> None:
     draft = Draft.of(make_plan(boxes=stack(2)))
     proposals = [Move(0, 5.0, 0.0), Move(0, 9.0, 0.0), Move(0, 0.0, 7.0), Move(1, 5.0, 0.0), Order(1, 0)]
     start = State(draft, (), Trial("unstable", "tilt", 1, (1,), 2, 2, 0.0))
-    queue = [_Candidate(draft, (change,), (change,), 0.0, float(k), start) for k, change in enumerate(proposals)]
-    assert [c.changes[0] for c in _batch([queue], 3)] == [proposals[0], proposals[3], proposals[4]]
+    queue = [Candidate(draft, (change,), (change,), 0.0, float(k), start) for k, change in enumerate(proposals)]
+    assert [c.changes[0] for c in batch_of([queue], 3)] == [proposals[0], proposals[3], proposals[4]]
     assert [c.changes[0] for c in queue] == [proposals[1], proposals[2]]
 
 

@@ -167,6 +167,15 @@ def test_a_table_has_room_for_what_will_follow() -> None:
         stream = JobStream[Any](feedback=True, bounds=JobBounds(n_jobs, {2}, 700, 3))
         put(stream, SMALL)
         assert jobs_of(stream, 32_768).begin()[2] == rows, "many drives follow one placement"
+    stream = JobStream[Any](feedback=True, bounds=JobBounds(100, {2}, 700, 3))
+    put(stream, *[SMALL] * 80)
+    assert jobs_of(stream, 32_768).begin()[2] == 128, "a row a world, of which no more than one leg is ready at once"
+    for depth_first in (False, True):
+        stream = JobStream[Any](feedback=True, bounds=JobBounds(5, {2}, 700, 3, wraps=True))
+        put(stream, SMALL)
+        source = TableJobs(stream, 8, 0, granule=4, depth_first=depth_first)
+        source.begin()
+        assert source.needs.wraps == depth_first, "legs with film begin at once, or have a table of their own"
     source = jobs_of(feedback_stream([SMALL, pushed]))
     jobs, _, rows = source.begin()
     assert source.profile_room(jobs, rows) == (4, 0), "unknown: four times as many as there are"

@@ -18,14 +18,14 @@ from petmjx.world.job import Job
 class Queues:
     """A queue for each size of worlds. The longest worlds come first, so that the last worlds to end are short.
 
-    On few threads worlds that start from a state come before all others, the latest first (``depth_first``): so worlds
-    end all the time, and few are half done.
+    Worlds that have a leg of a chain behind them come before all others, the latest first. So worlds arrive all the
+    time, and the host makes their rows meanwhile; by length the short last legs of all worlds would come at the end.
 
     Args:
         sizes: most boxes of a world of each size, in the order of the queues.
         size_of: gives the size of a job's world.
         rows: rows of the table.
-        depth_first: whether worlds that start from a state come first.
+        depth_first: whether all worlds that start from a state come first.
     """
 
     def __init__(
@@ -47,11 +47,10 @@ class Queues:
         """
         self._size[rows] = [self._sizes.index(self._size_of(job)) for job in jobs]
         self._cost[rows] = MEASURED.of_jobs_on_device(jobs, sim)
-        if self._depth_first:
-            self._turn[rows] = [
-                0 if job.start is None else -number for number, job in enumerate(jobs, start=self._n_added + 1)
-            ]
-            self._n_added += len(jobs)
+        self._turn[rows] = [
+            -number if self._is_ahead(job) else 0 for number, job in enumerate(jobs, start=self._n_added + 1)
+        ]
+        self._n_added += len(jobs)
         ranked = np.lexsort((-self._cost, self._turn))
         ranked = ranked[live[ranked]]
         order = np.full((len(self._sizes), len(live)), -1, np.int32)
@@ -59,3 +58,7 @@ class Queues:
             of_size = ranked[self._size[ranked] == queue]
             order[queue, : len(of_size)] = of_size
         self.order = device_array(order)
+
+    def _is_ahead(self, job: Job) -> bool:
+        """Whether a world comes before those that are not ahead."""
+        return job.poses is not None or (self._depth_first and job.start is not None)

@@ -107,9 +107,10 @@ class TableJobs:
             needs = _roomy(needs | self.needs)
         self.needs, self._begun = needs, True
         taken = self._take(further)
-        bounds = self._stream.bounds if grows else None
-        following = min(bounds.jobs, MOST_FOLLOWING_ROWS) if bounds is not None else 0
-        rows = min(max(SPARE_ROWS * len(every) if grows else 0, following, self._least_rows), self._size)
+        rows = SPARE_ROWS * len(every) if grows else 0
+        if grows and (bounds := self._stream.bounds) is not None:
+            rows = min(max(rows, MOST_FOLLOWING_ROWS), bounds.jobs)
+        rows = min(max(rows, self._least_rows), self._size)
         return every, [*stream_numbers, *taken], padded_rows(max(len(every), rows))
 
     def profile_room(self, jobs: Sequence[Job], rows: int) -> tuple[int, int]:

@@ -1,0 +1,134 @@
+"""Changed plans in a search for repairs: simulated ones (``State``), those to be simulated (``Candidate``), and those
+that may be changed further (``Node``)."""
+
+from __future__ import annotations
+
+import math
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+
+from petmjx.repairs.changes import Change, Kind, cost_of
+from petmjx.repairs.drafts import Draft
+from petmjx.repairs.proposals import Proposal
+from petmjx.repairs.trials import Trial
+
+AT_ONCE: Final = 24
+"""Number of changed plans that are judged at once. If one stands, as many more are judged for the choice by errors."""
+
+PER_BATCH: Final = 0.25
+"""A plan of which ``AT_ONCE`` changes were judged in vain counts as if it needed so much of a change more."""
+
+
+@dataclass(frozen=True, eq=False)
+class State:
+    """A changed plan that was simulated.
+
+    Attributes:
+        draft: the changed plan.
+        changes: the changes.
+        trial: its simulation.
+        faults: an estimate of the changes that are still needed.
+    """
+
+    draft: Draft
+    changes: tuple[Change, ...]
+    trial: Trial
+    faults: float = math.inf
+
+    @property
+    def cost(self) -> float:
+        """The cost of the changes."""
+        return cost_of(self.changes)
+
+
+@dataclass(frozen=True, eq=False)
+class Candidate:
+    """A changed plan before its simulation.
+
+    Attributes:
+        proposal: the changes that make it of another state's plan.
+        key: its rank: smaller is better.
+        parent: the other state.
+    """
+
+    draft: Draft
+    changes: tuple[Change, ...]
+    proposal: Proposal
+    trouble: float
+    key: float
+    parent: State
+
+
+@dataclass(eq=False)
+class Node:
+    """A changed plan that may be changed further.
+
+    Attributes:
+        queue: its allowed changes that were not judged, the most promising first; None: not proposed yet.
+        n_judged: its changes that were judged.
+        is_anew: whether it was built anew.
+    """
+
+    state: State
+    queue: list[Candidate] | None = None
+    n_judged: int = 0
+    is_anew: bool = False
+
+    @property
+    def n_expected(self) -> float:
+        """The number of changes of a repair by way of this plan, by the estimate of its faults."""
+        return len(self.state.changes) + self.state.faults
+
+    @property
+    def key(self) -> tuple[float, int, int, float]:
+        """Its rank: smaller is better. Plans of which many changes were judged in vain wait."""
+        state = self.state
+        n_held, n_standing = state.trial.progress
+        return self.n_expected + PER_BATCH * (self.n_judged // AT_ONCE), -n_held, -n_standing, state.cost
+
+
+def n_counted(changes: Sequence[Change]) -> int:
+    """Number of changes but for boxes that are left out."""
+    return sum(change.kind is not Kind.LEAVE_OUT for change in changes)
+
+
+def shortest(states: Sequence[State]) -> list[State]:
+    """The states with the fewest changes."""
+    fewest = min((len(state.changes) for state in states), default=0)
+    return [state for state in states if len(state.changes) == fewest]
+
+
+def way_of(state: State) -> tuple[object, ...]:
+    """Equal for repairs that change the same boxes in the same ways by different amounts."""
+    return tuple((change.kind, change.boxes) for change in state.changes)
+
+
+def batch_of(queues: Sequence[list[Candidate]], count: int) -> list[Candidate]:
+    """Take equally many candidates off each ranked queue: the first of each way to change a box, then the second of
+    each. The first candidates by statics are often one move by many amounts."""
+    batch = []
+    for queue in queues:
+        ways: Counter[tuple[object, ...]] = Counter()
+        turns = []
+        for rank, candidate in enumerate(queue):
+            change = candidate.proposal[-1]
+            way = change.kind, change.boxes[:1], len(candidate.proposal) > 1
+            turns.append((ways[way], rank))
+            ways[way] += 1
+        chosen = [rank for _, rank in sorted(turns)[: max(count, 0) // len(queues)]]
+        batch += [queue[rank] for rank in chosen]
+        for rank in sorted(chosen, reverse=True):
+            del queue[rank]
+    return batch
+
+
+def key_of(draft: Draft) -> bytes:
+    """Equal for drafts that are the same."""
+    order = np.array(draft.order)
+    places = np.round(np.hstack([draft.corner_mm, draft.size_mm])[order], 3)
+    key: bytes = order.tobytes() + places.tobytes() + np.array(draft.film_turns).tobytes()
+    return key
