@@ -160,6 +160,7 @@ class Actions:
             max_height_mm=self._options.max_height_mm,
             grid_mm=self._grid,
             least_support=SUPPORT.get(self._options.mask, 0.0),
+            gap_mm=self._options.gap_mm,
             hulls=self._options.mask == CENTRE,
         )
         legal = self._geometric(places)

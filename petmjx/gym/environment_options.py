@@ -9,6 +9,7 @@ from petmjx.analysis.criteria import SUPPORT_SHARES
 from petmjx.common.argument_checks import flag_of, integer_of, number_of
 from petmjx.common.checked_records import hint, shown_value
 from petmjx.common.errors import InputError
+from petmjx.loop.candidate_places import LARGEST_GAP_MM
 from petmjx.loop.order_sources import ENDLESS, Orders, order_reading
 from petmjx.loop.rewards import weights_of
 
@@ -47,12 +48,12 @@ class PalletizingOptions:
         n_candidates: largest number of listed places; at least one is listed for each box of the buffer. The list has
             the lowest place of each box, then the second lowest of each, and so on.
         action_cell_mm: side of the cells of actions; ``cell_mm``: side of the cells of maps.
-        mask: which actions are legal, among those on the carrier and below the highest top: ``geometry``: all of them;
-            a criterion of docs/criteria.md (``support_75``, … or ``centre``); ``physics``: actions that stand in a
-            trial; ``sure``: actions that stand beyond doubt, without a trial; or ``loads``: actions that in addition
-            overload no box.
-        max_height_mm: greatest height of a box's top.
-        rewards: weights of the terms of the reward (``petmjx.loop.rewards.TERMS``).
+        mask: which actions on the carrier and below the highest top are legal: ``geometry``: all of them; a criterion
+            of docs/criteria.md (``support_75``, … or ``centre``); ``physics``: actions that stand in a trial; ``sure``:
+            actions that stand beyond doubt, without a trial; or ``loads``: actions that also overload no box.
+        max_height_mm: highest top of a box.
+        gap_mm: free space between a box and its neighbours along x and y, which a robot needs.
+        rewards: weights of terms (``petmjx.loop.rewards.TERMS``).
         most_illegal: number of illegal actions after which an episode is truncated.
         scaled: whether observations are scaled to 0 to 1 (``petmjx.gym.observation_spaces``).
         sides: on which sides boxes may stand: ``order``: those that the order allows, or only the base if it says
@@ -77,6 +78,7 @@ class PalletizingOptions:
     cell_mm: float = 50.0
     mask: str = "support_75"
     max_height_mm: float = 1800.0
+    gap_mm: float = 0.0
     rewards: Any = None
     most_illegal: int = 20
     scaled: bool = False
@@ -106,6 +108,7 @@ class PalletizingOptions:
             integer_of(getattr(options, name), name, least, most)
         number_of(options.max_height_mm, "max_height_mm", 1.0, 20_000.0)
         number_of(options.action_cell_mm, "action_cell_mm", 10.0, 20_000.0)
+        number_of(options.gap_mm, "gap_mm", 0.0, LARGEST_GAP_MM)
         number_of(options.errors, "errors", 0.0, MOST_ERRORS)
         number_of(options.level, "level", 0.0, 1.0)
         flag_of(options.scaled, "scaled")

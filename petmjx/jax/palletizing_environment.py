@@ -20,6 +20,7 @@ from petmjx.jax.pallet_functions import State as Pallet
 from petmjx.jax.pallet_functions import empty, place
 from petmjx.jax.placement_arrays import PlacementArrays
 from petmjx.jax.timestep import Spec, StepType, TimeStep
+from petmjx.loop.candidate_places import LARGEST_GAP_MM
 from petmjx.loop.height_maps import cells_of
 from petmjx.loop.order_sources import ENDLESS, Boxes, Orders, order_reading
 from petmjx.loop.rewards import weights_of
@@ -158,7 +159,8 @@ class Palletizing:
         assert extent is not None  # otherwise ``empty`` has raised an error
         self._extent = extent[0] * MM_PER_M, extent[1] * MM_PER_M
         gap, inside = (
-            number_of(value, name, 0.0, 1000.0) for name, value in (("gap_mm", gap_mm), ("inside_mm", inside_mm))
+            number_of(value, name, 0.0, LARGEST_GAP_MM)
+            for name, value in (("gap_mm", gap_mm), ("inside_mm", inside_mm))
         )
         self._actions: Cells | Candidates = Cells(self._extent, side, self._highest, MASKS[mask], gap)
         if actions == CANDIDATES:

@@ -16,6 +16,9 @@ from petmjx.loop.box_tables import BoxTable
 from petmjx.loop.placements import Placements
 from petmjx.packers.pile_balance import SHARE_SLACK, TOUCH_MM
 
+LARGEST_GAP_MM: Final = 1_000.0
+"""Largest free space between boxes. More leaves no room on a pallet."""
+
 _AT_ONCE: Final = 100_000
 """Number of (point, box) pairs that are compared at a time, so that their tables stay in the cache of a core."""
 
@@ -51,18 +54,20 @@ def free_places(
     grid: FloatArray | None = None,
     *,
     least_support: float = 0.0,
+    gap_mm: float = 0.0,
     hulls: bool = True,
 ) -> Places:
-    """Places for boxes on pallets; ``placements.corner_mm`` is not used.
+    """Places for boxes on pallets; ``placements.corner_mm`` is not read.
 
     Args:
-        grid: (p, 2) points to use instead of the extreme points, mm.
-        least_support: smallest share of a box's base that must be supported.
-        hulls: whether to compute ``centred``.
+        grid: (p, 2) points, mm, instead of the extreme points.
+        least_support: smallest supported share of a box's base.
+        gap_mm: free space between a box and its neighbours along x and y.
+        hulls: whether to find ``centred``.
     """
     count = stock.count[placements.pallet]
     if grid is None:
-        points = stock.find_points(placements.pallet)
+        points = stock.find_points(placements.pallet, gap_mm)
         of_each = points.count(placements.pallet)
     else:
         of_each = np.full(len(placements), len(grid))
@@ -70,14 +75,15 @@ def free_places(
     n_done = np.cumsum((of_each * (count + 1))[order])
     share = int(n_done[-1] // (2 * MOST_THREADS)) if len(order) else 0
     at_once = min(max(share, _WORTH_A_THREAD), _AT_ONCE)
+    free_mm, extent_mm = np.array([gap_mm, gap_mm, 0.0]), (extent_mm[0] + gap_mm, extent_mm[1] + gap_mm)
     chunks = np.split(order, np.flatnonzero(np.diff(n_done // at_once)) + 1) if len(order) else []
 
     def lowered(rows: NDArray[np.intp]) -> _Lowered:
         pallets, k = placements.pallet[rows], int(count[rows].max())
-        low, size = stock.corner_mm[pallets, :k], placements.size_mm[rows]
-        high = low + stock.size_mm[pallets, :k]
+        low, size = stock.corner_mm[pallets, :k], placements.size_mm[rows] + free_mm
+        high = low + stock.size_mm[pallets, :k] + free_mm
         at = points.of(pallets) if grid is None else np.tile(grid[:, 0] + 1j * grid[:, 1], (len(pallets), 1))
-        limits = extent_mm, max_height_mm, least_support
+        limits = extent_mm, max_height_mm, least_support, gap_mm
         box, corner, support, centred = _lowered_boxes(at, low, high, size, *limits, hulls=hulls)
         return rows[box], corner, support, centred
 
@@ -99,6 +105,7 @@ def _lowered_boxes(
     extent_mm: tuple[float, float],
     max_height_mm: float,
     least_support: float,
+    gap_mm: float,
     *,
     hulls: bool,
 ) -> _Lowered:
@@ -106,8 +113,8 @@ def _lowered_boxes(
     supported share of its base, and whether its centre is over the convex hull of its supports.
 
     Args:
-        points: (m, p) x + iy; ``low``, ``high``: (m, k, 3) lowest and highest corners of the pallets' boxes; ``size``:
-            (m, 3).
+        points: (m, p) x + iy; ``low``, ``high``: (m, k, 3) ends of the pallets' boxes; ``size``: (m, 3). Sizes, ends
+            and the carrier's extent include the free space ``gap_mm`` behind them along x and y, which bears nothing.
     """
     with np.errstate(invalid="ignore"):  # NaN in columns beyond a pallet's points and boxes
         x, y = points.real, points.imag
@@ -129,15 +136,18 @@ def _lowered_boxes(
     low_x, low_y, high_x, high_y = (values.reshape(-1)[bearing] for values in (low_x, low_y, high_x, high_y))
     start = np.column_stack([np.maximum(x[at], low_x), np.maximum(y[at], low_y)])
     end = np.column_stack([np.minimum(x_end[at], high_x), np.minimum(y_end[at], high_y)])
-    carried = np.bincount(at, (end - start).prod(axis=1), len(box))
-    support = np.where(z > 0, carried / (length_x * length_y), 1.0)
+    side = np.maximum(end - start - gap_mm, 0.0)
+    base_x, base_y = length_x - gap_mm, length_y - gap_mm
+    carried = np.bincount(at, side.prod(axis=1), len(box))
+    support = np.where(z > 0, carried / (base_x * base_y), 1.0)
     selected = np.flatnonzero(useful & (support >= least_support - SHARE_SLACK))
     selected = selected[np.lexsort((y[selected], x[selected], z[selected], box[selected]))]
     corner = np.column_stack([x[selected], y[selected], z[selected]])
     if not hulls:
         return box[selected], corner, support[selected], np.zeros(0, bool)
-    middle = np.column_stack([x + length_x / 2, y + length_y / 2])
-    centred = _over_hull(middle, at, start, end) | (z <= 0)
+    middle = np.column_stack([x + base_x / 2, y + base_y / 2])
+    bears = (side > TOUCH_MM).all(axis=1)
+    centred = _over_hull(middle, at[bears], start[bears], start[bears] + side[bears]) | (z <= 0)
     return box[selected], corner, support[selected], centred[selected]
 
 

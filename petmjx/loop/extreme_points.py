@@ -23,11 +23,15 @@ class Points:
     """The distinct points of n pallets: the origin, and points beside and on each box. The points of a box are its
     corners, and the same corners moved towards the carrier's edges until they meet an earlier box.
 
+    Args:
+        gap_mm: free space behind each box along x and y, by which boxes count as larger.
+
     Attributes:
         boxes: (n,) number of each pallet's boxes whose points are included.
     """
 
-    def __init__(self, n: int) -> None:
+    def __init__(self, n: int, gap_mm: float = 0.0) -> None:
+        self.gap_mm = gap_mm
         self.boxes: NDArray[np.int64] = np.zeros(n, np.int64)
         self._at: NDArray[np.complex128] = np.zeros((n, 1), np.complex128)  # x + iy, mm
         self._count: NDArray[np.int64] = np.ones((n, 1), np.int64)  # (n, k) number of points of the first 0, 1, … boxes
@@ -49,8 +53,8 @@ class Points:
         """Add the points of one more box on each of these pallets.
 
         Args:
-            low, high: (m, k, 3) lowest and highest corners of the pallets' boxes. Box number ``boxes[pallet]`` is the
-                new one; boxes after it are ignored.
+            low, high: (m, k, 3) ends of their boxes, with the free space. Box number ``boxes[pallet]`` is the new box;
+                boxes after it are ignored.
         """
         number, rows = self.boxes[pallets], np.arange(len(pallets))
         points, count = self.of(pallets), self._count[pallets, number]

@@ -18,7 +18,7 @@ from petmjx.common.errors import InputError
 from petmjx.common.units import MM_PER_M, FloatArray
 from petmjx.engines.protocol import Engine
 from petmjx.engines.verdict import Outcome
-from petmjx.loop.candidate_places import Places, free_places
+from petmjx.loop.candidate_places import LARGEST_GAP_MM, Places, free_places
 from petmjx.loop.candidate_trials import drive_of, driven_results, errors_asked, errors_of, shares
 from petmjx.loop.engine_setup import MOST_PALLETS, OF_RUN, Closable, check_open, open_engine
 from petmjx.loop.height_maps import height_maps
@@ -394,17 +394,19 @@ class Pallets(Closable):
         max_height_mm: float = 2000.0,
         grid_mm: FloatArray | None = None,
         least_support: float = 0.0,
+        gap_mm: float = 0.0,
         hulls: bool = True,
     ) -> Places:
         """Places for boxes: the extreme points of pallets inside the carrier, each at the height at which the box would
         rest.
 
         Args:
-            size_mm: (m, 3) extents as placed; ``pallet``: (m,).
-            max_height_mm: largest allowed height of a box's top.
-            grid_mm: (p, 2) corners on the carrier that replace the extreme points.
-            least_support: smallest share of a box's base that must be supported, from 0 to 1.
-            hulls: whether to compute ``Places.centred``, which doubles the time.
+            size_mm: (m, 3) extents after the placement; ``pallet``: (m,).
+            max_height_mm: highest top of a box.
+            grid_mm: (p, 2) corners on the carrier instead of the extreme points.
+            least_support: smallest supported share of a box's base, from 0 to 1.
+            gap_mm: free space between a box and its neighbours along x and y, which a robot needs.
+            hulls: whether to find ``Places.centred``, which doubles the time.
 
         Raises:
             InputError: a shape or number is wrong, corners are off the carrier, or there is no such pallet.
@@ -414,7 +416,10 @@ class Pallets(Closable):
             highest = number_of(max_height_mm, "max_height_mm", 0.0)
             grid = None if grid_mm is None else grid_of(grid_mm, self.extent_mm)
             least, centred = number_of(least_support, "least_support", 0.0, 1.0), flag_of(hulls, "hulls")
-            return free_places(self._boxes, request, self.extent_mm, highest, grid, least_support=least, hulls=centred)
+            gap = number_of(gap_mm, "gap_mm", 0.0, LARGEST_GAP_MM)
+            return free_places(
+                self._boxes, request, self.extent_mm, highest, grid, least_support=least, gap_mm=gap, hulls=centred
+            )
 
     def show(self, pallet: int = 0, *, size: tuple[int, int] = (640, 480), view: str = "iso") -> NDArray[np.uint8]:
         """(height, width, 3) picture of a pallet in its current state. Boxes are coloured by their order.
