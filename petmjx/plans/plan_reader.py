@@ -45,7 +45,7 @@ from petmjx.plans.plan_validation import PlanError, parse_plan
 
 if TYPE_CHECKING:
     from petmjx.plans.foreign_plans import ForeignPlans
-    from petmjx.plans.placement_table import Table
+    from petmjx.plans.placement_table import Table, TableError
     from petmjx.plans.readings import Reading, Wishes
 
 DEFAULT_MAX_BOXES: Final = 512
