@@ -343,6 +343,27 @@ def test_only_changes_that_are_needed_are_left() -> None:
     assert count < 50, "one by one it is up to 16 + 15 + … + 3 = 133"
 
 
+def test_of_repairs_with_as_many_changes_the_one_that_stands_with_errors_is_first() -> None:
+    """The upper box of a stack can be moved to the edge of balance, or well inside, where it stands with errors."""
+    plan = make_plan(boxes=stack(2, 230.0))
+    search = Search(plan, Simulation(), RepairOptions(worlds=4))
+    question = Question({"engine": "mujoco", "threads": 1}, RepairOptions(worlds=4))
+    moves = [Move(1, -float(length), 0.0) for length in (32, 150)]
+    drafts = [draft for move in moves if (draft := move.applied(Draft.of(plan))) is not None]
+    trials = question.trials([Asked(draft, is_judged=False) for draft in drafts])
+    assert [trial.stands for trial in trials] == [True, True]
+    states = [State(draft, (move,), trial) for draft, move, trial in zip(drafts, moves, trials, strict=True)]
+    steps = search._compared(states, states[:1])
+    asked = next(steps)
+    assert sorted({one.world for one in asked}) == [1, 2, 3, 4]
+    assert len(asked) == 8
+    with pytest.raises(StopIteration) as end:
+        steps.send(question.trials(asked))
+    best, worst = end.value.value
+    assert (best.changes, worst.changes) == ((moves[1],), (moves[0],))
+    assert best.n_good == 4 > worst.n_good
+
+
 TWO_FAULTS: Sequence[Box] = (*stack(3, 230.0), *stack(2, 230.0, at_mm=(0.0, 600.0)))
 """Two stacks, each with a box that has more than half beyond the one below; on the first one's lies a third."""
 
