@@ -183,7 +183,7 @@ class Workspace:
     qM: Annotated[wp.array2d[float], "block dof"]  # diagonal of the inertia matrix
     qacc_smooth: Annotated[wp.array2d[float], "block dof"]  # accelerations without contacts
     drag: Annotated[wp.array3d[float], "block contact 2"]  # see contact.cuh
-    excess: Annotated[wp.array2d[float], "block contact"]  # of a contact's slip (contact_laws.py); negative: uncorrected
+    excess: Annotated[wp.array2d[float], "block contact"]  # of a slip (contact_laws.py); negative: no correction
     geom_xpos: Annotated[wp.array2d[wp.vec3], "block geom"]  # centres
     geom_xmat: Annotated[wp.array2d[wp.mat33], "block geom"]
     geom_reach: Annotated[wp.array2d[wp.vec3], "block geom"]  # half extents of a geom's bounding box, along x, y, z
