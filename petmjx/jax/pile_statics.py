@@ -23,7 +23,7 @@ _ANGLES: Final = np.arange(32) * (2 * np.pi / 32)
 So a computed hull may be too small, but never too large."""
 
 _NO_EDGE: Final = -1e3
-"""Offset of a plane that stands for no edge, m: every load is far inside."""
+"""Offset of the plane of a missing edge, m. Every load is far inside this plane."""
 
 _EXACT: Final = jax.lax.Precision.HIGHEST
 """Otherwise, GPUs round the factors of products to 10 bits."""

@@ -101,7 +101,7 @@ def why_no_gpus(nodes: Sequence[Node], workers: int | str) -> str | None:
 
 
 def threads_beside(nodes: Sequence[Node], workers: int) -> int:
-    """The smallest number of CPU threads per worker if each machine has the most workers that its GPUs allow."""
+    """The smallest number of CPU threads per worker if each machine has as many workers as its GPUs allow."""
     per_gpu = _sharing(sum(node.gpus for node in nodes), workers)
     return min(node.cpus // min(per_gpu * node.gpus, workers) for node in nodes if node.gpus)
 

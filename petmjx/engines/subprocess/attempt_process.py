@@ -87,7 +87,7 @@ def answer_to(
     Args:
         engines: name → engine of this thread; a missing engine is built and added.
         stops: returns whether the outcome is no longer needed.
-        granule: the number of box columns of tables is a multiple of this; None: of the engine's usual number.
+        granule: the number of box columns of tables is a multiple of this; None: the engine's usual granule.
     """
     outcome, progress = None, Progress(pauses=True)
     try:

@@ -65,7 +65,7 @@ class Call:
 
 @contextmanager
 def others_may_call() -> Iterator[None]:
-    """Within a call from JAX to Python, lets other threads be in such calls at the same time.
+    """Within a call from JAX to Python, allows other threads to make such calls at the same time.
 
     Warp (1.18) holds a lock during a call from JAX. So engines in several threads of a CPU would run in turn, one slice
     at a time. The data that the lock protects are read before Warp calls our function, so the lock can be released
@@ -203,7 +203,7 @@ FEW_BOXES = Size(15, 512, 1, 96 << 10, worlds=16, pause_after=4)
 """Blocks for worlds that have at most 15 boxes so far. With a moving carrier, 15 boxes fill six panels."""
 
 LAST = Size(SIZES[0].most_boxes, 256, 1, 144 << 10)
-"""Blocks for the last worlds of a run that are of the smaller size. Each block fills a multiprocessor."""
+"""Blocks for the last worlds of a run, if they are of the smaller size. Each block fills a multiprocessor."""
 
 
 USUAL: Final = (SIZES[0], FEW_BOXES, LAST)
