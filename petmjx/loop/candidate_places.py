@@ -1,6 +1,6 @@
 """Candidate places for boxes at the extreme points of many pallets.
 
-A box is lowered at a point until it rests, as in ``petmjx.packers.baseline_packer``.
+A box is lowered at a point until it rests on something, as in ``petmjx.packers.baseline_packer``.
 """
 
 from __future__ import annotations
@@ -20,23 +20,23 @@ LARGEST_GAP_MM: Final = 1_000.0
 """Largest free space between boxes. More leaves no room on a pallet."""
 
 _AT_ONCE: Final = 100_000
-"""Pairs of a point and a box that are compared at a time, so that their tables stay in a core's cache."""
+"""Number of (point, box) pairs that are compared at a time, so that their tables stay in the cache of a core."""
 
 _WORTH_A_THREAD: Final = 50_000
-"""Fewer pairs take less time than the start of a thread."""
+"""Smallest number of pairs for which a thread is worth starting."""
 
 _Lowered = tuple[NDArray[np.intp], FloatArray, FloatArray, NDArray[np.bool_]]
 
 
 class Places(NamedTuple):
-    """c places, box after box; for each box the lowest first, of equal ones the nearest to the origin.
+    """c places, box after box. The places of a box are sorted by height, and at equal height by x, then y.
 
     Attributes:
-        row: (c,) index among the m requested boxes; ``pallet``: (c,) its pallet.
+        row: (c,) index of the box among the m requested boxes; ``pallet``: (c,) the box's pallet.
         corner_mm: (c, 3) position of the box's front-left-bottom corner.
-        support: (c,) share of its base that would rest on the carrier or on boxes' tops.
-        centred: (c,) whether the centre of its base lies over the convex hull of its supports, as in the criterion
-            ``centre``; None if not requested.
+        support: (c,) share of the box's base that would rest on the carrier or on the tops of boxes.
+        centred: (c,) whether the centre of the box's base lies over the convex hull of its supports, as in the
+            criterion ``centre``; None if not requested.
     """
 
     row: NDArray[np.intp]
@@ -57,13 +57,13 @@ def free_places(
     gap_mm: float = 0.0,
     hulls: bool = True,
 ) -> Places:
-    """Places for boxes on pallets; ``placements.corner_mm`` is not read.
+    """Places for boxes on pallets; ``placements.corner_mm`` is not used.
 
     Args:
-        grid: (p, 2) points, mm, instead of the extreme points.
-        least_support: smallest supported share of a box's base.
+        grid: (p, 2) points to use instead of the extreme points, mm.
+        least_support: smallest share of a box's base that must be supported.
         gap_mm: free space between a box and its neighbours along x and y.
-        hulls: whether to find ``centred``.
+        hulls: whether to compute ``centred``.
     """
     count = stock.count[placements.pallet]
     if grid is None:
@@ -71,7 +71,7 @@ def free_places(
         of_each = points.count(placements.pallet)
     else:
         of_each = np.full(len(placements), len(grid))
-    order = np.argsort(count, kind="stable")  # pallets with few boxes are cheap if computed together
+    order = np.argsort(count, kind="stable")  # pallets with few boxes are computed together, which is cheap
     n_done = np.cumsum((of_each * (count + 1))[order])
     share = int(n_done[-1] // (2 * MOST_THREADS)) if len(order) else 0
     at_once = min(max(share, _WORTH_A_THREAD), _AT_ONCE)
@@ -109,21 +109,22 @@ def _lowered_boxes(
     *,
     hulls: bool,
 ) -> _Lowered:
-    """Lower boxes at points of their pallets. Returns the index of each box, its corner, the supported share of its
-    base, and whether its centre is over the convex hull of its supports.
+    """Lower boxes at points of their pallets. Returns four values for each place: the index of the box, its corner, the
+    supported share of its base, and whether its centre is over the convex hull of its supports.
 
     Args:
-        points: (m, p) x + iy; ``low``, ``high``: (m, k, 3) ends of the pallets' boxes; ``size``: (m, 3). Sizes, ends
-            and the carrier's extent include the free space ``gap_mm`` behind them along x and y, which bears nothing.
+        points: (m, p) x + iy; ``low``, ``high``: (m, k, 3) lowest and highest corners of the pallets' boxes; ``size``:
+            (m, 3). Sizes, corners and the carrier's extent include the free space ``gap_mm`` behind boxes along x and
+            y. Free space supports nothing.
     """
-    with np.errstate(invalid="ignore"):  # columns beyond a pallet's points and boxes
+    with np.errstate(invalid="ignore"):  # NaN in columns beyond a pallet's points and boxes
         x, y = points.real, points.imag
         inside = (x + size[:, :1] <= extent_mm[0] + TOUCH_MM) & (y + size[:, 1:2] <= extent_mm[1] + TOUCH_MM)
         box, point = np.nonzero(inside)
         x, y = x[box, point], y[box, point]
         length_x, length_y, height = size[box].T
         x_end, y_end = x + length_x, y + length_y
-        # candidates are the last axis, so that sums over boxes keep their order for any number of candidates
+        # candidates are the last axis, so that sums over boxes have the same order for any number of candidates
         low_x, low_y = np.take(low[..., :2].transpose(2, 1, 0), box, axis=2)
         high_x, high_y, top = np.take(high.transpose(2, 1, 0), box, axis=2)
         under = (low_x < x_end - TOUCH_MM) & (low_y < y_end - TOUCH_MM)
@@ -152,12 +153,12 @@ def _lowered_boxes(
 
 
 def _over_hull(point: FloatArray, at: NDArray[np.intp], low: FloatArray, high: FloatArray) -> NDArray[np.bool_]:
-    """(c,) whether points lie over the convex hulls of rectangles. A centre lies over the hull if the corners, seen
-    from it, leave no gap of more than 180°.
+    """(c,) whether points lie over the convex hulls of rectangles. A point lies over the hull if the corners, seen from
+    the point, leave no angular gap larger than 180°.
 
     Args:
-        point: (c, 2); ``at``: (q,) the point that each rectangle belongs to; ``low``, ``high``: (q, 2) ends of
-            rectangles.
+        point: (c, 2); ``at``: (q,) the point to which each rectangle belongs; ``low``, ``high``: (q, 2) lowest and
+            highest corners of the rectangles.
     """
     order = np.argsort(at, kind="stable")
     at, low, high = at[order], low[order] - point[at[order]], high[order] - point[at[order]]
@@ -166,7 +167,7 @@ def _over_hull(point: FloatArray, at: NDArray[np.intp], low: FloatArray, high: F
     x = np.column_stack([low[:, 0], high[:, 0], low[:, 0], high[:, 0]])
     y = np.column_stack([low[:, 1], high[:, 1], high[:, 1], low[:, 1]])
     angles[at, rank] = np.arctan2(y, x)
-    angles = np.sort(angles.reshape(len(point), -1), axis=1)  # NaN comes last
+    angles = np.sort(angles.reshape(len(point), -1), axis=1)  # NaN are sorted to the end
     has_angles = np.isfinite(angles[:, 0])
     first, last = angles[:, 0], np.nanmax(np.where(has_angles[:, None], angles, 0.0), axis=1)
     gap = np.nan_to_num(np.diff(angles, axis=1), nan=0.0).max(axis=1, initial=0.0)

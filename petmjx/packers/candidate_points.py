@@ -1,8 +1,8 @@
 """Candidate places for the next box (``Candidates``): a table of every corner point of a pile with every shape.
 
 The points are the extreme points of Crainic, Perboli, Tadei (2008), as in :mod:`petmjx.packers.baseline_packer`. When a
-box is placed, the table is updated instead of computed anew: the new box is compared with all candidates, and the few
-new points with all boxes.
+box is placed, the table is updated instead of being computed anew: only the new box is compared with all candidates,
+and only the few new points with all boxes.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ class Candidates:
         area: (s,) areas of the bases, mm².
         height: (s,) heights of the shapes, mm.
         z: (p, s) height of the shape's bottom at rest, mm.
-        carried: (p, s) area of the base that would be supported there, mm².
+        carried: (p, s) supported area of the base at this place, mm².
         open: (p, s) whether the shape is inside the carrier and no box was placed under it since its last refusal.
     """
 
@@ -54,7 +54,7 @@ class Candidates:
         """An independent copy of the table."""
         twin = copy.copy(self)
         twin.open, twin._known = self.open.copy(), set(self._known)
-        # all other arrays are replaced, not changed in place
+        # all other arrays are never changed in place
         twin._low, twin._high = _copied_rows(self._low, self._n), _copied_rows(self._high, self._n)
         return twin
 

@@ -1,9 +1,8 @@
-"""The packer ``learned``: learned weights rank the candidates, and a small network predicts the chance of each to
+"""The packer ``learned``: learned weights rank the candidates, and a small network predicts how likely each is to
 stand.
 
-The packer was trained on generated orders only (examples/train_packer), with physics in the loop. In use it runs no
-simulation
-and is deterministic: an order has one plan.
+The packer was trained on generated orders only (examples/train_packer), with physics in the loop. When it packs, it
+runs no simulation and is deterministic: an order always gets the same plan.
 """
 
 from __future__ import annotations
@@ -33,7 +32,7 @@ LEARNED: Final = "learned"
 """The packer's name."""
 
 CLEARANCE_MM: Final = 4.0
-"""Free space between neighbours. The free space lets plans stand when a robot places the boxes (docs/packers.md)."""
+"""Free space between neighbours. It lets plans stand when a robot places the boxes (docs/packers.md)."""
 
 MOST_PLACES: Final = 32
 LEAST_PLACES: Final = 6
@@ -41,17 +40,17 @@ LEAST_PLACES: Final = 6
 box."""
 
 SURE: Final = 0.98
-"""The best candidate whose chance to stand is at least this is taken."""
+"""The packer takes the best candidate whose chance to stand is at least this."""
 
 LEAST_SURE: Final = 0.5
-"""If no candidate reaches ``SURE``, the candidate with the largest chance is taken if this chance is at least
-``LEAST_SURE``."""
+"""If no candidate reaches ``SURE``, the packer takes the candidate with the largest chance, provided that it is at
+least ``LEAST_SURE``."""
 
 MOST_TRIED: Final = 16
-"""Largest number of candidates whose chance is computed, if none reaches ``SURE``."""
+"""Largest number of candidates whose chance is computed when none reaches ``SURE``."""
 
 SCORE_DECIMALS: Final = 6
-"""Scores are rounded to this many decimals, so that processors that round differently choose the same places."""
+"""Scores are rounded to this many decimals, so that processors with different rounding choose the same places."""
 
 
 class ChosenCandidate(NamedTuple):
@@ -81,8 +80,8 @@ class Policy:
     """The two learned networks.
 
     Attributes:
-        taste: scores candidates from their ``features``; a network, or only its linear part.
-        head: predicts the chance that a placement stands from its ``stability_features``.
+        taste: network that scores candidates from their ``features``; it may have only its linear part.
+        head: network that predicts from ``stability_features`` the chance that a placement stands.
     """
 
     taste: Network
@@ -98,9 +97,9 @@ class Policy:
         return (places, features(stream, places)) if len(places) else None
 
     def take(self, stream: FourSidedStream, places: Places, scores: FloatArray) -> ChosenCandidate | None:
-        """The best candidate that keeps the balance and has at least the chance ``SURE``.
+        """The best candidate that keeps the balance and whose chance is at least ``SURE``.
 
-        Without one among the first ``MOST_TRIED``, the candidate with the largest chance. None: no chance reaches
+        If none of the first ``MOST_TRIED`` reaches it, the candidate with the largest chance. None if no chance reaches
         ``LEAST_SURE``.
         """
         surest: ChosenCandidate | None = None
@@ -126,7 +125,7 @@ class Policy:
             chosen = self.take(stream, places, np.round(self.taste.scores(rows), SCORE_DECIMALS))
             if chosen is not None:
                 return Decision(places, rows, chosen)
-            if stream.still_open(places).any():  # some keep the balance, but their chance is too small
+            if stream.still_open(places).any():  # some keep the balance, but their chances are too small
                 return None
         return None
 

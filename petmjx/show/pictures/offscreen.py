@@ -68,7 +68,7 @@ class Canvas:
         except Exception as error:
             self._gl.free()
             raise InputError(
-                f"OpenGL draws no {size[0]} × {size[1]} pixels here ({one_line(error)}): {_ADVICE}"
+                f"OpenGL cannot draw {size[0]} × {size[1]} pixels on this machine ({one_line(error)}): {_ADVICE}"
             ) from error
         self._scene.flags[:] = 0
         self._scene.flags[mujoco.mjtRndFlag.mjRND_SKYBOX] = 1
