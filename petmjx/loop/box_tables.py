@@ -61,11 +61,11 @@ class BoxTable:
         self._points.copy(sources, into)
 
     def find_points(self, pallets: NDArray[np.int64], gap_mm: float = 0.0) -> Points:
-        """The extreme points, brought up to date for all boxes of these pallets, with this free space between boxes."""
+        """The up-to-date extreme points, for all boxes of these pallets, with this free space between boxes."""
         if gap_mm != self._points.gap_mm:
             self._points = Points(len(self.count), gap_mm)
         points, rows, free_mm = self._points, np.unique(pallets), np.array([gap_mm, gap_mm, 0.0])
-        rows = rows[np.argsort(self.count[rows], kind="stable")]  # chunks with few boxes then need few columns
+        rows = rows[np.argsort(self.count[rows], kind="stable")]  # together, pallets with few boxes have few points
         while len(rows := rows[points.boxes[rows] < self.count[rows]]):
             for chunk_rows in np.array_split(rows, -(-len(rows) // _AT_ONCE)):
                 low = self.corner_mm[chunk_rows, : int(points.boxes[chunk_rows].max()) + 1]

@@ -57,13 +57,13 @@ def free_places(
     gap_mm: float = 0.0,
     hulls: bool = True,
 ) -> Places:
-    """Places for boxes on pallets; ``placements.corner_mm`` is not used.
+    """Places for boxes on pallets; ``placements.corner_mm`` is not read.
 
     Args:
-        grid: (p, 2) points to use instead of the extreme points, mm.
-        least_support: smallest share of a box's base that must be supported.
+        grid: (p, 2) points, mm, instead of the extreme points.
+        least_support: smallest supported share of a box's base.
         gap_mm: free space between a box and its neighbours along x and y.
-        hulls: whether to compute ``centred``.
+        hulls: whether to find ``centred``.
     """
     count = stock.count[placements.pallet]
     if grid is None:
@@ -113,9 +113,8 @@ def _lowered_boxes(
     supported share of its base, and whether its centre is over the convex hull of its supports.
 
     Args:
-        points: (m, p) x + iy; ``low``, ``high``: (m, k, 3) lowest and highest corners of the pallets' boxes; ``size``:
-            (m, 3). Sizes, corners and the carrier's extent include the free space ``gap_mm`` behind boxes along x and
-            y. Free space supports nothing.
+        points: (m, p) x + iy; ``low``, ``high``: (m, k, 3) ends of the pallets' boxes; ``size``: (m, 3). Sizes, ends
+            and the carrier's extent include the free space ``gap_mm`` behind them along x and y, which bears nothing.
     """
     with np.errstate(invalid="ignore"):  # NaN in columns beyond a pallet's points and boxes
         x, y = points.real, points.imag

@@ -53,8 +53,8 @@ class Points:
         """Add the points of one more box on each of these pallets.
 
         Args:
-            low, high: (m, k, 3) lowest and highest corners of the pallets' boxes, with the free space. Box number
-                ``boxes[pallet]`` is the new one; boxes after it are ignored.
+            low, high: (m, k, 3) ends of their boxes, with the free space. Box number ``boxes[pallet]`` is the new box;
+                boxes after it are ignored.
         """
         number, rows = self.boxes[pallets], np.arange(len(pallets))
         points, count = self.of(pallets), self._count[pallets, number]

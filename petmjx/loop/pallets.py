@@ -401,12 +401,12 @@ class Pallets(Closable):
         rest.
 
         Args:
-            size_mm: (m, 3) extents as placed; ``pallet``: (m,).
-            max_height_mm: largest allowed height of a box's top.
-            grid_mm: (p, 2) corners on the carrier that replace the extreme points.
-            least_support: smallest share of a box's base that must be supported, from 0 to 1.
+            size_mm: (m, 3) extents after the placement; ``pallet``: (m,).
+            max_height_mm: highest top of a box.
+            grid_mm: (p, 2) corners on the carrier instead of the extreme points.
+            least_support: smallest supported share of a box's base, from 0 to 1.
             gap_mm: free space between a box and its neighbours along x and y, which a robot needs.
-            hulls: whether to compute ``Places.centred``, which doubles the time.
+            hulls: whether to find ``Places.centred``, which doubles the time.
 
         Raises:
             InputError: a shape or number is wrong, corners are off the carrier, or there is no such pallet.

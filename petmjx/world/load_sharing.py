@@ -83,16 +83,14 @@ def pushes(load: FloatArray, owner: IntArray, low: FloatArray, high: FloatArray)
     to_cone[:, 0, 1:] = root[:, None] * middle
     to_cone[:, [1, 2], [1, 2]] = root[:, None] * half / _ROOT
     unit_loads = np.concatenate([np.ones((len(load), 1)), (load[:, 1:] / load[:, :1] - origin) / scale], axis=1)
-    plane = _planes(to_cone, owner, begins, unit_loads)
-    projected, _ = _cone_projection(np.einsum("cij,cj->ci", to_cone, plane[owner]))
-    force: FloatArray = np.einsum("cji,cj->ci", to_cone, projected)
+    force: FloatArray = np.einsum("cji,cj->ci", to_cone, _projected_planes(to_cone, owner, begins, unit_loads))
     force[:, 1:] = origin[owner] * force[:, :1] + scale[owner] * force[:, 1:]
     force *= load[owner, :1]
     return force
 
 
-def _planes(to_cone: FloatArray, owner: IntArray, begins: IntArray, unit_loads: FloatArray) -> FloatArray:
-    """(p, 3) the pressure planes whose projections balance the unit loads."""
+def _projected_planes(to_cone: FloatArray, owner: IntArray, begins: IntArray, unit_loads: FloatArray) -> FloatArray:
+    """(c, 3) projections onto the cones of the planes of pressure whose projections balance the unit loads."""
 
     def energy(plane: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
         projected, slope = _cone_projection(np.einsum("cij,cj->ci", to_cone, plane[owner]))
@@ -112,7 +110,7 @@ def _planes(to_cone: FloatArray, owner: IntArray, begins: IntArray, unit_loads: 
             break
         before = off
         second = np.add.reduceat(np.einsum("cki,ckl,clj->cij", to_cone, slope, to_cone), begins)
-        second[:, [0, 1, 2], [0, 1, 2]] += _RIDGE * (1 + np.trace(second, axis1=1, axis2=2))[:, None]
+        second.reshape(-1, 9)[:, ::4] += _RIDGE * (1 + np.trace(second, axis1=1, axis2=2))[:, None]
         step: FloatArray = np.asarray(-np.linalg.solve(second, residual[..., None])[..., 0], np.float64)
         fall = (step * residual).sum(axis=1)
         share = goes_on.astype(float)
@@ -124,7 +122,7 @@ def _planes(to_cone: FloatArray, owner: IntArray, begins: IntArray, unit_loads: 
                 break
             share[worse] /= 2
         plane, value, projected, slope = further, new, new_projected, new_slope
-    return plane
+    return projected
 
 
 def _cone_projection(point: FloatArray) -> tuple[FloatArray, FloatArray]:

@@ -388,8 +388,8 @@ def _overlap_mask(centre: FloatArray, half: FloatArray) -> NDArray[np.bool_]:
 def _with_room(
     scene: Scene, change: PlacementChange, half_size: FloatArray, start_pos: FloatArray, yaw: FloatArray, standing: int
 ) -> FloatArray:
-    """(m, n, 2) horizontal places of boxes after they were moved apart, so that none overlap."""
-    above = _lower(scene)[0]
+    """(m, n, 2) horizontal places of boxes, moved apart until none overlap."""
+    above = _lower(scene)
     beside = ~(above | above.T)
     movable = np.arange(scene.n_boxes) >= standing
     reach_m = _farthest_m(scene, change)
@@ -444,14 +444,13 @@ def _farthest_m(scene: Scene, change: PlacementChange) -> float:
     return 2.0 * ((math.hypot(x, y) + size / 2.0) / MM_PER_M + half * (share + min(math.radians(yaw), 1.0)))
 
 
-def _lower(scene: Scene) -> tuple[NDArray[np.bool_], NDArray[np.intp]]:
-    """(n, n) whether the row's box could be set down on the column's box, according to their planned heights, and (n,)
-    the boxes from the bottom up."""
+def _lower(scene: Scene) -> NDArray[np.bool_]:
+    """(n, n) whether the row's box could be set down on the column's box, by their planned heights."""
     planned_bottom = scene.target[:, 2] - scene.half_size[:, 2]
     planned_top = scene.target[:, 2] + scene.half_size[:, 2]
-    order = np.argsort(planned_bottom, kind="stable")
-    rank = np.argsort(order)
-    return (planned_top <= planned_bottom[:, None] + STEP_TOLERANCE_M) & (rank < rank[:, None]), order
+    rank = np.argsort(np.argsort(planned_bottom, kind="stable"))
+    lower: NDArray[np.bool_] = (planned_top <= planned_bottom[:, None] + STEP_TOLERANCE_M) & (rank < rank[:, None])
+    return lower
 
 
 def _set_down(scene: Scene, half_size: FloatArray, start_pos: FloatArray, yaw: FloatArray) -> FloatArray:
@@ -464,7 +463,7 @@ def _set_down(scene: Scene, half_size: FloatArray, start_pos: FloatArray, yaw: F
     """
     planned_bottom = scene.target[:, 2] - scene.half_size[:, 2]
     planned_top = scene.target[:, 2] + scene.half_size[:, 2]
-    lower, order = _lower(scene)
+    lower = _lower(scene)
     supports = lower & _overlap_mask(scene.target[:, :2], scene.half_size[:, :2])
     below = supports | (lower & _overlap_mask(start_pos[..., :2], _footprint_half(half_size, yaw)))
     # A box that overlaps no other box in the plan stands on the carrier or floats above it.
@@ -474,9 +473,13 @@ def _set_down(scene: Scene, half_size: FloatArray, start_pos: FloatArray, yaw: F
     least_bottom = np.where(stands, -math.inf, planned_bottom)
     half_z = np.broadcast_to(half_size[..., 2], start_pos.shape[:2])
     centre_z = planned_bottom + half_z
-    for box in order[below[:, order].any(axis=(0, 2))]:
-        actual_top = np.where(below[:, box], centre_z + half_z, -math.inf).max(axis=1)
-        bottom = np.maximum(actual_top + gap[box], least_bottom[box])
-        lifted = (np.abs(bottom - planned_bottom[box]) > _SAME_HEIGHT_M) & np.isfinite(actual_top)
-        centre_z[:, box] = np.where(lifted, bottom + half_z[:, box], centre_z[:, box])
+    bears = below.any(axis=0)
+    left = bears.any(axis=1)
+    while left.any():  # all boxes at once whose boxes below are in place
+        boxes = np.flatnonzero(left & ~(bears & left).any(axis=1))
+        left[boxes] = False
+        actual_top = np.where(below[:, boxes], (centre_z + half_z)[:, None], -math.inf).max(axis=2)
+        bottom = np.maximum(actual_top + gap[boxes], least_bottom[boxes])
+        lifted = (np.abs(bottom - planned_bottom[boxes]) > _SAME_HEIGHT_M) & np.isfinite(actual_top)
+        centre_z[:, boxes] = np.where(lifted, bottom + half_z[:, boxes], centre_z[:, boxes])
     return centre_z
