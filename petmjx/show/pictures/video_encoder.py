@@ -56,7 +56,7 @@ def h264_encoder(path: Path, size: tuple[int, int], fps: float) -> Iterator[Call
         try:
             yield add
         except _EncoderExit:
-            pass  # ffmpeg reports the reason
+            pass  # ffmpeg itself reports the reason
         except BaseException:
             process.kill()
             raise
@@ -71,4 +71,4 @@ def h264_encoder(path: Path, size: tuple[int, int], fps: float) -> Iterator[Call
 
 
 class _EncoderExit(Exception):
-    """ffmpeg ended before the film did."""
+    """ffmpeg exited before the film was complete."""
