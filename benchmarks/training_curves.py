@@ -81,8 +81,8 @@ def train(of: Training, folder: Path, report: Callable[[str], None]) -> Result:
 
     looked_at = jnp.arange(of.packed, of.packed + LOOKED_AT)
     pack = jax.jit(packs).lower(learner.layers, looked_at).compile()
-    learn = jax.jit(jax.vmap(lambda one: recipe.update(env, of.steps, of.epochs, of.rate, one)), donate_argnums=0)
-    learn = learn.lower(learner).compile()
+    updates = jax.vmap(lambda one: recipe.update(env, of.steps, of.epochs, of.rate, one))
+    learn = jax.jit(updates, donate_argnums=0).lower(learner).compile()
     compiled_s = time.monotonic() - begin_s
     rows: list[dict[str, Any]] = []
     n_steps, episodes, total = 0, np.zeros(of.seeds), np.zeros(of.seeds)
@@ -108,7 +108,8 @@ def train(of: Training, folder: Path, report: Callable[[str], None]) -> Result:
         n_steps += of.pallets * of.steps
     layers = jax.tree_util.tree_flatten_with_path(learner.layers)[0]
     folder.mkdir(parents=True, exist_ok=True)
-    np.savez(folder / "policies.npz", **{jax.tree_util.keystr(path): np.asarray(values) for path, values in layers})
+    arrays: dict[str, Any] = {jax.tree_util.keystr(path): np.asarray(values) for path, values in layers}
+    np.savez(folder / "policies.npz", **arrays)
     returns = _write_plans(of, folder, lambda orders: pack(learner.layers, orders))
     return {
         "options": of._asdict(),

@@ -24,6 +24,7 @@ OPTIONS: dict[str, Any] = {
     "n_candidates": 16,
     "cell_mm": 100,
     "max_height_mm": 2000,
+    "gap_mm": 6,  # what a robot needs to put boxes beside each other
     "rewards": {"utilisation": 20, "fall": 2},
     "curriculum": {"boxes": (8, 80), "sizes": (0.5, 1.0), "errors": (0.0, 1.0)},
     "level": 0.0,

@@ -1,4 +1,4 @@
-"""petmjx: the stability of pallet packing plans, scored by physics, many thousands at a time.
+"""petmjx scores pallet packing plans by physics: it simulates many thousands of plans and finds which of them stand.
 
 Names are imported when first used, so that ``import petmjx`` is quick and reading results never loads a simulator.
 """
@@ -95,10 +95,10 @@ _HOME = {
     "RunResults": "petmjx.results.run_reader",
     "load_run": "petmjx.results.run_reader",
 }
-"""Public name → the module that has it."""
+"""Public name → the module that defines it."""
 
 _RENAMED = {"Told": "PlacementResults"}
-"""Names of version 0.2 → today's. Old names warn, and the next version has them no more."""
+"""Names of version 0.2 → today's names. Old names still work but warn; the next version removes them."""
 
 __all__ = [
     "PHYSICS",

@@ -1,6 +1,6 @@
 """Scoring and sweeping from Python: ``petmjx.score`` and ``petmjx.sweep``. Both call ``petmjx.runs.simulate``.
 
-Modules that only some runs need are imported when they are needed: a plain score loads no sweeps.
+Modules that only some runs need are imported on first use, so a plain score does not load the code of sweeps.
 """
 
 from __future__ import annotations
@@ -53,11 +53,11 @@ def _takes_options(*records: type[CheckedRecord]) -> Callable[[Function], Functi
 
 @contextmanager
 def _watching(watcher: Watcher | None, progress: bool) -> Iterator[Watcher | None]:
-    """The watcher of a run: the argument if it is one; else a progress bar in a notebook; elsewhere, with ``progress``,
-    lines on standard error.
+    """Yield the watcher of a run: the given one if there is one, else a progress bar in a notebook. Elsewhere, with
+    ``progress``, yield a watcher that prints lines on standard error; without it, yield None.
 
     Raises:
-        InputError: the given object cannot follow a run.
+        InputError: the given object lacks a method of a watcher.
     """
     flag_of(progress, "progress")
     if watcher is not None and not all(callable(getattr(watcher, name, None)) for name in ("begin", "world_done")):
@@ -74,7 +74,7 @@ def _watching(watcher: Watcher | None, progress: bool) -> Iterator[Watcher | Non
 
 
 def _intervals(options: RunOptions) -> Intervals | None:
-    """The function that computes intervals of forces, if the options ask for them.
+    """The function that computes intervals of forces; None if the options do not request them.
 
     Raises:
         InputError: SciPy is missing.
@@ -95,27 +95,30 @@ def score(
     progress: bool = False,
     **options: Unpack[ScoreOptions],
 ) -> RunResults:
-    """Simulate each plan and say whether it stands, with ``confidence`` how sure that is, and with ``chain`` how likely
-    it arrives.
+    """Simulate each plan and report whether it stands.
+
+    With ``confidence``, also report how certain that verdict is; with ``chain``, how likely the plan is to survive
+    transport.
 
     ``petmjx.score("plans.json", schedule="fixed", thresholds={"shift_m": 0.03}, out="results")``
 
     Args:
-        plans: a file, a folder, the folder of a run for its plans, several of these, a data frame with one row per
-            box, a plan, a list of plans or a ``PlanSet``; None: the bundled samples.
-        watcher: follows the run. Without a watcher, notebooks show a progress bar.
+        plans: a file, a folder, the folder of a run (whose plans are used), several of these, a data frame with one row
+            per box, a plan, a list of plans or a ``PlanSet``; None: the bundled samples.
+        watcher: an object whose methods are called as the run proceeds. Without a watcher, notebooks show a progress
+            bar.
         progress: in a script, print the progress of the run on standard error every few seconds.
-        options: ``confidence``, ``errors`` and ``chain``, fields of ``petmjx.Simulation`` and ``petmjx.RunOptions``,
-            listed below.
+        options: ``confidence``, ``errors`` and ``chain``, and the fields of ``petmjx.Simulation`` and
+            ``petmjx.RunOptions``, listed below.
 
     Returns:
-        The results, with ``.worlds``, ``.boxes`` and ``.attempts`` as data frames and ``.info``. With ``confidence``
-        or ``chain`` also ``.summary``, and ``.worlds`` has several rows per plan: variant 0 is the world without
-        errors.
+        The results, with ``.worlds``, ``.boxes`` and ``.attempts`` as data frames, and ``.info``. With ``confidence``
+        or ``chain`` there is also ``.summary``, and ``.worlds`` has several rows per plan: variant 0 is the world
+        without errors.
 
     Raises:
-        InputError: unusable plans or options.
-        EngineUnavailable: the engine asked for cannot run here.
+        InputError: the plans or options are unusable.
+        EngineUnavailable: the chosen engine cannot run on this machine.
     """
     of_simulation, of_run, of_confidence, of_transport = sorted_options(options, Confidence, Transport)
     run, sure, transport = RunOptions(**of_run), Confidence(**of_confidence), Transport(**of_transport)
@@ -152,22 +155,23 @@ def sweep(
     batching: Batching | None = None,
     **options: Unpack[SweepOptions],
 ) -> RunResults:
-    """Simulate each plan in all variants that a sweep file asks for.
+    """Simulate each plan in all variants that a sweep file defines.
 
     Args:
         file: a sweep file, or the name of a ready-made sweep such as ``eumos``.
-        plans: as for :func:`score`; they replace the plans that the file names. None: all plans of the file.
-        watcher: follows the run. Without one, notebooks show a progress bar.
+        plans: as for :func:`score`. They replace the plans that the sweep file names. None: all plans of the file.
+        watcher: as for :func:`score`.
         progress: in a script, print the progress of the run on standard error every few seconds.
-        batching: how many states and worlds are held in memory; it changes no result.
-        options: fields of ``petmjx.Simulation``, which replace those of the file, and of ``petmjx.RunOptions``.
+        batching: how many states and worlds are held in memory. It does not affect the results.
+        options: fields of ``petmjx.Simulation``, which replace those of the sweep file, and fields of
+            ``petmjx.RunOptions``.
 
     Returns:
-        The results, with ``.worlds``, ``.boxes``, ``.attempts`` and ``.summary`` as data frames and ``.info``.
+        The results, with ``.worlds``, ``.boxes``, ``.attempts`` and ``.summary`` as data frames, and ``.info``.
 
     Raises:
-        InputError: an unusable sweep file, plans or options.
-        EngineUnavailable: the engine asked for cannot run here.
+        InputError: the sweep file, the plans or the options are unusable.
+        EngineUnavailable: the chosen engine cannot run on this machine.
     """
     from petmjx.runs.sweep_file import find_sweep, load_sweep
     from petmjx.runs.sweep_run import Batching

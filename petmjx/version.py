@@ -1,4 +1,4 @@
-"""The version of petmjx, which results and pages name: that of the git tag at the time of the installation."""
+"""The version of petmjx, which results and pages state: the version of the git tag at the time of installation."""
 
 __all__ = ["__version__"]
 

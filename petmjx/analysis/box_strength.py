@@ -1,13 +1,12 @@
-"""Loads on boxes of a run as shares of their strength, at rest and at the peak: ``petmjx.loads``.
+"""The loads on a run's boxes, at rest and at the peak, as shares of the boxes' strength: ``petmjx.loads``.
 
-The strength of a box is its strength in a press, times factors for the way of stacking, for moist air and for time
-(petmjx.options.stacking). Which boxes are crushed, surely or possibly: petmjx/analysis/crushing.py. Verdicts do not
-depend on strengths.
+The strength of a box is its strength in a press, times factors for its arrangement in the stack, for moist air and for
+time (petmjx.options.stacking). petmjx/analysis/crushing.py determines which boxes are crushed, surely or possibly.
+Verdicts do not depend on strengths.
 
-A carton bears by its walls, and most at its corners. So ``walls_of`` computes from the plan two shares of a box's
-walls: the share that carries walls of other boxes, and the share over an edge or over a gap of the deck. Interlayer
-sheets are
-not boxes: a box on a sheet stands on the boxes under the sheet.
+A carton bears load through its walls, and mostly at its corners. So ``walls_of`` computes from the plan two shares of a
+box's walls: the share that carries walls of other boxes, and the share that hangs over an edge or over a gap of the
+deck. Interlayer sheets do not count as boxes: a box on a sheet stands on the boxes under the sheet.
 """
 
 from __future__ import annotations
@@ -50,22 +49,23 @@ from petmjx.runs.chain_summary import is_chain
 from petmjx.world.carrier_boards import pallet
 
 MOST_GAP_MM: Final = 5.0
-"""Largest gap below a box across which it still stands on the body below. Placed boxes are let down onto that body."""
+"""Largest gap below a box across which the box still counts as standing on the body below. Placed boxes are lowered
+onto that body."""
 
 LEAST_SHARED_MM: Final = 1.0
-"""Boxes that overlap by less than this length along an axis stand beside each other."""
+"""If two boxes overlap by less than this length along an axis, neither stands on the other."""
 
 Span = tuple[float, float]
 
 
 class Walls(NamedTuple):
-    """The walls of n boxes, as shares of their lengths.
+    """The walls of n boxes, as shares of the length of each box's walls.
 
     Attributes:
-        met: (n,) share on which walls of boxes above stand; 1 if nothing stands on the box.
-        hanging: (n,) share without support, beyond the edges of the bodies that bear the box.
-        over_gaps: (n,) share over gaps between the boards of the deck.
-        on_deck: (n,) whether a box stands on the carrier, perhaps with a sheet between.
+        met: (n,) share on which walls of the boxes above stand; 1 if no box stands on it.
+        hanging: (n,) share that has no support, beyond the edges of the bodies that bear the box.
+        over_gaps: (n,) share that is over gaps between the boards of the deck.
+        on_deck: (n,) whether a box stands on the carrier, directly or on a sheet.
     """
 
     met: FloatArray
@@ -77,10 +77,10 @@ class Walls(NamedTuple):
 def walls_of(
     plan: Plan, extent_mm: tuple[float, float] | None, deck_mm: FloatArray | None, tolerance_mm: float
 ) -> Walls:
-    """The walls of a plan's boxes.
+    """Compute how the walls of a plan's boxes are borne and loaded.
 
     Args:
-        extent_mm: extents of the carrier along x and y, with the carrier's corner in the origin; None: the extents of
+        extent_mm: extents of the carrier along x and y, with the carrier's corner at the origin; None: the extents of
             the plan.
         deck_mm: (b, 2, 2) lowest and highest corners of the boards of the deck; None: the deck has no gaps.
         tolerance_mm: largest distance between a wall and the wall or edge that bears it.
@@ -98,11 +98,11 @@ def walls_of(
             met[box] = sum(_met_length(wall, lines, tolerance_mm) for wall in walls) / perimeter
         below = [(low[other, :2], high[other, :2]) for other in np.flatnonzero(on[box])]
         if on_carrier[box] and extent_mm is None:
-            continue  # the carrier has the plan's extents
+            continue  # the carrier has the extents of the plan
         if on_carrier[box] and extent_mm is not None:
             below.append((np.zeros(2), np.array(extent_mm)))
         if not below:
-            continue  # the box floats: its real support is unknown
+            continue  # the box floats, so its real support is unknown
         borne = sum(_over(wall, below, tolerance_mm) for wall in walls)
         hanging[box] = max(0.0, 1.0 - borne / perimeter)
         if on_carrier[box] and deck_mm is not None:
@@ -112,7 +112,8 @@ def walls_of(
 
 
 def _stands_on(plan: Plan, low: FloatArray, high: FloatArray) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
-    """(n, n) whether the row's box stands on the column's, directly or through sheets; (n,) whether on the carrier."""
+    """(n, n) whether the row's box stands on the column's, directly or through sheets; (n,) whether it stands on the
+    carrier."""
     beside = (shared_length(low[:, 0], high[:, 0]) > LEAST_SHARED_MM) & (
         shared_length(low[:, 1], high[:, 1]) > LEAST_SHARED_MM
     )
@@ -121,7 +122,7 @@ def _stands_on(plan: Plan, low: FloatArray, high: FloatArray) -> tuple[NDArray[n
     sheets = plan.sheets
     on, carried = touches.copy(), low[:, 2] <= MOST_GAP_MM
     through = touches & sheets[None, :]
-    for _ in range(int(sheets.sum())):  # one more sheet on top of each other at a time
+    for _ in range(int(sheets.sum())):  # each pass follows one more sheet in a stack of sheets
         further = on | ((through.astype(np.int64) @ on.astype(np.int64)) > 0) & beside
         carried = carried | (through & carried[None, :]).any(axis=1)
         if (further == on).all():
@@ -152,13 +153,13 @@ def _walls(low: FloatArray, high: FloatArray) -> Iterator[_Wall]:
 
 
 def _met_length(wall: _Wall, others: list[_Wall], tolerance_mm: float) -> float:
-    """The length of a wall on which parallel walls stand, mm."""
+    """The length of a wall on which parallel walls of boxes above stand, mm."""
     near_spans = [other.span for other in others if other.axis == wall.axis and abs(other.at - wall.at) <= tolerance_mm]
     return _covered_length(wall.span, near_spans)
 
 
 def _over(wall: _Wall, areas: list[tuple[FloatArray, FloatArray]], tolerance_mm: float) -> float:
-    """The length of a wall that is over areas, from their lowest and highest corners, mm."""
+    """The length of a wall that lies over areas, mm. An area is given by its lowest and highest corners."""
     under = []
     for low, high in areas:
         if low[1 - wall.axis] - tolerance_mm <= wall.at <= high[1 - wall.axis] + tolerance_mm:
@@ -167,7 +168,7 @@ def _over(wall: _Wall, areas: list[tuple[FloatArray, FloatArray]], tolerance_mm:
 
 
 def _covered_length(span: Span, parts: list[Span]) -> float:
-    """The length of a span that is covered by parts, which may overlap."""
+    """The length of a span that parts cover, mm. Parts may overlap."""
     reached, total = span[0], 0.0
     for begin, end in sorted(parts):
         begin, end = max(begin, reached), min(end, span[1])
@@ -178,7 +179,7 @@ def _covered_length(span: Span, parts: list[Span]) -> float:
 
 
 _MOST_NAMED: Final = 8
-"""Articles that a note names."""
+"""Largest number of articles that a note names."""
 
 _BOX_UNITS: Final = {
     "plan_id": ("", "id of the packing plan"),
@@ -234,12 +235,13 @@ _SHARES: Final = {
     "rest_top_force_high_n": "load_share_high",
     _PEAK: "peak_share",
 }
-"""Force on a box → column with its share of the strength. The second and the third exist if the run has intervals."""
+"""Force on a box → column with its share of the strength. The second and the third entry need a run with intervals."""
 
 _OVER: Final = dict(
     zip(("overloaded", "surely_overloaded", "possibly_overloaded", "overloaded_at_peak"), _SHARES.values(), strict=True)
 )
-"""Column of ``plans`` → column of ``boxes``: whether a box of the world has a share above 1."""
+"""Column of ``plans`` → the column of ``boxes`` that decides it: whether a box of the world has a share above 1
+there."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -248,13 +250,15 @@ class Loads:
 
     Attributes:
         run: the run's folder.
-        boxes: one row per box of each world: ``load_share`` and the values behind it.
-        plans: one row per world: ``overloaded`` at rest and ``overloaded_at_peak``, and the boxes with the largest
-            shares. If the run has intervals of forces, also ``surely_overloaded`` and ``possibly_overloaded``.
-        notes: lines on an unfinished run, on articles without strength, and on forces at rest after a drive with film.
-        stacking: losses of strength by the way of stacking.
-        ways: of a chain: how likely each plan arrives, and arrives whole, with each remedy; None: a run without a
-            chain.
+        boxes: one row per box of each world: ``load_share`` and the values from which it is computed.
+        plans: one row per world: whether a box is ``overloaded`` at rest or ``overloaded_at_peak``, and the boxes with
+            the largest shares. If the run has intervals of forces, also ``surely_overloaded`` and
+            ``possibly_overloaded``.
+        notes: lines about an unfinished run, about articles without strength, and about forces at rest after a drive
+            with film.
+        stacking: the losses of strength that were used.
+        ways: for the run of a chain, how likely each plan is to arrive, and to arrive without crushed boxes, with each
+            remedy; None: the run is not that of a chain.
     """
 
     run: Path
@@ -268,13 +272,13 @@ class Loads:
         return f"Loads({count_text(len(self.plans), 'world')}, {int(self.plans['overloaded'].sum()):,} overloaded)"
 
     def write(self, folder: str | Path, overwrite: bool = False) -> None:
-        """Write ``box_loads``, ``plan_loads`` and, of a chain, ``way_loads``, as Parquet with units and as CSV.
+        """Write ``box_loads``, ``plan_loads`` and, for a chain, ``way_loads``, as Parquet with units and as CSV.
 
         Args:
-            overwrite: tables that petmjx wrote there before may be replaced.
+            overwrite: whether tables that petmjx wrote there before may be replaced.
 
         Raises:
-            InputError: the folder cannot be written, or a file of these names may not be replaced.
+            InputError: the folder is not writable, or a file of one of these names must not be replaced.
         """
         folder = path_of(folder, "folder")
         check_loads_free(folder, overwrite)
@@ -285,10 +289,10 @@ class Loads:
 
 
 def check_loads_free(folder: Path, overwrite: bool, inputs: Iterable[Path] = ()) -> None:
-    """Check that the tables of loads may be written into a folder; ``inputs`` are the files to be read.
+    """Check that the tables of loads may be written into a folder. ``inputs`` are the files that the command reads.
 
     Raises:
-        InputError: as ``petmjx.results.documented_tables.check_tables_free``.
+        InputError: as for ``petmjx.results.documented_tables.check_tables_free``.
     """
     check_tables_free(folder, ("box_loads", "plan_loads", "way_loads"), overwrite=overwrite, inputs=inputs)
 
@@ -300,21 +304,22 @@ def loads(
     *,
     stacking: Stacking | Mapping[str, Any] | None = None,
 ) -> Loads:
-    """Compare the forces on boxes, at rest and at the peak, with the strength of the boxes as stacked.
+    """Compare the forces on boxes, at rest and at the peak, with the strength that the boxes have in the stack.
 
     ``petmjx.loads("results", "articles.csv", stacking={"interlocked_loss": 0.4})``
 
     Args:
         run: a run's folder, or the result of ``petmjx.score``.
-        articles: table of strengths (``petmjx.plans.articles.read_articles``). Boxes without an entry have the strength
-            of the plan, or of the run's table. None: only the strengths of the plan and of the run's table count.
-        plans: the plans of the run, for sizes, places and product groups; None: the files that the run names.
-        stacking: how much strength boxes lose by stacking; a mapping sets some of its fields
-            (``petmjx.options.stacking.Stacking``).
+        articles: a table of strengths (``petmjx.plans.articles.read_articles``). Boxes without an entry have the
+            strength from the plan, or else from the run's table. None: only those two are used.
+        plans: the plans of the run, which have the sizes, places and product groups; None: the files that the run
+            names.
+        stacking: how much strength boxes lose by stacking, as a ``petmjx.options.stacking.Stacking`` or as a mapping
+            that sets some of its fields.
 
     Raises:
-        InputError: no run, an unusable table of articles, an unusable option, no strength for any box, or plans that
-            differ from those of the run.
+        InputError: there is no run, the table of articles or an option is unusable, no box has a known strength, or the
+            plans differ from those of the run.
     """
     losses = stacking if isinstance(stacking, Stacking) else Stacking.read(stacking or {})
     results = run if isinstance(run, RunResults) else load_run(run)
@@ -372,7 +377,7 @@ _STRENGTH: Final = ("press_strength_n", *_FACTORS, "strength_n", "time_factor", 
 def _strengths(
     plans: Iterable[Plan], articles: Articles, losses: Stacking, carrier: Carrier | OwnCarrier
 ) -> tuple[pd.DataFrame, Counter[str]]:
-    """The strength of each box except sheets, and the number of boxes of each article without strength."""
+    """The strength of each box except sheets; and for each article without strength, the number of its boxes."""
     parts: list[pd.DataFrame] = []
     missing: Counter[str] = Counter()
     for plan in plans:
@@ -401,12 +406,12 @@ def _strengths(
 
 
 def _remaining_share(loss: float, factor: float = 1.0) -> float:
-    """The share of a strength that is left after a loss times a factor."""
+    """The share of a strength that remains after the loss ``factor * loss``."""
     return 1.0 - min(factor * loss, 1.0)
 
 
 def _factors(plan: Plan, losses: Stacking, carrier: Carrier | OwnCarrier) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Three times (4, n), the ``_FACTORS`` of each box's strength: with the nominal, the largest and the smallest
+    """Three arrays (4, n) with the ``_FACTORS`` of each box's strength: for the nominal, the largest and the smallest
     losses."""
     extent, boards = extent_m(carrier), pallet(carrier)
     extent_mm = None if extent is None else (MM_PER_M * extent[0], MM_PER_M * extent[1])
@@ -433,7 +438,7 @@ def _factors(plan: Plan, losses: Stacking, carrier: Carrier | OwnCarrier) -> tup
 
 
 def _of_worlds(results: RunResults, boxes: pd.DataFrame) -> pd.DataFrame:
-    """The table ``plans``: one row per world."""
+    """Make the table ``plans``: one row per world."""
     key = ["plan_id", "variant"]
     shares = {name: share for name, share in _OVER.items() if share in boxes}
     marked = boxes[key].assign(
@@ -477,7 +482,7 @@ def _notes(missing: Counter[str]) -> list[str]:
 
 
 def _film_notes(results: RunResults) -> list[str]:
-    """A note on forces at rest of worlds that were shaken in film."""
+    """A note on the forces at rest of worlds that were shaken while wrapped in film."""
     wrap = results.info.get("config", {}).get("simulation", {}).get("wrap") or {}
     turns = results.worlds.get("wrap_turns", pd.Series([wrap.get("turns") or 0]))
     if not (turns > 0).any() or "profile" not in results.worlds:

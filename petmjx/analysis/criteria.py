@@ -1,10 +1,11 @@
 """Closed-form criteria of static stability for one plan.
 
-``CRITERIA`` lists the criteria by name, each with its condition and its slack. Tables, columns and docs are made from
-this list. ``CriterionInputs`` holds the contacts of a plan and computes shared values once for all criteria. The
-criteria of a box's base alone are here: the borne share of the base, and the number of borne corners.
+``CRITERIA`` lists the criteria by name, each with its condition and its slack. Tables, columns and docs are generated
+from this list. ``CriterionInputs`` holds the contacts of a plan, and computes values that several criteria use only
+once. This module has the criteria that depend on a box's base alone: the borne share of the base, and the number of
+borne corners.
 
-How to add a criterion of your own: docs/extending.md.
+docs/extending.md explains how to add a criterion.
 """
 
 from __future__ import annotations
@@ -47,11 +48,11 @@ from petmjx.world.history import CARRIER
 
 @dataclass(frozen=True, eq=False)
 class CriterionInputs:
-    """One plan of n boxes.
+    """The inputs of criteria for one plan of n boxes.
 
     Attributes:
-        friction: coefficients, for force balance.
-        leans: whether force balance is also computed with boxes that lean on neighbours.
+        friction: coefficients of friction, for force balance.
+        leans: whether force balance is also computed for boxes that lean on neighbours.
         strength_n: (n,) strength of the tops of boxes, N; NaN if unknown. None: no box has a known strength.
     """
 
@@ -62,22 +63,23 @@ class CriterionInputs:
 
     @cached_property
     def share(self) -> FloatArray:
-        """(n,) borne share of the base."""
+        """(n,) share of the base that is borne."""
         return support_share(self.contacts)
 
     @cached_property
     def corners(self) -> IntArray:
-        """(n,) bottom corners that lie on something."""
+        """(n,) number of bottom corners that lie on something."""
         return corners_supported(self.contacts)
 
     @cached_property
     def hulls(self) -> Hulls:
-        """The hulls of the contact areas."""
+        """The convex hulls of the contact areas."""
         return contact_hulls(self.contacts)
 
     @cached_property
     def balance(self) -> tuple[FloatArray, FloatArray]:
-        """Two (n,) slacks of force balance: without leaning and with leaning. The second is NaN unless ``leans``."""
+        """Two arrays (n,) with the slacks of force balance, without and with leaning. The second is NaN unless
+        ``leans``."""
         return balance_slack(self.contacts, self.hulls, self.friction, self.leans)
 
 
@@ -86,19 +88,21 @@ NO: Final = 0
 NOT_ASKED: Final = -1
 
 _ROUNDING: Final = {"mm": ON_EDGE_MM, "1": -NO_SLACK}
-"""By unit: slacks down to minus this value count as 0. Shares of areas in mm² have rounding errors of 1e-16."""
+"""Unit → rounding error: slacks above minus this value count as 0. Shares of areas in mm² have rounding errors of
+1e-16."""
 
 
 @dataclass(frozen=True, eq=False)
 class Answers:
-    """The answers of c criteria for n boxes at their placement.
+    """The answers of c criteria for n boxes, each at the time when it is placed.
 
     Attributes:
-        n_supports: (n,) number of areas on which each box lies (``PlanContacts.n_supports``).
-        share: (n,) borne share of the base.
-        corners: (n,) bottom corners that lie on something.
-        slack: (n, c) the slacks; NaN if there is none.
-        stable: (n, c) ``YES``, ``NO``, or ``NOT_ASKED``: force balance ends with the first box that fails.
+        n_supports: (n,) number of areas on which the box lies (``PlanContacts.n_supports``).
+        share: (n,) share of the base that is borne.
+        corners: (n,) number of bottom corners that lie on something.
+        slack: (n, c) the slacks; NaN if a box has none.
+        stable: (n, c) ``YES``, ``NO`` or ``NOT_ASKED``. Force balance does not evaluate boxes after the first one that
+            fails.
     """
 
     n_supports: IntArray
@@ -119,7 +123,7 @@ def answer(
     """Evaluate criteria for one plan.
 
     Args:
-        friction: coefficients, for force balance.
+        friction: coefficients of friction, for force balance.
         tolerance_mm, deck_mm, room: see ``petmjx.analysis.plan_contacts.find_contacts``.
     """
     contacts = find_contacts(plan, tolerance_mm, deck_mm, room)
@@ -134,8 +138,8 @@ def answer(
 
 
 def _stable(slack: FloatArray, criterion: Criterion) -> NDArray[np.int8]:
-    """Yes or no by the sign of the slack. NaN means no. Boxes after the end of a criterion that ``ends`` get no
-    answer."""
+    """``YES`` or ``NO`` by the sign of the slack; NaN gives ``NO``. If the criterion ``ends``, boxes after the first
+    failing one get ``NOT_ASKED``."""
     rounding = _ROUNDING[criterion.unit]
     stable = (slack > rounding if criterion.strict else slack >= -rounding).astype(np.int8)
     if criterion.ends:
@@ -146,7 +150,7 @@ def _stable(slack: FloatArray, criterion: Criterion) -> NDArray[np.int8]:
 def support_share(contacts: PlanContacts) -> FloatArray:
     """(n,) borne area / base area; 0 for a box that lies on nothing.
 
-    If supports overlap each other, as in illegal plans, their common area counts once.
+    If supports overlap each other, as in invalid plans, their common area counts once.
     """
     area = (contacts.high_mm - contacts.low_mm).prod(axis=1)
     borne = np.bincount(contacts.upper, weights=area, minlength=contacts.n_boxes)
@@ -157,7 +161,7 @@ def support_share(contacts: PlanContacts) -> FloatArray:
 
 
 def _with_overlaps(contacts: PlanContacts) -> IntArray:
-    """Boxes of which two contact rectangles overlap."""
+    """Boxes with contact rectangles that overlap each other."""
     if not (contacts.n_supports > 1).any():
         return np.zeros(0, dtype=np.int64)
     is_overlap = np.equal.outer(contacts.upper, contacts.upper)
@@ -177,16 +181,17 @@ def _union_area(contacts: PlanContacts, box: int) -> float:
 
 
 def corners_supported(contacts: PlanContacts) -> IntArray:
-    """(n,) number of the four bottom corners on a support, within the tolerance; edges count."""
+    """(n,) number of bottom corners, of four, that lie on a support within the tolerance. The edge of a support
+    counts."""
     count: IntArray = contacts.borne_corners(np.ones(len(contacts.upper), dtype=bool)).sum(axis=1)
     return count
 
 
 def corner_and_area_slack(share: FloatArray, corners: IntArray, least: tuple[float, float, float]) -> FloatArray:
-    """(n,) by how much the borne share exceeds the share that is required for the box's number of borne corners.
+    """(n,) borne share minus the share that is required for the box's number of borne corners.
 
     Args:
-        least: shares required with four borne corners, with three, and with fewer.
+        least: shares required for boxes with four borne corners, with three, and with fewer.
     """
     four, three, fewer = least
     least_share: FloatArray = np.select([corners >= N_CORNERS, corners == N_CORNERS - 1], [four, three], fewer)
@@ -194,23 +199,27 @@ def corner_and_area_slack(share: FloatArray, corners: IntArray, least: tuple[flo
 
 
 SUPPORT_SHARES: Final = (1.0, 0.9, 0.8, 0.75, 0.7, 0.6, 0.5)
-"""Required shares of the base: full support, and the shares in Bortfeldt & Wäscher's survey and in the ADAMS study."""
+"""Required shares of the base: full support, and the shares from Bortfeldt & Wäscher's survey and from the ADAMS
+study."""
 
 LEAST_CORNERS: Final = 3
 
 CORNER_AREA_PAPER: Final = (0.60, 0.80, 0.95)
 CORNER_AREA_CODE: Final = (0.50, 0.85, 0.95)
-"""Shares required with four borne corners, with three, and with fewer, in the paper and in its authors' code."""
+"""Shares required for boxes with four borne corners, with three, and with fewer, according to the paper and to its
+authors' code."""
 
 LEAST_TOLERABLE_G: Final = 0.5
-"""EN 12195-1:2010: acceleration sideways and rearward on the road, g."""
+"""Acceleration sideways and rearward on the road, g. Source: EN 12195-1:2010."""
 
 
 def tolerable_acceleration_g(contacts: PlanContacts, hulls: Hulls, friction: float) -> FloatArray:
-    """(n,) the level acceleration at which a box, or the load placed by then, begins to slide or to tip, g.
+    """(n,) the smallest horizontal acceleration at which a box, or the load placed so far, begins to slide or to tip,
+    g.
 
-    Box and load count as rigid bodies: they slide at the coefficient of friction, and tip at the distance of the centre
-    from the edge / its height above it (statics; EN 12195-1 has the same conditions).
+    The box and the load count as rigid bodies. They slide when the acceleration in g reaches the coefficient of
+    friction. They tip when it reaches the distance of the centre from the edge divided by the height of the centre
+    above it. These conditions follow from statics, and EN 12195-1 has the same ones.
     """
     half_mm = contacts.centre_mm[:, 2] - contacts.corner_mm[:, 2]
     of_box = hulls.distance(np.arange(contacts.n_boxes), contacts.centre_mm[:, :2]) / half_mm
@@ -219,8 +228,8 @@ def tolerable_acceleration_g(contacts: PlanContacts, hulls: Hulls, friction: flo
 
 
 def load_tipping_g(contacts: PlanContacts) -> FloatArray:
-    """(n,) the level acceleration at which the load placed by then tips as one rigid body, g. The load stands on the
-    rectangle around its boxes on the carrier."""
+    """(n,) the horizontal acceleration at which the load placed so far tips as one rigid body, g. The load stands on
+    the bounding rectangle of its boxes on the carrier."""
     low, high = np.full((contacts.n_boxes, 2), np.inf), np.full((contacts.n_boxes, 2), -np.inf)
     on_carrier = contacts.lower == CARRIER
     np.minimum.at(low, contacts.upper[on_carrier], contacts.low_mm[on_carrier])
@@ -240,24 +249,25 @@ MOST_POINTS: Final = {
     "overhang": 15.0,
     "order": 15.0,
 }
-"""A seller's score of 0 to 100: points for the height of the centre, quadrants, fill and interlock, overhang, and heavy
-boxes below. The seller publishes these numbers and ``LEAST_POINTS``, and no formulas: those of ``load_points`` are
-assumptions, each linear between the best and the worst that there is."""
+"""Largest numbers of points in a seller's score of 0 to 100: for the height of the centre, quadrants, fill, interlock,
+overhang, and heavy boxes below. The seller publishes these numbers and ``LEAST_POINTS`` but no formulas. The formulas
+of ``load_points`` are assumptions: each is linear between the best and the worst possible value."""
 
 LEAST_POINTS: Final = 75.0
-"""The seller calls a load with so many points stable."""
+"""From this number of points on, the seller calls a load stable."""
 
 
 def load_points(contacts: PlanContacts) -> dict[str, float]:
-    """The points of a whole load, by the names of ``MOST_POINTS``.
+    """The points of a whole load, by the names of ``MOST_POINTS``. Each number of points is proportional to a value:
 
-    - height: all if the centre of mass is at half of the load's height or lower, none if it is at the top;
-    - quadrants: the mass over the lightest quadrant of the footprint / a quarter of the mass; boxes are cut where the
-      middle lines cross them. A load of which nothing lies on the carrier has none;
-    - fill: volume of the boxes / volume of the box around the load;
-    - interlock: share of the boxes above the first layer that lie on two boxes or more; all if there is no other layer;
-    - overhang: the least borne share of a base;
-    - order: share of the contacts between boxes in which the upper box is not the heavier one.
+    - height: all points if the centre of mass is at half of the load's height or lower, none if it is at the top;
+    - quadrants: the mass over the lightest quadrant of the footprint, divided by a quarter of the mass. Boxes are cut
+      at the middle lines. A load gets no points if nothing lies on the carrier;
+    - fill: volume of the boxes, divided by the volume of the load's bounding box;
+    - interlock: among the boxes above the first layer, the share that lies on two boxes or more; all points if there is
+      only one layer;
+    - overhang: the smallest borne share of a base;
+    - order: among the contacts between boxes, the share in which the upper box is not heavier than the lower one.
     """
     low, high = contacts.corner_mm, contacts.corner_mm + contacts.size_mm
     extent_mm = high.max(axis=0) - low.min(axis=0)
@@ -270,7 +280,7 @@ def load_points(contacts: PlanContacts) -> dict[str, float]:
         ]
     )
     middle = edges.mean(axis=0) if on_carrier.any() else np.full(2, np.inf)
-    left = np.clip((middle - low[:, :2]) / contacts.size_mm[:, :2], 0.0, 1.0)  # shares of each box, along x and y
+    left = np.clip((middle - low[:, :2]) / contacts.size_mm[:, :2], 0.0, 1.0)  # share left of the middle, along x and y
     quadrants = [contacts.mass_kg @ (x * y) for x in (left[:, 0], 1 - left[:, 0]) for y in (left[:, 1], 1 - left[:, 1])]
     above = ~np.isin(np.arange(contacts.n_boxes), contacts.upper[on_carrier])
     upper, lower = contacts.upper[~on_carrier], contacts.lower[~on_carrier]
@@ -286,7 +296,8 @@ def load_points(contacts: PlanContacts) -> dict[str, float]:
 
 
 def load_points_slack(contacts: PlanContacts) -> FloatArray:
-    """(n,) the points of the whole load less ``LEAST_POINTS``, at its last box. No load before has a score."""
+    """(n,) points of the whole load minus ``LEAST_POINTS``, for its last box only. Before that the load has no
+    score."""
     slack = np.full(contacts.n_boxes, sum(MOST_POINTS.values()) - LEAST_POINTS)
     slack[-1] = sum(load_points(contacts).values()) - LEAST_POINTS
     return slack
@@ -299,19 +310,19 @@ LEANING: Final = "force_balance_leaning"
 
 @dataclass(frozen=True)
 class Criterion:
-    """One criterion of static stability.
+    """A criterion of static stability.
 
     Attributes:
-        name: name of its columns.
-        asks: the condition for a box to be stable.
-        slack: definition of the slack, whose sign is the answer.
+        name: name of the criterion's columns.
+        asks: the condition under which a box is stable.
+        slack: definition of the slack. The sign of the slack gives the answer.
         unit: unit of the slack.
-        source: origin of the criterion.
-        slack_of: computes (n,) the slacks of a plan's boxes; NaN if a box has none.
-        strict: whether a slack of 0 is not enough.
-        number: the number that its threshold applies to; "" if there is none.
-        threshold: threshold of this number: number − slack.
-        ends: whether boxes after the first failing one get no answer.
+        source: where the criterion comes from.
+        slack_of: function that computes (n,) the slacks of a plan's boxes; NaN if a box has none.
+        strict: whether a box with a slack of 0 is unstable.
+        number: name of the quantity to which the threshold applies; "" if there is none.
+        threshold: threshold of this quantity. The slack is quantity − threshold.
+        ends: whether boxes after the first one that fails get no answer.
         usual: whether the criterion is evaluated by default.
     """
 
@@ -429,7 +440,7 @@ CRITERIA: Final = (
         DIMENSIONLESS,
         "McKee, Gander, Wachuta 1963, or strengths of the user's",
         lambda inputs: strength_slack(inputs.contacts, inputs.strength_n, even_bedding),
-        usual=False,  # without known strengths it accepts all plans
+        usual=False,  # without known strengths, it accepts all plans
     ),
     Criterion(
         "tolerable_acceleration",
@@ -442,7 +453,7 @@ CRITERIA: Final = (
         ),
         number="tolerable acceleration, g",
         threshold=LEAST_TOLERABLE_G,
-        usual=False,  # a criterion of transport, not of standing
+        usual=False,  # a criterion for transport, not for standing
     ),
     Criterion(
         "load_points",
@@ -456,17 +467,17 @@ CRITERIA: Final = (
         usual=False,  # a rule of thumb about the finished load
     ),
 )
-"""All criteria in the order of tables: from criteria of the base to criteria of the whole stack."""
+"""All criteria in the order of tables: first those of the base, last those of the whole stack."""
 
 NAMES: Final = tuple(criterion.name for criterion in CRITERIA)
 _UNNAMED: Final = tuple(criterion.name for criterion in CRITERIA if criterion.usual)
 
 
 def chosen_criteria(names: Iterable[str] | None = None) -> tuple[Criterion, ...]:
-    """The criteria with these names, in the order of ``CRITERIA``. Without names the default criteria.
+    """The criteria with these names, in the order of ``CRITERIA``. Without names, the default criteria.
 
     Raises:
-        InputError: a criterion does not exist.
+        InputError: one of the names is not that of a criterion.
     """
     chosen_names = tuple(names or ()) or _UNNAMED
     for name in chosen_names:

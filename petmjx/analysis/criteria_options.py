@@ -1,4 +1,4 @@
-"""Options of the criteria, checked."""
+"""The options of the criteria (``CriteriaOptions``), which are checked."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from petmjx.plans.plan_warnings import DEFAULT_TOLERANCE_MM
 
 
 class CriteriaOptions(CheckedRecord):
-    """The options of the criteria: the inputs and parameters of the answers."""
+    """The options of the criteria: inputs and parameters on which the answers depend."""
 
     friction: Annotated[float, within(0, 10), CliFlag("--friction", "MU")] = Field(
         PHYSICS["pallet"].box_friction[0], description="coefficient of friction where boxes lie, for force balance"

@@ -1,4 +1,4 @@
-"""The criteria of many plans: ``petmjx.criteria``, its options, its tables and its results as files."""
+"""Evaluates criteria for many plans: ``petmjx.criteria``, its options, its tables, and its results as files."""
 
 from __future__ import annotations
 
@@ -65,7 +65,7 @@ def boxes_frame(plans: Sequence[Plan], answers: Sequence[Answers], criteria: Seq
 
 
 def plans_frame(plans: Sequence[Plan], answers: Sequence[Answers], criteria: Sequence[Criterion]) -> pd.DataFrame:
-    """One row per plan: whether all boxes are stable, the first unstable box, and the least slack."""
+    """One row per plan: whether all boxes are stable, the first unstable box, and the smallest slack."""
     counts = np.array([plan.n_boxes for plan in plans])
     starts = np.r_[0, counts.cumsum()[:-1]]
     columns: dict[str, object] = {
@@ -80,7 +80,7 @@ def plans_frame(plans: Sequence[Plan], answers: Sequence[Answers], criteria: Seq
     for number, criterion in enumerate(criteria):
         failed = stable[:, number] == NO
         first = np.minimum.reduceat(np.where(failed, box, never), starts)
-        # boxes without an answer are ignored; a plan has no least slack if a box failed without a slack
+        # boxes without an answer are ignored; a plan has no smallest slack if a box failed without having a slack
         with np.errstate(invalid="ignore"):
             least = np.minimum.reduceat(np.where(stable[:, number] == NOT_ASKED, np.inf, slack[:, number]), starts)
         columns[criterion.name] = first == never
@@ -140,7 +140,7 @@ def criteria_vs_physics_columns() -> Described:
 
 
 def documented_thresholds() -> Described:
-    """The columns of ``thresholds``. The threshold itself is in the unit that the row names."""
+    """The columns of ``thresholds``. The threshold is in the unit that its row states."""
     in_row = "as in the column unit"
     columns = {
         "criterion": (TEXT, "name of the criterion"),
@@ -164,14 +164,14 @@ INFO_FILE: Final = "criteria.json"
 
 @dataclass(frozen=True, eq=False)
 class CriteriaResults:
-    """The answers of closed-form criteria, and their comparison with a run.
+    """The answers of closed-form criteria, and their comparison with the verdicts of a run.
 
     Attributes:
-        boxes: one row per box: for each criterion its answer and its slack (``<criterion>_slack``).
-        plans: one row per plan: for each criterion whether all boxes are stable, the first unstable box (``_first``),
-            and the least slack.
-        judged: one row per criterion, compared with the verdicts of a run; None without a run.
-        thresholds: one row per criterion with a number: the threshold that agrees best with the simulation; None
+        boxes: one row per box: for each criterion, its answer and its slack (``<criterion>_slack``).
+        plans: one row per plan: for each criterion, whether all boxes are stable, the first unstable box (``_first``),
+            and the smallest slack.
+        judged: one row per criterion: its comparison with the verdicts of a run; None without a run.
+        thresholds: one row per criterion that has a threshold: the threshold that agrees best with the simulation; None
             without a run.
         info: options, counts, skipped plans and times.
     """
@@ -201,11 +201,11 @@ class CriteriaResults:
         return {column: unit for column, (unit, _) in columns_by_table[table].items()}
 
     def write(self, folder: str | Path, overwrite: bool = False) -> None:
-        """Write every table as Parquet, with units in the metadata of its columns, and as CSV. ``info`` is written as
-        JSON.
+        """Write every table as CSV and as Parquet, with units in the metadata of the Parquet columns. ``info`` is
+        written as JSON.
 
         Raises:
-            InputError: the folder already holds such files and ``overwrite`` is not set, or it cannot be written.
+            InputError: the folder already has such files and ``overwrite`` is not set, or the folder is not writable.
         """
         folder = Path(folder)
         check_criteria_free(folder, overwrite, judged=self.judged is not None)
@@ -223,14 +223,14 @@ class CriteriaResults:
 
 
 def check_criteria_free(folder: Path, overwrite: bool, *, judged: bool, inputs: Iterable[Path] = ()) -> None:
-    """Check that the files of criteria may be written into a folder, before minutes of work.
+    """Check that the files of criteria may be written into a folder, before minutes are spent on computing them.
 
     Args:
         judged: whether the criteria are compared with a run.
-        inputs: files that are read.
+        inputs: files that the command reads.
 
     Raises:
-        InputError: as ``petmjx.results.documented_tables.check_tables_free``.
+        InputError: as for ``petmjx.results.documented_tables.check_tables_free``.
     """
     tables = ("boxes", "plans", *(("judged", "thresholds") if judged else ()))
     extra_files = {INFO_FILE: lambda file: has_keys(file, ("criteria", "options", "n_plans"))}
@@ -238,7 +238,7 @@ def check_criteria_free(folder: Path, overwrite: bool, *, judged: bool, inputs: 
 
 
 CHUNK: Final = 16
-"""Number of plans that a process takes at a time: half a second of force balance."""
+"""Number of plans that a process receives at a time. Their force balance takes half a second."""
 
 
 def criteria(
@@ -254,27 +254,28 @@ def criteria(
     progress: Callable[[int, int], None] | None = None,
     **options: Any,
 ) -> CriteriaResults:
-    """Evaluate closed-form criteria of static stability, and compare them with a simulation.
+    """Evaluate closed-form criteria of static stability for plans, and compare them with a simulation.
 
     ``petmjx.criteria("plans.json", run="results", only=("support_75", "equilibrium")).judged``
 
     Args:
-        plans: as for ``petmjx.score``; None: the plans of the run, or without one the bundled samples.
-        run: a run of the same plans, or its folder. The criteria are compared with its verdicts. If a plan has several
-            worlds, the nominal world counts; for a chain, whether the plan arrives often enough.
+        plans: as for ``petmjx.score``. None: the plans of the run; without a run, the bundled samples.
+        run: a run of the same plans, or its folder. The criteria are compared with the verdicts of this run. If a plan
+            has several worlds, its nominal world counts. For a chain, a plan counts as standing if it arrives often
+            enough.
         out: a folder for the tables, as Parquet and CSV.
-        overwrite: whether existing tables are replaced.
-        limit: largest number of plans.
-        strict: raise at the first plan that would be skipped.
-        units: of files and data frames, as for ``petmjx.load_plans``.
+        overwrite: whether existing tables may be replaced.
+        limit: largest number of plans to evaluate.
+        strict: whether to raise at the first plan that would otherwise be skipped.
+        units: the units of files and data frames, as for ``petmjx.load_plans``.
         anchor: as for ``petmjx.load_plans``.
-        progress: called with the number of finished plans and the number of all plans.
+        progress: function that is called with the number of finished plans and the number of all plans.
         options: fields of ``petmjx.analysis.criteria_options.CriteriaOptions``: ``friction``, ``side_friction``,
-            ``tolerance_mm``, ``carrier`` (by default the run's), ``only``, ``processes``, ``p_arrives``, ``seed``. With
-            ``processes`` a script needs its ``if __name__``.
+            ``tolerance_mm``, ``carrier`` (by default the run's), ``only``, ``processes``, ``p_arrives``, ``seed``. A
+            script that uses ``processes`` must be protected by ``if __name__ == "__main__"``.
 
     Raises:
-        InputError: unusable plans, run or options; or SciPy or shapely is missing.
+        InputError: the plans, the run or the options are unusable, or SciPy or shapely is missing.
     """
     chosen = CriteriaOptions(**options)
     flag_of(overwrite, "overwrite")
@@ -326,7 +327,7 @@ def criteria(
 
 
 def _other_carrier(carrier: Carrier | OwnCarrier, run: RunResults) -> list[str]:
-    """A note if the criteria use another carrier than the run."""
+    """A note if the criteria assume another carrier than the run."""
     if carrier == run.carrier:
         return []
     own_carrier, run_carrier = (
@@ -347,7 +348,7 @@ def _need_packers() -> None:
 def _answers(
     plans: Sequence[Plan], options: CriteriaOptions, progress: Callable[[int, int], None] | None
 ) -> Iterator[Answers]:
-    """Answers in the order of the plans."""
+    """The answers for all plans, in the order of the plans."""
     chunks = [plans[start : start + CHUNK] for start in range(0, len(plans), CHUNK)]
     ask = partial(_ask, options=options)
     n_done = 0
@@ -381,11 +382,11 @@ def _ask(plans: Sequence[Plan], options: CriteriaOptions) -> list[Answers]:
 
 
 def _judging_worlds(run: RunResults, plans: Sequence[Plan], p_arrives: float) -> pd.DataFrame:
-    """One row for each plan of the run: its nominal world; for a chain, whether the plan arrives often enough. Then the
-    reason is the weakest leg, and the margin is the share that arrives minus the least share.
+    """One row for each plan of the run: its nominal world. For a chain, the row states whether the plan arrives often
+    enough; its reason is the weakest leg, and its margin is the share that arrives minus the required share.
 
     Raises:
-        InputError: as ``_nominal_worlds``.
+        InputError: as for ``_nominal_worlds``.
     """
     if not is_chain(run.info) or run.summary is None:
         return _nominal_worlds(run.worlds[run.worlds["variant"] == 0], run, plans)
@@ -399,10 +400,10 @@ def _judging_worlds(run: RunResults, plans: Sequence[Plan], p_arrives: float) ->
 
 
 def _nominal_worlds(worlds: pd.DataFrame, run: RunResults, plans: Sequence[Plan]) -> pd.DataFrame:
-    """The worlds, one for each plan, if these plans were simulated.
+    """The nominal worlds of the run, one for each plan, if these plans were simulated.
 
     Raises:
-        InputError: the run has none of these plans, or a plan has another number of boxes.
+        InputError: the run has none of these plans, or one of them has another number of boxes in the run.
     """
     counts = {plan.plan_id: plan.n_boxes for plan in plans}
     common = worlds[worlds["plan_id"].isin(list(counts))]

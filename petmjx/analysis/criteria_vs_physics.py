@@ -1,10 +1,9 @@
-"""Compares criteria with a simulation: the plans that both accept, and the threshold of a criterion with the best
-agreement.
+"""Compares criteria with a simulation: which plans both accept, and with which threshold a criterion agrees best.
 
-A criterion accepts a plan if all its boxes are stable. *Precision* is the share of accepted plans that stand. *Recall*
-is the share of standing plans that are accepted. Matthews' correlation coefficient (MCC; Matthews 1975, Biochimica et
-Biophysica Acta 405, 442-451) counts both kinds of error: 1 means that all answers are right, 0 that they are no better
-than chance.
+A criterion accepts a plan if all boxes of the plan are stable. *Precision* is the share of accepted plans that stand.
+*Recall* is the share of standing plans that are accepted. Matthews' correlation coefficient (MCC; Matthews 1975,
+Biochimica et Biophysica Acta 405, 442-451) takes both kinds of error into account: at 1 all answers are right, at 0
+they are no better than chance.
 """
 
 from __future__ import annotations
@@ -23,30 +22,32 @@ from petmjx.engines.verdict import Verdict
 from petmjx.results.share_intervals import DEFAULT_CONFIDENCE
 
 N_BOOTSTRAP: Final = 4000
-"""Bootstrap samples of the plans. With this number the bounds of the intervals vary by about 1 % of their width."""
+"""Number of bootstrap samples of the plans. With it, the bounds of the intervals vary by about 1 % of their width."""
 
 CELLS: Final = ("accepted_stands", "accepted_falls", "refused_stands", "refused_falls")
-"""The cells of the confusion matrix: the answer of the criterion, then that of physics."""
+"""The cells of the confusion matrix. A name states the answer of the criterion, then that of physics."""
 
 SCORES: Final = ("precision", "recall", "mcc")
 
 ARRIVES: Final = ("arrives_accepted", "arrives_refused")
-"""Of a run of a chain: P(arrives) in the mean of the plans that a criterion accepts, and refuses."""
+"""Columns for the run of a chain: the mean P(arrives) of the plans that a criterion accepts, and of those that it
+refuses."""
 
 
 def judge(plans: pd.DataFrame, worlds: pd.DataFrame, criteria: Sequence[Criterion], seed: int = 0) -> pd.DataFrame:
     """Compare every criterion with physics.
 
     Args:
-        plans: one row per plan, as ``CriteriaResults.plans``.
-        worlds: one row per plan of a run: ``verdict`` and ``culprit`` by ``plan_id``. Invalid worlds are left out.
+        plans: one row per plan, in the form of ``CriteriaResults.plans``.
+        worlds: one row per plan of a run: ``verdict`` and ``culprit`` by ``plan_id``. Plans with invalid worlds are
+            left out.
         seed: seed of the bootstrap.
 
     Returns:
-        One row per criterion: ``criterion``, ``n_plans``, the counts ``CELLS``, each of ``SCORES`` with ``_low`` and
-            ``_high`` (95 % bootstrap over plans), and ``same_first_box``: number of refused falling plans with the same
-            first box by criterion and physics. If ``worlds`` has ``share``, of a chain, also the means ``ARRIVES`` of
-            that share over the plans that the criterion accepts, and refuses.
+        One row per criterion: ``criterion``, ``n_plans``, the counts ``CELLS``, and each of ``SCORES`` with ``_low``
+        and ``_high`` (95 % bootstrap over plans). ``same_first_box`` is the number of refused falling plans for which
+        the criterion and physics name the same first box. If ``worlds`` has the column ``share``, of a chain, there are
+        also the means ``ARRIVES`` of that share.
     """
     judged = with_physics(plans, worlds)
     stands = judged["stands"].to_numpy(dtype=bool)
@@ -65,8 +66,8 @@ def judge(plans: pd.DataFrame, worlds: pd.DataFrame, criteria: Sequence[Criterio
 
 
 def with_physics(plans: pd.DataFrame, worlds: pd.DataFrame) -> pd.DataFrame:
-    """The plans for which the run has a verdict, with ``stands``, ``culprit``, ``reason`` and ``margin`` of physics; of
-    a chain also with the ``share`` of its worlds that arrive."""
+    """The plans for which the run has a verdict, with the columns ``stands``, ``culprit``, ``reason`` and ``margin``
+    from physics. For a chain there is also the ``share`` of worlds in which the plan arrives."""
     judged = worlds[worlds["verdict"] != Verdict.INVALID.value]
     of_chain = ["share"] if "share" in judged else []
     physics = judged[["plan_id", "culprit", "reason", "margin", *of_chain]].assign(
@@ -76,10 +77,10 @@ def with_physics(plans: pd.DataFrame, worlds: pd.DataFrame) -> pd.DataFrame:
 
 
 def score_columns(accepted: NDArray[np.bool_], stands: NDArray[np.bool_], seed: int) -> dict[str, float]:
-    """Counts, and scores with their intervals.
+    """The counts of the confusion matrix, and the scores with their intervals.
 
-    The bootstrap draws plans with replacement. Only the four counts matter, so samples are drawn from a multinomial
-    distribution.
+    The bootstrap draws plans with replacement. Only the four counts matter, so it draws them directly from a
+    multinomial distribution.
     """
     cells = confusion(accepted, stands)
     row: dict[str, float] = {name: int(count) for name, count in zip(CELLS, cells, strict=True)}
@@ -96,20 +97,20 @@ def score_columns(accepted: NDArray[np.bool_], stands: NDArray[np.bool_], seed: 
 
 
 def confusion(accepted: NDArray[np.bool_], stands: NDArray[np.bool_]) -> NDArray[np.int64]:
-    """(4,) counts in the order of ``CELLS``."""
+    """(4,) counts of plans, in the order of ``CELLS``."""
     return np.bincount(2 * ~accepted + ~stands, minlength=len(CELLS))
 
 
 def scores(cells: NDArray[np.int64]) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Precision, recall and MCC of (…, 4) counts.
+    """Precision, recall and MCC for counts of shape (…, 4).
 
-    A share of nothing is NaN. If a criterion gives the same answer for all plans, it is useless, and MCC is 0. If
-    physics gives the same verdict for all plans, MCC is undefined, and NaN.
+    A share of zero plans is NaN. If a criterion gives the same answer for all plans, MCC is 0, because the criterion is
+    useless. If physics gives the same verdict for all plans, MCC is undefined, so it is NaN.
     """
     hit, false, miss, right = np.moveaxis(np.asarray(cells, dtype=np.float64), -1, 0)
     with np.errstate(divide="ignore", invalid="ignore"):
         precision, recall = hit / (hit + false), hit / (hit + miss)
-        # two roots, since float64 cannot hold the product of all four sums exactly
+        # two square roots, since float64 cannot hold the product of all four sums exactly
         below = np.sqrt((hit + false) * (hit + miss)) * np.sqrt((right + false) * (right + miss))
         mcc = np.where(below > 0, (hit * right - false * miss) / np.where(below > 0, below, 1.0), 0.0)
     mcc = np.where((hit + miss == 0) | (false + right == 0), np.nan, mcc)
@@ -119,15 +120,15 @@ def scores(cells: NDArray[np.int64]) -> tuple[FloatArray, FloatArray, FloatArray
 def best_thresholds(
     plans: pd.DataFrame, worlds: pd.DataFrame, criteria: Sequence[Criterion], seed: int = 0
 ) -> pd.DataFrame:
-    """For each criterion with a number, the threshold that agrees best with physics. The threshold is fitted on one
-    half of the plans and tested on the other half.
+    """For each criterion that has a threshold, the threshold that agrees best with physics. It is fitted on one half of
+    the plans and tested on the other half.
 
-    The half of a plan depends only on its id and the seed.
+    The half to which a plan belongs depends only on its id and the seed.
 
     Returns:
-        One row per criterion: ``criterion``, ``number``, ``unit``, ``threshold`` (at least), ``published`` (the
-            published threshold), ``n_found_on`` and ``mcc_found_on``. The other columns are as in ``judge``, on the
-            tested half, with ``mcc_published``.
+        One row per criterion: ``criterion``, ``number``, ``unit``, ``threshold`` (a lower limit), ``published`` (the
+        published threshold), ``n_found_on`` and ``mcc_found_on``. The other columns are as in ``judge``, for the half
+        on which the threshold is tested, plus ``mcc_published``.
     """
     joined_plans = with_physics(plans, worlds)
     stands = joined_plans["stands"].to_numpy(dtype=bool)
@@ -139,7 +140,7 @@ def best_thresholds(
         published = criterion.threshold
         number = joined_plans[f"{criterion.name}_slack"].to_numpy(dtype=np.float64) + published
         threshold, mcc = best_threshold(number[first_half], stands[first_half])
-        # without a threshold there is nothing to judge
+        # without a threshold there is nothing to test
         judged = ~first_half if np.isfinite(threshold) else np.zeros_like(first_half)
         as_published = confusion(joined_plans[criterion.name].to_numpy(dtype=bool)[~first_half], stands[~first_half])
         row: dict[str, object] = {"criterion": criterion.name, "number": criterion.number, "unit": criterion.unit}
@@ -151,17 +152,18 @@ def best_thresholds(
 
 
 def in_first_half(plan_ids: Sequence[str], seed: int) -> NDArray[np.bool_]:
-    """(n,) a fair coin for each plan, by its id and the seed."""
+    """(n,) a fair coin toss for each plan, determined by its id and the seed."""
     key = seed.to_bytes(8, "little")
     coins = [hashlib.blake2b(name.encode(), digest_size=1, key=key).digest()[0] & 1 for name in plan_ids]
     return np.array(coins, dtype=bool)
 
 
 def best_threshold(number: FloatArray, stands: NDArray[np.bool_]) -> tuple[float, float]:
-    """The threshold t for which ``number >= t`` has the largest MCC, and that MCC. NaN numbers are never accepted.
+    """The threshold t for which ``number >= t`` has the largest MCC, and that MCC. A number that is NaN is never
+    accepted.
 
-    The threshold is halfway between the two numbers that it separates. If several thresholds are equally good, the
-    middle one is taken. The threshold is NaN if no threshold has MCC > 0: all numbers are equal, all plans stand, all
+    The threshold lies halfway between the two numbers that it separates. If several thresholds are equally good, the
+    middle one is used. The threshold is NaN if no threshold has MCC > 0: if all numbers are equal, all plans stand, all
     plans fall, or plans with larger numbers fall.
     """
     has_number = ~np.isnan(number)
@@ -175,7 +177,7 @@ def best_threshold(number: FloatArray, stands: NDArray[np.bool_]) -> tuple[float
     n_standing = int(stands.sum())
     cells = np.stack([hit, false, n_standing - hit, len(stands) - n_standing - false], axis=-1)
     mcc = scores(cells.astype(np.int64))[2]
-    if not mcc.max() > 0:  # NaN, too
+    if not mcc.max() > 0:  # also if NaN
         return float("nan"), 0.0
     best = np.flatnonzero(mcc >= mcc.max() - 1e-12)
     cut = int(best[len(best) // 2])

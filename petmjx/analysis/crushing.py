@@ -1,8 +1,10 @@
-"""Crushed boxes, at rest or at the peak: surely, possibly, or not; and the share of pallets that arrive whole.
+"""Which boxes are crushed, at rest or at the peak: surely, possibly, or not. Also the share of pallets that arrive
+whole.
 
-Strengths are not exact: the losses by stacking, moisture and time have a spread. Nor are, for several supports, forces
-at rest. So a box is *surely* overloaded if the least force exceeds the largest possible strength, and *possibly* if the
-largest force exceeds the smallest possible strength. Users read about it in docs/loads.md.
+Strengths are not exact: the losses through stacking, moisture and time have a spread. Forces at rest are not exact
+either if a box has several supports. So a box is *surely* overloaded if the smallest possible force exceeds the largest
+possible strength. It is *possibly* overloaded if the largest possible force exceeds the smallest possible strength.
+docs/loads.md explains this to users.
 """
 
 from __future__ import annotations
@@ -49,18 +51,18 @@ WAY_UNITS: Final = {
 }
 
 SUSTAINED: Final = "sustained_top_force_n"
-"""Column of the boxes of a chain: the largest force at rest after any leg."""
+"""Column of boxes in a chain: the largest force at rest after any leg."""
 
 _KEY: Final = ["plan_id", "variant"]
 
 
 def with_crush_shares(boxes: pd.DataFrame, time_factors: tuple[float, float]) -> pd.DataFrame:
-    """The boxes with the columns ``crush_share_low`` and ``crush_share_high``.
+    """Add the columns ``crush_share_low`` and ``crush_share_high`` to the boxes.
 
     Args:
-        boxes: forces on boxes (the least and the largest at rest, and ``SUSTAINED``, if known) and the strengths of
-            ``BOX_UNITS``.
-        time_factors: the least and the most share of its strength that a box keeps under forces at rest.
+        boxes: the forces on boxes (the smallest and the largest at rest, and ``SUSTAINED``, if known), and the
+            strengths of ``BOX_UNITS``.
+        time_factors: smallest and largest share of its strength that a box keeps under forces at rest.
     """
     peak, rest = boxes["max_top_force_n"], boxes["rest_top_force_n"]
     sustained = boxes.get(SUSTAINED, rest)
@@ -68,7 +70,7 @@ def with_crush_shares(boxes: pd.DataFrame, time_factors: tuple[float, float]) ->
         np.fmax(rest, sustained) if name not in boxes else boxes[name].fillna(rest)
         for name in ("rest_top_force_low_n", "rest_top_force_high_n")
     )
-    if SUSTAINED in boxes:  # statics knows the end of the way, and not its other legs
+    if SUSTAINED in boxes:  # intervals cover the end of the chain only
         most = np.fmax(most, sustained)
     low, high = boxes["strength_low_n"], boxes["strength_high_n"]
     shortest, longest = time_factors
@@ -79,7 +81,7 @@ def with_crush_shares(boxes: pd.DataFrame, time_factors: tuple[float, float]) ->
 
 
 def crushed_worlds(boxes: pd.DataFrame) -> pd.DataFrame:
-    """The columns ``PLAN_UNITS`` of each world."""
+    """For each world, the columns ``PLAN_UNITS``."""
     marked = boxes[_KEY].assign(
         surely=boxes["crush_share_low"] > 1,
         possibly=boxes["crush_share_high"] > 1,
@@ -96,12 +98,12 @@ def crushed_worlds(boxes: pd.DataFrame) -> pd.DataFrame:
 
 
 def ways_of(worlds: pd.DataFrame, plans: pd.DataFrame) -> pd.DataFrame:
-    """The share of pallets that arrive, and arrive without crushed boxes, at the end of a chain: one row for each plan
-    and remedy.
+    """For each plan and remedy of a chain, the share of pallets that arrive at its end, and the share that arrive
+    without crushed boxes.
 
     Args:
-        worlds: of the run of a chain.
-        plans: its worlds with the column ``crushed``.
+        worlds: the worlds of the run of a chain.
+        plans: one row for each of these worlds, with the column ``crushed``.
     """
     drawn = worlds.loc[worlds["variant"] > 0, [*_KEY, "verdict", "remedy"]]
     drawn = drawn[drawn["verdict"].astype(str) != Verdict.INVALID.value].merge(plans[[*_KEY, "crushed"]], on=_KEY)

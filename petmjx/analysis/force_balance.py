@@ -1,32 +1,32 @@
-"""Force balance: existence of forces that hold a stack, and the slack of this condition.
+"""Force balance: whether forces exist that hold a stack in balance, and with how much slack.
 
 Sources: Liu, Deng, Wang, Liu, Liu (2024), "StableLego: stability analysis of block stacking assembly", arXiv
 2402.10711, and Whiting, Ochsendorf, Durand (2009), "Procedural modeling of structurally-sound masonry buildings", ACM
-Transactions on Graphics 28(5). At each corner of each contact area acts a pressing force, and friction of at most μ
-times that force. A stack is balanced if forces exist with zero sum and zero moment on every box.
+Transactions on Graphics 28(5). At each corner of each contact area, a pressing force acts, and friction of at most μ
+times that force. A stack is balanced if there are such forces whose sum and moment are zero on every box.
 
-The slack is a pure number. Each of the n corners under a box must carry at least s times the n-th part of the box's own
-weight. The slack is the largest s for which the stack is balanced. At 1 every box rests evenly on all its corners. At 0
-some box is about to tip. Below 0 a box would have to be glued, with a strength that grows with -s. For a box with a
-free top, take the ray from the middle of its corners through its centre to the hull's edge: the slack is 1 minus the
-share of the ray at which the centre lies.
+The slack is dimensionless. If a box has n corners under it, each of them must carry at least s / n of the box's own
+weight. The slack is the largest s for which the stack is balanced. At 1, every box rests evenly on all its corners. At
+0, some box is about to tip. Below 0, a box would have to be glued, with a strength that grows with -s. For a box with a
+free top there is a closed form: on the ray from the middle of the box's corners through its centre to the hull's edge,
+the slack is 1 minus the position of the centre, as a share of the ray.
 
-A placement only changes the structure of the new box: the boxes connected to it by contacts. Three exact shortcuts are
-used:
+A placement only affects the structure of the new box: the boxes that are connected to it by contacts. Three exact
+shortcuts are used:
 
-- A box with all four corners on the carrier is in balance whatever presses on its top, because vertical forces below
-  can always answer. A box of known balance is taken as part of the carrier, and separates structures. - Vertical forces
-  that balance are already a solution. So friction, and with it horizontal forces and heights, is considered only if
-  vertical forces alone do not balance the boxes. Friction may then help, for example if a box is held by another box
-  that lies across it and its neighbour. The slack is then the slack with friction, if larger. - A structure of one box
-  has the closed form above, without a linear programme.
+- A box with all four corners on the carrier is in balance whatever presses on its top, because vertical forces below it
+  can always answer. A box known to be in balance counts as part of the carrier, and so separates structures.
+- If vertical forces alone balance the boxes, they are already a solution. So friction, and with it horizontal forces
+  and heights, is considered only if they do not. Friction may then help, for example when a box is held by another box
+  that lies across it and its neighbour. The slack is then the slack with friction, if that is larger.
+- For a structure of one box, the closed form above gives the slack without a linear programme.
 
-With ``lean`` boxes that touch side by side may press on each other, and boxes on walls, by default without friction.
-Leaning is an option because possible forces need not arise: with friction at its sides any box could hang between two
-neighbours that press on it, though nothing makes them press.
+With ``lean``, boxes that touch side by side may press on each other, and boxes may press on walls, by default without
+friction. Leaning is an option because forces that are possible need not arise: with friction at its sides, any box
+could hang between two neighbours that press on it, even if nothing makes them press.
 
-The linear programmes and ``wrenches``, the force and moment on bodies by forces at points, also serve
-petmjx.analysis.force_intervals.
+petmjx.analysis.force_intervals also uses the linear programmes, and ``wrenches``, which computes the force and moment
+on bodies from forces at points.
 """
 
 from __future__ import annotations
@@ -42,19 +42,20 @@ from petmjx.common.units import MM_PER_M, FloatArray
 from petmjx.world.history import CARRIER
 
 WRENCH: Final = 6
-"""Rows of a body: its force and its moment about its centre."""
+"""Number of rows of a body: three for its force and three for its moment about its centre."""
 
 
 def wrenches(
     first: IntArray, second: IntArray, position_m: FloatArray, direction: FloatArray, centre_m: FloatArray
 ) -> Entries:
-    """(6 b, p k): force and moment about the centre of each body by k forces at each of p points.
+    """(6 b, p k): the force on each body and its moment about the body's centre, from k unit forces at each of p
+    points.
 
     Args:
-        first, second: (p,) the bodies that touch, from 0 to b - 1; negative: a fixed body.
-        position_m: (p, 3) the points.
-        direction: (p, k, 3) the forces on ``second``; the forces on ``first`` are opposite.
-        centre_m: (b, 3) centres of the bodies.
+        first, second: (p,) the two bodies that touch, from 0 to b - 1; negative: a body that does not move.
+        position_m: (p, 3) the positions of the points.
+        direction: (p, k, 3) directions of the forces on ``second``. The forces on ``first`` are opposite.
+        centre_m: (b, 3) the centres of the bodies.
     """
     n_points, n_forces, _ = direction.shape
     column_of = np.arange(n_points * n_forces).reshape(n_points, n_forces)
@@ -72,14 +73,14 @@ def wrenches(
 
 
 _INFEASIBLE: Final = 2
-"""SciPy's status of a programme without a solution."""
+"""Status that SciPy returns for a programme without a solution."""
 
 EVEN: Final = 1.0
-"""The largest possible slack: all corners carry the same."""
+"""The largest possible slack: all corners carry the same force."""
 
 
 class Entries(NamedTuple):
-    """The k entries of a sparse matrix that are not 0; each field is (k,)."""
+    """The k entries of a sparse matrix that are not 0. Each field has the shape (k,)."""
 
     value: FloatArray
     row: IntArray
@@ -87,8 +88,8 @@ class Entries(NamedTuple):
 
 
 def even_share(contacts: PlanContacts, weight: FloatArray) -> FloatArray:
-    """(c,) force that each corner of a contact must carry per unit of slack: the box's weight over its number of
-    corners."""
+    """(c,) force that each corner of a contact must carry per unit of slack: the weight of the box above, divided by
+    the number of corners under it."""
     share: FloatArray = weight[contacts.upper] / (4 * contacts.n_supports[contacts.upper])
     return share
 
@@ -97,16 +98,16 @@ def largest_slack(forces: Entries, share: FloatArray, row_sums: FloatArray, limi
     """The largest s ≤ ``EVEN`` for which ``forces @ (share·s + g) = row_sums``, with g ≥ 0 and ``limits @ g ≤ 0``.
 
     Args:
-        forces: (r, f) part of each force in each row.
-        share: (f,) amount that each force must carry per unit of slack.
+        forces: (r, f) contribution of each force to each row.
+        share: (f,) force that must be carried per unit of slack.
         row_sums: (r,) required sum of each row.
-        limits: (q, f); None: there are none.
+        limits: (q, f); None: no limits.
 
     Returns:
-        The slack; −inf if no s is small enough.
+        The slack; −inf if there is no such s, however small.
 
     Raises:
-        PetmjxError: HiGHS gave up.
+        PetmjxError: HiGHS found no answer.
     """
     rows, n_forces = len(row_sums), len(share)
     by_slack = np.zeros(rows)
@@ -129,18 +130,19 @@ def largest_slack(forces: Entries, share: FloatArray, row_sums: FloatArray, limi
 
 
 def least_and_most(sums: FloatArray, forces: Entries, row_sums: FloatArray) -> FloatArray | None:
-    """The least and the largest value of several sums of forces g ≥ 0 with ``forces @ g = row_sums``.
+    """For several sums of forces, the smallest and the largest value, over all forces g ≥ 0 with ``forces @ g =
+    row_sums``.
 
     Args:
         sums: (m, f) factors of the forces in each sum.
-        forces: (r, f) what each force adds to each row.
-        row_sums: (r,) what the rows must add up to.
+        forces: (r, f) contribution of each force to each row.
+        row_sums: (r,) required sum of each row.
 
     Returns:
-        (m, 2), or None if no forces balance.
+        (m, 2) smallest and largest value of each sum; None if no forces balance.
 
     Raises:
-        PetmjxError: HiGHS gave up, or a sum has no bound.
+        PetmjxError: HiGHS found no answer, or a sum is unbounded.
     """
     bounds = (np.zeros(sums.shape[1]), np.full(sums.shape[1], np.inf))
     extremes = np.empty((len(sums), 2))
@@ -156,13 +158,13 @@ def least_and_most(sums: FloatArray, forces: Entries, row_sums: FloatArray) -> F
 def _least_cost_solution(
     costs: FloatArray, entries: Entries, rows: tuple[FloatArray, FloatArray], bounds: tuple[FloatArray, FloatArray]
 ) -> FloatArray | None:
-    """The x with the least ``costs @ x`` whose rows and values lie within bounds; None: no such x.
+    """The x with the smallest ``costs @ x`` whose rows and values are within bounds; None if there is none.
 
-    HiGHS solves it. SciPy's ``milp`` without integer variables is the same programme as ``linprog``, with half the
-    overhead.
+    HiGHS solves the programme. It is called through SciPy's ``milp`` without integer variables, which has half the
+    overhead of ``linprog``.
 
     Raises:
-        PetmjxError: HiGHS gave up.
+        PetmjxError: HiGHS found no answer.
     """
     from scipy.optimize import Bounds, LinearConstraint, milp
     from scipy.sparse import csc_array
@@ -184,15 +186,16 @@ NO_SLACK: Final = -1e-6
 def balance_slack(
     contacts: PlanContacts, hulls: Hulls, friction: Friction, lean: bool = False
 ) -> tuple[FloatArray, FloatArray]:
-    """Slack of each box's structure just after its placement, without and with leaning on neighbours: two arrays (n,).
+    """For each box, the slack of its structure just after its placement: two arrays (n,), without and with leaning on
+    neighbours.
 
     Each array ends with the first box after which the stack is not balanced; later boxes are NaN. A box without support
-    is NaN, too. Such a box is not balanced, although friction at its sides could hold it if its neighbours pressed on
+    is NaN as well. It counts as not balanced, although friction at its sides could hold it if its neighbours pressed on
     it.
 
     Args:
-        friction: coefficients.
-        lean: whether boxes may press on neighbours that they touch side by side; without it the second array is NaN.
+        friction: coefficients of friction.
+        lean: whether boxes may press on neighbours that they touch side by side. If not, the second array is NaN.
     """
     without = _Stack(contacts, friction)
     ways = [without, _Stack(contacts, friction, find_sides(contacts))] if lean else [without]
@@ -208,7 +211,7 @@ def balance_slack(
 
 
 class _Stack:
-    """One way to balance a stack, placement by placement, until it fails."""
+    """One rule of balance, with or without leaning, applied placement by placement until the stack fails."""
 
     def __init__(self, contacts: PlanContacts, friction: Friction, sides: Sides | None = None) -> None:
         self.slack = np.full(contacts.n_boxes, np.nan)
@@ -216,7 +219,7 @@ class _Stack:
         self._contacts, self._friction, self._sides = contacts, friction, sides
 
     def place(self, box: int, vertical: float, structures: _Structures) -> None:
-        """Place a box whose slack by vertical forces alone is ``vertical``."""
+        """Place a box. ``vertical`` is its slack with vertical forces alone."""
         slack = vertical
         if slack < NO_SLACK:
             structure = structures.of(box)
@@ -226,7 +229,8 @@ class _Stack:
 
 
 class _Structures:
-    """Groups of placed boxes that hang together. Boxes grounded on the carrier separate them."""
+    """The structures of placed boxes: groups that are connected by contacts. Grounded boxes on the carrier separate
+    them."""
 
     def __init__(self, contacts: PlanContacts, hulls: Hulls) -> None:
         self._contacts = contacts
@@ -242,7 +246,7 @@ class _Structures:
         return joined
 
     def with_box(self, box: int) -> float:
-        """Slack of the box's structure by vertical forces, after it has been placed."""
+        """Slack of the box's structure with vertical forces alone, after the box has been placed."""
         if self._grounded[box]:
             return 1.0
         supports = self._contacts.lower[self._starts[box] : self._starts[box + 1]]
@@ -255,7 +259,7 @@ class _Structures:
 
 
 def _slack_alone(contacts: PlanContacts, hulls: Hulls) -> FloatArray:
-    """(n,) slack of each box with a free top."""
+    """(n,) slack of each box when nothing lies on its top."""
     n = contacts.n_boxes
     middle = np.full((n, 2), np.nan)
     count = np.maximum(contacts.n_supports, 1)
@@ -266,10 +270,10 @@ def _slack_alone(contacts: PlanContacts, hulls: Hulls) -> FloatArray:
 
 
 class _VerticalSystem:
-    """Force and moments of every box by the vertical forces at corners. Each structure uses a part of this system.
+    """Force and moments on every box from the vertical forces at corners. Each structure uses a part of this system.
 
-    Each corner of a contact presses the box above upwards and the body below downwards. The rows of a box are its force
-    and two moments about its own centre, in mean weights and metres.
+    Each corner of a contact presses the box above upwards and the body below downwards. A box has three rows: its force
+    and its two moments about its own centre, in mean weights and metres.
     """
 
     def __init__(self, contacts: PlanContacts) -> None:
@@ -280,12 +284,12 @@ class _VerticalSystem:
         body = np.stack([contacts.upper, contacts.lower])
         self._body = np.where((body == CARRIER) | contacts.grounded[body], CARRIER, body)
         arm = (contacts.corners_mm - contacts.centre_mm[self._body, None, :2]) / MM_PER_M
-        # (2, c, 3, 4) by body, contact, row and corner
+        # (2, c, 3, 4), indexed by body, contact, row and corner
         self._value = np.stack([np.ones(arm.shape[:-1]), arm[..., 0], arm[..., 1]], axis=2)
         self._value[1] *= -1
 
     def slack(self, boxes: IntArray) -> float:
-        """The largest slack of a structure of several boxes, all placed."""
+        """The largest slack of a structure of several boxes, all of them placed."""
         place = np.full(len(self._weight), -1)
         place[boxes] = np.arange(len(boxes))
         chosen = np.flatnonzero(place[self._upper] >= 0)
@@ -302,15 +306,15 @@ class _VerticalSystem:
 
 
 _DIRECTIONS = 5
-"""Forces at a point: pressure, and friction both ways along the two other axes."""
+"""Number of forces at a point: pressure, and friction in both directions along each of the two other axes."""
 
 
 class Friction(NamedTuple):
     """Coefficients of friction.
 
     Attributes:
-        flat: coefficient where a box lies on another box or on the carrier.
-        sides: coefficient where boxes touch side by side.
+        flat: coefficient for a box that lies on another box or on the carrier.
+        sides: coefficient for boxes that touch side by side.
     """
 
     flat: float
@@ -318,7 +322,7 @@ class Friction(NamedTuple):
 
 
 class _Points(NamedTuple):
-    """Points where bodies touch: p rows.
+    """Points at which bodies touch: p rows.
 
     The force on ``second`` presses along ``axis``; the force on ``first`` is opposite. ``share`` is the force that a
     point must carry per unit of slack, in mean weights.
@@ -335,16 +339,16 @@ class _Points(NamedTuple):
 def friction_slack(
     contacts: PlanContacts, structure: NDArray[np.bool_], newest: int, friction: Friction, sides: Sides | None = None
 ) -> float:
-    """Slack of a structure with friction. All bodies that touch the structure must be in balance, too.
+    """Slack of a structure with friction. All bodies that touch the structure must be in balance as well.
 
-    Friction lies within the pyramid |fx| + |fy| ≤ μ f, inside the cone. So a stack that is balanced here is balanced
-    with the cone. At a slack other than 0, friction is limited to μ times the force of a corner beyond its required
-    share; the sign of the slack does not depend on that.
+    Friction must lie in the pyramid |fx| + |fy| ≤ μ f, which is inside the cone. So a stack that is balanced here is
+    also balanced with the cone. If the slack is not 0, friction is limited to μ times the part of a corner's force that
+    exceeds its required share. This does not affect the sign of the slack.
 
     Args:
         structure: (n,) boxes whose corners must carry the required share.
         newest: the box placed last.
-        sides: where boxes lean on each other; None: nowhere.
+        sides: the places at which boxes lean on each other; None: there are none.
     """
     boxes = _hanging_together(contacts, structure, newest, sides)
     points = _points(contacts, boxes, structure, friction, sides)
@@ -356,7 +360,7 @@ def friction_slack(
     possible = np.repeat(points.friction[:, None] > 0, _DIRECTIONS, axis=1)
     possible[:, 0] = True
     chosen = np.flatnonzero(possible)
-    row_of = np.append(np.cumsum(boxes) - 1, CARRIER)  # the carrier, the last one, does not move
+    row_of = np.append(np.cumsum(boxes) - 1, CARRIER)  # the carrier, which is last, does not move
     first, second = row_of[points.first], row_of[points.second]
     centre_m = contacts.centre_mm[boxes] / MM_PER_M
     forces = _columns(
@@ -367,7 +371,7 @@ def friction_slack(
 
 
 def _columns(entries: Entries, chosen: IntArray, n: int) -> Entries:
-    """The entries in some of n columns, which are renumbered."""
+    """The entries in the chosen ones of n columns. These columns are renumbered."""
     position = np.full(n, -1)
     position[chosen] = np.arange(len(chosen))
     column = position[entries.column]
@@ -378,7 +382,7 @@ def _columns(entries: Entries, chosen: IntArray, n: int) -> Entries:
 def _hanging_together(
     contacts: PlanContacts, structure: NDArray[np.bool_], newest: int, sides: Sides | None
 ) -> NDArray[np.bool_]:
-    """(n,) all placed boxes that are connected with the structure by contacts."""
+    """(n,) whether each placed box is connected with the structure by contacts."""
     pairs = [np.c_[contacts.upper, contacts.lower]] + ([] if sides is None else [np.c_[sides.first, sides.second]])
     pair = np.concatenate(pairs)
     pair = pair[(pair != CARRIER).all(axis=1) & (pair.max(axis=1) <= newest)]
@@ -397,7 +401,7 @@ def _points(
     friction: Friction,
     sides: Sides | None,
 ) -> _Points:
-    """The corners of all contact areas of these boxes."""
+    """The corners of all contact areas of these boxes, as points."""
     indices = np.flatnonzero(boxes[contacts.upper])
     upper = contacts.upper[indices]
     height = np.broadcast_to(contacts.corner_mm[upper, None, None, 2], (len(indices), 4, 1))
@@ -414,7 +418,7 @@ def _points(
         )
     ]
     if sides is not None:
-        stands = np.append(boxes, True)  # the walls, as CARRIER
+        stands = np.append(boxes, True)  # CARRIER, the last entry, stands for the walls
         indices = np.flatnonzero(stands[sides.first] & stands[sides.second])
         ends = (sides.first[indices], sides.second[indices], sides.axis[indices], _side_corners(sides, indices))
         parts.append((*ends, np.zeros(len(indices)), np.full(len(indices), friction.sides)))
@@ -424,7 +428,7 @@ def _points(
 
 
 def _side_corners(sides: Sides, indices: IntArray) -> FloatArray:
-    """(s, 4, 3) corners of upright rectangles."""
+    """(s, 4, 3) corners of vertical rectangles."""
     corners = np.repeat(sides.low_mm[indices][:, None, :], 4, axis=1)
     far, across = sides.high_mm[indices], 1 - sides.axis[indices]
     rows = np.arange(len(indices))[:, None]
@@ -434,14 +438,14 @@ def _side_corners(sides: Sides, indices: IntArray) -> FloatArray:
 
 
 def _directions(axis: IntArray) -> FloatArray:
-    """(p, 5, 3) unit vectors: along the axis, then in both directions along the two other axes."""
+    """(p, 5, 3) unit vectors: one along the axis, then both directions along each of the two other axes."""
     unit = np.eye(3)
     along, one, other = unit[axis], unit[(axis + 1) % 3], unit[(axis + 2) % 3]
     return np.stack([along, one, -one, other, -other], axis=1)
 
 
 def _pyramids(friction: FloatArray) -> Entries:
-    """(p, 5 p): friction minus μ times pressure at each point."""
+    """(p, 5 p): at each point, friction minus μ times pressure."""
     values = np.ones((len(friction), _DIRECTIONS))
     values[:, 0] = -friction
     return Entries(values.ravel(), np.repeat(np.arange(len(friction)), _DIRECTIONS), np.arange(values.size))

@@ -1,13 +1,13 @@
-"""The least and the largest force on the top of a box at rest that balance and friction allow.
+"""The smallest and the largest force on the top of a box at rest that balance and friction allow.
 
-Statics does not determine the shares of three supports in a load, and the answer of a simulation depends on the
-stiffness of its contacts. Here the forces at all points where boxes touch (petmjx.analysis.plan_contacts) are unknown.
-Forces press, friction is at most μ times the pressure, and force and moment on every box are zero. Two linear
-programmes per box give the least and the largest force on its top. Boxes are left out if statics determines the force
-on them.
+Statics does not determine how three supports share a load, and a simulation's answer depends on the stiffness of its
+contacts. Here the forces at all points at which boxes touch (petmjx.analysis.plan_contacts) are unknowns. Contact
+forces press, friction is at most μ times the pressure, and the force and the moment on every box are zero. Two linear
+programmes per box give the smallest and the largest force on its top. They are not needed for boxes on which statics
+determines the force.
 
-Friction is bounded by the pyramid around the cone, |f₁|, |f₂| ≤ μ f, so that the interval holds all forces that the
-cone allows. (The criteria ask whether forces exist, and use the pyramid inside the cone.)
+Friction is limited by the pyramid around the cone, |f₁|, |f₂| ≤ μ f, so that the interval contains all forces that the
+cone allows. (The criteria determine whether forces exist. They use the pyramid inside the cone.)
 """
 
 from __future__ import annotations
@@ -26,11 +26,11 @@ from petmjx.world.history import CARRIER
 from petmjx.world.scene import Scene
 
 _EDGES: Final = np.array([[1, 1], [1, -1], [-1, 1], [-1, -1]])
-"""Signs of the two tangents along the edges of a pyramid around a cone of friction."""
+"""Signs of the two tangents along the four edges of the pyramid around a friction cone."""
 
 
 def need_scipy() -> None:
-    """Check that intervals can be computed, before a run with intervals.
+    """Check that force intervals can be computed, before a run starts that needs them.
 
     Raises:
         InputError: SciPy is missing.
@@ -42,17 +42,17 @@ def need_scipy() -> None:
 
 
 def intervals_at_rest(scene: Scene, physics: Physics, boxes: BoxMetrics) -> FloatArray | None:
-    """As :func:`force_intervals`, for the final poses of a world; None if the world has no forces at rest."""
+    """The :func:`force_intervals` of a world in its final poses; None if the world has no forces at rest."""
     at_rest = np.column_stack([boxes.rest_top_force_n, boxes.pos, boxes.quat])
     return force_intervals(scene, physics, boxes.pos, boxes.quat) if np.isfinite(at_rest).all() else None
 
 
 def force_intervals(scene: Scene, physics: Physics, pos: FloatArray, quat: FloatArray) -> FloatArray:
-    """(n, 2) least and largest force on the top of each box, N. NaN if no forces balance the boxes connected to it, or
-    if the solver finds none.
+    """(n, 2) smallest and largest force on the top of each box, N. NaN if no forces balance the boxes connected to it,
+    or if the solver finds no answer.
 
     Args:
-        scene: sizes, masses, friction, and the carrier at its planned place.
+        scene: sizes, masses and friction, and the carrier, which is at its planned place.
         pos, quat: (n, 3) centres, m, and (n, 4) orientations (w, x, y, z) at rest.
     """
     touching = find_touch_points(scene, physics, pos, quat)
@@ -67,7 +67,7 @@ def force_intervals(scene: Scene, physics: Physics, pos: FloatArray, quat: Float
 
 
 def _without_programme(touching: TouchPoints, weight: FloatArray) -> FloatArray:
-    """(n, 2) intervals that need no linear programme: 0 for a free top, else the weight of the boxes if they rest on
+    """(n, 2) intervals that need no linear programme: 0 for a free top; the weight of the boxes above if they rest on
     this box alone. NaN for all other boxes."""
     n_boxes = len(weight)
     intervals = np.full((n_boxes, 2), np.nan)
@@ -76,7 +76,7 @@ def _without_programme(touching: TouchPoints, weight: FloatArray) -> FloatArray:
     for box in range(n_boxes):
         box_contacts = (ends == box).any(axis=0)
         on_top = touching.pressed[box_contacts] == box
-        # groups that hang together without this box
+        # groups of boxes that are connected without this box
         group = _groups(ends[:, ~box_contacts], n_boxes + 1)
         other = group[ends[:, box_contacts].sum(axis=0) - box]
         above = np.unique(other[on_top])
@@ -86,13 +86,13 @@ def _without_programme(touching: TouchPoints, weight: FloatArray) -> FloatArray:
 
 
 def _hanging_together(touching: TouchPoints, n_boxes: int) -> IntArray:
-    """(n,) number of the group of each box. Boxes that are connected by contacts have the same number."""
+    """(n,) for each box the number of its group. Boxes that are connected by contacts have the same number."""
     ends = np.stack([touching.first, touching.second])
     return _groups(ends[:, (ends != CARRIER).all(axis=0)], n_boxes)
 
 
 def _groups(pairs: IntArray, n: int) -> IntArray:
-    """(n,) the number of each node's component in a graph with (2, e) edges."""
+    """(n,) for each node the number of its connected component, in a graph with edges (2, e)."""
     from scipy.sparse import coo_array
     from scipy.sparse.csgraph import connected_components
 
@@ -104,12 +104,12 @@ def _groups(pairs: IntArray, n: int) -> IntArray:
 def _of_part(
     touching: TouchPoints, boxes: IntArray, known: FloatArray, weight: FloatArray, centre_m: FloatArray
 ) -> FloatArray:
-    """(b, 2) the intervals of boxes that hang together, in mean weights.
+    """(b, 2) the intervals of boxes that are connected by contacts, in mean weights.
 
     Args:
-        known: (b, 2) intervals without a linear programme; NaN for the others.
+        known: (b, 2) the intervals that need no linear programme; NaN for the other boxes.
     """
-    place = np.full(len(weight) + 1, CARRIER)  # CARRIER indexes the last entry
+    place = np.full(len(weight) + 1, CARRIER)  # index CARRIER is the last entry
     place[boxes] = np.arange(len(boxes))
     contacts = touching.some(np.maximum(place[touching.first], place[touching.second]) != CARRIER)
     # (p, 4, 3) forces along the edges of the pyramids
@@ -123,9 +123,9 @@ def _of_part(
     ]
     try:
         bounds = least_and_most(pressing.reshape(int(unknown.sum()), -1), forces, loads.ravel())
-    except PetmjxError:  # a missing interval is better than a run that ends
+    except PetmjxError:  # better a missing interval than a run that stops
         bounds = None
     intervals = known.copy()
     if bounds is not None:
-        intervals[unknown] = np.sort(bounds, axis=1)  # equal bounds may differ by the solver's rounding
+        intervals[unknown] = np.sort(bounds, axis=1)  # rounding of the solver may swap equal bounds
     return intervals

@@ -20,7 +20,7 @@ from petmjx.results.documented_tables import check_tables_free, has_keys
 from petmjx.results.run_folder import csv, parquet, text, write_together
 
 _CREATOR: Final = "petmjx"
-"""Creator in a workbook's properties: shows that petmjx wrote it."""
+"""Creator in the properties of a workbook. It shows that petmjx wrote the workbook."""
 _MOST_PROPERTIES: Final = 1 << 16
 
 _ARROW: Final = {"object": pa.string(), "int64": pa.int64(), "Int64": pa.int64()}
@@ -28,8 +28,8 @@ _SUMMED: Final = ("plans", "orders", "ordered_boxes", "rating", "rating_by_verdi
 
 
 def check_kpis_free(folder: Path, overwrite: bool, *, xlsx: bool = False, inputs: Iterable[Path] = ()) -> None:
-    """Check that :func:`write_kpis` may write into a folder; ``inputs`` are the files to be read. Raises InputError as
-    ``petmjx.results.documented_tables.check_tables_free``.
+    """Check that :func:`write_kpis` may write into a folder. ``inputs`` are the files that the command reads. Raises
+    InputError as ``petmjx.results.documented_tables.check_tables_free``.
     """
     extra_files: dict[str, IsOurs] = {"summary.json": lambda file: has_keys(file, (*_SUMMED, "means", "skipped"))}
     if xlsx:
@@ -40,14 +40,14 @@ def check_kpis_free(folder: Path, overwrite: bool, *, xlsx: bool = False, inputs
 def write_kpis(kpis: Kpis, folder: str | Path, *, xlsx: bool = False, overwrite: bool = False) -> None:
     """Write ``kpis.parquet``, ``kpis.csv`` and ``summary.json``, and with ``xlsx`` also ``kpis.xlsx``, into a folder.
 
-    All files are written or none. The folder is made if missing.
+    Either all files are written or none. The folder is made if missing.
 
     Args:
-        overwrite: files that petmjx wrote there before may be replaced.
+        overwrite: whether files that petmjx wrote there before may be replaced.
 
     Raises:
-        InputError: the folder cannot be written, a file of these names may not be replaced, or openpyxl, which ``xlsx``
-            needs, is not installed.
+        InputError: the folder is not writable, a file of one of these names must not be replaced, or openpyxl, which
+            ``xlsx`` needs, is not installed.
     """
     folder = Path(folder)
     check_kpis_free(folder, overwrite, xlsx=xlsx)
@@ -64,7 +64,7 @@ def write_kpis(kpis: Kpis, folder: str | Path, *, xlsx: bool = False, overwrite:
 
 
 def kpis_table(kpis: Kpis) -> pa.Table:
-    """The KPIs with units and meanings in the metadata of the columns."""
+    """The KPIs as an Arrow table, with units and meanings in the metadata of the columns."""
     fields = [
         pa.field(
             column.name,
@@ -92,7 +92,7 @@ def _workbook(kpis: Kpis) -> bytes:
         for value in values:
             cell = WriteOnlyCell(sheet, printable(value) if isinstance(value, str) else value)
             if isinstance(value, str):
-                cell.data_type = "s"  # text such as "=1+1" is no formula
+                cell.data_type = "s"  # so that text such as "=1+1" is not read as a formula
             cells.append(cell)
         sheet.append(cells)
 
@@ -106,7 +106,7 @@ def _workbook(kpis: Kpis) -> bytes:
     add(orderwise, table.column_names)
     for row in zip(*(column.to_pylist() for column in table.columns), strict=True):
         add(orderwise, row)
-    content = io.BytesIO()  # openpyxl prints errors if it cannot save to a path
+    content = io.BytesIO()  # openpyxl prints an error if it cannot save to a path
     workbook.save(content)
     return content.getvalue()
 
@@ -115,6 +115,6 @@ def _is_our_workbook(file: Path) -> bool:
     try:
         with zipfile.ZipFile(file) as parts, parts.open("docProps/core.xml") as properties:
             return f">{_CREATOR}<".encode() in properties.read(_MOST_PROPERTIES)
-    # all errors of a file that is no zip file, is encrypted, or is packed in another way: then it is not ours
+    # errors of a file that is not a zip file, is encrypted, or is compressed in another way: it is not petmjx's
     except (OSError, ValueError, KeyError, zipfile.BadZipFile, NotImplementedError, RuntimeError):
         return False

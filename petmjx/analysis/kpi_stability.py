@@ -1,4 +1,4 @@
-"""Reads from runs whether plans stand: by petmjx's verdict, and by BED-BPP's rule."""
+"""Finds out from runs whether plans stand: according to petmjx's verdict, and according to BED-BPP's rule."""
 
 from __future__ import annotations
 
@@ -27,13 +27,13 @@ MOST_SHIFT_Z_M: Final = 0.01
 
 @dataclass(frozen=True)
 class Stability:
-    """Whether plans stand, by plan id. Plans with unknown stability are left out.
+    """Whether plans stand, by plan id. Plans of unknown stability are left out.
 
     Attributes:
-        verdicts: petmjx's verdict in words.
+        verdicts: petmjx's verdict as text.
         stable: whether that verdict is ``stable``.
-        their_rule: whether the plan stands by BED-BPP's rule.
-        notes: lines on unfinished runs, and on the run that would add an answer.
+        their_rule: whether the plan stands according to BED-BPP's rule.
+        notes: lines about unfinished runs, and about the run that would be needed for a missing answer.
     """
 
     verdicts: Mapping[str, str] = field(default_factory=dict)
@@ -44,21 +44,21 @@ class Stability:
 
     @classmethod
     def assumed(cls) -> Stability:
-        """All plans are assumed to stand by BED-BPP's rule."""
+        """The stability of plans that are all assumed to stand according to BED-BPP's rule."""
         return cls(all_stand=True, notes=("stability is taken as 1 for all plans, not simulated",))
 
     def column(self, known: Mapping[str, bool], plan_ids: Iterable[str]) -> pd.Series:
-        """1, 0 or null for each plan."""
+        """1, 0 or null for each plan, for stable, unstable and unknown."""
         is_assumed = known is self.their_rule and self.all_stand
         values = [1 if is_assumed else None if plan_id not in known else int(known[plan_id]) for plan_id in plan_ids]
         return pd.Series(values, dtype="Int64")
 
 
 def read_stability(folders: Sequence[Path], plans: Collection[Plan]) -> Stability:
-    """The stability of plans, from runs.
+    """Read the stability of plans from runs.
 
     Raises:
-        InputError: a folder has no run, or a sweep, or a run in which a plan with the same id differs.
+        InputError: a folder has no run, has a sweep, or has a run in which a plan of the same id differs.
     """
     if not folders:
         command = "petmjx score PLANS --check static --out DIR, then --run DIR"
@@ -98,7 +98,7 @@ def _check_same(run: RunResults, plans: Iterable[Plan]) -> None:
 
 
 def _verdicts(run: RunResults) -> dict[str, str]:
-    """Verdicts of the nominal worlds."""
+    """The verdicts of the nominal worlds of a run, by plan id."""
     columns = ("plan_id", "variant", "verdict")
     tables = run.parts.table("worlds", columns)
     worlds = pa.concat_tables(tables).filter(pc.field("variant") == 0) if tables else None
@@ -108,7 +108,7 @@ def _verdicts(run: RunResults) -> dict[str, str]:
 
 
 def _by_their_rule(run: RunResults) -> dict[str, bool]:
-    """Answers of BED-BPP's rule for the plans of a run with check ``static``."""
+    """Whether the plans of a run with check ``static`` stand according to BED-BPP's rule."""
     verdicts = _verdicts(run)
     largest: dict[str, float] = {}
     for part in run.parts.table("boxes", ("plan_id", "variant", "shift_z_m")):

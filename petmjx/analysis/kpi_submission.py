@@ -1,8 +1,8 @@
-"""Writes a submission to BED-BPP's leaderboard: checks its name and its plans.
+"""Writes a submission to BED-BPP's leaderboard, after checking its name and its plans.
 
-The name is ``{DATE}_{SURNAME}_{ALGORITHM}_{TASK}.json``. The tasks are those of the leaderboard's page
-(floriankagerer.github.io/leaderboard): all items are known (offline), they come one after the other (O3DBP), or p items
-are known and the packer takes one of the next s (O3DBP-p-s).
+The name has the form ``{DATE}_{SURNAME}_{ALGORITHM}_{TASK}.json``. The tasks are those of the leaderboard's page
+(floriankagerer.github.io/leaderboard). Either all items are known (offline), or they arrive one after the other
+(O3DBP), or p items are known and the packer chooses one of the next s (O3DBP-p-s).
 """
 
 from __future__ import annotations
@@ -26,17 +26,17 @@ from petmjx.plans.plan_writer import as_placements
 _PART: Final = re.compile(r"[^\W_][^\W_.+-]*(?:[.+-][^\W_.+-]+)*")
 _TASK: Final = re.compile(r"offline-?3dbp|o3dbp(?:-(\d{1,4})-(\d{1,4}))?", re.IGNORECASE)
 _MOST_FAULTS: Final = 10
-"""Most faults that an error names."""
+"""Largest number of faults that an error message names."""
 
 
 @dataclass(frozen=True)
 class Submission:
-    """A submission's name.
+    """The name of a submission, split into its parts.
 
     Attributes:
-        date: ISO 8601.
+        date: the date in ISO 8601.
         task: name of the task in the file.
-        choice: number of next items from which the packer may choose; None: all items.
+        choice: number of next items among which the packer may choose; None: all items.
     """
 
     date: str
@@ -47,15 +47,15 @@ class Submission:
 
     @property
     def file_name(self) -> str:
-        """ "2026-11-22_doe_layers_offline3dbp.json"."""
+        """The name of the file, such as "2026-11-22_doe_layers_offline3dbp.json"."""
         return f"{self.date}_{self.surname}_{self.algorithm}_{self.task}.json"
 
 
 def parse_name(text: str, today: Callable[[], datetime.date] = datetime.date.today) -> Submission:
-    """A submission's name from ``SURNAME_ALGORITHM_TASK``, with or without a date before and ``.json`` behind.
+    """Parse a submission's name, ``SURNAME_ALGORITHM_TASK``. A date before it and ``.json`` after it are optional.
 
     Raises:
-        InputError: the name does not have these parts, or a part is not valid.
+        InputError: the name lacks one of these parts, or a part is invalid.
     """
     parts = text.removesuffix(".json").split("_")
     if len(parts) == 3:
@@ -93,19 +93,19 @@ def parse_name(text: str, today: Callable[[], datetime.date] = datetime.date.tod
 def write_submission(
     name: str, folder: Path, plans: Mapping[str, Plan], orders: Mapping[str, Order], unusable: int = 0
 ) -> Path:
-    """Check that plans are a valid submission, and write them. Items are written as the orders have them.
+    """Check that plans are a valid submission, and write them. Items are written as they are in the orders.
 
     Args:
         name: see :func:`parse_name`.
         plans, orders: by id.
-        unusable: plans or orders that could not be read.
+        unusable: lines about plans or orders that could not be read.
 
     Returns:
         Path of the file.
 
     Raises:
-        InputError: the name is not valid; a plan, an order or an item is missing or superfluous; or the file cannot
-            be written. On an error nothing is written.
+        InputError: the name is invalid; a plan, an order or an item is missing or superfluous; or the file cannot be
+            written. After an error, no file has been written.
     """
     submission = parse_name(name)
     faults = [f"{count_text(unusable, 'plan or order', 'plans or orders')} cannot be used"] if unusable else []
@@ -135,8 +135,8 @@ def write_submission(
 
 
 def _faults(plan: Plan, placements: Sequence[Placement], order: Order, choice: int | None) -> Iterator[str]:
-    """The faults that keep a plan from being submitted. The function also assigns to each placement its item of the
-    order."""
+    """Yield the faults because of which a plan cannot be submitted. As a side effect, assigns to each placement its
+    item of the order."""
     _name(plan, placements, order)
     has_ids = any(plan.item_ids)
     free: dict[tuple[str, str], list[int]] = defaultdict(list)
@@ -175,7 +175,7 @@ def _faults(plan: Plan, placements: Sequence[Placement], order: Order, choice: i
 
 
 def _name(plan: Plan, placements: Sequence[Placement], order: Order) -> None:
-    """Give boxes without id and article the names of the items that match them by size and mass."""
+    """Name boxes that have neither id nor article after the items that match them by size and mass."""
     unnamed = [box for box, names in enumerate(zip(plan.item_ids, plan.articles, strict=True)) if not any(names)]
     if not unnamed:
         return
@@ -188,8 +188,8 @@ def _name(plan: Plan, placements: Sequence[Placement], order: Order) -> None:
 
 
 def _sequence_faults(indices: Sequence[int], choice: int, n_boxes: int) -> Iterator[str]:
-    """Faults in the sequence of an online packer, which takes one of the next ``choice`` items. Items that it leaves
-    out are not among these."""
+    """Yield faults in the sequence of an online packer, which chooses among the next ``choice`` items. Items that the
+    packer leaves out are not counted among them."""
     if len(indices) < n_boxes:
         return
     waiting = sorted(indices)

@@ -1,16 +1,16 @@
 """BED-BPP's KPIs of plans, and the leaderboard's rating: ``petmjx.kpis``.
 
-The definitions are those of bed-bpp-env (e7459bf), ``evaluation/packing_plan_evaluator.py``. docs/kpis.md lists them,
-with the columns that are petmjx's own. ``COLUMNS`` lists the columns of the table.
+The definitions are those of bed-bpp-env (e7459bf), ``evaluation/packing_plan_evaluator.py``. docs/kpis.md lists them
+together with the columns that petmjx adds. ``COLUMNS`` lists the columns of the table.
 
-``direct_support`` counts support as BED-BPP's evaluator does (bed-bpp-env e7459bf, ``environment/space_3d.py`` and
-``environment/cuboid.py``). For each square millimetre of the target the evaluator keeps the box that was placed there
-last, and how high it reaches. A box lies on every box that is the highest somewhere under it, if the top of that box is
-at most 5 mm below its bottom, or higher. The support of a box is the sum of the common areas with these boxes, as a
-share of its base. A box without such boxes counts as standing on the target, with support 1. This has three
-consequences: where two supporters overlap, their common area counts twice; a box that is pushed in under another box
-supports it; and a floating box stands on the target. In plans without overlapping and floating boxes the support is the
-share of the base that lies on something.
+``direct_support`` determines support in the same way as BED-BPP's evaluator (bed-bpp-env e7459bf,
+``environment/space_3d.py`` and ``environment/cuboid.py``). For each square millimetre of the target, the evaluator
+stores which box was placed there last and how high its top is. A box lies on every box that is stored somewhere under
+it and whose top is at most 5 mm below the bottom of the upper box, or higher. The support of a box is the sum of its
+common areas with these boxes, as a share of its base. A box without such boxes counts as standing on the target, with
+support 1. This has three consequences: where two supporting boxes overlap, their common area counts twice; a box that
+is pushed in under another box supports it; and a floating box counts as standing on the target. In plans without
+overlapping and floating boxes, the support is the share of the base that lies on something.
 """
 
 from __future__ import annotations
@@ -44,7 +44,7 @@ from petmjx.results.plan_lookup import plans_in_place
 
 
 class KpiColumn(NamedTuple):
-    """One column of the table. ``pandas`` is its type in a data frame. ``missing``: whether the column may have
+    """One column of the table. ``pandas`` is its type in a data frame. ``missing`` tells whether the column may have
     nulls."""
 
     name: str
@@ -98,18 +98,18 @@ COLUMNS: Final = (
     KpiColumn("stable_pal_ratio", "Float64", "1", "stable × share of the ordered boxes that begin at or below 2.0 m"),
     KpiColumn("n_stable_pal_items", "Int64", "1", "stable × ordered boxes that begin at or below 2.0 m"),
 )
-"""The columns: first those of BED-BPP, then petmjx's own."""
+"""The columns: first BED-BPP's, then those that petmjx adds."""
 
 MEANS: Final = tuple(column.name for column in COLUMNS if column.mean)
-"""Columns whose mean is shown."""
+"""Columns whose means are shown."""
 
 
 HEIGHT_TOLERANCE_MM: Final = 5.0
-"""Largest gap below a box across which a top still supports it."""
+"""Largest gap below a box across which the top of another box still supports it."""
 
 
 class Support(NamedTuple):
-    """Direct support of n boxes.
+    """The direct support of n boxes.
 
     Attributes:
         share: (n,) supported share of the base; 1 on the target.
@@ -121,14 +121,14 @@ class Support(NamedTuple):
 
 
 def direct_support(corner_mm: FloatArray, size_mm: FloatArray, extent_mm: tuple[float, float]) -> Support:
-    """Support of the boxes of one plan.
+    """The direct support of the boxes of one plan.
 
-    BED-BPP's map has a cell for each square millimetre. Here cells reach from one box edge to the next, so that all
-    points of a cell are under the same boxes.
+    BED-BPP's map has a cell for each square millimetre. Here, cells extend from one edge of a box to the next, so that
+    all points of a cell are under the same boxes.
 
     Args:
-        corner_mm, size_mm: (n, 3) corners and sizes of the boxes as they stand, mm, in packing order.
-        extent_mm: extents of the target along x and y; its corner is the origin. Parts of boxes beyond the target
+        corner_mm, size_mm: (n, 3) corners and sizes of the boxes as placed, mm, in packing order.
+        extent_mm: extents of the target along x and y, with its corner at the origin. Parts of boxes outside the target
             support nothing.
     """
     low, high = corner_mm[:, :2], corner_mm[:, :2] + size_mm[:, :2]
@@ -152,7 +152,7 @@ def direct_support(corner_mm: FloatArray, size_mm: FloatArray, extent_mm: tuple[
 
 
 class _Cells(NamedTuple):
-    """The cells of the target along one axis: their number, and the range of cells that each box covers."""
+    """The cells of the target along one axis: their number, and for each box the range of cells that it covers."""
 
     number: int
     first: NDArray[np.int64]
@@ -166,11 +166,11 @@ def _cells(low: FloatArray, high: FloatArray, extent: float) -> _Cells:
 
 
 SCORED_HEIGHT_MM: Final = 2_000.0
-"""Boxes with a bottom above this height do not count for the leaderboard."""
+"""The leaderboard ignores boxes whose bottom is above this height."""
 
 _EDGE_MM: Final = 1.0
-"""BED-BPP's evaluator reads the height of the pile this much too low, since it takes the last whole millimetre of a
-box."""
+"""BED-BPP's evaluator measures the height of the pile too low by this length, since it uses the last whole millimetre
+inside a box."""
 
 Paths = str | PathLike[str] | Sequence[str | PathLike[str]]
 
@@ -181,11 +181,11 @@ class Kpis:
 
     Attributes:
         plans: one row per plan, with the columns of ``petmjx.analysis.kpis.COLUMNS``. Missing values are null.
-        summary: values over all plans: ``plans``, ``orders``, ``ordered_boxes``; ``means`` of the columns; the
-            leaderboard's rating ``rating`` (by ``kpi_6``), ``rating_by_verdict`` and ``rating_if_all_stood``; None if
-            stability is unknown.
-        notes: lines on missing and unknown values.
-        skipped: lines on unusable plans and orders.
+        summary: values over all plans: ``plans``, ``orders``, ``ordered_boxes``, the ``means`` of the columns, and the
+            leaderboard's rating: ``rating`` (by ``kpi_6``), ``rating_by_verdict`` and ``rating_if_all_stood``. A rating
+            is None if the stability is unknown.
+        notes: lines about missing and unknown values.
+        skipped: lines about unusable plans and orders.
         plans_by_id: the plans, by id.
         orders: the orders, by id.
     """
@@ -199,7 +199,7 @@ class Kpis:
 
     @property
     def found(self) -> Mapping[str, Plan]:
-        """The name of ``plans_by_id`` in version 0.2."""
+        """The old name of ``plans_by_id``, from version 0.2."""
         warnings.warn("Kpis.found is now Kpis.plans_by_id", DeprecationWarning, stacklevel=2)
         return self.plans_by_id
 
@@ -223,14 +223,14 @@ def kpis(
 
     Args:
         plans: as for ``petmjx.score``.
-        orders: file of orders, BED-BPP's or of any other form. An order belongs to the plan with its id.
-        run: folders of runs in which these plans were simulated. The first run has the verdicts; ``kpi_6`` is BED-BPP's
-            rule on the first run with check ``static``.
-        assume_stable: all plans count as stable: ``kpi_6`` is 1. Only without runs.
-        strict: raise at the first unusable plan or order, instead of leaving it out.
+        orders: file of orders, in BED-BPP's form or any other. An order belongs to the plan with the same id.
+        run: folders of runs in which these plans were simulated. The verdicts come from the first run. ``kpi_6``
+            applies BED-BPP's rule to the first run with check ``static``.
+        assume_stable: whether all plans count as stable, so that ``kpi_6`` is 1. Only without runs.
+        strict: whether to raise at the first unusable plan or order, instead of leaving it out.
 
     Raises:
-        InputError: no usable plan or order, or a run of other plans.
+        InputError: there is no usable plan or order, or a run has other plans.
     """
     flag_of(strict, "strict")
     flag_of(assume_stable, "assume_stable")
@@ -261,10 +261,10 @@ def kpis(
 
 
 def kpis_of(plan: Plan, order: Order, matching: Matching | None = None) -> dict[str, Any]:
-    """The columns of one plan that do not depend on its stability.
+    """The columns of one plan, except those that depend on its stability.
 
     Args:
-        matching: the matching of its boxes with the order, if already known.
+        matching: how its boxes match the order, if already known.
     """
     matching = matching or match(plan, order)
     ordered = counts_of(matching)
@@ -296,8 +296,8 @@ def kpis_of(plan: Plan, order: Order, matching: Matching | None = None) -> dict[
 
 
 def _interlocked_share(plan: Plan, n_below: np.ndarray[Any, np.dtype[np.int64]]) -> float | None:
-    """Share of the boxes above the target that lie on several boxes, or that lie on one box and are turned differently
-    from the first box of the plan. None if all boxes stand on the target."""
+    """Among the boxes above the target, the share that lies on several boxes, or on one box and has another orientation
+    than the first box of the plan. None if all boxes stand on the target."""
     turned = plan.turned != plan.turned[0]
     n_above = int(np.count_nonzero(n_below))
     held = (n_below > 1) | ((n_below == 1) & turned)
@@ -365,8 +365,8 @@ def _notes(plans: Mapping[str, Plan], orders: Mapping[str, Order]) -> list[str]:
 def _odd_boxes(
     plans: Mapping[str, Plan], orders: Mapping[str, Order], matchings: Mapping[str, Matching]
 ) -> Iterator[str]:
-    """A line on boxes that were not ordered, with the first such plan, and a line on boxes that were matched by size
-    alone."""
+    """Two lines: on boxes that were not ordered, with the first plan that has any, and on boxes that were matched by
+    size alone."""
     odd = OddBoxes()
     for name, matching in matchings.items():
         odd.add(plans[name], orders[name], matching)
@@ -374,7 +374,7 @@ def _odd_boxes(
 
 
 def _unknown(frame: pd.DataFrame, stability: Stability) -> list[str]:
-    """Lines on plans of unknown stability in a run that has the stability of other plans."""
+    """Lines about plans of unknown stability, if the stability of other plans is known from a run."""
     notes = []
     for column, known in (("kpi_6", stability.their_rule), ("stable", stability.stable)):
         missing = frame.loc[frame[column].isna(), "plan_id"].tolist()

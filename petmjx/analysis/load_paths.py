@@ -1,31 +1,32 @@
-"""Criteria that pass loads down a stack, and load-bearable convex polygons.
+"""Criteria that pass loads down a stack, and polygons in which the top of a box can be loaded.
 
-**Polygons** are the areas in which the top of a box can be loaded without a fall of a box below. Source: Gao, Wang,
-Kong, Chong (2025), "Online 3D Bin Packing with Fast Stability Validation and Stable Rearrangement Planning", arXiv
-2507.09123. A box on the carrier can be loaded anywhere on its top. The polygon of any other box is the hull of its
-contact areas, limited to the polygons of the boxes below. The box stands if its centre is in its own polygon. Then no
-later box can tip it, so loads do not matter. The paper also allows for an uncertain centre of mass; here boxes are of
-uniform density.
+**Polygons** (load-bearable convex polygons) are the areas in which the top of a box can be loaded without making a box
+below fall. Source: Gao, Wang, Kong, Chong (2025), "Online 3D Bin Packing with Fast Stability Validation and Stable
+Rearrangement Planning", arXiv 2507.09123. A box on the carrier can be loaded anywhere on its top. The polygon of any
+other box is the hull of its contact areas, limited to the polygons of the boxes below. The box stands if its centre is
+in its own polygon. Then no later box can tip it, so loads do not matter. The paper also allows for an uncertain centre
+of mass; here the density of boxes is uniform.
 
-**Criteria that pass loads down** ask whether the resultant of a box's weight and of the loads above stays over its
-supports. Each box is checked at its placement, and all boxes below it are checked again. The two criteria differ in how
-a box shares its load among its supports:
+**Criteria that pass loads down** determine whether the resultant of a box's weight and of the loads above it stays over
+its supports. Each box is checked when it is placed, and all boxes below it are checked again. The two criteria differ
+in how a box distributes its load over its supports:
 
-- **lever rule** (the stacking tree): each support gets a force at the middle of its contact area. Two supports share by
-  the lever rule. More supports get the forces of least squares that balance force and moments. Source: Zhao, Zhu, Xu,
-  Huang, Xu (2022), "Learning practically feasible policies for online 3D bin packing", Science China Information
-  Sciences 65, arXiv 2108.13680. As on a lever, a load beyond the middle of the last support lifts the other supports. -
-  **even bedding** (mechanical equilibrium): the pressure on the contact areas varies linearly. The linear pressure
-  balances force and moments exactly and gives one answer for any number of supports. Source of the criterion: Ramos,
-  Oliveira, Gonçalves, Lopes (2016), "A container loading algorithm with static mechanical equilibrium stability
-  constraints", Transportation Research Part B 91, 565-581. Force and moment balance alone do not determine the shares
-  of three and more supports; the bedding is petmjx's choice. (Public re-implementations let each box directly above
-  press with its whole weight, and pass nothing further.)
+- **lever rule** (the stacking tree): each support gets a force at the middle of its contact area. Between two supports,
+  the load is distributed by the lever rule. More than two supports get the least-squares forces that balance force and
+  moments. Source: Zhao, Zhu, Xu, Huang, Xu (2022), "Learning practically feasible policies for online 3D bin packing",
+  Science China Information Sciences 65, arXiv 2108.13680. As on a lever, a load beyond the middle of the last support
+  lifts the other supports.
+- **even bedding** (mechanical equilibrium): the pressure on the contact areas varies linearly. The linear pressure
+  balances force and moments exactly, and gives a single answer for any number of supports. Source of the criterion:
+  Ramos, Oliveira, Gonçalves, Lopes (2016), "A container loading algorithm with static mechanical equilibrium stability
+  constraints", Transportation Research Part B 91, 565-581. Force and moment balance alone do not determine how three or
+  more supports share the load; the bedding is petmjx's choice. (Public re-implementations let each box press with its
+  whole weight on every box directly below, and pass nothing further down.)
 
 Both rules are linear in the load. So the weight of each box is passed down separately, and the load on a box after any
 placement is a sum over the boxes placed so far. Supports cannot pull, however. Where an even bedding would pull, the
 supports push with the least energy of their springs (petmjx.world.load_sharing). Where a resultant of the bedding lies
-beyond an edge, a linear programme decides whether other forces keep all resultants inside
+beyond an edge, a linear programme determines whether other forces keep all resultants inside
 (petmjx.world.balance_programme).
 """
 
@@ -45,16 +46,16 @@ from petmjx.world.supports import Bearing, Boxes
 
 
 def load_polygon_slack(contacts: PlanContacts) -> FloatArray:
-    """(n,) distance of each box's centre from the edge of its polygon, mm: positive inside, negative outside, NaN
-    without a polygon."""
+    """(n,) distance of each box's centre from the edge of the box's polygon, mm: positive inside, negative outside, NaN
+    if there is no polygon."""
     polygons = load_polygons(contacts)
     return hulls_of(polygons).distance(np.arange(contacts.n_boxes), contacts.centre_mm[:, :2])
 
 
 def load_polygons(contacts: PlanContacts) -> NDArray[np.object_]:
-    """(n,) shapely polygons; empty for a box without a bearing support.
+    """(n,) shapely polygons; empty for a box that has no support with a polygon.
 
-    Boxes are processed level by level: all boxes at once whose supports already have polygons.
+    Boxes are processed level by level: each level has all boxes whose supports already have polygons.
     """
     import shapely
 
@@ -71,7 +72,7 @@ def load_polygons(contacts: PlanContacts) -> NDArray[np.object_]:
 
 
 def _levels(contacts: PlanContacts) -> IntArray:
-    """(n,) 0 for boxes that lie only on the carrier, else 1 + the highest level of their supports."""
+    """(n,) level of each box: 0 if it lies only on the carrier, else 1 + the highest level of its supports."""
     level = np.zeros(contacts.n_boxes, dtype=np.int64)
     for upper, lower in zip(contacts.upper.tolist(), contacts.lower.tolist(), strict=True):
         if lower != CARRIER:
@@ -91,20 +92,20 @@ def _within_polygons(areas: NDArray[np.object_], lower: IntArray, polygons: NDAr
 
 
 Sharing = Callable[[PlanContacts], FloatArray]
-"""From contacts to (c, 3, 3) matrices. A matrix turns the load of the upper box (mass, mass × x, mass × y) into the
-load on the lower body, in kg and kg·mm."""
+"""Function from contacts to (c, 3, 3) matrices. Each matrix turns the load of the upper box (mass, mass × x, mass × y)
+into the load on the lower body, in kg and kg·mm."""
 
 
 _SAME: Final = 1e-9
-"""Largest relative difference of loads that counts as rounding."""
+"""Largest relative difference between loads that still counts as rounding."""
 
 
 def equilibrium_slack(contacts: PlanContacts, hulls: Hulls) -> FloatArray:
-    """(n,) ``load_slack`` on an even bedding that only pushes, unless another balance keeps all resultants inside.
+    """(n,) ``load_slack`` on an even bedding that can only push, unless another balance keeps all resultants inside.
 
-    If loads after a placement seem to be beyond edges, and depend on how boxes share their loads, the existence of
-    balancing forces decides. After the first placement without such forces, loads are passed on as if nothing had
-    happened.
+    If after a placement loads appear to be beyond edges, but depend on how boxes share their loads, then balancing
+    forces are searched for, and their existence decides. After the first placement without such forces, the other
+    placements keep the values of the bedding.
     """
     bearing = bearing_of(contacts)
     built = building_loads_of(bearing, [contacts.n_boxes])
@@ -127,13 +128,13 @@ def equilibrium_slack(contacts: PlanContacts, hulls: Hulls) -> FloatArray:
 def load_slack(
     contacts: PlanContacts, hulls: Hulls, sharing: Sharing, pushed: BuildingLoads | None = None
 ) -> FloatArray:
-    """(n,) distance of resultants from the edges of the contact hulls after each box's placement, mm, positive inside.
+    """(n,) distance of resultants from the edges of the contact hulls after each box's placement, mm; positive inside.
 
-    The value is the least distance over the box and all boxes that bear part of its weight. NaN if one of these boxes
-    has no support, or is lifted.
+    The value is the smallest distance over the box and all boxes that bear part of its weight. It is NaN if one of
+    these boxes has no support or is lifted.
 
     Args:
-        pushed: the loads if supports only push, where the sharing would pull.
+        pushed: the loads with supports that only push, if the sharing would make some supports pull.
     """
     on_box = _loads_on_boxes(contacts, sharing)
     bears = on_box.any(axis=-1)
@@ -147,23 +148,24 @@ def load_slack(
     distance = hulls.distance(below, point)
     slack = np.full(contacts.n_boxes, np.inf)
     with np.errstate(invalid="ignore"):
-        np.minimum.at(slack, placed, distance)  # NaN wins
+        np.minimum.at(slack, placed, distance)  # NaN prevails
     return slack
 
 
 def strength_slack(contacts: PlanContacts, strength_n: FloatArray | None, sharing: Sharing) -> FloatArray:
-    """(n,) the least 1 − load / strength after each box's placement, over the box and all boxes that bear part of its
-    weight. NaN if the box lies on nothing.
+    """(n,) the smallest value of 1 − load / strength after each box's placement, over the box and all boxes that bear
+    part of its weight. NaN if the box lies on nothing.
 
     Args:
-        strength_n: (n,) strength of the top of a box, N. NaN, or None for all boxes: unknown, and no load is too large.
+        strength_n: (n,) strength of the top of each box, N. NaN means unknown, as does None for all boxes. If it is
+            unknown, no load is too large.
     """
     slack = np.where(contacts.n_supports > 0, 1.0, np.nan)
     if strength_n is None:
         return slack
     on_box = _loads_on_boxes(contacts, sharing)[..., 0]
     bears, boxes = on_box != 0, np.arange(contacts.n_boxes)
-    on_box[boxes, boxes] = 0.0  # its own weight does not press on its top
+    on_box[boxes, boxes] = 0.0  # a box does not press on its own top
     borne = on_box.cumsum(axis=1)
     built = building_loads_of(bearing_of(contacts), [contacts.n_boxes]) if sharing is even_bedding else None
     if built is not None and _pulls(contacts, built):
@@ -175,14 +177,14 @@ def strength_slack(contacts: PlanContacts, strength_n: FloatArray | None, sharin
 
 
 def _loads_on_boxes(contacts: PlanContacts, sharing: Sharing) -> FloatArray:
-    """(n, n, 3): the part of the weight of box m (column) that box j (row) bears, as (kg, kg·mm, kg·mm), including its
-    own weight."""
+    """(n, n, 3): the part of the weight of box m (column) that box j (row) bears, as (kg, kg·mm, kg·mm). A box bears
+    its own weight."""
     n = contacts.n_boxes
     on_box = np.zeros((n, n, 3))
     weights = contacts.mass_kg[:, None] * np.c_[np.ones(n), contacts.centre_mm[:, :2]]
     on_box[np.arange(n), np.arange(n)] = weights
     share = sharing(contacts)
-    # contacts are in the order of the boxes above, and supports are placed earlier: from the last box down
+    # contacts are sorted by their upper box, and supports were placed earlier, so the loop goes from the last box down
     for contact in range(len(contacts.upper) - 1, -1, -1):
         lower = contacts.lower[contact]
         if lower != CARRIER:
@@ -191,7 +193,7 @@ def _loads_on_boxes(contacts: PlanContacts, sharing: Sharing) -> FloatArray:
 
 
 def bearing_of(contacts: PlanContacts) -> Bearing:
-    """The contacts of a plan as those of a scene, in metres."""
+    """The contacts of a plan in the form of a scene's contacts, in metres."""
     n = contacts.n_boxes
     half = contacts.size_mm / 2
     middle = contacts.corner_mm + half
@@ -209,7 +211,7 @@ def bearing_of(contacts: PlanContacts) -> Bearing:
 
 
 def _pulls(contacts: PlanContacts, built: BuildingLoads) -> bool:
-    """Whether an even bedding would pull after some placement. The loads then differ from those of supports that only
+    """Whether an even bedding would pull after some placement. Then the loads differ from those with supports that only
     push."""
     linear = _loads_on_boxes(contacts, even_bedding).cumsum(axis=1)[built.box, built.step]
     pushed = built.load * (1.0, MM_PER_M, MM_PER_M)
@@ -217,7 +219,7 @@ def _pulls(contacts: PlanContacts, built: BuildingLoads) -> bool:
 
 
 def lever_rule(contacts: PlanContacts) -> FloatArray:
-    """(c, 3, 3) matrix of a force at the middle of each contact area."""
+    """(c, 3, 3) matrices of the lever rule: a force at the middle of each contact area."""
     upper, n = contacts.upper, contacts.n_boxes
     middle = (contacts.low_mm + contacts.high_mm) / 2
     count = np.maximum(contacts.n_supports, 1)
@@ -233,9 +235,10 @@ def lever_rule(contacts: PlanContacts) -> FloatArray:
 
 
 def even_bedding(contacts: PlanContacts) -> FloatArray:
-    """(c, 3, 3): pressure that varies linearly over all contact areas of the box above."""
+    """(c, 3, 3) matrices of the even bedding: a pressure that varies linearly over all contact areas of the box
+    above."""
     upper = contacts.upper
-    # about the upper box's centre and in its lengths, which keeps the 3 × 3 systems well conditioned
+    # relative to the upper box's centre and in units of its lengths, which keeps the 3 × 3 systems well conditioned
     origin, scale = contacts.centre_mm[upper, :2], contacts.size_mm[upper, :2]
     moments = _area_moments((contacts.low_mm - origin) / scale, (contacts.high_mm - origin) / scale)
     total_moments = _sums(moments, upper, contacts.n_boxes)[upper]
@@ -259,7 +262,7 @@ def _area_moments(low: FloatArray, high: FloatArray) -> FloatArray:
 
 
 def _sums(values: FloatArray, owner: IntArray, n: int) -> FloatArray:
-    """(n, …) sums of the values of the same owner."""
+    """(n, …) for each owner, the sum of its values."""
     sums = np.zeros((n, *values.shape[1:]))
     np.add.at(sums, owner, values)
     return sums

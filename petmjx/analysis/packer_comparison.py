@@ -1,8 +1,8 @@
 """Compares packers by runs of their plans: whose plans stand more often, by how much, and with which confidence.
 
-Orders are paired, since each order is packed by every packer. The comparison takes the orders that have a valid verdict
-from every packer. Orders without a plan and invalid worlds are counted separately. ``share_at_worst`` is the share if
-such orders counted as plans that fall.
+Orders are paired, since each order is packed by every packer. Only orders with a valid verdict for every packer are
+compared. Orders without a plan and invalid worlds are counted separately. ``share_at_worst`` is the share of standing
+plans if these orders counted as plans that fall.
 """
 
 from __future__ import annotations
@@ -35,11 +35,11 @@ from petmjx.results.share_intervals import (
 from petmjx.results.to_json import to_json
 
 LEAST_P: Final = 1e-4
-"""Smaller p-values are shown as smaller than this."""
+"""Smaller p-values are shown as less than this value."""
 
 
 def p_in_words(p: float) -> str:
-    """ "p = 0.0020" or "p < 0.0001"."""
+    """A p-value as text: "p = 0.0020" or "p < 0.0001"."""
     return f"p < {LEAST_P:.4f}" if p < LEAST_P else f"p = {p:.4f}"
 
 
@@ -47,9 +47,9 @@ def pair_in_words(row: Mapping[str, Any], confidence: float, pairs: int) -> str:
     """One sentence about two packers on the same orders.
 
     Args:
-        row: a row of ``PackerComparison.pairs``, of size ``all``, with at least one compared order.
-        confidence: confidence of its interval. The test is significant if its p-value is at most 1 − confidence.
-        pairs: number of tests that the p-value is corrected for.
+        row: a row of ``PackerComparison.pairs`` for the size ``all``, with at least one compared order.
+        confidence: confidence of the row's interval. The test is significant if its p-value is at most 1 − confidence.
+        pairs: number of tests for which the p-value is corrected.
     """
     better, worse = (row["b"], row["a"]) if row["difference"] > 0 else (row["a"], row["b"])
     bounds = (row["low"], row["high"]) if row["difference"] > 0 else (-row["high"], -row["low"])
@@ -71,7 +71,7 @@ def pair_in_words(row: Mapping[str, Any], confidence: float, pairs: int) -> str:
 
 
 SIZE_BINS: Final = (0, 20, 40, 60, 80)
-"""Orders by number of boxes: 1 to 20, 21 to 40, …, more than 80."""
+"""Bins of orders by their number of boxes: 1 to 20, 21 to 40, …, more than 80."""
 
 ALL_SIZES: Final = "all"
 
@@ -90,11 +90,11 @@ SHOWN: Final = (
     ShownColumn("height_m", "height m", 3),
     ShownColumn("kpi_2", "kpi_2", 3),
 )
-"""Columns of ``packers`` in a notebook."""
+"""Columns of ``packers`` that a notebook shows."""
 
 
 _ARRIVAL_PAIR: Final = ("p_gain", "p_gain_low", "p_gain_high")
-"""More columns of pairs, if plans were taken through a chain."""
+"""Additional columns of ``pairs`` for runs of chains."""
 
 TABLES: Final = ("packers", "pairs", "reasons", "decided", "plans")
 """Names of the tables of a comparison."""
@@ -107,22 +107,21 @@ class PackerComparison:
     Attributes:
         runs: name of each packer → folder of its run.
         confidence: confidence of all intervals.
-        packers: a row for each packer and size of order (``all`` first): ``size``, ``packer``, ``n`` compared orders,
-            ``n_stable``, ``share`` with its Wilson interval ``low``, ``high``; the means of ``MEASURES``, and with
-            orders also of ``KPIS``, over the compared orders; ``n_orders`` of this size, of which ``n_invalid`` have an
-            invalid world and ``n_missing`` no plan; ``share_at_worst``; of chains
-            also the mean of ``p_arrives``, with its interval ``p_low``, ``p_high`` over orders.
-        pairs: a row for each two packers and size: ``a``, ``b``, ``n``, ``both``, ``only_a``, ``only_b``, ``neither``
-            stand, ``difference`` (share of b − share of a) with Newcombe's interval ``low``, ``high``; ``p`` of
-            McNemar's exact test, and ``p_holm``, corrected for the number of pairs (only for size ``all``; the other
-            sizes are for inspection, not for tests, and have null); of chains also
-            ``p_gain``, the mean over orders of ``p_arrives`` of b − that of a, with its interval ``p_gain_low``,
-            ``p_gain_high``.
-        reasons: for each two packers, the number ``n`` of orders that ``lost_by`` loses for each ``reason`` for which
-            its plan
-            does not stand: ``a``, ``b``, ``lost_by``, ``reason``, ``n``.
-        decided: orders that stand with only one of two packers: ``plan_id``, ``a``, ``b``, ``won_by``, ``lost_by``,
-            ``reason``, ``order_boxes``.
+        packers: a row for each packer and size of order (``all`` first): ``size``, ``packer``, number ``n`` of compared
+            orders, ``n_stable``, ``share`` with its Wilson interval ``low``, ``high``; over the compared orders, the
+            means of ``MEASURES`` and, with orders, also of ``KPIS``; ``n_orders`` of this size, of which ``n_invalid``
+            have an invalid world and ``n_missing`` have no plan; ``share_at_worst``. For chains there is also the mean
+            of ``p_arrives``, with its interval ``p_low``, ``p_high`` over orders.
+        pairs: a row for each pair of packers and size: ``a``, ``b``, ``n``; the numbers ``both``, ``only_a``,
+            ``only_b`` and ``neither`` of orders that stand; ``difference`` (share of b − share of a) with Newcombe's
+            interval ``low``, ``high``; ``p`` of McNemar's exact test, and ``p_holm``, corrected for the number of pairs
+            (both only for the size ``all``; other sizes are for inspection, not for tests, and have null). For chains
+            there is also ``p_gain``, the mean over orders of ``p_arrives`` of b − that of a, with its interval
+            ``p_gain_low``, ``p_gain_high``.
+        reasons: for each pair of packers, the number ``n`` of orders that the packer ``lost_by`` loses because its plan
+            falls for a certain ``reason``: ``a``, ``b``, ``lost_by``, ``reason``, ``n``.
+        decided: orders whose plan stands for only one packer of a pair: ``plan_id``, ``a``, ``b``, ``won_by``,
+            ``lost_by``, ``reason``, ``order_boxes``.
         plans: a row for each order and packer (:func:`petmjx.analysis.packer_runs.plans_of`).
         notes: reasons to doubt the comparison, one line each.
     """
@@ -143,23 +142,23 @@ class PackerComparison:
 
     @property
     def sentences(self) -> tuple[str, ...]:
-        """For each pair of packers, one sentence: whose plans stand more often, by how much, and with which confidence.
+        """One sentence for each pair of packers: whose plans stand more often, by how much, and with which confidence.
         Empty if no order is compared."""
         rows = self.pairs[(self.pairs["size"] == ALL_SIZES) & (self.pairs["n"] > 0)]
         return tuple(pair_in_words(row, self.confidence, len(rows)) for row in rows.to_dict("records"))
 
     def _repr_html_(self) -> str:
-        """HTML for notebooks: the sentences, and a row for each packer."""
+        """HTML for notebooks: the sentences, and a table with a row for each packer."""
         rows = self.packers[self.packers["size"] == ALL_SIZES]
         return block_as_html([repr(self), *self.sentences, *self.notes], [table_as_html(rows, SHOWN, "packers")])
 
     @property
     def tables(self) -> dict[str, pd.DataFrame]:
-        """All tables by name."""
+        """All tables, by name."""
         return {name: getattr(self, name) for name in TABLES}
 
     def to_dict(self) -> dict[str, Any]:
-        """Everything except ``plans`` as plain JSON values; missing numbers are None."""
+        """Everything except ``plans``, as plain JSON values. Missing numbers are None."""
         return dict(to_json({name: value for name, value in vars(self).items() if name != "plans"}))
 
 
@@ -172,14 +171,15 @@ def compare_packers(
     """Compare packers by runs of their plans. Plans are paired by id.
 
     Args:
-        runs: two or more runs or their folders, or packer → run. Without names, packers are named after the folders.
+        runs: two or more runs or their folders; or a mapping packer → run. Without names, packers are named after the
+            folders.
         confidence: confidence of the intervals.
-        orders: file of the plans' orders, in any form. The plans are then read again, boxes are compared with the
-            orders, KPIs are added, and an order without any plan counts as missing for all packers.
+        orders: a file with the orders of the plans, in any form. With orders, the plans are read again, boxes are
+            compared with the orders, KPIs are added, and an order without any plan counts as missing for all packers.
 
     Raises:
-        InputError: fewer than two runs, a folder without a run, a sweep, two runs with one name, unreadable orders; or
-            SciPy is missing.
+        InputError: there are fewer than two runs, a folder has no run, a run is a sweep, two runs have the same name,
+            orders are unreadable, or SciPy is missing.
     """
     if not 0 < confidence < 1:
         raise InputError(f"confidence must be between 0 and 1, got {confidence}")
@@ -189,13 +189,13 @@ def compare_packers(
 def comparison_of(
     runs: Mapping[str, RunResults], confidence: float, orders: Path | None, articles: Path | None = None
 ) -> PackerComparison:
-    """The comparison of packers by open runs. A single packer has no pairs.
+    """Compare packers by runs that are already open. A single packer has no pairs.
 
     Args:
-        articles: a table of articles, for properties without a value in the orders; None: the table that all runs name.
+        articles: a table of articles, for properties that the orders do not have; None: the table that all runs name.
 
     Raises:
-        InputError: unreadable orders, or SciPy is missing.
+        InputError: orders are unreadable, or SciPy is missing.
     """
     against = None if orders is None else against_orders(runs, orders, articles)
     plans = plans_of(runs, against)
@@ -226,7 +226,7 @@ def comparison_of(
 
 
 def _with_kpis(plans: pd.DataFrame, kpis: pd.DataFrame) -> pd.DataFrame:
-    """The plans with the columns ``KPIS``. kpi_2 is relative to the order's target, if known."""
+    """Add the columns ``KPIS`` to the plans. kpi_2 is relative to the target of the order, if it is known."""
     kpis = kpis[["plan_id", "packer", *KPIS]]
     merged = plans.drop(columns="kpi_2").merge(kpis, on=["plan_id", "packer"], how="left", validate="one_to_one")
     return merged.assign(kpi_2=merged["kpi_2"].combine_first(plans["kpi_2"]))
@@ -238,7 +238,7 @@ def _bin_names() -> list[str]:
 
 
 def size_names(boxes: pd.Series) -> pd.Series:
-    """The bin of each number of boxes, as text."""
+    """The name of the size bin for each number of boxes."""
     names = np.array(_bin_names())
     return pd.Series(names[np.searchsorted(SIZE_BINS, boxes.to_numpy(), side="left") - 1], index=boxes.index)
 
@@ -280,13 +280,13 @@ def _pair_row(size: str, a: str, b: str, rows: pd.DataFrame, confidence: float) 
         of = rows[rows["compared"]].pivot(index="plan_id", columns="packer", values=ARRIVES)
         gains = of[b] - of[a] if len(of) else pd.Series(dtype="float64")
         shares |= dict(zip(_ARRIVAL_PAIR, _mean_interval(gains, confidence), strict=True))
-    return {"size": size, "a": a, "b": b, "n": counts.n, **vars(counts), **shares}  # _PAIR_COLUMNS
+    return {"size": size, "a": a, "b": b, "n": counts.n, **vars(counts), **shares}  # in the order of _PAIR_COLUMNS
 
 
 def _mean_interval(values: pd.Series, confidence: float) -> tuple[float, float, float]:
-    """The mean of values of orders, and its Student interval. The spread between orders contains both the differences
-    between orders and the chance in each value. NaN for fewer than two orders, and for orders with equal values: these
-    have no spread."""
+    """The mean of a value over orders, and its Student interval. The spread over orders includes both the differences
+    between orders and the randomness of each value. The interval is NaN for fewer than two orders, and for orders with
+    equal values, which have no spread."""
     valid_values = values.dropna()
     mean, n = float(valid_values.mean()), len(valid_values)
     if n < 2 or valid_values.std() == 0:
@@ -298,7 +298,7 @@ def _mean_interval(values: pd.Series, confidence: float) -> tuple[float, float, 
 
 
 def _standing_table(rows: pd.DataFrame) -> pd.DataFrame:
-    """Whether the plan stands: a row for each compared order and a column for each packer."""
+    """Whether plans stand: a row for each compared order and a column for each packer."""
     compared = rows[rows["compared"]]
     stands = compared.assign(stands=compared["verdict"] == Verdict.STABLE.value)
     return stands.pivot(index="plan_id", columns="packer", values="stands").reindex(columns=rows["packer"].unique())

@@ -1,4 +1,4 @@
-"""Compares packers' plans with the orders that they were packed from: which boxes were ordered, and BED-BPP's KPIs."""
+"""Compares packers' plans with the orders from which they were packed: which boxes were ordered, and BED-BPP's KPIs."""
 
 from __future__ import annotations
 
@@ -22,12 +22,12 @@ from petmjx.results.run_manifest import Manifest
 from petmjx.results.run_reader import RunResults
 
 KPIS: Final = ("kpi_1", "kpi_2", "kpi_4", "kpi_5", "utilisation_2m")
-"""Columns whose means are shown. kpi_3 is left out since the height needs no orders, and kpi_6 since it needs a static
-check."""
+"""KPIs whose means are shown. kpi_3 is left out because it is the height, which needs no orders, and kpi_6 because it
+needs a static check."""
 
 GOODS: Final = ("left_out", "not_ordered", "resized", "as_ordered")
-"""Columns with numbers of boxes: those of :class:`petmjx.plans.order_matching.PlanOrderCounts`, and the boxes that are
-as ordered and on the target."""
+"""Columns that count boxes: those of :class:`petmjx.plans.order_matching.PlanOrderCounts`, and the number of boxes that
+are as ordered and on the target."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -35,11 +35,11 @@ class OrderComparison:
     """The comparison of packers' plans with orders.
 
     Attributes:
-        sizes: id of each order → its number of boxes.
-        rows: a row for each plan with an order: ``plan_id``, ``packer``, ``GOODS`` and ``KPIS`` (float64; null if a KPI
-            has no value).
-        notes: lines on each packer's boxes that were not ordered, on plans without an order, on plans that were not
-            read again, on orders without any plan, and on unusable orders.
+        sizes: id of each order → number of boxes of the order.
+        rows: a row for each plan that has an order: ``plan_id``, ``packer``, ``GOODS`` and ``KPIS`` (float64; null if a
+            KPI has no value).
+        notes: lines about each packer's boxes that were not ordered, plans without an order, plans that were not read
+            again, orders without any plan, and unusable orders.
     """
 
     sizes: Mapping[str, int]
@@ -52,8 +52,8 @@ def against_orders(runs: Mapping[str, RunResults], file: Path, articles: Path | 
 
     Args:
         runs: name of each packer → its run.
-        file: orders, BED-BPP's or of any other form. An order belongs to the plans with its id.
-        articles: a table of articles, for properties without a value in the orders; None: the table that all runs name.
+        file: file of orders, in BED-BPP's form or any other. An order belongs to the plans with the same id.
+        articles: a table of articles, for properties that the orders do not have; None: the table that all runs name.
 
     Raises:
         InputError: a file cannot be read.
@@ -94,7 +94,7 @@ def against_orders(runs: Mapping[str, RunResults], file: Path, articles: Path | 
 
 
 def compare_with_orders(plans: Mapping[str, Mapping[str, Plan]], orders: Mapping[str, Order]) -> OrderComparison:
-    """Compare plans with orders, without a file.
+    """Compare plans with orders that are in memory.
 
     Args:
         plans: name of each packer → its plans by id. Plans without an order are ignored.
@@ -125,14 +125,14 @@ def compare_with_orders(plans: Mapping[str, Mapping[str, Plan]], orders: Mapping
 
 
 def _articles_of(runs: Mapping[str, RunResults]) -> Articles | None:
-    """The table of articles of all runs if they used the same; else None."""
+    """The table of articles if all runs used the same one; else None."""
     article_files = {how_read(run.info).articles for run in runs.values()}
     file = article_files.pop() if len(article_files) == 1 else None
     return read_articles(file) if file is not None and file.is_file() else None
 
 
 def _plans_of(run: RunResults, orders: Mapping[str, Order]) -> Mapping[str, Plan]:
-    """The plans of a run with an order, if they are found again."""
+    """Those plans of a run that have an order, as far as they can be read again."""
     records = Manifest.read(run.parts, run.info).plans
     plan_ids = [plan_id for plan_id in dict.fromkeys(run.worlds["plan_id"]) if plan_id in orders]
     return find_plans(run, records, plan_ids).plans

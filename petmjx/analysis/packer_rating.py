@@ -1,9 +1,9 @@
-"""A rating of packers by physics: the share of ordered boxes that lie on plans that stand.
+"""A rating of packers by physics: the share of all ordered boxes that lie on plans that stand.
 
-The rating has the form of BED-BPP's rating (docs/kpis.md), with the verdict of the simulation. A plan that does not
-stand adds nothing. An order without a plan or with an invalid world adds nothing, nor does a box that was left out.
-So neither daring nor timid plans win. A box counts once, if it was ordered and has the order's size and mass. With
-orders, a packer's rating depends only on its own plans and the orders.
+The rating has the same form as BED-BPP's (docs/kpis.md), but uses the verdict of the simulation. Three things add
+nothing: a plan that does not stand, an order that has no plan or whose world is invalid, and a box that was left out.
+So neither risky nor overly cautious plans win. A box counts once, if it was ordered and has the size and mass in the
+order. With orders, the rating of a packer depends only on its own plans and on the orders.
 """
 
 from __future__ import annotations
@@ -21,22 +21,22 @@ from petmjx.results.share_intervals import wilson_interval
 
 
 def rate(comparison: PackerComparison) -> pd.DataFrame:
-    """The rating of each packer, the best first, in the form of :func:`ratings`."""
+    """The rating of each packer, best first, in the form of :func:`ratings`."""
     return ratings(comparison.plans, list(comparison.runs), comparison.confidence)
 
 
 def ratings(plans: pd.DataFrame, packers: Sequence[str], confidence: float) -> pd.DataFrame:
-    """The rating of each packer, the best first.
+    """The rating of each packer, best first.
 
     Args:
-        plans: a row for each order and packer (:func:`petmjx.analysis.packer_runs.plans_of`); rows of orders that are
-            not ``listed`` do not count.
+        plans: a row for each order and packer (:func:`petmjx.analysis.packer_runs.plans_of`). Rows of orders that are
+            not ``listed`` are ignored.
 
     Returns:
         A row for each packer: ``rank``, from 1, the same for equal ratings; ``packer``; ``rating``, from 0 to 1, with
         the bounds ``low`` and ``high`` of its interval (:func:`rating_interval`); ``n_orders``, of which ``n_stable``
-        stand, ``n_invalid`` have no verdict and ``n_missing`` no plan; ``ordered_boxes``, of which ``standing_boxes``
-        lie on plans that stand, as they were ordered.
+        stand, ``n_invalid`` have no verdict and ``n_missing`` have no plan; and ``ordered_boxes``, of which
+        ``standing_boxes`` lie as ordered on plans that stand.
     """
     listed = plans[plans["listed"]]
     verdicts, as_ordered, boxes = (
@@ -68,16 +68,16 @@ def ratings(plans: pd.DataFrame, packers: Sequence[str], confidence: float) -> p
 
 
 def rating_interval(rating: FloatArray, ordered: FloatArray, confidence: float) -> tuple[FloatArray, FloatArray]:
-    """Intervals of ratings: Wilson's interval for the effective number of orders.
+    """Intervals of ratings: Wilson's interval, with the effective number of orders.
 
-    A rating is a mean of values from 0 to 1 over orders, weighted by their boxes. Large orders make it vary as if there
-    were fewer orders: Kish's effective number, (Σ w)² / Σ w² (Kish 1965, "Survey Sampling", section 11.7). Such a mean
-    varies at most as much as a share, so the interval is wide enough. Unlike a bootstrap interval, it also has a width
-    if all plans stand, or none.
+    A rating is a mean over orders of values from 0 to 1, weighted by their numbers of boxes. Large orders make the
+    rating vary as if there were fewer orders: Kish's effective number, (Σ w)² / Σ w² (Kish 1965, "Survey Sampling",
+    section 11.7). Such a mean varies at most as much as a share, so the interval is wide enough. Unlike a bootstrap
+    interval, it has a width even if all plans stand, or none.
 
     Args:
         rating: (p,) ratings from 0 to 1.
-        ordered: (o,) number of boxes of each order: the weights.
+        ordered: (o,) the weights: the number of boxes of each order.
 
     Returns:
         (p,) lower and (p,) upper bounds.

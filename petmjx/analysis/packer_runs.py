@@ -1,4 +1,4 @@
-"""The runs of several packers as one table, with a row for each order and packer."""
+"""Joins the runs of several packers into one table, with a row for each order and packer."""
 
 from __future__ import annotations
 
@@ -19,10 +19,10 @@ from petmjx.results.run_reader import RunResults, load_run
 from petmjx.runs.chain_summary import arrivals, is_chain
 
 LONGEST_NAME: Final = 200
-"""Most bytes of a packer's name. File systems allow 255 for the name of a folder."""
+"""Largest number of bytes in a packer's name. File systems allow 255 for the name of a folder."""
 
 MISSING: Final = "missing"
-"""``verdict`` for an order without a plan of a packer."""
+"""The ``verdict`` for an order of which a packer has no plan."""
 
 MEASURES: Final[Mapping[str, str]] = {
     "boxes": "boxes placed",
@@ -31,23 +31,23 @@ MEASURES: Final[Mapping[str, str]] = {
     "height_m": "height, m",
     "kpi_2": "kpi_2, volume over area × height",
 }
-"""Column of a plan → its heading. The means of these columns stand next to the shares. To add a column, add a line
+"""Column of a plan → its heading. Tables show the means of these columns beside the shares. To add a column, add a line
 here and a column in :func:`plans_of`."""
 
 ARRIVES: Final = "p_arrives"
-"""Column of plans in chains: the share of their worlds that arrive."""
+"""Column for plans in chains: the share of a plan's worlds in which it arrives."""
 
 Run = RunResults | str | Path
 
 
 def runs_by_packer(runs: Sequence[Run] | Mapping[str, Run]) -> dict[str, RunResults]:
-    """Name of each packer → its run. Without names, packers are named after the folders.
+    """Map the name of each packer to its run. Without names, packers are named after the folders.
 
     Raises:
-        InputError: fewer than two runs, two runs with one name, or a folder without a run.
+        InputError: there are fewer than two runs, two runs have the same name, or a folder has no run.
     """
     if isinstance(runs, str | Path | RunResults):
-        runs = [runs]  # a text is a sequence, too, of its letters
+        runs = [runs]  # a text is also a sequence, of its letters
     runs_by_name = runs if isinstance(runs, Mapping) else None
     sources: list[Any] = (
         list(runs_by_name.values()) if runs_by_name else list_of(runs, "runs", object, "runs or folders")
@@ -79,10 +79,10 @@ def _names(folders: Sequence[Path]) -> list[str]:
 
 
 def check_names(names: Iterable[str]) -> None:
-    """Check that names can be names of folders.
+    """Check that names can be used as names of folders.
 
     Raises:
-        InputError: a name cannot.
+        InputError: a name cannot be used.
     """
     for name in names:
         if not isinstance(name, str):
@@ -94,18 +94,20 @@ def check_names(names: Iterable[str]) -> None:
 
 
 def plans_of(runs: Mapping[str, RunResults], against: OrderComparison | None = None) -> pd.DataFrame:
-    """A row for each order and packer, sorted. The orders are those of the caller, and all with a plan of any packer.
+    """A row for each order and packer, sorted. It covers the caller's orders, and all orders of which a packer has a
+    plan.
 
     Args:
-        against: the comparison of the plans with the caller's orders. None: without the caller's orders, the orders of
-            the runs count. If no run was compared with orders, an order has as many boxes as its largest plan.
+        against: the comparison of the plans with the caller's orders. None: the caller has no orders, so those of the
+            runs are used. If no run was compared with orders, an order is assumed to have as many boxes as its largest
+            plan.
 
     Returns:
-        ``plan_id``, ``packer``, ``order_boxes`` of the order, ``verdict`` (also ``missing``), ``reason``, ``margin``,
-        ``digest``, the columns of ``MEASURES``; ``as_ordered``: number of boxes of the plan that were ordered, each
-        counted once, that have the order's size and mass and are on its target; null if not known.
-        ``listed``: whether ratings count the order. ``compared``: whether the order has a valid verdict from every
-        packer. ``p_arrives``: of runs that are all chains.
+        ``plan_id``, ``packer``, ``order_boxes`` of the order, ``verdict`` (possibly ``missing``), ``reason``,
+        ``margin``, ``digest``, and the columns of ``MEASURES``. ``as_ordered`` is the number of boxes of the plan that
+        were ordered, each counted once, that have the order's size and mass and are on its target; null if unknown.
+        ``listed`` tells whether ratings count the order. ``compared`` tells whether the order has a valid verdict for
+        every packer. If all runs are chains, there is also ``p_arrives``.
     """
     table = _worlds_of(runs)
     sizes = None if against is None else against.sizes
@@ -137,11 +139,11 @@ def plans_of(runs: Mapping[str, RunResults], against: OrderComparison | None = N
 
 
 _OF_PLAN: Final = ("volume_m3", "extent_x_m", "extent_y_m", "height_m", "ordered_boxes", "left_out", "resized")
-"""Columns of the table ``plans`` of a run. Older runs and runs without orders lack some of these columns."""
+"""Columns of the table ``plans`` of a run. Older runs, and runs without orders, lack some of them."""
 
 
 def _worlds_of(runs: Mapping[str, RunResults]) -> pd.DataFrame:
-    """The nominal worlds of runs, with columns of their tables ``plans``."""
+    """The nominal worlds of runs, joined with columns of their tables ``plans``."""
     of_world = ["plan_id", "verdict", "reason", "n_boxes", "margin"]
     worlds = [run.worlds[run.worlds["variant"] == 0].reindex(columns=of_world) for run in runs.values()]
     plans = [run.plans.reindex(columns=["plan_id", "digest", *_OF_PLAN]) for run in runs.values()]
@@ -158,16 +160,16 @@ def _worlds_of(runs: Mapping[str, RunResults]) -> pd.DataFrame:
 
 
 def _carrier(runs: Mapping[str, RunResults]) -> Carrier | OwnCarrier:
-    """The carrier of all runs; ``footprint`` if they have different carriers."""
+    """The carrier of all runs; ``footprint`` if it is not the same in all."""
     carriers = [run.carrier for run in runs.values()]
     return carriers[0] if all(carrier == carriers[0] for carrier in carriers) else Carrier.FOOTPRINT
 
 
 def _target_area_m2(by_order: Any, carrier: Carrier | OwnCarrier) -> FloatArray:
-    """The area of the target of each row, the same for all packers of an order.
+    """The area of the target for each row. It is the same for all packers of an order.
 
-    This area is that of the carrier. With ``footprint`` it is the smallest of BED-BPP's targets on which the plans of
-    all packers fit; if none is large enough, it is the common extent of the plans.
+    This is the area of the carrier. With ``footprint`` it is that of the smallest target of BED-BPP on which the plans
+    of all packers fit; if none is large enough, it is the area of the common extent of the plans.
     """
     x, y = (by_order[f"extent_{axis}_m"].transform("max").to_numpy(np.float64) for axis in "xy")
     area: FloatArray = x * y
@@ -181,7 +183,7 @@ def _target_area_m2(by_order: Any, carrier: Carrier | OwnCarrier) -> FloatArray:
 
 
 def doubts(runs: Mapping[str, RunResults], table: pd.DataFrame) -> list[str]:
-    """Reasons to doubt the comparison, one line each."""
+    """Lines with reasons to doubt the comparison."""
     lines = [line for name, run in runs.items() for line in run.doubts(printable_name(name))]
     settings = {name: run.info.get("config", {}).get("simulation") for name, run in runs.items()}
     first, *other_settings = settings
@@ -211,7 +213,7 @@ def doubts(runs: Mapping[str, RunResults], table: pd.DataFrame) -> list[str]:
 
 
 def _same_plans(table: pd.DataFrame, names: Sequence[str]) -> list[str]:
-    """A line on orders that all packers pack in the same way, if any."""
+    """A line about orders for which all packers have the same plan, if there are any."""
     compared = table[table["compared"]].groupby("plan_id")["digest"].agg(["nunique", "count"])
     n_same = int(((compared["nunique"] == 1) & (compared["count"] == len(names))).sum())
     verb = "is" if n_same == 1 else "are"
@@ -219,7 +221,7 @@ def _same_plans(table: pd.DataFrame, names: Sequence[str]) -> list[str]:
 
 
 def _different_options(a: Any, b: Any) -> list[str]:
-    """The names of options that differ, also within tables."""
+    """The names of options that differ. Options inside tables are compared one by one."""
     if not isinstance(a, Mapping) or not isinstance(b, Mapping):
         return []
     return [str(name) for name in sorted({*a, *b}) if a.get(name) != b.get(name)]

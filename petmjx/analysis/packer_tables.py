@@ -64,24 +64,24 @@ DESCRIBED: Final[Described] = {
     "listed": (DIMENSIONLESS, "whether the order is one of those given; true for all where none are given"),
     "compared": (DIMENSIONLESS, "whether the order has a valid verdict from every packer"),
 }
-"""Every column of every table. The table ``packers`` has the means of KPIs and measures."""
+"""Descriptions of all columns of all tables. ``packers`` also has columns with the means of KPIs and measures."""
 
 
 def check_comparison_free(folder: Path, overwrite: bool, inputs: Iterable[Path] = ()) -> None:
-    """Check, before packers are compared, that the tables may be written into a folder; ``inputs`` are the files to be
-    read. Raises InputError as ``petmjx.results.documented_tables.check_tables_free``.
+    """Check, before packers are compared, that the tables may be written into a folder. ``inputs`` are the files that
+    the command reads. Raises InputError as ``petmjx.results.documented_tables.check_tables_free``.
     """
     check_tables_free(folder, TABLES, overwrite=overwrite, inputs=inputs)
 
 
 def write_comparison(comparison: PackerComparison, folder: Path, overwrite: bool = False) -> None:
-    """Write each table into a folder, as NAME.parquet, with units, and NAME.csv.
+    """Write each table into a folder, as NAME.parquet with units and as NAME.csv.
 
     Args:
-        overwrite: tables that petmjx wrote there before may be replaced.
+        overwrite: whether tables that petmjx wrote there before may be replaced.
 
     Raises:
-        InputError: the folder or a file cannot be written, or a file of these names may not be replaced.
+        InputError: the folder or a file is not writable, or a file of one of these names must not be replaced.
     """
     check_comparison_free(folder, overwrite)
     with write_errors(folder):

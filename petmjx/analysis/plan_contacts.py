@@ -1,9 +1,9 @@
-"""Contacts of boxes: the rectangles on which boxes lie, the sides at which they touch, and their contact points at
-rest.
+"""Contacts of boxes: the rectangles on which boxes lie, the sides at which they touch, and the points at which they
+touch at rest.
 
-``find_contacts`` and ``find_sides`` take the places of the plan. ``find_touch_points`` takes the last poses of a world,
-and asks MuJoCo's collider. ``Hulls`` are the convex hulls of the areas on which boxes lie; they measure how far points
-are inside.
+``find_contacts`` and ``find_sides`` use the places in the plan. ``find_touch_points`` uses the final poses of a world,
+and MuJoCo's collider. ``Hulls`` are the convex hulls of the areas on which boxes lie; they compute how far points are
+inside.
 """
 
 from __future__ import annotations
@@ -25,13 +25,14 @@ from petmjx.world.scene import Scene
 from petmjx.world.supports import LEANS_M, TOUCH_M
 
 ON_EDGE_MM: Final = 1e-6
-"""A point at most this far outside counts as on the edge. The distance covers rounding errors of float64 sums of
+"""A point at most this far outside counts as being on the edge. This covers the rounding errors of float64 sums of
 millimetres."""
 
 
 @dataclass(frozen=True, eq=False)
 class Hulls:
-    """One convex polygon for each of n boxes, counter-clockwise, padded to e vertices by repeating the last one.
+    """One convex polygon for each of n boxes. Its vertices are counter-clockwise, and the last one is repeated until
+    there are e.
 
     Attributes:
         vertex: (n, e, 2) vertices, mm; NaN if a box has no polygon.
@@ -40,11 +41,11 @@ class Hulls:
     vertex: FloatArray
 
     def distance(self, hull: IntArray, point: FloatArray) -> FloatArray:
-        """(p,) distance of points from the edges of hulls, mm: positive inside, negative outside, NaN if there is no
+        """(p,) distance of points from the edges of hulls, mm: positive inside, negative outside, NaN if the box has no
         hull.
 
         Args:
-            hull: (p,) for each point, the box of the hull.
+            hull: (p,) for each point, the number of the box whose hull is used.
             point: (p, 2) points, mm.
         """
         start = self.vertex[hull]
@@ -60,8 +61,8 @@ class Hulls:
         return inside
 
     def reach(self, hull: IntArray, middle: FloatArray, point: FloatArray) -> FloatArray:
-        """(p,) position of points on the ray from an inner point ``middle`` (p, 2) of the hull through the point to the
-        edge: 0 at the middle, 1 on the edge, more outside."""
+        """(p,) position of points on rays from an inner point of the hull, ``middle`` (p, 2), through the point to the
+        edge: 0 at ``middle``, 1 on the edge, more than 1 outside."""
         start = self.vertex[hull]
         along = np.roll(start, -1, axis=1) - start
         outward = np.stack([along[..., 1], -along[..., 0]], axis=-1)
@@ -94,7 +95,7 @@ def contact_hulls(contacts: PlanContacts) -> Hulls:
 
 
 def hulls_of(polygons: NDArray[np.object_]) -> Hulls:
-    """Hulls from (n,) convex polygons of shapely. A box with an empty polygon has no hull."""
+    """Make hulls from (n,) convex shapely polygons. A box with an empty polygon has no hull."""
     import shapely
 
     with_area = np.flatnonzero(shapely.area(polygons) > 0)
@@ -115,13 +116,13 @@ def polygon_vertices(polygons: NDArray[np.object_]) -> list[FloatArray]:
     import shapely
 
     coordinates, owner = shapely.get_coordinates(polygons, return_index=True)
-    # shapely closes rings by repeating the first vertex; its hulls run clockwise
+    # shapely closes rings by repeating the first vertex, and its hulls run clockwise
     rings = np.split(coordinates, np.flatnonzero(np.diff(owner)) + 1)
     return [ring[:-1] if _area(ring) > 0 else ring[:0:-1] for ring in rings] if len(polygons) else []
 
 
 def _area(ring: FloatArray) -> float:
-    """Twice the area of a closed ring; positive where it runs counter-clockwise."""
+    """Twice the area of a closed ring; positive if it runs counter-clockwise."""
     x, y = (ring - ring[0]).T
     return float(np.dot(x[:-1], y[1:]) - np.dot(x[1:], y[:-1]))
 
@@ -134,27 +135,27 @@ N_CORNERS: Final = 4
 
 @dataclass(frozen=True, eq=False)
 class PlanContacts:
-    """The contacts of one plan: c rectangles on which a box lies, in the order of the boxes above.
+    """The contacts of one plan: c rectangles on which boxes lie, sorted by the box above.
 
-    A box lies on the carrier if its bottom is not above the carrier's top. A box lies on the carrier with its whole
-    base, since the carrier is taken to reach under all boxes. On a carrier made of boards a box lies on the boards of
-    the deck that it overlaps along x and y; each board is a separate area.
+    A box lies on the carrier if its bottom is not above the carrier's top. Its whole base then lies on the carrier,
+    since the carrier is assumed to extend under all boxes. On a carrier made of boards, a box lies on the deck boards
+    that it overlaps along x and y; each board makes a separate area.
 
-    A box lies on another box if the other box was placed before, its top is at the height of the bottom, and the two
-    overlap along x and y. A box that is pushed in later under another box bears nothing: the upper box would have
-    fallen before.
+    A box lies on another box if that box was placed before it, its bottom is at the height of the other box's top, and
+    the two overlap along x and y. A box that is pushed in later under another box bears nothing, because the upper box
+    would have fallen already.
 
     Attributes:
         size_mm, corner_mm: (n, 3) sizes and corners of the boxes, as in the plan.
         mass_kg: (n,) masses of the boxes.
-        upper: (c,) the box above.
-        lower: (c,) the box below, placed earlier, or ``CARRIER``.
+        upper: (c,) number of the box above.
+        lower: (c,) number of the box below, which was placed earlier, or ``CARRIER``.
         low_mm, high_mm: (c, 2) corners of the rectangle along x and y.
-        under_low_mm, under_high_mm: (c, 2) corners of the whole bearing surface: the top of the box below, or a deck
-            board.
-        tolerance_mm: gaps and overlaps up to this count as touching.
+        under_low_mm, under_high_mm: (c, 2) corners of the whole bearing surface, which is the top of the box below or a
+            deck board.
+        tolerance_mm: gaps and overlaps up to this size count as touching.
         mass_center_mm: (n, 3) centres of mass, as in ``Plan``.
-        room: the room between the carrier's walls; None: no walls.
+        room: the room between the carrier's walls; None: the carrier has no walls.
     """
 
     size_mm: FloatArray
@@ -176,7 +177,7 @@ class PlanContacts:
 
     @cached_property
     def centre_mm(self) -> FloatArray:
-        """(n, 3) centres of gravity: the centres of the boxes, unless the plan has other ones."""
+        """(n, 3) centres of gravity. They are the centres of the boxes, unless the plan gives others."""
         centre: FloatArray = self.corner_mm + self.size_mm / 2
         return centre if self.mass_center_mm is None else centre + self.mass_center_mm
 
@@ -187,22 +188,22 @@ class PlanContacts:
 
     @cached_property
     def n_supports(self) -> IntArray:
-        """(n,) number of areas on which each box lies: one for each box below, and for the carrier one, or one for each
+        """(n,) number of areas on which each box lies: one per box below it, and for the carrier one, or one per deck
         board."""
         return np.bincount(self.upper, minlength=self.n_boxes)
 
     @cached_property
     def grounded(self) -> NDArray[np.bool_]:
-        """(n,) whether a box lies on the carrier with all four corners. Such a box cannot be tipped."""
+        """(n,) whether all four corners of a box lie on the carrier. Such a box cannot tip."""
         n_corners: IntArray = self.borne_corners(self.lower == CARRIER).sum(axis=1)
         on_carrier: NDArray[np.bool_] = np.equal(n_corners, N_CORNERS)
         return on_carrier
 
     def borne_corners(self, chosen: NDArray[np.bool_]) -> NDArray[np.bool_]:
-        """(n, 4) whether each bottom corner lies on something, within the tolerance. Edges count.
+        """(n, 4) whether each bottom corner lies on something, within the tolerance. The edge of a surface counts.
 
         Args:
-            chosen: (c,) mask of the contacts to consider.
+            chosen: (c,) mask of the contacts that count.
         """
         base = self.corner_mm[:, :2]
         corners = rectangle_corners(base, base + self.size_mm[:, :2])[self.upper[chosen]]
@@ -216,12 +217,13 @@ class PlanContacts:
 
 @dataclass(frozen=True, eq=False)
 class Sides:
-    """Where boxes touch side by side, or lean on a wall: s rectangles, each upright.
+    """The places where boxes touch side by side, or lean on a wall: s upright rectangles.
 
     Attributes:
-        first, second: (s,) the boxes, or ``CARRIER`` for a wall; the second is on the positive side along the axis.
+        first, second: (s,) the two boxes, or ``CARRIER`` for a wall. The second one is on the positive side along the
+            axis.
         axis: (s,) 0 for x, 1 for y.
-        low_mm, high_mm: (s, 3) corners of the rectangle, which has no extent along its axis.
+        low_mm, high_mm: (s, 3) corners of the rectangle. Its extent along its axis is 0.
     """
 
     first: IntArray
@@ -232,7 +234,7 @@ class Sides:
 
 
 def rectangle_corners(low: FloatArray, high: FloatArray) -> FloatArray:
-    """(…, 4, 2) corners of rectangles from (…, 2) low and high ones, counter-clockwise."""
+    """(…, 4, 2) corners of rectangles, counter-clockwise, from their lowest and highest corners (…, 2)."""
     x0, y0, x1, y1 = low[..., 0], low[..., 1], high[..., 0], high[..., 1]
     corners: FloatArray = np.stack(
         [np.stack([x0, y0], -1), np.stack([x1, y0], -1), np.stack([x1, y1], -1), np.stack([x0, y1], -1)], axis=-2
@@ -246,14 +248,15 @@ def find_contacts(
     deck_mm: FloatArray | None = None,
     room: Room | None = None,
 ) -> PlanContacts:
-    """Find the contacts of a plan: the bodies and rectangles on which its boxes lie.
+    """Find the contacts of a plan: the rectangles on which its boxes lie, and the bodies below.
 
     Args:
-        tolerance_mm: gaps and overlaps in height up to this count as touching, and narrower contacts do not count. The
-            default is the tolerance of the warnings about a plan: half of the last digit of whole millimetres.
+        tolerance_mm: gaps and overlaps in height up to this size count as touching, and contacts narrower than this do
+            not count. The default is also the tolerance of the warnings about plans: half of the last digit of whole
+            millimetres.
         deck_mm: (b, 2, 2) lowest and highest corner along x and y of each board of the carrier's deck; None: the
-            carrier reaches under all boxes.
-        room: the room between the carrier's walls; None: it has none.
+            carrier extends under all boxes.
+        room: the room between the carrier's walls; None: the carrier has no walls.
     """
     low, high = plan.corner_mm, plan.corner_mm + plan.size_mm
     below, above = np.nonzero(_rests(low, high, tolerance_mm))
@@ -285,13 +288,13 @@ def find_contacts(
 
 
 def _overlap(low: FloatArray, high: FloatArray, deck_mm: FloatArray, tolerance_mm: float) -> NDArray[np.bool_]:
-    """(k, b): whether rectangles share more than the tolerance with boards along x and y."""
+    """(k, b): whether a rectangle overlaps a board by more than the tolerance along x and y."""
     shares = np.minimum(high[:, None], deck_mm[:, 1]) - np.maximum(low[:, None], deck_mm[:, 0]) > tolerance_mm
     return shares[..., 0] & shares[..., 1]
 
 
 def _rests(low: FloatArray, high: FloatArray, tolerance_mm: float) -> NDArray[np.bool_]:
-    """(n, n): whether the box of the column lies on the box of the row."""
+    """(n, n): whether the column's box lies on the row's box."""
     touching = meets(low[:, 2], high[:, 2], tolerance_mm)
     for axis in range(2):
         touching &= shared_length(low[:, axis], high[:, axis]) > tolerance_mm
@@ -299,8 +302,8 @@ def _rests(low: FloatArray, high: FloatArray, tolerance_mm: float) -> NDArray[np
 
 
 def find_sides(contacts: PlanContacts) -> Sides:
-    """Find where the boxes of a plan touch side by side, and the walls, up to ``LEANS_M`` away, on which tipping boxes
-    lean."""
+    """Find where the boxes of a plan touch side by side. Also finds walls at most ``LEANS_M`` away, on which boxes lean
+    when they tip."""
     low, high = contacts.corner_mm, contacts.corner_mm + contacts.size_mm
     tolerance_mm = contacts.tolerance_mm
     pairs_by_axis = []
@@ -319,7 +322,7 @@ def find_sides(contacts: PlanContacts) -> Sides:
 
 
 def _with_walls(sides: Sides, contacts: PlanContacts, room: Room) -> Sides:
-    """The sides, followed by the sides at which boxes lean on walls: a box's whole side, up to the top of the wall."""
+    """Add the sides at which boxes lean on walls. Such a side is a box's whole side, up to the top of the wall."""
     low, high = contacts.corner_mm, contacts.corner_mm + contacts.size_mm
     middle_m, half_m = (low + high) / 2 / MM_PER_M, contacts.size_mm / 2 / MM_PER_M
     gap_mm = MM_PER_M * room.gaps(middle_m, half_m, contacts.tolerance_mm / MM_PER_M)
@@ -334,25 +337,25 @@ def _with_walls(sides: Sides, contacts: PlanContacts, room: Room) -> Sides:
 
 
 LYING_GAP_M: Final = TOUCH_M
-"""Largest gap at which a box still lies on another box, as in the criteria. Which of three supports of one height bears
-the load depends on micrometres, and these differ between simulators and between pallets."""
+"""Largest gap at which a box still lies on another box, as in the criteria. If three supports have the same height,
+micrometres determine which of them bear the load, and these differ between simulators and between real pallets."""
 
 SIDE_GAP_M: Final = 1e-5
-"""Largest gap at which boxes touch side by side: little more than the rounding of a pose in float32. Neighbours that
-are planned side by side stand 0.1 mm apart, and press on each other only after a movement."""
+"""Largest gap at which boxes touch side by side: slightly more than the rounding of a pose in float32. Neighbours that
+are planned side by side stand 0.1 mm apart, and press on each other only after they have moved."""
 
 
 @dataclass(frozen=True, eq=False)
 class TouchPoints:
-    """The points where boxes touch each other, the carrier or the floor: p rows.
+    """The points at which boxes touch each other, the carrier or the floor: p rows.
 
     Attributes:
-        first, second: (p,) the two bodies, boxes from 0. ``CARRIER`` stands for the carrier and for the floor, since
-            neither moves.
-        position_m: (p, 3) places of the points.
-        frame: (p, 3, 3) the normal from first to second and the two tangents, as rows.
-        friction: (p, 2) coefficients along the tangents.
-        pressed: (p,) the box on whose top the point lies (docs/metrics.md, "The force on a box's top"), or ``CARRIER``.
+        first, second: (p,) the two bodies; boxes are numbered from 0. ``CARRIER`` stands for both the carrier and the
+            floor, since neither moves.
+        position_m: (p, 3) positions of the points.
+        frame: (p, 3, 3) as rows, the normal from first to second and the two tangents.
+        friction: (p, 2) coefficients of friction along the two tangents.
+        pressed: (p,) the box whose top has the point (docs/metrics.md, "The force on a box's top"), or ``CARRIER``.
         sign: (p,) 1 if the force on ``second`` presses down on ``pressed``, else -1.
     """
 
@@ -365,12 +368,12 @@ class TouchPoints:
     sign: FloatArray
 
     def some(self, which: NDArray[np.bool_]) -> TouchPoints:
-        """Some of the points."""
+        """The points for which the mask is true."""
         return TouchPoints(*(getattr(self, name)[which] for name in self.__dataclass_fields__))
 
 
 def find_touch_points(scene: Scene, physics: Physics, pos: FloatArray, quat: FloatArray) -> TouchPoints:
-    """Find where boxes touch in some poses. The carrier is at its planned place.
+    """Find the points at which boxes touch in given poses. The carrier is at its planned place.
 
     Args:
         pos, quat: (n, 3) centres, m, and (n, 4) orientations (w, x, y, z).
@@ -382,9 +385,9 @@ def find_touch_points(scene: Scene, physics: Physics, pos: FloatArray, quat: Flo
 
     model = build_spec(scene, physics).compile()
     model.pair_margin[:] += LYING_GAP_M
-    model.geom_margin[:] += LYING_GAP_M / 2  # the margins of two geoms add up
+    model.geom_margin[:] += LYING_GAP_M / 2  # the collider adds the margins of two geoms
     data = mujoco.MjData(model)
-    poses = data.qpos.reshape(-1, 7)[1:]  # the first pose is the carrier's
+    poses = data.qpos.reshape(-1, 7)[1:]  # the first pose is that of the carrier
     poses[:, :3], poses[:, 3:] = scene.frames(pos, quat), quat
     mujoco.mj_kinematics(model, data)
     mujoco.mj_collision(model, data)

@@ -1,7 +1,7 @@
 """Compares two runs of the same worlds: whether their verdicts agree, and by how much their metrics differ.
 
-Run b is compared with run a. Differences of forces are also given relative to a: |b - a| / max(a, 10 N). The minimum of
-10 N is about the weight of a 1 kg box. Ratios of smaller forces say nothing about the pallet.
+Run b is compared with run a. For forces there are also differences relative to a: |b - a| / max(a, 10 N). The minimum
+of 10 N is about the weight of a 1 kg box. Ratios of smaller forces are of no importance for the pallet.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ from petmjx.results.run_reader import RunResults, load_run
 from petmjx.results.to_json import to_json
 
 FORCE_FLOOR_N: Final = 10.0
-"""Smallest divisor of a relative difference of forces."""
+"""Smallest value by which a difference of forces is divided."""
 
 KEY: Final = ["plan_id", "variant"]
 BOX_KEY: Final = ["plan_id", "variant", "box"]
@@ -34,12 +34,12 @@ POSE: Final = (
     Column("position_m", "m", np.float64, "distance between the final centres", compared=True),
     Column("orientation_deg", "deg", np.float64, "angle between the final orientations", compared=True),
 )
-"""Differences of whole poses. The components of a pose are not compared one by one."""
+"""Differences between whole poses. The components of a pose are not compared one by one."""
 
 SIGNLESS: Final = frozenset(
     {column.name for column in POSE} | {name for m in box_metrics() if len(m.columns) > 1 for name in m.columns}
 )
-"""Metrics whose signed difference b - a means nothing: distances between two poses, and components of vectors."""
+"""Metrics for which the sign of b - a has no meaning: distances between two poses, and components of vectors."""
 
 FLIPS: Final = tuple(
     ShownColumn(name, head, 2)
@@ -51,10 +51,10 @@ FLIPS: Final = tuple(
         ("margin_b", "margin in b"),
     )
 )
-"""Columns of ``flips`` in a notebook."""
+"""Columns of ``flips`` that a notebook shows."""
 
 GROUPS: Final = ("same verdict", "both stable")
-"""The groups of worlds in which metrics are compared. After a collapse metrics are chaotic."""
+"""The groups of worlds in which metrics are compared. After a collapse, metrics are chaotic."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -62,20 +62,20 @@ class Comparison:
     """The result of :func:`compare_runs`.
 
     Attributes:
-        a, b: names of the two runs (their folders).
+        a, b: names of the two runs, which are those of their folders.
         n_common: number of worlds in both runs.
-        confusion: (3, 3) number of worlds by verdict in a (rows) and in b (columns).
-        flips: worlds with different verdicts: verdict, reason and culprit in both runs, and their margins to the
-            thresholds of shift, tilt and acceleration (positive: over the threshold). The column ``margin`` of
+        confusion: (3, 3) number of worlds by their verdict in a (rows) and in b (columns).
+        flips: worlds with different verdicts: verdict, reason and culprit in both runs, and by how much the worlds
+            exceed the thresholds of shift, tilt and acceleration (negative: they are below). The column ``margin`` of
             ``worlds`` has the opposite sign.
-        worlds, boxes: differences |b - a|, one row per metric and group: ``metric``, ``unit``, ``group``, ``n``,
-            ``mean`` of b - a with its sign (null for ``SIGNLESS`` metrics), ``median``, ``p95``, ``largest`` of |b -
-            a|; and the place of the largest difference: ``plan_id``, ``variant`` (``box``), with the two values ``a``
+        worlds, boxes: differences of metrics, one row per metric and group: ``metric``, ``unit``, ``group``, ``n``;
+            ``mean`` of b - a with its sign (null for ``SIGNLESS`` metrics); ``median``, ``p95`` and ``largest`` of |b -
+            a|; and where the largest difference is: ``plan_id``, ``variant`` (and ``box``), with the two values ``a``
             and ``b``. Null if a group has no value of the metric. Only plans that are equal in both runs count.
-        other_plans: ids of common plans that differ between the runs.
-        only_a, only_b: plan_id and variant of worlds that only one run has.
-        same_reason, same_culprit: among the ``n_not_stable`` worlds that are stable in neither run, the numbers with
-            equal reasons and with equal first boxes.
+        other_plans: ids of plans that both runs have but that differ.
+        only_a, only_b: plan_id and variant of the worlds that are in only one of the runs.
+        same_reason, same_culprit: among the ``n_not_stable`` worlds that are stable in neither run, the numbers of
+            worlds with the same reason, and with the same first box, in both runs.
         notes: reasons to doubt the comparison, one line each.
     """
 
@@ -98,8 +98,8 @@ class Comparison:
         return f"Comparison({self.a} and {self.b}: {self.n_agree:,} of {count_text(self.n_common, 'world')} agree)"
 
     def _repr_html_(self) -> str:
-        """HTML for notebooks: numbers of worlds by verdict in a (rows) and b (columns), and the worlds with different
-        verdicts."""
+        """HTML for notebooks: numbers of worlds by their verdict in a (rows) and b (columns), and the worlds with
+        different verdicts."""
         counts = self.confusion.rename_axis("a").reset_index()
         columns = [ShownColumn("a", "a \\ b"), *(ShownColumn(name, name) for name in self.confusion.columns)]
         tables = [table_as_html(counts, columns, "confusion")]
@@ -109,23 +109,23 @@ class Comparison:
 
     @property
     def n_agree(self) -> int:
-        """Worlds with the same verdict in both runs."""
+        """Number of worlds with the same verdict in both runs."""
         return self.n_common - len(self.flips)
 
     @property
     def flips_within(self) -> float | None:
-        """The smallest x so that each flip has a ``margin`` within ±x in one of the runs; None if no flip has a
+        """The smallest x for which every flip has a ``margin`` within ±x in at least one run; None if no flip has a
         margin."""
         nearer = self.flips[["margin_a", "margin_b"]].abs().min(axis=1).max()
         return None if pd.isna(nearer) else float(nearer)
 
     @property
     def agreement(self) -> float | None:
-        """Share of the common worlds with the same verdict; None if there is no common world."""
+        """Share of the common worlds with the same verdict; None if there are no common worlds."""
         return self.n_agree / self.n_common if self.n_common else None
 
     def to_dict(self) -> dict[str, Any]:
-        """The whole comparison as plain JSON values; missing numbers are None."""
+        """The whole comparison as plain JSON values. Missing numbers are None."""
         confusion = {row: dict(counts) for row, counts in self.confusion.iterrows()}
         shares = {"n_agree": self.n_agree, "agreement": self.agreement, "flips_within": self.flips_within}
         return dict(to_json(shares | vars(self) | {"confusion": confusion}))
@@ -135,7 +135,7 @@ def compare_runs(a: RunResults | str | Path, b: RunResults | str | Path, *, pack
     """Compare run b with run a, world by world (same plan and variant).
 
     Args:
-        packers: whether the runs are of two packers; different plans then cause no note.
+        packers: whether the runs are of two packers. Different plans are then expected, and cause no note.
 
     Raises:
         InputError: a folder has no run, is damaged, or has the same world twice.
@@ -180,8 +180,8 @@ def compare_runs(a: RunResults | str | Path, b: RunResults | str | Path, *, pack
 
 
 def thresholds_of(info: Mapping[str, Any]) -> Thresholds:
-    """The thresholds of a run, or the defaults if it has none. All its options are searched, since older runs have them
-    elsewhere."""
+    """The thresholds of a run, or the defaults if it has none. All its options are searched, because older runs store
+    thresholds in another place."""
     waiting: list[Any] = [info.get("config", {})]
     while waiting:
         entry = waiting.pop(0)
@@ -208,7 +208,7 @@ def _flips(flipped: pd.DataFrame, of_a: Thresholds, of_b: Thresholds) -> pd.Data
 
 
 def _with_pose_differences(boxes: pd.DataFrame) -> pd.DataFrame:
-    """The joined boxes with the distance (m) and the angle (deg) between the two final poses."""
+    """The joined boxes, with the distance (m) and the angle (deg) between the two final poses of each box."""
 
     def rows(side: str, *names: str) -> NDArray[np.float64]:
         values: NDArray[np.float64] = boxes[[f"{name}_{side}" for name in names]].to_numpy(dtype=np.float64)
@@ -217,14 +217,14 @@ def _with_pose_differences(boxes: pd.DataFrame) -> pd.DataFrame:
     position, quaternion = ("pos_x_m", "pos_y_m", "pos_z_m"), ("quat_w", "quat_x", "quat_y", "quat_z")
     distance = np.linalg.norm(rows("b", *position) - rows("a", *position), axis=1)
     q_a, q_b = rows("a", *quaternion), rows("b", *quaternion)
-    # 4·asin(|q_a ∓ q_b| / 2), the sign with the shorter chord: exact for small angles, where acos is not
+    # 4·asin(|q_a ∓ q_b| / 2), with the sign of the shorter chord: exact for small angles, unlike acos
     chord = np.minimum(np.linalg.norm(q_a - q_b, axis=1), np.linalg.norm(q_a + q_b, axis=1))
     angle = np.degrees(4 * np.arcsin(np.clip(chord / 2, 0, 1)))
     return boxes.assign(position_m_a=0.0, position_m_b=distance, orientation_deg_a=0.0, orientation_deg_b=angle)
 
 
 def _differences(joined: pd.DataFrame, columns: Sequence[Column], key: Sequence[str]) -> pd.DataFrame:
-    """A row for each compared metric and group, from columns ``<metric>_a`` and ``<metric>_b``."""
+    """A row for each compared metric and group, computed from columns ``<metric>_a`` and ``<metric>_b``."""
     listed = [(column.name, column.name, column.unit) for column in columns if column.compared]
     listed += [(f"{column.name} relative", column.name, DIMENSIONLESS) for column in columns if column.relative]
     rows = []
@@ -232,7 +232,7 @@ def _differences(joined: pd.DataFrame, columns: Sequence[Column], key: Sequence[
         if f"{name}_a" not in joined or f"{name}_b" not in joined:
             continue
         values_a, values_b = (joined[f"{name}_{side}"].to_numpy(dtype=np.float64) for side in "ab")
-        with np.errstate(invalid="ignore"):  # infinite in both runs
+        with np.errstate(invalid="ignore"):  # the values may be infinite in both runs
             signed = values_b - values_a
         if metric != name:
             signed = signed / np.maximum(np.abs(values_a), FORCE_FLOOR_N)
@@ -256,10 +256,10 @@ def _differences(joined: pd.DataFrame, columns: Sequence[Column], key: Sequence[
 
 
 def _other_plans(run_a: RunResults, run_b: RunResults, common_worlds: pd.DataFrame, boxes: pd.DataFrame) -> list[str]:
-    """Ids of common plans that differ between the runs, sorted.
+    """Ids of plans that both runs have but that differ, sorted.
 
-    Plans are compared by digest. Runs that were written without plans have no digests; then the number of boxes and the
-    items are compared.
+    Plans are compared by digest. Runs that were written without plans have no digests; for them, the numbers of boxes
+    and the items are compared.
     """
     digests = [run.plans.set_index("plan_id")["digest"] for run in (run_a, run_b)]
     plans = pd.DataFrame(index=pd.Index(common_worlds["plan_id"].unique(), dtype=object))
@@ -272,7 +272,7 @@ def _other_plans(run_a: RunResults, run_b: RunResults, common_worlds: pd.DataFra
 
 
 def _notes(run_a: RunResults, run_b: RunResults, common_worlds: pd.DataFrame, other: Sequence[str]) -> list[str]:
-    """Reasons to doubt the comparison."""
+    """Lines with reasons to doubt the comparison."""
     notes = run_a.doubts("a") + run_b.doubts("b")
     without = [name for name, run in (("a", run_a), ("b", run_b)) if not run.keeps_boxes]
     if without:

@@ -1,7 +1,7 @@
 """The story of one world: its frames, its events, and the verdict in words.
 
-``tell`` takes a recorded world or simulates it again, and returns a ``Story``. Other functions put the story into
-words: the headline, the events in order of time, the reason of the verdict, and which box failed first, when and why.
+``tell`` reads a recorded world or simulates it again, and returns a ``Story``. Other functions describe the story in
+words: its headline, its events in order of time, the reason of the verdict, and which box failed first, when and why.
 """
 
 from __future__ import annotations
@@ -46,11 +46,12 @@ from petmjx.world.job import FORCE, Drive
 from petmjx.world.scene import Scene
 
 MOST_DROPS: Final = 8
-"""Largest number of boxes with an event for each drop."""
+"""Largest number of drops that are listed as separate events."""
 
 
 class Event(NamedTuple):
-    """Something that happened. ``is_first_sign``: whether the event is the first crossing of a limit by any box."""
+    """Something that happened in a world. ``is_first_sign`` tells whether it was the first time that any box crossed a
+    limit."""
 
     time_s: float
     what: str
@@ -58,7 +59,7 @@ class Event(NamedTuple):
 
 
 def headline(story: Story) -> str:
-    """Verdict, reason, first box and its time, in one line."""
+    """One line with the verdict, the reason, the first box and its time."""
     outcome = story.outcome
     text = outcome.verdict.value + (f" by {outcome.reason.value}" if outcome.reason else "")
     if outcome.verdict is Verdict.STABLE or outcome.reason is Reason.SHIFT:
@@ -72,17 +73,19 @@ def headline(story: Story) -> str:
 
 
 def box_name(story: Story, box: int) -> str:
-    """ "box 22 (candy-00100723)", with the id if the box has no article. Boxes count from 0 in packing order."""
+    """The name of a box, such as "box 22 (candy-00100723)", with the id if the box has no article. Boxes are numbered
+    from 0, in packing order."""
     return box_in_words(box, story.plan.articles[box] or story.plan.item_ids[box])
 
 
 def _subject(story: Story, box: int) -> str:
-    """The name of a box at the beginning of a sentence."""
+    """The name of a box as the first word of a sentence."""
     return "B" + box_name(story, box)[1:]
 
 
 def events(story: Story) -> list[Event]:
-    """The events in order of time; the last one is the end. Drops beyond ``MOST_DROPS`` are combined into one event."""
+    """The events in order of time. The last one is the end of the simulation. Drops beyond ``MOST_DROPS`` are combined
+    into one event."""
     timeline = [*_placements(story), *_shaking_events(story), *_first_sign(story), *_drops(story)]
     timeline.sort(key=lambda event: event.time_s)
     end_s = max(story.outcome.sim_time_s, float(story.history.time_s[-1]))
@@ -145,14 +148,15 @@ class Story:
 
     Attributes:
         plan: the plan.
-        scene: the world in numbers, with the changes of the variant.
-        outcome: verdict, first box, metrics of each box.
-        history: the frames; the last one has the poses of ``outcome.boxes``.
+        scene: the numbers that define the world, including the changes of the variant.
+        outcome: verdict, first box, and metrics of each box.
+        history: the frames. The last one has the poses of ``outcome.boxes``.
         engine: the engine that simulated the world.
-        variant: index of the variant, and its values by column; 0 and empty if the plan has one world.
-        drive: the drive that shook the world.
-        options: the options of the simulation (``petmjx.Simulation``) by field, as in ``run.json``.
-        note: an important line for readers, such as that another engine than the run's was used; "" without a note.
+        variant: index of the variant, and its values by column; 0 and empty if the plan has only one world.
+        drive: the drive that shakes the world.
+        options: the options of the simulation (``petmjx.Simulation``), by field, as in ``run.json``.
+        note: an important remark for readers, such as that the world was simulated on another engine than the run's; ""
+            if there is none.
     """
 
     plan: Plan
@@ -167,8 +171,8 @@ class Story:
     note: str = ""
 
     page: ClassVar[Callable[[Story], str] | None] = None
-    """Makes the page of a story for notebooks. ``petmjx.show.pages.story_display`` sets it, because pages import
-    stories and not the other way round."""
+    """Makes the page of a story for notebooks. ``petmjx.show.pages.story_display`` sets this function, because pages
+    import stories and stories cannot import pages."""
 
     def __repr__(self) -> str:
         outcome = self.outcome
@@ -176,12 +180,13 @@ class Story:
         return f"Story({self.name}: {verdict}; {self.history!r}, engine {self.engine})"
 
     def _repr_html_(self) -> str | None:
-        """HTML for notebooks: the story's page, to play and turn."""
+        """HTML for notebooks: the page of the story, in which the world can be played and turned."""
         return None if Story.page is None else Story.page(self)
 
     @property
     def name(self) -> str:
-        """The plan's id as shown text, with the variant if the plan has several worlds: "tower, variant 3"."""
+        """The plan's id as displayed text, with the variant if the plan has several worlds, as in "tower, variant
+        3"."""
         return printable_name(self.plan.plan_id) + (f", variant {self.variant}" if self.values else "")
 
 
@@ -195,28 +200,29 @@ def tell(
     details: bool | None = None,
     **options: Any,
 ) -> Story:
-    """Tell the story of one world, frame by frame, from a recording or a new simulation.
+    """Tell the story of one world, frame by frame, from a recording or from a new simulation.
 
-    ``petmjx.tell("s0-000016", "results")`` is the world in the table ``worlds`` of the run in the folder ``results``,
-    simulated with the same options and attempts, to the last bit. If the run's engine cannot run here, ``mujoco`` takes
-    its place, and ``Story.note`` says whether the result differs.
+    ``petmjx.tell("s0-000016", "results")`` tells the world that is in the table ``worlds`` of the run in the folder
+    ``results``. A new simulation uses the same options and attempts, and is bit-identical. If the run's engine cannot
+    run on this machine, ``mujoco`` is used instead, and ``Story.note`` states whether the result differs.
 
     Args:
-        plan_id: the plan's id; or the plan itself, without a source.
+        plan_id: the plan's id; or, without a source, the plan itself.
         source: a run (its folder, or the result of ``petmjx.load_run``), or plans as for ``petmjx.score``; None: the
             bundled plans.
-        plans: where the plans of a run are now, if its plan files have moved.
-        variant: index of the variant as in ``worlds``, for a run with several worlds per plan; by default the nominal
-            one.
-        interval_s: time between two frames, s, by default 0.05. Each placement and the end also have a frame.
-        details: whether to record accelerations, penetrations and contacts, too, which only the engine ``mujoco`` does;
-            by default yes. A recording is used as it is, unless ``interval_s`` or ``details`` is given.
+        plans: where the plans of a run are now, if their files have moved.
+        variant: index of the variant as in ``worlds``, for a run with several worlds per plan. The default is the
+            nominal variant.
+        interval_s: time between two frames, s, by default 0.05. There is also a frame at each placement and at the end.
+        details: whether to record accelerations, penetrations and contacts as well, which only the engine ``mujoco``
+            can; by default yes. A recording is used as it is, unless ``interval_s`` or ``details`` is given.
         options: without a run, fields of ``petmjx.Simulation`` and of ``petmjx.RunOptions``.
 
     Raises:
-        InputError: no such plan or variant, a plan or sweep file that is gone or has changed, or unusable options.
-        EngineUnavailable: the requested engine cannot run here.
-        PetmjxError: the simulation failed, or the engine records no histories.
+        InputError: the plan or variant does not exist, a plan or sweep file is gone or has changed, or options are
+            unusable.
+        EngineUnavailable: the requested engine cannot run on this machine.
+        PetmjxError: the simulation failed, or the engine cannot record histories.
     """
     if isinstance(plan_id, Plan):
         source = plan_id if source is None else source
@@ -246,7 +252,7 @@ def tell(
 
 
 def _run_in(source: RunResults | PlanSource | None) -> RunResults | None:
-    """The run of a source that is a run; else None."""
+    """The run, if the source is a run; else None."""
     if isinstance(source, RunResults):
         return source
     if isinstance(source, str | PathLike) and (Path(source) / RUN_FILE).is_file():
@@ -264,7 +270,7 @@ def _of_plans(plan_id: str, source: PlanSource | None, record: Record, options: 
 
 
 def _recorded_story(run: RunResults, worlds: SweepPlan, index: int) -> Story | None:
-    """The story of a recorded world; None if the run did not record it."""
+    """The story of a world from its recording; None if the run did not record the world."""
     (plan,) = worlds.plans
     history = read_history(run, plan.plan_id, index, plan.n_boxes)
     outcome = read_outcome(run, plan.plan_id, index)
@@ -287,7 +293,7 @@ def _recorded_story(run: RunResults, worlds: SweepPlan, index: int) -> Story | N
 
 
 def _engine_of(config: Mapping[str, Any]) -> tuple[Engine, str]:
-    """The engine of a run, or its replacement, with a note about that."""
+    """The engine of a run, or its replacement with a note about the replacement."""
     name = config.get("engine")
     if name not in ENGINES:
         return make_engine(
@@ -323,7 +329,7 @@ def _story(worlds: SweepPlan, index: int, engine: Engine, record: Record) -> Sto
 
 
 def _difference(story: Story, run: RunResults) -> str:
-    """How a story differs from the run's row of the same world, in one line; empty without a difference."""
+    """One line on how a story differs from the run's row of the same world; empty if it does not differ."""
     row = world_row(run, story.plan.plan_id, story.variant)
     if row is None:
         return ""
@@ -342,7 +348,7 @@ def _outcome_text(world: Mapping[str, Any]) -> str:
 
 
 MOST_LEANING: Final = 3
-"""Most boxes that a line about leaning names."""
+"""Largest number of boxes that a line about leaning names."""
 
 REASONS: Final = {
     Reason.NONE: "no box shifted by more than {shift}, tilted by more than {tilt:g}° or dropped",
@@ -357,23 +363,23 @@ REASONS: Final = {
     Reason.TILT: "a box tilted by more than {tilt:g}°",
     Reason.SHIFT: "a box shifted by more than {shift}",
 }
-"""Reason → a sentence without its full stop. In braces: the thresholds, and the boxes that dropped."""
+"""Reason → a sentence without its full stop. The braces are filled with thresholds and with the boxes that dropped."""
 
 
 def thresholds_of(story: Story) -> Thresholds:
-    """The limits that decided the verdict."""
+    """The limits by which the verdict was decided."""
     return Thresholds(**story.options.get("thresholds", {}))
 
 
 def sinks_of(story: Story) -> FloatArray | None:
-    """(n,) planned descent of each box, m; None: 0 for all boxes."""
+    """(n,) how far each box is planned to descend, m; None: 0 for all boxes."""
     physics = story.options.get("physics", {})
     gravity = physics.get("gravity_m_s2", STANDARD_GRAVITY) if isinstance(physics, Mapping) else STANDARD_GRAVITY
     return sinks_m(story.scene, gravity)
 
 
 def reason_in_words(story: Story) -> str:
-    """The reason of the verdict, as a sentence without its full stop."""
+    """A sentence with the reason of the verdict, without its full stop."""
     outcome, limits = story.outcome, thresholds_of(story)
     dropped = int(outcome.boxes.dropped[: outcome.n_placed].sum())
     boxes = "a box" if dropped == 1 else f"{dropped} boxes"
@@ -383,7 +389,8 @@ def reason_in_words(story: Story) -> str:
 
 
 def notes_in_words(story: Story) -> list[str]:
-    """Warnings for the reader, one line each: the story's note, and lines on flags that make the verdict doubtful."""
+    """Warnings for the reader, one line each: the story's note, and lines about flags that make the verdict
+    doubtful."""
     outcome = story.outcome
     notes = [story.note] if story.note else []
     if outcome.verdict is Verdict.INVALID:
@@ -405,14 +412,14 @@ def notes_in_words(story: Story) -> list[str]:
 
 
 def _knife_edge(story: Story) -> str:
-    """A sentence on the load that is nearest to an edge, inside or outside: its box, distance and time."""
+    """A sentence on the load that is nearest to an edge, inside or outside: which box it is on, how near, and when."""
     outcome = story.outcome
     table_edges = list(kept_edges(vars(outcome), outcome.boxes.plan_edge_m, outcome.boxes.rest_edge_m))
     recomputed_edges = list(edges_again(story.scene, outcome))
     nearest = nearest_edge(table_edges, outcome.verdict)
-    if nearest is None:  # of a box's own weight, or of a load while the plan is built that is not the least
+    if nearest is None:  # the edge is not in the tables, as for a box's own weight
         nearest = nearest_edge(recomputed_edges, outcome.verdict) or nearest_edge([*table_edges, *recomputed_edges])
-    else:  # tables lack whether the load is the box's own weight
+    else:  # the tables do not tell whether it is the box's own weight
         nearest = next((edge for edge in recomputed_edges if is_same_edge(edge, nearest)), nearest)
     if nearest is None:
         return "A load acts at the edge of its support: a tenth of a millimetre may change the verdict."
@@ -426,7 +433,8 @@ def _knife_edge(story: Story) -> str:
 
 
 def _hangs_over(story: Story) -> list[str]:
-    """Sentences on the box that hangs over while the plan is built, and on the box that comes too late to hold it."""
+    """Sentences on a box that hangs over while the plan is built, and on the box that comes too late to hold it
+    down."""
     outcome = story.outcome
     if not outcome.build_edge_m < 0:
         return []
@@ -441,7 +449,7 @@ def _hangs_over(story: Story) -> list[str]:
 
 
 def _leans(story: Story) -> str:
-    """A sentence on the boxes that do not lie as planned."""
+    """A sentence on boxes that do not lie as planned."""
     boxes = story.outcome.boxes
     tilt, lower_m = box_motion.tilt_deg(boxes.quat), -boxes.shift_m[:, 2]
     leaning = contact_tilt_boxes(story.outcome).tolist()
@@ -455,7 +463,7 @@ def _leans(story: Story) -> str:
 
 
 def first_box_in_words(story: Story) -> str:
-    """Which box failed first, when and why, as a sentence; "" without a failed box."""
+    """A sentence on which box failed first, when and why; "" if no box failed."""
     box = story.outcome.culprit
     if box < 0:
         return ""
@@ -468,13 +476,13 @@ def first_box_in_words(story: Story) -> str:
 
 
 def _gap_mm(story: Story, box: int) -> float:
-    """Gap between the planned place of a box and the bodies below it at its placement, mm."""
+    """Gap between the bottom of a box, at its planned place, and the bodies below it when it is placed, mm."""
     in_order = story.options.get("check") != Check.STATIC
     return float(gaps_mm(story.plan.corner_mm, story.plan.size_mm, in_order)[box])
 
 
 def _signs(story: Story, box: int) -> list[str]:
-    """The limits that a box had crossed at the first sign, each with the value. Values between two frames are
+    """The limits that a box had crossed at the first sign, each with its value. Values between two frames are
     interpolated."""
     limits = thresholds_of(story)
     pos, quat = (_at(story, values[:, box])[None] for values in (story.history.pos, story.history.quat))
@@ -495,13 +503,13 @@ def _signs(story: Story, box: int) -> list[str]:
 
 
 def _at(story: Story, values: FloatArray) -> FloatArray:
-    """(k,) values at the first sign, interpolated from (f, k) values in frames."""
+    """(k,) values at the first sign, interpolated between frames from values (f, k)."""
     time_s, sign_s = story.history.time_s, story.outcome.first_sign_s
     return np.array([np.interp(sign_s, time_s, column) for column in values.T])
 
 
 def how_it_was_simulated(story: Story) -> list[tuple[str, str]]:
-    """(name, value) of the settings that the answer depends on most: engine, physics, check, schedule, carrier,
+    """(name, value) of the settings on which the answer depends most: engine, physics, check, schedule, carrier,
     solver."""
     options, outcome = story.options, story.outcome
     physics = options.get("physics", "")
@@ -517,12 +525,12 @@ def how_it_was_simulated(story: Story) -> list[tuple[str, str]]:
 
 
 def _option_name(option: object) -> str:
-    """The value of an option; for a table its name."""
+    """The value of an option as text; for a table, its name."""
     return printable_name(str(option.get("name") if isinstance(option, Mapping) else option))
 
 
 def _value(value: object) -> str:
-    """The value of a variant's column, as text."""
+    """The value in a variant's column, as text."""
     return f"{value:.4g}" if isinstance(value, float) else printable_name(str(value))
 
 

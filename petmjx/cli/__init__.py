@@ -1,4 +1,4 @@
-"""The command line. The package imports quickly: each command imports its modules when it runs."""
+"""The command line. Importing the package is fast, because each command imports its modules only when it runs."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Options of commands, made from the records in ``petmjx.options.simulation``."""
+"""Options of commands, generated from the records in ``petmjx.options.simulation``."""
 
 from __future__ import annotations
 
@@ -72,12 +72,12 @@ HOW_IT_RUNS = "How it runs"
 
 @dataclass(frozen=True)
 class _Option:
-    """A field as an option.
+    """A field of a record as an option of a command.
 
     Attributes:
-        path: names of the fields that lead to the option: usually one name, but for example ``("thresholds",
+        path: names of the fields that lead to the field: usually a single name, or for example ``("thresholds",
             "shift_m")``.
-        section: its heading in the help.
+        section: heading of the option in the help.
     """
 
     path: tuple[str, ...]
@@ -92,7 +92,7 @@ class _Option:
 
     @property
     def kind(self) -> Any:
-        """The type of the value: the field's type if it is plain, else text, which the record checks."""
+        """The type of the value: the field's type if it is plain; otherwise text, which the record checks."""
         kinds = get_args(self.info.annotation) or (self.info.annotation,)
         if str in kinds or get_origin(self.info.annotation) is tuple:
             return str
@@ -100,7 +100,7 @@ class _Option:
 
     @property
     def help(self) -> str:
-        """The field's description (without the part about Python) and its default, if there is one to show."""
+        """The field's description (without its remarks about Python), and its default if it can be shown."""
         text = (self.info.description or "").partition("; in Python")[0]
         value = self.info.default
         if isinstance(value, CheckedRecord):
@@ -116,7 +116,7 @@ class _Option:
 
     @property
     def parameter(self) -> inspect.Parameter:
-        """The parameter that typer reads from a function's signature. None: the option is not set."""
+        """The parameter that typer finds in a function's signature. The value None means that the option is not set."""
         names = [name for name in (self.flag.name, self.flag.short) if name]
         option = typer.Option(
             *names,
@@ -134,18 +134,18 @@ def takes(
     simulated: str = SIMULATED,
     more: Sequence[tuple[type[CheckedRecord], str]] = (),
 ) -> Callable[[Command], Command]:
-    """Give a command the options of ``Simulation`` and ``RunOptions``: all of them, all except some, or only named
-    ones.
+    """Give a command the options of ``Simulation`` and ``RunOptions``: all of them, all but some, or only those that
+    are named.
 
-    The command gets only the options that were typed. The options are keyword arguments named after the fields; records
-    within the records are dictionaries. An error about a field names the option as typed.
+    The command receives only the options that were typed, as keyword arguments with the names of the fields. Records
+    within records become dictionaries. An error about a field names the option as it was typed.
 
     Args:
-        fields: names of fields of the two records; empty: all fields.
+        fields: names of fields of the two records. If empty, all fields are used.
         without: fields that are left out.
         simulated: heading of the options of ``Simulation``.
-        more: further records with their headings. The fields of these records replace fields of ``Simulation`` with the
-            same name.
+        more: further records with their headings. Their fields replace the fields of ``Simulation`` with the same
+            names.
     """
     record_fields = {name for record, _ in more for name in record.model_fields}
     records: list[tuple[type[CheckedRecord], str]] = [(Simulation, simulated), *more, (RunOptions, HOW_IT_RUNS)]
@@ -194,7 +194,7 @@ def takes(
 
 
 def as_typed(command: Command) -> Command:
-    """A command whose errors name its own options as they are typed."""
+    """Wrap a command so that its errors name its own options as they were typed."""
     typed = _flags_of(inspect.signature(command, eval_str=True))
 
     @functools.wraps(command)
@@ -207,10 +207,10 @@ def as_typed(command: Command) -> Command:
 
 @contextmanager
 def _named_as_typed(typed: Mapping[str, str]) -> Iterator[None]:
-    """Let errors of the body name fields as they were typed.
+    """Within the body, let errors name fields as they were typed.
 
     Args:
-        typed: field → what was typed for it.
+        typed: field → the text that was typed for it.
     """
     try:
         yield
@@ -222,12 +222,12 @@ def _named_as_typed(typed: Mapping[str, str]) -> Iterator[None]:
 
 
 def _flags_of(signature: inspect.Signature) -> dict[str, str]:
-    """The flag of each option of a command, by the name of its parameter."""
+    """The flag of each option of a command, by the name of the option's parameter."""
     flags = {}
     for name, parameter in signature.parameters.items():
         for entry in getattr(parameter.annotation, "__metadata__", ()):
             if isinstance(entry, OptionInfo):
-                words = (entry.default, *(entry.param_decls or ()))  # typer takes the first one for a default at first
+                words = (entry.default, *(entry.param_decls or ()))  # typer may take a flag for the default
                 names = [word.partition("/")[0] for word in words if isinstance(word, str) and word.startswith("-")]
                 usual = f"--{name.replace('_', '-')}"
                 flags[name] = next((text for text in names if text.startswith("--")), names[0] if names else usual)
@@ -239,7 +239,7 @@ def _keyword(name: str, annotation: Any) -> inspect.Parameter:
 
 
 def _options_of(record: type[CheckedRecord], section: str, path: tuple[str, ...] = ()) -> Iterator[_Option]:
-    """The fields of a record, and of the records within it, that have a command-line flag."""
+    """The options for all fields of a record, and of the records within it, that have a command-line flag."""
     for name, info in record.model_fields.items():
         flag = next((entry for entry in info.metadata if isinstance(entry, CliFlag)), None)
         if flag is not None:
@@ -261,7 +261,7 @@ def _set_parameter(settable: Collection[str], section: str) -> inspect.Parameter
 
 
 def _setting(text: str, settable: Collection[str]) -> tuple[tuple[str, ...], Any]:
-    """The two parts of ``FIELD=VALUE``. The value is read as TOML, or as plain text if it is no TOML."""
+    """Split ``FIELD=VALUE`` into its two parts. The value is read as TOML, or as plain text if it is not TOML."""
     path, separator, value = text.partition("=")
     names = tuple(path.strip().split("."))
     if not (separator and all(names)):
@@ -270,12 +270,12 @@ def _setting(text: str, settable: Collection[str]) -> tuple[tuple[str, ...], Any
         raise InputError(f"--set {printable(names[0])}: unknown field; there are {', '.join(settable)}")
     try:
         return names, tomllib.loads(f"value = {value}")["value"]
-    except (ValueError, RecursionError):  # not TOML, a number of thousands of digits, lists in lists without end
+    except (ValueError, RecursionError):  # no TOML; a number with thousands of digits; endlessly nested lists
         return names, value.strip()
 
 
 def _put(tables: dict[str, Any], path: tuple[str, ...], value: Any) -> None:
-    """Store a value at its path. A record may be given by name, as a table, and by single values, in any order."""
+    """Store a value at its path. A record may be given by a name, as a table and by single values, in any order."""
     *records, field = path
     for name in records:
         inner = tables.get(name, {})
@@ -288,8 +288,8 @@ def _put(tables: dict[str, Any], path: tuple[str, ...], value: Any) -> None:
 
 
 def _as_typed(line: str, typed: Mapping[str, str]) -> str:
-    """The line of an error with the option as typed instead of the field at its beginning. A line that names a file is
-    about the content of that file and stays unchanged."""
+    """Replace the field at the beginning of an error's line by the option as it was typed. A line that names a file is
+    about the content of that file, and is not changed."""
     for path, option in typed.items():
         path_match = re.match(rf"(?:simulation\.|orders_)?{re.escape(path)}(?=[ :])", line)
         if path_match:

@@ -47,14 +47,14 @@ def compare(
     overwrite: opt.Overwrite = False,
     as_json: opt.JsonOption = False,
 ) -> None:
-    """Compare two runs of the same plans: verdicts that agree, and differences of each metric.
+    """Compare two runs of the same plans: whether their verdicts agree, and by how much each metric differs.
 
-    Differences are |b - a| with median, 95th percentile and largest; the largest one with its plan and box. Where the
-    sign matters, the mean of b - a is added. Plans that differ are left out.
+    For the differences |b - a|, the median, the 95th percentile and the largest value are printed, the last one with
+    its plan and box. If the sign has a meaning, the mean of b - a is printed as well. Plans that differ are left out.
 
-    With --packers it compares packers on the same orders (plan ids): the share that stands of each with its interval,
-    the paired difference with interval and McNemar's exact test, orders won and lost, utilisation, and
-    with --orders KPIs.
+    With --packers, packers are compared on the same orders (plan ids): the share of each that stands with its interval,
+    the paired difference with its interval and McNemar's exact test, orders won and lost, utilisation, and with
+    --orders KPIs.
     """
     from petmjx.show.table_layout import print_renderables
 

@@ -1,4 +1,4 @@
-"""Standard output and standard error, whether they are terminals, files, pipes, or closed."""
+"""Standard output and standard error. Either may be a terminal, a file, a pipe, or closed."""
 
 from __future__ import annotations
 
@@ -20,14 +20,14 @@ if TYPE_CHECKING:
     from petmjx.plans.readings import AmbiguousFile, Reading
 
 PIPED_WIDTH = 120
-"""Columns if standard output is a file or a pipe."""
+"""Number of columns if standard output is a file or a pipe."""
 
 _PLAIN: Final = {"…": "~", "≥": ">=", "≤": "<=", "→": ">", "↓": "v", "×": "x", "°": "o", "²": "2"}
-"""Replacements for characters that an old terminal does not have. Other characters become "?"."""
+"""Replacements for characters that an old terminal cannot show. Further such characters become "?"."""
 
 
 def results_console() -> Console:
-    """Standard output; as wide as the terminal, or ``PIPED_WIDTH`` if there is none."""
+    """A console on standard output. It is as wide as the terminal, or ``PIPED_WIDTH`` if there is none."""
     from rich.console import Console
 
     piped = "COLUMNS" not in os.environ and not sys.stdout.isatty()
@@ -37,7 +37,7 @@ def results_console() -> Console:
 def prepare_streams() -> None:
     """Make printing safe: open missing standard streams, and replace characters that they cannot encode."""
     for name in ("stdout", "stderr"):
-        if getattr(sys, name) is None:  # closed by the caller (petmjx … >&-)
+        if getattr(sys, name) is None:  # the caller has closed it (petmjx … >&-)
             setattr(sys, name, open(os.devnull, "w", encoding="utf-8"))  # noqa: SIM115  # until the process ends
     codecs.register_error("petmjx", _plainly)
     for stream in (sys.stdout, sys.stderr):
@@ -47,8 +47,8 @@ def prepare_streams() -> None:
 
 @contextmanager
 def as_notes() -> Iterator[None]:
-    """Print a ``PlanWarning`` at once, as one line on standard error, so that a user can stop a long run with a wrong
-    unit. A line is printed once: commands may read a file several times."""
+    """Print each ``PlanWarning`` immediately, as one line on standard error, so that a user can stop a long run if, for
+    example, a unit is wrong. Each line is printed only once, because commands may read a file several times."""
     seen: set[str] = set()
     with warnings.catch_warnings():
         warnings.simplefilter("always", PlanWarning)
@@ -70,7 +70,7 @@ def as_notes() -> Iterator[None]:
 
 @contextmanager
 def asking() -> Iterator[None]:
-    """Let a person at a terminal choose between two readings of a file."""
+    """Within the body, let a person at a terminal choose between two readings of a file."""
     if not (sys.stdin is not None and sys.stdin.isatty() and sys.stderr.isatty()):
         yield
         return
@@ -84,7 +84,7 @@ def asking() -> Iterator[None]:
 
 
 def _ask_reading(source: str, error: AmbiguousFile) -> Reading | None:
-    """The reading that a person chooses; None: no reading."""
+    """The reading that a person chooses; None if the person chooses none."""
     print(f"{source} can be read in {len(error.readings)} ways:", file=sys.stderr)
     for number, reading in enumerate(error.readings, start=1):
         print(f"  {number}  {printable(reading.line())}; {reading.evidence}", file=sys.stderr)

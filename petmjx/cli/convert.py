@@ -15,7 +15,7 @@ from petmjx.options.run_options import OF_ORDERS, READING
 from petmjx.plans.file_formats import is_csv, is_parquet_name
 
 SHOWN_SKIPPED = 10
-"""Most skipped plans that are shown."""
+"""Largest number of skipped plans that are shown."""
 
 
 @opt.takes(*READING, "limit", "strict")
@@ -36,12 +36,12 @@ def convert(
     overwrite: opt.Overwrite = False,
     **options: Any,
 ) -> None:
-    """Write packing plans in another form: BED-BPP's JSON, or a table with a row a box as CSV or Parquet.
+    """Write packing plans in another form: as BED-BPP's JSON, or as a CSV or Parquet table with one row per box.
 
-    Plans that are read from the new file are the same to the last bit. Unusable plans are skipped, and the first ones
-    are listed, one line each. The folder of a run stands for the plans that it simulated.
+    Plans read from the new file are bit-identical to the old ones. Unusable plans are skipped, and the first of them
+    are listed, one line each. If the input is the folder of a run, the plans that it simulated are written.
 
-    With --orders it writes a file of orders of any form as BED-BPP's, which all commands read without a guess.
+    With --orders, a file of orders of any form is written in BED-BPP's form, which all commands read unambiguously.
     """
     from petmjx.options.run_options import RunOptions
     from petmjx.options.simulation import Simulation

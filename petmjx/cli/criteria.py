@@ -17,7 +17,7 @@ from petmjx.common.errors import InputError
 from petmjx.common.machine import cpu_threads
 
 ASKED = "What is asked"
-"""Heading of the options that change the criteria."""
+"""Heading of the options that change what the criteria require."""
 
 
 @opt.takes(
@@ -68,8 +68,8 @@ def criteria(
     """Evaluate closed-form criteria of static stability, and compare them with a simulation.
 
     The criteria are support of the base, corners, centre of gravity, load-bearable polygons, stacking tree, mechanical
-    equilibrium and force balance. Each criterion is evaluated for each box at its placement. With --run the criteria
-    are compared with the verdicts of a run, and their best thresholds are searched.
+    equilibrium and force balance. Each criterion is evaluated for each box when it is placed. With --run, the criteria
+    are compared with the verdicts of a run, and the best threshold of each is determined.
     """
     from petmjx.analysis.criteria_run import criteria as ask
     from petmjx.results.to_json import to_json

@@ -9,8 +9,8 @@ from petmjx.cli.console import results_console
 
 
 def doctor(as_json: opt.JsonOption = False) -> None:
-    """Show versions, devices, which engines work here and why not, whether pictures can be drawn, and where compiled
-    programs are cached."""
+    """Show versions, devices, which engines work on this machine and why others do not, whether pictures can be drawn,
+    and where compiled programs are cached."""
     from dataclasses import asdict
 
     from petmjx.show.doctor_report import doctor_table, examine

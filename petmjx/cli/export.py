@@ -31,9 +31,9 @@ def export(
     variant: opt.Variant = None,
     **options: Any,
 ) -> None:
-    """Write the exact MuJoCo model of one plan as MJCF, every box at its place; MuJoCo's viewer opens it.
+    """Write the exact MuJoCo model of one plan as MJCF, with every box at its place. MuJoCo's viewer can open it.
 
-    For a run in DIR the model is the world that the run simulated; otherwise the options determine it.
+    For a run in DIR, the model is the world that the run simulated. Otherwise, the options determine the model.
     """
     from petmjx.results.read_files import source_files
     from petmjx.world.mujoco_model import to_mjcf

@@ -1,4 +1,4 @@
-"""``petmjx figure``, and the options of figures that other commands have too."""
+"""``petmjx figure``, and the options for figures that other commands share."""
 
 from __future__ import annotations
 
@@ -25,13 +25,13 @@ Png = Annotated[Path | None, _file("png", "The same as a picture.")]
 
 
 def figure_files(pdf: Path | None, svg: Path | None, png: Path | None, overwrite: bool, *read: Any) -> list[Path]:
-    """The requested files, checked before the figure is computed.
+    """The requested files. They are checked before the figure is computed.
 
     Args:
         read: files and folders that the command reads.
 
     Raises:
-        InputError: a name does not have the ending of its option, or a file exists already or cannot be written.
+        InputError: a name does not have the suffix of its option, or a file already exists or cannot be written.
     """
     from petmjx.results.read_files import source_files
     from petmjx.show.figures.figure_files import check_figures
@@ -57,10 +57,11 @@ def figure(
 ) -> None:
     """Draw the answers of a run as a figure for a paper.
 
-    A search: the share of plans that survive each level, by direction. Another sweep: the share of worlds that stand
-    along each axis, with intervals. A score with --confidence: the share that stands of each plan.
+    For a search, it shows the share of plans that survive each level, by direction. For another sweep, it shows the
+    share of worlds that stand along each axis, with intervals. For a score with --confidence, it shows for each plan
+    the share of worlds in which it stands.
 
-    compare --packers and criteria draw their own figures: they have the same options.
+    The commands compare --packers and criteria draw their own figures, and have the same options for them.
     """
     from petmjx.results.run_reader import load_run
     from petmjx.show.figures.figure_files import figure as draw

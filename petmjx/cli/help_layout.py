@@ -1,4 +1,4 @@
-"""The layout of ``--help``: options in two columns under headings, for 80 columns and more."""
+"""The layout of ``--help``: options in two columns under headings, readable in a terminal of 80 columns or more."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ class SectionedCommand(TyperCommand):
     """A command whose help lists options under headings: the ``rich_help_panel`` of each option."""
 
     def format_options(self, ctx: Any, formatter: Any) -> None:
-        """Write the arguments, then the sections in the order of their first options, then the options without
+        """Write the arguments, then the sections in the order of their first options, and finally the options without a
         heading."""
         sections: dict[str, list[tuple[str, str]]] = {}
         for parameter in self.get_params(ctx):
@@ -26,7 +26,7 @@ class SectionedCommand(TyperCommand):
             name, text = row
             heading = getattr(parameter, "rich_help_panel", None) or _LAST
             if parameter.param_type_name == "argument":
-                name, heading = name.partition(" <")[0], "Arguments"  # without its Python type
+                name, heading = name.partition(" <")[0], "Arguments"  # remove its Python type
             sections.setdefault(heading, []).append((name, text))
         for heading in sorted(sections, key=lambda name: name == _LAST):
             with formatter.section(heading):

@@ -41,11 +41,11 @@ def info(
     as_json: opt.JsonOption = False,
     **options: Any,
 ) -> None:
-    """Explain files of packing plans: their kind, their reading, and their oddities. Nothing is simulated.
+    """Explain files of packing plans: their kind, how they are read, and what is odd about them. Nothing is simulated.
 
-    For files of other tools: the columns, units, axes, anchor and turns, the assumed values, and the next best reading.
-    A file with two possible readings is refused, and both are named. For a file of orders: how petmjx samples --orders
-    reads it.
+    For files of other tools, it shows the columns, units, axes, anchor and turns, the assumed values, and the next best
+    reading. A file that can be read in two ways is refused, and both readings are named. For a file of orders, it shows
+    how petmjx samples --orders reads the file.
     """
     from petmjx.plans.reading_files import reading_toml
     from petmjx.results.read_files import source_files

@@ -53,11 +53,11 @@ def kpis(
     overwrite: opt.Overwrite = False,
     as_json: opt.JsonOption = False,
 ) -> None:
-    """Rate plans as BED-BPP does: its KPIs for each plan, their means, and the leaderboard's score.
+    """Rate plans as BED-BPP does: BED-BPP's KPIs for each plan, their means, and the leaderboard's score.
 
-    Stability comes from a run of petmjx. BED-BPP lets all boxes stand at once and calls a plan unstable if one box
-    moves by more than 10 mm along z: this rule is kpi_6, from a run with --check static. The verdict stands beside the
-    KPIs.
+    Stability comes from a run of petmjx. BED-BPP lets all boxes stand at once, and calls a plan unstable if one box
+    moves by more than 10 mm along z. This rule is kpi_6, and needs a run with --check static. The verdict is shown
+    beside the KPIs.
     """
     from petmjx.analysis.kpi_files import check_kpis_free, write_kpis
     from petmjx.analysis.kpi_submission import parse_name, write_submission

@@ -71,10 +71,11 @@ def label(
     ] = False,
     **options: Any,
 ) -> None:
-    """Label placements of boxes by physics, to train or test a model with.
+    """Label placements of boxes by physics, as data on which to train or test a model.
 
-    Writes a Parquet table for each split (train, validation, test; no two have orders with the same boxes), and a card
-    with the content, the way of making, and the accuracy of rules and of petmjx's own estimate.
+    It writes a Parquet table for each split (train, validation, test). Orders with the same boxes are never in two
+    splits. It also writes a card that states what the tables contain, how they were made, and how accurate rules and
+    petmjx's own estimate are.
     """
     from petmjx.cli.run_command import RunInterrupted
     from petmjx.common.machine import why_no_warp

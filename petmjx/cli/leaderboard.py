@@ -20,7 +20,8 @@ if TYPE_CHECKING:
 _OF_RUNS = (
     "limit", "record", "record_interval_s", "record_details", "orders", "out", "overwrite", "resume", "shard",
 )  # fmt: skip
-"""Options that the leaderboard sets itself, and options that would make its runs incomparable."""
+"""Options of runs that are not available here: the leaderboard sets them itself, or they would make runs
+incomparable."""
 
 
 @opt.takes(without=_OF_RUNS)
@@ -66,11 +67,11 @@ def leaderboard(
     overwrite: opt.Overwrite = False,
     **options: Any,
 ) -> None:
-    """Rate packers by physics, and write a site about them: one folder that works offline.
+    """Rate packers by physics, and write a site about them: one folder that can be read offline.
 
-    The leaderboard has the rating of each packer with its interval, tests, KPIs, pages to play, the plans, and the
-    command that makes it again. Plans are scored with these options. Runs are used unchanged, unless replays of some of
-    their plans contradict them.
+    The site has the rating of each packer with its interval, tests, KPIs, playable pages, the plans, and the command
+    that makes the site again. Plans are scored with these options. Existing runs are used unchanged, unless replays of
+    some of their plans contradict them.
     """
     from petmjx.show.leaderboard.leaderboard import board_line
     from petmjx.show.leaderboard.leaderboard import leaderboard as make
@@ -93,7 +94,7 @@ def leaderboard(
 
 @contextmanager
 def _bar(name: str) -> Iterator[Watcher]:
-    """Say whose plans are scored, and show the progress."""
+    """Print whose plans are being scored, and show the progress."""
     from petmjx.show.progress import BarWatcher
 
     print(f"packer {printable_name(name)}", file=sys.stderr)

@@ -17,7 +17,7 @@ _LOSSES = Stacking()
 
 
 def _loss(condition: str) -> Any:
-    """An option, a share of the strength, named as its parameter."""
+    """An option for a share of the strength. It is named after its parameter."""
     return typer.Option(metavar="SHARE", help=f"Share of the strength that is lost: {condition}.")
 
 
@@ -74,8 +74,9 @@ def loads(
 ) -> None:
     """Find overloaded boxes: force on top / strength, at rest and at the peak.
 
-    A strength is given in newtons, or by McKee's formula from the carton's board. Boxes lose a share of it by the way
-    of stacking: across each other, over edges, over gaps of the deck. Loads do not change verdicts.
+    Strengths are given in newtons, or computed by McKee's formula from the carton's board. Boxes lose a share of their
+    strength through their arrangement in the stack: across each other, over edges, and over gaps of the deck. Loads do
+    not change verdicts.
     """
     from petmjx.analysis.box_strength import check_loads_free
     from petmjx.analysis.box_strength import loads as compare

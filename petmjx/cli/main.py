@@ -1,4 +1,4 @@
-"""The command-line application. The command line turns errors into one line on standard error and an exit code."""
+"""The command-line application. Errors become one line on standard error, and an exit code."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ from petmjx.version import __version__
 
 
 class ExitCode(IntEnum):
-    """Exit codes. Exit codes do not depend on verdicts."""
+    """Exit codes. They do not depend on verdicts."""
 
     OK = 0
     FAILURE = 1
@@ -41,15 +41,15 @@ _BY_SIGNAL = {
     signal.SIGINT: ExitCode.INTERRUPTED,
     signal.SIGTERM: ExitCode.TERMINATED,
 }
-"""Exit codes of signals: 128 + the number of the signal, as in shells."""
+"""Exit codes after signals: 128 + the number of the signal, as in shells."""
 
 
 _USAGE_ERROR: type[Exception] = typer.BadParameter.__base__ or typer.BadParameter
-"""Click's UsageError. The module of this class differs between versions of typer."""
+"""Click's UsageError, which different versions of typer keep in different modules."""
 
 
 _SETTINGS = SimpleNamespace(debug=False)
-"""Values of the options that stand before the command."""
+"""Values of the options that are written before the command."""
 
 _COMMANDS = {
     "score": "Say which packing plans stand.",
@@ -71,20 +71,21 @@ _COMMANDS = {
     "export": "Write the MuJoCo model of one plan.",
     "doctor": "Show versions, devices and which engines work here.",
 }
-"""Name of a command, of its module in this room and of its function there → what it does, for the list of commands."""
+"""Names of a command, of its module in this package, and of its function in that module → what the command does, for
+the list of commands."""
 
 
 def application(words: Sequence[str] = ()) -> typer.Typer:
-    """The application with the command that these arguments name; with all commands if they name none.
+    """Make the application with the command that the arguments name. If they name none, it has all commands.
 
-    Modules of other commands are not loaded: they take longer than a score of a few plans.
+    The modules of other commands are not loaded, because loading them takes longer than scoring a few plans.
     """
     app = typer.Typer(
         name="petmjx",
         help="Scores the stability of pallet packing plans by physics, many thousands at a time.",
         epilog="Exit codes: 0 success, whatever the verdicts are; 1 internal failure; 2 unusable input or options; 130 "
         "interrupted (143 by SIGTERM, 129 by SIGHUP).",
-        rich_markup_mode=None,  # its tables leave only 24 of 80 columns for the descriptions
+        rich_markup_mode=None,  # rich leaves only 24 of 80 columns for the descriptions
         context_settings={"help_option_names": ["--help", "-h"], "max_content_width": WIDTH},
     )
     app.callback()(options)
@@ -109,7 +110,7 @@ def options(
         bool, typer.Option("--debug", envvar="PETMJX_DEBUG", help="Show the traceback of an error.")
     ] = False,
 ) -> None:
-    """Options before the command."""
+    """The options that are written before the command."""
     _SETTINGS.debug = debug
 
 
@@ -124,13 +125,13 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def run_app(make: Callable[[Sequence[str]], typer.Typer], arguments: Sequence[str] | None = None) -> int:
-    """Run an application, which is made for its arguments. Errors become one line and an exit code."""
+    """Run an application, which ``make`` builds for the arguments. Errors become one line and an exit code."""
     prepare_streams()
     code = _run(make, arguments)
     try:
         sys.stdout.flush()
     except OSError:
-        # the remaining output cannot be written; without this Python would try again at exit, and print an error
+        # the remaining output cannot be written; without this, Python would try again at exit and print an error
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
     return code
 
@@ -138,17 +139,17 @@ def run_app(make: Callable[[Sequence[str]], typer.Typer], arguments: Sequence[st
 def _run(make: Callable[[Sequence[str]], typer.Typer], arguments: Sequence[str] | None) -> int:
     try:
         command_words = sys.argv[1:] if arguments is None else list(arguments)
-        if "" in command_words:  # a path would be the current folder
+        if "" in command_words:  # as a path, it would mean the current folder
             raise InputError(f"argument {command_words.index('') + 1} is empty; is a shell variable not set?")
-        if "-" in command_words:  # otherwise the text would name a file
+        if "-" in command_words:  # otherwise "-" would be read as the name of a file
             raise InputError(
                 f"argument {command_words.index('-') + 1} is -: name a file; /dev/stdout is standard output"
             )
         with as_notes(), typed_options(), asking(), stoppable():
             result = make(command_words)(args=command_words or ["--help"], standalone_mode=False)
-        if result == ExitCode.INTERRUPTED:  # typer returns it instead of raising KeyboardInterrupt
+        if result == ExitCode.INTERRUPTED:  # typer returns this code instead of raising KeyboardInterrupt
             return _report("interrupted", _BY_SIGNAL[signal.Signals(last_stop() or signal.SIGINT)])
-        sys.stdout.flush()  # an error shows here at the latest
+        sys.stdout.flush()  # a write error appears here at the latest
         return int(result or ExitCode.OK)
     except KeyboardInterrupt:
         return _report("interrupted", ExitCode.INTERRUPTED)
@@ -163,10 +164,10 @@ def _run(make: Callable[[Sequence[str]], typer.Typer], arguments: Sequence[str] 
         command = getattr(getattr(error, "ctx", None), "command_path", None) or "petmjx"
         return _report(f"{message} (see {command} --help)" if message else "", ExitCode.UNUSABLE)
     except (BrokenPipeError, SystemExit):
-        # The reader of the output has closed it (petmjx … | head); typer and rich then exit.
+        # the reader of the output has closed it (petmjx … | head), and typer and rich then exit
         return ExitCode.OK
     except OSError as error:
-        if error.filename is not None or error.errno != errno.ENOSPC:  # for named files an InputError was raised
+        if error.filename is not None or error.errno != errno.ENOSPC:  # errors about named files are InputErrors
             return _report(_inside(error), ExitCode.FAILURE)
         return _report(f"cannot write to standard output: {error.strerror}", ExitCode.FAILURE)
     except Exception as error:
@@ -178,8 +179,8 @@ def _inside(error: Exception) -> str:
 
 
 def _report(message: str, code: ExitCode) -> int:
-    """Print one line to standard error (the traceback before it with --debug)."""
-    with suppress(OSError):  # nobody reads it
+    """Print one line to standard error. With --debug, the traceback comes before it."""
+    with suppress(OSError):  # standard error may be closed
         if _SETTINGS.debug and code not in _BY_SIGNAL.values():
             import traceback
 

@@ -18,9 +18,9 @@ def merge(
     overwrite: Annotated[bool, typer.Option("--overwrite", help="Replace the results that the folder holds.")] = False,
     as_json: opt.JsonOption = False,
 ) -> None:
-    """Join the shards of a run (score or sweep with --shard I/N) to one run.
+    """Join the shards of a run (score or sweep with --shard I/N) into one run.
 
-    All N shards must be there, finished, and of the same plans and options. Worlds that occur twice are refused.
+    All N shards must exist, be finished, and have the same plans and options. Worlds that occur twice are refused.
     """
     from petmjx.cli.run_command import brief
     from petmjx.runs.merge import merge_runs

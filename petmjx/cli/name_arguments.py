@@ -1,4 +1,4 @@
-"""Arguments written as NAME=PATH."""
+"""Arguments of the form NAME=PATH."""
 
 from __future__ import annotations
 
@@ -10,7 +10,8 @@ from petmjx.common.text import printable_name
 
 
 def named_paths(texts: Sequence[str], option: str) -> dict[str, str]:
-    """Name → path of each text; empty if no text has a name. An existing path counts as a path, even with a "=" in it.
+    """Name → path for each text; empty if no text has a name. A text that is an existing path has no name, even if it
+    contains "=".
 
     Raises:
         InputError: only some texts have a name, or two texts have the same name.

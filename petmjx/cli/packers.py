@@ -1,4 +1,4 @@
-"""Scores the plans of several packers at once: ``petmjx score --name``."""
+"""Scores the plans of several packers in one command: ``petmjx score --name``."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ def score_named(plans: Mapping[str, str], options: dict[str, Any], as_json: bool
 
     Args:
         plans: name of each packer → its plans.
-        options: as for ``petmjx.score``; the folders are made in ``out``.
+        options: as for ``petmjx.score``. The folders of the packers are made in ``out``.
     """
     from petmjx.analysis.packer_comparison import compare_packers
     from petmjx.analysis.packer_runs import check_names
@@ -34,7 +34,7 @@ def score_named(plans: Mapping[str, str], options: dict[str, Any], as_json: bool
 
     check_names(plans)
     for path in plans.values():
-        if not Path(path).exists():  # before the first packer's plans are simulated, not after
+        if not Path(path).exists():  # check all paths before plans are simulated
             raise InputError(f"{printable(path)}: no such file or folder")
     new_folder = None if "out" in options or options.get("resume") else default_folder()
     parent = options.get("out", new_folder)

@@ -1,4 +1,4 @@
-"""Packs orders by search and physics: ``petmjx samples --packer physical``."""
+"""Packs orders with a search and a simulation: ``petmjx samples --packer physical``."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from petmjx.plans.item_orders import OrderReading
 
 MOST_NAMED: Final = 10
-"""Largest number of orders with a line each, or in one line."""
+"""Largest number of orders that get a line each, or that one line names."""
 
 
 def write_physical(
@@ -27,7 +27,7 @@ def write_physical(
     options: Mapping[str, Any],
     reading: OrderReading | None = None,
 ) -> None:
-    """Pack orders by search and physics, write their plans, and print a summary."""
+    """Pack orders with a search and a simulation, write their plans, and print a summary."""
     from petmjx.packers.pack import Packed, orders_of, pack_each
     from petmjx.packers.packed_orders import PackedOrder
     from petmjx.plans.json_writer import Placement, write_plans
@@ -47,7 +47,7 @@ def write_physical(
     try:
         with progress(n if orders is None else None) as bar:
             write_plans(out, plans())
-    finally:  # the errors explain missing plans
+    finally:  # printed even after an error, since these lines explain missing plans
         for error in errors:
             typer.echo(f"skipped: {printable(str(error))}", err=True)
     packed = Packed(tuple(packings))
@@ -56,7 +56,7 @@ def write_physical(
 
 
 def _left_out(packings: list[Any], *, named: bool) -> Iterator[str]:
-    """A line for each order with boxes left out; for drawn orders only for the first ones."""
+    """A line for each order with boxes left out. For generated orders, only the first ones get a line."""
     incomplete = [packed for packed in packings if packed.left_out]
     few = incomplete if named else incomplete[:MOST_NAMED]
     for packed in few:
@@ -66,7 +66,7 @@ def _left_out(packings: list[Any], *, named: bool) -> Iterator[str]:
 
 
 def _not_good(packings: list[Any]) -> Iterator[str]:
-    """A line that names orders without a packing that stands as often as required."""
+    """A line that names the orders for which no packing stands as often as required."""
     shaky = [packed for packed in packings if packed.taken is not None and not packed.good]
     if shaky:
         names = ", ".join(

@@ -28,7 +28,7 @@ _OF_RUNS = (
     "workers", "ray", "record", "record_interval_s", "record_details", "orders", "allow_large", "out", "overwrite",
     "resume", "shard", "force_intervals", "keep", "confidence", "exact_too",
 )  # fmt: skip
-"""Options of runs and of scores that have no meaning for a repair."""
+"""Options of runs and of scores that have no meaning for a repair, and so are not available."""
 
 
 @opt.takes(without=_OF_RUNS, more=((RepairOptions, CHANGED), (Confidence, opt.HOW_SURE)))
@@ -50,9 +50,9 @@ def repair(
 ) -> None:
     """Find the smallest changes that make plans stand.
 
-    Changes are another order, another place or turn for a box, moves by some millimetres, exchanges of two boxes, tie
-    sheets, turns of film (with --profile) and, as the last resort, boxes that are left out. Boxes have their numbers in
-    the plan, from 0; left is −x, front −y.
+    Changes are another order of placement, another place or orientation for a box, moves by some millimetres, exchanges
+    of two boxes, tie sheets, turns of film (with --profile) and, as the last resort, leaving boxes out. Boxes are named
+    by their numbers in the plan, from 0. Left is −x, front is −y.
     """
     from petmjx.plans.plan_writer import check_plan_file
     from petmjx.repairs.repair import RepairInterrupted
@@ -104,7 +104,7 @@ def repair(
 
 
 def _written(result: Repairs, out: Path | None, html: Path | None) -> Iterator[str]:
-    """Lines on the files."""
+    """Lines about the written files."""
     if out is not None:
         yield f"{count_text(len(result.plans), 'plan')} in {printable(str(out))}"
     if html is not None:

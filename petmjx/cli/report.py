@@ -34,10 +34,10 @@ def report(
     ] = None,
     overwrite: opt.Overwrite = False,
 ) -> None:
-    """Write one offline page about runs: results, charts, all plans in a table and in 3D.
+    """Write one offline page about runs: results, charts, and all plans in a table and in 3D.
 
-    For several runs the page compares verdicts, and the shares of standing plans. The page is one file and needs no
-    server, so it can be sent by mail.
+    For several runs, the page compares their verdicts and their shares of standing plans. The page is a single file and
+    needs no server, so it can be sent by e-mail.
     """
     if pdf is not None:
         _write_pdf(runs, pdf, plans or (), overwrite=overwrite)
@@ -49,7 +49,7 @@ def report(
 
 
 def _write_pdf(runs: Sequence[Path], pdf: Path, plans: Sequence[Path], *, overwrite: bool) -> None:
-    """Write the pages to send."""
+    """Write the PDF pages for one run."""
     from petmjx.cli.figure import figure_files
     from petmjx.common.text import count_text
     from petmjx.results.run_reader import load_run
@@ -57,7 +57,7 @@ def _write_pdf(runs: Sequence[Path], pdf: Path, plans: Sequence[Path], *, overwr
     from petmjx.show.report.report_plans import find_report_plans
 
     if len(runs) != 1:
-        raise InputError(f"--pdf: is about one run, got {len(runs)}")
+        raise InputError(f"--pdf: takes exactly one run, got {len(runs)}")
     figure_files(pdf, None, None, overwrite, list(runs), list(plans))
     run = load_run(runs[0])
     count = write_load_unit_pages(run, find_report_plans(run, plans).plans, pdf)

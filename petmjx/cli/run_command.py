@@ -1,4 +1,4 @@
-"""The common part of ``score`` and ``sweep``: the folder, the progress bar, Ctrl-C, and the final tables."""
+"""What ``score`` and ``sweep`` have in common: the folder, the progress bar, Ctrl-C, and the tables at the end."""
 
 from __future__ import annotations
 
@@ -26,16 +26,16 @@ if TYPE_CHECKING:
 
 
 BURST_S: Final = 2.0
-"""Signals at shorter intervals than this count as one: pressing Ctrl-C six times in a row is one interruption."""
+"""Signals that follow each other within this time count as one: Ctrl-C pressed six times in a row interrupts once."""
 
 
 AGAIN_S: Final = 0.05
-"""Time after which a signal is sent again if its exception would have been lost, s."""
+"""Time after which a signal is sent again, in case its exception was lost, s."""
 
 
 class RunInterrupted(Exception):
-    """The run was ended by Ctrl-C or a signal. The message has the state of the run. (typer would swallow a bare
-    KeyboardInterrupt without a message.)
+    """Ctrl-C or a signal has ended the run. The message describes the state of the run. (typer would swallow a bare
+    KeyboardInterrupt, without any message.)
 
     Attributes:
         number: number of the signal.
@@ -47,7 +47,7 @@ class RunInterrupted(Exception):
 
 
 class _StopSignal(KeyboardInterrupt):
-    """Raised inside the run by a signal that ends it."""
+    """Raised inside the run when a signal ends it."""
 
     def __init__(self, number: int) -> None:
         super().__init__(number)
@@ -55,22 +55,22 @@ class _StopSignal(KeyboardInterrupt):
 
 
 _STATE = SimpleNamespace(is_stoppable=False, number=None)
-"""Whether a body is stoppable now, and the number of the last signal that ended one."""
+"""Whether a body can be stopped at the moment, and the number of the last signal that stopped one."""
 
 
 def last_stop() -> int | None:
-    """The number of the signal that ended the last stoppable body; None: no signal did."""
+    """The number of the signal that stopped the last stoppable body; None if none did."""
     number: int | None = _STATE.number
     return number
 
 
 @contextmanager
 def stoppable() -> Iterator[None]:
-    """Let SIGTERM and SIGHUP end the body as Ctrl-C does, once per burst of signals, so that it cleans up behind it.
-    Ignored signals stay ignored (nohup). All commands are stoppable; within one this changes nothing.
+    """Let SIGTERM and SIGHUP end the body like Ctrl-C, once per burst of signals, so that the body can clean up.
+    Signals that are ignored stay ignored (nohup). All commands are stoppable; nested uses have no effect.
 
-    Python ignores exceptions that are raised while an object is finalised, as Ray's objects often are. In this case the
-    signal is sent again.
+    Python ignores exceptions that are raised while an object is finalised, as Ray's objects often are. In that case,
+    the signal is sent again.
     """
     last_s = -math.inf
 
@@ -97,13 +97,13 @@ def stoppable() -> Iterator[None]:
         yield
     finally:
         _STATE.is_stoppable = False
-        if last_s == -math.inf:  # else the process is about to end, and more signals of the burst may follow
+        if last_s == -math.inf:  # otherwise the process is about to end, and signals may follow
             for number, handler in before.items():
                 signal.signal(number, handler)
 
 
 def _frames_of(frame: FrameType | None) -> Iterator[FrameType]:
-    """A frame and all frames that called it."""
+    """A frame and all its callers."""
     while frame is not None:
         yield frame
         frame = frame.f_back
@@ -112,13 +112,13 @@ def _frames_of(frame: FrameType | None) -> Iterator[FrameType]:
 def run_and_show(
     run: Callable[[Watcher, Mapping[str, Any]], RunResults], options: dict[str, Any], as_json: bool
 ) -> None:
-    """Do a run with a progress bar and print its tables, or JSON.
+    """Execute a run with a progress bar, and print its tables or JSON.
 
     Args:
-        run: called with a watcher and the options, including the folder.
+        run: function that executes the run. It is called with a watcher and the options, including the folder.
 
     Raises:
-        RunInterrupted: Ctrl-C, SIGTERM or SIGHUP.
+        RunInterrupted: Ctrl-C, SIGTERM or SIGHUP ended the run.
     """
     results = run_watched(run, options)
     if as_json:
@@ -131,7 +131,7 @@ def run_and_show(
 
 
 def run_watched(run: Callable[[Watcher, Mapping[str, Any]], RunResults], options: dict[str, Any]) -> RunResults:
-    """Do a run with a progress bar, as :func:`run_and_show`, but without printing tables."""
+    """Execute a run with a progress bar, like :func:`run_and_show`, but without printing tables."""
     from petmjx.show.progress import BarWatcher
 
     watcher = BarWatcher()
@@ -152,7 +152,7 @@ def run_watched(run: Callable[[Watcher, Mapping[str, Any]], RunResults], options
 
 
 def default_folder() -> Path:
-    """Make a new folder, named after the current time, that no other run has.
+    """Make a new folder, named after the current time, that no other run uses.
 
     Raises:
         InputError: the folder cannot be made.
@@ -172,14 +172,14 @@ def default_folder() -> Path:
 
 
 def remove_empty(folder: Path) -> None:
-    """Delete an empty folder of a run that did not begin, and its parent."""
+    """Delete the empty folder of a run that did not begin, and its parent folder if that is empty."""
     with suppress(OSError):
         folder.rmdir()
         folder.parent.rmdir()
 
 
 def _how_far(folder: Path, watcher: Any) -> str:
-    """How far an interrupted run came, as text."""
+    """How far an interrupted run has come, as text."""
     from petmjx.results.run_reader import load_run
 
     try:
@@ -195,7 +195,7 @@ def _how_far(folder: Path, watcher: Any) -> str:
 
 
 def brief(results: RunResults) -> dict[str, Any]:
-    """A run as --json prints it."""
+    """A run in the form that --json prints."""
     names = ("status", "counts", "timings", "device", "skipped", "warnings")
     brief = {"out": str(results.path), **{name: results.info[name] for name in names}}
     if results.info.get("orders"):

@@ -22,7 +22,7 @@ from petmjx.packers.sample_plans import DEFAULT_LOOSE_SHARE, LeftOutItems
 
 DEFAULT_SAMPLES: Final = 100
 MOST_SHOWN: Final = 10
-"""Largest number of drawn orders with left-out boxes that have a line each."""
+"""Largest number of generated orders with left-out boxes that get a line each."""
 
 
 @opt.takes(
@@ -97,19 +97,19 @@ def samples(
     overwrite: opt.Overwrite = False,
     **options: Any,
 ) -> None:
-    """Write packing plans with BED-BPP's statistics: drawn orders (43±14 boxes), packed by a packer.
+    """Write packing plans with BED-BPP's statistics: generated orders (43±14 boxes), packed by a packer.
 
-    Without --packer the set is mixed: about half of the plans are packed too loosely on purpose, so that some plans
-    stand and some fall. Name the packer to compare it with others: then no plan is packed loosely.
+    Without --packer, the set is mixed: about half of the plans are packed too loosely on purpose, so that some plans
+    stand and some fall. To compare a packer with others, name it: then no plan is packed loosely.
 
-    The packer physical simulates several packings of each order and picks the densest that stands often enough; this
-    takes seconds per order on CPUs.
+    The packer physical simulates several packings of each order, and chooses the densest one that stands often enough.
+    This takes seconds per order on CPUs.
 
-    The packer learned takes boxes in the sequence of the order, and sees --lookahead of them; the other packers see the
-    whole order.
+    The packer learned places boxes in the sequence of the order, and sees the next --lookahead boxes. The other packers
+    see the whole order.
 
-    With --orders it packs the orders of a file instead. Boxes that find no
-    place below 2 m are left out: a line for each such order says which (of drawn orders for the first 10).
+    With --orders, the orders of a file are packed instead. Boxes that find no place below 2 m are left out. A line for
+    each such order names these boxes; for generated orders, only the first 10 get a line.
     """
     from petmjx.common.machine import cpu_threads
     from petmjx.packers.pack import reading_of
@@ -163,7 +163,7 @@ def samples(
                     pack_orders(orders, on_bad_order=errors.append, reading=reading, **pack_options),
                     progress=count,
                 )
-    finally:  # the errors explain missing plans
+    finally:  # printed even after an error, since these lines explain missing plans
         for error in errors:
             typer.echo(f"skipped: {printable(str(error))}", err=True)
     shown = left_out if orders is not None else left_out[:MOST_SHOWN]

@@ -27,16 +27,16 @@ Names = Annotated[
 
 @opt.takes(more=((Confidence, opt.HOW_SURE), (Transport, opt.HOW_SURE)))
 def score(plans: opt.PlanPaths = None, names: Names = None, as_json: opt.JsonOption = False, **options: Any) -> None:
-    """Simulate packing plans and say which of them stand.
+    """Simulate packing plans, and report which of them stand.
 
-    Reads the plans, places their boxes in a simulated world, and writes a verdict and metrics per plan and per
-    box as Parquet. Unusable plans are skipped, counted and listed.
+    The command reads the plans, places their boxes in a simulated world, and writes a verdict and metrics per plan and
+    per box as Parquet. Unusable plans are skipped, counted and listed.
 
-    With --confidence N also how sure the verdicts are: the share of N worlds with errors that stands, with a 95 %
-    interval, and which plans are a coin toss.
+    With --confidence N, it also reports how certain the verdicts are: the share of N worlds with errors in which the
+    plan stands, with a 95 % interval, and which plans are a coin toss.
 
-    With --chain NAME also how likely each plan arrives: the share of worlds in which it stands after all legs of its
-    way, the weakest leg, and remedies.
+    With --chain NAME, it also reports how likely each plan is to arrive: the share of worlds in which it stands after
+    all legs of its journey, the weakest leg, and remedies.
     """
     from petmjx import api
 

@@ -26,7 +26,7 @@ _OF_RUNS = (
     "limit", "record", "record_interval_s", "record_details", "orders", "strict", "allow_large", "out", "overwrite",
     "resume", "shard", "workers", "ray",
 )  # fmt: skip
-"""Options of runs that have no meaning for one world."""
+"""Options of runs that have no meaning for a single world, and so are not available."""
 
 
 def _file(name: str, text: str) -> Any:
@@ -59,10 +59,10 @@ def show(
     overwrite: opt.Overwrite = False,
     **options: Any,
 ) -> None:
-    """Show what happens to one plan: in words, as a page, in pictures, as a film.
+    """Show what happens to one plan: in words, as a page, in pictures, or as a film.
 
-    The world is simulated as in the run in DIR, to the last bit, or with these options. Without an option for a
-    drawing, its story is printed in the terminal.
+    The world is simulated exactly as in the run in DIR, or with these options. If no drawing is requested, its story is
+    printed in the terminal.
     """
     from petmjx.results.read_files import source_files
     from petmjx.show.pictures.picture_files import check_drawing
@@ -93,10 +93,10 @@ def show(
 def _show_repair(
     plan_id: str, source: list[Path] | None, files: dict[str, Path], has_more: bool, options: dict[str, Any]
 ) -> None:
-    """Repair a plan, and write the page with both sides.
+    """Repair a plan, and write a page that shows it before and after.
 
     Args:
-        has_more: whether options are set that such a page lacks.
+        has_more: whether options are set that such a page does not support.
     """
     from petmjx.options.run_options import RunOptions, sorted_options
     from petmjx.options.simulation import Simulation
@@ -148,7 +148,7 @@ def _show(story: Story, files: list[Path], look: dict[str, Any], viewer: bool) -
 
 
 def _draw(story: Story, files: list[Path], look: dict[str, Any]) -> None:
-    """Draw each file, with a progress bar for films, and print what was written."""
+    """Draw each file, with a progress bar for films, and print the names of the written files."""
     from petmjx.analysis.story import headline, notes_in_words
     from petmjx.show.pictures.picture_files import draw
     from petmjx.show.progress import ProgressSink, progress
@@ -161,7 +161,7 @@ def _draw(story: Story, files: list[Path], look: dict[str, Any]) -> None:
             bars: list[ProgressSink] = []
 
             def count(done: int, total: int, shown: ExitStack = shown, bars: list[ProgressSink] = bars) -> None:
-                if not bars:  # only films know their length, once they begin
+                if not bars:  # only films report a length, once they begin
                     bars.append(shown.enter_context(progress(total, "frame")))
                 bars[0].update(done)
 

@@ -28,11 +28,11 @@ def sweep(
 ) -> None:
     """Simulate packing plans in many variants: forces, levels, friction, placement errors.
 
-    Simulates each placement of a plan once, and starts all profiles, levels and directions from its settled state.
-    Writes every world and box, and a summary: the share that stands, with a 95 % interval if worlds are drawn at
-    random, or for a search the largest level survived and the box that fails first.
+    The command simulates each placement of a plan once, and starts all profiles, levels and directions from its settled
+    state. It writes every world and box, and a summary: the share that stands, with a 95 % interval if worlds are drawn
+    at random. For a search, the summary has the largest level survived and the box that fails first.
 
-    Options of the command replace the values of the sweep file's [simulation] table.
+    Options of the command replace values in the sweep file's [simulation] table.
     """
     from petmjx import api
 

@@ -1,1 +1,1 @@
-"""The base of petmjx, which imports no other room: errors, texts, units, files, checks, processes."""
+"""The base of petmjx: errors, texts, units, files, checks, processes. It imports no other package of petmjx."""

@@ -1,4 +1,4 @@
-"""Checks of arguments from Python: a value of a wrong type raises an error of one line with the argument's name."""
+"""Checks of arguments from Python. A value of a wrong type raises a one-line error with the argument's name."""
 
 from __future__ import annotations
 
@@ -17,27 +17,27 @@ Kind = TypeVar("Kind")
 
 
 def path_of(value: Any, name: str) -> Path:
-    """A path that is not empty: ``Path("")`` would be the current folder.
+    """A path that is not empty. An empty path is refused because ``Path("")`` would be the current folder.
 
     Raises:
-        InputError: the value is no path, or is empty.
+        InputError: the value is not a path, or is empty.
     """
     usable = isinstance(value, Path) or (isinstance(value, str | PathLike) and bool(str(value)))
     if not usable:
         raise InputError(f"{name} must be a path, {shown_value(value)}")
     try:
         return Path(value)
-    except TypeError:  # a path of bytes
+    except TypeError:  # the path is in bytes
         raise InputError(f"{name} must be a path, {shown_value(value)}") from None
 
 
 def text_of(value: Any, name: str) -> str:
-    """Text. Raises InputError: the value is no text."""
+    """Text. Raises InputError if the value is not text."""
     return instance_of(value, name, str, "text")
 
 
 def flag_of(value: Any, name: str) -> bool:
-    """True or false. Raises InputError: the value is neither."""
+    """True or False. Raises InputError if the value is neither."""
     if not isinstance(value, bool | np.bool_):
         raise InputError(f"{name} must be true or false, {shown_value(value)}")
     return bool(value)
@@ -47,7 +47,7 @@ def integer_of(value: Any, name: str, least: int | None = None, most: int | None
     """A whole number within limits.
 
     Raises:
-        InputError: the value is no whole number, or is beyond a limit.
+        InputError: the value is not a whole number, or is beyond a limit.
     """
     if isinstance(value, bool | np.bool_) or not isinstance(value, int | np.integer):
         raise InputError(f"{name} must be a whole number, {shown_value(value)}")
@@ -59,7 +59,7 @@ def number_of(value: Any, name: str, least: float | None = None, most: float | N
     """A finite number within limits.
 
     Raises:
-        InputError: the value is no finite number, or is beyond a limit.
+        InputError: the value is not a finite number, or is beyond a limit.
     """
     if isinstance(value, bool | np.bool_) or not isinstance(value, int | float | np.integer | np.floating):
         raise InputError(f"{name} must be a number, {shown_value(value)}")
@@ -77,7 +77,7 @@ def instance_of(value: Any, name: str, kind: type[Kind], words: str) -> Kind:
     """An object of a class.
 
     Args:
-        words: name of the class in the error, in words that people know.
+        words: name of the class in the error, in words that users know.
 
     Raises:
         InputError: the value is of another class.
@@ -91,7 +91,7 @@ def list_of(values: Any, name: str, kind: type[Kind], words: str) -> list[Kind]:
     """A list of objects of one class, from any iterable.
 
     Args:
-        words: name of the class in the error, in words that people know.
+        words: name of the class in the error, in words that users know.
 
     Raises:
         InputError: the value is text, cannot be iterated, or has a member of another class.
@@ -102,7 +102,7 @@ def list_of(values: Any, name: str, kind: type[Kind], words: str) -> list[Kind]:
         members = None
     if members is None:
         raise InputError(f"{name} must be a list of {words}, {shown_value(values)}")
-    if not set(map(type, members)) <= {kind}:  # in C, since a list may have the names of all boxes of 10,000 plans
+    if not set(map(type, members)) <= {kind}:  # fast, since a list may have all box names of 10,000 plans
         for index, value in enumerate(members):
             instance_of(value, f"{name}[{index}]", kind, words)
     return members
@@ -112,11 +112,11 @@ def array_of(values: Any, name: str, shape: tuple[int, ...], *, may_lack: bool =
     """An array of finite numbers.
 
     Args:
-        shape: shape of one entry: (3,) for an array of (n, 3), () for an array of (n,).
-        may_lack: whether NaN is allowed, for a value that is not given.
+        shape: shape of one entry: (3,) for an array of shape (n, 3), () for an array of shape (n,).
+        may_lack: whether NaN is allowed and means that a value is not given.
 
     Raises:
-        InputError: the value is no array of finite numbers, or has another shape.
+        InputError: the value is not an array of finite numbers, or has another shape.
     """
     try:
         array = np.asarray(values)

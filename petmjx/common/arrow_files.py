@@ -1,4 +1,4 @@
-"""Files that users name, opened for Arrow within bounds of decoded bytes and rows."""
+"""Opens files that users name for Arrow, and limits the decoded bytes and rows."""
 
 from __future__ import annotations
 
@@ -16,46 +16,48 @@ from petmjx.common.safe_read import FREE_BYTES, MOST_BYTES, allowed_bytes, open_
 from petmjx.common.text import printable_name
 
 _WIDTHS: Final = {"BOOLEAN": 1, "INT32": 4, "INT64": 8, "FLOAT": 4, "DOUBLE": 8, "BYTE_ARRAY": 8}
-"""Bytes of a value in memory, by its type in the file. A text is counted as its offset and its length only."""
+"""Type in the file → bytes of a value in memory. For texts, the bytes are those of the offset and the length only."""
 
 _ROWS: Final = 1 << 16
 _FEW_ROWS: Final = 1 << 8
-"""Rows that are read at a time. ``_FEW_ROWS`` is for files in which texts may be long though the file is small."""
+"""Numbers of rows that are read at a time. ``_FEW_ROWS`` is for files in which texts may be long although the file is
+small."""
 
 _PREFIXED: Final = "DELTA_BYTE_ARRAY"
-"""Encoding of Parquet that stores a text as the length of its common prefix with the text before, and the rest. A text
-may thus be as long as all texts before it together."""
+"""An encoding of Parquet that stores a text as its remainder, and the length of the prefix that it shares with the text
+before it. So a text may be as long as all texts before it together."""
 
 
 def open_for_arrow(path: Path) -> pa.NativeFile:
-    """A regular file that Arrow reads by itself. Parquet is never read through a stream of Python.
+    """A regular file that Arrow reads itself. Parquet is never read through a Python stream.
 
-    Arrow reads Parquet in threads of its own. A thread may still free its buffers after the table has been returned. If
-    the buffers are Python's, the thread needs the interpreter to free them. If the interpreter is ending then, the
-    process aborts ("terminate called without an active exception") or hangs:
+    Arrow reads Parquet in its own threads. A thread may still free its buffers after the table has been returned. If
+    they are Python's buffers, the thread needs the interpreter to free them. If the interpreter is shutting down at
+    that moment, the process aborts ("terminate called without an active exception") or hangs:
     https://github.com/apache/arrow/issues/34314 and https://github.com/apache/arrow/issues/50482.
 
     Raises:
-        OSError: the file cannot be read, or is no regular file; ``strerror`` says which.
+        OSError: the file cannot be read, or is not a regular file; ``strerror`` tells which.
         ValueError: no file can have this name.
     """
-    # Python checks the file first, since Arrow waits for FIFOs. pa.OSFile takes the bytes of any name. Other functions
-    # of Arrow read "s3:" as a scheme and "a=1" in a folder's name as a column, and refuse names that are not UTF-8.
+    # Python checks the file first, since Arrow would wait for FIFOs. pa.OSFile accepts names of any bytes. Other
+    # functions of Arrow read "s3:" as a scheme and "a=1" in a folder's name as a column, and refuse names that are not
+    # UTF-8.
     with open_regular(path):
         return pa.OSFile(os.fsencode(path))
 
 
 class OversizedFile(ValueError):
-    """A Parquet file would take much more memory than a file of its size should."""
+    """A Parquet file would take much more memory than its size justifies."""
 
 
 def decoded_bytes(file: pq.ParquetFile, columns: Sequence[str] | None = None) -> int:
-    """Least number of bytes that columns of a Parquet file take in memory, according to the file's metadata.
+    """Smallest number of bytes that columns of a Parquet file take in memory, according to the file's metadata.
 
-    Texts are counted by their offsets only: their lengths are not known before they are read.
+    For texts, only the offsets are counted, because their lengths are unknown until they are read.
 
     Args:
-        columns: names; None: all.
+        columns: names of the columns; None: all columns.
     """
     metadata, chosen = file.metadata, None if columns is None else set(columns)
     n_bytes = 0
@@ -71,17 +73,17 @@ def decoded_bytes(file: pq.ParquetFile, columns: Sequence[str] | None = None) ->
 def read_within(
     stream: pa.NativeFile, columns: Sequence[str] | None = None, *, free: int = FREE_BYTES, most: int = MOST_BYTES
 ) -> pa.Table:
-    """Columns of a Parquet file, read within bounds. In a file a few bytes may stand for millions of rows, and a short
-    code for a long text in each row.
+    """Read columns of a Parquet file within limits. The limits are needed because a few bytes in a file may stand for
+    millions of rows, and a short code for a long text in each row.
 
     Args:
-        columns: names; None: all.
-        free, most: as of :func:`allowed_bytes`.
+        columns: names of the columns; None: all columns.
+        free, most: as for :func:`allowed_bytes`.
 
     Raises:
         OversizedFile: the columns would take more memory than allowed.
-        ValueError: a column has lists or tables in it.
-        pyarrow.ArrowException, OSError: the file is not a whole Parquet file.
+        ValueError: a column contains lists or tables.
+        pyarrow.ArrowException, OSError: the file is not a complete Parquet file.
     """
     allowed = allowed_bytes(stream.size(), free, most)
     with pq.ParquetFile(stream) as file:
@@ -97,7 +99,7 @@ def read_within(
                 raise ValueError(f"the column {printable_name(name)} has lists or tables in it")
         texts = [name for name in names if _is_text(schema.field(name).type)]
         by_prefix = set(_columns_by_prefix(metadata))
-        # texts stay dictionary codes until their lengths are known; Arrow cannot read texts stored by prefix as codes
+        # texts stay dictionary codes until their lengths are known; but Arrow cannot read prefix-coded texts as codes
         codes = [name for name in texts if name not in by_prefix]
         coded = pq.ParquetFile(stream, metadata=metadata, read_dictionary=codes)
         few = not by_prefix.isdisjoint(names)
@@ -130,7 +132,7 @@ def _is_text(kind: pa.DataType) -> bool:
 
 
 def _length_of(coded: pa.Array) -> int:
-    """Bytes of the texts of a column, which may be coded by a dictionary."""
+    """Number of bytes of the texts of a column, which may be dictionary-coded."""
     if not pa.types.is_dictionary(coded.type):
         return int(coded.nbytes)
     lengths = np.asarray(pc.binary_length(coded.dictionary).fill_null(0))
@@ -139,19 +141,19 @@ def _length_of(coded: pa.Array) -> int:
 
 
 def _decoded_columns(batch: pa.RecordBatch, schema: pa.Schema) -> pa.RecordBatch:
-    """The columns of a batch with the types that they have in the file."""
+    """The columns of a batch, with the types that they have in the file."""
     fields = [schema.field(name) for name in batch.schema.names]
     arrays = [column.cast(field.type) for column, field in zip(batch.columns, fields, strict=True)]
     return pa.RecordBatch.from_arrays(arrays, schema=pa.schema(fields, metadata=schema.metadata))
 
 
 def parquet_table(path: Path) -> pa.Table:
-    """All of a Parquet file, read within bounds.
+    """Read a whole Parquet file within limits.
 
     Raises:
-        OSError: the file cannot be read, or is no regular file.
-        pyarrow.ArrowException: the file is not a whole Parquet file.
-        ValueError: no file can have this name, two columns have one name, or the file would take too much memory.
+        OSError: the file cannot be read, or is not a regular file.
+        pyarrow.ArrowException: the file is not a complete Parquet file.
+        ValueError: no file can have this name, two columns have the same name, or the file would take too much memory.
     """
     with open_for_arrow(path) as stream:
         with pq.ParquetFile(stream) as file:
@@ -162,6 +164,6 @@ def parquet_table(path: Path) -> pa.Table:
 
 
 def parquet_rows(path: Path) -> Iterator[dict[str, Any]]:
-    """The rows of a Parquet file, one by one. Bounds and errors are those of :func:`parquet_table`."""
+    """The rows of a Parquet file, one by one. Limits and errors are those of :func:`parquet_table`."""
     for batch in parquet_table(path).to_batches(_FEW_ROWS):
         yield from batch.to_pylist()

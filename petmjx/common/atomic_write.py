@@ -1,4 +1,4 @@
-"""Atomic writes of files that users name: a file appears whole or not at all."""
+"""Atomic writes of files that users name: a file never appears half-written."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from petmjx.common.text import printable
 
 
 def check_writable(file: Path) -> None:
-    """Check that a file can be written, as far as this shows without writing.
+    """Check that a file can be written, as far as this can be seen without writing it.
 
     Raises:
         InputError: the path is a folder, or its parent is not a folder or is not writable.
@@ -43,9 +43,9 @@ def write_errors(path: Path) -> Iterator[None]:
 
 @contextmanager
 def atomic_write(file: Path) -> Iterator[Path]:
-    """Yield a hidden path beside a file, with the same ending. When the body ends, its file replaces the named one.
+    """Yield a hidden path beside a file, with the same suffix. When the body ends, the hidden file replaces the file.
 
-    If the named file is a link, its target is replaced. Existing paths that are not files, such as a FIFO or
+    If the file is a link, its target is replaced. Existing paths that are not regular files, such as a FIFO or
     ``/dev/stdout``, are written to directly.
 
     Raises:
@@ -54,14 +54,14 @@ def atomic_write(file: Path) -> Iterator[Path]:
     if "\0" in str(file):
         raise InputError(f"{printable(str(file))}: cannot be written: no file has such a name")
     target = file.resolve() if file.is_symlink() else file
-    direct = file.exists() and not file.is_file()  # if /dev/stdout is a pipe, its target is no path
+    direct = file.exists() and not file.is_file()  # /dev/stdout may be a pipe, whose target is no path
     temporary = file if direct else target.with_name(f".{secrets.token_hex(8)}.{target.name}")
     try:
         with write_errors(file):
             yield temporary
             if not direct:
                 os.replace(temporary, target)
-    except InputError as error:  # raised by the body: it names the hidden path
+    except InputError as error:  # the body raised it, and it names the hidden path
         raise InputError(str(error).replace(str(temporary), str(file))) from error
     finally:
         if not direct:
@@ -70,6 +70,6 @@ def atomic_write(file: Path) -> Iterator[Path]:
 
 
 def gzip_stream(stream: IO[bytes]) -> gzip.GzipFile:
-    """A gzip stream into another stream. The stream has no file name and no time, so the bytes depend only on the
-    content."""
+    """A gzip stream that writes its compressed bytes to another stream. It stores no file name and no time, so the
+    bytes depend only on the content."""
     return gzip.GzipFile(filename="", mode="wb", compresslevel=6, fileobj=stream, mtime=0)

@@ -1,7 +1,7 @@
-"""Records that check their own values (``CheckedRecord``), and their error messages of one line.
+"""Records that check their own values (``CheckedRecord``), and their one-line error messages.
 
-Only this module turns pydantic's errors into lines. The module also knows the name of an option in messages: its flag
-on the command line, or its argument in Python.
+This is the only module that turns pydantic's errors into lines. It also knows how messages name an option: by its flag
+on the command line, or by its argument in Python.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from types import UnionType
 from typing import Any, Final, Self, Union, get_args, get_origin
 
 from pydantic import AfterValidator, BaseModel, ConfigDict, Discriminator, ValidationError, model_validator
-from pydantic._internal._model_construction import ModelMetaclass  # has no public name
+from pydantic._internal._model_construction import ModelMetaclass  # no public module has it
 from pydantic_core import InitErrorDetails, PydanticCustomError
 
 from petmjx.common.errors import InputError
@@ -26,12 +26,12 @@ from petmjx.common.safe_read import read_regular
 from petmjx.common.text import count_text, printable, printable_name, shortened_text
 
 _typed = False
-"""Whether the command line runs. A process has at most one command line, and all threads share this flag."""
+"""Whether the command line is running. A process runs at most one command line, and all threads share this flag."""
 
 
 @contextmanager
 def typed_options() -> Iterator[None]:
-    """Name options in messages by their flags while the body runs. For the command line."""
+    """While the body runs, name options in messages by their flags. For the command line."""
     global _typed
     before, _typed = _typed, True
     try:
@@ -41,12 +41,12 @@ def typed_options() -> Iterator[None]:
 
 
 def option(flag: str, value: str = "", *, python: str = "") -> str:
-    """An option for a message: "--overwrite" on the command line, "overwrite=True" in Python.
+    """An option as messages name it: "--overwrite" on the command line, "overwrite=True" in Python.
 
     Args:
         flag: the flag as users type it, such as ``--out``.
-        value: the argument's value in Python, such as ``True``; a flag without a value is shown alone.
-        python: name of the argument, where it differs from the flag's.
+        value: value of the argument in Python, such as ``True``. A flag without a value is shown alone.
+        python: name of the argument if it differs from the flag's.
     """
     if _typed:
         return flag
@@ -69,7 +69,7 @@ _TEXTS: Final = {
     **dict.fromkeys(("list_type", "tuple_type"), "must be a list"),
     **dict.fromkeys(("dict_type", "model_type", "model_attributes_type"), "must be a table"),
 }
-"""pydantic's kind of error → text between the field's path and the value."""
+"""pydantic's kind of error → the text between the path of the field and the value."""
 
 _NO_NUMBERS: Final = (str, bytes, bool)
 
@@ -79,14 +79,14 @@ MOST_TOML_BYTES: Final = 16 << 20
 """Largest size of a TOML file. A list of 100,000 force windows takes half of this limit."""
 _MOST_PARTS: Final = 64
 _MANY_PARTS: Final = re.compile(rb"""(?<![\w"'-])(?:[\w"'-]++[ \t]*+\.[ \t]*+){%d}""" % _MOST_PARTS)
-"""A dotted key of more than ``_MOST_PARTS`` parts. For each part tomllib looks at all parts, so a long key would take
+"""A dotted key with more than ``_MOST_PARTS`` parts. tomllib examines all parts for each part, so a long key would take
 minutes."""
 
 TABLE: Final = "<a table>"
 LIST: Final = "<a list>"
 VALUE: Final = "<a single value>"
-"""Tags of the members of a union whose member is picked by the shape of the value. pydantic puts tags into the path of
-an error; `describe` finds them by their angle brackets and takes them out."""
+"""Tags of the members of a union, for unions whose member is chosen by the shape of the value. pydantic inserts tags
+into the path of an error; ``describe`` recognises them by their angle brackets and removes them."""
 
 
 @dataclass(frozen=True)
@@ -95,7 +95,7 @@ class CliFlag:
 
     Attributes:
         metavar: placeholder of the value in the help.
-        default: text that the help shows as the default where the field's own default is None.
+        default: text that the help shows as the default if the field's own default is None.
     """
 
     name: str
@@ -107,7 +107,7 @@ class CliFlag:
 class _OneLine(ModelMetaclass):
     """Makes the constructor of a record raise ``InputError`` with one line instead of pydantic's own error.
 
-    pydantic makes the inner records of a record without this constructor, so the line has the whole path.
+    pydantic builds the inner records of a record without this constructor, so the line has the whole path.
     """
 
     def __call__(cls, *args: Any, **values: Any) -> Any:
@@ -121,7 +121,7 @@ class CheckedRecord(BaseModel, metaclass=_OneLine):
     """A frozen record with checked values. Unknown fields are refused.
 
     Raises:
-        InputError: "interval_s must be > 0, got -1".
+        InputError: a value is wrong, as in "interval_s must be > 0, got -1".
     """
 
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
@@ -137,14 +137,15 @@ class CheckedRecord(BaseModel, metaclass=_OneLine):
     def changed(self, **values: Any) -> Self:
         """A checked copy with other values for some fields.
 
-        A table in place of a record changes the old record. A table with a ``name`` replaces it.
+        If a field is a record, a table given for it changes that record. A table with a ``name`` replaces the record.
         """
         return self.read(_fields_with(self, values))
 
     @model_validator(mode="before")
     @classmethod
     def _has_its_fields(cls, values: Any) -> Any:
-        """Refuse unknown and missing fields. pydantic does that too, but its errors do not name the known fields."""
+        """Refuse unknown and missing fields. pydantic would do this as well, but its errors do not name the known
+        fields."""
         if not isinstance(values, Mapping):
             return values
         fields = {info.alias or name: info for name, info in cls.model_fields.items()}
@@ -162,7 +163,7 @@ class CheckedRecord(BaseModel, metaclass=_OneLine):
 
 
 def _lax(annotation: Any, value: Any) -> str:
-    """ "must be …" for a value that pydantic would silently convert, such as text or true into a number; else ""."""
+    """ "must be …" for a value that pydantic would convert silently, such as text or true to a number; else ""."""
     union = isinstance(annotation, UnionType) or get_origin(annotation) is Union
     kinds = set(get_args(annotation)) if union else {annotation}
     kinds.discard(type(None))
@@ -188,8 +189,8 @@ def within(low: float, high: float) -> AfterValidator:
 
 
 def _fields_with(record: CheckedRecord, values: Mapping[str, Any]) -> dict[str, Any]:
-    """A record's fields with some replaced. The new values are not checked here but together later, so that an error
-    has the whole path.
+    """A record's fields, with some of them replaced. The new values are not checked here, but later together, so that
+    an error has the whole path.
     """
     fields = {name: getattr(record, name) for name in type(record).model_fields}
     for name, value in values.items():
@@ -208,16 +209,16 @@ def hint(name: str, known: Iterable[str]) -> str:
 
 
 def similar(name: str, known: Iterable[str]) -> str:
-    """The end of a message about an unknown name where thousands are known: "; did you mean s0-000016?", or ""."""
+    """The end of a message about an unknown name, if thousands are known: "; did you mean s0-000016?", or ""."""
     close = difflib.get_close_matches(name, list(known), n=1)
     return f"; did you mean {printable_name(close[0])}?" if close else ""
 
 
 def complaint(text: str, *path: str | int) -> ValidationError:
-    """An error about an inner field of a value. The value's validator raises it.
+    """An error about an inner field of a value, for the value's validator to raise.
 
     Args:
-        text: follows the field's path: "must be > 0", or with a colon ": unknown field".
+        text: the text after the field's path: "must be > 0", or with a colon ": unknown field".
         path: from the validated value to the field.
     """
     kind = PydanticCustomError(_COMPLAINT, "{text}", {"text": text})
@@ -225,16 +226,16 @@ def complaint(text: str, *path: str | int) -> ValidationError:
 
 
 def shape(value: object) -> str:
-    """The shape of a value: `TABLE`, `LIST` or `VALUE`. ``Discriminator(shape)`` picks the member of a union by this
-    shape."""
+    """The shape of a value: ``TABLE``, ``LIST`` or ``VALUE``. ``Discriminator(shape)`` chooses the member of a union by
+    it."""
     if isinstance(value, Mapping | BaseModel):
         return TABLE
     return LIST if isinstance(value, list | tuple) else VALUE
 
 
 def by_entry(key: str) -> Discriminator:
-    """A discriminator that picks the record of a union by one entry of the table. The record's tag is that entry's
-    value in <…>.
+    """A discriminator that chooses the record of a union by one entry of the table. The tag of a record is the value of
+    that entry in <…>.
     """
 
     def tag(value: object) -> str | None:
@@ -243,19 +244,19 @@ def by_entry(key: str) -> Discriminator:
         entry = value.get(key)
         return f"<{entry}>" if isinstance(entry, str) else "<>"
 
-    # pydantic's errors name this function, and `describe` takes the entry's name from them
+    # pydantic's errors contain the name of this function, from which `describe` reads the entry's name
     tag.__name__ = key
     return Discriminator(tag)
 
 
 def shown_value(value: object) -> str:
-    """The end of a message: "got" and the value, in one line of bounded length."""
+    """The end of a message: "got" and the value, in one line of limited length."""
     try:
         text = repr(value)
     except (ValueError, RecursionError):
-        # a whole number with more digits than Python writes, or tables nested too deeply
+        # a whole number with more digits than Python prints, or tables nested too deeply
         return f"got {type(value).__name__} too large to be shown"
-    except Exception:  # raised by an object of the user's own class
+    except Exception:  # raised by an object of a user's class
         return f"got {type(value).__name__} that cannot be shown"
     return f"got {shortened_text(' '.join(text.split()) if len(text.splitlines()) > 1 else text)}"
 
@@ -271,17 +272,17 @@ def describe(error: ValidationError) -> str:
 
 
 def _error_text(kind: str, context: Mapping[str, Any], value: Any, message: str) -> str:
-    """The text after the field's path."""
+    """The text that follows the field's path."""
     if kind in (_COMPLAINT, "value_error"):
-        # raised by a validator of petmjx: its text is complete
+        # a validator of petmjx raised it, so its text is complete
         return message.removeprefix("Value error, ")
-    if kind == "missing":  # an entry of a list; CheckedRecord itself looks for missing fields
+    if kind == "missing":  # an entry of a list; fields are checked by CheckedRecord
         return "is missing"
     if kind in _TEXTS:
         return f"{_TEXTS[kind].format(**context)}, {shown_value(value)}"
     if kind in ("too_short", "too_long"):
         most, key = ("most", "max_length") if kind == "too_long" else ("least", "min_length")
-        length = context.get("actual_length")  # None where pydantic stopped counting
+        length = context.get("actual_length")  # None if pydantic stopped counting
         limit = count_text(context[key], "entry", "entries")
         return f"must have at {most} {limit}, got {'more' if length is None else length}"
     if kind in ("union_tag_invalid", "union_tag_not_found"):
@@ -290,7 +291,7 @@ def _error_text(kind: str, context: Mapping[str, Any], value: Any, message: str)
 
 
 def _no_member(context: Mapping[str, str], value: Any) -> str:
-    """The text for a value that fits no member of a union."""
+    """The text for a value that matches no member of a union."""
     key = context["discriminator"].removesuffix("()")
     tags = re.findall("<(.*?)>", context.get("expected_tags", ""))
     if key == shape.__name__:
@@ -303,7 +304,7 @@ def _no_member(context: Mapping[str, str], value: Any) -> str:
 
 
 def _path(location: tuple[int | str, ...]) -> str:
-    """A path as TOML and Python write it: fields by name, list entries as [i]. Tags of unions are left out."""
+    """A path in the notation of TOML and Python: fields by name, list entries as [i]. Tags of unions are left out."""
     path = ""
     for part in location:
         if isinstance(part, int):
@@ -314,10 +315,10 @@ def _path(location: tuple[int | str, ...]) -> str:
 
 
 def read_toml(path: Path) -> dict[str, Any]:
-    """The tables of a TOML file.
+    """Read the tables of a TOML file.
 
     Raises:
-        InputError: the file cannot be read, or "x.toml: not valid TOML: …".
+        InputError: the file cannot be read, or is not TOML ("x.toml: not valid TOML: …").
     """
     try:
         data = read_regular(path, MOST_TOML_BYTES)
@@ -335,7 +336,7 @@ def read_toml(path: Path) -> dict[str, Any]:
         raise InputError(f"{path}: not valid TOML: not UTF-8 text") from None
     except RecursionError:
         raise InputError(f"{path}: not valid TOML: lists or tables in too many levels") from None
-    except ValueError as error:  # also raised for a whole number of too many digits
+    except ValueError as error:  # also raised for a whole number with too many digits
         raise InputError(f"{path}: not valid TOML: {reason(error)}") from None
 
 

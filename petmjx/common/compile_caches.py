@@ -22,12 +22,11 @@ from petmjx.common.text import printable
 Kind = Literal["jax", "warp"]
 
 VARIABLES: Final[dict[Kind, str]] = {"jax": "JAX_COMPILATION_CACHE_DIR", "warp": "WARP_CACHE_PATH"}
-"""Environment variable in which JAX or Warp itself looks for its folder. This variable takes precedence over
-petmjx's."""
+"""The environment variable that JAX or Warp itself uses for its folder. It takes precedence over petmjx's variable."""
 
 
 def wanted_folder(kind: Kind) -> Path:
-    """The folder for compiled programs that the environment asks for. Whether the folder can be written is not checked.
+    """The folder for compiled programs according to the environment. Whether the folder is writable is not checked.
 
     Raises:
         RuntimeError: there is no home folder, and no variable names a folder.
@@ -39,7 +38,7 @@ def wanted_folder(kind: Kind) -> Path:
 
 
 def why_not_written(kind: Kind) -> str:
-    """The reason why the wanted folder cannot be used; "" if it can."""
+    """Why the wanted folder cannot be used; "" if it can."""
     try:
         folder = wanted_folder(kind)
     except RuntimeError as error:
@@ -52,7 +51,7 @@ def cache_folder(kind: Kind) -> Path:
     """A writable folder for compiled programs: the wanted one, or else a temporary one.
 
     Raises:
-        EngineUnavailable: neither can be written.
+        EngineUnavailable: neither is writable.
     """
     if why := why_not_written(kind):
         try:
@@ -65,7 +64,7 @@ def cache_folder(kind: Kind) -> Path:
 
 
 def why_no_folder(kind: Kind) -> str | None:
-    """The reason why there is no folder for compiled programs at all; None if there is one."""
+    """Why there is no folder for compiled programs at all; None if there is one."""
     try:
         cache_folder(kind)
     except EngineUnavailable as error:
@@ -75,10 +74,10 @@ def why_no_folder(kind: Kind) -> str | None:
 
 @functools.cache
 def _why_unusable(folder: Path) -> str:
-    """Why nothing can be written into a folder; "" if something can. A missing folder is made."""
+    """Why nothing can be written into a folder; "" if something can. A missing folder is created."""
     try:
         folder.mkdir(parents=True, exist_ok=True)
-        # Warp makes a folder for each of its versions; if root made one in a user's home, the user cannot write it
+        # Warp makes a folder for each of its versions; if root made one in a user's home, the user cannot write to it
         for place in (folder, *(entry for entry in folder.iterdir() if entry.is_dir() and entry.name[:1].isdigit())):
             with tempfile.TemporaryFile(dir=place):
                 pass
@@ -89,16 +88,16 @@ def _why_unusable(folder: Path) -> str:
 
 @functools.cache
 def temporary_folder() -> Path:
-    """A temporary folder that only this user can write. Raises OSError.
+    """A temporary folder that only this user can write to. Raises OSError.
 
-    All processes of the user share this folder. If another user owns a folder of this name, this process gets a folder
-    of its own.
+    All processes of the user share this folder. If the folder of this name belongs to another user, this process gets a
+    folder of its own.
     """
     folder = Path(tempfile.gettempdir()) / f"petmjx-cache-{os.getuid()}"
     with suppress(FileExistsError):
         folder.mkdir(mode=0o700)
     status = folder.lstat()
-    # who can write this folder can make this user run their programs
+    # anyone who can write to this folder can make this user run their programs
     is_ours = stat.S_ISDIR(status.st_mode) and status.st_uid == os.getuid() and not status.st_mode & 0o022
     if is_ours and not _why_unusable(folder):
         return folder

@@ -8,14 +8,14 @@ Point = tuple[float, float]
 
 
 def convex_hull(points: Iterable[Point], least_turn: float = 0.0) -> list[Point]:
-    """The corners of the convex hull, anticlockwise from the lowest x.
+    """The corners of the convex hull, anticlockwise, beginning at the smallest x.
 
     Andrew 1979, "Another efficient algorithm for convex hulls in two dimensions", Information Processing Letters 9(5),
     216–219.
 
     Args:
-        least_turn: a point is a corner if the outline turns there by more than this. The turn is measured as the area
-            of the parallelogram of the two sides that meet at the point.
+        least_turn: a point is a corner if the outline turns there by more than this. The turn is the area of the
+            parallelogram spanned by the two sides that meet at the point.
     """
     ordered = sorted(set(points))
     return _half(ordered, least_turn) + _half(ordered[::-1], least_turn)

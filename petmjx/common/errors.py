@@ -1,10 +1,10 @@
-"""Errors that the user can correct. Each error has one clear line; the command line shows no traceback."""
+"""Errors that users can correct. Each has a clear text of one line; the command line shows no traceback."""
 
 from __future__ import annotations
 
 
 class PetmjxError(Exception):
-    """Base of all errors that petmjx raises on purpose. The text of the error is one line that says what to do."""
+    """Base class of all errors that petmjx raises on purpose. The text is one line that tells the user what to do."""
 
 
 class InputError(PetmjxError):
@@ -12,9 +12,8 @@ class InputError(PetmjxError):
 
 
 class PlanWarning(UserWarning):
-    """A plan that seems to use other units or another convention than petmjx's; or an entry that a leaderboard does not
-    rate."""
+    """A plan appears to use other units or other conventions than petmjx; or a leaderboard does not rate an entry."""
 
 
 class EngineUnavailable(PetmjxError):
-    """An engine cannot run on this machine. The text says why."""
+    """An engine cannot run on this machine. The text gives the reason."""

@@ -1,4 +1,4 @@
-"""Kinds of files that petmjx does not read, recognised by their first bytes, with an error text for each."""
+"""Kinds of files that petmjx cannot read, with an error text for each. They are recognised by their first bytes."""
 
 from __future__ import annotations
 
@@ -22,19 +22,19 @@ _MAGIC: Final = (
     (b"\x28\xb5\x2f\xfd", "is packed with Zstandard: unpack it, or pack it with gzip"),
     (b"7z\xbc\xaf\x27\x1c", "is a 7z archive: unpack it"),
 )
-"""First bytes of files that are no text, and the error text for each."""
+"""First bytes of files that are not text → the error text."""
 
 _MARKUP: Final = re.compile(rb"\s*<(\?xml|!doctype \w+|!--|[a-z][\w:.-]*)[\s/>]", re.IGNORECASE)
 _PICKLE: Final = re.compile(rb"\x80[\x02-\x05]")
 _SNIFFED_BYTES: Final = 1 << 12
-"""Number of bytes at the beginning of a file by which its format is recognised."""
+"""Number of bytes at the beginning of a file from which its format is recognised."""
 LOOKED_AT_ARCHIVE: Final = 1 << 16
-"""Number of bytes at the beginning of a ZIP archive by which its content is recognised."""
+"""Number of bytes at the beginning of a ZIP archive from which its content is recognised."""
 
 
 def foreign_kind(data: bytes | bytearray) -> str | None:
-    """The format of a file that cannot be JSON or CSV, by its first bytes, as an error text. None: the file may be JSON
-    or CSV.
+    """An error text that names the format of a file, if its first bytes show that it cannot be JSON or CSV. None: it
+    may be JSON or CSV.
     """
     begin = bytes(data[:_SNIFFED_BYTES])
     if begin.startswith(b"PK\x03\x04"):

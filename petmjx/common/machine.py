@@ -1,6 +1,6 @@
 """The hardware and software of this machine: CPU threads, CUDA devices, package versions.
 
-No import of this module imports JAX; functions that need it import it themselves.
+Importing this module does not import JAX. Functions that need JAX import it themselves.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from petmjx.common.text import count_text
 from petmjx.version import __version__
 
 PACKAGES = ("mujoco", "mujoco-mjx", "jax", "jaxlib", "warp-lang", "numpy", "pandas", "pyarrow")
-"""Packages whose versions are written beside every result, after the version of petmjx."""
+"""Packages whose versions are stored with every result, besides the version of petmjx."""
 
 _NAME_BYTES = 128
 
@@ -30,22 +30,22 @@ _STARTING_JAX = threading.Lock()
 
 
 def cpu_threads() -> int:
-    """Number of threads that this process may run at once: its CPU affinity, if the system has one."""
+    """Number of threads that this process may run at the same time: that of its CPU affinity, if the system has one."""
     if hasattr(os, "sched_getaffinity"):
         return len(os.sched_getaffinity(0))
     return os.cpu_count() or 1
 
 
 def own_environment() -> dict[str, str]:
-    """Environment variables for another interpreter, which then imports the same modules as this one."""
+    """Environment variables for another interpreter, so that it imports the same modules as this one."""
     path = os.pathsep.join(entry or os.getcwd() for entry in sys.path)
-    # so that no file of the current folder hides a module
+    # so that no file in the current folder hides a module
     return {**os.environ, "PYTHONPATH": path, "PYTHONSAFEPATH": "1"}
 
 
 @functools.cache
 def cpu_name() -> str:
-    """The name of the processor, or its architecture if the system does not know the name."""
+    """The name of the processor; its architecture if the system does not know the name."""
     try:
         lines = Path("/proc/cpuinfo").read_text(encoding="utf-8", errors="replace").splitlines()
     except OSError:
@@ -56,7 +56,7 @@ def cpu_name() -> str:
 
 @functools.cache
 def cuda_devices() -> tuple[str, ...]:
-    """Names of the CUDA devices, from the driver: this takes milliseconds and allocates no device memory."""
+    """Names of the CUDA devices according to the driver. This takes milliseconds and allocates no device memory."""
     try:
         driver = ctypes.CDLL("libcuda.so.1")
     except OSError:
@@ -75,13 +75,14 @@ def cuda_devices() -> tuple[str, ...]:
 
 
 def jax_devices(platform: str | None = None) -> list[Any]:
-    """JAX's devices. JAX is started so that it leaves device memory to Warp.
+    """JAX's devices. JAX is started in such a manner that device memory remains for Warp.
 
-    When JAX first looks for its devices, XLA takes three quarters of a GPU's memory unless an environment variable
-    forbids it. The variable is set only while the devices are listed. A value that the user has set stays.
+    When JAX first searches for its devices, XLA reserves three quarters of a GPU's memory unless an environment
+    variable forbids it. This variable is set only while the devices are listed. If the user has set it, its value
+    stays.
 
     Args:
-        platform: a platform of JAX, such as "cuda"; None: JAX's default.
+        platform: one of JAX's platforms, such as "cuda"; None: JAX's default.
 
     Raises:
         RuntimeError: JAX has no such devices.
@@ -101,13 +102,13 @@ def jax_devices(platform: str | None = None) -> list[Any]:
 
 
 def package_versions() -> dict[str, str]:
-    """Package → version, of petmjx and the installed packages among ``PACKAGES``, on which results depend."""
+    """Package → version, for petmjx and the installed packages of ``PACKAGES``, which affect results."""
     return dict(_package_versions())
 
 
 @functools.cache
 def _package_versions() -> dict[str, str]:
-    # petmjx's version is taken from the code: the metadata of an editable installation may be old
+    # petmjx's version comes from the code, since the metadata of an editable installation may be outdated
     versions = {"petmjx": __version__}
     for package in PACKAGES:
         try:
@@ -132,9 +133,9 @@ def device_name(engine: str, threads: int | None = None) -> str:
 
 
 def why_no_warp_at_once() -> str | None:
-    """The reason why mjx-warp cannot run here, as far as it shows without importing JAX, which takes seconds.
+    """Why mjx-warp cannot run on this machine, as far as this is known without importing JAX, which takes seconds.
 
-    None: no reason was found without JAX.
+    None: no reason is known without JAX.
     """
     if not cuda_devices():
         return "no CUDA device (or no driver) on this machine"
@@ -144,8 +145,8 @@ def why_no_warp_at_once() -> str | None:
 
 
 def why_no_warp() -> str | None:
-    """The reason why mjx-warp cannot run here; None if it can. JAX is imported only if a CUDA device and Warp are
-    present."""
+    """Why mjx-warp cannot run on this machine; None if it can. JAX is imported only if there are a CUDA device and
+    Warp."""
     if problem := why_no_warp_at_once():
         return problem
     try:
@@ -156,7 +157,7 @@ def why_no_warp() -> str | None:
 
 
 def why_no_warp_on_cpu() -> str | None:
-    """The reason why mjx-warp-cpu cannot run here; None if it can, unless JAX uses a GPU in this process."""
+    """Why mjx-warp-cpu cannot run on this machine; None if it can, unless JAX uses a GPU in this process."""
     if importlib.util.find_spec("warp") is None:
         return "Warp is not installed: pip install 'petmjx[warp]'"
     return why_no_folder("warp")

@@ -1,4 +1,5 @@
-"""Checks before files are written: does a file exist, is it petmjx's own, may it be replaced. All commands use them."""
+"""Checks before files are written: whether a file exists, whether petmjx wrote it, and whether it may be replaced. All
+commands use them."""
 
 from __future__ import annotations
 
@@ -13,7 +14,7 @@ from petmjx.common.errors import InputError
 from petmjx.common.text import printable
 
 IsOurs = Callable[[Path], bool]
-"""Function that says whether petmjx wrote a regular file."""
+"""Function that tells whether petmjx wrote a regular file."""
 
 
 def check_outputs(
@@ -24,20 +25,20 @@ def check_outputs(
     folder: Path | None = None,
     is_ours: IsOurs = lambda file: True,
 ) -> None:
-    """Check that files may be written. Nothing is changed.
+    """Check that files may be written. Nothing is changed on disk.
 
     Inputs, links (which may lead anywhere) and folders are never replaced. If the user named only a folder, petmjx
-    chooses the names in it; then files that petmjx did not write are never replaced either. All other files are
-    replaced with ``overwrite``.
+    chooses the names of the files in it; then files that petmjx did not write are never replaced either. All other
+    files may be replaced with ``overwrite``.
 
     Args:
         files: the files to be written. Names in ``/dev`` may always be written.
-        inputs: files that are read, and folders of which all files are read.
-        folder: the folder that the user named, if the user did not name the files. The folder may be a link or missing.
-        is_ours: whether petmjx wrote a file of ``folder``.
+        inputs: files that are read, and folders whose files are all read.
+        folder: the folder that the user named, if the user did not name the files. It may be a link, or missing.
+        is_ours: function that tells whether petmjx wrote a file of ``folder``.
 
     Raises:
-        InputError: the first file that may not be written, and why.
+        InputError: a file may not be written. The message names the first such file and the reason.
     """
     read = list(inputs)
     if folder is not None:
@@ -45,7 +46,7 @@ def check_outputs(
     for file in files:
         if folder is not None:
             _check_way(file, folder)
-        elif str(file.absolute()).startswith("/dev/"):  # /dev/stdout is a link, and may lead to a file
+        elif str(file.absolute()).startswith("/dev/"):  # /dev/stdout is a link that may lead to a file
             continue
         _check(file, overwrite, read, None if folder is None else is_ours)
 
@@ -59,7 +60,8 @@ def _check_folder(folder: Path) -> None:
 
 
 def _check_way(file: Path, folder: Path) -> None:
-    """Check the folders between the named folder and the file. The folders are petmjx's own: no links, no files."""
+    """Check the folders between the named folder and the file. They are petmjx's own, so none may be a link or a
+    file."""
     between = [parent for parent in file.parents if parent != folder and parent.is_relative_to(folder)]
     for parent in reversed(between):
         with _path_errors(parent):
@@ -87,7 +89,7 @@ def _check(file: Path, overwrite: bool, inputs: Iterable[Path], is_ours: IsOurs 
             raise InputError(
                 f"{_name(file)}: exists already; name another file, or pass {option('--overwrite', 'True')}"
             )
-        return  # a FIFO or a device that the user named is written to
+        return  # FIFOs and devices that the user named are written to
     if not stat.S_ISREG(mode):
         raise InputError(f"{_name(file)}: cannot be written: is no regular file")
     if not is_ours(file):
@@ -106,10 +108,10 @@ def _is_read(file: Path, source: Path) -> bool:
 
 @contextmanager
 def _path_errors(path: Path) -> Iterator[None]:
-    """Turn system errors of the body, which inspects a path, into an InputError that names the path."""
+    """Turn system errors of the body, which examines a path, into an InputError that names the path."""
     try:
         yield
-    except (OSError, ValueError, RuntimeError) as error:  # a NUL in the name; a circle of links
+    except (OSError, ValueError, RuntimeError) as error:  # a NUL in the name; links in a circle
         raise InputError(f"{_name(path)}: cannot be written: {reason(error)}") from error
 
 

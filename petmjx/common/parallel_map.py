@@ -1,4 +1,4 @@
-"""Parallel map: a function over many tasks in several processes, with results in order or as they come."""
+"""Parallel map: calls a function for many tasks in several processes. Results come in order, or as soon as ready."""
 
 from __future__ import annotations
 
@@ -11,16 +11,16 @@ from typing import Final, Generic, Self, TypeVar
 from petmjx.common.processes import process_pool, stop
 
 ALONE: Final = 256
-"""With fewer tasks than this, all run in this process: at milliseconds a task, other processes would take longer to
-start."""
+"""With fewer tasks than this, all of them run in this process: starting other processes would take longer, if a task
+takes milliseconds."""
 
 _CHUNK: Final = 16
 _CHUNKS_AHEAD: Final = 4
-"""Chunks in flight for each process. This bounds the memory."""
+"""Number of chunks in flight per process. It limits the memory."""
 
 _NICE: Final = 5
-"""Niceness that ``UnorderedResults`` adds to its processes. The process that takes their results has priority, since
-it keeps an engine at work."""
+"""Niceness that ``UnorderedResults`` adds to its processes. The process that receives their results thus has priority,
+since it keeps an engine busy."""
 
 Task = TypeVar("Task")
 Result = TypeVar("Result")
@@ -34,14 +34,14 @@ def ordered_results(
     alone: int | None = None,
     chunk: int = _CHUNK,
 ) -> Iterator[Result]:
-    """``function`` of each task, in the order of the tasks. The results do not depend on ``workers``.
+    """Yield the results of ``function`` for all tasks, in the order of the tasks. They do not depend on ``workers``.
 
     Args:
-        function: a function of a module (or ``functools.partial`` of one), since other processes import it.
-        tasks: iterated in this process, only as far ahead as is needed.
-        workers: number of processes; 1: this one. Scripts with more than 1 need ``if __name__ == "__main__":``.
-        alone: with fewer tasks than this, all run in this process; None: ``ALONE``.
-        chunk: number of tasks that another process gets at a time.
+        function: a function defined in a module (or ``functools.partial`` of one), since other processes import it.
+        tasks: iterated in this process, only as far ahead as necessary.
+        workers: number of processes; 1: only this process. Scripts that use more need ``if __name__ == "__main__":``.
+        alone: with fewer tasks than this, all of them run in this process; None: ``ALONE``.
+        chunk: number of tasks that another process receives at a time.
     """
     tasks, alone = iter(tasks), ALONE if alone is None else alone
     first = list(islice(tasks, alone)) if workers > 1 else []
@@ -67,11 +67,11 @@ def _task_results(function: Callable[[Task], Result], tasks: list[Task]) -> list
 
 
 class UnorderedResults(Generic[Task, Result]):
-    """``function`` of each task, in the order in which results become ready. For use in a ``with`` block.
+    """The results of ``function`` for all tasks, in the order in which they become ready. For use in a ``with`` block.
 
     Args:
-        function, tasks: as of ``ordered_results``.
-        workers: number of processes; 1: this process, in which a task runs when ``take`` waits for a result.
+        function, tasks: as for ``ordered_results``.
+        workers: number of processes; 1: only this process, which runs a task when ``take`` waits for a result.
     """
 
     def __init__(self, function: Callable[[Task], Result], tasks: Iterable[Task], workers: int) -> None:
@@ -123,7 +123,7 @@ class UnorderedResults(Generic[Task, Result]):
         return self
 
     def __exit__(self, kind: object = None, *_: object) -> None:
-        """End the processes. After an error their tasks are aborted."""
+        """End the processes. After an error, their tasks are aborted."""
         if self._pool is not None:
             if kind is not None:
                 stop(self._pool)

@@ -1,4 +1,4 @@
-"""Prefetch: a generator runs in its own thread, ahead of the consumer of its items."""
+"""Prefetch: a generator runs in its own thread, ahead of the code that uses its items."""
 
 from __future__ import annotations
 
@@ -19,11 +19,11 @@ class _End:
 
 
 def prefetch(items: Generator[Item], most: int) -> Generator[Item]:
-    """The items of a generator, in order, made ahead in a thread.
+    """Yield the items of a generator in order, while a thread makes the following ones.
 
-    The thread starts when the first item is requested. The thread makes items until ``most`` of them wait in the queue,
-    and one more. An error of ``items`` is raised after all items before it have been taken. Closing the result closes
-    ``items`` in its thread, and returns when the thread has ended.
+    The thread starts when the first item is requested. It makes items until ``most`` of them wait in the queue, and
+    then one more. An error of ``items`` is raised after all items before it have been taken. Closing the result closes
+    ``items`` in the thread, and returns when the thread has ended.
 
     Args:
         most: number of items that may wait before the thread pauses.
@@ -39,7 +39,7 @@ def prefetch(items: Generator[Item], most: int) -> Generator[Item]:
                     room.acquire()
                     if closed.is_set():
                         break
-        except BaseException as error:  # in no other local: its traceback holds this frame, and thus the items
+        except BaseException as error:  # kept in no other local: its traceback holds this frame and the items
             queue.put(_End(error))
         else:
             queue.put(_End(None))
@@ -55,7 +55,7 @@ def prefetch(items: Generator[Item], most: int) -> Generator[Item]:
             _wait_for(end_event)
             thread.join()
 
-    atexit.register(end)  # a thread that is inside JAX aborts the process when Python ends
+    atexit.register(end)  # a thread inside JAX aborts the process when Python ends
     try:
         thread.start()
         while not isinstance(item := queue.get(), _End):
@@ -76,8 +76,8 @@ def prefetch(items: Generator[Item], most: int) -> Generator[Item]:
 def _wait_for(ended: threading.Event) -> None:
     """Wait until the thread has ended, however often the wait is interrupted.
 
-    Until then nobody else may use the objects of the thread. ``Thread.join`` is not enough: after an interruption it
-    takes the thread for ended.
+    Until the thread has ended, no other code may use its objects. ``Thread.join`` does not ensure this: after an
+    interruption, it regards the thread as ended.
     """
     try:
         ended.wait()

@@ -1,4 +1,4 @@
-"""Worker processes and threads, deferred signals, and the pace of Python's garbage collection."""
+"""Worker processes and threads, deferred signals, and the frequency of Python's garbage collection."""
 
 from __future__ import annotations
 
@@ -17,23 +17,23 @@ from petmjx.common.machine import cpu_threads
 
 
 def process_pool(processes: int, *, gpu: bool = True, nice: int = 0) -> ProcessPoolExecutor:
-    """A pool of fresh processes. Forked processes would hang if a thread of this process held a lock.
+    """A pool of newly started processes. Forked processes would hang if a thread of this process held a lock.
 
-    If this process is killed, the pool's processes end too. Without ``_begin`` the processes would wait for tasks for
-    ever.
+    If this process is killed, the processes of the pool end as well, because of ``_begin``. Otherwise they would wait
+    for tasks for ever.
 
     Args:
-        gpu: whether the processes see GPUs. A process that sees a GPU takes some of the GPU's memory even without using
-            it.
-        nice: niceness that is added to the processes, so that this process has priority. Without effect on systems
-            that have no niceness.
+        gpu: whether the processes see GPUs. A process that sees a GPU takes some of its memory even if it does not use
+            the GPU.
+        nice: niceness that is added to the processes, so that this process has priority. It has no effect on systems
+            without niceness.
     """
     return ProcessPoolExecutor(processes, mp_context=get_context("spawn"), initializer=_begin, initargs=(gpu, nice))
 
 
 def stop(pool: ProcessPoolExecutor) -> None:
-    """End a pool's processes at once: ``shutdown`` would wait for the tasks in flight. No caller may still wait for
-    results of tasks."""
+    """End a pool's processes immediately, whereas ``shutdown`` would wait for the running tasks. No caller may still be
+    waiting for results of tasks."""
     for process in list((pool._processes or {}).values()):
         process.terminate()
 
@@ -55,18 +55,18 @@ def _begin(gpu: bool, nice: int) -> None:
 
 
 MOST_THREADS: Final = 2
-"""Default number of threads. With more threads, they wait for Python's global lock: on the host of an H200, places for
-2,048 pallets took 155 ms with one thread, 118 ms with two, 141 ms with eight and 158 ms with sixteen."""
+"""Default number of threads. More threads wait for Python's global lock. On the host of an H200, places for 2,048
+pallets took 155 ms with one thread, 118 ms with two, 141 ms with eight and 158 ms with sixteen."""
 
 _FEW: Final = 2
-"""With at most this many pieces, this thread is done before other threads have started."""
+"""With at most this many pieces, this thread has finished before other threads have started."""
 
 Piece = TypeVar("Piece")
 Result = TypeVar("Result")
 
 
 def on_threads(function: Callable[[Piece], Result], pieces: Sequence[Piece], most: int = MOST_THREADS) -> list[Result]:
-    """``function`` of each piece, computed on several threads. Results are in the order of the pieces.
+    """Call ``function`` for each piece, on several threads. The results are in the order of the pieces.
 
     Args:
         pieces: arguments of the calls; the longest should come first.
@@ -79,18 +79,18 @@ def on_threads(function: Callable[[Piece], Result], pieces: Sequence[Piece], mos
 
 
 STOPPING: Final = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
-"""Signals that ask a run to end."""
+"""Signals that request the end of a run."""
 
 
 @contextlib.contextmanager
 def defer_signals(afterwards: bool) -> Iterator[None]:
     """Defer the signals ``STOPPING`` until the body has ended, if Python functions handle them.
 
-    Without effect outside the main thread: handlers interrupt only that one.
+    This has no effect outside the main thread, since handlers interrupt only the main thread.
 
     Args:
-        afterwards: deliver a signal that came meanwhile. Otherwise it is dropped, for a run that is about to end
-            anyway.
+        afterwards: whether to deliver a signal that arrived meanwhile. Otherwise it is dropped, because the run is
+            about to end anyway.
     """
     if threading.current_thread() is not threading.main_thread():
         yield
@@ -114,20 +114,20 @@ def defer_signals(afterwards: bool) -> Iterator[None]:
 
 
 EVERY: Final = (50_000, 20, 100)
-"""Thresholds of Python's garbage collector: new objects before it collects the youngest generation, and collections
-before it collects each older one. With the default of 700, 10 and 10 it scans all objects of JAX and Warp again and
-again while they start."""
+"""Thresholds of Python's garbage collector: the number of new objects before it collects the youngest generation, and
+the number of collections before it collects each older one. With the default of 700, 10 and 10 it would scan all
+objects of JAX and Warp again and again while they start."""
 
 
 def collect_rarely() -> None:
-    """Collect garbage rarely. Only for processes that petmjx started, not for a user's process."""
+    """Make garbage collections rare. Only for processes that petmjx started, not for a user's process."""
     gc.set_threshold(*EVERY)
 
 
 @contextlib.contextmanager
 def no_collection() -> Iterator[None]:
-    """Collect no garbage meanwhile. For code that makes very many objects without cycles: the collector would look at
-    all of them, again and again."""
+    """Collect no garbage while the body runs. For code that makes very many objects without cycles, which the collector
+    would scan again and again."""
     enabled = gc.isenabled()
     gc.disable()
     try:

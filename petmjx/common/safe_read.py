@@ -1,4 +1,4 @@
-"""Bounded reading of files that users name, also of Parquet: whatever a path leads to, the read ends."""
+"""Bounded reading of files that users name, including Parquet: wherever a path leads, reading ends."""
 
 from __future__ import annotations
 
@@ -11,12 +11,13 @@ from typing import BinaryIO, Final
 _BLOCK: Final = 1 << 20
 
 MOST_BYTES: Final = 4 << 30
-"""Largest size of a file of plans or of a table: 100 times BED-BPP's 10,003 plans, which take some 40 MB."""
+"""Largest size of a file of plans or of a table: 100 times the size of BED-BPP's 10,003 plans, which take about 40
+MB."""
 MOST_RATIO: Final = 100
 FREE_BYTES: Final = 64 << 20
-"""Bounds of compression. A file that unpacks to more than `FREE_BYTES` and to more than `MOST_RATIO` times its own size
-is refused: no real table of plans is packed so densely. Gzip packs plans to a tenth or a thirtieth, and zeros to a
-thousandth; Parquet packs results to a tenth."""
+"""Limits of compression. A file is refused if it unpacks to more than ``FREE_BYTES`` and to more than ``MOST_RATIO``
+times its own size, because no real table of plans can be compressed that much. Gzip compresses plans to a tenth or a
+thirtieth, and zeros to a thousandth; Parquet compresses results to a tenth."""
 
 _KINDS: Final = (
     (stat.S_ISDIR, errno.EISDIR, "Is a directory"),
@@ -28,13 +29,14 @@ _KINDS: Final = (
 
 
 def open_regular(path: Path) -> BinaryIO:
-    """A regular file to read from. FIFOs, sockets and devices are refused without waiting: some of them never end.
+    """Open a regular file for reading. FIFOs, sockets and devices are refused at once, because some of them never end.
 
     Raises:
-        OSError: the file cannot be read, or is no regular file; ``strerror`` says which.
+        OSError: the file cannot be read, or is not a regular file; ``strerror`` tells which.
         ValueError: no file can have this name.
     """
-    # checked before opening, since opening a device may have an effect; checked again, since the path may have changed
+    # checked before opening, since opening a device may have an effect, and again after it, since the path may have
+    # changed
     _check(os.stat(path))
     descriptor = os.open(path, os.O_RDONLY | os.O_CLOEXEC | os.O_NONBLOCK)
     try:
@@ -46,13 +48,13 @@ def open_regular(path: Path) -> BinaryIO:
 
 
 def read_regular(path: Path, most: int) -> bytearray:
-    """The bytes of a regular file. A file that changes meanwhile is read to its end.
+    """Read the bytes of a regular file. A file that changes meanwhile is read to its end.
 
     Args:
-        most: largest size in bytes. A larger file is refused, before it is read if its size is known.
+        most: largest size in bytes. A larger file is refused, if possible before it is read.
 
     Raises:
-        OSError: the file cannot be read, is no regular file, or is too large; ``strerror`` says which.
+        OSError: the file cannot be read, is not a regular file, or is too large; ``strerror`` tells which.
         ValueError: no file can have this name.
     """
     with open_regular(path) as file:
@@ -77,7 +79,7 @@ def _too_large(most: int) -> OSError:
 
 
 def size(n_bytes: int) -> str:
-    """A number of bytes in messages: "4 GiB", "16 MiB"."""
+    """A number of bytes as messages show it: "4 GiB", "16 MiB"."""
     return f"{n_bytes >> 30} GiB" if n_bytes >= 1 << 30 else f"{n_bytes >> 20} MiB"
 
 

@@ -1,4 +1,4 @@
-"""Texts, counts and times as petmjx writes them for people."""
+"""Texts, counts and times in the form in which petmjx shows them to people."""
 
 from __future__ import annotations
 
@@ -11,10 +11,10 @@ _ESCAPES: Final = {"\n": "\\n", "\r": "\\r", "\t": "\\t"}
 
 
 def printable(text: str) -> str:
-    """Text that fits into one line: characters that are not visible are escaped ("\\u001b").
+    """Make text fit into one line: characters that are not visible are escaped ("\\u001b").
 
-    Escaped are control characters (ESC and C1 of terminals too), line breaks, marks that change the direction of
-    writing, and broken UTF-8. All text from files goes through this function before it is printed.
+    This applies to control characters (including ESC and C1 of terminals), line breaks, marks that change the direction
+    of writing, and broken UTF-8. All text from files passes through this function before it is printed.
     """
     if text.isprintable():
         return text
@@ -22,30 +22,30 @@ def printable(text: str) -> str:
 
 
 def _escape_sequence(code: int) -> str:
-    """The escape of a character: "\\xe4" for a lone surrogate, by which Python keeps a byte that is no UTF-8; else
-    "\\u001b".
+    """The escape of a character: "\\u001b"; or "\\xe4" for a lone surrogate, with which Python represents a byte that
+    is not UTF-8.
     """
     return f"\\x{code - 0xDC00:02x}" if 0xDC80 <= code <= 0xDCFF else f"\\u{code:04x}"
 
 
 def printable_name(text: str) -> str:
-    """A name from a file as messages show it: printable, and of bounded length."""
+    """A name from a file in the form that messages show: printable, and of limited length."""
     return shortened_text(printable(text))
 
 
 def shortened_text(text: str) -> str:
-    """The beginning of a text that is too long for a message."""
+    """A text, shortened to its beginning if it is too long for a message."""
     return text if len(text) <= _SHOWN_CHARACTERS else text[:_SHOWN_CHARACTERS] + "…"
 
 
 def first_names(names: Sequence[str], most: int = 5) -> str:
-    """The first of many names from files, as messages show them: "a, b and 3 more"."""
+    """The first of many names from files, in the form that messages show: "a, b and 3 more"."""
     more_text = f" and {len(names) - most:,} more" if len(names) > most else ""
     return ", ".join(map(printable_name, names[:most])) + more_text
 
 
 def is_text(text: str) -> bool:
-    """Whether a string can be written as UTF-8. Lone surrogates cannot: they stand for bytes that were not UTF-8."""
+    """Whether a string can be written as UTF-8. Lone surrogates cannot: they represent bytes that were not UTF-8."""
     if text.isascii():
         return True
     try:
@@ -60,8 +60,8 @@ UNNAMED: Final = "no article"
 
 
 def box_in_words(box: int, article: str) -> str:
-    """A box in messages: "box 22 (candy-00100723)", or "box 22" without an article. Boxes count from 0 in packing
-    order.
+    """A box as messages name it: "box 22 (candy-00100723)", or "box 22" without an article. Boxes are numbered from 0,
+    in packing order.
     """
     return f"box {box} ({printable_name(article)})" if article else f"box {box}"
 
@@ -72,8 +72,8 @@ def box_label(box: int, article: str) -> str:
 
 
 def number_in(text: str) -> float | None:
-    """The number in a text of a file; None if the text is no number. Stricter than ``float``, which also reads "1_000"
-    and digits that are not ASCII.
+    """The number in a text from a file; None if the text is not a number. Stricter than ``float``, which also accepts
+    "1_000" and digits that are not ASCII.
     """
     if not text.isascii() or "_" in text:
         return None
@@ -89,12 +89,12 @@ def one_line(error: BaseException) -> str:
 
 
 def count_text(number: int, noun: str, plural: str | None = None) -> str:
-    """A count with its noun: "1 plan", "2,000 plans". ``plural`` is needed where it is not the noun with an s."""
+    """A count with its noun: "1 plan", "2,000 plans". ``plural`` is needed if it is not the noun with an added s."""
     return f"{number:,} {noun if number == 1 else plural or noun + 's'}"
 
 
 def rounded_text(count: float) -> str:
-    """A large number with three digits: "136 thousand"."""
+    """A large number, rounded to three digits: "136 thousand"."""
     for unit, size in (("billion", 1e9), ("million", 1e6), ("thousand", 1e3)):
         if count >= size:
             return f"{count / size:.3g} {unit}"
@@ -102,7 +102,7 @@ def rounded_text(count: float) -> str:
 
 
 def duration(seconds: float) -> str:
-    """A time to wait, in whole seconds, minutes or tenths of an hour."""
+    """A waiting time, in whole seconds, whole minutes or tenths of an hour."""
     if seconds < 90:
         return f"{max(seconds, 1):.0f} s"
     if seconds < 5400:
@@ -121,10 +121,10 @@ def time_left(seconds: float) -> str:
 
 
 def three_digits(value: float, sign: bool = False) -> str:
-    """A number of any size in at least three digits: "0.00123", "12.3", "1,234", "1.23e+06".
+    """A number of any size with at least three digits: "0.00123", "12.3", "1,234", "1.23e+06".
 
     Args:
-        sign: whether positive numbers get a sign too.
+        sign: whether positive numbers also get a sign.
     """
     grouped = 99.95 <= abs(value) < 999_999.5
     return format(value, ("+" if sign else "") + (",.0f" if grouped else ".3g"))

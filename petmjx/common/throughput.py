@@ -9,16 +9,16 @@ from collections.abc import Callable
 from petmjx.common.text import count_text, three_digits, time_left
 
 MARK_S = 0.1
-"""Least time between two marks, s. This bounds the number of kept times, even for a million worlds."""
+"""Smallest time between two marks, s. It limits the number of stored times, even for a million worlds."""
 
 
 class Throughput:
-    """Counts finished worlds; says their number, their rate, and how long the remaining worlds will take.
+    """Counts finished worlds, and reports their number, their rate, and the time that the remaining worlds will take.
 
     Args:
-        total: number of worlds; None if it is not known.
-        what: the noun for a world in messages: ``plan``, or ``world`` in sweeps.
-        clock: the time now, s.
+        total: number of worlds; None if it is unknown.
+        what: the noun for a world in messages: ``plan``; or ``world`` in sweeps.
+        clock: function that returns the present time, s.
     """
 
     def __init__(self, total: int | None, what: str, clock: Callable[[], float] = time.monotonic) -> None:
@@ -26,14 +26,14 @@ class Throughput:
         self._done, self._work = 0, 0.0
         self._begin = clock()
         self._marks = deque([(0.0, self._begin)])
-        """Pairs of an amount of work, in worlds, and the time at which it was first seen, s. The oldest pair is where
-        the time window of ``left`` begins."""
+        """Pairs: an amount of work, in worlds, and the time at which it was first reached, s. The time window of
+        ``left`` begins at the oldest pair."""
 
     def update(self, done: int, share: float | None = None) -> None:
         """Set the number of finished worlds.
 
         Args:
-            share: share of the work that is done, 0 to 1; None: that of finished worlds.
+            share: share of the work that is done, 0 to 1; None: the share of finished worlds.
         """
         work = float(done) if share is None or self._total is None else share * self._total
         if (done, work) == (self._done, self._work):
@@ -64,11 +64,11 @@ class Throughput:
 
     @property
     def left(self) -> str:
-        """How long the remaining worlds will take: "1 min 20 s left". Empty if the remaining time is not known, and at
+        """How long the remaining worlds will take: "1 min 20 s left". Empty if the remaining time is unknown, and at
         the end.
 
-        If the work of n worlds remains, the estimate is the time that the last n worlds' work took. The rate of the
-        whole run would be wrong at the end: the last worlds of a run are few and long.
+        If the work of n worlds remains, the estimate is the time that the latest work of the same amount took. The rate
+        of the whole run would be misleading near the end, when few worlds are left and these are long.
         """
         if not self._work or self._total is None or self._done >= self._total:
             return ""
@@ -78,5 +78,5 @@ class Throughput:
 
     @property
     def words(self) -> list[str]:
-        """Count, rate and time left, without those that are empty."""
+        """The count, the rate and the time left, except those that are empty."""
         return [part for part in (self.count, self.rate, self.left) if part]

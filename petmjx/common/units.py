@@ -1,4 +1,4 @@
-"""Conversion of units, only here. Inside petmjx everything is SI; plans come in millimetres."""
+"""Conversion of units, which happens only here. Inside petmjx all values are in SI units; plans are in millimetres."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ MM_PER_M = 1000.0
 MICROMETRES_PER_M = 1_000_000.0
 
 STANDARD_GRAVITY = 9.81
-"""In m/s²: the value of the reference implementation. Levels in g are multiples of this value."""
+"""Gravity in m/s², as in the reference implementation. Levels in g are multiples of this value."""
 
 LENGTHS_MM: Final[Mapping[str, tuple[float, str]]] = {
     "mm": (1.0, "millimetres"),
@@ -36,10 +36,11 @@ PLAN_UNITS: Final = "mm,kg"
 
 
 def plan_units(text: str) -> tuple[str, str]:
-    """The units of lengths and of masses in a text such as "cm", "g" or "cm,g". A missing one is that of `PLAN_UNITS`.
+    """The units of lengths and of masses in a text such as "cm", "g" or "cm,g". If one is missing, it is that of
+    ``PLAN_UNITS``.
 
     Raises:
-        ValueError: the text has an unknown unit, or two units of a kind.
+        ValueError: the text has an unknown unit, or two units of the same kind.
     """
     names = [name.strip() for name in text.split(",")]
     lengths = [name for name in names if name in LENGTHS_MM]
@@ -57,20 +58,20 @@ def mm_to_m(value_mm: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 def round_to_micrometre(value_m: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Round metres half-up to 1 µm, as the reference implementation writes its models.
+    """Round metres half-up to 1 µm, as the reference implementation does when it writes its models.
 
-    The value in micrometres is first rounded to a thousandth. The float64 of 0.1234565 m, for instance, is slightly
-    below the half, and still rounds up as the decimal notation says.
+    The value in micrometres is first rounded to a thousandth. For instance, the float64 of 0.1234565 m is slightly
+    below the half, but still rounds up, as its decimal notation suggests.
     """
     micrometres: NDArray[Any] = np.round(value_m * MICROMETRES_PER_M, 3)
     return np.floor(micrometres + 0.5) / MICROMETRES_PER_M
 
 
 def seconds_to_steps(duration_s: float, timestep_s: float) -> int:
-    """Number of whole steps in a duration: ``int(duration / timestep)``, the reference's rule.
+    """Number of whole steps in a duration, by the reference's rule: ``int(duration / timestep)``.
 
     Truncation is deliberate. 0.7 / 0.002 is 349.99… in float64, so 0.7 s are 349 steps. A run can be compared with the
-    reference to the last digit only if it counts in the same way.
+    reference to the last digit only if both count in the same manner.
     """
     return int(duration_s / timestep_s)
 

@@ -1,7 +1,7 @@
-"""Set-up of Warp for petmjx: the folder of its compiled kernels (petmjx/common/compile_caches.py), and no output.
+"""Set-up of Warp for petmjx: the folder of its compiled kernels (petmjx/common/compile_caches.py), and silence.
 
-The settings are those of the process. The first use of Warp in petmjx makes them. The options stay set, and also apply
-to the caller's own Warp programs. A setting that the caller has changed before is left alone.
+The settings apply to the whole process. They are made when petmjx first uses Warp. They remain set, so they also affect
+the caller's own Warp programs. A setting that the caller has changed earlier is not touched.
 """
 
 from __future__ import annotations
@@ -16,21 +16,21 @@ from petmjx.common.machine import cuda_devices
 
 
 def set_up_warp() -> None:
-    """Put Warp's kernel cache beside JAX's, stop Warp from printing, and keep its tiles off the stack.
+    """Place Warp's kernel cache beside JAX's, stop Warp from printing, and keep its tiles off the stack.
 
     A setting is changed only if it still has Warp's default. (Warp sets its cache folder when it starts.) With tiles on
-    the stack, all threads of an x86 CPU share one pointer to them: launches in several threads would write into each
-    other's tiles.
+    the stack, all threads of an x86 CPU would share one pointer to them, so launches in several threads would write
+    into each other's tiles.
 
     Raises:
-        EngineUnavailable: no folder for compiled kernels can be written.
+        EngineUnavailable: no folder for compiled kernels is writable.
     """
     import warp
 
     if warp.config.kernel_cache_dir is None:
         warp.config.kernel_cache_dir = str(cache_folder("warp"))
     if warp.config.enable_tiles_in_stack_memory:
-        warp.config.enable_tiles_in_stack_memory = None  # Warp decides by architecture: on x86 not on the stack
+        warp.config.enable_tiles_in_stack_memory = None  # Warp then decides: on x86, off the stack
     if warp.config.log_level == warp.LOG_INFO:
         warp.config.log_level = warp.LOG_ERROR
     if not cuda_devices():
@@ -40,8 +40,8 @@ def set_up_warp() -> None:
 
 @contextmanager
 def _nothing_on_stderr() -> Iterator[None]:
-    """Discard what native code writes to the terminal: Warp reports a missing CUDA driver; petmjx checks for the driver
-    itself."""
+    """Discard what native code writes to standard error. Warp reports a missing CUDA driver there, but petmjx checks
+    for the driver itself."""
     sys.stderr.flush()
     saved_descriptor = os.dup(2)
     try:

@@ -1,1 +1,1 @@
-"""Engines step worlds: C MuJoCo on CPU threads, and MJX on JAX. Their protocol: petmjx.engines.protocol.Engine."""
+"""Engines simulate worlds: C MuJoCo on CPU threads, and MJX on JAX. Their protocol: petmjx.engines.protocol.Engine."""

@@ -1,22 +1,24 @@
-"""Attempts at a world: the changed settings of each attempt, the outcomes that lead to it, and its engine.
+"""Attempts at a world: the changed settings of each attempt, the outcomes that require it, and its engine.
 
 The rules: docs/rules.md, section 9.
 
-The first attempts are those of the PET-Physics paper (Newton, then CG, up to two attempts each); one with half the
-timestep follows. Worlds whose verdict may come from soft contacts (``petmjx.engines.contact_penetration``) have two
+The first attempts are those of the PET-Physics paper (Newton, then CG, up to two attempts each). An attempt with half
+the timestep follows. Worlds whose verdict may come from soft contacts (``petmjx.engines.contact_penetration``) have two
 attempts of their own. An optional last attempt has soft boxes, like the third attempt of the reference implementation.
-The second attempts of the reference implementation repeat the same deterministic run. In this attempt the solver gets
-up to ``CAREFUL_ITERATIONS`` iterations and ``CAREFUL_TOLERANCE``, which helps if it had stopped too early.
+The second attempts of the reference implementation repeat the same deterministic run. Here, a second attempt gives the
+solver up to ``CAREFUL_ITERATIONS`` iterations and ``CAREFUL_TOLERANCE``. This helps if the solver had stopped too
+early.
 
 The MJX engines work in single precision, and ``mjx-warp`` has only Newton's method. So C MuJoCo is their *fallback*
 (``FALLBACKS``). C MuJoCo makes the attempts that need double precision, simulates worlds with soft boxes and with
-conjugate gradients, and takes over worlds that an error left unanswered. ``mujoco`` itself and a user's own engine have
-no fallback.
+conjugate gradients, and simulates worlds that got no answer because of an error. ``mujoco`` itself and a user's own
+engine have no fallback.
 
-A GPU takes as long for a single world as for many. So in a run on ``mjx-warp`` rare further attempts are made beside
-the engine, on CPU threads (petmjx/engines/subprocess): the attempts of C MuJoCo, and those with stiffer contacts, which
-``mjx-warp-cpu`` makes with the same kernels. A run on ``mjx-warp-cpu`` makes attempts with stiffer contacts on further
-threads (petmjx/engines/attempt_threads.py). The engine of an attempt depends only on the world and the options.
+A GPU takes as long for a single world as for many. So in a run on ``mjx-warp``, rare further attempts are made beside
+the engine, on CPU threads (petmjx/engines/subprocess). These are the attempts of C MuJoCo, and attempts with stiffer
+contacts, which ``mjx-warp-cpu`` makes with the same kernels. A run on ``mjx-warp-cpu`` makes attempts with stiffer
+contacts on additional threads (petmjx/engines/attempt_threads.py). The engine of an attempt depends only on the world
+and the options.
 """
 
 from __future__ import annotations
@@ -40,22 +42,22 @@ from petmjx.options.simulation import Attempts, Simulation, Solver
 from petmjx.world.job import Excitation, Job, KeptState
 
 CAREFUL_ITERATIONS = 400
-"""Largest number of solver iterations per step in a second attempt: four times MuJoCo's default. With the default CG
-stops so early that boxes of ``pallet`` that should stand slide apart."""
+"""Largest number of solver iterations per step in a second attempt: four times MuJoCo's default. With the default, CG
+stops so early that ``pallet`` boxes that should stand slide apart."""
 
 CAREFUL_TOLERANCE = 1e-10
 """Solver tolerance of a second attempt: a hundredth of MuJoCo's default. Engines clip it to their precision."""
 
 NEAR = 0.5
-"""Worlds with a smaller absolute margin are checked at half the timestep. ``Outcome.margin`` of invalid worlds is
-NaN."""
+"""Worlds with a smaller absolute margin are checked at half the timestep. The margin of invalid worlds is NaN, so they
+are not checked."""
 
 STIFF_QUIET_STEPS = 25
-"""``Quiet.steps`` in stiff contacts, where less than a millimetre decides. Of 6,000 small stacks that statics decides,
-5 fell with 15 steps although they should stand, 4 with 25, and 3 with 50. With 50 pallets that tremble take three times
-as long."""
+"""``Quiet.steps`` in stiff contacts, in which less than a millimetre decides. Of 6,000 small stacks that statics
+decides, some fell although they should stand: 5 with 15 steps, 4 with 25, and 3 with 50. With 50 steps, pallets that
+tremble take three times as long."""
 
-_EARLY_STOP, _SINKING = int(Flag.EARLY_STOP), int(Flag.SINKING)  # numbers are compared several times as fast
+_EARLY_STOP, _SINKING = int(Flag.EARLY_STOP), int(Flag.SINKING)  # comparing numbers is several times as fast
 
 _COUNTED_IN_STEPS = ("steps", "landing_steps", "poll_steps", "still_steps", "tremble_steps")
 """Fields of ``Quiet`` that are numbers of steps."""
@@ -63,36 +65,36 @@ _COUNTED_IN_STEPS = ("steps", "landing_steps", "poll_steps", "still_steps", "tre
 
 @dataclass(frozen=True)
 class AttemptRecipe:
-    """One attempt: the changed settings (docs/rules.md, section 9)."""
+    """One attempt: the settings that it changes (docs/rules.md, section 9)."""
 
     number: int
     solver: Solver | None
     careful: bool = False
     timestep_divisor: int = 1
     stiff: float | None = None
-    """Stiffer contacts, with this share of the time constant: only for worlds whose verdict may come from soft contacts
-    (``Flag.SINKING``)."""
+    """Share of the usual time constant that contacts get, which makes them stiffer. Used only for worlds whose verdict
+    may come from soft contacts (``Flag.SINKING``)."""
     checks: bool = False
-    """True: the attempt keeps the verdict, and only sets ``Flag.TIMESTEP`` if it finds a different one."""
+    """True: the attempt keeps the verdict. It only sets ``Flag.TIMESTEP`` if it finds a different one."""
 
     most_boxes: int | None = None
-    """Worlds with more boxes than this keep their verdict, if any, and the flag. Steps of hundreds of boxes
-    in stiff contacts take tens of milliseconds, and the leaning boxes are a small part of the pallet."""
+    """Worlds with more boxes than this keep their verdict, if they have one, and the flag. In stiff contacts, steps of
+    hundreds of boxes take tens of milliseconds, and the leaning boxes are only a small part of the pallet."""
     soft: bool = False
-    """All boxes are flex bodies (petmjx/world/soft_boxes.py), from the beginning."""
+    """True: all boxes are flex bodies from the beginning (petmjx/world/soft_boxes.py)."""
 
     doubles: bool = False
-    """Whether the attempt needs double precision. A world may be invalid because of single precision. In contacts of a
-    twentieth of the time constant boxes sink by less than single precision resolves."""
+    """Whether the attempt needs double precision. One reason: a world may be invalid because of single precision.
+    Another: in contacts of a twentieth of the time constant, boxes sink by less than single precision resolves."""
 
     few: bool = False
-    """Whether only few of many worlds need the attempt, except for worlds with errors of a plan whose boxes may
-    sink."""
+    """Whether only few of many worlds need the attempt. Worlds with errors are an exception, if the plan has boxes that
+    may sink."""
 
     def is_for(self, outcome: Outcome, sim: Simulation) -> bool:
-        """Whether this attempt may give another result than the attempt before. No attempt gives a world more time."""
+        """Whether this attempt may give another result than the previous one. No attempt gives a world more time."""
         if self.checks:
-            # a world that ended early has the margin of a falling box
+            # a world that ended early has the margin of a falling box, which is not a near miss
             return sim.check_timestep and abs(outcome.margin) < NEAR and not int(outcome.flags) & _EARLY_STOP
         sinks = bool(int(outcome.flags) & _SINKING) and sim.physics.cone is Cone.ELLIPTIC
         if self.soft:
@@ -104,7 +106,7 @@ class AttemptRecipe:
         return outcome.verdict is Verdict.INVALID and outcome.reason is not Reason.TIMEOUT
 
     def apply_to_sim(self, sim: Simulation) -> Simulation:
-        """The run's options with this attempt's changes. Times in seconds stay the same."""
+        """The run's options with the changes of this attempt. Times in seconds stay the same."""
         update: dict[str, Any] = {}
         if self.solver is not None:
             update["solver"] = self.solver
@@ -114,7 +116,7 @@ class AttemptRecipe:
             update["solver_tolerance"] = CAREFUL_TOLERANCE
         if self.timestep_divisor != 1:
             factor = self.timestep_divisor
-            # not validated again: a fraction of the smallest timestep may be below the limit for users
+            # not validated again, since a fraction of the smallest timestep may be below the limit for users
             update["physics"] = sim.physics.model_copy(update={"timestep_s": sim.physics.timestep_s / factor})
             quiet = {name: getattr(sim.quiet, name) * factor for name in _COUNTED_IN_STEPS}
             update["quiet"] = sim.quiet.model_copy(update=quiet)
@@ -127,7 +129,7 @@ class AttemptRecipe:
         return sim.changed(**update) if update else sim
 
     def apply_to_jobs(self, jobs: Sequence[Job]) -> list[Job]:
-        """The same jobs, with this attempt's boxes, and with profiles resampled to its timestep (and still shared)."""
+        """The same jobs with the boxes of this attempt. Profiles are resampled to its timestep and still shared."""
         if self.soft:
             jobs = [replace(job, scene=job.scene.all_soft, start=None, keep_state=False) for job in jobs]
         if self.timestep_divisor == 1:
@@ -158,7 +160,7 @@ ATTEMPTS: tuple[AttemptRecipe, ...] = (
 
 
 def may_go_on(outcome: Outcome, sim: Simulation) -> bool:
-    """Whether a further attempt may be for a world: not for most worlds of a run, whatever the attempt."""
+    """Whether any further attempt may be needed for a world. For most worlds of a run the answer is no."""
     return outcome.verdict is Verdict.INVALID or bool(int(outcome.flags) & _SINKING) or sim.check_timestep
 
 
@@ -172,26 +174,26 @@ _FALLBACK_NOTES: Final = {
     Capability.FLOAT64: "worlds were simulated again on {}, in double precision",
     Capability.CG: "worlds were simulated on {}: only it has the solver cg",
 }
-"""Capability that an engine lacks → the note about worlds on its fallback."""
+"""Capability that an engine lacks → the note about worlds that its fallback simulated."""
 
 BESIDE: Final = {"mjx-warp": "mjx-warp-cpu"}
-"""Engine → the engine that makes further attempts on CPU threads beside it, if these are rare."""
+"""Engine → the engine that makes rare further attempts beside it, on CPU threads."""
 
 BESIDE_ITSELF: Final = "mjx-warp-cpu"
-"""The engine whose runs make rare further attempts on further threads: a last world would leave most of the engine's
-own threads idle."""
+"""The engine whose runs make rare further attempts on additional threads. Otherwise, while the last world is simulated,
+most of the engine's own threads would be idle."""
 
 
 @dataclass(eq=False)
 class Engines:
-    """The engine of a run and its fallback, which is built when a world needs it."""
+    """The engine of a run, and its fallback, which is built once a world needs it."""
 
     primary: Engine
     progress: Progress
 
     @property
     def has_fallback(self) -> bool:
-        """Whether the engine of the run has a fallback. The engine is not built for this answer."""
+        """Whether the engine of the run has a fallback. The fallback is not built for this answer."""
         return self.primary.name in FALLBACKS
 
     @cached_property
@@ -200,7 +202,7 @@ class Engines:
         return make_engine(name) if name is not None else None
 
     def for_job(self, job: Job, sim: Simulation, *, doubles: bool, soft: bool = False) -> Engine:
-        """The engine of a job; ``doubles``: the attempt wants double precision; ``soft``: the attempt has soft
+        """The engine of a job. ``doubles``: whether the attempt needs double precision; ``soft``: whether it has soft
         boxes."""
         if not self.has_fallback:
             return self.primary
@@ -221,11 +223,11 @@ class Engines:
         return self.fallback
 
     def beside(self, job: Job, sim: Simulation, *, doubles: bool, soft: bool, few: bool) -> str | None:
-        """The engine that makes a further attempt at a job beside the engine of the run; None: no engine does.
+        """The engine that makes a further attempt at a job beside the engine of the run; None: no such engine.
 
         Args:
-            few: whether few worlds need the attempt. A job with a drive, or with a state from which other worlds
-                start, stays with the engine of the run: there may be many of these.
+            few: whether few worlds need the attempt. A job with a drive, or with a state from which other worlds start,
+                stays with the engine of the run, since there may be many such jobs.
         """
         if self.primary.name not in (*BESIDE, BESIDE_ITSELF):
             return None
@@ -248,7 +250,7 @@ class Engines:
         return SubprocessSimulator()
 
     def note_failure(self, engine: str, attempt: int, worlds: int, message: str) -> None:
-        """Note that an error ended an engine's attempt, and what happens to the unanswered worlds."""
+        """Note that an error ended an attempt on an engine, and what happens to the worlds without an answer."""
         other = self.fallback
         then = "invalid by failed" if other is None or engine == other.name else f"went to {other.name}"
         self.note(f"attempt {attempt}: {engine} failed ({message}); {count_text(worlds, 'world')}: {then}")
@@ -259,9 +261,9 @@ class Engines:
 
 
 def ready_for(engine: str, job: Job) -> Job:
-    """A job for an engine, with a start state of this engine. An engine cannot start from another engine's state: then
-    it simulates the placement again."""
+    """The job in a form that an engine can run: a start state of another engine is removed, since an engine can use
+    only its own states. Then the engine simulates the placement again."""
     if not isinstance(job.start, KeptState):
         return job
     start = job.start.state if job.start.engine == engine else None
-    return Job(**{**vars(job), "start": start})  # ``replace`` takes three times as long; a Job has only fields
+    return Job(**{**vars(job), "start": start})  # three times as fast as ``replace``; a Job has only fields

@@ -1,7 +1,7 @@
 """Contact penetration: how far boxes sink into their supports because simulated contacts are softer than any carton.
 
-``petmjx.world.contact_laws`` has the depth of a contact at rest. The inputs of the check are on the host for every
-engine: plans, masses and the largest force on each box. The depth is not read from final poses: a column may
+``petmjx.world.contact_laws`` computes the depth of a contact at rest. The inputs of the check are on the host for every
+engine: plans, masses, and the largest force on each box. The depth is not read from final poses, since a column may
 have fallen because its support gave way.
 """
 
@@ -27,15 +27,15 @@ from petmjx.world.job import Job
 from petmjx.world.scene import Scene
 
 LEAST_TIME_CONSTANT_STEPS = 4
-"""Smallest time constant of contacts in timesteps: MuJoCo asks for 2, and at 2.5 pallets exploded."""
+"""Smallest time constant of contacts, in timesteps. MuJoCo requires 2, and at 2.5 pallets exploded."""
 
 
 def stiffened_physics(physics: Physics, share: float) -> Physics:
-    """The same physics with stiffer contacts, which bear light boxes under heavy ones, and slender ones upright.
+    """The same physics with stiffer contacts. They carry heavy boxes on light ones, and keep slender boxes upright.
 
-    Stiffer contacts have the same stiffness at their onset as beyond the width, with the largest impedance that MuJoCo
-    takes and this share of the time constants: with a half they are 40 times as stiff as in ``pallet``, with a tenth
-    1,000 times.
+    Stiffer contacts are as stiff at their onset as beyond the width. They have the largest impedance that MuJoCo
+    accepts, and this share of the time constants. With a half, they are 40 times as stiff as in ``pallet``; with a
+    tenth, 1,000 times.
     """
     time_s, damping = physics.solref
     if time_s > 0:
@@ -46,17 +46,17 @@ def stiffened_physics(physics: Physics, share: float) -> Physics:
         "solref": (time_s, damping),
         "solreffriction": (share * friction_s if friction_s > 0 else friction_s, friction_damping),
     }
-    return physics.model_copy(update=changed)  # not validated again: its timestep may be below the limit for users
+    return physics.model_copy(update=changed)  # not validated again: the timestep may be below the limit for users
 
 
 def contact_penetration_m(scene: Scene, physics: Physics, top_force_n: FloatArray, enough_m: float = 0.0) -> FloatArray:
-    """(n,) descent of each box's centre because contacts below the box give way, m: an upper estimate.
+    """(n,) distance by which each box's centre descends because contacts below the box give way, m: an upper estimate.
 
     Args:
-        top_force_n: (n,) force on each box's top, N; 0 for boxes that were not placed. A force beyond the weight of
-            everything above a box in the plan is an impact. An impact is over before the box has sunk, so it does not
-            count.
-        enough_m: if no box can sink by more than this, zeros are returned without the exact computation.
+        top_force_n: (n,) force on each box's top, N; 0 for boxes that were not placed. A force above the planned weight
+            of everything above the box comes from an impact. An impact is over before the box has sunk, so the excess
+            does not count.
+        enough_m: if no box can sink by more than this, zeros are returned without an exact computation.
     """
     gravity, mass, carrier = physics.gravity_m_s2, scene.mass, scene.carrier.mass
     box, plate = scene.friction[:, 0].max(), scene.carrier.friction[:, 0].max()
@@ -70,11 +70,11 @@ def contact_penetration_m(scene: Scene, physics: Physics, top_force_n: FloatArra
     base = float(depth_m(physics, on_floor))
 
     def pulls(top_n: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """(n,) each: a box's part in A · f of a contact on its top, and of one below it, m/s²."""
+        """(n,) each: a box's part in A · f of a contact on its top, and of a contact below it, m/s²."""
         return of_boxes * top_n / mass / CONTACTS_PER_FACE, own_per_kg * (top_n + mass * gravity)
 
     def is_enough(top_n: FloatArray) -> bool:
-        # the depth grows less than in proportion to A · f, so that the parts' depths are a bound
+        # the depth grows less than proportionally to A · f, so the sum of the depths of the parts is a bound
         return bool(base + sum(depth_m(physics, part).sum() for part in pulls(top_n)) <= enough_m)
 
     if is_enough(top_force_n):
@@ -94,7 +94,7 @@ def contact_penetration_m(scene: Scene, physics: Physics, top_force_n: FloatArra
 
 
 def may_penetrate(scene: Scene, sim: Simulation) -> bool:
-    """Whether boxes come down far enough to count (``has_penetrated``) if each box bears everything above it. False: a
+    """Whether boxes descend far enough to count (``has_penetrated``) if each box carries everything above it. If not, a
     world of this plan sinks only by chance."""
     most_n = np.full(scene.n_boxes, scene.total_mass * sim.physics.gravity_m_s2)
     bound_m = BOUND_SHARE * sim.thresholds.shift_m
@@ -102,7 +102,7 @@ def may_penetrate(scene: Scene, sim: Simulation) -> bool:
 
 
 class _Stack:
-    """The order of a plan's boxes by height, and which boxes are above which."""
+    """The order of a plan's boxes by height, and which boxes overlap as seen from above."""
 
     def __init__(self, scene: Scene) -> None:
         low, high = scene.target - scene.half_size, scene.target + scene.half_size
@@ -111,11 +111,11 @@ class _Stack:
         """(n,) the boxes from the lowest to the highest."""
         self._over = over[np.ix_(self.order, self.order)]
         self.mass_above = _mass_above(scene.mass, self._over, self.order)
-        """(n,) mass of all boxes that a box may bear, directly or through others, kg."""
+        """(n,) mass of all boxes that a box may carry, directly or through others, kg."""
 
     @cached_property
     def pairs(self) -> _Pairs:
-        """Boxes that overlap seen from above."""
+        """Pairs of boxes that overlap as seen from above."""
         under = np.tril(self._over, -1)
         places, lower_places = np.nonzero(under)
         ends = np.cumsum(under.sum(axis=1)).tolist()
@@ -125,8 +125,8 @@ class _Stack:
 
 class _Pairs(NamedTuple):
     """Attributes:
-    upper, lower: (p,) boxes, in the order of the upper ones in ``_Stack.order``. spans: (n) the pairs of each upper
-    box.
+    upper, lower: (p,) boxes. Pairs are in the order of the upper boxes in ``_Stack.order``. spans: (n) the pairs of
+    each upper box.
     """
 
     upper: NDArray[np.intp]
@@ -136,18 +136,18 @@ class _Pairs(NamedTuple):
 
 @lru_cache(maxsize=256)
 def _stack(scene: Scene) -> _Stack:
-    """The ``_Stack`` of a scene, cached: in a sweep many worlds have the same scene."""
+    """The ``_Stack`` of a scene. It is cached, since in a sweep many worlds have the same scene."""
     return _Stack(scene)
 
 
 def _mass_above(mass: FloatArray, over: NDArray[np.bool_], order: NDArray[np.intp]) -> FloatArray:
-    """(n,) the mass of all boxes that a box may bear, directly or through others, kg.
+    """(n,) mass of all boxes that a box may carry, directly or through others, kg.
 
-    No box at rest bears more on its top: a box passes its load and its weight on to the boxes under it, and no weight
-    is counted twice.
+    No box at rest carries more on its top: each box passes its load and its weight on to the boxes below it, and no
+    weight is counted twice.
 
     Args:
-        over: (n, n) whether two boxes overlap seen from above, in the order of ``order``.
+        over: (n, n) whether two boxes overlap as seen from above, in the order of ``order``.
         order: (n,) the boxes from the lowest to the highest.
     """
     total = np.empty(len(mass))
@@ -156,10 +156,10 @@ def _mass_above(mass: FloatArray, over: NDArray[np.bool_], order: NDArray[np.int
 
 
 def _transitive_closure(over: NDArray[np.bool_]) -> NDArray[np.float32]:
-    """(…, n, n) 1 if the column's box is above the row's box, directly or through others, else 0. Rows are sorted from
-    the lowest box to the highest."""
+    """(…, n, n) 1 if the column's box is above the row's box, directly or through others, else 0. Boxes are sorted from
+    the lowest to the highest."""
     above = np.triu(over, 1).astype(np.float32)
-    while True:  # matrices of ones and zeros: each product doubles the number of boxes in between
+    while True:  # each product of these matrices of zeros and ones doubles the number of boxes in between
         further = np.minimum(above + above @ above, 1.0)
         if np.array_equal(further, above):
             return above
@@ -167,19 +167,20 @@ def _transitive_closure(over: NDArray[np.bool_]) -> NDArray[np.float32]:
 
 
 _SUM_ERROR = 1e-9
-"""Relative difference of two sums of the same numbers in different orders."""
+"""Largest relative difference between two sums of the same numbers in different orders."""
 
 _MOST_PAIRS = 1 << 17
-"""Number of pairs of boxes that are computed at once: a matrix of numbers takes 1 MB then, which caches hold."""
+"""Number of pairs of boxes that are computed together. A matrix of such numbers takes 1 MB, which fits into caches."""
 
 ON_CARRIER_M = 0.001
-"""A box whose planned bottom is lower than this stands on the carrier."""
+"""A box whose planned bottom is below this height stands on the carrier, m."""
 
 
 def note_penetration(outcomes: Sequence[Outcome], jobs: Sequence[Job], sim: Simulation) -> list[Outcome]:
-    """The outcomes, with ``Flag.SINKING`` if boxes sank so far that the depth of contacts may have decided the verdict.
+    """The outcomes, with ``Flag.SINKING`` set if boxes sank so far that the depth of contacts may have decided the
+    verdict.
 
-    A world whose boxes sank has no verdict. With pyramidal cones, as in preset ``reference``, all worlds keep their
+    A world whose boxes sank has no verdict. With pyramidal cones, as in the preset ``reference``, all worlds keep their
     verdict.
     """
     noted, elliptic = list(outcomes), sim.physics.cone is Cone.ELLIPTIC
@@ -196,8 +197,9 @@ def note_penetration(outcomes: Sequence[Outcome], jobs: Sequence[Job], sim: Simu
 
 
 def penetration_excluded(outcomes: Sequence[Outcome], scenes: Sequence[Scene], sim: Simulation) -> list[bool]:
-    """The worlds for which ``has_penetrated`` is surely False, computed at once: their boxes did not come down too far,
-    and they did not fail by sinking alone. The other worlds need ``has_penetrated``. For elliptic cones."""
+    """For each world, whether ``has_penetrated`` is surely False: its boxes did not descend too far, and it did not
+    fail by sinking alone. All worlds are computed together. The other worlds need ``has_penetrated``. For elliptic
+    cones."""
     if not outcomes:
         return []
     enough_m = (1 - _SUM_ERROR) * BOUND_SHARE * sim.thresholds.shift_m
@@ -216,7 +218,7 @@ def penetration_excluded(outcomes: Sequence[Outcome], scenes: Sequence[Scene], s
 
 
 def _failed_otherwise(outcome: Outcome, limit_m: float) -> bool:
-    """Whether the reason of a world is not a shift, or a shift that is not only straight down."""
+    """Whether the reason of a world is not a shift, or is a shift that is not only straight down."""
     if outcome.reason is not Reason.SHIFT:
         return True
     shift = outcome.boxes.shift_m[: outcome.n_placed]
@@ -224,8 +226,8 @@ def _failed_otherwise(outcome: Outcome, limit_m: float) -> bool:
 
 
 def _most_sinking_m(outcomes: Sequence[Outcome], scenes: Sequence[Scene], physics: Physics) -> FloatArray:
-    """(m,) an upper bound of ``contact_penetration_m`` in each world, m: the sum over all its boxes, each under the
-    largest force on its top. No pairs of boxes are needed."""
+    """(m,) an upper bound of ``contact_penetration_m`` in each world, m. It is the sum over all boxes, each under the
+    largest force on its top. It needs no pairs of boxes."""
     counts = np.array([scene.n_boxes for scene in scenes], np.intp)
     begins = np.cumsum(counts) - counts
     placed = np.arange(counts.sum()) - np.repeat(begins + [outcome.n_placed for outcome in outcomes], counts) < 0
@@ -247,9 +249,9 @@ _PLACES: Final = (("target", np.inf), ("half_size", 0.0))
 
 
 def _deepest_m(outcomes: Sequence[Outcome], scenes: Sequence[Scene], physics: Physics) -> FloatArray:
-    """(m,) upper bound of ``contact_penetration_m`` in each world, m: the depths on both sides of a contact are added,
-    and the largest force on each box's top rests there. Impacts beyond the weight of everything above a box are rare.
-    Arrays have as many rows as the largest world has boxes, and a column for each world."""
+    """(m,) an upper bound of ``contact_penetration_m`` in each world, m. The depths on both sides of a contact are
+    added, and the largest force on each box's top counts as a force at rest. Impacts above the weight of everything
+    above a box are rare. Arrays have as many rows as the largest world has boxes, and one column per world."""
     counts = np.array([scene.n_boxes for scene in scenes], np.intp)
     is_box = np.arange(counts.max()) < counts[:, None]
 
@@ -259,7 +261,7 @@ def _deepest_m(outcomes: Sequence[Outcome], scenes: Sequence[Scene], physics: Ph
         table[is_box] = joined
         return table
 
-    # rows without a box are infinitely high, and overlap none
+    # rows without a box are infinitely high and overlap no box
     place, half = (filled((getattr(scene, name) for scene in scenes), fill) for name, fill in _PLACES)
     order = np.argsort(place[..., 2], axis=1, kind="stable")
     placed = np.arange(counts.max()) < np.array([outcome.n_placed for outcome in outcomes])[:, None]
@@ -275,7 +277,7 @@ def _deepest_m(outcomes: Sequence[Outcome], scenes: Sequence[Scene], physics: Ph
     low_x, high_x, low_y, high_y, above, below = (
         np.ascontiguousarray(np.take_along_axis(values, order, axis=1).T) for values in columns
     )
-    # from the floor up: the depth at each box's top, below the first row that of the carrier
+    # from the floor up: the depth at the top of each box; the row before the first box is the top of the carrier
     depth = np.empty((len(above) + 1, len(scenes)))
     depth[0] = depth_m(physics, total * gravity / carrier / CONTACTS_PER_FACE)
     over = np.ones((len(above), *depth.shape), bool)

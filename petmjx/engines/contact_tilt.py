@@ -1,13 +1,14 @@
-"""Contact tilt: how near soft contacts bring piles to tipping over that would stand on hard contacts.
+"""Contact tilt: how close soft contacts bring piles to tipping over that would stand on hard contacts.
 
-The supports of a box give way, and more on the side on which the load acts. So the box turns by the difference of the
-depths on its two sides over the width between them, and the load above, at its height, moves towards the edge. With the
-share r of the load on the far side of a base of width w, the load acts r·w from the edge, and
+The supports of a box give way, and more on the side on which the load acts. So the box turns by an angle: the
+difference of the depths on its two sides, divided by the width between them. The load above, at its height, therefore
+moves towards the edge. Let r be the share of the load on the far side of a base of width w. Then the load acts r·w from
+the edge. If nothing had given way, it would act at the distance
 
     e(r) = r·w + h·(x(1 − r) − x(r)) / w
 
-from the edge if nothing gave way. h is the height of its centre, and x the depth of a side that bears a share
-(``petmjx.world.contact_laws``). So a load tips over if it acts nearer to the edge than the least of e(r), the *loss*.
+from the edge. h is the height of the load's centre, and x is the depth of a side that carries a share of the load
+(``petmjx.world.contact_laws``). So a load tips over if it acts nearer to the edge than the smallest e(r), the *loss*.
 If boxes below lean, their angle times h is added to the loss.
 
 A column of slender boxes, or a light box under a heavy one, may lose millimetres. No carton does. If this lean may have
@@ -33,38 +34,39 @@ from petmjx.world.supports import Bearing
 CONTACTS_PER_SIDE: Final = 2
 
 SHARES: Final = np.array([1e-4, 3e-4, 1e-3, 3e-3, 0.01, 0.02, 0.05, 0.1, 0.2, 0.3, 0.5])
-"""Shares r for which e(r) is computed."""
+"""The shares r for which e(r) is computed."""
 
 SAFETY: Final = 10.0
-"""A load may tip over if it acts within this multiple of the loss from the edge: boxes rock when the next box is placed
-on them. Among stacks that stand by statics and fall because of soft contacts, the farthest was at 8 times the loss."""
+"""A load may tip over if its distance from the edge is at most this multiple of the loss, since boxes rock when the
+next box is placed on them. Among stacks that stand by statics and fall because of soft contacts, the largest distance
+was 8 times the loss."""
 
 STIFF_SAFETY: Final = 40.0
-"""The multiple in stiffer contacts, in which the loss is a fortieth: of stacks that fell, the load furthest inside was
-at 28 times the loss."""
+"""The multiple in stiffer contacts, in which the loss is a fortieth. Among stacks that fell, the largest distance of a
+load from the edge was 28 times the loss."""
 
 SURE: Final = 1.0
-"""The multiple if the plan has a load of the pile beyond the edge. Hard contacts do not hold this pile either, so soft
-contacts count only if no load tips over without them."""
+"""The multiple if the plan has a load of the pile beyond an edge. Hard contacts do not hold such a pile either. So soft
+contacts count only if no load would tip over without them."""
 
 KNIFE_EDGE_M: Final = 0.0004
-"""From this distance on a load is surely beyond an edge: half a millimetre of the plan, less the size reduction of
+"""A load is surely beyond an edge from this distance on, m: half a millimetre in the plan, less the size reduction of
 boxes."""
 
 NEAR_M: Final = 0.001
-"""A load less far inside than this may have tipped over in soft contacts, whatever the loss: boxes rock by some tenths
-of a millimetre when the next box is placed."""
+"""A load that is inside by less than this may have tipped over in soft contacts, whatever the loss, m: boxes rock by
+some tenths of a millimetre when the next box is placed."""
 
 BOUND_SHARE: Final = 0.25
-"""A box may lean by this share of the threshold of tilt, and sink or move sideways by this share of the threshold of
-shift: 5 mm of 20 mm. Ten equal boxes on top of each other sink by 1 mm, thirty by 9 mm."""
+"""A box may lean by this share of the tilt threshold, and sink or move sideways by this share of the shift threshold:
+5 mm of 20 mm. Ten equal boxes on top of each other sink by 1 mm, thirty by 9 mm."""
 
 
 class ContactTilt(NamedTuple):
     """Effects of soft contacts on n boxes.
 
     Attributes:
-        loss_m: (n,) the loss of each box (see the module's text).
+        loss_m: (n,) the loss of each box (defined in the module's docstring).
         angle_rad: (n,) angle by which each box leans.
         shift_m: (n,) distance by which each box's centre moves sideways.
     """
@@ -75,10 +77,11 @@ class ContactTilt(NamedTuple):
 
 
 def contact_tilt_of(bearing: Bearing, load: FloatArray, edge_m: FloatArray, physics: Physics) -> ContactTilt:
-    """How far boxes lean under loads that act ``edge_m`` inside the edges of their supports: upper estimates.
+    """How far boxes lean under loads that act ``edge_m`` inside the edges of their supports. The results are upper
+    estimates.
 
     Args:
-        load: (n, 4) as in ``Bearing.loads``.
+        load: (n, 4) as returned by ``Bearing.loads``.
     """
     boxes, width = bearing.boxes, bearing.widths_m
     with np.errstate(divide="ignore", invalid="ignore"):
@@ -94,15 +97,15 @@ def contact_tilt_of(bearing: Bearing, load: FloatArray, edge_m: FloatArray, phys
         return turned
 
     own_lean = np.nan_to_num(angle(np.clip(edge_m / width, 0.0, 0.5)))
-    own_lean[edge_m < -KNIFE_EDGE_M] = 0.0  # it tips over in any contacts
+    own_lean[edge_m < -KNIFE_EDGE_M] = 0.0  # such a box tips over in any contacts
     below, shift = _tilt_from_below(bearing, own_lean)
     loss = (SHARES[:, None] * width + angle(SHARES[:, None]) * height).min(axis=0)
     return ContactTilt(loss + below * height, below + own_lean, shift)
 
 
 def _tilt_from_below(bearing: Bearing, own_lean: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """(n,) each: the angle by which boxes lean because the boxes below them lean, and how far their centres move
-    sideways."""
+    """(n,) each: the angle by which a box leans because the boxes below lean, and the distance by which its centre
+    moves sideways."""
     bottom, middle, half = bearing.boxes.bottom, bearing.boxes.target[:, 2], bearing.boxes.half_size[:, 2]
     below, moved = np.zeros((2, len(own_lean)))
     turned, shift = own_lean.copy(), own_lean * half
@@ -117,18 +120,18 @@ def _tilt_from_below(bearing: Bearing, own_lean: FloatArray) -> tuple[FloatArray
 
 
 def n_loading(outcome: Outcome) -> int:
-    """Number of boxes that were placed when a world fell."""
+    """Number of boxes that had been placed when a world fell."""
     return outcome.n_at_sign if outcome.n_at_sign > 0 else outcome.n_placed
 
 
 def places_with_errors(job: Job) -> FloatArray:
-    """(n, 3) places at which boxes of a world with errors of placement or size count, m. They lie on all bodies with a
-    gap below them of at most the threshold of shift.
+    """(n, 3) positions at which boxes of a world with errors of placement or size count, m. A box counts as lying on
+    all bodies whose gap below it is at most the shift threshold.
 
-    With errors of placement or size, a box often overlaps a neighbour that is millimetres higher, and is released on
-    the strip that they share. A box does not stand on such a strip: it tips, and leans on the bodies beside the strip.
-    So boxes of these worlds count at their place of release. With the strip alone, 75 of 167 unstable worlds with
-    errors would be simulated again; with this rule only a few.
+    In such a world, a box often overlaps a neighbour that is millimetres higher, and is released on the strip that they
+    share. A box does not stand on such a strip: it tips, and leans on the bodies beside the strip. So boxes of these
+    worlds count at their place of release. If only the strip counted, 75 of 167 unstable worlds with errors would be
+    simulated again; with this rule only a few are.
     """
     places: FloatArray = np.c_[job.scene.start_pos[:, :2], job.scene.target[:, 2]]
     return places
@@ -142,12 +145,12 @@ def contact_tilt_suspects(
     load: FloatArray,
     edge: FloatArray,
 ) -> list[bool]:
-    """Which worlds may be unstable because of soft contacts: boxes lean too far, or a load that is inside the edge in
-    the plan may have moved beyond it. ``outcomes`` is not empty.
+    """Whether each world may be unstable because of soft contacts: boxes lean too far, or a load that is inside the
+    edge in the plan may have moved beyond it. ``outcomes`` must not be empty.
 
     Args:
-        bearing: of these worlds, joined; of worlds with errors with ``places_with_errors``.
-        load: (n, 4) loads of their boxes as of ``Bearing.loads``, once ``n_loading`` boxes are placed.
+        bearing: the bearings of these worlds, joined; for worlds with errors, with ``places_with_errors``.
+        load: (n, 4) loads of the boxes as from ``Bearing.loads``, once ``n_loading`` boxes are placed.
         edge: (n,) distances of these loads from the edges, m.
     """
     placed = [n_loading(outcome) for outcome in outcomes]
@@ -165,7 +168,7 @@ def contact_tilt_suspects(
         beyond = bool((edges < -KNIFE_EDGE_M).any())
         reach = (SURE if beyond else most_safety) * losses
         least = KNIFE_EDGE_M
-        if not (beyond or has_errors):  # each world has other errors
+        if not (beyond or has_errors):  # worlds with errors differ from the plan
             reach, least = np.maximum(reach, NEAR_M), 0.0
         return bool(((edges > least) & (edges <= reach)).any())
 
@@ -176,7 +179,7 @@ def contact_tilt_suspects(
 
 
 def _supports(bearing: Bearing) -> list[list[int]]:
-    """The boxes that bear each box."""
+    """For each box, the boxes that carry it."""
     under: list[list[int]] = [[] for _ in bearing.boxes.mass]
     for upper, lower in zip(bearing.upper.tolist(), bearing.lower.tolist(), strict=True):
         if lower != CARRIER:
@@ -185,7 +188,7 @@ def _supports(bearing: Bearing) -> list[list[int]]:
 
 
 def _pile_of(under: Sequence[Sequence[int]], box: int) -> list[int]:
-    """A box and all boxes that bear it, directly or through others."""
+    """A box and all boxes that carry it, directly or through others."""
     pile, new = {box}, [box]
     while new:
         below = [lower for lower in under[new.pop()] if lower not in pile]

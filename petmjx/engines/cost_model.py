@@ -1,10 +1,11 @@
-"""The cost model: expected steps and times of runs, for ``auto`` and all estimates of time.
+"""The cost model: expected steps and times of runs, for ``auto`` and for all estimates of time.
 
-On a CPU thread a step of a pallet at rest takes one iteration of Newton's method. The cost of a step grows somewhat
-faster than the number of boxes. While boxes land or slide a step takes more iterations, and an iteration costs more the
-more contacts slide. So the extra cost of a landing grows with the square of the number of standing boxes. On a device
-the step of a full stack grows with the square, too; but plans with more boxes have a larger share of steps at rest, so
-that their runs take less.
+On a CPU thread, a step of a pallet at rest takes one iteration of Newton's method. The cost of a step grows somewhat
+faster than the number of boxes. While boxes land or slide, a step takes more iterations, and an iteration costs more if
+more contacts slide. So the additional cost of a landing grows with the square of the number of standing boxes.
+
+On a device, the cost of a step of a full stack grows with the square, too. But plans with more boxes have a larger
+share of steps at rest, so the cost of their runs grows more slowly.
 """
 
 from __future__ import annotations
@@ -22,100 +23,104 @@ from petmjx.world.carrier_boards import has_walls
 from petmjx.world.job import Drive, Job
 
 STEP_SHARE = {Schedule.FIXED: 1.0, Schedule.ADAPTIVE: 0.072}
-"""Steps of a schedule as a share of the fixed schedule's, physics ``pallet``: the mean of 2,000 generated plans and of
-63 third-party ones of 16 to 241 boxes; physics ``reference`` takes three to four times as many."""
+"""Steps of a schedule as a share of the fixed schedule's steps, for physics ``pallet``. The value is the mean of 2,000
+generated plans and of 63 third-party plans of 16 to 241 boxes. Physics ``reference`` takes three to four times as
+many."""
 
 SOFT_STARTS = 2 * SOFT_START_STEPS
-"""Steps before the first box of a placement. Soft starts are not part of the schedule."""
+"""Number of steps before the first box of a placement. Soft starts are not part of the schedule."""
 
 QUIET_STEPS = 220
-"""Steps until a pallet is quiet with the adaptive schedule, if it is not placed box by box: in a static check (150 to
-890 with 45 to 241 boxes), and after a profile (216 after EUMOS's, for pallets that stand)."""
+"""Steps until a pallet is quiet with the adaptive schedule, if boxes are not placed one by one. In a static check it
+was 150 to 890 steps with 45 to 241 boxes. After EUMOS's profile it was 216, for pallets that stand."""
 
 COST_SHARE = {Schedule.FIXED: 1.0, Schedule.ADAPTIVE: 0.36}
-"""The cost of a schedule on a device as a share of the fixed schedule's: 10,003 plans in 17 s, 4,000 with the fixed
-schedule in 21 s on the same machine. The adaptive schedule saves cheap steps: in the remaining ones boxes move and
-pallets collapse."""
+"""The cost of a schedule on a device as a share of the fixed schedule's cost. On the same machine, 10,003 plans took
+17 s, and 4,000 plans with the fixed schedule took 21 s. The adaptive schedule saves cheap steps: in the remaining ones,
+boxes move and pallets collapse."""
 
 JAX_POWER, WARP_POWER = 2.0, 1.0
-"""The cost of a step of ``mjx-jax`` and ``mjx-warp`` grows with this power of the number of boxes, over whole runs: in
-plans with more boxes more steps are at rest. While n boxes are placed one by one, the cost on ``mjx-warp`` is the mean
-of k to this power over k = 1…n: about 1 / (power + 1) of the full cost. On ``mjx-jax`` all boxes are in the model from
-the beginning."""
+"""Over whole runs, the cost of a step on ``mjx-jax`` and ``mjx-warp`` grows with this power of the number of boxes,
+since plans with more boxes have more steps at rest. While n boxes are placed one by one, the cost on ``mjx-warp`` is
+the mean of k to this power over k = 1…n: about 1 / (power + 1) of the full cost. On ``mjx-jax``, all boxes are in the
+model from the beginning."""
 
 SHAKEN_FACTOR = 2.5
-"""Cost of a step of a drive on a device, relative to a step of the same pallet with the fixed schedule: 6,400 of
-EUMOS's drives at 735 to 786 a second on an H200, when drives still went on after the pallet was quiet."""
+"""Cost of a step of a drive on a device, relative to a step of the same pallet with the fixed schedule. Measured on an
+H200: 6,400 drives of EUMOS at 735 to 786 per second, when drives still continued after the pallet was quiet."""
 
 REST_POWER = 1.25
-"""The cost of a step at rest on a CPU thread grows with this power of the standing boxes."""
+"""The cost of a step at rest on a CPU thread grows with this power of the number of standing boxes."""
 
 STATIC_LANDINGS = 45
-"""Cost beyond rest of the simultaneous landing of all boxes in a static check, in landings of one box on the full
-pallet: fitted to checks of 16 to 241 boxes with both schedules."""
+"""Additional cost when all boxes of a static check land at once. The unit is the landing of one box on the full pallet.
+Fitted to checks of 16 to 241 boxes with both schedules."""
 
 SHAKEN_STEPS = 700
-"""Largest number of steps of a drive in which boxes slide or fall: all of EUMOS's profile. Most of a tilt's 2,970 steps
-are at rest. Drives of many seconds without rest take up to ten times as long as expected."""
+"""Largest number of steps of a drive in which boxes slide or fall. It covers all of EUMOS's profile. Of a tilt's 2,970
+steps, most are at rest. Drives of many seconds without rest take up to ten times as long as expected."""
 
 STEADY_G, CREEPING = 0.35, 2.0
-"""A drive with an acceleration above ``STEADY_G``, in units of 9.81 m/s², shakes a pallet down. After a weaker drive
-the pallet may creep: weaker drives are expected to take ``CREEPING`` times as many steps, and begin earlier. Of EUMOS's
-4,032 drives of 100 plans the strong ones take 336 steps in the mean and 1,149 at most, the weak ones 570 and 6,088."""
+"""A drive with an acceleration above ``STEADY_G``, in units of 9.81 m/s², shakes a pallet down. After a weaker
+drive the pallet may creep. So weaker drives are expected to take ``CREEPING`` times as many steps, and are begun
+earlier. Measured on EUMOS's 4,032 drives of 100 plans: strong drives take 336 steps on average and 1,149 at most, weak
+ones 570 and 6,088."""
 
 
 FALL_STEPS = 1350
-"""Steps from the first box that tips over to the drop that ends a world placed box by box. 22 plans of two shelf
-packers, none of which stands, take 1,730 to 1,910 steps in the mean, some 450 of them for placing."""
+"""Steps from the first box that tips over to the drop that ends a world whose boxes are placed one by one. 22 plans of
+two shelf packers, none of which stands, take 1,730 to 1,910 steps on average. About 450 of these steps are for
+placing."""
 
 STATIC_FALL_STEPS = 600
-"""Largest number of steps in which boxes of a static check fall until one has dropped: 480 for ten shelf packings, with
-more iterations a step than falls of single boxes."""
+"""Largest number of steps in which boxes of a static check fall until one has dropped. It was 480 for ten shelf
+packings, with more iterations per step than when single boxes fall."""
 
 BOARDS_COST = 1.25
-"""Cost of a step on a carrier of boards, relative to a slab: 1.2 to 1.5 times with scores, drives and searches of 5 to
+"""Cost of a step on a carrier of boards, relative to a slab. It was 1.2 to 1.5 for scores, drives and searches of 5 to
 30 boxes on epal-1 and gma-48x40."""
 
 FALL_BOXES = 7
-"""Number of boxes that are placed in ``FALL_STEPS``, in the same plans."""
+"""Number of boxes that are placed during ``FALL_STEPS``, in the same plans."""
 
 
 @dataclass(frozen=True)
 class Errors:
-    """Cost or steps of placements with errors, relative to a placement without.
+    """Cost or steps of placements with errors, relative to a placement without errors.
 
     Attributes:
-        displaced: a placement in which boxes appear at places with errors: they slip into each other's gaps.
-        carried: a placement in which boxes are carried to their places.
+        displaced: for placements in which boxes appear at places with errors: they slip into each other's gaps.
+        carried: for placements in which boxes are carried to their places.
     """
 
     displaced: float
     carried: float
 
     def of(self, job: Job) -> float:
-        """The factor of a job's placement."""
+        """The factor for the placement of a job."""
         if job.scene.placing.carries:
             return self.carried
         return self.displaced if job.has_errors else 1.0
 
 
 ERROR_STEPS = Errors(displaced=1.1, carried=4.0)
-"""Relative steps. If boxes are moved apart before they appear, they take hardly more steps than as planned. Boxes
-placed by hand take a share of 0.285 of the fixed schedule's instead of 0.072: 0.45 with few boxes, 0.24 with many."""
+"""Relative numbers of steps. If boxes are moved apart before they appear, they take hardly more steps than as planned.
+Boxes placed by hand take a share of 0.285 of the fixed schedule's steps instead of 0.072. The share is 0.45 with few
+boxes, and 0.24 with many."""
 
 ON_DEVICE = Errors(displaced=2.8, carried=4.5)
-"""Relative cost on a device: 8,000 worlds of 500 plans in 35 s, 4,000 by hand of 250 plans in 30 s; 10,003 without
-errors took 17 s."""
+"""Relative cost on a device. 8,000 worlds of 500 plans took 35 s, and 4,000 worlds of 250 plans by hand took 30 s;
+10,003 worlds without errors took 17 s."""
 
 
 def rest_steps(sim: Simulation, rest_s: float) -> int:
-    """Expected steps after a profile, until the pallet is quiet. rest_s: the time to come to rest, s."""
+    """Expected number of steps after a profile until the pallet is quiet. ``rest_s``: the time to come to rest, s."""
     most = seconds_to_steps(rest_s, sim.physics.timestep_s)
     return min(most, QUIET_STEPS) if sim.schedule is Schedule.ADAPTIVE else most
 
 
 def expected_drive_steps(drive: Drive, sim: Simulation) -> float:
-    """Expected steps of one drive."""
+    """Expected number of steps of one drive."""
     steps = rest_steps(sim, drive.rest_s) + len(drive.excitation.samples)
     peak_g = abs(drive.scale) * drive.excitation.peak_g
     return CREEPING * steps if sim.schedule is Schedule.ADAPTIVE and peak_g <= STEADY_G else steps
@@ -126,14 +131,14 @@ class Work:
     """The work of a run: placements, and drives from their settled states.
 
     Attributes:
-        sim: its check and schedule decide how many steps a placement has.
+        sim: the options; their check and schedule determine how many steps a placement has.
         boxes: number of boxes of each plan.
-        placements, drives: numbers of placements and drives of each plan.
-        displaced: placements in which boxes appear at places with errors, or with other sizes.
-        carried: placements in which boxes are carried to their places.
-        drive_steps: steps of one drive, with ``rest_steps``; mean over profiles.
-        filmed: whether film is around shaken pallets.
-        placed_share: for each plan the share of its boxes that are placed before the first box that tips over at once
+        placements, drives: number of placements and of drives of each plan.
+        displaced: number of placements in which boxes appear at places with errors, or with changed sizes.
+        carried: number of placements in which boxes are carried to their places.
+        drive_steps: steps of one drive, including ``rest_steps``; the mean over profiles.
+        filmed: whether shaken pallets are wrapped in film.
+        placed_share: for each plan, the share of its boxes that are placed before the first box that tips over at once
             (petmjx.plans.loose_boxes); 1 without such a box. Empty: the share is unknown, and no box is expected to tip
             over.
     """
@@ -156,31 +161,32 @@ class Work:
 
     @property
     def _falls(self) -> NDArray[np.bool_]:
-        """(n,) whether a box of each plan tips over, which ends the world."""
+        """(n,) whether each plan has a box that tips over, which ends the world."""
         has_shares = len(self.placed_share) > 0 and self.sim.early_stop
         return np.asarray(self.placed_share, dtype=float) < 1.0 if has_shares else np.zeros(len(self.boxes), dtype=bool)
 
     @property
     def fall_steps(self) -> FloatArray:
-        """(n,) steps in which boxes fall, before the world ends."""
+        """(n,) number of steps in which boxes fall before the world ends."""
         if self.sim.check is Check.ONE_BY_ONE:
             return np.where(self._falls, float(FALL_STEPS), 0.0)
         return np.where(self._falls, np.minimum(self.fixed_steps, STATIC_FALL_STEPS), 0.0)
 
     @property
     def shaken(self) -> FloatArray:
-        """(n,) number of drives of each plan: a pallet that does not stand is not shaken."""
+        """(n,) number of drives of each plan; 0 for a pallet that does not stand, since it is not shaken."""
         return np.where(self._falls, 0.0, float(self.drives))
 
     @property
     def on_boards(self) -> bool:
-        """Whether the carrier has boards, or walls."""
+        """Whether the carrier has boards or walls."""
         slabs = (Carrier.FOOTPRINT, Carrier.EURO_PALLET, Carrier.ROLLCONTAINER)
         return self.sim.carrier not in slabs or has_walls(self.sim)
 
     @property
     def fixed_steps(self) -> FloatArray:
-        """(n,) steps of one placement of each plan with the fixed schedule, with the time to settle before a drive."""
+        """(n,) steps of one placement of each plan with the fixed schedule, including the time to settle before a
+        drive."""
         sim, boxes = self.sim, np.asarray(self.boxes)
         one_by_one = sim.check is Check.ONE_BY_ONE
         if self.drives:
@@ -191,12 +197,12 @@ class Work:
 
     @property
     def steps(self) -> FloatArray:
-        """(n,) expected steps of each plan, with soft starts."""
+        """(n,) expected steps of each plan, including soft starts."""
         placing = self.as_planned(ERROR_STEPS) * (self.share * self._placing_steps + self.fall_steps)
         return self.placements * SOFT_STARTS + placing + self.shaken * self.drive_steps
 
     def as_planned(self, errors: Errors) -> float:
-        """Number of placements of each plan without errors that have the same cost, or steps, as all its placements."""
+        """Number of placements without errors that have the same cost, or steps, as all placements of a plan."""
         displaced, carried = (errors.displaced - 1) * self.displaced, (errors.carried - 1) * self.carried
         return self.placements + displaced + carried
 
@@ -208,12 +214,12 @@ class Work:
         return STEP_SHARE[self.sim.schedule] * self.fixed_steps
 
     def _placing(self, power: float, *, grows: bool) -> FloatArray:
-        """(n,) box^power × steps of one placement, on a device; ``grows``: boxes not placed yet cost nothing."""
+        """(n,) box^power × steps of one placement on a device. ``grows``: boxes not yet placed cost nothing."""
         share = 1 / (power + 1) if grows and self.sim.check is Check.ONE_BY_ONE else 1.0
         return share * COST_SHARE[self.sim.schedule] * np.asarray(self.boxes, dtype=float) ** power * self.fixed_steps
 
     def _driving(self, power: float, steps: FloatArray | float) -> FloatArray:
-        """(n,) box^power × steps of a drive of each plan, on a device. steps: number of steps of the drive."""
+        """(n,) box^power × steps of a drive of each plan, on a device. ``steps``: number of steps of the drive."""
         return np.asarray(SHAKEN_FACTOR * np.asarray(self.boxes, dtype=float) ** power * steps)
 
 
@@ -222,12 +228,12 @@ class ThreadCosts:
     """Measured costs of an engine on one CPU thread.
 
     Attributes:
-        rest_s: time for a step of a world at rest, s per box to the power ``REST_POWER``.
-        overhead_s: time that any step takes in addition, s.
+        rest_s: time of a step of a world at rest, s per box to the power ``REST_POWER``.
+        overhead_s: additional time of any step, s.
         landing_s: additional time until a box has landed, s per box² of the standing boxes.
-        driven_s: additional time of a step of a drive, s: the forces of each step count, and contacts slide.
-        board_s: time that a step takes in addition on a carrier of boards, s per box: all pairs are checked.
-        shaken_s: time that each of the first ``SHAKEN_STEPS`` steps of a drive takes in addition, s per box².
+        driven_s: additional time of a step of a drive, s: forces are summed in each step, and contacts slide.
+        board_s: additional time of a step on a carrier of boards, s per box: all pairs are checked.
+        shaken_s: additional time of each of the first ``SHAKEN_STEPS`` steps of a drive, s per box².
         fall_s: additional time of a step in which boxes of a placement fall, s per box².
         errors: relative cost of placements with errors.
         film_s: additional time of a step in which film acts, s.
@@ -244,19 +250,19 @@ class ThreadCosts:
     board_s: float = 0.0
 
     def slowed(self, factor: float) -> ThreadCosts:
-        """The costs of a thread that takes ``factor`` times as long."""
+        """The costs on a thread that is slower by ``factor``."""
         times = ("rest_s", "overhead_s", "landing_s", "shaken_s", "fall_s", "film_s", "driven_s", "board_s")
         return replace(self, **{name: factor * getattr(self, name) for name in times})
 
     def seconds(self, work: Work, threads: int) -> float:
-        """Expected time, s, with the worlds shared out over threads: at least that of the longest one."""
+        """Expected time if the worlds are divided among threads, s. It is at least the time of the longest world."""
         placing_s, driving_s = self.placing_s(work), self.driving_s(work.boxes, work.drive_steps)
         driving_s = driving_s + work.drive_steps * self.film_s * work.filmed
         thread_s = float((work.as_planned(self.errors) * placing_s + work.shaken * driving_s).sum())
         each_s = (self.errors.carried if work.carried else self.errors.displaced if work.displaced else 1.0) * placing_s
         longest_s = float((each_s + np.where(work.shaken > 0, driving_s, 0.0)).max())
         if work.on_boards:
-            # half of the boxes are placed, in the mean
+            # on average, half of the boxes are placed
             thread_s += 0.5 * self.board_s * float((work.steps * np.asarray(work.boxes)).sum())
             return BOARDS_COST * max(thread_s / threads, longest_s)
         return max(thread_s / threads, longest_s)
@@ -265,7 +271,7 @@ class ThreadCosts:
         """(n,) time of one placement of each plan, s."""
         boxes = np.asarray(work.boxes, dtype=float) * work.share
         one_by_one = work.sim.check is Check.ONE_BY_ONE
-        # sums over the standing boxes, 1…n, if they are placed one by one
+        # if boxes are placed one by one, these are sums over 1…n standing boxes
         at_rest = self.rest_s * boxes**REST_POWER / (REST_POWER + 1 if one_by_one else 1)
         landings = boxes**3 / 3 if one_by_one else STATIC_LANDINGS * boxes**2
         placing_s = (at_rest + self.overhead_s) * (SOFT_STARTS + work.share * work._placing_steps)
@@ -274,7 +280,7 @@ class ThreadCosts:
         return np.asarray(placing_s + self.landing_s * landings + work.fall_steps * falling_s)
 
     def driving_s(self, boxes: Sequence[int], steps: FloatArray | float) -> FloatArray:
-        """(n,) time of a drive of each plan, s. steps: number of steps of the drive."""
+        """(n,) time of one drive of each plan, s. ``steps``: number of steps of the drive."""
         n = np.asarray(boxes, dtype=float)
         at_rest = self.rest_s * n**REST_POWER + self.overhead_s
         shaken_s = self.shaken_s * n**2 * np.minimum(steps, SHAKEN_STEPS)
@@ -283,17 +289,17 @@ class ThreadCosts:
 
 @dataclass(frozen=True)
 class Costs:
-    """Measured costs of the engines, in the detail that ``auto`` and estimates of time need.
+    """Measured costs of the engines, as detailed as ``auto`` and estimates of time need them.
 
     Attributes:
-        mujoco, kernel: of ``mujoco`` and of ``mjx-warp-cpu`` on a CPU thread.
-        kernel_start_s: time to start ``mjx-warp-cpu``, with compilation, s.
-        jax_step_s: time of ``mjx-jax`` on a CPU for a step of one world, s per box²: 57 steps/s with 40 boxes on two
+        mujoco, kernel: costs of ``mujoco`` and of ``mjx-warp-cpu`` on one CPU thread.
+        kernel_start_s: time to start ``mjx-warp-cpu``, including compilation, s.
+        jax_step_s: time of a step of one world on ``mjx-jax`` on a CPU, s per box²; 57 steps/s with 40 boxes on two
             cores.
-        gpu_step_s: time of a device for a step of ``full_worlds`` worlds, s per box to the power ``WARP_POWER``.
-        full_worlds: worlds that fill the device.
+        gpu_step_s: time of a step of ``full_worlds`` worlds on a device, s per box to the power ``WARP_POWER``.
+        full_worlds: number of worlds that fill the device.
         tail_worlds: cost of the end of a run, as a number of worlds: the last worlds leave the device nearly idle.
-        gpu_start_s: time to start the device engine, with compilation, s.
+        gpu_start_s: time to start the device engine, including compilation, s.
     """
 
     mujoco: ThreadCosts = ThreadCosts(
@@ -308,7 +314,7 @@ class Costs:
     gpu_start_s: float = 17.0
 
     def slowed(self, factor: float) -> Costs:
-        """The costs of a machine whose CPU threads take ``factor`` times as long. The costs of GPUs stay."""
+        """The costs on a machine whose CPU threads are slower by ``factor``. The costs of GPUs do not change."""
         return replace(
             self,
             mujoco=self.mujoco.slowed(factor),
@@ -318,8 +324,8 @@ class Costs:
         )
 
     def seconds(self, work: Work, threads: int, gpus: int = 1) -> dict[str, float]:
-        """Engine → expected time, s, with the worlds shared out over threads or GPUs; for ``mjx-jax`` the time on a
-        CPU."""
+        """Engine → expected time, s, if the worlds are divided among threads or GPUs. For ``mjx-jax`` it is the time on
+        a CPU."""
         n_plans = len(work.boxes)
         if not n_plans:
             starts = {"mjx-warp": self.gpu_start_s, "mjx-warp-cpu": self.kernel_start_s}
@@ -336,25 +342,25 @@ class Costs:
         }
 
     def of_jobs(self, jobs: Sequence[Job], sim: Simulation, costs: ThreadCosts | None = None) -> FloatArray:
-        """(n,) expected time of each job on one CPU thread, s. costs: costs of the engine; None: of ``mujoco``."""
+        """(n,) expected time of each job on one CPU thread, s. ``costs``: costs of the engine; None: of ``mujoco``."""
         costs = costs or self.mujoco
         work, placements, drive_steps = _expected_work(jobs, sim, costs.errors)
         drives_s = costs.driving_s(work.boxes, drive_steps)
         return np.asarray(placements * costs.placing_s(work) + drives_s)
 
     def of_jobs_on_device(self, jobs: Sequence[Job], sim: Simulation) -> FloatArray:
-        """(n,) expected time of each job in a thread block of ``mjx-warp``, in units of a step of one box."""
+        """(n,) expected time of each job in a thread block of ``mjx-warp``; the unit is one step of one box."""
         work, placements, drive_steps = _expected_work(jobs, sim, ON_DEVICE)
         placing = placements * work._placing(WARP_POWER, grows=True)
         return np.asarray(placing + work._driving(WARP_POWER, drive_steps))
 
     def _phase_s(self, worlds: float, work: float) -> float:
-        """Time of a phase of many worlds on the device, with its end, when only a few still run."""
+        """Time of a phase of many worlds on the device, s, including its end, when only a few worlds still run."""
         return self.gpu_step_s * work * (worlds + self.tail_worlds) / self.full_worlds if worlds else 0.0
 
 
 def _expected_work(jobs: Sequence[Job], sim: Simulation, errors: Errors) -> tuple[Work, FloatArray, FloatArray]:
-    """The placements of all jobs as planned, (n,) the factor of each for errors, and (n,) steps of its drive."""
+    """The placements of all jobs as planned, (n,) factor of each job for errors, and (n,) steps of each job's drive."""
     placements = np.array([errors.of(job) if job.start is None else 0.0 for job in jobs])
     drive_steps = np.array([expected_drive_steps(job.drive, sim) if job.drive else 0.0 for job in jobs])
     work = Work(sim, [job.scene.n_boxes for job in jobs], drives=int(any(job.settles for job in jobs)))
@@ -366,15 +372,17 @@ MEASURED = Costs()
 benchmarks/results/cpu-0.3.jsonl and h200-0.3.jsonl, and the records of tests/unit/test_engine_choice.py. Tests compare
 both with the model.
 
-CPU threads: one thread of two virtual EPYC cores, and a busier one that was 2.3 to 3.6 times as slow
-(petmjx/engines/machine_speed.py), physics ``pallet``: scores of generated plans of 5 to 80 boxes and
-third-party ones of 16 to 241, static checks, both schedules, scores with confidence, placed exactly and by hand,
-EUMOS's drives and search, tilts, placement errors. The costs of plans with a box that tips over at once are fitted to
-shelf packings of 24 boxes (tests/unit/test_falling_plans.py), and film to EUMOS's drives of 8, 20 and 44 boxes with 1
-to 16 turns, each compared with the same drive without film. Other plans that fall early take less, large ones that
-collapse up to five times as long. Physics ``reference`` is not fitted, and other CPUs are slower or faster. Worlds that
-are simulated again with finer steps are not estimated.
+CPU threads: one thread of two virtual EPYC cores, and a busier thread that was 2.3 to 3.6 times as slow
+(petmjx/engines/machine_speed.py), with physics ``pallet``. The runs are scores of generated plans of 5 to 80 boxes and
+of third-party plans of 16 to 241 boxes, static checks, both schedules, scores with confidence (boxes placed exactly and
+by hand), EUMOS's drives and search, tilts, and placement errors. The costs of plans with a box that tips over at once
+are fitted to shelf packings of 24 boxes (tests/unit/test_falling_plans.py). The costs of film are fitted to EUMOS's
+drives of 8, 20 and 44 boxes with 1 to 16 turns, each compared with the same drive without film.
 
-Devices: one H100 without start and compilation, adaptive if nothing else is said: 10,003 generated plans, 4,000 with
-the schedule fixed, 500 and 1,000 plans with confidence 16, placed exactly, 250 by hand, 128,000 worlds of 12 boxes with
-errors and a million. ``mjx-warp`` compiles for 13 to 23 s (0.5 s with a kernel from an earlier run)."""
+Other plans that fall early take less, and large ones that collapse up to five times as long. Physics ``reference`` is
+not fitted, and other CPUs are slower or faster. Worlds that are simulated again with finer steps are not estimated.
+
+Devices: one H100, without start and compilation. The schedule is adaptive unless stated otherwise. The runs are 10,003
+generated plans, 4,000 with the fixed schedule, 500 and 1,000 plans with confidence 16 (placed exactly), 250 by hand,
+and 128,000 and a million worlds of 12 boxes with errors. ``mjx-warp`` compiles for 13 to 23 s (0.5 s with a kernel from
+an earlier run)."""

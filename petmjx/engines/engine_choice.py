@@ -1,4 +1,4 @@
-"""Engines by name, and the choice of ``auto``: the engine that should finish first."""
+"""Engines by name, and the choice that ``auto`` makes: the engine that should finish first."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ ENGINES: dict[str, tuple[str, str, tuple[str, ...]]] = {
     "mjx-warp": ("petmjx.engines.warp.engine", "MjxWarpEngine", ("lanes",)),
     "mjx-warp-cpu": ("petmjx.engines.warp.cpu_engine", "MjxWarpCpuEngine", ("threads",)),
 }
-"""Engine name → module, class, and names of its arguments among the options of a run, in order. A module is
+"""Engine name → module, class, and the names of its arguments among the options of a run, in order. A module is
 imported only when its engine is used."""
 
 
@@ -31,7 +31,7 @@ def has_option(engine: str, option: str) -> bool:
 
 @dataclass(frozen=True)
 class Choice:
-    """An engine's name, the reason for its choice (one line), and the expected time in s (None: not known)."""
+    """The name of an engine, the reason for choosing it (one line), and the expected time in s (None: unknown)."""
 
     name: str
     reason: str
@@ -39,8 +39,8 @@ class Choice:
 
 
 def options_of(name: str, options: RunOptions) -> dict[str, Any]:
-    """The arguments of ``make_engine`` from the options of a run. With ``auto`` only the options that the engine
-    has."""
+    """The arguments of ``make_engine`` from the options of a run. With ``auto``, only options that the engine has are
+    included."""
     of_engine = ENGINES[name][2] if options.engine == AUTO else ("threads", "world_timeout_s", "lanes")
     return {option: getattr(options, option) for option in of_engine}
 
@@ -52,13 +52,13 @@ def choose(
     why_no_gpu: Callable[[], str | None] | None = None,
     why_no_kernel: Callable[[], str | None] | None = None,
 ) -> tuple[str, str]:
-    """The engine that ``auto`` stands for, and the reason.
+    """The engine that ``auto`` chooses, and the reason.
 
     Args:
-        seconds: expected time of each engine, s.
-        threads: CPU threads that ``mujoco`` or ``mjx-warp-cpu`` would use.
-        gpus: GPUs that ``mjx-warp`` would use.
-        why_no_gpu: returns why ``mjx-warp`` cannot run, or None; without it this machine is checked.
+        seconds: engine → expected time, s.
+        threads: number of CPU threads that ``mujoco`` or ``mjx-warp-cpu`` would use.
+        gpus: number of GPUs that ``mjx-warp`` would use.
+        why_no_gpu: returns the reason why ``mjx-warp`` cannot run, or None. If not given, this machine is checked.
         why_no_kernel: as ``why_no_gpu``, for ``mjx-warp-cpu``.
     """
     cpu, gpu = count_text(threads, "CPU thread"), "a GPU" if gpus <= 1 else f"{gpus} GPUs"
@@ -87,16 +87,16 @@ def choose(
 def make_engine(
     name: str, *, threads: int | None = None, lanes: int | None = None, world_timeout_s: float | None = None
 ) -> Engine:
-    """Build an engine by name.
+    """Build the engine with this name.
 
     Args:
-        threads: CPU threads of ``mujoco`` or ``mjx-warp-cpu``; None: all.
-        lanes: worlds at once of ``mjx-jax`` or ``mjx-warp``; None: the engine's own choice.
-        world_timeout_s: longest wall-clock time of an attempt at a world, ``mujoco``; None: no limit.
+        threads: number of CPU threads of ``mujoco`` or ``mjx-warp-cpu``; None: all threads.
+        lanes: number of worlds that ``mjx-jax`` or ``mjx-warp`` simulates at once; None: the engine's own choice.
+        world_timeout_s: longest wall-clock time of an attempt at a world, ``mujoco`` only, s; None: no limit.
 
     Raises:
-        InputError: no such engine, or the engine does not have this option.
-        EngineUnavailable: the engine cannot run here; the line says why.
+        InputError: there is no such engine, or the engine does not have this option.
+        EngineUnavailable: the engine cannot run here; the message gives the reason.
     """
     options = {"threads": threads, "lanes": lanes, "world_timeout_s": world_timeout_s}
     check_options(name, **options)
@@ -113,7 +113,7 @@ def make_engine(
 
 
 def check_options(name: str, **options: Any) -> None:
-    """Raises InputError if there is no such engine, or the engine lacks one of these options."""
+    """Raise InputError if there is no such engine, or if the engine lacks one of these options."""
     if name not in ENGINES:
         raise InputError(f"unknown engine {name!r}; there are {', '.join(ENGINES)} and {AUTO}")
     for option, value in options.items():

@@ -1,9 +1,9 @@
-"""Engine handover: C MuJoCo, which hands worlds over to the kernels if they take long.
+"""Engine handover: C MuJoCo, which hands worlds over to the kernels if they take too long.
 
-``auto`` takes this engine for little work without a GPU. The choice follows from an estimate by the numbers of boxes.
-Plans that collapse take many times as long on C MuJoCo, and less so in kernels. So the CPU time of finished worlds is
-compared with their expected time. If the kernels would finish the remaining worlds sooner, compilation included, they
-take them.
+``auto`` chooses this engine for little work on a machine without a GPU. The choice follows from an estimate that knows
+only the numbers of boxes. Plans that collapse take many times as long on C MuJoCo, but less so in the kernels. So the
+CPU time of finished worlds is compared with their expected time. If the kernels would finish the remaining worlds
+sooner, compilation included, these worlds go to the kernels.
 """
 
 from __future__ import annotations
@@ -31,32 +31,33 @@ from petmjx.world.job import Job, KeptState
 from petmjx.world.scene import Scene
 
 LEAST_WORLDS: Final = 20
-"""Number of finished worlds before their time is compared with the expected one: single worlds vary tenfold."""
+"""Smallest number of finished worlds for which their time is compared with the expected time: single worlds vary
+tenfold."""
 
 SLOWER: Final = 2.0
-"""Estimates hold within this factor. Worlds that take no longer are no reason for a handover."""
+"""Estimates hold within this factor. So worlds that are slower by less than this are no reason for a handover."""
 
 GAIN: Final = 1.5
-"""The kernels must be faster by this factor with the remaining worlds: estimates of time are no more exact."""
+"""The kernels must be faster by this factor for the remaining worlds, since estimates of time are not more exact."""
 
 Faster = TypeVar("Faster", bound=Engine)
 
 
 _Numbered = tuple[int, Job]
-"""A job, with its stream number in the run."""
+"""A job with its number in the stream of the run."""
 
 
 class HandoverEngine(Engine, Generic[Faster]):
-    """C MuJoCo until its worlds take longer than expected; then the kernels, for all that has not begun.
+    """C MuJoCo, until its worlds take longer than expected; then the kernels, for all jobs that have not begun.
 
-    Only first attempts change engines: C MuJoCo makes further attempts, which need double precision. Each outcome says
-    which engine made it.
+    Only first attempts change engines. C MuJoCo makes further attempts, which need double precision. Each outcome names
+    the engine that made it.
 
     Args:
-        mujoco: the engine of the run.
-        make_faster: makes the engine that takes over. If it raises ``EngineUnavailable`` or ``InputError``, the run
-            stays with ``mujoco``.
-        costs: costs of both engines; ``costs.kernel_start_s`` is the time until the other engine begins.
+        mujoco: the engine with which the run begins.
+        make_faster: makes the other engine. If it raises ``EngineUnavailable`` or ``InputError``, the run stays with
+            ``mujoco``.
+        costs: costs of both engines; ``costs.kernel_start_s`` is the time until the other engine starts to simulate.
     """
 
     name = MujocoEngine.name
@@ -76,15 +77,15 @@ class HandoverEngine(Engine, Generic[Faster]):
 
     @property
     def threads(self) -> int:
-        """Number of worlds that are simulated at once."""
+        """Number of worlds that are simulated at the same time."""
         return self._mujoco.threads
 
     def open(self, scenes: Sequence[Scene], sim: Simulation, most_boxes: int = MOST_BOXES) -> OpenWorlds:
-        """As in the protocol, on C MuJoCo."""
+        """See ``Engine.open``; the worlds are on C MuJoCo."""
         return self._mujoco.open(scenes, sim, most_boxes)
 
     def paths(self, bodies: FreeBodies, sim: Simulation) -> FloatArray:
-        """As in the protocol, on C MuJoCo."""
+        """See ``Engine.paths``; the worlds are on C MuJoCo."""
         return self._mujoco.paths(bodies, sim)
 
     def retire(self) -> None:
@@ -100,7 +101,7 @@ class HandoverEngine(Engine, Generic[Faster]):
     def run(
         self, jobs: Sequence[Job] | JobStream[Any], sim: Simulation, progress: Progress | None = None
     ) -> Iterator[Outcome]:
-        """As in the protocol. Jobs begin with the states that they start from (``KeptState``), of either engine."""
+        """See ``Engine.run``. Jobs may start from states (``KeptState``) of either engine."""
         progress = progress if progress is not None else Progress()
         self._sim = self._sim or sim
         first_attempt = sim == self._sim and sim.solver is Solver.NEWTON
@@ -109,14 +110,14 @@ class HandoverEngine(Engine, Generic[Faster]):
             yield from run.on_mujoco() if run.next_is_mujoco else run.on_faster()
 
     def _slower(self) -> float:
-        """Time of finished worlds relative to the expected time."""
+        """Time of finished worlds divided by their expected time."""
         return self._spent_s / self._expected_s if self._expected_s > 0 else 1.0
 
     def _hands_over(self, waiting: Callable[[], Sequence[Job]], sim: Simulation, progress: Progress) -> bool:
-        """Whether the other engine takes the jobs that have not begun. True: the other engine exists.
+        """Whether the jobs that have not begun go to the other engine. If True, the other engine has been made.
 
         Args:
-            waiting: gives the jobs that have not begun.
+            waiting: returns the jobs that have not begun.
         """
         slower = self._slower()
         if self._stays or self._worlds < LEAST_WORLDS or slower < SLOWER:
@@ -144,7 +145,7 @@ class HandoverEngine(Engine, Generic[Faster]):
 
 
 class _Shared(Generic[Faster]):
-    """The jobs of one run, divided between both engines."""
+    """The jobs of one run, divided between the two engines."""
 
     def __init__(
         self,
@@ -161,11 +162,11 @@ class _Shared(Generic[Faster]):
         self._mujoco, self._faster = deque[_Numbered](), deque[_Numbered]()
 
     def take(self, *, wait: bool = False) -> bool:
-        """Take the jobs that can begin; returns whether any job is left. What C MuJoCo cannot begin yet stays in the
-        stream, where jobs that follow from outcomes are taken first.
+        """Take jobs that can begin; returns whether there are any jobs. Jobs that C MuJoCo cannot begin yet stay in the
+        stream, in which jobs that follow from outcomes are taken first.
 
         Args:
-            wait: wait for jobs if none is left.
+            wait: if there are no jobs, wait for some.
         """
         wait = wait and not self.next_is_mujoco and not self._faster
         room = 2 * self._engine.threads
@@ -177,20 +178,20 @@ class _Shared(Generic[Faster]):
 
     @property
     def next_is_mujoco(self) -> bool:
-        """Whether C MuJoCo has jobs."""
+        """Whether there are jobs for C MuJoCo."""
         return bool(self._mujoco)
 
     def _is_for_mujoco(self, job: Job) -> bool:
         stays = self._engine._faster is None or self._engine._stays
-        # an engine that repeats the placement of another one cannot put boxes elsewhere afterwards
+        # an engine that repeats another engine's placement cannot move boxes to other poses afterwards
         starts_from_own_state = (
             job.poses is not None and isinstance(job.start, KeptState) and job.start.engine == self._engine.name
         )
         return stays or starts_from_own_state or job.scene.soft is not None or not self._first_attempt
 
     def on_mujoco(self) -> Iterator[Outcome]:
-        """Run jobs on C MuJoCo. C MuJoCo gets only the jobs that it begins, so that the remaining ones can be taken
-        back."""
+        """Run jobs on C MuJoCo. It gets only jobs that it can begin at once, so that the remaining ones can still be
+        handed over."""
         mujoco = self._engine._mujoco
         stream = JobStream[_Numbered]()
 
@@ -200,7 +201,7 @@ class _Shared(Generic[Faster]):
                 stream.put(ready_for(mujoco.name, job), (stream_number, job))
 
         feed()
-        stream.close()  # further jobs are put between outcomes
+        stream.close()  # further jobs are added only between outcomes
         spent_s = self._progress.thread_s
         with closing(mujoco.run(stream, self._sim, self._progress)) as outcomes:  # type: ignore[type-var]  # a generator
             for outcome in outcomes:
@@ -216,8 +217,7 @@ class _Shared(Generic[Faster]):
                 feed()
 
     def _count(self, job: Job, seconds: float) -> None:
-        """Count the time of a finished world. A world that should start from a state but was placed anew is not
-        counted."""
+        """Count the time of a finished first attempt, and its expected time."""
         engine = self._engine
         if self._first_attempt:
             engine._worlds += 1
@@ -236,7 +236,7 @@ class _Shared(Generic[Faster]):
         return [job for _, job in self._mujoco] + self._jobs.peek(sys.maxsize)
 
     def on_faster(self) -> Iterator[Outcome]:
-        """Run jobs on the other engine. After an error of the other engine C MuJoCo simulates the unanswered jobs."""
+        """Run jobs on the other engine. If it fails, C MuJoCo simulates the jobs without an answer."""
         faster, progress = self._engine._faster, self._progress
         assert faster is not None
         stream = JobStream[_Numbered](feedback=self._jobs.feedback, bounds=self._jobs.bounds)
@@ -247,7 +247,7 @@ class _Shared(Generic[Faster]):
                 stream.put(ready_for(faster.name, job), (stream_number, job))
 
         feed()
-        stream.close()  # further jobs are put between outcomes
+        stream.close()  # further jobs are added only between outcomes
         try:
             with closing(run_engine(faster, stream, self._sim, progress, sys.maxsize)) as outcomes:
                 for outcome in outcomes:

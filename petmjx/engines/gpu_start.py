@@ -1,4 +1,4 @@
-"""Starts the libraries that an engine needs on a GPU, and compiles its kernels, before its first world."""
+"""Starts the libraries that an engine needs on a GPU, and compiles its kernels, before the first world."""
 
 from __future__ import annotations
 
@@ -10,8 +10,8 @@ from petmjx.options.simulation import Simulation
 
 
 def start_gpu() -> None:
-    """Start JAX and Warp, and load the modules of ``mjx-warp``, which takes a second or two. An error is left to the
-    engine that needs them."""
+    """Start JAX and Warp, and load the modules of ``mjx-warp``. This takes a second or two. Errors are ignored here:
+    the engine that needs these libraries reports them."""
     with suppress(Exception):
         importlib.import_module("petmjx.engines.mjx.jax_setup").set_up_jax()
         set_up_warp()
@@ -22,7 +22,7 @@ def start_gpu() -> None:
 
 
 def compile_ahead(sim: Simulation) -> None:
-    """Compile the kernels of ``mjx-warp`` that most runs need, after ``start_gpu``. The first time on a machine this
-    takes about twenty seconds. An error is left to the engine."""
+    """Compile the kernels of ``mjx-warp`` that most runs need. Call it after ``start_gpu``. The first time on a
+    machine, it takes about twenty seconds. Errors are ignored here: the engine reports them."""
     with suppress(Exception):
         importlib.import_module("petmjx.engines.warp.programs").load_usual_kernels(sim)

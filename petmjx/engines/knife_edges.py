@@ -1,4 +1,4 @@
-"""The box with a world's flag ``knife-edge``, by the world's stored distances."""
+"""Finds the box that sets a world's flag ``knife-edge``, from the distances stored for the world."""
 
 from __future__ import annotations
 
@@ -13,19 +13,20 @@ from petmjx.common.units import FloatArray
 from petmjx.engines.verdict import Verdict
 
 KNIFE_EDGE_M: Final = 0.0005
-"""Plans have whole millimetres, and boxes are smaller than planned by a tenth of a millimetre. All verdicts that other
-simulators disputed were of boxes whose centre was nearer than this to an edge (docs/validation.md)."""
+"""A load nearer to an edge than this sets the flag, m. Plans have whole millimetres, and boxes are smaller than planned
+by a tenth of a millimetre. In all verdicts that other simulators disputed, the centre of a box was nearer than this to
+an edge (docs/validation.md)."""
 
 NEAR_M: Final = 0.001
-"""A load nearer than this to an edge sets the flag, too, if the verdict contradicts statics: a world stands with the
-load beyond the edge, or falls with it inside. (Small worlds that fall are also tried in stiffer contacts:
+"""A load nearer to an edge than this sets the flag, too, if the verdict contradicts statics, m: the world stands with
+the load beyond the edge, or falls with the load inside. (Small worlds that fall are also tried in stiffer contacts:
 petmjx.engines.contact_tilt.)"""
 
 _ROUNDING_M: Final = 1e-9
-"""Tables have distances of a millimetre as float32."""
+"""Rounding error of tables, m: they store distances of a millimetre as float32."""
 
 _SAME_M: Final = 1e-6
-"""Tables have places of boxes as float32, too."""
+"""Tolerance for equal distances, m: tables store places of boxes as float32, too."""
 
 BY_PLAN: Final = "by the plan"
 AT_REST: Final = "at rest"
@@ -33,14 +34,14 @@ WHILE_BUILT: Final = "while it is built"
 
 
 class KnifeEdge(NamedTuple):
-    """A load near an edge.
+    """A load and its distance from an edge.
 
     Attributes:
-        edge_m: distance from the edge, positive inside, negative beyond.
+        edge_m: distance from the edge, m; positive inside, negative beyond.
         box: the box that has the load.
         when: ``BY_PLAN``, ``AT_REST`` or ``WHILE_BUILT``.
-        step: the box after whose placement the load is there, ``WHILE_BUILT``; else -1.
-        own_weight: whether the load is the box's own weight alone.
+        step: for ``WHILE_BUILT``, the box after whose placement the load is there; else -1.
+        own_weight: whether the load is only the box's own weight.
     """
 
     edge_m: float
@@ -53,11 +54,11 @@ class KnifeEdge(NamedTuple):
 def kept_edges(
     world: Mapping[str, Any], plan_edge_m: FloatArray | None, rest_edge_m: FloatArray | None
 ) -> Iterator[KnifeEdge]:
-    """The distances of loads from edges that a run writes for a world.
+    """The distances of loads from edges that a run stores for a world.
 
     Args:
         world: columns of ``worlds``, or fields of ``petmjx.engines.verdict.Outcome``.
-        plan_edge_m, rest_edge_m: (n,) distances of the boxes, m; None: they are not kept.
+        plan_edge_m, rest_edge_m: (n,) distances of the boxes' loads, m; None: they are not stored.
     """
     for name, when, of_boxes in (
         ("plan", BY_PLAN, plan_edge_m),
@@ -72,16 +73,16 @@ def kept_edges(
 
 
 def edges_when(edge_m: FloatArray, when: str, own_weight: bool = False) -> Iterator[KnifeEdge]:
-    """The distances of boxes, without those that are not known."""
+    """The distances of the boxes' loads, except unknown (NaN) ones."""
     for box in np.flatnonzero(~np.isnan(edge_m)).tolist():
         yield KnifeEdge(float(edge_m[box]), box, when, own_weight=own_weight)
 
 
 def nearest_edge(edges: Iterable[KnifeEdge], verdict: Verdict | None = None) -> KnifeEdge | None:
-    """The load that is nearest to an edge, on either side; None: there is none.
+    """The load that is nearest to an edge, on either side; None: there is no load.
 
     Args:
-        verdict: only loads that set the flag of a world with this verdict; None: any load.
+        verdict: consider only loads that set the flag of a world with this verdict; None: consider all loads.
     """
     return min(
         (edge for edge in edges if verdict is None or _edge_sets_flag(edge, verdict)),
@@ -91,12 +92,12 @@ def nearest_edge(edges: Iterable[KnifeEdge], verdict: Verdict | None = None) -> 
 
 
 def sets_flag(edge_m: FloatArray, verdict: Verdict | None, *, rounding_m: float = 0.0) -> NDArray[np.bool_]:
-    """(…) whether loads at these distances from edges set the flag: they are near an edge, or less near and on the side
-    that the verdict contradicts. NaN sets none.
+    """(…) whether loads at these distances from edges set the flag. They do if they are near an edge, or a little less
+    near and on the side that the verdict contradicts. NaN does not set it.
 
     Args:
-        verdict: of the world; None: the side does not count.
-        rounding_m: largest error of the distances, m; so much further counts as near.
+        verdict: verdict of the world; None: the side does not count.
+        rounding_m: largest error of the distances, m; distances count as near up to this amount farther out.
     """
     away_m = np.abs(edge_m) - rounding_m
     is_near = away_m <= KNIFE_EDGE_M
@@ -107,19 +108,19 @@ def sets_flag(edge_m: FloatArray, verdict: Verdict | None, *, rounding_m: float 
 
 
 def _edge_sets_flag(edge: KnifeEdge, verdict: Verdict) -> bool:
-    """Whether a load whose distance a table keeps sets the flag. At rest its side does not count."""
+    """Whether a load whose distance a table stores sets the flag. At rest, the side does not count."""
     side = None if edge.when == AT_REST else verdict
     return bool(sets_flag(np.array([edge.edge_m]), side, rounding_m=_ROUNDING_M)[0])
 
 
 def is_same_edge(edge: KnifeEdge, kept: KnifeEdge) -> bool:
-    """Whether a distance that is computed again is one that tables keep, of the same box at the same time."""
+    """Whether a recomputed distance is the one that tables store, of the same box at the same time."""
     is_same = (edge.box, edge.when, edge.step) == (kept.box, kept.when, kept.step)
     return is_same and math.isclose(edge.edge_m, kept.edge_m, abs_tol=_SAME_M)
 
 
 def _float(value: Any) -> float:
-    """The number; NaN if it is null."""
+    """The number as float; NaN if it is null."""
     try:
         return math.nan if value is None else float(value)
     except TypeError:  # pandas.NA
@@ -127,5 +128,5 @@ def _float(value: Any) -> float:
 
 
 def _number(value: float) -> int:
-    """The number of a box; -1 for NaN."""
+    """The number as the number of a box; -1 for NaN."""
     return -1 if math.isnan(value) else int(value)

@@ -1,6 +1,7 @@
-"""Speed of this machine, for estimates: the constants of petmjx/engines/cost_model.py were measured on another machine.
+"""The speed of this machine, for estimates. The constants of petmjx/engines/cost_model.py were measured on another
+machine.
 
-The speed is measured in CPU time of the thread, so that other programs on the machine count little.
+The speed is measured in CPU time of the thread, so that other programs on the machine have little effect.
 """
 
 from __future__ import annotations
@@ -18,26 +19,26 @@ from petmjx.world.job import Job
 from petmjx.world.scene import build_scene
 
 WORTH_S: Final = 2.0
-"""Expected time of a run from which on the machine is measured, s: for shorter runs nobody looks at the estimate."""
+"""Smallest expected time of a run for which the machine is measured, s. For shorter runs nobody reads the estimate."""
 
 BOX_MM: Final = (400.0, 300.0, 200.0)
 SIDE, LAYERS, ROUNDS = 3, 3, 2
-"""Boxes along a side and layers of the block that is built to measure the machine, and number of rounds. The block
-stands. The fastest round counts: other work may have slowed the other one."""
+"""Size of the block of boxes that is simulated to measure the machine: boxes along a side, and layers; and the number
+of rounds. The block stands. The fastest round counts, since other work may have slowed down the other one."""
 
 REFERENCE_S: Final = 0.04
-"""CPU time of the block on the machine of ``MEASURED``."""
+"""CPU seconds to simulate the test block of boxes on the machine on which ``MEASURED`` was taken."""
 
 SLOWEST, FASTEST = 8.0, 0.125
-"""Bounds of the measured slowness: beyond them something else was measured."""
+"""Bounds of the measured slowness. A value beyond them cannot be the speed of the machine."""
 
 
 def costs_here(work: Work, threads: int) -> Costs:
-    """The costs on this machine if its speed matters, which is for runs of some seconds; else ``MEASURED``.
+    """The costs on this machine if its speed matters, that is, for runs of more than a few seconds; else ``MEASURED``.
 
     Args:
         work: the work of the run.
-        threads: CPU threads that simulate it.
+        threads: number of CPU threads that simulate it.
     """
     seconds = MEASURED.seconds(work, threads)
     if min(seconds["mujoco"], seconds["mjx-warp-cpu"]) < WORTH_S:
@@ -47,12 +48,12 @@ def costs_here(work: Work, threads: int) -> Costs:
 
 @functools.cache
 def slowness() -> float:
-    """Time of a CPU thread of this machine relative to one of the machine of ``MEASURED``."""
+    """Time of a CPU thread of this machine, relative to a thread of the machine of ``MEASURED``."""
     return float(np.clip(min(block_s() for _ in range(ROUNDS)) / REFERENCE_S, FASTEST, SLOWEST))
 
 
 def block_s() -> float:
-    """CPU time in which this thread builds the block on C MuJoCo, s."""
+    """CPU time in which this thread builds the test block on C MuJoCo, s."""
     from petmjx.engines.mujoco.world_run import WorldRun  # MuJoCo takes a quarter of a second to import
 
     sim = Simulation()
@@ -63,7 +64,7 @@ def block_s() -> float:
 
 
 def block() -> Plan:
-    """Columns of boxes, side by side, layer by layer."""
+    """The plan of the test block: columns of boxes, side by side, placed layer by layer."""
     length, width, height = BOX_MM
     at = np.stack(np.meshgrid(np.arange(LAYERS), np.arange(SIDE), np.arange(SIDE), indexing="ij")).reshape(3, -1)
     places = [(x * length, y * width, z * height) for z, y, x in at.T.astype(float)]

@@ -1,7 +1,7 @@
-"""The table of all metrics: name, unit, type, meaning, time of sampling, and reduction from boxes to their world.
+"""The table of all metrics: name, unit, type, meaning, time of sampling, and how boxes' values become a world's value.
 
 The table defines the columns of ``boxes`` and ``worlds`` (petmjx.results.schema), how they are filled
-(petmjx.results.world_rows), which values two runs are compared by (petmjx.analysis.run_comparison), and the tables of
+(petmjx.results.world_rows), by which values two runs are compared (petmjx.analysis.run_comparison), and the tables of
 docs/metrics.md (``python -m petmjx.engines.metrics`` prints them). The arithmetic is in the packages of the engines, in
 NumPy and in JAX.
 
@@ -26,24 +26,24 @@ DIMENSIONLESS: Final = "1"
 """Unit of counts, indices and factors."""
 
 TEXT: Final = ""
-"""Unit of columns without a quantity: texts, yes or no."""
+"""Unit of columns that have no quantity: texts, and yes or no."""
 
 RESTLESS_M_S: Final = 0.01
 RISING_M_S2: Final = 0.5
-"""Forces on tops count in all steps that begin with a box faster than ``RESTLESS_M_S`` and in which a box is
-accelerated upwards by more than ``RISING_M_S2``; else only at looks for quiet (docs/rules.md, section 7). Forces of
-other steps exceed a weight by at most a twentieth: boxes press with more than their weight while they are accelerated
-upwards."""
+"""Forces on tops count in a step if it begins with a box faster than ``RESTLESS_M_S`` and accelerates a box upwards by
+more than ``RISING_M_S2``. In other steps they count only at looks for quiet (docs/rules.md, section 7). Forces in the
+steps left out exceed a weight by at most a twentieth, since boxes press with more than their weight only while they are
+accelerated upwards."""
 
 GONE_TILT: Final = 1.25
 GONE_DESCENT: Final = 1.5
-"""A trial that is asked only whether the pallet stands ends at the look for quiet at which a box is *gone*: tilted by
-this multiple of the threshold of tilt, or come down by that multiple of the threshold of shift. A box that begins at
-rest cannot rise again by itself."""
+"""Some trials need to know only whether the pallet stands. They end at the look for quiet at which a box is *gone*: it
+is tilted by ``GONE_TILT`` times the tilt threshold, or has descended by ``GONE_DESCENT`` times the shift threshold. A
+box that begins at rest cannot rise again by itself."""
 
 
 class SampleAt(StrEnum):
-    """When in a run a metric is taken."""
+    """The time in a run at which a metric is taken."""
 
     PLAN = "plan"
     STEPS = "steps"
@@ -54,7 +54,7 @@ class SampleAt(StrEnum):
 
 
 class Reduction(StrEnum):
-    """How values of a world's boxes become one value of the world. Boxes without a value do not count."""
+    """How the values of a world's boxes become one value of the world. Boxes without a value are ignored."""
 
     LARGEST = "largest magnitude"
     SMALLEST = "smallest"
@@ -68,8 +68,8 @@ class Column:
     Attributes:
         dtype: NumPy type of the column on disk.
         meaning: one line, written into the Parquet file.
-        compared: whether a comparison of two runs shows |b - a|.
-        relative: whether comparisons also show |b - a| / a.
+        compared: whether a comparison of two runs shows |b - a| for this column.
+        relative: whether it also shows |b - a| / a.
     """
 
     name: str
@@ -82,7 +82,7 @@ class Column:
 
 @dataclass(frozen=True)
 class WorldReduction:
-    """The column of ``worlds`` that is made from a metric of boxes."""
+    """The column of ``worlds`` that is computed from a metric of boxes."""
 
     name: str
     reduction: Reduction
@@ -91,19 +91,19 @@ class WorldReduction:
 
 @dataclass(frozen=True)
 class BoxMetric:
-    """A quantity of boxes: a column of ``boxes``, or one column for each component.
+    """A quantity of boxes. It is one column of ``boxes``, or one column per component.
 
     Attributes:
-        attribute: field of ``BoxMetrics``: (n,) values or (n, components).
+        attribute: field of ``BoxMetrics`` that holds (n,) values or (n, components).
         columns: name → meaning, for each component.
         definition: the formula, for docs/metrics.md.
-        dtype: float32 for measured values (exact to 1 µm at 8 m; the MJX engines compute in it), float64 for times,
-            bool for yes or no.
-        of_world: the column of ``worlds`` made from it, if any.
-        driven_only: only runs with profiles have it.
-        legs_only: only chains of several legs have it.
-        compared, relative: as in :class:`Column`. Values of yes or no are compared only as a world's number of boxes
-            with yes.
+        dtype: float32 for measured values (exact to 1 µm at 8 m; the MJX engines use it, too), float64 for times, bool
+            for yes or no.
+        of_world: the column of ``worlds`` that is computed from this metric, if any.
+        driven_only: whether only runs with profiles have this metric.
+        legs_only: whether only chains of several legs have this metric.
+        compared, relative: as in :class:`Column`. Values of yes or no are compared only as the number of boxes with yes
+            in a world.
     """
 
     attribute: str
@@ -119,12 +119,12 @@ class BoxMetric:
     relative: bool = False
 
     def nothing(self, *n: int) -> NDArray[np.float64] | NDArray[np.bool_]:
-        """Values of (…, n) boxes for which it was not measured: NaN, or False."""
+        """Values of (…, n) boxes for which the metric was not measured: NaN, or False."""
         shape = (*n, len(self.columns)) if len(self.columns) > 1 else n
         return np.zeros(shape, np.bool_) if self.dtype is np.bool_ else np.full(shape, np.nan)
 
     def world_columns(self) -> list[Column]:
-        """Its column of ``worlds``, if any. There are few worlds, so their measures are float64."""
+        """The metric's column of ``worlds``, if any. Its measures are float64, since there are few worlds."""
         if self.of_world is None:
             return []
         counts = self.of_world.reduction is Reduction.COUNT
@@ -134,8 +134,8 @@ class BoxMetric:
 
 @dataclass(frozen=True)
 class WorldMetric:
-    """A quantity of a whole world: a column of ``worlds`` and a field of ``Outcome``, both with this name. A whole
-    number counts boxes or steps from 0; -1 in the outcome is null in the table."""
+    """A quantity of a whole world: a column of ``worlds`` and a field of ``Outcome`` with the same name. A whole number
+    is the number of a box or a step, from 0; -1 in the outcome becomes null in the table."""
 
     name: str
     unit: str
@@ -146,7 +146,7 @@ class WorldMetric:
 
     @property
     def numbers(self) -> bool:
-        """Whether it is the number of a box or a step."""
+        """Whether the metric is the number of a box or a step."""
         return self.dtype is np.int32
 
     def world_columns(self) -> list[Column]:
@@ -157,14 +157,14 @@ class WorldMetric:
 def _largest(
     name: str, unit: str, when: SampleAt, definition: str, of_box: str, of_world: str, relative: bool = False
 ) -> BoxMetric:
-    """A metric with one column. ``worlds`` has the largest value under the same name. ``of_box`` and ``of_world`` are
-    the meanings of the two columns."""
+    """A metric with one column. ``worlds`` has the largest value in a column of the same name. ``of_box`` and
+    ``of_world`` are the meanings of the two columns."""
     reduced = WorldReduction(name, Reduction.LARGEST, of_world)
     return BoxMetric(name, unit, {name: of_box}, when, definition, of_world=reduced, relative=relative)
 
 
 def _number(name: str, meaning: str, when: SampleAt) -> WorldMetric:
-    """The number of a box or a step."""
+    """A metric that is the number of a box or a step."""
     return WorldMetric(name, DIMENSIONLESS, meaning, when, np.int32, compared=False)
 
 
@@ -277,14 +277,15 @@ METRICS: tuple[BoxMetric | WorldMetric, ...] = (
         "n_steps", DIMENSIONLESS, "simulated steps after the soft start", SampleAt.END, np.int64, compared=False
     ),
 )  # fmt: skip
-"""All metrics in the order of their columns. Metrics with ``driven_only`` come last in ``boxes``."""
+"""All metrics, in the order of their columns. In ``boxes``, metrics with ``driven_only`` come last."""
 
 
 @dataclass(eq=False)
 class BoxMetrics:
-    """Metrics of one world's n boxes, in packing order. Meaning and unit of each: ``METRICS``.
+    """The metrics of one world's n boxes, in packing order. ``METRICS`` has the meaning and unit of each.
 
-    ``shift_m`` and ``pos`` are (n, 3), ``quat`` is (n, 4) as (w, x, y, z), all others are (n,). NaN: there is no value.
+    ``shift_m`` and ``pos`` are (n, 3), ``quat`` is (n, 4) as (w, x, y, z), all others are (n,). NaN means that there is
+    no value.
     """
 
     shift_m: FloatArray
@@ -304,10 +305,10 @@ class BoxMetrics:
 
     @classmethod
     def measured(cls, *n: int, **values: NDArray[Any]) -> BoxMetrics:
-        """Metrics of n boxes, or of (…, n), from the values that an engine has measured; other metrics have no values.
+        """Metrics of n boxes, or of (…, n), from the values that an engine has measured. Other metrics have no values.
 
         Raises:
-            TypeError: there is no metric of that name.
+            TypeError: there is no metric with the name of a value.
         """
         missing: dict[str, Any] = {
             metric.attribute: metric.nothing(*n) for metric in box_metrics() if metric.attribute not in values
@@ -315,20 +316,20 @@ class BoxMetrics:
         return cls(**missing, **values)
 
     def with_edges(self, plan_edge_m: FloatArray, rest_edge_m: FloatArray) -> Self:
-        """The same metrics with other distances from edges. ``dataclasses.replace`` takes ten times as long."""
+        """These metrics with other distances from edges. ``dataclasses.replace`` would take ten times as long."""
         other = object.__new__(type(self))
         vars(other).update(vars(self), plan_edge_m=plan_edge_m, rest_edge_m=rest_edge_m)
         return other
 
     def __reduce__(self) -> tuple[Any, ...]:
-        """Pickle and copy as one array of float64: eleven small arrays take two and a half times as long. Attributes
-        that are no metrics are lost."""
+        """Pickle and copy all metrics as one float64 array: eleven small arrays take two and a half times as long.
+        Attributes that are not metrics are lost."""
         values = [getattr(self, metric.attribute).ravel() for metric in box_metrics()]
         return _of_numbers, (type(self), np.concatenate(values, dtype=np.float64), self.max_tilt_deg.shape)
 
 
 def _of_numbers(kind: type[BoxMetrics], numbers: FloatArray, shape: tuple[int, ...]) -> BoxMetrics:
-    """Metrics of (…, n) boxes from their pickled array."""
+    """The metrics of (…, n) boxes, from their pickled array."""
     values: dict[str, NDArray[Any]] = {}
     size, begin = math.prod(shape), 0
     for metric in box_metrics():
@@ -352,11 +353,11 @@ FORCE_INTERVAL: Final = tuple(
 
 @functools.cache
 def box_metrics(driven: bool = True, legs: bool = True) -> tuple[BoxMetric, ...]:
-    """Metrics of boxes in the order of their columns.
+    """The metrics of boxes, in the order of their columns.
 
     Args:
-        driven: include those that only runs with profiles have.
-        legs: include those that only chains of several legs have.
+        driven: include metrics that only runs with profiles have.
+        legs: include metrics that only chains of several legs have.
     """
     every = (metric for metric in METRICS if isinstance(metric, BoxMetric))
     metrics = [m for m in every if (driven or not m.driven_only) and (legs or not m.legs_only)]
@@ -365,12 +366,12 @@ def box_metrics(driven: bool = True, legs: bool = True) -> tuple[BoxMetric, ...]
 
 @functools.cache
 def world_metrics() -> tuple[WorldMetric, ...]:
-    """Metrics of whole worlds."""
+    """The metrics of whole worlds."""
     return tuple(metric for metric in METRICS if isinstance(metric, WorldMetric))
 
 
 def box_columns(driven: bool = True, legs: bool = True) -> list[Column]:
-    """Columns of ``boxes`` with metrics."""
+    """The columns of ``boxes`` that hold metrics."""
     return [
         Column(name, m.unit, m.dtype, meaning, m.compared and m.dtype is not np.bool_, m.relative)
         for m in box_metrics(driven, legs)
@@ -379,16 +380,16 @@ def box_columns(driven: bool = True, legs: bool = True) -> list[Column]:
 
 
 def world_columns() -> list[Column]:
-    """Columns of ``worlds`` with metrics."""
+    """The columns of ``worlds`` that hold metrics."""
     return [column for metric in METRICS for column in metric.world_columns()]
 
 
 def reduce_boxes(reduction: Reduction, values: FloatArray, starts: NDArray[np.int64]) -> FloatArray:
-    """One value for each world from those of its boxes; NaN if no box has a value, 0 for counts.
+    """One value for each world from the values of its boxes; if no box has a value: NaN, or 0 for counts.
 
     Args:
-        values: (rows, components) of all worlds' boxes, one world after the other; NaN: no value.
-        starts: (worlds,) row at which each world begins; every world has at least one box.
+        values: (rows, components) values of the boxes of all worlds, world after world; NaN: no value.
+        starts: (worlds,) first row of each world; every world has at least one box.
     """
     if not len(starts):
         return np.empty(0)
@@ -401,7 +402,7 @@ def reduce_boxes(reduction: Reduction, values: FloatArray, starts: NDArray[np.in
 
 
 def markdown() -> str:
-    """The tables of docs/metrics.md."""
+    """The tables of docs/metrics.md, as text."""
     boxes = [("columns of `boxes`", "unit", "type", "taken at", "definition")]
     worlds = [("column of `worlds`", "unit", "type", "made from", "meaning")]
     for metric in METRICS:
@@ -418,7 +419,7 @@ def markdown() -> str:
 
 
 def _table(rows: Sequence[tuple[str, ...]]) -> Iterator[str]:
-    """Markdown lines; the first row is the head."""
+    """Lines of a Markdown table; the first row is the header."""
     for number, row in enumerate(rows):
         yield "| " + " | ".join(cell.replace("|", "\\|") for cell in row) + " |"
         if number == 0:

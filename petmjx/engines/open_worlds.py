@@ -1,4 +1,4 @@
-"""Open worlds: the interface of an engine for packers, which place boxes one by one and fork worlds."""
+"""Open worlds: an engine's interface for packers, which place boxes one by one and fork worlds."""
 
 from __future__ import annotations
 
@@ -19,23 +19,24 @@ from petmjx.world.job import Drive
 from petmjx.world.scene import OF_BOXES, Scene
 
 MOST_BOXES: Final = 96
-"""Default capacity of an open world in boxes: that of the smaller worlds of mjx-warp."""
+"""Default number of boxes for which an open world has room: that of the smaller worlds of mjx-warp."""
 
 
 @dataclass(frozen=True, eq=False)
 class Reading:
-    """An open world at this moment, with its k placed boxes.
+    """The current state of an open world, with its k placed boxes.
 
     Attributes:
-        time_s: time since its soft start, s.
-        ended: True: the world has failed and stays as it is: a box has dropped, or the simulation was given up.
-        flags: flags of the world. ``MOVING`` is also set if the world has paused because its time was up, while boxes
-            still move.
+        time_s: time since the world's soft start, s.
+        ended: True: the world has failed and no longer changes, because a box has dropped or the simulation was given
+            up.
+        flags: flags of the world. ``MOVING`` is also set if the world has paused because its time was up while boxes
+            were still moving.
         pos, quat: (k, 3) middles of the placed boxes, m, and (k, 4) orientations (w, x, y, z).
         top_force_n: (k,) force on each box's top in the last step, N.
-        culprit: the first box that has crossed a threshold at a sample; -1: no box has.
+        culprit: the first box that crossed a threshold at a sample; -1: no box did.
         max_tilt_deg, max_top_force_n: (k,) largest tilt and force at samples.
-        dropped: (k,) whether a box had dropped at a sample.
+        dropped: (k,) whether the box had dropped at a sample.
     """
 
     time_s: float
@@ -52,9 +53,10 @@ class Reading:
 
 @dataclass(frozen=True, eq=False)
 class Readings:
-    """The ``Reading`` of each of m open worlds, in arrays with k columns, the number of boxes of the fullest world.
+    """The ``Reading`` of each of m open worlds, as arrays with k columns. k is the number of boxes of the fullest
+    world.
 
-    Beyond a world's placed boxes numbers are NaN, and nothing has dropped.
+    Beyond a world's placed boxes, numbers are NaN and ``dropped`` is False.
 
     Attributes:
         placed: (m,) number of placed boxes.
@@ -77,7 +79,7 @@ class Readings:
 
     @classmethod
     def of(cls, readings: Sequence[Reading], scenes: Sequence[Scene]) -> Readings:
-        """Make the record from readings of worlds with these scenes."""
+        """The readings as arrays. ``scenes``: the scenes of the same worlds."""
         placed = np.array([len(reading.pos) for reading in readings], np.int64)
         width = int(placed.max(initial=0))
 
@@ -108,18 +110,18 @@ class Readings:
 
     @classmethod
     def joined(cls, parts: Sequence[Readings]) -> Readings:
-        """The worlds of all parts, one part after the other."""
+        """The worlds of all parts, part after part."""
         return cls(**joined_records(parts, max(part.pos.shape[1] for part in parts)))
 
 
 def joined_records(parts: Sequence[Any], width: int) -> dict[str, NDArray[Any]]:
-    """The fields of several records of worlds, one record after the other, padded to ``width`` boxes."""
+    """The fields of several records of worlds, joined record after record and padded to ``width`` boxes."""
     names = [field.name for field in fields(parts[0])]
     return {name: np.concatenate([widened_rows(getattr(part, name), width) for part in parts]) for name in names}
 
 
 def widened_rows(values: NDArray[Any], width: int) -> NDArray[Any]:
-    """An array of worlds' boxes, padded to ``width`` boxes."""
+    """An array over the boxes of worlds, padded to ``width`` boxes."""
     if values.ndim == 1 or values.shape[1] == width:
         return values
     fill = False if values.dtype == bool else np.nan
@@ -133,7 +135,7 @@ def _check_worlds(worlds: Sequence[int], count: int, *, distinct: bool = True) -
     Raises:
         ValueError: a world does not exist, or occurs twice although worlds must be ``distinct``.
     """
-    numbers = np.asarray(worlds)  # NumPy checks thousands of worlds; the loop runs only to name a wrong one
+    numbers = np.asarray(worlds)  # NumPy checks thousands of worlds quickly; the loop below only names a wrong one
     if numbers.ndim != 1 or numbers.dtype.kind not in "iu" or ((numbers < 0) | (numbers >= count)).any():
         for world in worlds:
             if not isinstance(world, int | np.integer) or not 0 <= world < count:
@@ -143,16 +145,16 @@ def _check_worlds(worlds: Sequence[int], count: int, *, distinct: bool = True) -
 
 
 def _check_as_many(worlds: Sequence[int], others: Sized, noun: str) -> None:
-    """Raises ValueError unless ``others`` has one entry for each world."""
+    """Raise ValueError unless ``others`` has one entry per world."""
     if len(worlds) != len(others):
         raise ValueError(f"{len(worlds)} worlds need as many {noun}, and there are {len(others)}")
 
 
 def _check_grown(before: Scene, after: Scene) -> None:
-    """Check that a scene has the boxes of another scene, on the same carrier, and more.
+    """Check that the scene ``after`` has all boxes of ``before``, on the same carrier, and further boxes.
 
     Raises:
-        ValueError: the condition is not met.
+        ValueError: it does not.
     """
     n = before.n_boxes
     if after.n_boxes <= n:
@@ -171,23 +173,24 @@ def _check_grown(before: Scene, after: Scene) -> None:
 
 
 class OpenWorlds(ABC):
-    """Worlds that go on independently, and keep their states between calls. Called by one thread at a time.
+    """Worlds that progress independently and keep their states between calls. Only one thread at a time may use them.
 
-    Worlds are named by their numbers, from 0. A refused call (ValueError: a world that does not exist or occurs twice,
-    a missing scene) changes nothing.
+    Worlds are named by their numbers, from 0. A refused call changes nothing (ValueError: a world does not exist or is
+    named twice, or a scene is missing).
 
-    A world goes on by the rules of the placement (docs/rules.md): each of its boxes is placed when those before it
-    rest, and when the last one rests it pauses. Then more boxes can be added. What happens in a world depends on its
-    scene alone: not on other worlds, and not on the number of calls in which its boxes were added. So after a wait in
-    vain a world pauses at the end of a short wait, since more boxes may follow; ``finish`` waits longer.
+    A world follows the rules of the placement (docs/rules.md): each of its boxes is placed once the boxes before it are
+    at rest. When the last one is at rest, the world pauses, and more boxes can be added. What happens in a world
+    depends only on its scene. It does not depend on other worlds, or on the number of calls in which its boxes were
+    added. So a world whose boxes do not come to rest pauses at the end of a short wait, since more boxes may follow;
+    ``finish`` waits longer.
 
     This class has the checks that all engines share; engines implement the rest.
 
     Args:
-        scenes: the scenes of the worlds, which may have no boxes yet.
+        scenes: the scenes of the worlds. They may have no boxes yet.
 
     Raises:
-        ValueError: there are none, or the schedule is fixed: it sets a world's end before its first box is placed.
+        ValueError: there are no scenes, or the schedule is fixed: it sets a world's end before its first box is placed.
     """
 
     def __init__(self, scenes: Sequence[Scene], sim: Simulation) -> None:
@@ -202,7 +205,7 @@ class OpenWorlds(ABC):
         return len(self._scenes)
 
     def reset(self, worlds: Sequence[int], scenes: Sequence[Scene]) -> None:
-        """Begin worlds anew with these scenes, which may have no boxes yet."""
+        """Start worlds again with these scenes, which may have no boxes yet."""
         _check_worlds(worlds, len(self))
         _check_as_many(worlds, scenes, "scenes")
         if len(worlds):
@@ -210,10 +213,10 @@ class OpenWorlds(ABC):
             self._scenes.set(worlds, scenes)
 
     def put(self, worlds: Sequence[int], scenes: Sequence[Scene]) -> None:
-        """Put boxes into worlds. ``scenes`` are the scenes of the worlds with more boxes behind the earlier ones.
+        """Put boxes into worlds. ``scenes`` are the scenes of the worlds with further boxes after the existing ones.
 
         Raises:
-            ValueError: a world has ended, or has no more boxes.
+            ValueError: a world has ended, or its scene has no further boxes.
         """
         _check_worlds(worlds, len(self))
         _check_as_many(worlds, scenes, "scenes")
@@ -225,7 +228,7 @@ class OpenWorlds(ABC):
             self._scenes.set(worlds, scenes)
 
     def put_next(self, worlds: Sequence[int], boxes: NextBoxes) -> None:
-        """Put one box into each of these worlds. Only extents, places and masses of the boxes are known.
+        """Put one box into each of these worlds. The boxes have no values except extents, places and masses.
 
         Raises:
             ValueError: a world has ended.
@@ -238,13 +241,13 @@ class OpenWorlds(ABC):
             self._scenes.add(worlds, boxes)
 
     def try_next(self, worlds: Sequence[int], boxes: NextBoxes, *, until_lost: bool = False) -> Readings:
-        """The state of worlds if one box were put into each and rested. The boxes are placed in forks, which are
-        discarded. A world may be named more than once, and must have paused.
+        """The states that worlds would have once one box was put into each and came to rest. The boxes are placed in
+        forks of the worlds, which are then discarded. A world may be named several times, and must have paused.
 
         Args:
-            until_lost: a fork ends as soon as a box is tilted too far at a sample, as a world with errors does, or is
-                gone at a look for quiet (``petmjx.engines.metrics.GONE_TILT``): then it is known not to stand, but not
-                how it would end.
+            until_lost: a fork ends as soon as a box is tilted too far at a sample, as in worlds with errors, or is gone
+                at a look for quiet (``petmjx.engines.metrics.GONE_TILT``). Then it is known that the pallet does not
+                stand, but not how it would end.
 
         Raises:
             ValueError: a world has ended.
@@ -257,8 +260,8 @@ class OpenWorlds(ABC):
     def try_scenes(
         self, worlds: Sequence[int], scenes: Sequence[Scene], drives: Sequence[Drive | None] | None = None
     ) -> list[Outcome]:
-        """Fork worlds with these scenes and finish the forks as ``finish`` does; friction and the placing of new
-        boxes may differ.
+        """Fork worlds with these scenes, and finish the forks as ``finish`` does. Friction, and how new boxes are
+        placed, may differ from the worlds.
 
         Raises:
             ValueError: a world has ended.
@@ -269,7 +272,7 @@ class OpenWorlds(ABC):
         return self._try_scenes(worlds, scenes, drives or [None] * len(worlds)) if len(worlds) else []
 
     def with_next(self, worlds: Sequence[int], boxes: NextBoxes) -> list[Scene]:
-        """The scenes of worlds after one more box in each."""
+        """The scenes of worlds after one more box was added to each."""
         return [self._blank.with_box(self._scenes[world], boxes, row) for row, world in enumerate(worlds)]
 
     def scene(self, world: int) -> Scene:
@@ -282,11 +285,11 @@ class OpenWorlds(ABC):
 
     @abstractmethod
     def go_on(self) -> None:
-        """Let all worlds go on until they pause or end."""
+        """Simulate all worlds until they pause or end."""
 
     def fork(self, sources: Sequence[int], into: Sequence[int]) -> None:
-        """Copy the states of the worlds ``sources`` into the worlds ``into``. A source may occur several times. Worlds
-        then go on independently."""
+        """Copy the states of the worlds ``sources`` into the worlds ``into``. A source may be named several times. From
+        then on the worlds are independent."""
         _check_worlds(sources, len(self), distinct=False)
         _check_worlds(into, len(self))
         _check_as_many(sources, into, "worlds to fork into")
@@ -295,22 +298,22 @@ class OpenWorlds(ABC):
             self._scenes.copy(sources, into)
 
     def read(self, worlds: Sequence[int]) -> list[Reading]:
-        """The readings of worlds."""
+        """The readings of these worlds."""
         _check_worlds(worlds, len(self), distinct=False)
         return self._read(worlds)
 
     def readings(self, worlds: Sequence[int]) -> Readings:
-        """The readings of worlds, in arrays."""
+        """The readings of these worlds, as arrays."""
         _check_worlds(worlds, len(self), distinct=False)
         return self._readings(worlds) if len(worlds) else Readings.of([], [])
 
     def finish(self, worlds: Sequence[int], drives: Sequence[Drive | None] | None = None) -> list[Outcome]:
-        """The outcomes of worlds without further boxes, by all the rules, with or without a drive. The worlds
+        """The outcomes of worlds if no further boxes follow, by all the rules, with or without a drive. The worlds
         themselves do not change. ``Outcome.job`` is the index into ``worlds``.
 
-        Each outcome is one simulation, as in ``Engine.run``: no world is simulated again with other settings, as a
-        score does (docs/rules.md, section 9). Before a drive a placement that has failed, but has dropped nothing, has
-        a wait as without a drive, which may be some steps shorter than in a run.
+        Each outcome is one simulation, as in ``Engine.run``. Unlike in a score, no world is simulated again with other
+        settings (docs/rules.md, section 9). A placement before a drive that has failed, but without a dropped box,
+        waits as it would without a drive. This wait may be some steps shorter than in a run.
 
         Raises:
             ValueError: a world has no boxes.
@@ -327,7 +330,7 @@ class OpenWorlds(ABC):
 
     @abstractmethod
     def _ended(self, worlds: Sequence[int]) -> list[bool]:
-        """Whether each of these worlds has failed and stays as it is."""
+        """Whether each of these worlds has failed and no longer changes."""
 
     @abstractmethod
     def _put(self, worlds: Sequence[int], scenes: Sequence[Scene]) -> None: ...

@@ -20,8 +20,8 @@ from petmjx.world.job import Job
 from petmjx.world.scene import Scene
 
 GROUP_WORLDS = {"mjx-jax": 8192, "mjx-warp": 32_768}
-"""Default number of worlds whose states the engine has on its device at the same time; on mjx-warp a world of 80 boxes
-takes 16 kB. A worker of either engine also gets at most this many jobs at once."""
+"""Default number of worlds whose states an engine keeps on its device at the same time. On mjx-warp, a world of 80
+boxes takes 16 kB. A worker with either engine also gets at most this number of jobs at once."""
 
 
 @dataclass
@@ -30,12 +30,13 @@ class Progress:
 
     Attributes:
         thread_s: CPU time of ``mujoco``'s threads for finished worlds, s.
-        message: what the engine is doing (compiling, …).
-        work_share: share of the run's work that is done, 0 to 1; None: that of finished worlds. Set by the run.
-        at_hand: at least this many outcomes follow the last one at once; None if the engine does not report it. The
-            method is only used if the engine's ``run`` is marked with ``says_at_hand``.
+        message: what the engine is doing at the moment (compiling, …).
+        work_share: share of the run's work that is done, from 0 to 1; None: the share of finished worlds is used. Set
+            by the run.
+        at_hand: at least this number of outcomes will follow the last one at once; None if the engine does not report
+            it. It is used only if the engine's ``run`` is marked with ``says_at_hand``.
         pauses: whether the engine may yield None while no world ends, so that the caller can do other work of the run.
-        notes: lines for the results, each once: deviations from the options.
+        notes: lines for the results about deviations from the options; each line occurs once.
     """
 
     worlds_done: int = 0
@@ -54,23 +55,24 @@ Run = TypeVar("Run", bound=Callable[..., Iterator[Outcome]])
 
 
 def says_at_hand(run: Run) -> Run:
-    """Mark a ``run`` that keeps ``Progress.at_hand`` up to date while it waits, and yields None in pauses if required.
+    """Mark a ``run`` that keeps ``Progress.at_hand`` up to date, and yields None while it waits if
+    ``Progress.pauses`` is set.
 
-    The method is marked, not the engine: an engine that inherits from petmjx's engines may delay outcomes.
+    The method is marked, not the engine, since an engine that inherits from petmjx's engines may delay outcomes.
     """
-    run.says_at_hand = True  # type: ignore[attr-defined]  # a function has room for it
+    run.says_at_hand = True  # type: ignore[attr-defined]  # functions accept further attributes
     return run
 
 
 def takes_stream(run: Run) -> Run:
-    """Mark a ``run`` that takes its jobs from a ``JobStream`` while it simulates other jobs (``StreamEngine``). Any
-    other ``run`` gets lists of jobs. The method is marked, as by ``says_at_hand``."""
-    run.takes_stream = True  # type: ignore[attr-defined]  # a function has room for it
+    """Mark a ``run`` that takes jobs from a ``JobStream`` while it simulates other jobs (``StreamEngine``). Any other
+    ``run`` gets lists of jobs. The method is marked, not the engine, as by ``says_at_hand``."""
+    run.takes_stream = True  # type: ignore[attr-defined]  # functions accept further attributes
     return run
 
 
 class RunLock:
-    """Allows one run at a time of an engine that keeps data between runs, such as compiled programs.
+    """Allows only one run at a time on an engine that keeps data between runs, such as compiled programs.
 
     Runs are generators. A run begins when its first outcome is requested, and ends with its last outcome or when the
     generator is closed.
@@ -96,23 +98,23 @@ class RunLock:
 
 
 class Capability(enum.Flag):
-    """Capabilities of an engine."""
+    """What an engine can do."""
 
     FLOAT64 = enum.auto()
-    """The engine steps in double precision."""
+    """The engine computes in double precision."""
     CG = enum.auto()
-    """The engine has the solver ``cg``."""
+    """The engine supports the solver ``cg``."""
     SHEETS = enum.auto()
-    """The engine has interlayer sheets, and pallets among the boxes."""
+    """The engine supports interlayer sheets, and pallets among the boxes."""
     KINETIC_PAIRS = enum.auto()
-    """The engine has kinetic friction by pairs of materials."""
+    """The engine supports kinetic friction by pairs of materials."""
     SOFT = enum.auto()
-    """The engine has boxes that are flex bodies."""
+    """The engine supports boxes that are flex bodies."""
     CHECKS = enum.auto()
     """The engine checks its outcomes itself (petmjx/engines/outcome_checks.py)."""
     MIXED = enum.auto()
-    """The engine consists of several engines. The outcomes name the engine that made them. Start states of its jobs are
-    ``KeptState``, which names the engine that made the state."""
+    """The engine consists of several engines. Each outcome names the engine that made it. Start states of jobs are
+    ``KeptState`` objects, which name the engine that made the state."""
 
 
 _PAIRS: Final = Capability.SHEETS | Capability.KINETIC_PAIRS
@@ -123,18 +125,18 @@ PHYSICS: Final[Mapping[str, Capability]] = {
     "mjx-warp": _PAIRS,
     "mjx-warp-cpu": _PAIRS,
 }
-"""Engine → its capabilities, also in workers. An engine of another name is trusted with all but soft boxes."""
+"""Engine → its capabilities, in workers as well. An engine with another name is assumed to have all but soft boxes."""
 
 
 @runtime_checkable
 class MinimalEngine(Protocol):
-    """The smallest interface of a user's own engine. Outcomes come in any order, as worlds finish; ``Outcome.job`` is
-    the index of the job."""
+    """The smallest interface of a user's own engine. Outcomes may come in any order, as worlds finish; ``Outcome.job``
+    is the index of the job."""
 
     name: str
 
     def run(self, jobs: Sequence[Job], sim: Simulation, progress: Progress | None = None) -> Iterator[Outcome]:
-        """Simulate each job once with ``sim.solver``. Further attempts are made by petmjx/engines/attempt_stream.py."""
+        """Simulate each job once, with ``sim.solver``. petmjx/engines/attempt_stream.py makes further attempts."""
         ...
 
 
@@ -144,10 +146,10 @@ class StreamEngine(Protocol):
     def run(
         self, jobs: Sequence[Job] | JobStream[Any], sim: Simulation, progress: Progress | None = None
     ) -> Iterator[Outcome]:
-        """As of ``MinimalEngine``. The stream number of a job is its place among the jobs that the run takes.
+        """See ``MinimalEngine``. The stream number of a job is its position among the jobs that the run takes.
 
-        A run takes jobs while it has capacity. The run ends when it has no job in flight and waits for more in vain
-        (``JobStream.take``).
+        A run takes jobs while it has capacity. It ends when it has no job in flight, and ``JobStream.take`` has no more
+        jobs for it.
         """
         ...
 
@@ -156,18 +158,18 @@ class Engine(MinimalEngine, Protocol):
     """The full interface of an engine. A class that inherits from ``Engine`` gets defaults for everything that it does
     not define.
 
-    Several threads may use one engine. An engine that can do only one run at a time, such as the MJX engines, makes the
+    Several threads may use one engine. An engine that can do only one run at a time, such as the MJX engines, lets the
     other threads wait (``RunLock``).
 
     Attributes:
-        devices: number of GPUs that simulate at the same time. The engine gets this many times more worlds at once.
+        devices: number of GPUs that simulate at the same time. The engine gets more worlds at once by this factor.
     """
 
     devices: int = 1
 
     @property
     def capabilities(self) -> Capability:
-        """The capabilities of this engine. By default, the preset with the engine's name."""
+        """The capabilities of this engine. By default, those of the engine with the same name."""
         return PHYSICS.get(self.name, _PHYSICS)
 
     @property
@@ -177,43 +179,44 @@ class Engine(MinimalEngine, Protocol):
 
     @property
     def tells(self) -> bool:
-        """Whether its ``run`` is marked with ``says_at_hand``."""
+        """Whether the engine's ``run`` is marked with ``says_at_hand``."""
         return getattr(self.run, "says_at_hand", False)
 
     @property
     def streams(self) -> bool:
-        """Whether its ``run`` is marked with ``takes_stream``."""
+        """Whether the engine's ``run`` is marked with ``takes_stream``."""
         return getattr(self.run, "takes_stream", False)
 
     def open(self, scenes: Sequence[Scene], sim: Simulation, most_boxes: int = MOST_BOXES) -> OpenWorlds:
-        """Worlds that stay open.
+        """Make worlds that stay open.
 
         Args:
             most_boxes: largest number of boxes that a world will ever have. Engines with tables reserve room for this
                 number of boxes.
 
         Raises:
-            InputError: this engine has none.
+            InputError: this engine has no open worlds.
             ValueError: the schedule is fixed: it sets a world's end before its first box is placed.
         """
         raise InputError(f"engine {self.name} has no worlds that stay open; mujoco, mjx-warp and mjx-warp-cpu have")
 
     def paths(self, bodies: FreeBodies, sim: Simulation) -> FloatArray:
-        """Released boxes, in worlds without rules, with the same contacts and steps as all worlds.
+        """Release boxes in worlds without rules of placement. Contacts and steps are the same as in all worlds.
 
         Returns:
-            (n, s, k, 7) places, m, and orientations of the boxes after each of ``bodies.steps``; NaN after a step with
-            numbers that are not finite, or with too small buffers.
+            (n, s, k, 7) places, m, and orientations of the boxes after each of ``bodies.steps``. NaN after a step in
+            which numbers were not finite or buffers were too small.
 
         Raises:
-            InputError: this engine cannot.
+            InputError: this engine cannot do this.
         """
         raise InputError(f"engine {self.name} lets no boxes go; mujoco, mjx-warp, mjx-warp-cpu and mjx-jax do")
 
     def retire(self) -> None:
-        """Begin to free resources that are held between runs, such as workers; no run may follow. Returns at once."""
+        """Start to free the resources that are held between runs, such as workers. Returns at once. No run may
+        follow."""
         return None
 
     def close(self) -> None:
-        """As ``retire``, and wait until the resources are free."""
+        """Free the resources as ``retire`` does, and wait until this is done."""
         return self.retire()

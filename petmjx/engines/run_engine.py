@@ -1,4 +1,4 @@
-"""The engine of a run: the user's own or named engine, in workers if asked for, or for ``auto`` the fastest one."""
+"""The engine of a run: the user's own one, a named one (in workers if requested), or the fastest one for ``auto``."""
 
 from __future__ import annotations
 
@@ -30,18 +30,18 @@ if TYPE_CHECKING:
     from petmjx.engines.remote.worker_choice import WorkerStartup
 
 _OLD_FLAGS: Final = ("takes_more", "takes_parts", "looks", "names_engines")
-"""Attributes that ``Engine.capabilities`` replaces."""
+"""Former attributes of engines, which ``Engine.capabilities`` has replaced."""
 
 WORTH_A_GPU: Final = 4 << 20
-"""Bytes of plan files from which on ``auto`` will take an available GPU: some 400 plans."""
+"""Size of plan files, in bytes, from which on ``auto`` will use an available GPU: about 400 plans."""
 
 
 class UserEngine(Engine):
-    """A user's own engine, with defaults for all that it leaves out of ``Engine``. The engine is not closed: the user
-    owns it.
+    """A user's own engine, with defaults for the parts of ``Engine`` that it leaves out. The engine is never closed,
+    since the user owns it.
 
     Args:
-        threads: the option of the run, for the name of the device if the engine has no name for it.
+        threads: the option of the run. It is used in the name of the device if the engine has no name for it.
     """
 
     def __init__(self, engine: MinimalEngine, threads: int | None) -> None:
@@ -63,7 +63,7 @@ class UserEngine(Engine):
         return getattr(self._engine.run, "takes_stream", False)
 
     def open(self, scenes: Sequence[Scene], sim: Simulation, most_boxes: int = MOST_BOXES) -> OpenWorlds:
-        """The open worlds of the engine, if any; else the default of ``Engine``."""
+        """The open worlds of the user's engine, if it has any; else the default of ``Engine``."""
         opens = getattr(self._engine, "open", None)
         worlds: OpenWorlds = (super().open if opens is None else opens)(scenes, sim, most_boxes)
         return worlds
@@ -78,10 +78,11 @@ class UserEngine(Engine):
 
 @contextmanager
 def engine_warmup(options: RunOptions, plans: object, sim: Simulation) -> Iterator[WorkerStartup | None]:
-    """While plans are read, start JAX and Warp on the GPU and compile kernels, if ``mjx-warp`` will be the engine of
-    this process; or start workers, and yield them for ``resolve_engine``. Python mostly waits for these starts."""
+    """Prepares the engine while plans are read. If ``mjx-warp`` will be the engine of this process, this starts JAX and
+    Warp on the GPU and compiles kernels. If workers are requested, it starts them and yields them for
+    ``resolve_engine``. These starts consist mostly of waiting, so plans are read meanwhile."""
     if options.asked_workers is not None and isinstance(options.engine, str):
-        from petmjx.engines.remote.worker_choice import WorkerStartup  # most runs have none
+        from petmjx.engines.remote.worker_choice import WorkerStartup  # most runs have no workers
 
         ahead = WorkerStartup(options, worth_gpus=_bytes_of(plans) >= WORTH_A_GPU)
         try:
@@ -94,7 +95,7 @@ def engine_warmup(options: RunOptions, plans: object, sim: Simulation) -> Iterat
     if _may_be_gpu(options, plans):
         thread = threading.Thread(target=_start_if_gpu, args=(sim,), name="petmjx-start")
         thread.start()
-    # an error in plans is reported at once: the thread is not waited for, except perhaps when the process ends
+    # an error in plans is reported at once: nothing waits for the thread, except perhaps the end of the process
     yield None
     if thread is not None:
         thread.join()
@@ -108,14 +109,14 @@ def _may_be_gpu(options: RunOptions, plans: object) -> bool:
 
 
 def _start_if_gpu(sim: Simulation) -> None:
-    if cuda_devices():  # also this call of the driver takes time
+    if cuda_devices():  # this call of the driver takes time, too
         start_gpu()
-        # in a thread that the run does not wait for: worlds are made meanwhile
+        # in another thread, which the run does not wait for: worlds are made meanwhile
         threading.Thread(target=compile_ahead, args=(sim,), name="petmjx-kernels").start()
 
 
 def _bytes_of(plans: object) -> int:
-    """Size of plan files and of the files in folders; 0 for anything else."""
+    """Total size of plan files, and of the files in folders, in bytes; 0 for anything else."""
     several = plans if isinstance(plans, list | tuple) else [plans]
     paths = [Path(source) for source in several if isinstance(source, str | PathLike)]
     with suppress(OSError, ValueError):
@@ -132,12 +133,12 @@ def engine_for(
     hands_over: bool = False,
     earlier: str | None = None,
 ) -> Iterator[tuple[Engine, Choice]]:
-    """As ``resolve_engine``, and closes the engine at the end, unless the user gave it."""
+    """``resolve_engine`` as a context, which closes the engine at the end, unless the user gave the engine."""
     engine, choice = resolve_engine(options, work, ahead=ahead, hands_over=hands_over, earlier=earlier)
     try:
         yield engine, choice
     finally:
-        with defer_signals(afterwards=True):  # a second ctrl-C leaves no process behind
+        with defer_signals(afterwards=True):  # so that a second ctrl-C leaves no process behind
             engine.close()
 
 
@@ -150,17 +151,17 @@ def resolve_engine(
     hands_over: bool = False,
     earlier: str | None = None,
 ) -> tuple[Engine, Choice]:
-    """The engine of a run, ready to use, and the reason for its choice. ``auto`` ignores the option (threads, lanes)
+    """The engine of a run, ready to use, and the reason for choosing it. ``auto`` ignores an option (threads or lanes)
     that its engine does not have.
 
     Args:
         costs: costs of the engines; None: the measured ones, scaled to the speed of this machine.
-        ahead: workers that are already started for these options (``engine_warmup``).
-        hands_over: whether an engine that ``auto`` takes may hand worlds over to another one (``HandoverEngine``).
-        earlier: the engine of the run before it was resumed, which ``auto`` keeps: the machine may be busier now.
+        ahead: workers that ``engine_warmup`` has already started for these options.
+        hands_over: whether an engine that ``auto`` chooses may hand worlds over to another one (``HandoverEngine``).
+        earlier: the engine of the run before it was resumed. ``auto`` keeps it, although the machine may be busier now.
 
     Raises:
-        InputError, EngineUnavailable: as ``make_engine``; also workers for an engine of the user's own.
+        InputError, EngineUnavailable: see ``make_engine``. InputError also for workers with a user's own engine.
     """
     requested_engine = options.engine
     if not isinstance(requested_engine, str):
@@ -172,11 +173,11 @@ def resolve_engine(
             raise InputError("workers need an engine by name: each of them builds its own")
         return UserEngine(requested_engine, options.threads), Choice(requested_engine.name, "given")
     if options.asked_workers is not None:
-        from petmjx.engines.remote.worker_choice import resolve_workers  # most runs have none
+        from petmjx.engines.remote.worker_choice import resolve_workers  # most runs have no workers
 
         return resolve_workers(options, work, costs or MEASURED, ahead)
     threads = options.threads or cpu_threads()
-    # the speed of CPU threads, which takes half a second to measure, says nothing of a GPU
+    # measuring the speed of CPU threads takes half a second, and it is irrelevant for a GPU
     costs = costs or (MEASURED if requested_engine == "mjx-warp" else costs_here(work, threads))
     seconds = costs.seconds(work, threads)
     if requested_engine == AUTO and earlier in ENGINES:

@@ -1,4 +1,4 @@
-"""Step clock: the time after each step, as MuJoCo counts it."""
+"""Step clock: the time after each step, exactly as MuJoCo counts it."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ class Clock:
 
     def time_s(self, step: int) -> float:
         if step >= len(self._time):
-            # cumsum adds step by step, as mj_step does: a product step × dt differs in the last digits.
+            # cumsum adds step by step, as mj_step does; the product step × dt would differ in the last digits.
             self._time = np.concatenate(([0.0], np.cumsum(np.full(2 * step + 1000, self._dt))))
         return float(self._time[step])
 

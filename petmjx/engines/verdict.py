@@ -42,7 +42,7 @@ class Reason(StrEnum):
 
 
 class Flag(IntFlag):
-    """Events in a world that the metrics do not show: the bits of the column ``flags``."""
+    """Events in a world that the metrics do not show. They are the bits of the column ``flags``."""
 
     NONE = 0
     NONFINITE = 1
@@ -51,8 +51,8 @@ class Flag(IntFlag):
     EXPLOSION = 8
     EARLY_STOP = 16
     RERUN_AFTER_OVERFLOW = 32
-    """An engine simulated the world again with larger buffers. An overflow depends on other worlds of the batch, so the
-    flag is never in results (petmjx.engines.outcome_checks)."""
+    """An engine simulated the world again with larger buffers. Whether buffers overflow depends on other worlds of the
+    batch, so results never have this flag (petmjx.engines.outcome_checks)."""
     OUT_OF_MEMORY = 64
     OTHER_OVERFLOW = 128
     FORKED = 256
@@ -61,29 +61,29 @@ class Flag(IntFlag):
     """Boxes sank into their supports so far that the depth may have decided the verdict
     (petmjx.engines.contact_penetration)."""
     FAILED = 1024
-    """The simulation ended with an exception; ``Outcome.message`` has its text."""
+    """The simulation ended with an exception. ``Outcome.message`` has the text of the exception."""
     TIMEOUT = 2048
     """The world took longer than ``RunOptions.world_timeout_s``."""
     MOVING = 4096
-    """Boxes still moved when the world ended, or when the next box came, because the time was up: the verdict may
-    depend on how long the world is simulated."""
+    """Boxes were still moving when the time was up, at the end of the world or when the next box was placed. So the
+    verdict may depend on how long the world is simulated."""
     KNIFE_EDGE = 8192
     """The load of a box acts within half a millimetre of the edge of its supports (petmjx.engines.outcome_checks)."""
     TIMESTEP = 16384
-    """With half the timestep the verdict differs (``Simulation.check_timestep``)."""
+    """With half the timestep, the verdict is different (``Simulation.check_timestep``)."""
     LEANS = 32768
-    """The world is stable, but not as planned: a box leans, or lies lower (petmjx.engines.outcome_checks)."""
+    """The world is stable, but not as planned: a box leans or lies lower (petmjx.engines.outcome_checks)."""
     NOT_PLACED = 65536
-    """A hand found no room for a box: it released the box further than ``MISSED_M`` from its place
-    (petmjx.world.approach_paths), before any box crossed a threshold."""
+    """A hand found no room for a box: it released the box farther than ``MISSED_M`` from its place
+    (petmjx.world.approach_paths), before any box had crossed a threshold."""
 
 
 @dataclass(eq=False)
 class Outcome:
-    """The outcome of one world. ``culprit`` is a box index (packing order, from 0), −1 for none."""
+    """The outcome of one world. ``culprit`` is the index of a box (packing order, from 0); −1: no box."""
 
     job: int
-    """The stream number of its job (``JobStream``); of a list its index."""
+    """The stream number of the job (``JobStream``); if jobs are a list, the index in the list."""
     verdict: Verdict
     reason: Reason
     culprit: int
@@ -95,15 +95,15 @@ class Outcome:
     flags: Flag
     boxes: BoxMetrics
     n_at_sign: int = 0
-    """Boxes that were placed when the culprit crossed a threshold; 0: none did before the end."""
+    """Number of boxes that were placed when the culprit crossed a threshold; 0: no box did before the end."""
     solver: str = "newton"
     attempt: int = 1
     engine: str = ""
-    """The engine that made this attempt; filled in by petmjx.engines.attempt_runner."""
+    """The engine that made this attempt; set by petmjx.engines.attempt_runner."""
     state: KeptState | EngineState | None = None
-    """The settled state, if the job requests it: a ``KeptState`` outside the engine."""
+    """The settled state, if the job requests it. Outside the engine it is a ``KeptState``."""
     margin: float = math.nan
-    """See :func:`margin_of`; filled in for all engines (petmjx.engines.outcome_checks)."""
+    """See :func:`margin_of`; set for all engines by petmjx.engines.outcome_checks."""
     plan_edge_m: float = math.nan
     plan_edge_box: int = -1
     rest_edge_m: float = math.nan
@@ -111,13 +111,13 @@ class Outcome:
     build_edge_m: float = math.nan
     build_edge_box: int = -1
     build_edge_step: int = -1
-    """The fields above: least distances of loads from edges, m; the boxes that have these loads; and the box after
-    whose placement ``build_edge_m`` is reached. -1: none. Filled in by petmjx.engines.outcome_checks, as the distances
-    of boxes are."""
+    """The fields above, ``plan_edge_m`` to ``build_edge_step``: the smallest distances of loads from edges, m; the
+    boxes that have these loads; and the box after whose placement ``build_edge_m`` is reached. -1: no box. They are set
+    by petmjx.engines.outcome_checks, and so are the distances of all boxes."""
     message: str = ""
-    """The reason for the missing result, in one line, if ``reason`` is ``failed`` or ``timeout``."""
+    """The reason why there is no result, in one line, if ``reason`` is ``failed`` or ``timeout``."""
     history: History | None = None
-    """The frames, if the job requests them."""
+    """The recorded frames, if the job requests them."""
 
 
 INVALID_FLAGS: Final = (
@@ -128,13 +128,13 @@ INVALID_FLAGS: Final = (
     (Flag.EXPLOSION, Reason.EXPLOSION),
     (Flag.TIMEOUT, Reason.TIMEOUT),
 )
-"""Flags that make a world invalid, with their reasons. The first one that is set decides."""
+"""Flags that make a world invalid, each with its reason. The first one in this order that is set decides."""
 
 _INVALID_BITS: Final = sum(int(bits) for bits, _ in INVALID_FLAGS)
 
 
 class Signs(NamedTuple):
-    """The metrics of (…, n) boxes that may decide whether they fail, as in ``BoxMetrics``."""
+    """The metrics of (…, n) boxes that decide whether they fail, as in ``BoxMetrics``."""
 
     shift_m: FloatArray
     max_tilt_deg: FloatArray
@@ -143,10 +143,10 @@ class Signs(NamedTuple):
 
 
 def failures(boxes: Any, thresholds: Thresholds) -> Iterator[tuple[Reason, Any]]:
-    """The reasons for which boxes fail, in the order of their checks, and (…, n) the boxes that fail for each.
+    """(reason, (…, n) whether each box fails for this reason), in the order in which the reasons are checked.
 
     Args:
-        boxes: fields of ``Signs`` for (…, n) boxes, as arrays of NumPy or JAX.
+        boxes: an object with the fields of ``Signs`` for (…, n) boxes, as arrays of NumPy or JAX.
     """
     yield Reason.DROP, boxes.dropped
     yield Reason.TILT, boxes.max_tilt_deg > thresholds.tilt_deg
@@ -162,18 +162,18 @@ def judge(
     sank: bool = False,
     placement: tuple[Verdict, Reason] = (Verdict.STABLE, Reason.NONE),
 ) -> tuple[Verdict, Reason]:
-    """The verdict of a world and its reason: the only place that decides (docs/metrics.md, section "Verdict").
+    """The verdict of a world, and its reason. No other function decides verdicts (docs/metrics.md, section "Verdict").
 
-    An engine calls it with its measurements. Callers that learn more about the world call it again.
+    An engine calls it with its measurements. Callers that learn more about the world later call it again.
 
-    Metrics may come from float32. With the default thresholds comparisons in float64 and in float32 agree: 20 is exact
+    Metrics may come from float32. With the default thresholds, comparisons in float64 and in float32 agree: 20 is exact
     in float32; the float32 nearest to 0.02 is below 0.02, and no other float32 lies between the two.
 
     Args:
         sank: whether boxes sank into their supports so far that there is no verdict. ``Flag.SINKING`` does not show
-            this: worlds that keep their verdict have that flag, too.
-        placement: for a world that was shaken, its outcome before. A world that did not stand then has not passed, even
-            if its boxes end at their planned places.
+            this, since worlds that keep their verdict may have this flag, too.
+        placement: for a world that was shaken, verdict and reason before the shaking. A world that did not stand then
+            has not passed, even if its boxes end at their planned places.
     """
     for bits, reason in INVALID_FLAGS if int(flags) & _INVALID_BITS else ():
         if flags & bits:
@@ -189,11 +189,11 @@ def judge(
 def judge_all(
     flags: NDArray[np.int64], boxes: Signs | BoxMetrics, thresholds: Thresholds
 ) -> tuple[NDArray[np.str_], NDArray[np.str_]]:
-    """The verdicts and reasons of many worlds, the same as by ``judge``.
+    """The verdicts and reasons of many worlds, the same as from ``judge``.
 
     Args:
         flags: (m,) flags of the worlds.
-        boxes: metrics with rows for the m worlds, (m, n) instead of (n,); no values for boxes that are not placed.
+        boxes: metrics with one row per world: (m, n) instead of (n,). Boxes that are not placed have no values.
     """
     invalid = [(Verdict.INVALID, reason, (flags & int(bits)) != 0) for bits, reason in INVALID_FLAGS]
     unstable = [(Verdict.UNSTABLE, reason, failed.any(axis=1)) for reason, failed in failures(boxes, thresholds)]
@@ -203,26 +203,26 @@ def judge_all(
 
 
 DROPPED_EXCESS: Final = 2.0
-"""Least excess of a box that dropped, so that its margin is at most -1: the box may end near its place, but a drop is
-always beyond the threshold."""
+"""Smallest excess of a dropped box. It makes the margin at most -1: the box may end near its place, but a drop always
+counts as beyond the threshold."""
 
 
 _EPSILON: Final = float(np.finfo(np.float64).eps)
 
 
 def margin_of(verdict: Verdict, boxes: BoxMetrics, n_placed: int, thresholds: Thresholds) -> float:
-    """Distance of a world from the nearest threshold, as a share of the threshold: 1 − the largest excess of a placed
-    box.
+    """Distance of a world from the nearest threshold, as a share of this threshold: 1 − the largest excess of any
+    placed box.
 
-    1: nothing moved; 0: on the threshold; negative: beyond it, at most -1 if a box dropped. The margin is never
-    negative in a stable world and always negative in an unstable one. NaN for invalid worlds. More: docs/metrics.md,
+    1: nothing moved; 0: on the threshold; negative: beyond it, at most -1 if a box dropped. In a stable world the
+    margin is never negative, and in an unstable world always. It is NaN for invalid worlds. More: docs/metrics.md,
     section "Margin".
     """
     return _margins([(verdict, boxes, n_placed)], thresholds)[0]
 
 
 def margins_of(outcomes: Sequence[Outcome], thresholds: Thresholds) -> list[float]:
-    """``margin_of`` each outcome. All are computed at once."""
+    """``margin_of`` each outcome, computed together."""
     return _margins([(outcome.verdict, outcome.boxes, outcome.n_placed) for outcome in outcomes], thresholds)
 
 
@@ -239,7 +239,7 @@ def _margins(worlds: Sequence[tuple[Verdict, BoxMetrics, int]], thresholds: Thre
     largest = np.maximum(excess(shift, tilt, dropped, thresholds), DROPPED_EXCESS * dropped)
     begins = np.cumsum(placed) - np.array(placed)
     for k, margin in zip(valid, (1.0 - np.maximum.reduceat(largest, begins)).tolist(), strict=True):
-        # `judge` may have compared float32, and the quotient is rounded: on the threshold the verdict has the sign
+        # on the threshold, the verdict decides the sign: `judge` may have compared float32, and the quotient is rounded
         margins[k] = max(margin, 0.0) if worlds[k][0] is Verdict.STABLE else min(margin, -_EPSILON)
     return margins
 

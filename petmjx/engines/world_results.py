@@ -11,7 +11,7 @@ from petmjx.world.job import Job
 
 
 class NamedJob(Protocol):
-    """A world of any run: its job, and its name in notes. It is simulated once, and again if the outcome is invalid."""
+    """A world of any run: its job, and its name in notes. It is simulated once, and again if its outcome is invalid."""
 
     @property
     def job(self) -> Job: ...
@@ -27,7 +27,7 @@ class NamedJob(Protocol):
 
 @dataclass(frozen=True, eq=False)
 class World:
-    """One plan in one of its variants."""
+    """One plan with one of its variants."""
 
     plan: Plan
     variant: int

@@ -1,7 +1,7 @@
 """Gymnasium environments: importing this package registers ``petmjx/Palletizing-v0``. Needs the extra ``gym``.
 
-``gymnasium.make("petmjx.gym:petmjx/Palletizing-v0")`` imports it. ``PalletizingVecEnv`` is the environment for
-Stable-Baselines3 (extra ``sb3``).
+``gymnasium.make("petmjx.gym:petmjx/Palletizing-v0")`` imports this package. ``PalletizingVecEnv`` is the environment
+for Stable-Baselines3 (extra ``sb3``).
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ if f"petmjx/{ENVIRONMENT}" not in registry:
 
 
 def __getattr__(name: str) -> Any:
-    if name == "PalletizingVecEnv":  # loads Stable-Baselines3, and with it PyTorch
+    if name == "PalletizingVecEnv":  # imported only on request, since it loads Stable-Baselines3 and PyTorch
         from petmjx.gym.sb3_vec_env import PalletizingVecEnv
 
         return PalletizingVecEnv

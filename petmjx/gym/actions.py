@@ -1,4 +1,4 @@
-"""Action tables: places for the boxes that may be next, legal or not, with a row for each episode."""
+"""Action tables: one row per episode, with places for the boxes that may come next and whether each place is legal."""
 
 from __future__ import annotations
 
@@ -17,16 +17,18 @@ from petmjx.loop.pallets import Pallets
 from petmjx.loop.placement_bounds import STANDS
 
 FEATURES: Final = ("box", "turned", "x", "y", "z", "length_x", "length_y", "height", "mass", "support", "margin")
-"""Features of a candidate: its index among the visible boxes, whether it is turned by 90°, its corner and extents, mm,
-its mass, kg, the supported share of its base, and the pallet's margin with it if the mask uses physics (else 0)."""
+"""Features of a candidate: its index among the visible boxes, whether it is turned by 90°, its corner and extents in
+mm, its mass in kg, the supported share of its base, and the margin that the pallet has with it if the mask uses physics
+(else 0)."""
 
 UPRIGHT: Final = "upright"
 PALLET: Final = "pallet"
-"""Further features, of environments with such a choice: which size is vertical (0: height, 1: width, 2: length), and
+"""Features of environments in which these can be chosen: which size is vertical (0: height, 1: width, 2: length), and
 the number of the pallet."""
 
 SIDES: Final = np.array([(0, 1, 2), (1, 0, 2), (0, 2, 1), (2, 0, 1), (1, 2, 0), (2, 1, 0)])
-"""(6, 3) the sizes (0: length, 1: width, 2: height) along x, y and z on each side, in pairs that differ by a turn."""
+"""(6, 3) for each side on which a box can stand, the sizes along x, y and z (0: length, 1: width, 2: height). The two
+rows of a pair differ by a turn about the vertical."""
 
 
 @dataclass(eq=False)
@@ -35,7 +37,8 @@ class Table:
 
     Attributes:
         legal: (n, a) mask of legal actions.
-        box: (n, a) index among the visible boxes; ``size_mm``, ``corner_mm``: (n, a, 3); ``mass_kg``: (n, a).
+        box: (n, a) index among the visible boxes; ``size_mm``, ``corner_mm``: (n, a, 3) size and corner as placed;
+            ``mass_kg``: (n, a).
         side: (n, a) index into ``SIDES``; ``pallet``: (n, a) number of the pallet in its episode.
         support: (n, a) supported share of the base; ``margin``: (n, a) the pallet's margin if the mask uses physics,
             else 0.
@@ -73,12 +76,12 @@ class Table:
             values[rows] = 0
 
     def copy(self, rows: NDArray[np.int64], table: Table, sources: NDArray[np.int64]) -> None:
-        """Copy episodes ``sources`` of another table to the rows of this one."""
+        """Copy the episodes ``sources`` of another table to the given rows of this one."""
         for name, values in vars(self).items():
             values[rows] = getattr(table, name)[sources]
 
     def features(self, rows: NDArray[np.int64], names: Sequence[str]) -> NDArray[np.float32]:
-        """(m, a, f) features of some episodes, ``FEATURES`` and perhaps more."""
+        """(m, a, f) features of some episodes: ``FEATURES``, and further ones if ``names`` has them."""
         features = np.empty((len(rows), self.legal.shape[1], len(names)), np.float32)
         extra_columns = {UPRIGHT: self.side // 2, PALLET: self.pallet}
         at = 0
@@ -93,17 +96,17 @@ class Table:
 
 
 def features_of(options: PalletizingOptions, orders: Orders) -> tuple[str, ...]:
-    """The names of a candidate's features."""
+    """The names of the features that a candidate has with these options."""
     extra_features = ((UPRIGHT, options.sides == ALL or orders.lie), (PALLET, options.open_pallets > 1))
     return (*FEATURES, *(name for name, is_on in extra_features if is_on))
 
 
 class Actions:
-    """Fills in action tables. The pallets of episode i are i × ``open_pallets`` and the following ones.
+    """Fills action tables. Episode i has ``open_pallets`` pallets, of which the first is i × ``open_pallets``.
 
     Attributes:
         count: number of actions of an episode.
-        strength_n: (n, k) the loads that the boxes on pallets can bear, N; NaN: unknown.
+        strength_n: (n, k) the loads that the boxes on the pallets can bear, N; NaN if unknown.
     """
 
     def __init__(self, pallets: Pallets, options: PalletizingOptions, orders: Orders) -> None:
@@ -114,13 +117,13 @@ class Actions:
         corners: FloatArray = np.indices(self._cells).reshape(2, -1).T.astype(np.float64) * cell
         self._grid = None if options.actions == CANDIDATES else corners
         self._sides = SIDES if options.sides == ALL or orders.lie else SIDES[:2]
-        most = max(options.n_candidates, options.buffer)  # each box of the buffer has a share
+        most = max(options.n_candidates, options.buffer)  # every box of the buffer gets a share
         ways = options.open_pallets * options.buffer * len(self._sides)
         self.count = most if self._grid is None else ways * len(corners)
 
     @property
     def asks_physics(self) -> bool:
-        """Whether the mask depends on how the pallets rest."""
+        """Whether the mask depends on which placements stand on the pallets."""
         return self._options.mask in (SURE, PHYSICS, LOADS)
 
     def fill(
@@ -132,13 +135,13 @@ class Actions:
         upright: NDArray[np.bool_],
         episodes: NDArray[np.int64] | None = None,
     ) -> None:
-        """Find the actions of some episodes.
+        """Fill some rows of a table with the actions of their episodes.
 
         Args:
-            rows: (m,) rows of the table; ``episodes``: (m,) the episodes whose pallets the boxes are for; None: the
-                same numbers.
-            size_mm: (m, k, 3) of the visible boxes; ``mass_kg``: (m, k), 0 without a box; ``upright``: (m, k, 3) which
-                sizes may be vertical.
+            rows: (m,) rows of the table; ``episodes``: (m,) the episodes on whose pallets the boxes are placed; None:
+                the same numbers as ``rows``.
+            size_mm: (m, k, 3) sizes of the visible boxes; ``mass_kg``: (m, k), 0 if there is no box; ``upright``: (m,
+                k, 3) which of the sizes may be vertical.
         """
         table.clear(rows)
         at, box = np.nonzero(mass_kg[:, : self._options.buffer])
@@ -157,6 +160,7 @@ class Actions:
             max_height_mm=self._options.max_height_mm,
             grid_mm=self._grid,
             least_support=SUPPORT.get(self._options.mask, 0.0),
+            gap_mm=self._options.gap_mm,
             hulls=self._options.mask == CENTRE,
         )
         legal = self._geometric(places)
@@ -191,7 +195,7 @@ class Actions:
         table.margin[into] = margin[stands]
 
     def _sides_of(self, size_mm: FloatArray, upright: NDArray[np.bool_]) -> NDArray[np.bool_]:
-        """(b, s) the sides on which boxes may stand, without sides that repeat an earlier one."""
+        """(b, s) the sides on which boxes may stand. Sides that give the same sizes as an earlier one are left out."""
         sizes = size_mm[:, self._sides]
         may = np.ones(sizes.shape[:2], bool)
         if self._options.sides != ALL:
@@ -202,12 +206,12 @@ class Actions:
         return may
 
     def _overloads(self, pallets: NDArray[np.int64], force_n: FloatArray) -> NDArray[np.bool_]:
-        """(c,) whether a box on the pallet bears more than its strength. ``force_n``: (c, k), N. The last box is the
-        candidate, with a free top."""
+        """(c,) whether a box on the pallet would bear more than its strength. ``force_n``: (c, k), N. The last box is
+        the candidate, whose top is free."""
         return np.asarray((force_n > self.strength_n[pallets, : force_n.shape[1]]).any(axis=1))
 
     def _geometric(self, places: Places) -> NDArray[np.bool_]:
-        """(c,) which places the mask allows before any test in physics."""
+        """(c,) whether the mask allows a place before physics is tested."""
         if places.centred is not None:
             return places.centred
         return places.support > 0 if self.asks_physics else np.ones(len(places.row), bool)
@@ -221,9 +225,9 @@ class Actions:
         side: NDArray[np.intp],
         pallet: NDArray[np.intp],
     ) -> tuple[NDArray[np.intp], NDArray[np.int64]]:
-        """(c,) the episode of each chosen place, and the number of its action; ``count`` or more without an action.
-        Candidates are numbered box after box, the lowest places first. Cells are numbered by pallet, box, side
-        and cell."""
+        """(c,) for each chosen place, its episode and the number of its action; a number of ``count`` or more means
+        that it has none. Candidates are numbered box by box, the lowest places first. Cells are numbered by pallet,
+        box, side and cell."""
         source = places.row[chosen]
         row = at[source]
         if self._grid is not None:
@@ -232,7 +236,7 @@ class Actions:
             way = (pallet[source] * self._options.buffer + box[source]) * len(self._sides) + side[source]
             return row, (way * nx + x) * ny + y
         corner = places.corner_mm[chosen]
-        box_number = row * self._options.buffer + box[source]  # places of one box are already sorted along x
+        box_number = row * self._options.buffer + box[source]  # within a box, places are already sorted along x
         order = np.lexsort((corner[:, 1], corner[:, 0], corner[:, 2], box_number))
         number = np.full(len(row), self.count)
         selected = order[_in_turn(row[order], box_number[order], self.count)]
@@ -241,22 +245,22 @@ class Actions:
 
 
 def _in_turn(row: NDArray[np.intp], seen: NDArray[np.intp], most: int) -> NDArray[np.intp]:
-    """Choose at most ``most`` places of each episode: the first place of each box, then the second of each, and so on.
-    A box with few places leaves its share to the other boxes.
+    """Choose at most ``most`` places of each episode: first one place for each box, then a second one for each, and so
+    on. If a box has few places, the other boxes get more.
 
     Args:
-        row: (c,) episode of each place, rising.
-        seen: (c,) box of each place, rising; no two episodes have the same number. The best places of a box stand
-            first.
+        row: (c,) episode of each place, in ascending order.
+        seen: (c,) box of each place, in ascending order. Boxes of different episodes have different numbers. For each
+            box the best places come first.
 
     Returns:
-        Rising indices of the chosen places.
+        Indices of the chosen places, in ascending order.
     """
     turn = np.lexsort((seen, _ranks(seen), row))
     return np.sort(turn[_ranks(row[turn]) < most])
 
 
 def _ranks(of: NDArray[np.intp]) -> NDArray[np.int64]:
-    """0, 1, 2, … within each run of equal values. Equal values are adjacent."""
+    """0, 1, 2, … within each group of equal values. Equal values must be adjacent."""
     first = np.flatnonzero(np.diff(of, prepend=-1))
     return np.arange(len(of)) - np.repeat(first, np.diff(first, append=len(of)))

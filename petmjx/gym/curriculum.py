@@ -1,4 +1,4 @@
-"""Curricula: orders and errors that grow with the level of an episode, from 0 to 1."""
+"""Curricula: the orders and the errors of episodes depend on the level of the episode, from 0 to 1."""
 
 from __future__ import annotations
 
@@ -22,12 +22,13 @@ Range = tuple[float, float]
 
 @dataclass(frozen=True)
 class Curriculum:
-    """Properties of episodes at levels 0 and 1; between these they grow linearly.
+    """Properties of episodes at levels 0 and 1. Between these levels they change linearly.
 
     Attributes:
-        boxes: largest number of boxes of an order: the first ones; None: all.
-        sizes: how different the boxes of an order are: 0: all have its mean size and mass; 1: those of the order.
-        errors: as the option ``errors``.
+        boxes: largest number of boxes of an order, which then has its first boxes only; None: all boxes.
+        sizes: how different the boxes of an order are. At 0 all have the order's mean size and mass; at 1 they are as
+            in the order.
+        errors: the strength of errors, as in the option ``errors``.
     """
 
     boxes: Range | None = None
@@ -36,10 +37,10 @@ class Curriculum:
 
     @classmethod
     def of(cls, options: PalletizingOptions) -> Self:
-        """The curriculum of an environment. Without a curriculum all levels are equal.
+        """The curriculum of an environment. If none is set, all levels are equal.
 
         Raises:
-            InputError: an unknown entry, or one that is not two numbers in its range.
+            InputError: an entry is unknown, or is not two numbers within its range.
         """
         entries = {} if options.curriculum is None else options.curriculum
         if not isinstance(entries, Mapping):
@@ -54,7 +55,7 @@ class Curriculum:
         return cls(**ranges)
 
     def order(self, boxes: Boxes, level: float) -> Boxes:
-        """An order at a level."""
+        """An order as it is at a level."""
         size, mass = boxes.size_mm.mean(axis=0), boxes.mass_kg.mean()
         if self.boxes is not None:
             boxes = boxes.take(slice(round(_between(self.boxes, level))))
@@ -69,19 +70,20 @@ class Curriculum:
         )
 
     def error_strength(self, level: FloatArray) -> FloatArray:
-        """(m,) strength of errors at levels."""
+        """(m,) strength of errors at each of these levels."""
         low, high = self.errors
         return np.asarray(low + level * (high - low), np.float64)
 
 
 def level_of(options: object, n: int, *others: str) -> FloatArray | None:
-    """(n,) the level that the options of ``reset`` ask for; None: as before.
+    """(n,) the level that the options of ``reset`` set; None: the level stays as it is.
 
     Args:
         others: names of other options of the environment.
 
     Raises:
-        InputError: no dict, an option that the environment does not have, or not one level or n.
+        InputError: the options are no dict, the environment does not have one of them, or there are neither one nor n
+            levels.
     """
     if options is None:
         return None

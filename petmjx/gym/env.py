@@ -1,4 +1,4 @@
-"""``petmjx/Palletizing-v0``: one pallet, a box a step."""
+"""``petmjx/Palletizing-v0``: an environment with one pallet, on which each step places one box."""
 
 from __future__ import annotations
 
@@ -29,21 +29,20 @@ def spaces_of(episodes: Episodes) -> tuple[spaces.Dict, spaces.Discrete]:
 
 
 class PalletizingEnv(gym.Env[Observation, np.int64]):
-    """Boxes come one after another, an action puts one of them onto the pallet, and physics decides whether the pallet
-    stands.
+    """Boxes arrive one after another. Each action places one of them on the pallet, and physics decides whether the
+    pallet stands.
 
     An episode ends when the pallet does not stand, or when no remaining box has a legal place. Boxes without a legal
-    place are left out. More: docs/loop.md.
+    place are left out. docs/loop.md has the details.
 
     Args:
         render_mode: None; "rgb_array": pictures of 480 × 480 pixels per pallet (needs EGL and the extra ``show``); or
             "human": pictures in a window after each step (needs a display).
         options: fields of ``petmjx.gym.environment_options.PalletizingOptions``, arguments of ``petmjx.Pallets``, and
-            fields of
-            ``petmjx.Simulation``.
+            fields of ``petmjx.Simulation``.
 
     Raises:
-        InputError: an unusable option.
+        InputError: an option is unusable.
     """
 
     metadata = {"render_modes": ["rgb_array", "human"], "render_fps": 4}  # noqa: RUF012  # as Gymnasium has it
@@ -60,10 +59,10 @@ class PalletizingEnv(gym.Env[Observation, np.int64]):
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[Observation, dict[str, Any]]:
-        """Begin an episode. The same seed gives the same episode.
+        """Begin an episode. Equal seeds give equal episodes.
 
         Args:
-            options: ``level``, from 0 to 1: the level of the curriculum from this episode on.
+            options: ``level``, from 0 to 1, sets the level of the curriculum from this episode on.
         """
         super().reset(seed=seed)
         if (level := level_of(options, 1)) is not None:
@@ -74,7 +73,7 @@ class PalletizingEnv(gym.Env[Observation, np.int64]):
         return self._observed(), self._info()
 
     def step(self, action: Any) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
-        """Put a box onto the pallet. An action that the mask excludes changes nothing."""
+        """Place a box on the pallet. An action that the mask excludes changes nothing."""
         if not self.action_space.contains(action):
             raise InputError(
                 f"action must be a whole number from 0 to {self.episodes.n_actions - 1}, {shown_value(action)}"
@@ -89,7 +88,7 @@ class PalletizingEnv(gym.Env[Observation, np.int64]):
         return self._observed(), float(stepped.reward[0]), *ends, self._info() | terms
 
     def render(self) -> NDArray[np.uint8] | None:
-        """A picture of the pallet; None if shown in a window."""
+        """A picture of the pallet. None if it is shown in a window."""
         if self.render_mode == "rgb_array":
             return self.episodes.picture(0)
         self._show()
@@ -102,12 +101,12 @@ class PalletizingEnv(gym.Env[Observation, np.int64]):
             self._window.show(self.episodes.picture(0))
 
     def action_masks(self) -> NDArray[np.bool_]:
-        """(a,) mask of legal actions, under the name that libraries for masked policies use."""
+        """(a,) mask of legal actions. Libraries for masked policies expect it under this name."""
         masks: NDArray[np.bool_] = self.episodes.table.legal[0].copy()
         return masks
 
     def close(self) -> None:
-        """Free the engine, and close the window."""
+        """Release the engine, and close the window."""
         if self._window is not None:
             self._window.close()
         self.episodes.pallets.close()
@@ -120,6 +119,6 @@ class PalletizingEnv(gym.Env[Observation, np.int64]):
 
 
 def check_render_mode(render_mode: str | None, modes: Sequence[str] = PalletizingEnv.metadata["render_modes"]) -> None:
-    """Raises InputError unless the mode is None or one of these."""
+    """Check the mode. Raises InputError unless it is None or one of ``modes``."""
     if render_mode is not None and render_mode not in modes:
         raise InputError(f"render_mode must be None or {' or '.join(modes)}, got {render_mode!r}")

@@ -9,6 +9,7 @@ from petmjx.analysis.criteria import SUPPORT_SHARES
 from petmjx.common.argument_checks import flag_of, integer_of, number_of
 from petmjx.common.checked_records import hint, shown_value
 from petmjx.common.errors import InputError
+from petmjx.loop.candidate_places import LARGEST_GAP_MM
 from petmjx.loop.order_sources import ENDLESS, Orders, order_reading
 from petmjx.loop.rewards import weights_of
 
@@ -22,9 +23,10 @@ CENTRE: Final = "centre"
 OF_ORDER: Final = "order"
 ALL: Final = "all"
 MOST_OPEN: Final = 64
-"""Most pallets of an episode: more are no pallets that a robot can reach."""
+"""Largest number of pallets in an episode. A robot could not reach more."""
 MOST_ERRORS: Final = 10.0
-"""Largest multiple of the errors of a common robot: 20 mm, more than a place that is still meant."""
+"""Largest multiple of the errors of a common robot: 20 mm, beyond which a box no longer stands where it was meant
+to."""
 SUPPORT: Final = {f"support_{100 * share:.0f}": share for share in SUPPORT_SHARES}
 MASKS: Final = (GEOMETRY, *SUPPORT, CENTRE, SURE, PHYSICS, LOADS)
 
@@ -34,31 +36,32 @@ class PalletizingOptions:
     """Options of ``petmjx/Palletizing-v0``, in addition to those of ``petmjx.Pallets``.
 
     Attributes:
-        orders: source of boxes (``petmjx.loop.order_sources.Orders``).
-        orders_seed: seed of the generator.
-        orders_units, orders_columns, orders_density: reading of a file of orders that is not in BED-BPP's form, as
-            fields of ``petmjx.RunOptions``; None: the most plausible.
-        articles: a table of articles (docs/loads.md) with the strengths of the orders' boxes.
-        look_ahead: number of visible boxes: 1 is online, all boxes of an order is offline.
-        buffer: number of the first visible boxes that may be placed next.
-        actions: ``candidates``: one of the listed places, which have features; ``cells``: box × orientation × cell of
-            the carrier.
-        n_candidates: largest number of listed places, and at least one for each box of the buffer: the lowest place of
-            each box, then the second lowest of each, and so on.
+        orders: where boxes come from (``petmjx.loop.order_sources.Orders``).
+        orders_seed: seed of the generator of orders.
+        orders_units, orders_columns, orders_density: how a file of orders is read that is not in BED-BPP's form, as in
+            the fields of ``petmjx.RunOptions``; None: the most plausible reading.
+        articles: a table of articles (docs/loads.md), which has the strengths of the orders' boxes.
+        look_ahead: number of visible boxes. 1 is online packing; all boxes of an order is offline packing.
+        buffer: number of visible boxes, counted from the first, of which any may be placed next.
+        actions: ``candidates``: an action is one of the listed places, which have features; ``cells``: an action is a
+            box, an orientation and a cell of the carrier.
+        n_candidates: largest number of listed places; at least one is listed for each box of the buffer. The list has
+            the lowest place of each box, then the second lowest of each, and so on.
         action_cell_mm: side of the cells of actions; ``cell_mm``: side of the cells of maps.
         mask: which actions on the carrier and below the highest top are legal: ``geometry``: all of them; a criterion
             of docs/criteria.md (``support_75``, … or ``centre``); ``physics``: actions that stand in a trial; ``sure``:
             actions that stand beyond doubt, without a trial; or ``loads``: actions that also overload no box.
         max_height_mm: highest top of a box.
+        gap_mm: free space between a box and its neighbours along x and y, which a robot needs.
         rewards: weights of terms (``petmjx.loop.rewards.TERMS``).
         most_illegal: number of illegal actions after which an episode is truncated.
-        scaled: whether observations are from 0 to 1 (``petmjx.gym.observation_spaces``).
-        sides: sides on which boxes may stand: ``order``: the sides that the order allows, otherwise the base alone;
-            ``all``.
-        open_pallets: number of pallets of an episode, any of which may get the next box.
-        errors: how inexactly boxes are placed, as a multiple of the errors of ``petmjx score --confidence``.
-        curriculum: properties that grow with the level of an episode (``petmjx.gym.curriculum.Curriculum``).
-        level: the level of episodes, from 0 to 1; ``reset(options={"level": …})`` changes it.
+        scaled: whether observations are scaled to 0 to 1 (``petmjx.gym.observation_spaces``).
+        sides: on which sides boxes may stand: ``order``: those that the order allows, or only the base if it says
+            nothing; ``all``: all sides.
+        open_pallets: number of pallets of an episode. Each of them may get the next box.
+        errors: how inaccurately boxes are placed, as a multiple of the errors of ``petmjx score --confidence``.
+        curriculum: properties that change with the level of an episode (``petmjx.gym.curriculum.Curriculum``).
+        level: the level of episodes, from 0 to 1, which ``reset(options={"level": …})`` changes.
     """
 
     orders: Any = ENDLESS
@@ -75,6 +78,7 @@ class PalletizingOptions:
     cell_mm: float = 50.0
     mask: str = "support_75"
     max_height_mm: float = 1800.0
+    gap_mm: float = 0.0
     rewards: Any = None
     most_illegal: int = 20
     scaled: bool = False
@@ -86,10 +90,10 @@ class PalletizingOptions:
 
     @classmethod
     def of(cls, arguments: dict[str, Any]) -> tuple[Self, dict[str, Any]]:
-        """These options, and the remaining entries of ``arguments``.
+        """Split ``arguments`` into these options and the remaining entries.
 
         Raises:
-            InputError: an unusable value.
+            InputError: a value is unusable.
         """
         names = {field.name for field in fields(cls)}
         options = cls(**{name: value for name, value in arguments.items() if name in names})
@@ -104,6 +108,7 @@ class PalletizingOptions:
             integer_of(getattr(options, name), name, least, most)
         number_of(options.max_height_mm, "max_height_mm", 1.0, 20_000.0)
         number_of(options.action_cell_mm, "action_cell_mm", 10.0, 20_000.0)
+        number_of(options.gap_mm, "gap_mm", 0.0, LARGEST_GAP_MM)
         number_of(options.errors, "errors", 0.0, MOST_ERRORS)
         number_of(options.level, "level", 0.0, 1.0)
         flag_of(options.scaled, "scaled")
@@ -118,10 +123,10 @@ class PalletizingOptions:
         return options, {name: value for name, value in arguments.items() if name not in names}
 
     def read_orders(self) -> Orders:
-        """The orders.
+        """Read the orders.
 
         Raises:
-            InputError: the orders cannot be read, or have no strengths, which the mask ``loads`` needs.
+            InputError: the orders cannot be read, or lack strengths, which the mask ``loads`` needs.
         """
         reading = order_reading(self.orders_units, self.orders_columns, self.orders_density)
         orders = Orders(self.orders, self.orders_seed, self.articles, reading)
@@ -131,5 +136,5 @@ class PalletizingOptions:
 
     @property
     def weights(self) -> dict[str, float]:
-        """The weights of reward terms."""
+        """The weights of the terms of the reward."""
         return weights_of(self.rewards)

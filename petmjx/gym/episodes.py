@@ -1,4 +1,4 @@
-"""n episodes side by side: their states, and the steps that placements make. Environments wrap this."""
+"""n episodes side by side: their states, and the steps that placements make. Environments wrap this class."""
 
 from __future__ import annotations
 
@@ -26,10 +26,10 @@ from petmjx.loop.placement_results import PlacementResults
 from petmjx.loop.rewards import TERMS, Placement
 
 _MOST_ORDERS: Final = 100
-"""Largest number of draws until an order has a box that fits on the empty carrier."""
+"""Largest number of orders drawn until one has a box that fits on the empty carrier."""
 
 _MOST_KINDS: Final = 16
-"""Most kinds of boxes behind the next one that are looked at in a call, for each episode."""
+"""Largest number of kinds of boxes behind the next box that one call examines, for each episode."""
 
 PICTURE: Final = (480, 480)
 """Pixels of a pallet's picture."""
@@ -37,11 +37,11 @@ PICTURE: Final = (480, 480)
 
 @dataclass(frozen=True, eq=False)
 class EpisodeStep:
-    """The results of a step of m episodes.
+    """The results of one step of m episodes.
 
     Attributes:
-        reward: (m,); ``terms``: its terms, (m,) each, not weighted.
-        terminated, truncated: (m,).
+        reward: (m,) weighted sum of the terms; ``terms``: the unweighted terms, each (m,).
+        terminated, truncated: (m,) whether the episode ended, as Gymnasium defines these.
     """
 
     reward: FloatArray
@@ -51,13 +51,13 @@ class EpisodeStep:
 
 
 class Episodes:
-    """n episodes, one a pallet.
+    """n episodes side by side. Every pallet belongs to one of them.
 
     Args:
-        given: options of ``PalletizingOptions`` and of ``petmjx.Pallets``.
+        given: options of ``PalletizingOptions`` and arguments of ``petmjx.Pallets``.
 
     Raises:
-        InputError: an unusable option.
+        InputError: an option is unusable.
     """
 
     def __init__(self, n: int, options: dict[str, Any]) -> None:
@@ -91,10 +91,10 @@ class Episodes:
     # ------------------------------------------------------------------ what happens
 
     def begin(self, rows: NDArray[np.int64], rngs: Sequence[np.random.Generator]) -> None:
-        """Begin episodes anew, each with a random order from the episode's own generator.
+        """Begin some episodes, each with a random order from its own generator.
 
         Raises:
-            InputError: no box of the orders has a place on the empty carrier.
+            InputError: no box of the orders fits on the empty carrier.
         """
         if not len(rows):
             return
@@ -123,7 +123,7 @@ class Episodes:
         )
 
     def step(self, rows: NDArray[np.int64], actions: NDArray[np.int64]) -> EpisodeStep:
-        """Place a box in each of these running episodes."""
+        """Place a box in each of these episodes, which must be running."""
         m = len(rows)
         legal = self.table.legal[rows, actions]
         terms: dict[str, FloatArray] = {name: np.zeros(m) for name in self.weights}
@@ -153,7 +153,7 @@ class Episodes:
         last = self.pallets.n_boxes[on]
         queues: list[NDArray[Any]] = []
 
-        def go_on() -> None:  # updates that depend only on where boxes were put
+        def go_on() -> None:  # updates that depend only on where boxes are placed
             self._actions.strength_n[on, last] = self._queues.take(rows, box)
             self._maps.add(on, last, size, corner)
             queues.extend(self._queues.kept(rows))
@@ -165,7 +165,7 @@ class Episodes:
         )
         if self._actions.asks_physics:
             self._look(rows[report.stable & ~self._are_full(rows)])
-        fallen = ~report.stable  # an ended episode leaves out no further box
+        fallen = ~report.stable  # an episode that has ended leaves out no further boxes
         self._queues.restore(rows[fallen], [values[fallen] for values in queues])
         volume, top = size.prod(axis=1), corner[:, 2] + size[:, 2]
         higher = np.maximum(top - self._top[on], 0.0)
@@ -186,7 +186,7 @@ class Episodes:
         return x * y * self.options.max_height_mm * self._several
 
     def _pallets_of(self, rows: NDArray[np.int64]) -> NDArray[np.int64]:
-        """(m, p) the pallets of episodes."""
+        """(m, p) the pallets of each episode."""
         pallets: NDArray[np.int64] = rows[:, None] * self._several + np.arange(self._several)
         return pallets
 
@@ -196,7 +196,8 @@ class Episodes:
         return full
 
     def _drawn_errors(self, rows: NDArray[np.int64]) -> dict[str, Any]:
-        """The errors of the next boxes of episodes, arguments of ``Pallets.place``; none without errors."""
+        """Draw the errors of the episodes' next boxes, as arguments of ``Pallets.place``. Empty if there are no
+        errors."""
         if not self._errors[rows].any():
             return {}
         rngs = [self._rngs[row] for row in rows.tolist()]
@@ -204,7 +205,7 @@ class Episodes:
         return {"error": np.array(numbers, np.int64), "error_strength": self._errors[rows]}
 
     def _look(self, rows: NDArray[np.int64]) -> None:
-        """Find the actions of episodes. Without an action, the boxes that may be next are left out."""
+        """Find the actions of episodes. If an episode has none, the boxes that may come next are left out."""
         while len(rows):
             self._actions.fill(self.table, rows, *self._queues.seen(rows))
             stuck = rows[~self.table.legal[rows].any(axis=1)]
@@ -215,11 +216,11 @@ class Episodes:
             self._queues.leave_out(rows, self.options.buffer)
 
     def _look_ahead(self, rows: NDArray[np.int64]) -> None:
-        """Find the first of the boxes behind the next one that has an action, and leave out all boxes before it. Boxes
-        of one kind have the same actions, since no pallet changes. Several kinds are looked at in one call, more from
-        call to call: a call costs time even for few boxes."""
+        """Find the first box behind the next one that has an action, and leave out all boxes before it. Boxes of one
+        kind have the same actions, since no pallet changes meanwhile. One call examines several kinds, and each further
+        call more of them, because a call takes time even for few boxes."""
         later = {row: self._queues.kinds(row) for row in rows.tolist()}
-        first = dict.fromkeys(later, 1)  # the kind of the next box has no action
+        first = dict.fromkeys(later, 1)  # the kind of the next box is known to have no action
         most = 1
         while first:
             numbers = {row: range(begin, min(begin + most, len(later[row][0]))) for row, begin in first.items()}
@@ -246,7 +247,7 @@ class Episodes:
     # ------------------------------------------------------------------ what is seen
 
     def observed(self, rows: NDArray[np.int64]) -> Observation:
-        """The observations of episodes, arrays of m rows."""
+        """The observations of episodes, as arrays of m rows."""
         size, mass, _ = self._queues.seen(rows)
         on = rows if self._several == 1 else self._pallets_of(rows)
         observation: Observation = {
@@ -264,7 +265,7 @@ class Episodes:
         return self._spaces.scaled(observation)
 
     def info_of(self, rows: NDArray[np.int64]) -> dict[str, NDArray[Any]]:
-        """The ``info`` values of episodes after a step."""
+        """The values of ``info`` for episodes after a step."""
         return {
             "verdict": self._verdict[rows].astype(object),
             "reason": self._reason[rows].astype(object),
@@ -278,14 +279,14 @@ class Episodes:
 
     @property
     def spaces(self) -> dict[str, Space]:
-        """The space of each observation."""
+        """The space of each observation, by its name."""
         return self._spaces.spaces
 
     def set_level(self, rows: NDArray[np.int64], level: Any) -> None:
-        """Set the level of some environments, (m,) or one number, from their next episodes on.
+        """Set the level of some environments from their next episodes on. The level is one number, or (m,).
 
         Raises:
-            InputError: a level is not from 0 to 1, or there are neither one nor m of them.
+            InputError: a level is not from 0 to 1, or there are neither one nor m levels.
         """
         values = np.atleast_1d(np.asarray(level, object))
         if values.shape not in ((1,), (len(rows),)):

@@ -1,4 +1,4 @@
-"""Queues of the boxes that episodes still have to place, in arrays."""
+"""Queues, stored in arrays, of the boxes that episodes still have to place."""
 
 from __future__ import annotations
 
@@ -12,37 +12,38 @@ from petmjx.common.units import FloatArray
 from petmjx.loop.order_sources import Boxes
 
 _MORE: Final = 32
-"""Number of boxes in the table beyond the visible boxes. A row is refilled after the removal of this many boxes."""
+"""Number of boxes that the table holds beyond the visible ones. A row is refilled after this many boxes were
+removed."""
 
 
 _STRENGTH: Final = 4
-"""Column of strengths in ``Boxes.rows``."""
+"""Column of ``Boxes.rows`` with the strength."""
 
 
 def parts_of(boxes: FloatArray) -> tuple[FloatArray, FloatArray, NDArray[np.bool_]]:
-    """Of (…, 8) rows of boxes: (…, 3) sizes, mm, (…) masses, kg, and (…, 3) whether each of the sizes may be
+    """Split rows of boxes (…, 8) into (…, 3) sizes, mm, (…) masses, kg, and (…, 3) whether each of the sizes may be
     vertical."""
     return boxes[..., :3], boxes[..., 3], boxes[..., 5:] > 0
 
 
 class Queues:
-    """The boxes that n episodes have still to place.
+    """The boxes that n episodes still have to place.
 
     Args:
-        seen: number of visible boxes of each episode.
+        seen: number of visible boxes per episode.
 
     Attributes:
         counts: (n,) number of remaining boxes.
-        left_out: (n,) number of boxes that had no legal place.
+        left_out: (n,) number of boxes that were left out because they had no legal place.
     """
 
     def __init__(self, n: int, seen: int) -> None:
         self._boxes: list[Boxes] = [Boxes(np.zeros((0, 3)), np.zeros(0), np.zeros(0))] * n
         self._seen = seen
-        # (n, k, 8) the next boxes from column `first` on, as in ``Boxes.rows``; 0 after the last one
+        # (n, k, 8) the next boxes, from column `first` on, in the form of ``Boxes.rows``; 0 after the last box
         self._next: FloatArray = np.zeros((n, seen + _MORE, 8))
         self._first: NDArray[np.int64] = np.zeros(n, np.int64)
-        self._behind: NDArray[np.int64] = np.zeros(n, np.int64)  # boxes that are not in the table yet
+        self._behind: NDArray[np.int64] = np.zeros(n, np.int64)  # number of boxes not in the table yet
         self.counts: NDArray[np.int64] = np.zeros(n, np.int64)
         self.left_out: NDArray[np.int64] = np.zeros(n, np.int64)
 
@@ -53,10 +54,11 @@ class Queues:
         self._fill(row)
 
     def take(self, rows: NDArray[np.int64], places: NDArray[np.int64]) -> FloatArray:
-        """Remove the boxes at these places of queues. Returns their strengths, (m,) N; NaN: unknown."""
+        """Remove one box from each of some queues, at the given places. Returns the boxes' strengths, (m,) N; NaN if
+        unknown."""
         first = self._first[rows]
         strength: FloatArray = self._next[rows, first + places, _STRENGTH]
-        for place in range(int(places.max(initial=0)), 0, -1):  # boxes before the taken one move up by a place
+        for place in range(int(places.max(initial=0)), 0, -1):  # move the boxes before the removed one
             is_after = places >= place
             at = rows[is_after], first[is_after] + place
             self._next[at] = self._next[at[0], at[1] - 1]
@@ -64,25 +66,26 @@ class Queues:
         return strength
 
     def leave_out(self, rows: NDArray[np.int64], count: int) -> None:
-        """Leave out the first ``count`` boxes of some queues."""
+        """Leave out the first ``count`` boxes of each of some queues."""
         n_removed = np.minimum(self.counts[rows], count)
         self.left_out[rows] += n_removed
         self._go_on(rows, n_removed)
 
     def kinds(self, row: int) -> tuple[NDArray[np.intp], FloatArray]:
-        """The first box of each kind among the remaining boxes of a queue whose boxes were taken in their sequence:
-        (k,) their numbers, rising, and (k, 8) their rows. Boxes of a kind differ at most in strength."""
+        """The first box of each kind among the remaining boxes of a queue: (k,) their numbers, in ascending order, and
+        (k, 8) their rows. Boxes of a kind differ at most in strength. The boxes of the queue must have been taken in
+        their sequence."""
         boxes = self._boxes[row].rows
         boxes = boxes[len(boxes) - int(self.counts[row]) :]
         first = np.sort(np.unique(np.delete(boxes, _STRENGTH, axis=1), axis=0, return_index=True)[1])
         return first, boxes[first]
 
     def kept(self, rows: NDArray[np.int64]) -> list[NDArray[Any]]:
-        """A copy of the state of queues, for ``restore``."""
+        """A copy of the state of some queues, for ``restore``."""
         return [values[rows] for values in self._arrays]
 
     def restore(self, rows: NDArray[np.int64], kept: Iterable[NDArray[Any]]) -> None:
-        """Restore the state of queues."""
+        """Restore the state of some queues."""
         for values, before in zip(self._arrays, kept, strict=True):
             values[rows] = before
 
@@ -91,7 +94,7 @@ class Queues:
         return self._next, self._first, self._behind, self.counts, self.left_out
 
     def seen(self, rows: NDArray[np.int64]) -> tuple[FloatArray, FloatArray, NDArray[np.bool_]]:
-        """``parts_of`` the visible boxes, (m, k, …); 0 beyond the last box."""
+        """The ``parts_of`` the visible boxes, (m, k, …). They are 0 after the last box."""
         return parts_of(self._next[rows[:, None], self._first[rows, None] + np.arange(self._seen)])
 
     def _go_on(self, rows: NDArray[np.int64], count: NDArray[np.int64]) -> None:
@@ -101,11 +104,11 @@ class Queues:
             self._fill(row)
 
     def _fill(self, row: int) -> None:
-        """Move the boxes of a row to its first column, and append as many boxes as there is room for."""
+        """Move the boxes of a row to its first column, and append boxes until the row is full."""
         boxes, table = self._boxes[row], self._next[row]
         behind = min(
             int(self._behind[row]), int(self.counts[row])
-        )  # fewer, if some were left out with all in the table
+        )  # fewer if some were left out although the table had all boxes
         n_items, first = int(self.counts[row]) - behind, int(self._first[row])
         table[:n_items] = table[first : first + n_items].copy()
         new_rows = slice(len(boxes) - behind, len(boxes) - behind + len(table) - n_items)

@@ -1,4 +1,4 @@
-"""Observed maps of pallets: the height over each cell of the carrier, and the load on the boxes of each cell."""
+"""Observed maps of pallets: the height above each cell of the carrier, and the load on the boxes in each cell."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from petmjx.loop.growing_tables import FIRST_COLUMNS, widened_table
 from petmjx.loop.height_maps import spans
 
 _AT_ONCE: Final = 512
-"""Pallets whose maps are made at a time, so that they stay in a core's cache."""
+"""Number of pallets whose maps are computed at a time, so that they fit into a core's cache."""
 
 _MOST: Final = float(np.finfo(np.float32).max)
 
@@ -21,7 +21,7 @@ Map = NDArray[np.float32]
 
 
 class Maps:
-    """The maps of n pallets, updated from box to box, in the precision of observations.
+    """The maps of n pallets. Each new box updates them. They have the precision of observations.
 
     Attributes:
         heights: (n, x, y) the highest top, mm; ``loads``: (n, x, y) the largest force on a box's top, N.
@@ -31,7 +31,7 @@ class Maps:
         self._cell_mm = cell_mm
         self.heights: Map = np.zeros((n, *cells), np.float32)
         self.loads: Map = np.zeros((n, *cells), np.float32)
-        self._spans: NDArray[np.int32] = np.zeros((n, FIRST_COLUMNS, 2, 2), np.int32)  # the cells of each box
+        self._spans: NDArray[np.int32] = np.zeros((n, FIRST_COLUMNS, 2, 2), np.int32)  # the cells that each box covers
 
     def clear(self, rows: NDArray[np.int64]) -> None:
         """Clear the maps of some pallets."""
@@ -40,7 +40,7 @@ class Maps:
     def add(
         self, rows: NDArray[np.int64], number: NDArray[np.int64], size_mm: FloatArray, corner_mm: FloatArray
     ) -> None:
-        """Add one box to each of some pallets.
+        """Add a box to each of some pallets.
 
         Args:
             number: (m,) number of the box on its pallet, from 0; ``size_mm``, ``corner_mm``: (m, 3).
@@ -55,11 +55,11 @@ class Maps:
         """Update the loads on the boxes of some pallets.
 
         Args:
-            top_force_n: (m, k) force on each box's top, N; NaN beyond a pallet's own boxes.
+            top_force_n: (m, k) force on the top of each box, N; NaN after the last box of a pallet.
         """
         force = np.minimum(np.nan_to_num(top_force_n), _MOST).astype(np.float32)
         count = (force > 0).sum(axis=1)
-        fullest = np.argsort(-count, kind="stable")  # in one call, so that the other groups take less time
+        fullest = np.argsort(-count, kind="stable")  # sorted, so that groups have similar numbers of boxes
 
         def load(some: NDArray[np.intp]) -> None:
             most = int(count[some].max(initial=0))
@@ -77,10 +77,10 @@ class Maps:
         on_threads(load, np.split(fullest, range(_AT_ONCE, len(rows), _AT_ONCE)))
 
     def _over(self, box_spans: NDArray[np.integer]) -> tuple[Map, Map]:
-        """(x, m) and (y, m): 1 for columns and rows of cells that boxes cover, else 0.
+        """1 for the columns (x, m) and rows (y, m) of cells that boxes cover, else 0.
 
         Args:
-            box_spans: (m, 2, 2) of ``spans``.
+            box_spans: (m, 2, 2) the ranges of cells of one box per pallet, from ``spans``.
         """
         low, high = box_spans.transpose(1, 2, 0)
         x, y = (

@@ -1,4 +1,4 @@
-"""Spaces of observations: shapes, bounds, and the scales that map all values to 0 to 1."""
+"""Spaces of observations: their shapes, their bounds, and the scales that map all values to the range from 0 to 1."""
 
 from __future__ import annotations
 
@@ -16,11 +16,11 @@ LOAD_N: Final = 500.0
 BOX_KG: Final = 10.0
 PALLET_KG: Final = 300.0
 LEFT: Final = 20.0
-"""Values that are 0.5 on the scale x / (x + half), on which all values are below 1: the loads and masses of an order of
-groceries (docs/loop.md)."""
+"""The value ``half`` of each scale x / (x + half), which maps ``half`` to 0.5 and all values to less than 1. These are
+the loads and masses of orders of groceries (docs/loop.md)."""
 
 LARGEST_N: Final = 1e6
-"""Larger forces are observed as this value. A pallet of 100 t presses with this force."""
+"""Largest force in observations: larger forces are replaced by it. A pallet of 100 t presses with this force."""
 
 _LENGTHS: Final = ("x", "y", "z", "length_x", "length_y", "height")
 
@@ -28,7 +28,7 @@ Observation = dict[str, NDArray[Any]]
 
 
 class Space(NamedTuple):
-    """The shape of an observation, its least and largest values, and its type."""
+    """The shape of an observation, its smallest and largest values, and its type."""
 
     shape: tuple[int, ...]
     low: Any
@@ -37,10 +37,11 @@ class Space(NamedTuple):
 
 
 class ObservationSpaces:
-    """The spaces of an environment, and its scales.
+    """The spaces of an environment and its scales.
 
     Args:
-        cells: numbers of cells of maps along x and y; ``n_actions``: number of actions; ``features``: of candidates.
+        cells: numbers of cells of the maps along x and y; ``n_actions``: number of actions; ``features``: names of the
+            features of candidates.
     """
 
     def __init__(
@@ -82,7 +83,7 @@ class ObservationSpaces:
         self.spaces = spaces
 
     def scaled(self, observation: Observation) -> Observation:
-        """Observations of the environment: unscaled, or from 0 to 1."""
+        """The observations in the form of the environment: unscaled, or scaled to the range from 0 to 1."""
         if not self._options.scaled:
             return {**observation, "load_map": np.minimum(observation["load_map"], np.float32(LARGEST_N))}
         boxes = observation["boxes"]
@@ -115,5 +116,5 @@ class ObservationSpaces:
 
 
 def _saturated(values: NDArray[Any], half: float) -> NDArray[Any]:
-    """Values from 0 on a scale that ends at 1, where ``half`` is 0.5."""
+    """Map values from [0, inf) to [0, 1); the value ``half`` maps to 0.5."""
     return np.asarray(values / (values + np.float32(half)))

@@ -1,6 +1,6 @@
-"""``petmjx/Palletizing-v0`` as a vector environment of Stable-Baselines3: n pallets per step, on one engine.
+"""``petmjx/Palletizing-v0`` as a vector environment of Stable-Baselines3: n pallets per step on one engine.
 
-The environment has the masks for MaskablePPO of sb3-contrib. Needs the extra ``sb3``.
+The environment provides the masks for MaskablePPO of sb3-contrib. It needs the extra ``sb3``.
 """
 
 from __future__ import annotations
@@ -30,18 +30,18 @@ except ImportError as error:
 class PalletizingVecEnv(VecEnv):  # type: ignore[misc, unused-ignore]  # where Stable-Baselines3 is not installed
     """n pallets for ``MaskablePPO("MultiInputPolicy", env)`` and the other algorithms of Stable-Baselines3.
 
-    Episodes that end begin anew in the same step. The last observation of ended episodes is
-    ``info["terminal_observation"]``, and ``info["episode"]`` has their return ``r``, length ``l`` and time ``t``, s, as
-    ``VecMonitor`` gives them, so that no monitor is needed. ``info["TimeLimit.truncated"]`` tells an end by illegal
-    actions from a failure.
+    When an episode ends, the next one begins in the same step. The last observation of the ended episode is
+    ``info["terminal_observation"]``. ``info["episode"]`` has its return ``r``, length ``l`` and time ``t`` in s, in the
+    form of ``VecMonitor``, so no monitor is needed. ``info["TimeLimit.truncated"]`` distinguishes an end through
+    illegal actions from a failure.
 
     Args:
-        num_envs: n.
-        options: as in ``PalletizingVectorEnv``; observations are scaled unless ``scaled=False``.
+        num_envs: number n of environments.
+        options: as for ``PalletizingVectorEnv``. Observations are scaled unless ``scaled=False``.
 
     Raises:
-        InputError: an unusable option.
-        EngineUnavailable: Stable-Baselines3 is not installed, or the engine cannot run here.
+        InputError: an option is unusable.
+        EngineUnavailable: Stable-Baselines3 is not installed, or the engine cannot run on this machine.
     """
 
     def __init__(self, num_envs: int = 16, **options: Any) -> None:
@@ -53,7 +53,7 @@ class PalletizingVecEnv(VecEnv):  # type: ignore[misc, unused-ignore]  # where S
         self._began_s = time.monotonic()
 
     def reset(self) -> dict[str, NDArray[Any]]:
-        """Begin all episodes, with the seeds of ``seed`` if called before."""
+        """Begin all episodes, with the seeds set by ``seed`` if it was called."""
         level = [options["level"] for options in self._options if "level" in options]
         if len(level) not in (0, self.num_envs):
             raise InputError("options: give all environments a level, or none")
@@ -65,11 +65,11 @@ class PalletizingVecEnv(VecEnv):  # type: ignore[misc, unused-ignore]  # where S
         return observed
 
     def step_async(self, actions: Any) -> None:
-        """Take the actions of the next step."""
+        """Store the actions of the next step."""
         self._actions = actions
 
     def step_wait(self) -> tuple[dict[str, NDArray[Any]], NDArray[np.float32], NDArray[np.bool_], list[dict[str, Any]]]:
-        """Put a box onto each pallet."""
+        """Place a box on each pallet."""
         observed, reward, terminated, truncated, info = self.env.step(self._actions)
         over = terminated | truncated
         self._return += reward
@@ -92,7 +92,7 @@ class PalletizingVecEnv(VecEnv):  # type: ignore[misc, unused-ignore]  # where S
         return observed, reward.astype(np.float32), over, infos
 
     def close(self) -> None:
-        """Free the engine."""
+        """Release the engine."""
         self.env.close()
 
     def action_masks(self, row: int) -> NDArray[np.bool_]:
@@ -105,22 +105,23 @@ class PalletizingVecEnv(VecEnv):  # type: ignore[misc, unused-ignore]  # where S
         return self.env.render() or ()
 
     def get_attr(self, attr_name: str, indices: Any = None) -> list[Any]:
-        """An attribute of each environment: ``level``, ``action_masks``, or a common attribute, such as
-        ``render_mode``."""
+        """An attribute of each environment: ``level``, ``action_masks``, or an attribute that all have in common, such
+        as ``render_mode``."""
         rows = self._rows(indices)
         if attr_name == "level":
             return [float(self.env.episodes.level[row]) for row in rows]
         if attr_name in self._methods:
             return [partial(self._methods[attr_name], row) for row in rows]
-        value = getattr(self.env, attr_name)  # else an AttributeError, which has_attr turns into False
+        value = getattr(self.env, attr_name)  # raises AttributeError if missing, which has_attr turns into False
         return [value for _ in rows]
 
     def set_attr(self, attr_name: str, value: Any, indices: Any = None) -> None:
-        """Set ``level``, the level of the curriculum from the next episode on, one number or one for each environment.
-        Nothing else can be set.
+        """Set ``level``, the level of the curriculum from the next episode on: one number, or one for each environment.
+        No other attribute can be set.
 
         Raises:
-            InputError: another name, no level, another number of levels, or no such environment.
+            InputError: the name is not ``level``, a value is no level, the number of levels is wrong, or an environment
+                does not exist.
         """
         if attr_name != "level":
             raise InputError(f"set_attr: an environment has level to set, got {attr_name!r}")
@@ -133,14 +134,14 @@ class PalletizingVecEnv(VecEnv):  # type: ignore[misc, unused-ignore]  # where S
         return [self._methods[method_name](row, *method_args, **method_kwargs) for row in self._rows(indices)]
 
     def env_is_wrapped(self, wrapper_class: type[Any], indices: Any = None) -> list[bool]:
-        """Whether each environment has a wrapper's function: yes for ``Monitor``, no for all others."""
+        """Whether each environment does what a wrapper does: True for ``Monitor``, False for all others."""
         return [wrapper_class is Monitor for _ in self._rows(indices)]
 
     def _rows(self, indices: Any) -> list[int]:
-        """The numbers of environments; negative ones count from the last, as in a list.
+        """The numbers of environments. Negative numbers count from the end, as in a list.
 
         Raises:
-            InputError: no such environment.
+            InputError: an environment does not exist.
         """
         n, rows = self.num_envs, list(self._get_indices(indices))
         for row in rows:
@@ -153,7 +154,7 @@ class PalletizingVecEnv(VecEnv):  # type: ignore[misc, unused-ignore]  # where S
         return {"action_masks": self.action_masks, "render": self.env.episodes.picture}
 
     def _separate(self, info: dict[str, Any]) -> list[dict[str, Any]]:
-        """The information of each environment, from arrays of all environments."""
+        """Split the information from arrays for all environments into one dict for each environment."""
         names = [name for name in info if not name.startswith(("_", "final_"))]
         columns = [info[name].tolist() for name in names]
         if not names:

@@ -1,4 +1,4 @@
-"""``petmjx/Palletizing-v0`` as a vector environment: n pallets per step, on one engine."""
+"""``petmjx/Palletizing-v0`` as a vector environment: n pallets per step on one engine."""
 
 from __future__ import annotations
 
@@ -24,17 +24,17 @@ Info = dict[str, Any]
 
 
 class PalletizingVectorEnv(VectorEnv[Observation, NDArray[np.int64], NDArray[Any]]):
-    """Equal to n ``PalletizingEnv``, to the last bit, with all pallets in one call.
+    """Bit-identical to n ``PalletizingEnv``, but with all pallets simulated in one call.
 
     Args:
-        num_envs: n.
-        autoreset_mode: begin of the next episode: in the next step, which then does nothing else; in the same step,
-            with the last observation and information in ``info``; or on a call of ``reset``.
-        render_mode: None or "rgb_array"; ``options``: as in ``PalletizingEnv``; the engine is ``auto`` unless one is
+        num_envs: number n of environments.
+        autoreset_mode: when the next episode begins: in the next step, which then does nothing else; in the same step,
+            with the last observation and information in ``info``; or when ``reset`` is called.
+        render_mode: None or "rgb_array"; ``options``: as for ``PalletizingEnv``. The engine is ``auto`` unless it is
             named.
 
     Raises:
-        InputError: an unusable option.
+        InputError: an option is unusable.
     """
 
     metadata = {  # noqa: RUF012  # as Gymnasium has it
@@ -69,12 +69,13 @@ class PalletizingVectorEnv(VectorEnv[Observation, NDArray[np.int64], NDArray[Any
     def reset(
         self, *, seed: int | list[int | None] | None = None, options: dict[str, Any] | None = None
     ) -> tuple[Observation, Info]:
-        """Begin all episodes, or those of ``options["reset_mask"]``, (n,) booleans.
+        """Begin all episodes, or those for which ``options["reset_mask"]``, (n,), is true.
 
         Args:
-            options: also ``level``, from 0 to 1, one or (n,): the level of the curriculum from these episodes on.
-            seed: seed of the first environment, while the other environments have the following numbers; or a list with
-                one for each.
+            options: besides ``reset_mask`` also ``level``, from 0 to 1, one number or (n,): the level of the curriculum
+                from these episodes on.
+            seed: seed of the first environment, while the other environments have the numbers that follow; or a list
+                with a seed for each.
         """
         level = level_of(options, self.num_envs, "reset_mask")
         mask = None if options is None else options.get("reset_mask")
@@ -93,7 +94,7 @@ class PalletizingVectorEnv(VectorEnv[Observation, NDArray[np.int64], NDArray[Any
         return self.episodes.observed(self._all), self._info(rows)
 
     def step(self, actions: Any) -> tuple[Observation, NDArray[np.float64], NDArray[np.bool_], NDArray[np.bool_], Info]:
-        """Put a box onto each pallet whose episode is running."""
+        """Place a box on each pallet whose episode is running."""
         chosen = np.asarray(actions)
         if chosen.shape != (self.num_envs,) or chosen.dtype.kind not in "iu":
             raise InputError(f"actions must be {self.num_envs} whole numbers, got shape {chosen.shape}")
@@ -128,7 +129,7 @@ class PalletizingVectorEnv(VectorEnv[Observation, NDArray[np.int64], NDArray[Any
         return tuple(self.episodes.picture(row) for row in range(self.num_envs))
 
     def close_extras(self, **_: Any) -> None:
-        """Free the engine."""
+        """Release the engine."""
         self.episodes.pallets.close()
 
     def _begin(self, rows: NDArray[np.int64]) -> None:
@@ -139,8 +140,8 @@ class PalletizingVectorEnv(VectorEnv[Observation, NDArray[np.int64], NDArray[Any
         return self._spread(rows, self.episodes.info_of(rows))
 
     def _spread(self, rows: NDArray[np.int64], values: dict[str, NDArray[Any]]) -> Info:
-        """Values of some environments in Gymnasium's form: arrays for all environments, with masks of the environments
-        that have a value."""
+        """The values of some environments in Gymnasium's form: arrays for all environments, with masks that tell which
+        environments have a value."""
         info: Info = {}
         known = np.zeros(self.num_envs, bool)
         known[rows] = True

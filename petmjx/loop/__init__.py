@@ -1,1 +1,1 @@
-"""Physics in the loop: pallets that stay settled, for packers that try one placement after another."""
+"""Physics in the loop: pallets that stay settled, for packers that try placement after placement."""

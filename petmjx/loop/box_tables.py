@@ -1,4 +1,4 @@
-"""Tables of the boxes on many pallets, as requested."""
+"""Tables of the boxes on many pallets, with sizes and places as requested."""
 
 from __future__ import annotations
 
@@ -15,15 +15,15 @@ from petmjx.loop.placements import Placements
 from petmjx.plans.plan import Plan
 
 _AT_ONCE: Final = 512
-"""Number of pallets in one call for points."""
+"""Largest number of pallets in one call that computes points."""
 
 
 class BoxTable:
     """The boxes of n pallets.
 
     Attributes:
-        count: (n,) boxes of each pallet.
-        size_mm, corner_mm: (n, k, 3), ``mass_kg``: (n, k); NaN beyond a pallet's own boxes.
+        count: (n,) number of boxes on each pallet.
+        size_mm, corner_mm: (n, k, 3), ``mass_kg``: (n, k); NaN in columns beyond the pallet's boxes.
     """
 
     def __init__(self, n: int) -> None:
@@ -34,7 +34,7 @@ class BoxTable:
         self._points = Points(n)
 
     def add(self, placements: Placements) -> None:
-        """Put one box on each of some pallets."""
+        """Add one box to each of the pallets in ``placements``."""
         rows, at = placements.pallet, self.count[placements.pallet]
         for name in ("size_mm", "corner_mm", "mass_kg"):
             setattr(self, name, widened_table(getattr(self, name), int(at.max(initial=0)) + 1, np.nan))
@@ -43,7 +43,7 @@ class BoxTable:
         self.count[rows] += 1
 
     def cut(self, pallets: NDArray[np.int64], count: NDArray[np.int64]) -> None:
-        """Keep the first boxes of some pallets."""
+        """Keep only the first ``count`` boxes of some pallets."""
         beyond = np.arange(self.size_mm.shape[1]) >= count[:, None]
         for name in ("size_mm", "corner_mm", "mass_kg"):
             values = getattr(self, name)
@@ -60,24 +60,26 @@ class BoxTable:
             values[into] = values[sources]
         self._points.copy(sources, into)
 
-    def find_points(self, pallets: NDArray[np.int64]) -> Points:
-        """The up-to-date extreme points, for all boxes of these pallets."""
-        points, rows = self._points, np.unique(pallets)
+    def find_points(self, pallets: NDArray[np.int64], gap_mm: float = 0.0) -> Points:
+        """The up-to-date extreme points, for all boxes of these pallets, with this free space between boxes."""
+        if gap_mm != self._points.gap_mm:
+            self._points = Points(len(self.count), gap_mm)
+        points, rows, free_mm = self._points, np.unique(pallets), np.array([gap_mm, gap_mm, 0.0])
         rows = rows[np.argsort(self.count[rows], kind="stable")]  # together, pallets with few boxes have few points
         while len(rows := rows[points.boxes[rows] < self.count[rows]]):
             for chunk_rows in np.array_split(rows, -(-len(rows) // _AT_ONCE)):
                 low = self.corner_mm[chunk_rows, : int(points.boxes[chunk_rows].max()) + 1]
-                points.add(chunk_rows, low, low + self.size_mm[chunk_rows, : low.shape[1]])
+                points.add(chunk_rows, low, low + self.size_mm[chunk_rows, : low.shape[1]] + free_mm)
         return points
 
     def box(self, pallets: NDArray[np.int64], number: int) -> Placements:
-        """Box ``number`` of each of these pallets, which must have it."""
+        """Box ``number`` of each of these pallets. All of them must have it."""
         return Placements(
             self.size_mm[pallets, number], self.corner_mm[pallets, number], self.mass_kg[pallets, number], pallets
         )
 
     def plan(self, pallet: int, plan_id: str, fields: Mapping[str, Any]) -> Plan:
-        """The plan of a pallet's boxes, with further fields of ``Plan.from_boxes``."""
+        """The plan of a pallet's boxes. ``fields``: further arguments of ``Plan.from_boxes``."""
         k = int(self.count[pallet])
         return Plan.from_boxes(
             plan_id,

@@ -1,6 +1,6 @@
 """Candidate places for boxes at the extreme points of many pallets.
 
-A box is lowered at a point until it rests, as in ``petmjx.packers.baseline_packer``.
+A box is lowered at a point until it rests on something, as in ``petmjx.packers.baseline_packer``.
 """
 
 from __future__ import annotations
@@ -16,24 +16,27 @@ from petmjx.loop.box_tables import BoxTable
 from petmjx.loop.placements import Placements
 from petmjx.packers.pile_balance import SHARE_SLACK, TOUCH_MM
 
+LARGEST_GAP_MM: Final = 1_000.0
+"""Largest free space between boxes. More leaves no room on a pallet."""
+
 _AT_ONCE: Final = 100_000
-"""Pairs of a point and a box that are compared at a time, so that their tables stay in a core's cache."""
+"""Number of (point, box) pairs that are compared at a time, so that their tables stay in the cache of a core."""
 
 _WORTH_A_THREAD: Final = 50_000
-"""Fewer pairs take less time than the start of a thread."""
+"""Smallest number of pairs for which a thread is worth starting."""
 
 _Lowered = tuple[NDArray[np.intp], FloatArray, FloatArray, NDArray[np.bool_]]
 
 
 class Places(NamedTuple):
-    """c places, box after box; for each box the lowest first, of equal ones the nearest to the origin.
+    """c places, box after box. The places of a box are sorted by height, and at equal height by x, then y.
 
     Attributes:
-        row: (c,) index among the m requested boxes; ``pallet``: (c,) its pallet.
+        row: (c,) index of the box among the m requested boxes; ``pallet``: (c,) the box's pallet.
         corner_mm: (c, 3) position of the box's front-left-bottom corner.
-        support: (c,) share of its base that would rest on the carrier or on boxes' tops.
-        centred: (c,) whether the centre of its base lies over the convex hull of its supports, as in the criterion
-            ``centre``; None if not requested.
+        support: (c,) share of the box's base that would rest on the carrier or on the tops of boxes.
+        centred: (c,) whether the centre of the box's base lies over the convex hull of its supports, as in the
+            criterion ``centre``; None if not requested.
     """
 
     row: NDArray[np.intp]
@@ -51,33 +54,36 @@ def free_places(
     grid: FloatArray | None = None,
     *,
     least_support: float = 0.0,
+    gap_mm: float = 0.0,
     hulls: bool = True,
 ) -> Places:
-    """Places for boxes on pallets; ``asked.corner_mm`` is not read.
+    """Places for boxes on pallets; ``placements.corner_mm`` is not read.
 
     Args:
         grid: (p, 2) points, mm, instead of the extreme points.
         least_support: smallest supported share of a box's base.
+        gap_mm: free space between a box and its neighbours along x and y.
         hulls: whether to find ``centred``.
     """
     count = stock.count[placements.pallet]
     if grid is None:
-        points = stock.find_points(placements.pallet)
+        points = stock.find_points(placements.pallet, gap_mm)
         of_each = points.count(placements.pallet)
     else:
         of_each = np.full(len(placements), len(grid))
-    order = np.argsort(count, kind="stable")  # pallets with few boxes are cheap if computed together
+    order = np.argsort(count, kind="stable")  # pallets with few boxes are computed together, which is cheap
     n_done = np.cumsum((of_each * (count + 1))[order])
     share = int(n_done[-1] // (2 * MOST_THREADS)) if len(order) else 0
     at_once = min(max(share, _WORTH_A_THREAD), _AT_ONCE)
+    free_mm, extent_mm = np.array([gap_mm, gap_mm, 0.0]), (extent_mm[0] + gap_mm, extent_mm[1] + gap_mm)
     chunks = np.split(order, np.flatnonzero(np.diff(n_done // at_once)) + 1) if len(order) else []
 
     def lowered(rows: NDArray[np.intp]) -> _Lowered:
         pallets, k = placements.pallet[rows], int(count[rows].max())
-        low, size = stock.corner_mm[pallets, :k], placements.size_mm[rows]
-        high = low + stock.size_mm[pallets, :k]
+        low, size = stock.corner_mm[pallets, :k], placements.size_mm[rows] + free_mm
+        high = low + stock.size_mm[pallets, :k] + free_mm
         at = points.of(pallets) if grid is None else np.tile(grid[:, 0] + 1j * grid[:, 1], (len(pallets), 1))
-        limits = extent_mm, max_height_mm, least_support
+        limits = extent_mm, max_height_mm, least_support, gap_mm
         box, corner, support, centred = _lowered_boxes(at, low, high, size, *limits, hulls=hulls)
         return rows[box], corner, support, centred
 
@@ -99,23 +105,25 @@ def _lowered_boxes(
     extent_mm: tuple[float, float],
     max_height_mm: float,
     least_support: float,
+    gap_mm: float,
     *,
     hulls: bool,
 ) -> _Lowered:
-    """Lower boxes at points of their pallets. Returns the index of each box, its corner, the supported share of its
-    base, and whether its centre is over the convex hull of its supports.
+    """Lower boxes at points of their pallets. Returns four values for each place: the index of the box, its corner, the
+    supported share of its base, and whether its centre is over the convex hull of its supports.
 
     Args:
-        points: (m, p) x + iy; ``low``, ``high``: (m, k, 3) ends of the pallets' boxes; ``size``: (m, 3).
+        points: (m, p) x + iy; ``low``, ``high``: (m, k, 3) ends of the pallets' boxes; ``size``: (m, 3). Sizes, ends
+            and the carrier's extent include the free space ``gap_mm`` behind them along x and y, which bears nothing.
     """
-    with np.errstate(invalid="ignore"):  # columns beyond a pallet's points and boxes
+    with np.errstate(invalid="ignore"):  # NaN in columns beyond a pallet's points and boxes
         x, y = points.real, points.imag
         inside = (x + size[:, :1] <= extent_mm[0] + TOUCH_MM) & (y + size[:, 1:2] <= extent_mm[1] + TOUCH_MM)
         box, point = np.nonzero(inside)
         x, y = x[box, point], y[box, point]
         length_x, length_y, height = size[box].T
         x_end, y_end = x + length_x, y + length_y
-        # candidates are the last axis, so that sums over boxes keep their order for any number of candidates
+        # candidates are the last axis, so that sums over boxes have the same order for any number of candidates
         low_x, low_y = np.take(low[..., :2].transpose(2, 1, 0), box, axis=2)
         high_x, high_y, top = np.take(high.transpose(2, 1, 0), box, axis=2)
         under = (low_x < x_end - TOUCH_MM) & (low_y < y_end - TOUCH_MM)
@@ -128,25 +136,28 @@ def _lowered_boxes(
     low_x, low_y, high_x, high_y = (values.reshape(-1)[bearing] for values in (low_x, low_y, high_x, high_y))
     start = np.column_stack([np.maximum(x[at], low_x), np.maximum(y[at], low_y)])
     end = np.column_stack([np.minimum(x_end[at], high_x), np.minimum(y_end[at], high_y)])
-    carried = np.bincount(at, (end - start).prod(axis=1), len(box))
-    support = np.where(z > 0, carried / (length_x * length_y), 1.0)
+    side = np.maximum(end - start - gap_mm, 0.0)
+    base_x, base_y = length_x - gap_mm, length_y - gap_mm
+    carried = np.bincount(at, side.prod(axis=1), len(box))
+    support = np.where(z > 0, carried / (base_x * base_y), 1.0)
     selected = np.flatnonzero(useful & (support >= least_support - SHARE_SLACK))
     selected = selected[np.lexsort((y[selected], x[selected], z[selected], box[selected]))]
     corner = np.column_stack([x[selected], y[selected], z[selected]])
     if not hulls:
         return box[selected], corner, support[selected], np.zeros(0, bool)
-    middle = np.column_stack([x + length_x / 2, y + length_y / 2])
-    centred = _over_hull(middle, at, start, end) | (z <= 0)
+    middle = np.column_stack([x + base_x / 2, y + base_y / 2])
+    bears = (side > TOUCH_MM).all(axis=1)
+    centred = _over_hull(middle, at[bears], start[bears], start[bears] + side[bears]) | (z <= 0)
     return box[selected], corner, support[selected], centred[selected]
 
 
 def _over_hull(point: FloatArray, at: NDArray[np.intp], low: FloatArray, high: FloatArray) -> NDArray[np.bool_]:
-    """(c,) whether points lie over the convex hulls of rectangles. A centre lies over the hull if the corners, seen
-    from it, leave no gap of more than 180°.
+    """(c,) whether points lie over the convex hulls of rectangles. A point lies over the hull if the corners, seen from
+    the point, leave no angular gap larger than 180°.
 
     Args:
-        point: (c, 2); ``at``: (q,) the point that each rectangle belongs to; ``low``, ``high``: (q, 2) ends of
-            rectangles.
+        point: (c, 2); ``at``: (q,) the point to which each rectangle belongs; ``low``, ``high``: (q, 2) lowest and
+            highest corners of the rectangles.
     """
     order = np.argsort(at, kind="stable")
     at, low, high = at[order], low[order] - point[at[order]], high[order] - point[at[order]]
@@ -155,7 +166,7 @@ def _over_hull(point: FloatArray, at: NDArray[np.intp], low: FloatArray, high: F
     x = np.column_stack([low[:, 0], high[:, 0], low[:, 0], high[:, 0]])
     y = np.column_stack([low[:, 1], high[:, 1], high[:, 1], low[:, 1]])
     angles[at, rank] = np.arctan2(y, x)
-    angles = np.sort(angles.reshape(len(point), -1), axis=1)  # NaN comes last
+    angles = np.sort(angles.reshape(len(point), -1), axis=1)  # NaN are sorted to the end
     has_angles = np.isfinite(angles[:, 0])
     first, last = angles[:, 0], np.nanmax(np.where(has_angles[:, None], angles, 0.0), axis=1)
     gap = np.nan_to_num(np.diff(angles, axis=1), nan=0.0).max(axis=1, initial=0.0)

@@ -1,4 +1,4 @@
-"""Sets up the engine of open pallets: its choice, the check of options, and closable users of an engine."""
+"""Chooses the engine of open pallets, checks options, and provides a base for objects that can be closed."""
 
 from __future__ import annotations
 
@@ -15,17 +15,17 @@ from petmjx.options.run_options import AUTO, RunOptions
 from petmjx.options.simulation import Check, Schedule, Simulation
 
 MANY_PALLETS: Final = 64
-"""Number of pallets from which ``auto`` uses an available GPU. Fewer pallets do not keep it busy."""
+"""Number of pallets from which on ``auto`` uses an available GPU. Fewer pallets would not keep it busy."""
 
 MOST_PALLETS: Final = 1_000_000
-"""Largest number of pallets. More are a mistake: their arrays alone would fill the memory."""
+"""Largest number of pallets. A larger number must be a mistake: its arrays alone would fill the memory."""
 
 OF_RUN: Final = ("threads", "lanes")
 """The fields of ``RunOptions`` that pallets accept."""
 
 
 def check_open(sim: Simulation) -> None:
-    """Raises InputError for options that open pallets cannot have."""
+    """Raise InputError for options that open pallets do not support."""
     if extent_m(sim.carrier) is None:
         raise InputError(f"carrier: {sim.carrier} depends on the whole plan; name one of a fixed size")
     if sim.has_soft:
@@ -37,17 +37,17 @@ def check_open(sim: Simulation) -> None:
 
 
 def open_engine(requested_engine: str | Engine, n: int, of_run: dict[str, Any]) -> tuple[Engine, bool]:
-    """The engine of n pallets, and whether it was made by this call."""
+    """The engine for n pallets, and whether this call made it."""
     if not isinstance(requested_engine, str) and not hasattr(requested_engine, "open"):
         raise InputError(f"engine must be a name or an engine that has open worlds, {shown_value(requested_engine)}")
     return ready_engine(requested_engine, of_run, gpu=n >= MANY_PALLETS)
 
 
 def ready_engine(requested_engine: str | Engine, of_run: dict[str, Any], *, gpu: bool) -> tuple[Engine, bool]:
-    """The engine with this name, or the engine object, and whether it was made by this call.
+    """The engine with this name, or the given engine object, and whether this call made it.
 
     Args:
-        gpu: whether ``auto`` takes ``mjx-warp`` if that can run.
+        gpu: whether ``auto`` chooses ``mjx-warp`` if it can run.
 
     Raises:
         InputError: ``requested_engine`` is neither a name nor an engine, or the engine lacks an option.
@@ -71,11 +71,11 @@ def ready_engine(requested_engine: str | Engine, of_run: dict[str, Any], *, gpu:
 
 
 class Closable:
-    """Base of objects that hold an engine until they are closed. Later use is an InputError of one line."""
+    """Base of objects that hold an engine until they are closed. Use after that raises an InputError of one line."""
 
     _is_closed = False
 
     def _check_open(self) -> None:
-        """Raises InputError if the object has been closed."""
+        """Raise InputError if the object has been closed."""
         if self._is_closed:
             raise InputError(f"petmjx.{type(self).__name__}: closed; make a new one")

@@ -1,8 +1,8 @@
-"""The extreme points of pallets, kept from box to box.
+"""The extreme points of pallets, updated box by box.
 
 Crainic, Perboli, Tadei (2008), "Extreme point-based heuristics for three-dimensional bin packing", INFORMS Journal on
-Computing 20(3), 368–384. The points of a box depend only on this box and earlier boxes. Later boxes add points
-and change none. If a pallet loses its last boxes, it has its earlier points again.
+Computing 20(3), 368–384. The points of a box depend only on this box and on earlier boxes. Later boxes add points but
+change none. So a pallet that loses its last boxes has its earlier points again.
 """
 
 from __future__ import annotations
@@ -21,24 +21,28 @@ _POINTS_PER_BOX: Final = 7
 
 class Points:
     """The distinct points of n pallets: the origin, and points beside and on each box. The points of a box are its
-    corners, and the same corners slid towards the carrier's edges until they meet an earlier box.
+    corners, and the same corners moved towards the carrier's edges until they meet an earlier box.
+
+    Args:
+        gap_mm: free space behind each box along x and y, by which boxes count as larger.
 
     Attributes:
-        boxes: (n,) number of boxes of each pallet whose points are included.
+        boxes: (n,) number of each pallet's boxes whose points are included.
     """
 
-    def __init__(self, n: int) -> None:
+    def __init__(self, n: int, gap_mm: float = 0.0) -> None:
+        self.gap_mm = gap_mm
         self.boxes: NDArray[np.int64] = np.zeros(n, np.int64)
         self._at: NDArray[np.complex128] = np.zeros((n, 1), np.complex128)  # x + iy, mm
-        self._count: NDArray[np.int64] = np.ones((n, 1), np.int64)  # (n, k) points of the first 0, 1, … boxes
+        self._count: NDArray[np.int64] = np.ones((n, 1), np.int64)  # (n, k) number of points of the first 0, 1, … boxes
 
     def count(self, pallets: NDArray[np.int64]) -> NDArray[np.int64]:
-        """(m,) number of points of these pallets."""
+        """(m,) number of points on each of these pallets."""
         counts: NDArray[np.int64] = self._count[pallets, self.boxes[pallets]]
         return counts
 
     def of(self, pallets: NDArray[np.int64]) -> NDArray[np.complex128]:
-        """(m, p) points of pallets, x + iy, mm; NaN beyond a pallet's own points."""
+        """(m, p) points on these pallets, x + iy, mm; NaN in columns beyond a pallet's points."""
         count = self.count(pallets)
         p = int(count.max(initial=1))
         points = self._at[pallets, :p]
@@ -46,11 +50,11 @@ class Points:
         return points
 
     def add(self, pallets: NDArray[np.int64], low: FloatArray, high: FloatArray) -> None:
-        """Add the points of one more box of each of these pallets.
+        """Add the points of one more box on each of these pallets.
 
         Args:
-            low, high: (m, k, 3) ends of their boxes. Box number ``boxes[pallet]`` is the new box; boxes after it are
-                ignored.
+            low, high: (m, k, 3) ends of their boxes, with the free space. Box number ``boxes[pallet]`` is the new box;
+                boxes after it are ignored.
         """
         number, rows = self.boxes[pallets], np.arange(len(pallets))
         points, count = self.of(pallets), self._count[pallets, number]
@@ -67,7 +71,7 @@ class Points:
         self.boxes[pallets] += 1
 
     def cut(self, pallets: NDArray[np.int64], count: NDArray[np.int64]) -> None:
-        """Keep only the points of the first ``count`` boxes of some pallets."""
+        """Keep only the points of the first ``count`` boxes on these pallets."""
         self.boxes[pallets] = np.minimum(self.boxes[pallets], count)
 
     def copy(self, sources: NDArray[np.int64], into: NDArray[np.int64]) -> None:
@@ -77,16 +81,17 @@ class Points:
 
 
 def _piles_corner_points(low: FloatArray, high: FloatArray, number: NDArray[np.int64]) -> FloatArray:
-    """(7, m, 2) the points of a box of each of m pallets, mm.
+    """(7, m, 2) the points of one box on each of m pallets, mm.
 
     Args:
-        low, high: (m, k, 3) ends of boxes; ``number``: (m,) number of the box; only earlier boxes are in the way.
+        low, high: (m, k, 3) lowest and highest corners of boxes; ``number``: (m,) number of the box. Only earlier boxes
+            are obstacles.
     """
     rows, before = np.arange(len(low)), (np.arange(low.shape[1]) < number[:, None])[..., None]
     piles = []
     for ends in (low, high):
         pile = np.where(before, ends, np.nan)
-        pile[:, -1] = ends[rows, number]  # no box of the pile is in the way
+        pile[:, -1] = ends[rows, number]  # the last row is the box itself, which is not an obstacle
         piles.append(pile)
-    with np.errstate(invalid="ignore"):  # columns beyond a pallet's boxes
+    with np.errstate(invalid="ignore"):  # NaN in columns beyond a pallet's boxes
         return corner_points(*piles)

@@ -1,4 +1,4 @@
-"""``petmjx.release``: free motion of boxes from any pose and velocity, to compare petmjx with a camera."""
+"""``petmjx.release``: free motion of boxes from any pose and velocity, to compare petmjx with camera recordings."""
 
 from __future__ import annotations
 
@@ -28,32 +28,31 @@ PLANE: Final = "plane"
 """Name of the ground that is an infinite plane."""
 
 MANY_WORLDS: Final = 1_000
-"""Number of worlds from which ``auto`` uses an available GPU. A GPU simulates that many at a time, but each world is
-slower than on a CPU thread."""
+"""Number of worlds from which on ``auto`` uses an available GPU. A GPU simulates about this many worlds at a time, but
+each of them more slowly than a CPU thread would."""
 
 FASTEST_M_S: Final = 100.0
 FASTEST_RAD_S: Final = 1_000.0
-"""Largest velocities, m/s and rad/s. A faster box passes through obstacles within a step, or its value has the wrong
-unit."""
+"""Largest velocities, m/s and rad/s. A faster box would pass through obstacles within a step, or its velocity is in the
+wrong unit."""
 
 SMALLEST_KG_M2: Final = 1e-12
 LARGEST_KG_M2: Final = 1e6
-"""Largest moment of inertia, kg·m²: larger than that of any box of an allowed size and mass."""
+"""Largest moment of inertia, kg·m². Any box of an allowed size and mass has a smaller one."""
 
 UNIT_WITHIN: Final = 0.01
-"""Largest difference of a quaternion's length from 1, since quaternions of a camera are rounded. Quaternions are then
-normalised."""
+"""Largest difference of a quaternion's length from 1: quaternions from a camera are rounded. They are normalised."""
 
 _SMALL_RAD: Final = 1e-6
-"""Half of the rotation between two steps, rad, below which orientations are interpolated linearly, since sines would
-lose digits."""
+"""Half of the rotation between two steps, rad. Below this value, orientations are interpolated linearly, since sines
+would lose digits."""
 
 ON_STEP: Final = 1e-6
-"""A time counts as that of a step if their difference is at most this share of a timestep."""
+"""Largest difference between a time and a step, as a share of a timestep, for which the time counts as on the step."""
 
 
 class _Argument(NamedTuple):
-    """An argument with a value for each box: count of numbers in a value, and their limits."""
+    """An argument that has a value for each box: how many numbers a value has, and the limits of these numbers."""
 
     numbers: int
     low: float
@@ -75,15 +74,16 @@ _ARGUMENTS: Final = {
 
 @dataclass(frozen=True, eq=False)
 class Trajectories:
-    """Trajectories of the boxes released by ``petmjx.release``. Arrays have no axis of boxes if the arguments had
-    none.
+    """Trajectories of the boxes released by ``petmjx.release``. If the arguments had no axis of boxes, the arrays here
+    have none either.
 
     Attributes:
-        times_s: (t,) s.
-        pos_m: (n, t, 3) or (n, k, t, 3) centres of the boxes, m. NaN as soon as a world's numbers were not finite.
-        quat_wxyz: (n, t, 4) or (n, k, t, 4) orientations of the boxes, of length 1. Each quaternion has the sign nearer
-            to the quaternion before.
-        engine: name of the engine that simulated them.
+        times_s: (t,) times after the release, s.
+        pos_m: (n, t, 3) or (n, k, t, 3) centres of the boxes, m. NaN from the moment at which a world's numbers were no
+            longer finite.
+        quat_wxyz: (n, t, 4) or (n, k, t, 4) orientations of the boxes, of length 1. The sign of each quaternion is
+            chosen to be nearer to the previous one.
+        engine: name of the engine that computed them.
     """
 
     times_s: FloatArray
@@ -108,33 +108,37 @@ def release(
     physics: str | Mapping[str, Any] | Physics = "pallet",
     engine: str | Engine = AUTO,
 ) -> Trajectories:
-    """Let boxes go with any pose and velocity, and follow them. There are no rules and no verdicts. Many worlds are
-    simulated at a time, with the same contacts and steps as plans (docs/release.md).
+    """Release boxes with any pose and velocity, and follow their motion. No rules of placement apply, and there are no
+    verdicts. Many worlds are simulated together, with the same contacts and steps as plans (docs/release.md).
 
     Arrays have the axes (n, …), for n worlds of one box each, or (n, k, …), for k boxes each. Axes of length 1 and
-    missing leading axes are repeated, as in NumPy: a single size, mass or friction is that of all boxes.
+    missing leading axes are repeated, as in NumPy: a single size, mass or friction holds for all boxes.
 
     Args:
         size_mm: (…, 3) extents along the boxes' axes, mm.
-        mass_kg: (…) kg.
-        pos_m: (…, 3) their centres, m; z = 0 is the ground.
-        quat_wxyz: (…, 4) their orientations (w, x, y, z).
+        mass_kg: (…) masses of the boxes, kg.
+        pos_m: (…, 3) centres of the boxes, m; z = 0 is the ground.
+        quat_wxyz: (…, 4) orientations of the boxes (w, x, y, z).
         vel_m_s: (…, 3) velocities of the centres, m/s.
         angvel_rad_s: (…, 3) angular velocities along the boxes' own axes, rad/s.
-        times_s: (t,) rising times, s after the release. Multiples of the timestep are exact. Between two steps
-            places are interpolated linearly, and orientations along the shortest rotation.
+        times_s: (t,) rising times after the release, s. At multiples of the timestep, poses are exact. Between two
+            steps, positions are interpolated linearly, and orientations along the shortest rotation.
         inertia_kg_m2: (…, 3) principal moments along the boxes' axes, kg·m², or one number for all three and all boxes;
             None: boxes are solid.
-        friction: (…) coefficient of sliding friction of a box with the ground; between two boxes the larger one counts.
-            None: the values of ``physics`` for boxes and carriers.
-        restitution: (…) share of its speed with which a box bounces, up to 0.9, the same for all boxes of a world. A
-            landing box is stopped within ``physics.landing_s``, or within 3 ms if that is 0. None: the value of
-            ``physics``.
+        friction: (…) coefficient of sliding friction between a box and the ground; between two boxes the larger one
+            counts. None: the values in ``physics`` for boxes and carriers.
+        restitution: (…) share of its speed with which a box bounces, up to 0.9. All boxes of a world must have the same
+            value. A landing box is stopped within ``physics.landing_s``, or within 3 ms if that is 0. None: the value
+            in ``physics``.
         ground: "plane", which is infinite, or the name of a carrier of a fixed size, or a TOML file of boards. A
-            carrier is held fast, with its front-left corner at the origin and its top at z = 0.
-        physics: a preset's name, a table that changes a preset, or a record.
-        engine: mujoco, mjx-warp, mjx-warp-cpu or mjx-jax; auto: mujoco, or a GPU from 1,000 worlds on; or an engine.
+            carrier is held fixed, with its front-left corner at the origin and its top at z = 0.
+        physics: the name of a preset, a table that changes a preset, or a record.
+        engine: mujoco, mjx-warp, mjx-warp-cpu or mjx-jax; auto: mujoco, or an available GPU for 1,000 worlds or more;
+            or an engine object.
 
+    Raises:
+        InputError: an argument is unusable; the message names it.
+        EngineUnavailable: the engine cannot run here.
     Raises:
         InputError: an argument is unusable; the line names it.
         EngineUnavailable: the engine cannot run here.
@@ -168,13 +172,13 @@ def release(
 
 
 def _poses(runner: Any, bodies: FreeBodies, sim: Simulation, restitution: FloatArray | None) -> FloatArray:
-    """(n, s, k, 7) poses of all worlds. Worlds with the same restitution are simulated together.
+    """(n, s, k, 7) poses in all worlds. Worlds with the same restitution are simulated together.
 
     Args:
         restitution: (n, k, 1) restitution of each box; None: the value of the physics.
 
     Raises:
-        InputError: boxes of a world have several restitutions.
+        InputError: boxes of a world have different restitutions.
     """
     if restitution is None:
         poses: FloatArray = runner.paths(bodies, sim)
@@ -193,7 +197,7 @@ def _poses(runner: Any, bodies: FreeBodies, sim: Simulation, restitution: FloatA
 
 
 def _options(physics: Any, ground: Any) -> Simulation:
-    """Raises InputError if the physics or the ground is unknown."""
+    """The options with this physics and ground. Raises InputError if either is unknown."""
     if not isinstance(physics, str | Mapping | Physics):
         raise InputError(f"physics must be the name of a preset, a table or a record, {shown_value(physics)}")
     sim = Simulation(physics=physics, placing="exact")
@@ -213,15 +217,15 @@ def _ground(sim: Simulation, ground: Any, *, smooth: bool) -> Ground:
 
 
 def _numbers(name: str, values: Any) -> FloatArray:
-    """(…, numbers) the values of an argument, with an axis of numbers even if a value is a single number.
+    """(…, numbers) the values of an argument. The last axis exists even if each value is a single number.
 
     Raises:
-        InputError: values are no numbers, are beyond their limits, or have another shape.
+        InputError: values are not numbers, are beyond their limits, or have a wrong shape.
     """
     numbers, low, high = _ARGUMENTS[name]
     try:
         array = np.asarray(values)
-    except Exception:  # converting an object of any class may raise anything
+    except Exception:  # converting an object of an unknown class may raise anything
         array = np.empty(0, dtype=object)
     if array.dtype.kind not in "iuf" or not array.size:
         raise InputError(f"{name} must be an array of numbers, {shown_value(values)}")
@@ -249,10 +253,10 @@ def _numbers(name: str, values: Any) -> FloatArray:
 
 
 def _box_arguments(arrays: dict[str, FloatArray]) -> tuple[dict[str, FloatArray], tuple[int, ...]]:
-    """The (n, k, numbers) array of each argument, and the axes of the arguments: (n,) or (n, k).
+    """The arguments as arrays (n, k, numbers), and the axes that the arguments had: (n,) or (n, k).
 
     Raises:
-        InputError: arguments do not fit together.
+        InputError: the shapes of arguments do not fit together.
     """
     axes: tuple[int, ...] = ()
     for name, array in arrays.items():
@@ -269,10 +273,10 @@ def _box_arguments(arrays: dict[str, FloatArray]) -> tuple[dict[str, FloatArray]
 
 
 def _scenes(boxes: Mapping[str, FloatArray], ground: Ground, sim: Simulation) -> tuple[Scene, ...]:
-    """A scene for each world.
+    """One scene for each world.
 
     Raises:
-        InputError: no body has these moments of inertia.
+        InputError: no body can have these moments of inertia.
     """
     n, k, _ = boxes["pos_m"].shape
     half_size, mass = mm_to_m(boxes["size_mm"] / 2), boxes["mass_kg"][..., 0]
@@ -302,11 +306,11 @@ def _scenes(boxes: Mapping[str, FloatArray], ground: Ground, sim: Simulation) ->
 
 
 def _steps(times_s: Any, timestep_s: float) -> tuple[FloatArray, NDArray[np.int64], FloatArray]:
-    """(t,) the times, (2, t) the steps before and after each time (equal for the time of a step), and (t,) the share of
-    the way from the one step to the other, from 0 to 1.
+    """(t,) the times, (2, t) the steps before and after each time (equal if the time is on a step), and (t,) the
+    fraction of the interval between them at which the time lies, from 0 to 1.
 
     Raises:
-        InputError: values are no times, or do not rise.
+        InputError: values are not times, or do not rise.
     """
     times = array_of(times_s, "times_s", ())
     if not len(times):
@@ -322,9 +326,9 @@ def _steps(times_s: Any, timestep_s: float) -> tuple[FloatArray, NDArray[np.int6
 
 
 def _interpolated_poses(before: FloatArray, after: FloatArray, share: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """(…, t, 3) places and (…, t, 4) orientations between (…, t, 7) poses, at a (t,) share of the way. Places are on a
-    straight line, orientations along the shortest rotation (Shoemake 1985, "slerp"). Then each quaternion gets the sign
-    nearer to the quaternion before."""
+    """(…, t, 3) positions and (…, t, 4) orientations between (…, t, 7) poses, at (t,) fractions of the intervals.
+    Positions are interpolated along a straight line, orientations along the shortest rotation (Shoemake 1985, "slerp").
+    Then the sign of each quaternion is chosen to be nearer to the previous one."""
     share = share[:, None]
     pos = before[..., :3] + share * (after[..., :3] - before[..., :3])
     first, last = before[..., 3:], after[..., 3:]

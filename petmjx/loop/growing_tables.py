@@ -1,4 +1,4 @@
-"""Growing tables: a row for each pallet, and columns for its boxes or points, which are added as pallets grow."""
+"""Growing tables: one row per pallet, and columns for its boxes or points. Columns are added as pallets grow."""
 
 from __future__ import annotations
 
@@ -8,11 +8,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 FIRST_COLUMNS: Final = 16
-"""Number of boxes for which tables have room at first."""
+"""Number of boxes for which tables have room at the start."""
 
 
 def widened_table(values: NDArray[Any], columns: int, fill: float = 0.0) -> NDArray[Any]:
-    """A table with room for at least ``columns`` columns. The number of columns is doubled until sufficient."""
+    """A table with at least ``columns`` columns. The number of columns is doubled until it is large enough."""
     while values.shape[1] < columns:
         values = np.concatenate([values, np.full_like(values, fill)], axis=1)
     return values

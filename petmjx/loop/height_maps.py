@@ -1,4 +1,4 @@
-"""Height maps of pallets: the planned height of the boxes over each cell of the carrier."""
+"""Height maps of pallets: the planned height of the boxes above each cell of the carrier."""
 
 from __future__ import annotations
 
@@ -12,11 +12,11 @@ from petmjx.common.units import FloatArray
 from petmjx.loop.box_tables import BoxTable
 
 _EDGE: float = 1e-6
-"""Share of a cell. A box that ends this near to a cell's edge counts as ending there."""
+"""Tolerance as a share of a cell. A box that ends this close to a cell's edge counts as ending there."""
 
 
 def cells_of(extent_mm: tuple[float, float], cell_mm: Any) -> tuple[int, int]:
-    """Number of cells of a map along x and y.
+    """Number of cells of a height map along x and along y.
 
     Raises:
         InputError: cells are smaller than 1 mm, or larger than the carrier.
@@ -27,10 +27,10 @@ def cells_of(extent_mm: tuple[float, float], cell_mm: Any) -> tuple[int, int]:
 
 
 def spans(size_mm: FloatArray, corner_mm: FloatArray, cell_mm: float) -> NDArray[np.intp]:
-    """(m, 2, 2) the cells that boxes cover: the first ones along x and y, and the ones after the last.
+    """(m, 2, 2) the cells that boxes cover: the first cells along x and y, and the cells after the last ones.
 
     Args:
-        size_mm, corner_mm: (m, 3).
+        size_mm, corner_mm: (m, 3) extents and corners of the boxes, mm.
     """
     low = np.floor(corner_mm[:, :2] / cell_mm + _EDGE)
     high = np.ceil((corner_mm + size_mm)[:, :2] / cell_mm - _EDGE)
@@ -39,7 +39,7 @@ def spans(size_mm: FloatArray, corner_mm: FloatArray, cell_mm: float) -> NDArray
 
 
 def height_maps(stock: BoxTable, rows: NDArray[np.int64], extent_mm: tuple[float, float], cell_mm: Any) -> FloatArray:
-    """(m, x, y) heights of these pallets, mm."""
+    """(m, x, y) heights above the cells of these pallets' carriers, mm."""
     maps = np.zeros((len(rows), *cells_of(extent_mm, cell_mm)))
     for number in range(int(stock.count[rows].max(initial=0))):
         has = np.flatnonzero(stock.count[rows] > number)

@@ -3,8 +3,9 @@
     DIR/unfinished.json        the set (orders, options, engine), how many labels are there, the next episode, the parts
     DIR/parts/part-*.parquet   labels of whole episodes, in order
 
-Parts are written and read as those of a run (petmjx.results.run_table_files): a part counts once it is listed, with its
-digest. So a killed process loses the labels of the last minute and of the episodes under way, and another one goes on.
+Parts are written and read like those of a run (petmjx.results.run_table_files): a part counts once it is listed, with
+its digest. So if a process is killed, only the labels of the last minute and of unfinished episodes are lost. Another
+process can continue.
 """
 
 from __future__ import annotations
@@ -36,7 +37,7 @@ TABLE: Final = "parts"
 SPLIT: Final = "split"
 
 _MOST_BYTES: Final = 1 << 26
-"""Largest list of parts: a million parts."""
+"""Largest size of the list of parts, bytes. It is enough for a million parts."""
 
 _PART_SCHEMA: Final = SCHEMA.append(pa.field(SPLIT, pa.string())).with_metadata(
     {"schema_version": str(SCHEMA_VERSION), "table": TABLE}
@@ -44,17 +45,17 @@ _PART_SCHEMA: Final = SCHEMA.append(pa.field(SPLIT, pa.string())).with_metadata(
 
 
 class LabelParts:
-    """The parts of a set of labels. Raises OSError where a file cannot be written.
+    """The parts of a set of labels. Methods raise OSError if a file cannot be written.
 
     Args:
-        folder: of the set; ``head``: what the set is of, as plain JSON values.
-        resume: go on with the parts in the folder, if there are any. Otherwise they are deleted.
+        folder: folder of the set; ``head``: description of the set, as plain JSON values.
+        resume: True: continue with the parts in the folder, if there are any. False: delete them.
 
     Attributes:
-        n_labels: number of labels in the parts; ``next_episode``: number of the first episode that they lack.
+        n_labels: number of labels in the parts; ``next_episode``: number of the first episode not in the parts.
 
     Raises:
-        InputError: the parts are of another set, or damaged.
+        InputError: the parts belong to another set, or are damaged.
     """
 
     def __init__(self, folder: Path, head: Mapping[str, Any], *, resume: bool) -> None:
@@ -66,14 +67,14 @@ class LabelParts:
             self.n_labels, self.next_episode = entries["labels"], entries["next_episode"]
             self._tables = Tables(folder, Parts.of(folder, entries))
         else:
-            self._list()  # first, so that no old list names deleted parts
+            self._list()  # before parts are deleted, so that no old list names deleted parts
         listed = self._tables.parts.files(TABLE)
         for file in part_files(folder, TABLE):
             if file not in listed:
                 file.unlink()
 
     def add(self, labels: Sequence[Label]) -> None:
-        """Write labels of whole episodes as a part."""
+        """Write the labels of whole episodes as one part."""
         if not labels:
             return
         with defer_signals(afterwards=True):
@@ -84,9 +85,9 @@ class LabelParts:
             self._list()
 
     def tables(self) -> Iterator[pa.Table]:
-        """The parts, in order: columns of ``SCHEMA``, and ``SPLIT``. Raises InputError for a damaged one."""
+        """The parts, in order: the columns of ``SCHEMA``, and ``SPLIT``. Raises InputError for a damaged part."""
         for file in self._tables.parts.files(TABLE):
-            self._tables.parts.check(file)  # it is as it was written, so that Arrow can read its lists
+            self._tables.parts.check(file)  # the file is unchanged, so Arrow can safely read its lists
             with open_for_arrow(file) as stream:
                 yield pq.read_table(stream)
 
@@ -95,7 +96,7 @@ class LabelParts:
         (self._folder / UNFINISHED).unlink(missing_ok=True)
         for file in part_files(self._folder, TABLE):
             file.unlink()
-        with suppress(OSError):  # somebody else's files are in it, or it was never made
+        with suppress(OSError):  # the folder has other files, or was never made
             (self._folder / TABLE).rmdir()
 
     def _list(self) -> None:
@@ -109,7 +110,7 @@ class LabelParts:
 
 
 def n_unfinished(folder: Path) -> int | None:
-    """The number of labels in the parts of an unfinished set in a folder; None: there is no such set.
+    """The number of labels in the parts of an unfinished set in a folder; None: there is no unfinished set.
 
     Raises:
         InputError: the list is damaged.
@@ -119,13 +120,13 @@ def n_unfinished(folder: Path) -> int | None:
 
 
 def check_same_set(folder: Path, before: Mapping[str, Any], now: Mapping[str, Any]) -> None:
-    """Raises InputError, which names what differs, if labels in a folder are of another set."""
+    """Raise InputError if the labels in a folder belong to another set. The message names the difference."""
     if different := _difference(before, now):
         raise InputError(f"{folder}: cannot be resumed, its labels are others ({different})")
 
 
 def _difference(before: Any, now: Any, name: str = "") -> str:
-    """The first entry in which two sets differ: "options.seed was 0, is 1"; "": none."""
+    """The first entry in which two sets differ, such as "options.seed was 0, is 1"; "": they are equal."""
     if isinstance(before, Mapping) and isinstance(now, Mapping):
         of_each = (
             _difference(before.get(key), now.get(key), f"{name}.{key}" if name else key) for key in {**before, **now}
@@ -135,10 +136,10 @@ def _difference(before: Any, now: Any, name: str = "") -> str:
 
 
 def _entries(folder: Path) -> dict[str, Any] | None:
-    """The list of parts in a folder; None: there is none.
+    """The content of the list of parts in a folder; None: there is no list.
 
     Raises:
-        InputError: it is damaged.
+        InputError: the list is damaged.
     """
     file = folder / UNFINISHED
     if not file.exists():
@@ -157,7 +158,7 @@ def _entries(folder: Path) -> dict[str, Any] | None:
 
 
 def table_of(labels: Sequence[Label]) -> pa.Table:
-    """A table of ``SCHEMA`` and ``SPLIT``."""
+    """The labels as a table with the columns of ``SCHEMA``, and ``SPLIT``."""
     columns = []
     for name, kind in zip(_PART_SCHEMA.names, _PART_SCHEMA.types, strict=True):
         values = [label[name] for label in labels]
@@ -166,7 +167,7 @@ def table_of(labels: Sequence[Label]) -> pa.Table:
 
 
 def _lists(values: Sequence[NDArray[Any] | None], kind: pa.DataType) -> pa.Array:
-    """An array of lists of numbers, or of lists of threes."""
+    """An array whose values are lists of numbers, or lists of triples of numbers."""
     rows = [np.zeros(0) if row is None else np.asarray(row, np.float32) for row in values]
     ends = np.cumsum([0, *(len(row) for row in rows)])
     flat = pa.array(np.concatenate([row.ravel() for row in rows]).astype(np.float32))
@@ -177,7 +178,7 @@ def _lists(values: Sequence[NDArray[Any] | None], kind: pa.DataType) -> pa.Array
 
 
 def labels_of(table: pa.Table) -> list[Label]:
-    """The labels of a table; lists of boxes are arrays."""
+    """The labels in a table. Lists of boxes become arrays."""
     labels: list[Label] = table.to_pylist()
     for label in labels:
         for name in ("size_mm", "corner_mm", "mass_kg"):

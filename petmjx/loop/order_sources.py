@@ -1,4 +1,4 @@
-"""Sources of the boxes of episodes: the generator, files of orders of any form, tables of boxes with strengths."""
+"""Sources of boxes for episodes: the generator, files of orders in any form, and tables of boxes with strengths."""
 
 from __future__ import annotations
 
@@ -23,19 +23,19 @@ from petmjx.plans.order_reader import read_order_frame, read_orders
 from petmjx.plans.plan_fields import vanishing_side
 
 ENDLESS: Final = "endless"
-"""The value of ``orders`` for generated orders, as in ``petmjx samples``: each episode draws a new order."""
+"""Value of ``orders`` for generated orders, as from ``petmjx samples``: each episode draws a new order."""
 
 _MOST_DRAWN: Final = 200_000
 
 
 def order_reading(units: Any = None, columns: Any = None, density: Any = None) -> OrderReading:
-    """How an environment reads files of orders that are not in BED-BPP's form. Orders may have any number of boxes.
+    """How an environment reads files of orders in forms other than BED-BPP's. Orders may have any number of boxes.
 
     Args:
-        units, columns, density: as fields of ``petmjx.RunOptions``; None: the most plausible.
+        units, columns, density: as the fields of ``petmjx.RunOptions``; None: the most plausible value.
 
     Raises:
-        InputError: a value is unusable; the line begins with ``orders_``.
+        InputError: a value is unusable; the message begins with ``orders_``.
     """
     try:
         options = RunOptions(units=units, columns=columns, density=density)
@@ -46,13 +46,13 @@ def order_reading(units: Any = None, columns: Any = None, density: Any = None) -
 
 @dataclass(frozen=True, eq=False)
 class Boxes:
-    """The boxes of one order, in order.
+    """The boxes of one order, in the order in which they arrive.
 
     Attributes:
         size_mm: (k, 3) length, width and height; ``mass_kg``: (k,).
-        strength_n: (k,) the load that each box bears on its top, N; NaN: unknown.
-        upright: (k, 3) whether the length, the width and the height may be vertical; None: the height alone.
-        name: the order's id in its source; "": none.
+        strength_n: (k,) the load that each box can carry on its top, N; NaN: unknown.
+        upright: (k, 3) whether the box's length, width and height may be vertical; None: only the height may.
+        name: id of the order in its source; "": it has none.
     """
 
     size_mm: FloatArray
@@ -63,7 +63,7 @@ class Boxes:
 
     @property
     def rows(self) -> FloatArray:
-        """(k, 8) sizes, mass, strength, and 1 for each size that may be vertical."""
+        """(k, 8) for each box: three sizes, mass, strength, and for each size 1 if it may be vertical, else 0."""
         upright = np.tile([False, False, True], (len(self), 1)) if self.upright is None else self.upright
         return np.column_stack([self.size_mm, self.mass_kg, self.strength_n, upright])
 
@@ -77,22 +77,22 @@ class Boxes:
 
 
 class Orders:
-    """Orders for episodes, one for each episode.
+    """Orders for episodes: each episode uses one.
 
     Args:
-        source: ``endless``; a file of orders of any form that ``petmjx samples --orders`` reads, or a data frame, whose
-            rows may have ``strength_n``, N, and ``upright``: letters of the sizes that may be vertical, of l, w and h;
-            or a list of ``Order``.
+        source: ``endless``; a file of orders in any form that ``petmjx samples --orders`` reads; a data frame; or a
+            list of ``Order``. Rows of a data frame may have ``strength_n``, N, and ``upright``: the letters, of l, w
+            and h, of the sizes that may be vertical.
         seed: seed of the generator's catalogue.
-        articles: a table of articles, whose strengths count before those of ``strength_n``.
-        reading: reading of files of orders that are not in BED-BPP's form; None: the most plausible reading.
+        articles: a table of articles, whose strengths take precedence over ``strength_n``.
+        reading: how to read files of orders in forms other than BED-BPP's; None: the most plausible reading.
 
         Attributes:
-            have_strengths: whether the strength of any box may be known.
-            lie: whether any box may stand on another side than its base.
+            have_strengths: whether the strength of some box may be known.
+            lie: whether some box may stand on a side other than its base.
 
         Raises:
-            InputError: an unknown source, or a file that cannot be used.
+            InputError: the source is unknown, or a file cannot be used.
     """
 
     def __init__(
@@ -107,19 +107,20 @@ class Orders:
         self.lie = any(boxes.upright is not None and boxes.upright[:, :2].any() for boxes in orders)
 
     def check_sizes(self, size_reduction_mm: float) -> None:
-        """Raises InputError, which names the order, for a box that has no extent left after the size reduction."""
+        """Raise InputError for a box whose extent is not positive after the size reduction. The message names its
+        order."""
         for boxes in self._all or ():
             if (thin := vanishing_side(boxes.size_mm, size_reduction_mm)) is not None:
                 raise InputError(f"orders: order {printable_name(boxes.name)}, box {thin[0] + 1}: {thin[1]}")
 
     def draw(self, rng: np.random.Generator) -> Boxes:
-        """A random order of the source, or with ``endless`` a newly drawn order."""
+        """A random order of the source; with ``endless``, a newly generated order."""
         if self._all is None:
             return _of_order(draw_order(self._seed, int(rng.integers(_MOST_DRAWN))), self._articles)
         return self._all[int(rng.integers(len(self._all)))]
 
     def numbered(self, number: int) -> Boxes:
-        """An order by its number, from 0, below ``count``."""
+        """The order with this number, from 0 to ``count`` − 1."""
         if self._all is None:
             return _of_order(draw_order(self._seed, number), self._articles)
         return self._all[number]
@@ -130,7 +131,7 @@ class Orders:
         return _MOST_DRAWN if self._all is None else len(self._all)
 
     def some(self, count: int) -> list[Boxes]:
-        """All orders; with ``endless`` the first ``count``."""
+        """All orders; with ``endless``, the first ``count`` orders."""
         if self._all is not None:
             return self._all
         return [_of_order(draw_order(self._seed, number), self._articles) for number in range(count)]

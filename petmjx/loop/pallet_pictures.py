@@ -1,4 +1,4 @@
-"""Pictures of standing pallets, drawn like stories. The camera does not move while a pallet grows."""
+"""Pictures of standing pallets, drawn in the style of stories. The camera does not move while a pallet grows."""
 
 from __future__ import annotations
 
@@ -30,15 +30,15 @@ SHOWN_HEIGHT_M: Final = 1.2
 
 
 def picture(scene: Scene, reading: Reading, sim: Simulation, size: tuple[int, int], view: str) -> NDArray[np.uint8]:
-    """(height, width, 3) pixels of a world in its current state.
+    """(height, width, 3) pixels of a picture of a world in its current state.
 
     Raises:
-        InputError: nothing can be drawn here.
+        InputError: nothing can be drawn on this machine.
     """
     if reason := why_nothing_is_drawn():
         raise InputError(f"show: {reason}")
     k = len(reading.pos)
-    if not scene.n_boxes:  # the drawn scene needs a box, which is not placed
+    if not scene.n_boxes:  # a drawn scene needs at least one box; this one is not placed, so it stays invisible
         scene = EmptyCarrier(sim).with_box(scene, NextBoxes(np.full((1, 3), 0.1), np.zeros((1, 3)), np.ones(1)), 0)
     story = _story(scene, reading, sim)
     camera = framing(_scene_corners(scene, reading), view_of(view), size, Margins(0, 0, 0, 0))

@@ -1,5 +1,5 @@
-"""Verdicts of a score for open pallets. The first attempt continues from their settled state if the engine gives the
-same bits."""
+"""Verdicts of a score for open pallets. If the engine gives bit-identical results, the first attempt continues from a
+pallet's settled state."""
 
 from __future__ import annotations
 
@@ -14,18 +14,18 @@ from petmjx.options.simulation import Simulation
 from petmjx.world.job import Job
 
 AT_ONCE = 4096
-"""Most worlds that are finished side by side."""
+"""Largest number of worlds that are finished side by side."""
 
 
 class SettledEngine(Engine):
-    """An engine that takes the first attempt at a plan from the open world that has the plan's boxes, and simulates all
-    other attempts.
+    """An engine for pallets that are open. It takes the first attempt at a plan from the open world that has the plan's
+    boxes, and simulates all other attempts.
 
-    On ``mjx-warp`` a world does not depend on how its boxes were put in. On ``mujoco`` waiting boxes are in a world's
-    model, and affect the last digits. So for exact digits no attempt comes from open worlds there.
+    On ``mjx-warp``, a world's results do not depend on how its boxes were put in. On ``mujoco``, waiting boxes are part
+    of a world's model and affect the last digits. So if digits must be exact, no attempt comes from open worlds there.
 
     Args:
-        to_the_bit: whether outcomes must have the digits of a score.
+        to_the_bit: whether outcomes must be bit-identical to those of a score.
     """
 
     def __init__(self, engine: Engine, open_worlds: OpenWorlds, sim: Simulation, *, to_the_bit: bool = True) -> None:
@@ -39,7 +39,7 @@ class SettledEngine(Engine):
         return self._engine.device
 
     def settle(self, job: Job, world: int) -> None:
-        """Say that an open world has the boxes of a job, and has settled."""
+        """Register an open world: it has the boxes of this job, and has settled."""
         if self._same_bits:
             earlier = self._keys.pop(world, None)
             if earlier is not None and self._worlds.get(earlier) == world:
@@ -73,7 +73,7 @@ class SettledEngine(Engine):
 
 @dataclass(frozen=True, eq=False)
 class PalletWorld:
-    """A pallet as it is now, whose score is asked for."""
+    """A pallet in its current state, for which a score is requested."""
 
     pallet: int
     name: str
@@ -84,12 +84,12 @@ class PalletWorld:
 def pallet_scores(
     engine: SettledEngine, sim: Simulation, following: Callable[[], Sequence[PalletWorld]]
 ) -> Generator[tuple[int, Outcome]]:
-    """Scores of pallets, further attempts included, while other pallets go on: (pallet, outcome), in any order.
+    """Score pallets, further attempts included, while others are still being built: (pallet, outcome), in any order.
 
     Args:
-        following: gives the pallets to score next, perhaps none while others have no score yet. It is called after each
-            outcome, and may put boxes onto pallets that have their score. The end comes when it gives none and all have
-            their score.
+        following: returns the pallets to score next; it may return none while some still have no score. It is called
+            after each outcome, and may put boxes onto pallets that have their score. The generator ends once it returns
+            none and all pallets have their score.
     """
     progress = Progress()
 
@@ -104,6 +104,6 @@ def pallet_scores(
 
 
 def _key(job: Job) -> bytes:
-    """A key that identifies the boxes of a pallet, among pallets of one carrier."""
+    """A key that identifies the boxes of a pallet, among pallets with the same carrier."""
     scene = job.scene
     return scene.mass.tobytes() + scene.half_size.tobytes() + scene.target.tobytes()

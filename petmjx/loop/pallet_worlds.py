@@ -1,4 +1,4 @@
-"""The open worlds of pallets: for each pallet its world now, and its world before the last box."""
+"""The open worlds of pallets: for each pallet, its current world and its world before the last box."""
 
 from __future__ import annotations
 
@@ -20,16 +20,16 @@ from petmjx.world.growing_scenes import EmptyCarrier, NextBoxes
 
 
 class PalletWorlds:
-    """n pallets in the open worlds of an engine. Called by one thread at a time.
+    """n pallets in the open worlds of an engine. Only one thread at a time may call it.
 
     Attributes:
-        worlds: world i is pallet i, and world n + i is pallet i before its last box; the last world stays empty.
+        worlds: world i is pallet i; world n + i is pallet i before its last box; the last world stays empty.
         boxes: the boxes of the pallets, as requested.
-        bounds: bounds on placements.
-        dead: (n,) whether a pallet has fallen.
-        margin: (n,) margins of pallets that rest and may be decided by bounds; -1 for others.
-        apart_mm: (n, k) how far their boxes are from where their plans have them, mm.
-        placing: whether an engine's thread is letting pallets come to rest. Meanwhile only that thread uses the worlds.
+        bounds: the bounds that decide placements without simulation.
+        dead: (n,) whether each pallet has fallen.
+        margin: (n,) margins of pallets that are at rest and that bounds may decide; −1 for others.
+        apart_mm: (n, k) distance of each box from its planned place, mm.
+        placing: whether a thread of the engine is letting pallets come to rest. Then only that thread uses the worlds.
     """
 
     def __init__(self, n: int, engine: Engine, sim: Simulation, most_boxes: int) -> None:
@@ -42,14 +42,14 @@ class PalletWorlds:
         self.margin: FloatArray = np.full(n, self._bare)
         self.apart_mm: FloatArray = np.zeros((n, most_boxes))
         self.placing = False
-        self._error: NDArray[np.int64] = np.zeros((n, most_boxes), np.int64)  # values of each box, as in ``place``
+        self._error: NDArray[np.int64] = np.zeros((n, most_boxes), np.int64)  # of each box: the argument of ``place``
         self._strength: FloatArray = np.zeros((n, most_boxes))
-        self._before: NDArray[np.int64] = np.full(n, -1, np.int64)  # boxes in world n + i; -1: unused
+        self._before: NDArray[np.int64] = np.full(n, -1, np.int64)  # number of boxes in world n + i; -1: unused
         self.worlds = engine.open([EmptyCarrier(sim).scene] * (2 * n + 1), sim, most_boxes)
         self.worlds.go_on()
 
     def next_boxes(self, placements: Placements) -> NextBoxes:
-        """The requested boxes, in the form for open worlds."""
+        """The requested boxes in the form that open worlds need."""
         return NextBoxes.of(placements.size_mm, placements.corner_mm, placements.mass_kg, self._sim)
 
     def place(
@@ -59,10 +59,10 @@ class PalletWorlds:
         error: NDArray[np.int64] | None = None,
         strength: FloatArray | None = None,
     ) -> PlacementResults:
-        """Put one box each onto pallets, and wait until these rest. ``meanwhile`` is called during the wait.
+        """Put one box onto each pallet, and wait until the pallets rest. ``meanwhile`` is called during the wait.
 
         Args:
-            error, strength: (m,) as in ``petmjx.Pallets.place``; None: boxes are placed exactly.
+            error, strength: (m,) see ``petmjx.Pallets.place``; None: boxes are placed exactly.
         """
         rows = placements.pallet
         if len(rows):
@@ -85,10 +85,10 @@ class PalletWorlds:
         return future.result()
 
     def _put(self, placements: Placements, at: NDArray[np.int64]) -> None:
-        """Put boxes into the worlds of pallets, with their errors.
+        """Put boxes into the worlds of pallets, including their errors.
 
         Args:
-            at: (m,) numbers of the boxes on their pallets.
+            at: (m,) number of each box on its pallet.
         """
         worlds, boxes, strength = placements.pallet, self.next_boxes(placements), self._strength[placements.pallet, at]
         exact = np.flatnonzero(strength == 0)
@@ -114,15 +114,15 @@ class PalletWorlds:
         return outcomes
 
     def decided(self, placements: Placements) -> NDArray[np.int8]:
-        """(m,) what the bounds say of placements."""
+        """(m,) what the bounds decide about placements; see ``Bounds.of``."""
         return self.bounds.of(placements, self.margin, self.apart_mm)
 
     def has_errors(self, pallet: int) -> bool:
-        """Whether a box of a pallet was placed with an error."""
+        """Whether any box of a pallet was placed with an error."""
         return bool(self._strength[pallet, : self.boxes.count[pallet]].any())
 
     def take_back(self, rows: NDArray[np.int64]) -> None:
-        """Take the last box off each of these pallets, each of which must have a box."""
+        """Remove the last box from each of these pallets. Each of them must have a box."""
         left = self.boxes.count[rows] - 1
         has_before = self._before[rows] == left
         if has_before.any():
@@ -133,7 +133,7 @@ class PalletWorlds:
             self._build(rows[~has_before])
 
     def fork(self, sources: NDArray[np.int64], into: NDArray[np.int64]) -> None:
-        """Make pallets copies of other pallets."""
+        """Make the pallets ``into`` copies of the pallets ``sources``."""
         these, copies = ([*rows.tolist(), *(self._n + rows).tolist()] for rows in (sources, into))
         self.worlds.fork(these, copies)
         self.boxes.copy(sources, into)
@@ -142,7 +142,7 @@ class PalletWorlds:
             values[into] = values[sources]
 
     def empty(self, rows: NDArray[np.int64]) -> None:
-        """Empty some pallets."""
+        """Remove all boxes from some pallets."""
         self._empty_worlds(rows)
         self._cut(rows, np.zeros(len(rows), np.int64))
         self.margin[rows] = self._bare
@@ -159,7 +159,7 @@ class PalletWorlds:
         self.dead[rows], self._before[rows] = False, -1
 
     def _build(self, rows: NDArray[np.int64]) -> None:
-        """Place the boxes of some pallets anew, one after another."""
+        """Place all boxes of some pallets again, one after another."""
         self._empty_worlds(rows)
         for number in range(int(self.boxes.count[rows].max(initial=0))):
             grown_rows = rows[self.boxes.count[rows] > number]

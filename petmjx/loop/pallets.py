@@ -1,4 +1,4 @@
-"""``petmjx.Pallets``: pallets that stay settled on an engine, for one placement after another."""
+"""``petmjx.Pallets``: pallets that stay settled on an engine, so that placement after placement can be tried."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from petmjx.common.errors import InputError
 from petmjx.common.units import MM_PER_M, FloatArray
 from petmjx.engines.protocol import Engine
 from petmjx.engines.verdict import Outcome
-from petmjx.loop.candidate_places import Places, free_places
+from petmjx.loop.candidate_places import LARGEST_GAP_MM, Places, free_places
 from petmjx.loop.candidate_trials import drive_of, driven_results, errors_asked, errors_of, shares
 from petmjx.loop.engine_setup import MOST_PALLETS, OF_RUN, Closable, check_open, open_engine
 from petmjx.loop.height_maps import height_maps
@@ -39,7 +39,7 @@ from petmjx.world.job import Job
 from petmjx.world.scene import build_scene
 
 MOST_BOXES: Final = 96
-"""Default for the most boxes of a pallet."""
+"""Default of the largest number of boxes on a pallet."""
 
 
 class Pallets(Closable):
@@ -47,27 +47,28 @@ class Pallets(Closable):
 
     ``P = petmjx.Pallets(1); P.place(size_mm=(400, 300, 200), corner_mm=(0, 0, 0), mass_kg=6)``
 
-    The rules are those of ``petmjx.score``: each box is placed when the boxes before it rest. ``place`` and ``try_all``
-    give the result of the first attempt, at the moment when the pallet rests again. ``verdict`` and ``score`` give the
-    result of a score of the whole plan. More in docs/loop.md.
+    The rules are those of ``petmjx.score``: each box is placed when the boxes before it are at rest. ``place`` and
+    ``try_all`` return the result of the first attempt, at the moment when the pallet is at rest again. ``verdict`` and
+    ``score`` return the result of a score of the whole plan. See docs/loop.md.
 
-    Lengths are millimetres, masses kilograms. x and y are measured from the carrier's front-left corner; z = 0 is its
-    top. If a method takes m boxes, ``size_mm`` (m, 3) are their extents as placed, ``corner_mm`` (m, 3) their
-    front-left-bottom corners, ``mass_kg`` (m,) their masses, and ``pallet`` (m,) their pallets. One row stands for all
-    m, and a single box needs no first axis. Without ``pallet`` there is one pallet, or box i is for pallet i.
+    Lengths are in millimetres, masses in kilograms. x and y are measured from the carrier's front-left corner; z = 0 is
+    the carrier's top. If a method takes m boxes, ``size_mm`` (m, 3) are their extents as placed, ``corner_mm`` (m, 3)
+    their front-left-bottom corners, ``mass_kg`` (m,) their masses, and ``pallet`` (m,) their pallets. A single row
+    stands for all m boxes, and a single box needs no first axis. Without ``pallet``, there must be one pallet, or box i
+    is for pallet i.
 
-    Several threads may call one object; each waits for the others.
+    Several threads may use one object; their calls run one after another.
 
     Args:
         n: number of pallets.
         carrier: the carrier of the boxes; not ``footprint``, which depends on the whole plan.
-        engine: ``mujoco``, ``mjx-warp``, an engine that has open worlds, or ``auto``: ``mjx-warp`` for 64 pallets and
-            more where there is a GPU, else ``mujoco``.
-        most_boxes: the most that a pallet may ever get. ``mjx-warp`` reserves room for these boxes on the device.
+        engine: ``mujoco``, ``mjx-warp``, an engine object with open worlds, or ``auto``: ``mjx-warp`` for 64 pallets or
+            more if there is a GPU, else ``mujoco``.
+        most_boxes: largest number of boxes that a pallet may get. ``mjx-warp`` reserves room for them on the device.
         options: fields of ``petmjx.Simulation``, and ``threads`` or ``lanes`` of ``petmjx.RunOptions``.
 
     Raises:
-        InputError: an unusable option, or one that pallets cannot have.
+        InputError: an option is unusable, or pallets do not support it.
         EngineUnavailable: the requested engine cannot run here.
     """
 
@@ -97,10 +98,11 @@ class Pallets(Closable):
 
     @contextmanager
     def _using(self, *, worlds: bool = True) -> Iterator[None]:
-        """Lets one thread at a time use the pallets, until the object is closed.
+        """Lets only one thread at a time use the pallets, and only until the object is closed.
 
         Args:
-            worlds: whether the engine is used, or boxes change. Other calls are not allowed while pallets come to rest.
+            worlds: whether the call uses the engine or changes boxes. Such calls are not allowed while pallets come to
+                rest.
         """
         with self._lock:
             self._check_open()
@@ -131,7 +133,7 @@ class Pallets(Closable):
 
     @property
     def ended(self) -> NDArray[np.bool_]:
-        """(n,) whether a pallet has fallen. No box can be placed on a fallen pallet until ``reset``."""
+        """(n,) whether each pallet has fallen. No box can be placed on a fallen pallet until ``reset``."""
         return self._standing.dead.copy()
 
     # ------------------------------------------------------------------ placements
@@ -147,19 +149,19 @@ class Pallets(Closable):
         error: Any = None,
         error_strength: Any = 1.0,
     ) -> PlacementResults:
-        """Put one box each onto some pallets, and wait until these rest.
+        """Put one box onto each of the given pallets, and wait until they are at rest.
 
         Args:
-            error: (m,) whole numbers, each the number of a random error of robot and carton: of place, rotation, size
-                and mass, as ``petmjx score --confidence`` draws them. A hand carries the box to its place. None: boxes
-                are placed exactly.
-            error_strength: factor of the errors, one or (m,); 0: the box is placed exactly.
-            meanwhile: is called while the pallets come to rest. The function may only call ``places``, ``boxes`` and
-                ``height_map``, which include the new boxes at their planned places.
+            error: (m,) whole numbers. Each is the number of a random error of robot and carton, in place, rotation,
+                size and mass, as ``petmjx score --confidence`` draws them. A hand carries the box to its place. None:
+                boxes are placed exactly.
+            error_strength: factor on the errors, one number or (m,); 0: the box is placed exactly.
+            meanwhile: a function that is called while the pallets come to rest. It may only call ``places``, ``boxes``
+                and ``height_map``, which already include the new boxes at their planned places.
 
         Raises:
-            InputError: wrong shapes, units or numbers, a pallet that has fallen, is full, or is named twice; or no
-                number of an error.
+            InputError: a shape, unit or number is wrong; a pallet has fallen, is full, or is named twice; or the number
+                of an error is not valid.
         """
         with self._using():
             request = self._placements(size_mm, corner_mm, mass_kg, pallet)
@@ -181,20 +183,20 @@ class Pallets(Closable):
         level: float = 1.0,
         direction_deg: float = 0.0,
     ) -> PlacementResults:
-        """Find for m candidates, any mixture of boxes, places and pallets, the results of ``place`` for each. The
-        pallets do not change.
+        """For each of m candidates, the result that ``place`` would have. Candidates may be any mixture of boxes,
+        places and pallets. The pallets do not change.
 
         Args:
-            errors: also simulate each candidate in this many worlds in which a robot places it inexactly;
-                ``PlacementResults.share`` is the share that stands. The errors are those of
+            errors: also simulate each candidate in this number of worlds, in which a robot places it inexactly.
+                ``PlacementResults.share`` is the share of these worlds that stand. The errors are those of
                 ``petmjx score --confidence``.
             drive: the name of a profile that shakes the pallet with the candidate on it, such as ``eumos-40509``. The
                 results are then those after the drive.
-            level: the profile's strength, such as 0.3 g.
-            direction_deg: its direction.
+            level: strength of the profile, such as 0.3 g.
+            direction_deg: direction of the profile.
 
         Raises:
-            InputError: wrong shapes, units or numbers, a pallet that has fallen or is full, or an unknown profile.
+            InputError: a shape, unit or number is wrong, a pallet has fallen or is full, or the profile is unknown.
         """
         self._check_open()
         shaken = drive_of(drive, level, direction_deg, self.simulation)
@@ -218,15 +220,15 @@ class Pallets(Closable):
     def stands(
         self, *, size_mm: Any, corner_mm: Any, mass_kg: Any, pallet: Any = None
     ) -> tuple[NDArray[np.bool_], FloatArray]:
-        """Find for m candidates whether ``try_all`` would call them stable. Candidates that stand or fall beyond doubt
-        (docs/training.md) are not simulated, which takes a fraction of the time. The pallets do not change.
+        """For each of m candidates, whether ``try_all`` would call it stable. Candidates that stand or fall beyond
+        doubt (docs/training.md) are not simulated, so this takes a fraction of the time. The pallets do not change.
 
         Returns:
             (m,) whether the pallet stands, and (m,) its margin: 1 if it stands beyond doubt, -1 if it falls or is
             invalid.
 
         Raises:
-            InputError: as ``try_all``.
+            InputError: see ``try_all``.
         """
         with self._using():
             request = self._placements(size_mm, corner_mm, mass_kg, pallet)
@@ -242,19 +244,19 @@ class Pallets(Closable):
             return decided == STANDS, margin
 
     def decided(self, *, size_mm: Any, corner_mm: Any, mass_kg: Any, pallet: Any = None) -> NDArray[np.int8]:
-        """Knowledge about m candidates without a simulation: (m,) 1: stands beyond doubt, -1: falls beyond doubt, 0:
-        undecided (docs/training.md).
+        """What is known about m candidates without a simulation: (m,) 1: stands beyond doubt, -1: falls beyond doubt,
+        0: undecided (docs/training.md).
 
         Raises:
-            InputError: as ``try_all``.
+            InputError: see ``try_all``.
         """
         with self._using():
             return self._standing.decided(self._placements(size_mm, corner_mm, mass_kg, pallet))
 
     def take_back(self, pallet: Any = None) -> None:
-        """Take the last box off some pallets; None: all that have boxes. The pallets return to their state before this
-        box, to the last bit. Pallets that have fallen stand again. If further boxes are taken back, the pallet is built
-        again, with the errors that its boxes were placed with.
+        """Remove the last box from some pallets; None: from all that have boxes. The pallets return to their state
+        before this box, bit for bit. Pallets that have fallen stand again. If a further box is removed from a
+        pallet, the pallet is built again, with the errors with which its boxes were placed.
 
         Raises:
             InputError: a pallet has no box.
@@ -267,13 +269,14 @@ class Pallets(Closable):
             self._standing.take_back(rows)
 
     def fork(self, sources: Any, into: Any) -> None:
-        """Make pallets copies of other pallets, to the last bit. Afterwards the pallets are independent.
+        """Make pallets bit-identical copies of other pallets. Afterwards the pallets are independent.
 
         Args:
-            sources: (m,) pallets, some perhaps more than once; ``into``: (m,) pallets that become copies.
+            sources: (m,) pallets; a pallet may occur several times. ``into``: (m,) pallets that become copies.
 
         Raises:
-            InputError: no such pallet, ``into`` and sources differ in number, or a pallet is named twice in ``into``.
+            InputError: there is no such pallet, ``into`` and ``sources`` differ in length, or ``into`` names a pallet
+                twice.
         """
         with self._using():
             these, copies = pallets_of(sources, self.n, "sources"), pallets_of(into, self.n, "into")
@@ -284,30 +287,31 @@ class Pallets(Closable):
                 self._standing.fork(these, copies)
 
     def reset(self, pallet: Any = None) -> None:
-        """Empty some pallets; None: all."""
+        """Remove all boxes from some pallets; None: from all."""
         with self._using():
             rows = pallets_of(pallet, self.n)
             once_each(rows)
             self._standing.empty(rows)
 
-    # ------------------------------------------------------------------ what is there
+    # ------------------------------------------------------------------ current state
 
     def results(self, pallet: Any = None) -> PlacementResults:
-        """The current results of pallets; None: all."""
+        """The current results of some pallets; None: of all."""
         with self._using():
             rows = pallets_of(pallet, self.n)
             return PlacementResults.of_readings(rows, self._worlds.readings(rows.tolist()), self.simulation.thresholds)
 
     def told(self, pallet: Any = None) -> PlacementResults:
-        """The name of ``results`` in version 0.2."""
+        """Deprecated name of ``results``, as in version 0.2."""
         warnings.warn("Pallets.told is now Pallets.results", DeprecationWarning, stacklevel=2)
         return self.results(pallet)
 
     def plan(self, pallet: int = 0, plan_id: str | None = None, **fields: Any) -> Plan:
-        """A pallet's boxes as a plan; ``fields`` are those of ``Plan.from_boxes``, such as ``article=["tea", …]``.
+        """The boxes of a pallet as a plan. ``fields``: arguments of ``Plan.from_boxes``, such as
+        ``article=["tea", …]``.
 
         Raises:
-            InputError: no such pallet, one without boxes, or an unusable field.
+            InputError: there is no such pallet, it has no boxes, or a field is unusable.
         """
         with self._using():
             number = self._one(pallet)
@@ -315,20 +319,20 @@ class Pallets(Closable):
             return self._boxes.plan(number, name, fields)
 
     def score(self, pallet: Any = None, *, to_the_bit: bool = True, **options: Any) -> RunResults:
-        """The results of ``petmjx.score`` for the plans of pallets, to the last bit, further attempts included; None:
-        all pallets that have boxes. A pallet that has fallen also has a score. Boxes that were placed with errors are
-        scored where the plan has them.
+        """Score the plans of pallets; None: of all pallets that have boxes. The results are bit-identical to those of
+        ``petmjx.score``, further attempts included. A pallet that has fallen has a score, too. Boxes that were placed
+        with errors are scored at their planned places.
 
-        On ``mjx-warp`` pallets go on from their current state. On ``mujoco`` plans are simulated from their first
-        boxes, since waiting boxes affect the last digits of a score there.
+        On ``mjx-warp``, pallets continue from their current state. On ``mujoco``, plans are simulated from their first
+        box on, since waiting boxes affect the last digits of a score there.
 
         Args:
-            to_the_bit: False: pallets on ``mujoco``, too, continue from their current state, which takes a fraction of
-                the time; last digits may differ.
+            to_the_bit: False: pallets on ``mujoco`` continue from their current state, too. This takes a fraction of
+                the time, but last digits may differ.
             options: fields of ``petmjx.RunOptions``, such as ``out``.
 
         Raises:
-            InputError: a pallet without boxes was named.
+            InputError: one of the named pallets has no boxes.
         """
         with self._using():
             rows = np.flatnonzero(self._boxes.count) if pallet is None else pallets_of(pallet, self.n)
@@ -346,12 +350,12 @@ class Pallets(Closable):
     def outcomes(
         self, following: Callable[[], Sequence[int]], names: Callable[[int], str]
     ) -> Generator[tuple[int, Outcome]]:
-        """Outcomes of ``score`` for one pallet after another, while other pallets go on, without tables: (pallet,
-        outcome), in any order. On ``mujoco`` last digits differ as with ``to_the_bit=False``.
+        """Outcomes of ``score`` for pallet after pallet, without tables, while other pallets are still being built:
+        (pallet, outcome), in any order. On ``mujoco``, last digits differ as with ``to_the_bit=False``.
 
         Args:
-            following: gives the pallets to score next, as in ``pallet_scores``. Their boxes must be placed exactly.
-            names: the name of a pallet in notes.
+            following: returns the pallets to score next, as in ``pallet_scores``. Their boxes must be placed exactly.
+            names: returns the name of a pallet for notes.
         """
         settled = SettledEngine(self._engine, self._worlds, self.simulation, to_the_bit=False)
 
@@ -361,22 +365,22 @@ class Pallets(Closable):
         yield from pallet_scores(settled, self.simulation, worlds)
 
     def verdict(self, pallet: int = 0) -> str:
-        """The verdict of a score of one pallet: "stable", "unstable" or "invalid". See ``score``."""
+        """The verdict of a score of one pallet: "stable", "unstable" or "invalid" (see ``score``)."""
         with self._using():
             return str(self.score(self._one(pallet)).worlds.verdict.iloc[0])
 
     def height_map(self, cell_mm: float = 10.0, pallet: Any = None) -> FloatArray:
-        """(m, x, y) height of the highest planned top over each cell of the carrier, mm; 0: no box.
+        """(m, x, y) height of the highest planned top over each cell of the carrier, mm; 0: there is no box.
 
-        A box covers a cell if it covers more than the cell's edge.
+        A box covers a cell if it covers more than the edge of the cell.
         """
         with self._using(worlds=False):
             rows = pallets_of(pallet, self.n)
             return height_maps(self._boxes, rows, self.extent_mm, cell_mm)
 
     def boxes(self, pallet: Any = None) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """(m, k, 3) sizes and corners, mm, and (m, k) masses, kg, of the boxes of pallets, as requested; NaN beyond a
-        pallet's own boxes."""
+        """The boxes of pallets as requested: (m, k, 3) sizes and corners, mm, and (m, k) masses, kg. Values are NaN
+        beyond a pallet's own boxes."""
         with self._using(worlds=False):
             rows = pallets_of(pallet, self.n)
             k = int(self._boxes.count[rows].max(initial=0))
@@ -390,33 +394,38 @@ class Pallets(Closable):
         max_height_mm: float = 2000.0,
         grid_mm: FloatArray | None = None,
         least_support: float = 0.0,
+        gap_mm: float = 0.0,
         hulls: bool = True,
     ) -> Places:
-        """Places where boxes could go: the extreme points of pallets inside the carrier, at the heights at which a box
-        would rest.
+        """Places for boxes: the extreme points of pallets inside the carrier, each at the height at which the box would
+        rest.
 
         Args:
             size_mm: (m, 3) extents after the placement; ``pallet``: (m,).
             max_height_mm: highest top of a box.
             grid_mm: (p, 2) corners on the carrier instead of the extreme points.
             least_support: smallest supported share of a box's base, from 0 to 1.
+            gap_mm: free space between a box and its neighbours along x and y, which a robot needs.
             hulls: whether to find ``Places.centred``, which doubles the time.
 
         Raises:
-            InputError: wrong shapes or numbers, corners off the carrier, or no such pallet.
+            InputError: a shape or number is wrong, corners are off the carrier, or there is no such pallet.
         """
         with self._using(worlds=False):
             request = boxes_of(size_mm, pallet, self.n)
             highest = number_of(max_height_mm, "max_height_mm", 0.0)
             grid = None if grid_mm is None else grid_of(grid_mm, self.extent_mm)
             least, centred = number_of(least_support, "least_support", 0.0, 1.0), flag_of(hulls, "hulls")
-            return free_places(self._boxes, request, self.extent_mm, highest, grid, least_support=least, hulls=centred)
+            gap = number_of(gap_mm, "gap_mm", 0.0, LARGEST_GAP_MM)
+            return free_places(
+                self._boxes, request, self.extent_mm, highest, grid, least_support=least, gap_mm=gap, hulls=centred
+            )
 
     def show(self, pallet: int = 0, *, size: tuple[int, int] = (640, 480), view: str = "iso") -> NDArray[np.uint8]:
-        """(height, width, 3) a picture of a pallet in its current state. Boxes are coloured by their order.
+        """(height, width, 3) picture of a pallet in its current state. Boxes are coloured by their order.
 
         Raises:
-            InputError: no OpenGL here that draws without a display, or the extra ``show`` is missing.
+            InputError: this machine has no OpenGL that draws without a display, or the extra ``show`` is missing.
         """
         from petmjx.loop.pallet_pictures import picture  # loads OpenGL
 
@@ -430,14 +439,14 @@ class Pallets(Closable):
             return picture(self._worlds.scene(number), reading, self.simulation, size, view)
 
     def close(self) -> None:
-        """Free the engine's resources. Any later call is an InputError."""
+        """Free the engine's resources. Any later call raises InputError."""
         with self._lock:
             self._check_placing()
             self._is_closed = True
             if self._owns_engine:
                 self._engine.close()
 
-    # ------------------------------------------------------------------ steps
+    # ------------------------------------------------------------------ helpers
 
     def _placements(self, size_mm: Any, corner_mm: Any, mass_kg: Any, pallet: Any) -> Placements:
         request = placements_of(size_mm, corner_mm, mass_kg, pallet, self.n)

@@ -1,17 +1,18 @@
 """Bounds on placements: boxes that stand beyond doubt, and boxes that fall beyond doubt, without a simulation.
 
-The bearing of a box is the convex hull of its contacts with the boxes below, or all of the carrier. Loads pass from box
-to box by the plane of pressures of ``petmjx.packers.pile_balance``. Rigid boxes stand if there are any forces that
-balance them (the safe theorem of statics; Livesley 1978, "Limit analysis of structures formed from rigid blocks", Int.
-J. for Numerical Methods in Engineering 12, 1853–1871). So a box stands beyond doubt, on a pallet that rests at its
-planned places, if its weight and the loads of all boxes that bear it act well inside their bearings, and no other load
-is near an edge.
+The bearing of a box is the convex hull of its contacts with the boxes below, or, on the carrier, the whole carrier.
+Loads pass from box to box by the pressure plane of ``petmjx.packers.pile_balance``. Rigid boxes stand if there are any
+forces that balance them (the safe theorem of statics; Livesley 1978, "Limit analysis of structures formed from rigid
+blocks", Int. J. for Numerical Methods in Engineering 12, 1853–1871). So on a pallet that rests at its planned places, a
+box stands beyond doubt under two conditions. Its weight, and the loads of all boxes that carry it, must act well inside
+their bearings; and no other load may be near an edge.
 
-A box falls beyond doubt if its weight acts well outside its bearing, and no body is near that could catch it before it
-has turned too far. Boxes beside it can hold it by friction only, which is limited: only the friction under the box
-presses it against them. Boxes of the pallet that have moved count as larger by as much. All other placements are open.
+A box falls beyond doubt if its weight acts well outside its bearing, and no body is near enough to catch it before it
+has turned too far. Boxes beside it can hold it only by friction, which is limited, since only the friction under the
+box presses it against them. Boxes of the pallet that have moved are enlarged by the distance that they have moved. All
+other placements are undecided.
 
-The bounds are for rigid boxes, and for thresholds of verdicts that are usual (``decidable``). Margins are such that
+The bounds hold for rigid boxes, and for usual thresholds of verdicts (``decidable``). The margins are chosen so that
 simulations agree: ``python -m benchmarks loop bounds`` compares.
 """
 
@@ -41,60 +42,60 @@ STANDS: Final = 1
 FALLS: Final = -1
 
 KNIFE_SHARE: Final = 0.25
-"""Margin of loads that a placement does not change, as a share of the margin of changed loads. A box whose load is
-nearer to its edge may seem to rest while it begins to turn."""
+"""Margin required of loads that a placement does not change, as a fraction of the margin required of loads that it
+changes. A box whose load is nearer to the edge may seem to rest while it begins to turn."""
 
 MOST_LOAD: Final = 100.0
-"""Largest load on a bearing box, as a multiple of its own mass. Contacts are soft: a box sinks by about 0.003 mm ×
-load / own mass (docs/rules.md, section 8), here by 0.3 mm."""
+"""Largest load on a bearing box, as a multiple of the box's own mass. Contacts are soft: a box sinks by about
+0.003 mm × load / own mass (docs/rules.md, section 8), which is 0.3 mm for this load."""
 
 MOST_SLENDER: Final = 8.0
-"""Largest height of a pile, as a multiple of the shortest side of its boxes. The lean of a pile by soft contacts grows
-with its height."""
+"""Largest height of a pile, as a multiple of the shortest side of its boxes. Soft contacts let a pile lean more the
+higher it is."""
 
 HANGING_SHARE: Final = 0.05
-"""Distance by which the weight of a falling box acts outside of its bearing, as a share of its shorter side: such a box
-turns within a second, and no rule takes this for rest."""
+"""Smallest distance by which the weight of a falling box acts outside its bearing, as a share of the box's shorter
+side. A box with this distance turns within a second, so no rule takes it for a box at rest."""
 
 HANGING_MM: Final = 10.0
-"""The same distance in millimetres; the larger one counts."""
+"""The same distance in millimetres; the larger of the two counts."""
 
 TURN_DEG: Final = 25.0
 GONE_MM: Final = 30.0
-"""A box is lost if it turns by this angle, or its middle moves down and aside by this distance, before a body catches
-it: its weight is farther beyond the edge than at first, so that it does not come back. These values are beyond the
-thresholds by a quarter and by a half."""
+"""A box is lost if, before a body catches it, it turns by ``TURN_DEG``, or its middle moves down and sideways by
+``GONE_MM``. Its weight is then farther beyond the edge than at first, so that the box does not come back. These values
+exceed the thresholds by a quarter and by a half."""
 
 NEAR_MM: Final = 2.0
-"""Gap between two boxes that may have closed: boxes of a calm pallet are up to 1 mm beside their places."""
+"""Width of a gap between two boxes that may have closed: boxes of a calm pallet are up to 1 mm off their places."""
 
 CALM_DEG: Final = 0.5
-"""Largest tilt of a box that rests where its plan is: 3 mm on a box of 350 mm."""
+"""Largest tilt of a box that counts as resting at its planned place: 3 mm over a box of 350 mm."""
 
 HOLDING: Final = 1.1
-"""Friction by which boxes at one side may hold a box that turns, as a multiple of μ² times its weight."""
+"""Largest friction with which boxes on one side may hold a turning box, as a multiple of μ² times its weight."""
 
 SAME_WAY: Final = 1e-6
-"""Directions whose cosine differs from 1 by less are the same."""
+"""Two directions count as the same if their cosine differs from 1 by less than this."""
 
 MOST_BEARERS: Final = 4
-"""Most boxes below a box that is decided."""
+"""Largest number of boxes below a box for which the bounds decide."""
 
 MOST_CORNERS: Final = 4 * MOST_BEARERS
 
 ROUNDING_MM2: Final = 1e-4
-"""A corner less far beyond an edge, as a product of lengths, counts as on the edge."""
+"""A corner that is beyond an edge by less than this product of lengths counts as on the edge."""
 
 _AT_ONCE: Final = 512
-"""Number of placements decided in one call, so that their tables stay in a core's cache."""
+"""Number of placements that are decided in one call, so that their tables stay in the cache of a core."""
 
 _USUAL: Final = frozenset({Carrier.EURO_PALLET, Carrier.ROLLCONTAINER})
-"""Carriers of one piece. Boards can tip by themselves."""
+"""Carriers made of one piece. Carriers of boards are excluded, since single boards can tip."""
 
 
 def decidable(sim: Simulation) -> bool:
-    """Whether the bounds hold in this simulation: rigid boxes that appear at their places, on a carrier of one piece
-    without walls, contacts of the preset ``pallet`` or stiffer, and thresholds near the usual ones."""
+    """Whether the bounds hold in this simulation. They require rigid boxes that appear at their places, a carrier of
+    one piece without walls, contacts of the preset ``pallet`` or stiffer ones, and thresholds near the usual ones."""
     limits, physics = sim.thresholds, sim.physics
     return (
         sim.carrier in _USUAL
@@ -112,9 +113,9 @@ def decidable(sim: Simulation) -> bool:
 
 
 def boxes_apart_mm(readings: Readings, thresholds: Thresholds) -> FloatArray:
-    """(m, k) how far corners of boxes may be from where their plans have them, mm. 0: the box rests there, no shift of
-    it counts, and it was never tilted."""
-    with np.errstate(invalid="ignore"):  # columns without boxes
+    """(m, k) largest distance of any corner of each box from its planned position, mm. 0: the box rests at its planned
+    place, has no shift that counts, and was never tilted."""
+    with np.errstate(invalid="ignore"):  # NaN in columns without boxes
         m, k = readings.max_tilt_deg.shape
         tilted = np.fmax(readings.max_tilt_deg, tilt_deg(readings.quat.reshape(-1, 4)).reshape(m, k))
         shifted = shift(readings.pos, readings.target, thresholds.shift_floor_m)
@@ -126,7 +127,7 @@ def boxes_apart_mm(readings: Readings, thresholds: Thresholds) -> FloatArray:
 
 
 class Bounds:
-    """The bounds of n pallets, kept from box to box.
+    """The bounds for n pallets, updated box by box.
 
     Args:
         stock: the boxes of the pallets.
@@ -136,23 +137,23 @@ class Bounds:
     def __init__(self, stock: BoxTable, friction: float) -> None:
         n = len(stock.count)
         self._stock, self._friction = stock, friction
-        self._boxes: NDArray[np.int64] = np.zeros(n, np.int64)  # number of boxes of each pallet in the tables
-        # (n, k, …) a row for each box; one column at first, since few pallets need bounds
+        self._boxes: NDArray[np.int64] = np.zeros(n, np.int64)  # number of each pallet's boxes that are in the tables
+        # (n, k, …) one row per box; the tables start with one column, since few pallets need bounds
         self._bearers: NDArray[np.int64] = np.full((n, 1, MOST_BEARERS), NOTHING)
         self._shares: FloatArray = np.zeros((n, 1, MOST_BEARERS, 3, 3))
         self._edges: FloatArray = np.zeros((n, 1, MOST_CORNERS, 3))  # values of each bearing, as in _Rests
-        self._least: FloatArray = np.zeros((n, 1))  # margin that each box must have, mm
+        self._least: FloatArray = np.zeros((n, 1))  # margin required of each box, mm
 
     def cut(self, pallets: NDArray[np.int64], count: NDArray[np.int64]) -> None:
-        """Keep the first ``count`` boxes of some pallets."""
+        """Keep only the first ``count`` boxes of some pallets."""
         self._boxes[pallets] = np.minimum(self._boxes[pallets], count)
 
     def of(self, request: Placements, margin: FloatArray, apart_mm: FloatArray) -> NDArray[np.int8]:
-        """(m,) ``STANDS``, ``FALLS`` or ``OPEN`` for placements.
+        """(m,) ``STANDS``, ``FALLS`` or ``OPEN`` for each placement.
 
         Args:
-            margin: (n,) the margins of pallets; negative for those that do not rest.
-            apart_mm: (n, k) how far boxes are from their places, as ``boxes_apart_mm`` says.
+            margin: (n,) margins of the pallets; negative for pallets that are not at rest.
+            apart_mm: (n, k) distance of each box from its planned place, from ``boxes_apart_mm``.
         """
         pallets, of = np.unique(request.pallet, return_inverse=True)
         self._update(pallets)
@@ -181,7 +182,7 @@ class Bounds:
             self._boxes[rows] += 1
 
     def _loads(self, pallets: NDArray[np.int64]) -> FloatArray:
-        """(m, k, 3) the load of each box of pallets, with its own weight: kg, kg·mm, kg·mm."""
+        """(m, k, 3) load of each box of the pallets, including its own weight: kg, kg·mm, kg·mm."""
         stock = self._stock
         k = int(stock.count[pallets].max(initial=0))
         middle = stock.corner_mm[pallets, :k, :2] + stock.size_mm[pallets, :k, :2] / 2
@@ -189,7 +190,7 @@ class Bounds:
         return self._passed_down(pallets, np.nan_to_num(mass * np.concatenate([np.ones_like(mass), middle], axis=2)))
 
     def _passed_down(self, pallets: NDArray[np.int64], loads: FloatArray) -> FloatArray:
-        """(m, k, 3) the loads of boxes plus the parts from the boxes above. Boxes rest only on earlier boxes."""
+        """(m, k, 3) loads of boxes, plus the parts that they get from boxes above. Boxes rest only on earlier boxes."""
         loads = loads.copy()
         for number in range(loads.shape[1] - 1, 0, -1):
             row = np.flatnonzero(loads[:, number, 0] > 0)
@@ -199,10 +200,10 @@ class Bounds:
         return loads
 
     def _stand(self, rests: _Rests, request: Placements, loads: FloatArray) -> NDArray[np.bool_]:
-        """(m,) which boxes stand beyond doubt.
+        """(m,) whether each box stands beyond doubt.
 
         Args:
-            loads: (m, k, 3) of the boxes on their pallets.
+            loads: (m, k, 3) loads of the boxes that are on the pallets.
         """
         m, k = loads.shape[:2]
         pallets, middle = request.pallet, request.corner_mm[:, :2] + request.size_mm[:, :2] / 2
@@ -216,7 +217,7 @@ class Bounds:
         bears = added_load[..., 0] > 0
         after = loads + added_load
         in_table = np.arange(k) < self._stock.count[pallets, None]
-        with np.errstate(invalid="ignore", divide="ignore"):  # columns beyond a pallet's boxes
+        with np.errstate(invalid="ignore", divide="ignore"):  # NaN in columns beyond a pallet's boxes
             margin = _margin(self._edges[pallets, :k], after[..., 1:] / after[..., :1])
         enough = np.where(bears, 1.0, KNIFE_SHARE) * self._least[pallets, :k]
         stands = stands & (~in_table | (margin >= enough)).all(axis=1)
@@ -230,27 +231,27 @@ class Bounds:
 
 
 def _least_margin(boxes: Placements) -> FloatArray:
-    """(m,) least distance of loads inside bearings, mm."""
+    """(m,) smallest distance of loads from the edges of their bearings, inwards, mm."""
     return np.asarray(np.minimum(MARGIN_M * MM_PER_M, MARGIN_SHARE * boxes.size_mm[:, :2].min(axis=1)))
 
 
 def _pass_on(
     loads: FloatArray, rows: NDArray[np.intp], bearers: NDArray[np.int64], shares: FloatArray, load: FloatArray
 ) -> None:
-    """Add the shares of loads, (r, 3), to the loads of the boxes that bear them, in place."""
+    """Add the shares of loads, (r, 3), to the loads of the boxes that carry them, in place."""
     at, which = np.nonzero(bearers != NOTHING)
     passed = np.einsum("qab,qb->qa", shares[at, which], load[at])
     np.add.at(loads, (rows[at], bearers[at, which]), passed)
 
 
 class _Turns(NamedTuple):
-    """How boxes turn about edges of their bearings, a row for each edge beyond which the weight acts.
+    """How boxes turn about edges of their bearings: one row for each edge beyond which the weight acts.
 
     Attributes:
-        rows: (r,) the box.
-        towards: (r, 2) the direction in which it turns; ``edge``: (r,) place of the edge along it, mm.
-        outside: (r,) distance of the weight from the edge, mm.
-        apart: (r, k) how far boxes of the pallet are from their places, mm.
+        rows: (r,) number of the box.
+        towards: (r, 2) direction in which the box turns; ``edge``: (r,) position of the edge in this direction, mm.
+        outside: (r,) distance of the weight beyond the edge, mm.
+        apart: (r, k) distance of the pallet's boxes from their planned places, mm.
     """
 
     rows: NDArray[np.intp]
@@ -260,23 +261,25 @@ class _Turns(NamedTuple):
     apart: FloatArray
 
     def take(self, rows: NDArray[np.intp]) -> _Turns:
-        """Some of the rows."""
+        """These rows of all arrays."""
         return _Turns(self.rows[rows], self.towards[rows], self.edge[rows], self.outside[rows], self.apart[rows])
 
 
 @dataclass(frozen=True, eq=False)
 class _Rests:
-    """The rest of m boxes on the bodies below, each on a pallet with some of its first boxes.
+    """How m boxes rest on the bodies below them. Each box is on a pallet that has some of its first boxes.
 
     Attributes:
-        low, high: (m, k, 3) ends of the boxes of the pallets, mm; ``here``: (m, k) whether each of them stands.
-        start, end: (m, 3) ends of the boxes themselves.
-        under: (m, k) which boxes touch the base from below; ``on_carrier``: (m,) the base is on the carrier.
-        rests: (m,) whether the box rests on bodies below, and overlaps no other.
-        bearers, shares: (m, b) the boxes below, and (m, b, 3, 3) matrices from a load on the box to the share of each
-            bearer, by the plane of pressures of ``petmjx.packers.pile_balance``.
-        edges: (m, e, 3) the edges of the bearing: (d, n_x, n_y); a point p is inside by d − n · p, mm; d is infinite on
-            the carrier, and minus infinity without a body below.
+        low, high: (m, k, 3) lowest and highest corners of the pallets' boxes, mm; ``here``: (m, k) whether each of them
+            stands on the pallet.
+        start, end: (m, 3) lowest and highest corners of the boxes themselves.
+        under: (m, k) whether each box touches the base from below; ``on_carrier``: (m,) whether the base is on the
+            carrier.
+        rests: (m,) whether the box rests on bodies below, and overlaps no other box.
+        bearers, shares: (m, b) the boxes below, and (m, b, 3, 3) matrices that map a load on the box to the share of
+            each bearer, by the pressure plane of ``petmjx.packers.pile_balance``.
+        edges: (m, e, 3) edges of the bearing: (d, n_x, n_y). A point p is inside by d − n · p, mm. d is infinite on the
+            carrier, and minus infinity if there is no body below.
     """
 
     low: FloatArray
@@ -293,13 +296,13 @@ class _Rests:
 
     @classmethod
     def of(cls, stock: BoxTable, request: Placements, count: NDArray[np.int64]) -> _Rests:
-        """The rest of boxes on the first ``count`` boxes of their pallets."""
+        """How the requested boxes rest on the first ``count`` boxes of their pallets."""
         m, k = len(request), int(count.max(initial=0))
         here = np.arange(k) < count[:, None]
         low = stock.corner_mm[request.pallet, :k]
         high = low + stock.size_mm[request.pallet, :k]
         start, end = request.corner_mm, request.corner_mm + request.size_mm
-        with np.errstate(invalid="ignore"):  # columns beyond a pallet's boxes
+        with np.errstate(invalid="ignore"):  # NaN in columns beyond a pallet's boxes
             shared = np.minimum(high, end[:, None])[..., :2] - np.maximum(low, start[:, None])[..., :2]
             over = here & (shared > TOUCH_MM).all(axis=2)
             gap = start[:, None, 2] - high[..., 2]
@@ -334,17 +337,17 @@ class _Rests:
         return cls(low, high, here, start, end, under, on_carrier, rests, bearers, shares, edges)
 
     def falls(self, request: Placements, apart: FloatArray, friction: float) -> NDArray[np.bool_]:
-        """(m,) which boxes fall beyond doubt.
+        """(m,) whether each box falls beyond doubt.
 
-        A box turns about the edge of its bearing that is nearest to its weight. If a box turns by an angle, its base is
-        lower by the tangent times the distance from the edge, and its side has come out by the sine times the height.
+        A box turns about the edge of its bearing that is nearest to its weight. If it turns by an angle, its base gets
+        lower by the tangent times the distance from the edge, and its side moves out by the sine times the height.
 
         Args:
-            apart: (m, k) of the boxes on their pallets, as ``boxes_apart_mm`` says.
+            apart: (m, k) distance of the pallets' boxes from their planned places, from ``boxes_apart_mm``.
             friction: the coefficient of friction between boxes.
         """
         sides = request.size_mm[:, :2]
-        with np.errstate(invalid="ignore"):  # nothing is below
+        with np.errstate(invalid="ignore"):  # infinite if nothing is below
             outside = self.edges[..., 1:] @ (self.start[:, :2] + sides / 2)[..., None]
             outside = outside[..., 0] - self.edges[..., 0]
         least = np.maximum(HANGING_MM, HANGING_SHARE * sides.min(axis=1))
@@ -357,12 +360,13 @@ class _Rests:
         return falls
 
     def _turn_straight(self, turns: _Turns, least: FloatArray) -> NDArray[np.bool_]:
-        """(r,) whether boxes turn about one edge along x or y, whose ends are beside the weight by more than ``least``,
-        (r,): the edge balances the weight along itself, so that the box does not turn aside as well."""
+        """(r,) whether boxes turn about a single edge along x or y, without turning sideways as well. The edge must
+        extend beyond the weight on both sides by more than ``least``, (r,), so that it balances the weight along
+        itself."""
         middle = (self.start[turns.rows, :2] + self.end[turns.rows, :2]) / 2
         foot = middle - turns.outside[:, None] * turns.towards
         edges = self.edges[turns.rows]
-        with np.errstate(invalid="ignore"):  # edges that are missing
+        with np.errstate(invalid="ignore"):  # infinite for missing edges
             inside = edges[..., 0] - (edges[..., 1:] @ foot[..., None])[..., 0]
         same = (edges[..., 1:] @ turns.towards[..., None])[..., 0] > 1 - SAME_WAY
         along_axis = np.abs(turns.towards).max(axis=1) > 1 - SAME_WAY
@@ -371,11 +375,11 @@ class _Rests:
     def _may_be_caught(self, turns: _Turns, least: FloatArray, friction: float) -> NDArray[np.bool_]:
         """(r,) whether something may catch boxes before they have turned too far.
 
-        By ``turns.outside``, times the sine, the middle comes down. Its way aside, half the height times the sine, is
-        not sure by itself, since the edge may slide.
+        The middle comes down by ``turns.outside`` times the sine. Its sideways motion, half the height times the sine,
+        cannot be relied on alone, since the edge may slide.
 
         Args:
-            least, friction: as in ``_turn_straight`` and ``falls``.
+            least, friction: see ``_turn_straight`` and ``falls``.
         """
         rows, towards, edge, outside, apart = turns
         z, height = self.start[rows, 2], self.end[rows, 2] - self.start[rows, 2]
@@ -384,7 +388,7 @@ class _Rests:
         slope = (sine / np.sqrt(1 - sine**2))[:, None]
         start, end = self.start[rows, None, :2], self.end[rows, None, :2]
         low, high = self.low[rows] - apart[..., None], self.high[rows] + apart[..., None]
-        with np.errstate(invalid="ignore"):  # columns beyond a pallet's boxes
+        with np.errstate(invalid="ignore"):  # NaN in columns beyond a pallet's boxes
             shared_low = np.maximum(low[..., :2], start - NEAR_MM)
             shared_high = np.minimum(high[..., :2], end + NEAR_MM)
             over = (shared_high - shared_low > TOUCH_MM).all(axis=2) & ~self.under[rows]
@@ -404,14 +408,15 @@ class _Rests:
         return caught
 
     def _hold_too_little(self, turns: _Turns, wall: NDArray[np.bool_], friction: float) -> NDArray[np.bool_]:
-        """(r, k) which walls are beside or behind boxes that turn straight, and cannot hold them by friction.
+        """(r, k) whether each wall is beside or behind a box that turns straight, and cannot hold it by friction.
 
-        A wall presses the box at most by the friction under it, μ times its weight, and holds it by μ times that, at a
-        lever from the edge. A wall behind it and one at its side share the friction under the box, so that together
-        they hold at most the square root of two times as much. Between walls on both sides a box may be jammed.
+        A wall presses on the box with at most the friction under the box, μ times the box's weight. It holds the box
+        with μ times this force, at a lever from the edge. A wall behind the box and a wall at its side share the
+        friction under the box, so together they hold at most √2 times as much. Between walls on both sides, a box may
+        be jammed.
 
         Args:
-            wall: (r, k) the boxes that a turning box may touch.
+            wall: (r, k) whether each box may touch the turning box.
         """
         rows, towards, edge, outside, apart = turns
         start, end = self.start[rows, None], self.end[rows, None]
@@ -420,7 +425,7 @@ class _Rests:
         sign = np.sign(towards.sum(axis=1))[:, None]
 
         def along(values: FloatArray) -> FloatArray:
-            """x or y, along which the box turns, from the edge on."""
+            """Coordinate along the direction in which the box turns (x or y), measured from the edge."""
             return np.asarray(np.where(on_x, values[..., :1], values[..., 1:2])[..., 0] * sign - edge[:, None])
 
         def across(values: FloatArray) -> FloatArray:
@@ -428,7 +433,7 @@ class _Rests:
 
         near, far = np.minimum(along(low), along(high)), np.maximum(along(low), along(high))
         back, front = np.minimum(along(start), along(end)), np.maximum(along(start), along(end))
-        with np.errstate(invalid="ignore"):  # columns beyond a pallet's boxes
+        with np.errstate(invalid="ignore"):  # NaN in columns beyond a pallet's boxes
             left, right = across(high) <= across(start) + TOUCH_MM, across(low) >= across(end) - TOUCH_MM
             behind = far <= back + TOUCH_MM
             beside = (apart == 0) & (near < front - TOUCH_MM) & (left | right | behind)
@@ -445,14 +450,14 @@ class _Rests:
 
 
 def _margin(edges: FloatArray, place_mm: FloatArray) -> FloatArray:
-    """(…,) distance of places, (…, 2), inside bearings with these edges, (…, e, 3), mm; negative: outside."""
+    """(…,) distance of points (…, 2) from the edges (…, e, 3) of bearings, inwards, mm; negative: outside."""
     margin: FloatArray = (edges[..., 0] - (edges[..., 1:] @ place_mm[..., None])[..., 0]).min(axis=-1)
     return margin
 
 
 def _hull_edges(corners: FloatArray) -> FloatArray:
-    """(m, e, 3) edges of the convex hulls of (m, c, 2) points, as in ``_Rests``: from each point on the hull, the
-    edge to the farthest point that has all others on its left. Edges that are missing are infinitely far.
+    """(m, e, 3) edges of the convex hulls of (m, c, 2) points, as in ``_Rests``. From each point on the hull, the edge
+    leads to the farthest point that has all other points on its left. Missing edges are infinitely far away.
     """
     m = len(corners)
     along = corners[:, None] - corners[:, :, None]  # (m, from, to, 2)

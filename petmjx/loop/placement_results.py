@@ -1,4 +1,4 @@
-"""``PlacementResults``: the results of physics for placements, a row each, in the order of the request."""
+"""``PlacementResults``: the physical results of placements, one row each, in the order of the request."""
 
 from __future__ import annotations
 
@@ -18,21 +18,21 @@ from petmjx.options.simulation import Thresholds
 
 @dataclass(frozen=True, eq=False)
 class PlacementResults:
-    """The results of m placements. Arrays of k boxes have a column for each box of the fullest pallet, in packing
-    order, with NaN beyond a pallet's own boxes.
+    """The results of m placements. Arrays over k boxes have one column per box of the fullest pallet, in packing order,
+    with NaN beyond a pallet's own boxes.
 
     Attributes:
-        pallet: (m,) the pallet.
-        stable: (m,) whether all of its boxes stand.
+        pallet: (m,) number of the pallet.
+        stable: (m,) whether all boxes on the pallet stand.
         verdict, reason: (m,) as in the columns of ``worlds``: "stable", "unstable" or "invalid", and the reason if not
             stable.
         culprit: (m,) the box that shifted, tilted or fell first, counted from 0; -1: none.
-        margin: (m,) how far the nearest threshold is, as in the column ``margin``; NaN where invalid.
-        shift_mm: (m,) largest displacement of a box along an axis, from where the plan has it.
-        tilt_deg: (m,) largest tilt of a box since it was placed.
+        margin: (m,) distance to the nearest threshold, as in the column ``margin``; NaN for invalid worlds.
+        shift_mm: (m,) largest displacement of any box along an axis, from its planned place.
+        tilt_deg: (m,) largest tilt of any box since it was placed.
         n_boxes: (m,) number of boxes, including the requested one.
-        ended: (m,) whether the world has failed, so that nothing can be put into it any more.
-        moving: (m,) whether boxes still moved when the world's time was up.
+        ended: (m,) whether the world has failed, so that no more boxes can be put into it.
+        moving: (m,) whether boxes were still moving when the world's time was up.
         top_force_n: (m, k) force on each box's top, at rest in the last step, N.
         middle_mm: (m, k, 3) centres of the boxes, mm; ``quat``: (m, k, 4) orientations (w, x, y, z).
         share: (m,) share of the worlds with errors in which the pallet stands; NaN if not requested.
@@ -58,24 +58,24 @@ class PlacementResults:
         return len(self.pallet)
 
     def __getitem__(self, rows: Any) -> PlacementResults:
-        """Some of the rows, by a slice, an array of row numbers, or a boolean array."""
+        """The results in some rows: a slice, an array of row numbers, or a boolean array."""
         which = np.atleast_1d(np.arange(len(self))[rows])
         return PlacementResults(**{field.name: getattr(self, field.name)[which] for field in fields(self)})
 
     def with_share(self, share: FloatArray) -> Self:
-        """The same results with shares."""
+        """These results, with ``share`` replaced."""
         return replace(self, share=share)
 
     @classmethod
     def joined(cls, parts: Sequence[PlacementResults]) -> PlacementResults:
-        """The rows of all parts in order."""
+        """The rows of all parts, in order."""
         return cls(**joined_records(parts, max(part.top_force_n.shape[1] for part in parts)))
 
     @classmethod
     def of_readings(cls, pallet: NDArray[np.int64], readings: Readings, thresholds: Thresholds) -> PlacementResults:
         """The results of worlds that have paused or ended."""
         m, k = readings.max_tilt_deg.shape
-        with np.errstate(invalid="ignore"):  # columns without boxes, worlds with bad numbers
+        with np.errstate(invalid="ignore"):  # NaN in columns without boxes and in worlds with bad numbers
             shifted = shift(readings.pos, readings.target, thresholds.shift_floor_m)
             quat, middles, halves = (
                 values.reshape(-1, values.shape[2]) for values in (readings.quat, readings.pos, readings.half_size)
@@ -117,7 +117,7 @@ class PlacementResults:
     def of_outcomes(
         cls, pallet: NDArray[np.int64], outcomes: Sequence[Outcome], thresholds: Thresholds
     ) -> PlacementResults:
-        """The results of worlds that reached their end after a drive. Forces are those at rest."""
+        """The results of worlds that ended after a drive. Forces are those at rest."""
         width = max((outcome.n_boxes for outcome in outcomes), default=0)
 
         def padded(rows: Sequence[FloatArray]) -> FloatArray:
@@ -151,6 +151,6 @@ class PlacementResults:
 
 
 def _largest(values: FloatArray) -> FloatArray:
-    """(m,) largest of (m, k) numbers, ignoring NaN; 0 if all are NaN."""
+    """(m,) largest of each row of (m, k) numbers, ignoring NaN; 0 if all are NaN."""
     largest: FloatArray = np.nan_to_num(values, nan=0.0).max(axis=1, initial=0.0)
     return largest

@@ -1,4 +1,4 @@
-"""Checks of requests to pallets: arrays of boxes, numbers of pallets. Errors are one line with the argument's name."""
+"""Checks requests to pallets: arrays of boxes, numbers of pallets. Errors are one line with the argument's name."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ class Placements:
     """m boxes, each with its place on a pallet.
 
     Attributes:
-        size_mm, corner_mm: (m, 3); ``mass_kg``: (m,); ``pallet``: (m,) numbers of pallets.
+        size_mm, corner_mm: (m, 3); ``mass_kg``: (m,); ``pallet``: (m,) numbers of the pallets.
     """
 
     size_mm: FloatArray
@@ -47,10 +47,10 @@ def placements_of(size_mm: Any, corner_mm: Any, mass_kg: Any, pallet: Any, n: in
     """Placements from the arguments of ``Pallets.place`` and ``Pallets.try_all``. A single box may lack the first axis.
 
     Args:
-        n: number of pallets. Without ``pallet`` there is one pallet, or box i is for pallet i.
+        n: number of pallets. Without ``pallet``, there must be one pallet, or box i is for pallet i.
 
     Raises:
-        InputError: a wrong shape or length, a number that is not finite or out of range, or no such pallet.
+        InputError: a shape or length is wrong, a number is not finite or out of range, or there is no such pallet.
     """
     corners = _numbers(corner_mm, "corner_mm", (3,))
     m = len(corners)
@@ -62,10 +62,10 @@ def placements_of(size_mm: Any, corner_mm: Any, mass_kg: Any, pallet: Any, n: in
 
 
 def boxes_of(size_mm: Any, pallet: Any, n: int) -> Placements:
-    """Placements from the arguments of ``Pallets.places``: only the extents of the boxes are known.
+    """Placements from the arguments of ``Pallets.places``, which give only the extents of the boxes.
 
     Raises:
-        InputError: as ``placements_of``.
+        InputError: see ``placements_of``.
     """
     sizes = _numbers(size_mm, "size_mm", (3,))
     return Placements(sizes, np.zeros_like(sizes), np.ones(len(sizes)), _pallets(pallet, len(sizes), n))
@@ -75,7 +75,7 @@ def grid_of(grid_mm: Any, extent_mm: tuple[float, float]) -> FloatArray:
     """(p, 2) corners on a carrier, mm.
 
     Raises:
-        InputError: another shape, or a corner off the carrier.
+        InputError: the shape is wrong, or a corner is off the carrier.
     """
     corners = array_of(grid_mm, "grid_mm", (2,))
     if ((corners < 0) | (corners > extent_mm)).any():
@@ -87,13 +87,13 @@ def pallets_of(pallet: Any, n: int, name: str = "pallet") -> NDArray[np.int64]:
     """Numbers of pallets; None: all.
 
     Raises:
-        InputError: values are no whole numbers, or no such pallet.
+        InputError: values are not whole numbers, or there is no such pallet.
     """
     if pallet is None:
         return np.arange(n)
     try:
         values = np.atleast_1d(np.asarray(pallet))
-    except Exception:  # converting an object of any class may raise anything
+    except Exception:  # converting an object of an unknown class may raise anything
         values = np.empty(0, dtype=object)
     if values.ndim != 1 or (values.dtype.kind not in "iu" and values.size):
         raise InputError(f"{name} must be whole numbers of pallets, {shown_value(pallet)}")
@@ -105,7 +105,7 @@ def pallets_of(pallet: Any, n: int, name: str = "pallet") -> NDArray[np.int64]:
 
 
 def once_each(pallet: NDArray[np.int64], name: str = "pallet") -> None:
-    """Raises InputError if a pallet is named twice."""
+    """Raise InputError if a pallet is named twice."""
     values, counts = np.unique(pallet, return_counts=True)
     if (counts > 1).any():
         raise InputError(f"{name}: {values[counts > 1][0]} is named twice; name each pallet once in a call")
@@ -135,7 +135,7 @@ def _numbers(values: Any, name: str, shape: tuple[int, ...]) -> FloatArray:
 
 
 def check_limits(values: NDArray[Any], name: str) -> None:
-    """Raises InputError if a number of ``size_mm``, ``corner_mm`` or ``mass_kg`` is out of range, or NaN."""
+    """Raise InputError if a number in ``size_mm``, ``corner_mm`` or ``mass_kg`` is out of range or NaN."""
     low, high, unit = _LIMITS[name]
     wrong = values[~((values >= low) & (values <= high))]
     if wrong.size:
@@ -143,7 +143,7 @@ def check_limits(values: NDArray[Any], name: str) -> None:
 
 
 def _as_many(values: Any, name: str, m: int) -> Any:
-    """m values, where a single one stands for all."""
+    """m values; a single value is repeated for all."""
     if len(values) == 1 and m != 1:
         return np.repeat(values, m, axis=0)
     if len(values) != m:

@@ -1,4 +1,4 @@
-"""Reward terms by name. The weights of terms are an option of the environment."""
+"""Reward terms by name. Their weights are an option of the environment."""
 
 from __future__ import annotations
 
@@ -17,12 +17,12 @@ from petmjx.loop.placement_results import PlacementResults
 
 @dataclass(frozen=True, eq=False)
 class Placement:
-    """The inputs of reward terms: m boxes that were placed.
+    """The inputs of reward terms, for m boxes that were placed.
 
     Attributes:
         volume_mm3: (m,) volume of the box; ``mass_kg``: (m,) mass of all boxes on the pallet.
-        room_mm3: volume over the carrier up to ``max_height_mm``.
-        higher_mm: (m,) growth of the pallet's height; ``max_height_mm``: the highest allowed top.
+        room_mm3: volume above the carrier up to ``max_height_mm``.
+        higher_mm: (m,) growth of the pallet's height; ``max_height_mm``: largest allowed height of a top.
     """
 
     results: PlacementResults
@@ -58,16 +58,16 @@ TERMS: Final[dict[str, tuple[str, Callable[[Placement], FloatArray]]]] = {
     ),
     "illegal": ("-1 for an action that the mask excludes", lambda p: np.zeros(len(p.results))),
 }
-"""Name of a term → its description, and the function for its value."""
+"""Name of a term → its description, and the function that computes its value."""
 
 USUAL: Final = {"utilisation": 10.0, "fall": 1.0, "illegal": 0.1}
 
 
 def weights_of(rewards: Any) -> dict[str, float]:
-    """Weights by term; None: the default weights.
+    """Term → weight; None: the default weights.
 
     Raises:
-        InputError: an unknown term, or a weight that is no number.
+        InputError: a term is unknown, or a weight is not a number.
     """
     if rewards is None:
         return dict(USUAL)

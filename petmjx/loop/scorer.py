@@ -1,4 +1,4 @@
-"""``petmjx.Scorer``: an engine that stays warm, for many small scores from several threads, without a disk."""
+"""``petmjx.Scorer``: an engine that stays ready, for many small scores from several threads, without writing files."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ from petmjx.world.scene import build_scene
 
 @dataclass(frozen=True, eq=False)
 class Scored:
-    """The tables of a score, as in ``petmjx.RunResults``: a row a plan or a box, in the order of the plans."""
+    """The tables of a score, as in ``petmjx.RunResults``: one row per plan or box, in the order of the plans."""
 
     worlds: pd.DataFrame
     boxes: pd.DataFrame
@@ -45,20 +45,21 @@ class Scored:
 
 
 class Scorer(Closable):
-    """Scores plans as ``petmjx.score`` does, to the last bit, with an engine that is already running.
+    """Scores plans with an engine that is already running. Results are bit-identical to those of ``petmjx.score``.
 
     ``S = petmjx.Scorer(engine="mujoco", threads=2); S.score(plans).worlds.verdict``
 
-    Several threads may call one object. Calls share the CPU on ``mujoco``, and wait for one another on ``mjx-warp``.
-    Nothing is written to a disk. A Ray or Dask actor can hold one (examples/ray_scorer.py, examples/dask_scorer.py).
+    Several threads may use one object. Their calls share the CPU on ``mujoco``; on ``mjx-warp`` they run one after
+    another. Nothing is written to a disk. A Ray or Dask actor can hold a Scorer (examples/ray_scorer.py,
+    examples/dask_scorer.py).
 
     Args:
-        engine: ``mujoco``, ``mjx-jax``, ``mjx-warp``, an engine of your own, or ``auto``: ``mjx-warp`` where there is a
+        engine: ``mujoco``, ``mjx-jax``, ``mjx-warp``, an engine of your own, or ``auto``: ``mjx-warp`` if there is a
             GPU, else ``mujoco``.
         options: fields of ``petmjx.Simulation``, and ``threads`` or ``lanes`` of ``petmjx.RunOptions``.
 
     Raises:
-        InputError: an unusable option.
+        InputError: an option is unusable.
         EngineUnavailable: the requested engine cannot run here.
     """
 
@@ -78,10 +79,10 @@ class Scorer(Closable):
         """The tables ``worlds``, ``boxes`` and ``attempts`` of a score.
 
         Args:
-            plans: a plan, a list of plans, a ``PlanSet``, or a data frame with a row a box.
+            plans: a plan, a list of plans, a ``PlanSet``, or a data frame with one row per box.
 
         Raises:
-            InputError: the plans are files, or a plan cannot be used; no plan is skipped.
+            InputError: the plans are given as files, or a plan cannot be used; plans are never skipped.
         """
         self._check_open()
         results = self._results(self._usable(plans))
@@ -97,15 +98,15 @@ class Scorer(Closable):
         return Scored(**frames)
 
     def tell(self, *, size_mm: Any, corner_mm: Any, mass_kg: Any) -> PlacementResults:
-        """The results of a score for m plans, as arrays. ``pallet`` counts the plans, and forces are the forces at
+        """The results of a score for m plans, as arrays. ``pallet`` is the number of the plan. Forces are those at
         rest.
 
         Args:
-            size_mm, corner_mm: (m, k, 3) as in ``Plan.from_boxes``, ``mass_kg``: (m, k). Plans of fewer boxes than k
-                have NaN after their own boxes.
+            size_mm, corner_mm: (m, k, 3) as in ``Plan.from_boxes``, ``mass_kg``: (m, k). Plans with fewer than k boxes
+                have NaN after their last box.
 
         Raises:
-            InputError: wrong shapes or numbers; the line names the argument, or plan and field.
+            InputError: a shape or number is wrong; the message names the argument, or the plan and the field.
         """
         self._check_open()
         plans = _plans_of(*_arrays(size_mm, corner_mm, mass_kg))
@@ -113,7 +114,7 @@ class Scorer(Closable):
         return PlacementResults.of_outcomes(np.arange(len(plans)), outcomes, self.simulation.thresholds)
 
     def close(self) -> None:
-        """Free the engine's resources. Any later call is an InputError."""
+        """Free the engine's resources. Any later call raises InputError."""
         self._is_closed = True
         if self._owns_engine:
             self._engine.close()
@@ -134,13 +135,13 @@ class Scorer(Closable):
             if not plans:
                 raise InputError("plans: there are none")
         with warnings.catch_warnings():
-            warnings.simplefilter("ignore", PlanWarning)  # warnings about odd plans: here nobody reads them
+            warnings.simplefilter("ignore", PlanWarning)  # nobody would read warnings about odd plans here
             kept_plans = usable_plans(plans, self.simulation, RunOptions(strict=True)).plans
         check_surfaces(kept_plans, self.simulation)
         return kept_plans
 
     def _results(self, plans: Sequence[Plan]) -> list[WorldResult[World]]:
-        """The results, in the order of the plans."""
+        """The results of the worlds of these plans, in the order of the plans."""
         worlds = [World(plan, NOMINAL.index, Job(build_scene(plan, self.simulation))) for plan in plans]
         place = {id(world): number for number, world in enumerate(worlds)}
         results = list(score_worlds(worlds, self.simulation, self._engine))

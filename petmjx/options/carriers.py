@@ -1,4 +1,4 @@
-"""Carriers: the built-in ones (``Carrier``), and users' own (``OwnCarrier``), made of boards and read from TOML."""
+"""Carriers: the built-in ones (``Carrier``), and those that users build from boards in a TOML file (``OwnCarrier``)."""
 
 from __future__ import annotations
 
@@ -52,10 +52,10 @@ CARRIER_EXTENT_M: dict[Carrier, tuple[float, float] | None] = {
     Carrier.CONTAINER_20FT: (5.867, 2.33),
     Carrier.TRAILER: (13.6, 2.48),
 }
-"""x–y extent of each carrier in metres. None: the plan's bounding box."""
+"""Extent of each carrier along x and y, m. None: the extent of the plan's bounding box."""
 
 _GRID_WALLS: Final = Walls(sides=(), height_mm=1500.0, gap_mm=5.0, thickness_mm=30.0, mass_kg_m2=6.0, material=STEEL)
-"""Lattices of tubes. Typical ones, not those of a certain maker: no source for exact sizes was found."""
+"""Walls of a lattice of tubes. The values are typical; no source for the sizes of a real model was found."""
 
 WALLS_OF_CARRIERS: Final[Mapping[Carrier, Walls]] = {
     Carrier.ROLLCONTAINER_GRID: _GRID_WALLS,
@@ -73,38 +73,42 @@ WALLS_OF_CARRIERS: Final[Mapping[Carrier, Walls]] = {
     ),
 }
 """The walls of built-in carriers. The walls of ``rollcontainer-grid`` stand only on sides that the user names.
-``gitterbox`` is 1200 × 800 × 800 mm inside and some 85 kg (UIC 435-3), ``container-20ft`` 5867 × 2330 × 2350 mm (least
-inner sizes of 1CC, ISO 668) and some 2.2 t. ``trailer`` has a headboard alone, at the end to which braking throws a
-load, +x; its sizes are usual for trailers."""
+
+``gitterbox`` is 1200 × 800 × 800 mm inside and has a mass of about 85 kg (UIC 435-3). ``container-20ft`` is 5867 × 2330
+× 2350 mm inside (the smallest inner sizes of 1CC, ISO 668) and has a mass of about 2.2 t. ``trailer`` has only a
+headboard, at its end in +x, towards which braking pushes the load; its sizes are usual for trailers."""
 
 TARGETS = (Carrier.EURO_PALLET, Carrier.ROLLCONTAINER)
-"""Carriers that are BED-BPP's targets."""
+"""The carriers that orders of BED-BPP name as their target."""
 
 MOST_BOARDS: Final = 64
 """Largest number of boards. Engines check every pair of a board and a box, and ``mjx-jax`` compiles code for each
 pair."""
 
 TOUCH_MM: Final = 0.5
-"""Tolerance of touching boards. Boards touch if their gap is no larger, and do not overlap if they penetrate each other
-by no more. Half of the last digit of whole millimetres, as for boxes
-(``petmjx.plans.plan_warnings.DEFAULT_TOLERANCE_MM``)."""
+"""Tolerance of the contact of boards, mm. Two boards touch if the gap between them is at most this large. They do not
+overlap if they penetrate each other by at most this much. The value is half of the last digit of whole millimetres, as
+for boxes (``petmjx.plans.plan_warnings.DEFAULT_TOLERANCE_MM``)."""
 
 _SHORTEST_MM, _LONGEST_MM, _HIGHEST_MM = 200.0, 6000.0, 1500.0
-"""Limits of a carrier's longer side, and of its height. The longer side of a half-size dolly is 400 mm; a pallet given
-in cm, inches or metres has less than 200. A pallet is 100 to 170 mm high, the base of a roll container about 200."""
+"""Limits of a carrier's longer side, and of its height. The longer side of a half-size dolly is 400 mm; a pallet whose
+sizes were given in cm, inches or metres has less than 200. A pallet is 100 to 170 mm high, and the base of a roll
+container about 200."""
 _THINNEST_MM: Final = 0.001
-"""Least extent of a board. Boards in metres pass it, so that the check of the whole carrier can suggest the unit."""
+"""Smallest extent of a board. Boards given in metres are larger than it, so the check of the whole carrier can suggest
+the unit."""
 _LIGHTEST_KG, _HEAVIEST_KG = 1.0, 5000.0
-"""Limits of a carrier's mass. A carrier of cardboard has 2 kg. If a carrier is 1,000 times lighter than its load, it
-sinks into its soft contacts."""
+"""Limits of a carrier's mass. A cardboard carrier weighs 2 kg. A carrier 1,000 times lighter than its load would sink
+into its soft contacts."""
 _LIGHTEST_KG_M3, _HEAVIEST_KG_M3 = 5.0, 12_000.0
-"""Limits of a board's density. Foam has 15 kg/m³, wood 400 to 800, steel 7,850, lead 11,340."""
+"""Limits of a board's density. Foam has 15 kg/m³, wood 400 to 800 kg/m³, steel 7,850 kg/m³ and lead 11,340 kg/m³."""
 _LEVEL_MM: Final = 10.0
-"""A board that bears no other board and ends less than this below the top is taken for a part of the top."""
+"""A board that bears no other board and ends less than this below the top counts as part of the top, which must be
+level."""
 _ROUNDING_MM: Final = 1e-6
 _UNITS: Final = ((1000.0, "metres"), (25.4, "inches"), (10.0, "centimetres"))
 _USUAL_MM: Final = (300.0, 2500.0)
-"""Range of the longer side of usual carriers, ; outside this range another unit is suggested."""
+"""Usual range of the longer side of a carrier. Outside it, the error message suggests another unit."""
 
 Place = Annotated[StrictFloat, Field(ge=0, le=_LONGEST_MM)]
 Length = Annotated[StrictFloat, Field(ge=_THINNEST_MM, le=_LONGEST_MM)]
@@ -136,10 +140,10 @@ class Board(CheckedRecord):
 
 
 class OwnCarrier(CheckedRecord):
-    """A carrier of a user's own. Lengths are in mm, x and y from its front-left corner, z from the floor.
+    """A carrier that a user defines. Lengths are in mm: x and y from its front-left corner, z from the floor.
 
-    Carriers that could not stand, or that look mistaken, are refused: boards that overlap or are not connected, no
-    board on the floor, a top that is not level, extents and masses that no carrier has.
+    Carriers that could not stand, or that are probably mistakes, are refused: boards overlap or are not connected, no
+    board is on the floor, the top is not level, or no real carrier has such extents or masses.
     """
 
     name: Name = Field("", description="name of the carrier; by default the file's")
@@ -155,7 +159,7 @@ class OwnCarrier(CheckedRecord):
 
     @property
     def size_mm(self) -> tuple[float, float, float]:
-        """Extents along x, y and z, mm. The last is the height of the top above the floor."""
+        """Extents along x, y and z, mm. The extent along z is the height of the top above the floor."""
         return self._end(0), self._end(1), self._end(2)
 
     def _end(self, axis: int) -> float:
@@ -171,7 +175,7 @@ class OwnCarrier(CheckedRecord):
 
     @property
     def frictions(self) -> tuple[float | None, ...]:
-        """The friction of each board; None: ``carrier_friction`` of the physics."""
+        """The friction of each board; None: the board has ``carrier_friction`` of the physics."""
         return tuple(self.friction if board.friction is None else board.friction for board in self.boards)
 
     @property
@@ -181,7 +185,7 @@ class OwnCarrier(CheckedRecord):
 
     @model_validator(mode="after")
     def _opens_its_walls(self) -> Self:
-        self.walls.check_open()  # checked here, too, so that the message names the carrier's file
+        self.walls.check_open()  # checked here as well, so that the message names the carrier's file
         return self
 
     @model_validator(mode="after")
@@ -191,7 +195,7 @@ class OwnCarrier(CheckedRecord):
         return self
 
 
-# Checks of a carrier: each raises an error of one line.
+# Checks of a carrier. Each raises an error of one line.
 
 
 def _board_label(carrier: OwnCarrier, board: int) -> str:
@@ -269,7 +273,7 @@ def _check_one_piece(carrier: OwnCarrier) -> None:
 
 
 def _shared_mm(one: Board, two: Board) -> tuple[float, ...]:
-    """The overlap of two boards along x, y and z, mm; negative: the gap between them."""
+    """The overlap of two boards along x, y and z, mm; a negative value is the gap between them."""
     return tuple(
         min(one.corner_mm[k] + one.size_mm[k], two.corner_mm[k] + two.size_mm[k])
         - max(one.corner_mm[k], two.corner_mm[k])
@@ -292,9 +296,9 @@ def _bears(lower: Board, upper: Board) -> bool:
 
 
 def _check_stand(carrier: OwnCarrier) -> None:
-    """Check that the centre of mass is over the convex hull of the boards on the floor.
+    """Check that the centre of mass is above the convex hull of the boards on the floor.
 
-    The centre of mass is inside the hull if, seen from it, the directions to the corners leave no gap of 180° or more.
+    The centre of mass is above the hull if, seen from it, no gap between the directions to the corners is 180° or more.
     """
     masses = carrier.masses_kg
     x, y = (
@@ -318,15 +322,15 @@ def _check_stand(carrier: OwnCarrier) -> None:
         raise complaint(f": the carrier tips over: {place_text}")
 
 
-# Carriers as options name them, and as files have them.
+# Carriers as options name them, and as files define them.
 
 
 def read_carrier(path: Path) -> OwnCarrier:
-    """A carrier from its TOML file.
+    """Read a carrier from its TOML file.
 
     Raises:
-        InputError: one line with the file, the board and the field: "mine.toml: boards[3].size_mm[2] must be > 0, got
-            0".
+        InputError: the file is no valid carrier. The message is one line with the file, the board and the field:
+            "mine.toml: boards[3].size_mm[2] must be > 0, got 0".
     """
     tables = read_toml(path)
     try:
@@ -336,9 +340,9 @@ def read_carrier(path: Path) -> OwnCarrier:
 
 
 def carrier_given(value: Any, info: ValidationInfo) -> Any:
-    """Validator of an option that names a carrier: a built-in name, or the path of a TOML file.
+    """Validator of an option that names a carrier, by a built-in name or by the path of a TOML file.
 
-    Tables and records pass, and are checked later. Paths in a sweep file are relative to its folder.
+    Tables and records are returned unchanged, and checked later. Paths in a sweep file are relative to its folder.
     """
     if isinstance(value, str) and value in set(Carrier):
         return Carrier(value)
@@ -357,11 +361,11 @@ AnyCarrier = Annotated[
     Discriminator(shape),
     BeforeValidator(carrier_given),
 ]
-"""A built-in carrier, or a user's own."""
+"""A built-in carrier, or one that a user defines."""
 
 
 def extent_m(carrier: Carrier | OwnCarrier) -> tuple[float, float] | None:
-    """The extents of a carrier along x and y, m; None: those of the plan's bounding box."""
+    """The extents of a carrier along x and y, m; None: the extents of the plan's bounding box are used."""
     if isinstance(carrier, Carrier):
         return CARRIER_EXTENT_M[carrier]
     x, y, _ = carrier.size_mm
@@ -369,7 +373,7 @@ def extent_m(carrier: Carrier | OwnCarrier) -> tuple[float, float] | None:
 
 
 def walls_of(carrier: Carrier | OwnCarrier, walls: Walls) -> Walls:
-    """The walls of a carrier: the user's values, else the carrier's, else the usual ones. Only ``friction`` may be
-    None."""
+    """The walls of a carrier. Each value is the user's; if the user gives none, the carrier's, and else the usual one.
+    Only ``friction`` may be None."""
     of_carrier = carrier.walls if isinstance(carrier, OwnCarrier) else WALLS_OF_CARRIERS.get(carrier, USUAL)
     return walls.or_of(of_carrier).or_of(USUAL)

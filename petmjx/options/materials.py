@@ -1,4 +1,4 @@
-"""Friction and landings by pairs of materials: values with their sources, and users' own."""
+"""Friction and landings of pairs of materials: built-in values with their sources, and values of users."""
 
 from __future__ import annotations
 
@@ -28,14 +28,14 @@ _CTU: Final = {
     ("plastic", "steel"): 0.15,
     ("steel", "steel"): 0.2,
 }
-"""IMO/ILO/UNECE Code of Practice for Packing of Cargo Transport Units (CTU Code), Annex 7, Appendix 2, dry surfaces:
-cardboard against cardboard; cardboard against wooden pallet; wooden pallet against shrink film; sawn timber against
-stainless steel sheet; plastic pallet against plywood; plastic pallet against stainless steel sheet; smooth metal
-against smooth metal."""
+"""Dry surfaces, from the IMO/ILO/UNECE Code of Practice for Packing of Cargo Transport Units (CTU Code), Annex 7,
+Appendix 2: cardboard against cardboard; cardboard against wooden pallet; wooden pallet against shrink film; sawn timber
+against stainless steel sheet; plastic pallet against plywood; plastic pallet against stainless steel sheet; smooth
+metal against smooth metal."""
 
 _GUIDELINES: Final = {("wood", "wood"): 0.5, ("film", "film"): 0.3, ("film", "steel"): 0.3}
-"""European Best Practice Guidelines on Cargo Securing for Road Transport (European Commission), table of static
-friction: sawn timber against wood; shrink film against shrink film; shrink film against steel."""
+"""Static friction, from a table of the European Best Practice Guidelines on Cargo Securing for Road Transport (European
+Commission): sawn timber against wood; shrink film against shrink film; shrink film against steel."""
 
 _PALLETS: Final = {
     (TRAILER_FLOOR, "wood"): (0.32, 0.26),
@@ -45,12 +45,12 @@ _PALLETS: Final = {
     ("hdpe", TRAILER_FLOOR): (0.31, 0.20),
     ("lldpe", TRAILER_FLOOR): (0.29, 0.24),
 }
-"""Static and kinetic friction of pallets on the wooden floor of a trailer (SAE 2001-01-2755 and 2002-01-3104): old and
-new wooden ones, of hickory, of oak, of two plastics."""
+"""Static and kinetic friction of pallets on the wooden floor of a trailer (SAE 2001-01-2755 and 2002-01-3104). The
+pallets are of old wood, new wood, hickory, oak, and two plastics."""
 
 _RACKS: Final = {(RACK_BEAM, "wood"): 0.37}
-"""Static friction of pallets on the beams of a rack: the least of 0.37 to 0.45, at loads of 0.55 to 13 kN (Sideris and
-others 2010, Earthquake Spectra)."""
+"""Static friction of pallets on the beams of a rack: the smallest of measured values from 0.37 to 0.45, at loads of
+0.55 to 13 kN (Sideris and others 2010, Earthquake Spectra)."""
 
 _ON_FLOORS: Final = {
     ("cardboard", TRAILER_FLOOR): 0.5,
@@ -58,7 +58,7 @@ _ON_FLOORS: Final = {
     ("steel", TRAILER_FLOOR): 0.3,
     ("plastic", TRAILER_FLOOR): 0.2,
 }
-"""Other goods on the wooden floor of a trailer: as on the wood of ``_CTU``."""
+"""Other goods on the wooden floor of a trailer: the values of ``_CTU`` for wood."""
 
 FRICTION_OF_PAIRS: Final[Mapping[tuple[str, str], float]] = {
     **_CTU,
@@ -67,18 +67,20 @@ FRICTION_OF_PAIRS: Final[Mapping[tuple[str, str], float]] = {
     **_ON_FLOORS,
     **{pair: static for pair, (static, _) in _PALLETS.items()},
 }
-"""Pair of materials in alphabetical order → coefficient of static friction between them. For cargo that slides, the CTU
-Code takes 75 % of this coefficient: ``physics.kinetic_friction_share``."""
+"""Pair of materials in alphabetical order → coefficient of static friction between them. For sliding cargo, the CTU
+Code uses 75 % of it: ``physics.kinetic_friction_share``."""
 
 KINETIC_OF_PAIRS: Final[Mapping[tuple[str, str], float]] = {pair: kinetic for pair, (_, kinetic) in _PALLETS.items()}
-"""Pair of materials in alphabetical order → coefficient of friction between them while they slide, if it is known."""
+"""Pair of materials in alphabetical order → coefficient of friction while they slide. Only pairs for which it is
+known."""
 
 RESTITUTION_OF_PAIRS: Final[Mapping[tuple[str, str], float]] = {
     ("cardboard", "cardboard"): RESTITUTION,
     ("cardboard", "wood"): RESTITUTION,
 }
-"""Pair of materials in alphabetical order → restitution between them: the middle of the measured range of cartons, 0.1
-to 0.3 (TU/e, T-RO 2023). A carton that falls loses its energy in the carton, whatever hard surface it falls on."""
+"""Pair of materials in alphabetical order → restitution between them: the middle of the range measured for cartons, 0.1
+to 0.3 (TU/e, T-RO 2023). When a carton falls on a hard surface, the carton itself absorbs the energy, so the value is
+the same for all hard surfaces."""
 
 _MOST_NAMED: Final = 5
 
@@ -104,12 +106,12 @@ class FrictionPair(CheckedRecord):
 
     @property
     def key(self) -> tuple[str, str]:
-        """The two materials in alphabetical order, without case and white space: the same for equal pairs."""
+        """The two materials in alphabetical order, without case and white space. Equal pairs have equal keys."""
         return _pair(*self.between)
 
 
 class LandingPair(CheckedRecord):
-    """Landing of a material on another one, or on itself."""
+    """The landing of one material on another, or on itself."""
 
     between: tuple[Name, Name] = Field(description="the two materials")
     restitution: Annotated[float, within(0, HIGHEST_RESTITUTION)] | None = Field(
@@ -122,16 +124,16 @@ class LandingPair(CheckedRecord):
 
     @property
     def key(self) -> tuple[str, str]:
-        """As ``FrictionPair.key``."""
+        """The same as ``FrictionPair.key``."""
         return _pair(*self.between)
 
 
 def landing_between(one: str, other: str, user_pairs: Sequence[LandingPair]) -> tuple[float | None, float | None]:
-    """The restitution of a pair of materials, and the time in which a landing stops, s; None: the value of ``Physics``.
+    """The restitution of a pair of materials, and the time in which its landings stop, s. None: the value of
+    ``Physics``.
 
     Args:
-        user_pairs: pairs of the user. A user's pairs take precedence over petmjx's values, and later pairs over earlier
-            ones.
+        user_pairs: the user's pairs. They take precedence over petmjx's values, and later pairs over earlier ones.
     """
     pair = _pair(one, other)
     user_pair = next((entry for entry in reversed(user_pairs) if entry.key == pair), None)
@@ -141,13 +143,12 @@ def landing_between(one: str, other: str, user_pairs: Sequence[LandingPair]) -> 
 
 
 def friction_between(one: str, other: str, user_pairs: Sequence[FrictionPair]) -> float | None:
-    """The coefficient of friction of a pair of materials; None: it is not known.
+    """The coefficient of friction of a pair of materials; None if it is unknown.
 
     Names are compared without case and white space around them.
 
     Args:
-        user_pairs: pairs of the user. Such pairs take precedence over petmjx's values, and later ones over earlier
-            ones.
+        user_pairs: the user's pairs. They take precedence over petmjx's values, and later pairs over earlier ones.
     """
     pair = _pair(one, other)
     frictions = [friction_pair.friction for friction_pair in user_pairs if friction_pair.key == pair]
@@ -155,7 +156,7 @@ def friction_between(one: str, other: str, user_pairs: Sequence[FrictionPair]) -
 
 
 def kinetic_share_between(one: str, other: str, user_pairs: Sequence[FrictionPair]) -> float | None:
-    """Friction of a pair of materials while they slide, as a share of that at rest; None: that of ``Physics``.
+    """The kinetic friction of a pair of materials, as a share of its static friction. None: the share of ``Physics``.
 
     Args:
         user_pairs: as for ``friction_between``.
@@ -173,16 +174,16 @@ def _pair(one: str, other: str) -> tuple[str, str]:
 
 
 def check_pairs(boxes: Sequence[str], boards: Iterable[str], user_pairs: Sequence[FrictionPair]) -> None:
-    """Check that the friction is known for each pair of materials that may touch: box on box, and box on board.
+    """Check that the friction is known for each pair of materials that may touch: box on box and box on board.
 
     Args:
-        boxes: the materials of boxes, without boxes that have none. A box does not touch itself, so a material of one
-            box alone makes no pair with itself.
+        boxes: the materials of boxes; boxes without a material are left out. A box does not touch itself, so a material
+            that only one box has makes no pair with itself.
         boards: the materials of boards.
-        user_pairs: pairs of the user.
+        user_pairs: the user's pairs.
 
     Raises:
-        InputError: the friction of some pairs is not known; the message names them.
+        InputError: the friction of some pairs is unknown. The message names them.
     """
     count = Counter(boxes)
     pairs = {*itertools.combinations(sorted(count), 2), *((name, name) for name, number in count.items() if number > 1)}

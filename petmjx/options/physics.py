@@ -1,4 +1,4 @@
-"""Physics of a world (``Physics``) and its presets: contacts, carrier, floor, gravity and timestep."""
+"""The physics of a world (``Physics``) and its presets: contacts, carrier, floor, gravity and timestep."""
 
 from __future__ import annotations
 
@@ -12,22 +12,23 @@ from petmjx.common.checked_records import CheckedRecord, shown_value, within
 
 SHORTEST_TIMESTEP_S: Final = 0.0001
 HIGHEST_FRICTION: Final = 100.0
-"""Largest coefficient of friction. A larger value has the wrong unit or a digit too many."""
+"""Largest allowed coefficient of friction. A larger value has the wrong unit or a digit too many."""
 
 HIGHEST_RESTITUTION: Final = 0.9
-"""Largest restitution. Cardboard bounces with 0.1 to 0.3, and in single tosses with up to 0.6."""
+"""Largest allowed restitution. Cardboard has 0.1 to 0.3, and in single tosses up to 0.6."""
 
 LANDING_S: Final = 0.003
-"""Time in which ``pallet`` stops a box that lands. Boxes that fall 10 to 300 mm then penetrate less than 1 to 9 mm, and
-one and a half steps of 2 ms resolve a landing. No measurement of the stiffness of cartons that land is known."""
+"""Time in which ``pallet`` stops a box that lands. With it, boxes that fall 10 to 300 mm penetrate less than 1 to 9 mm,
+and a landing takes one and a half steps of 2 ms, enough to resolve it. No measured stiffness of landing cartons is
+known."""
 
 SHORTEST_LANDING_S: Final = 0.0002
 LONGEST_LANDING_S: Final = 0.02
-"""Limits of the time in which a box that lands is stopped."""
+"""Limits of ``landing_s``, the time in which a landing box is stopped."""
 
 RESTITUTION: Final = 0.2
-"""Restitution of cardboard: the middle of 0.1 to 0.3 (four cartons on a conveyor, TU/e, T-RO 2023: ranges of .05 to
-.40, 0 to .35, .25 to .40 and .40 to .60)."""
+"""Restitution of cardboard: the middle of 0.1 to 0.3. Four cartons on a conveyor had ranges of .05 to .40, 0 to .35,
+.25 to .40 and .40 to .60 (TU/e, T-RO 2023)."""
 
 
 class Cone(StrEnum):
@@ -57,15 +58,15 @@ def _impedances(values: Triple) -> Triple:
 
 
 def _contact_times(values: tuple[float, float]) -> tuple[float, float]:
-    # in MuJoCo negative values are a stiffness and a damping, so they are allowed
+    # negative values are allowed: MuJoCo reads them as a stiffness and a damping
     if max(map(abs, values)) > 1e6:
         raise ValueError(f"must be from -1e+06 to 1e+06, got {values}")
     return values
 
 
 Friction = Annotated[Triple, AfterValidator(_no_negatives)]
-"""MuJoCo's sliding, torsional and rolling friction of a geom. Of two geoms in contact, the larger coefficients
-count."""
+"""MuJoCo's sliding, torsional and rolling friction of a geom. When two geoms touch, the larger value of each
+applies."""
 
 CUSTOM: Final = "custom"
 
@@ -73,14 +74,14 @@ CUSTOM: Final = "custom"
 class Physics(CheckedRecord):
     """Contacts, carrier, floor, gravity and timestep.
 
-    The values are those of the reference implementation (PET-Physics), except for the values in which the presets
-    differ: the cone, the carrier's friction, the seven of contacts (solref, solreffriction, solimp, impratio,
-    slip_correction, landing_s, skin_m), and whether boxes fall into their places. Friction of 0.5 between boxes: CTU
-    Code, Annex 7, Appendix 2 (cardboard on cardboard).
+    The values are those of the reference implementation (PET-Physics), except those that differ between the presets:
+    the cone, the carrier's friction, the seven values of contacts (solref, solreffriction, solimp, impratio,
+    slip_correction, landing_s, skin_m), and whether boxes fall into their places. The friction of 0.5 between boxes is
+    that of cardboard on cardboard (CTU Code, Annex 7, Appendix 2).
 
-    There are three ways to make one: from a preset's name ("pallet"); from a table that names a preset and changes some
-    of its values (``{"name": "reference", "timestep_s": 0.001}``); or as ``Physics(timestep_s=0.001)``, which changes
-    ``pallet``.
+    A ``Physics`` can be made in three ways: from a preset's name ("pallet"); from a table that names a preset and
+    changes some of its values (``{"name": "reference", "timestep_s": 0.001}``); or as ``Physics(timestep_s=0.001)``,
+    which changes the preset ``pallet``.
     """
 
     cone: Cone = Field(Cone.ELLIPTIC, description="friction cone")
@@ -141,21 +142,21 @@ class Physics(CheckedRecord):
 
     @property
     def carrier_skin_m(self) -> float:
-        """Amount by which the collider enlarges the carrier, m.
+        """Distance by which the collider enlarges the carrier, m.
 
-        This amount is larger than the skin of boxes. A box that stands flush with the carrier's edge then has its face
-        inside the carrier's face, and the collider finds its corners (docs/validation.md).
+        It is larger than the skin of boxes. So the face of a box that stands flush with the carrier's edge is inside
+        the enlarged carrier, and the collider finds the box's corners (docs/validation.md).
         """
         return 2 * self.skin_m
 
     @property
     def has_landings(self) -> bool:
-        """Whether landings have a contact law of their own (petmjx/world/contact_laws.py). Only with elliptic cones."""
+        """Whether landings have their own contact law (petmjx/world/contact_laws.py). Only with elliptic cones."""
         return self.cone is Cone.ELLIPTIC and self.landing_s > 0
 
     @property
     def has_own_friction(self) -> bool:
-        """Whether friction has its own time constant. Only elliptic cones allow that."""
+        """Whether friction has its own time constant. Only elliptic cones allow one."""
         return self.cone is Cone.ELLIPTIC and any(self.solreffriction)
 
     @computed_field(description="name of the preset that has these values, or custom")  # type: ignore[prop-decorator]  # pydantic's own way
@@ -168,7 +169,7 @@ class Physics(CheckedRecord):
     @classmethod
     def _from_preset(cls, values: Any) -> Any:
         """Accept a preset's name, or a table that changes a preset."""
-        if values == CUSTOM:  # "custom" alone, without a table, has no values
+        if values == CUSTOM:  # "custom" alone, without a table, gives no values
             raise ValueError(f"must be {' or '.join(PHYSICS)}, or a table of values, {shown_value(values)}")
         if isinstance(values, str):
             values = {"name": values}
@@ -196,7 +197,7 @@ PHYSICS["reference"] = Physics(
     skin_m=0.0,
     falls_into_place=True,
 )
-"""The presets. ``reference`` is PET-Physics. ``pallet`` has contacts in which pallets come to rest
-(docs/validation.md): elliptic cones, an impedance that rises from 0.1 to 0.999 within 0.1 mm, and friction that gives
-way 250 times less than with MuJoCo's defaults. The preset ``pallet`` has the friction of cardboard on a wooden pallet
-(CTU Code, Annex 7, Appendix 2)."""
+"""The presets. ``reference`` is PET-Physics. With ``pallet``, pallets come to rest (docs/validation.md): it has
+elliptic cones, an impedance that rises from 0.1 to 0.999 within 0.1 mm, and friction that yields 250 times less than
+with MuJoCo's defaults. ``pallet`` also has the friction of cardboard on a wooden pallet (CTU Code, Annex 7, Appendix
+2)."""

@@ -1,7 +1,7 @@
-"""Options of placing (``Placing``): where a box starts, and how it gets to its place.
+"""Options of placing (``Placing``): where a box starts, and how it moves to its place.
 
-Defaults, units, checks and descriptions are written only here. docs/rules.md, section 4, has the rules to the step;
-docs/placing.md explains them to users.
+Defaults, units, checks and descriptions are defined only here. docs/rules.md, section 4, has the exact rules, step by
+step; docs/placing.md explains the options to users.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from petmjx.common.checked_records import CheckedRecord, CliFlag, within
 
 
 class Way(StrEnum):
-    """The ways in which a box gets to its place."""
+    """How a box gets to its place."""
 
     AUTO = "auto"
     EXACT = "exact"
@@ -26,10 +26,11 @@ class Way(StrEnum):
 
 
 class Placing(CheckedRecord):
-    """How a box is placed. Made from a way's name ("hand"), or from a table (``{"name": "hand", "force_n": 50}``).
+    """How a box is placed. Made from the name of a ``Way`` ("hand"), or from a table (``{"name": "hand", "force_n":
+    50}``).
 
-    The defaults are assumptions. No published figures were found for the last movement of a robot: where it starts, how
-    fast it is, and how hard the robot may press.
+    The defaults are assumptions. For the last movement of a robot, no published figures were found: neither for its
+    starting point, nor for its speed, nor for the largest force with which the robot may press.
     """
 
     name: Annotated[Way, CliFlag("--placing")] = Field(
@@ -66,7 +67,7 @@ class Placing(CheckedRecord):
 
     @property
     def appears(self) -> bool:
-        """Whether boxes appear at their places if these have no errors."""
+        """Whether boxes without errors appear at their places."""
         return self.name in (Way.AUTO, Way.EXACT)
 
     @property
@@ -81,4 +82,4 @@ class Placing(CheckedRecord):
 
 
 EXACT: Final = Placing(name=Way.EXACT)
-"""Placing in which boxes appear at their places."""
+"""The placing with which boxes appear at their places."""

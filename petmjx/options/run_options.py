@@ -1,6 +1,6 @@
-"""Options of a run, of its confidence and of transport, and the sorting of options by record.
+"""Options of a run, of confidence and of transport. Also sorts given options by the record that they belong to.
 
-Defaults, checks and descriptions are written only here.
+Defaults, checks and descriptions are defined only here.
 """
 
 from __future__ import annotations
@@ -25,13 +25,13 @@ MOST_WORKERS: Final = 4096
 
 ALL: Final = "all"
 FAILED: Final = "failed"
-"""Values of ``RunOptions.record``: record all plans, or the failed ones."""
+"""Values of ``RunOptions.record``: record all plans, or only those that fail."""
 
 WORLDS: Final = "worlds"
-"""Value of ``RunOptions.keep``, beside ``ALL``: keep only the tables of worlds."""
+"""A value of ``RunOptions.keep``, the other being ``ALL``: keep only the tables of worlds."""
 
 FRAME_INTERVAL_S: Final = 0.05
-"""Time between two frames. At 20 frames a second a viewer can follow a box."""
+"""Time between two frames. At 20 frames per second, a viewer can follow a box."""
 
 
 def _share(text: str | None) -> str | None:
@@ -45,7 +45,7 @@ def _share(text: str | None) -> str | None:
 
 
 def _workers(value: Any) -> Any:
-    """Validator of workers: a whole number ≥ 1 or ``auto``. The command line passes both as text."""
+    """Validator of workers: a whole number ≥ 1, or ``auto``. Both arrive as text from the command line."""
     number = int(value) if isinstance(value, str) and re.fullmatch(r"\d{1,9}", value) else value
     if number is None or (isinstance(number, str) and number == AUTO):
         return number
@@ -55,7 +55,8 @@ def _workers(value: Any) -> Any:
 
 
 def _address(text: str | None) -> str | None:
-    """Validator of Ray's address: ``auto`` or HOST:PORT. Ray clients are refused, since they cannot stream results."""
+    """Validator of Ray's address: ``auto`` or HOST:PORT. Addresses of Ray clients are refused, since Ray clients cannot
+    stream results."""
     if text not in (None, AUTO) and ("://" in text or not re.fullmatch(r"\S+:\d{1,5}", text)):
         raise ValueError(
             f"must be HOST:PORT of a cluster's head, or auto for the one on this machine, {shown_value(text)}"
@@ -64,7 +65,7 @@ def _address(text: str | None) -> str | None:
 
 
 def _units(text: str | None) -> str | None:
-    """Validator of units: the unit of lengths, the unit of masses, or both, "cm,g"."""
+    """Validator of units: the unit of lengths, the unit of masses, or both, such as "cm,g"."""
     if text is None:
         return None
     try:
@@ -75,7 +76,7 @@ def _units(text: str | None) -> str | None:
 
 
 def _columns(value: Any) -> Any:
-    """Validator of columns: a table role → name, or text such as "x=Pos X,y=Pos Y"."""
+    """Validator of columns: a mapping role → column name, or text such as "x=Pos X,y=Pos Y"."""
     if isinstance(value, str):
         pairs = [pair.partition("=") for pair in value.split(",") if pair.strip()]
         if not pairs or not all(role.strip() and middle and name.strip() for role, middle, name in pairs):
@@ -87,7 +88,7 @@ def _columns(value: Any) -> Any:
 
 
 def _is_path(value: Any) -> Any:
-    """Validator of a path: not empty, and without NUL."""
+    """Validator of a path: neither empty nor with a NUL character."""
     if value is not None and not isinstance(value, Path) and not (isinstance(value, str | PathLike) and str(value)):
         raise ValueError(f"must be a path, {shown_value(value)}")
     if "\0" in str(value):
@@ -96,23 +97,23 @@ def _is_path(value: Any) -> Any:
 
 
 File = Annotated[Path, BeforeValidator(_is_path)]
-"""The path of an option."""
+"""A path as the value of an option."""
 
 Anchor = Literal["corner", "centre", "base-centre", "far-corner"]
-"""The point of a box to which a plan's coordinates refer. ``far-corner`` has the largest x, y and z."""
+"""The point of a box that a plan's coordinates describe. ``far-corner`` has the largest x, y and z."""
 
 
 READING: Final = ("units", "anchor", "up", "sizes", "columns", "density", "items", "reading")
-"""Fields of ``RunOptions`` that say how files are read."""
+"""Fields of ``RunOptions`` that determine how files of plans are read."""
 OF_ORDERS: Final = ("units", "columns", "density", "items", "reading")
-"""Fields of ``RunOptions`` that say how files of orders are read."""
+"""Fields of ``RunOptions`` that determine how files of orders are read."""
 
 _BY_FILE: Final = "found out"
 _OR_BY_FILE: Final = "found out in files of other tools"
 
 
 class Confidence(CheckedRecord):
-    """Whether a score has a confidence, and from which errors of places and boxes."""
+    """Whether a score has a confidence, and which errors of places and boxes it covers."""
 
     confidence: Annotated[int | None, within(4, 100_000), CliFlag("--confidence", "N")] = Field(
         None,
@@ -139,7 +140,7 @@ class Confidence(CheckedRecord):
 
 
 class Transport(CheckedRecord):
-    """The chain through which a score takes each plan after its placement."""
+    """The transport chain that a score simulates for each plan after all boxes are placed."""
 
     chain: Annotated[File | None, CliFlag("--chain", "NAME|FILE")] = Field(
         None,
@@ -150,10 +151,10 @@ class Transport(CheckedRecord):
 
 
 class RunOptions(CheckedRecord):
-    """How and where a run runs.
+    """Where a run computes, and how.
 
-    Two of these options affect outcomes: ``engine`` may change the outcome of a world, and ``world_timeout_s`` may end
-    a world without an outcome (``invalid`` by ``timeout``).
+    Only two of these options affect outcomes. ``engine`` may change the outcome of a world. ``world_timeout_s`` may
+    stop a world before it has an outcome (``invalid`` by ``timeout``).
     """
 
     engine: Annotated[Any, CliFlag("--engine")] = Field(
@@ -309,13 +310,13 @@ class RunOptions(CheckedRecord):
 
     @property
     def asked_workers(self) -> int | str | None:
-        """The workers of the run: ``workers``, or ``auto`` if only a cluster is named. None: no workers; the run stays
-        in this process.
+        """The workers that the user has requested: ``workers``, or ``auto`` if only a cluster is named. None: no
+        workers, so the run stays in this process.
         """
         return AUTO if self.workers is None and self.ray is not None else self.workers
 
     def takes(self, plan_id: str) -> bool:
-        """Whether a plan is in this run's shard. Only the plan's id decides, so that all worlds of a plan are in one
+        """Whether a plan is in this run's shard. Only the plan's id decides, so all worlds of a plan are in the same
         shard."""
         if self.shard is None:
             return True
@@ -328,7 +329,7 @@ def sorted_options(options: Mapping[str, Any], *more: type[CheckedRecord]) -> tu
     """Sort options by record: one dict each for ``Simulation``, ``RunOptions`` and the records ``more``.
 
     Raises:
-        InputError: an option is unknown. The line suggests the most similar name.
+        InputError: an option is unknown. The message suggests the most similar name.
     """
     records: tuple[type[CheckedRecord], ...] = (Simulation, RunOptions, *more)
     by_record: tuple[dict[str, Any], ...] = tuple({} for _ in records)
@@ -341,7 +342,7 @@ def sorted_options(options: Mapping[str, Any], *more: type[CheckedRecord]) -> tu
 
 
 def _advice(name: str, records: tuple[type[CheckedRecord], ...]) -> str:
-    """Advice for an unknown option: the table inside ``Simulation`` that has such a field, or a similar name."""
+    """Advice for an unknown option: a table of ``Simulation`` that has such a field, or a similar name."""
     for table, field in Simulation.model_fields.items():
         inner = field.annotation
         if not (isinstance(inner, type) and issubclass(inner, CheckedRecord)):

@@ -1,8 +1,8 @@
-"""Options of a simulation (``Simulation``): every option on which results depend.
+"""Options of a simulation (``Simulation``): all options that affect the results.
 
-petmjx/options/run_options.py has the options of where and how a run computes. Defaults, units, checks and
-descriptions are written only here: ``petmjx.score``, ``petmjx.sweep``, the command line and the ``[simulation]`` table
-of sweep files are made from these records. ``run.json`` has their values.
+petmjx/options/run_options.py has the options for how and where a run computes. Defaults, units, checks and descriptions
+are defined only here: ``petmjx.score``, ``petmjx.sweep``, the command line and the ``[simulation]`` table of sweep
+files are built from these records. ``run.json`` stores their values.
 """
 
 from __future__ import annotations
@@ -20,20 +20,21 @@ from petmjx.options.placing import Placing, Way
 from petmjx.options.walls import Walls
 from petmjx.options.wrap import Wrap
 
-# Limits of physical or useful values. A value beyond them has the wrong unit or a digit too many. Such a value would
-# lead to an infinity, to an endless run, or to tables for steps that no run has.
+# Limits of physical or useful values. A value beyond them has the wrong unit or a digit too many. It would lead to
+# infinite values, to a run that does not end, or to tables longer than any run.
 LONGEST_INTERVAL_S: Final = 40.0
 LONGEST_S: Final = 600.0
-"""Limit of all other times. With the shortest timestep and 512 boxes the steps of a run still fit into 32 bits."""
+"""Limit of all other times. With the shortest timestep and 512 boxes, the number of steps of a run still fits into 32
+bits."""
 MOST_STEPS: Final = 100_000
 
 SOFT_START_STEPS: Final = 100
-"""Length of each half of a soft start, before the clock starts: this many steps without gravity, then as many in which
-gravity rises, in step k to gravity × k / ``SOFT_START_STEPS``."""
+"""Length of each half of a soft start, in steps, before the clock starts. In the first half there is no gravity. In the
+second half gravity rises: in step k it is gravity × k / ``SOFT_START_STEPS``."""
 
 
 class Check(StrEnum):
-    """Whether boxes are placed one by one, or all stand from the start."""
+    """Whether boxes are placed one by one, or are all in place from the start."""
 
     ONE_BY_ONE = "one-by-one"
     STATIC = "static"
@@ -42,7 +43,7 @@ class Check(StrEnum):
 class Schedule(StrEnum):
     """When the next box is placed.
 
-    The description of ``Simulation.schedule`` explains them; docs/rules.md, section 5, has the rules to the step.
+    ``Simulation.schedule`` describes each schedule; docs/rules.md, section 5, has the exact rules, step by step.
     """
 
     FIXED = "fixed"
@@ -57,14 +58,14 @@ class Solver(StrEnum):
 
 
 class Attempts(StrEnum):
-    """The kind of boxes in the last attempt at a world (petmjx/engines/attempts.py)."""
+    """Whether boxes are rigid or soft in the last attempt at a world (petmjx/engines/attempts.py)."""
 
     RIGID = "rigid"
     SOFT = "soft"
 
 
 class Thresholds(CheckedRecord):
-    """Limits beyond which a plan is unstable, and a simulation invalid (PET-Physics paper, section IV-C)."""
+    """Limits beyond which a plan counts as unstable, or a simulation as invalid (PET-Physics paper, section IV-C)."""
 
     shift_m: Annotated[float, within(0, 100), CliFlag("--shift-limit-m", "M")] = Field(
         0.02, gt=0, description="a plan is unstable if a box ends further than this from its place in x, y or z, m"
@@ -89,18 +90,20 @@ class Thresholds(CheckedRecord):
 
 
 class Quiet(CheckedRecord):
-    """When a pallet is quiet enough for the next box, and when a world rests.
+    """When a pallet is quiet enough for the next box, and when a world is at rest.
 
-    A pallet is quiet when all boxes were slower than ``quiet_m_s`` for ``steps`` steps. A box is as fast as its fastest
-    point. docs/rules.md, section 5, has the rules to the step.
+    A pallet is quiet when all boxes were slower than ``quiet_m_s`` for ``steps`` steps. The speed of a box is that of
+    its fastest point. docs/rules.md, section 5, has the exact rules, step by step.
 
-    With elliptic cones each box must also be slow or have slowed down, and a moving box must not have become faster: a
-    box that begins to topple does. A box that breaks this rule creeps. Once a box has dropped or tilted too far, the
-    result of the creep is known, so the schedule does not wait for it.
+    With elliptic cones there are two more conditions. Each box must be slow or have slowed down. And no moving box may
+    have become faster, as a box does that begins to topple. A box that breaks a condition creeps. Once a creeping box
+    has dropped or tilted too far, the outcome is known, so the schedule no longer waits for it.
 
-    A box that goes to and fro without getting anywhere trembles. The schedule does not wait for trembling boxes either.
+    A box that moves back and forth without any net motion trembles. The schedule does not wait for trembling boxes
+    either.
 
-    A world rests if no point of any box moved faster than ``still_m_s`` in the last ``still_steps`` of its rest window.
+    A world is at rest if no point of any box moved faster than ``still_m_s`` in the last ``still_steps`` steps of its
+    rest window.
     """
 
     quiet_m_s: Annotated[float, within(0, 100)] = Field(
@@ -141,7 +144,7 @@ class Quiet(CheckedRecord):
 
 
 class Simulation(CheckedRecord):
-    """Everything that the outcome of a world depends on, except its plan and its variant."""
+    """All options that the outcome of a world depends on. It also depends on the plan and the variant."""
 
     check: Annotated[Check, CliFlag("--check")] = Field(
         Check.ONE_BY_ONE,
@@ -293,7 +296,7 @@ class Simulation(CheckedRecord):
         way = self.placing.name
         if not self.placing.appears and self.check is Check.STATIC:
             raise complaint(
-                f"{way} needs check one-by-one: in a static check all boxes stand from the start", "placing"
+                f"{way} needs check='one-by-one': in a static check, all boxes are in place from the start", "placing"
             )
         if self.placing.carries and self.schedule is Schedule.FIXED:
             raise complaint(
@@ -319,8 +322,8 @@ class Simulation(CheckedRecord):
     def may_carry(self) -> bool:
         """Whether a hand or tines may place boxes.
 
-        If the user has chosen a way, it decides. With ``auto`` a hand may place boxes unless boxes fall into their
-        places or the schedule does not wait for a hand.
+        If the user has chosen a kind of placing, it decides. With ``auto``, a hand may place boxes unless boxes fall
+        into their places or the schedule does not wait for a hand.
         """
         if self.placing.name is not Way.AUTO:
             return self.placing.carries
@@ -329,8 +332,8 @@ class Simulation(CheckedRecord):
 
     @property
     def waits_for_rest(self) -> bool:
-        """Whether the next box (schedule adaptive), a profile and the end of the world wait for boxes that creep.
+        """Whether creeping boxes delay the next box (schedule adaptive), a profile and the end of the world.
 
-        Pyramidal cones are excluded: on them every box creeps a little (benchmarks/notebook/performance.md).
+        Pyramidal cones are excluded: with them, every box creeps a little (benchmarks/notebook/performance.md).
         """
         return self.physics.cone is Cone.ELLIPTIC

@@ -1,7 +1,7 @@
-"""Options of ``petmjx loads`` (``Stacking``): how much of their strength boxes lose by the way they are stacked, in
-moist air, and with time.
+"""Options of ``petmjx loads`` (``Stacking``): how much of their strength boxes lose through their arrangement in the
+stack, through moist air and over time.
 
-Defaults, units, checks and descriptions are written only here. docs/loads.md explains them to users, and has the
+Defaults, units, checks and descriptions are defined only here. docs/loads.md explains the options to users, and has the
 sources of the numbers.
 """
 
@@ -15,25 +15,25 @@ from pydantic import Field
 from petmjx.common.checked_records import CheckedRecord, within
 
 HUMIDITY_LOSS: Final = ((50, 0.0), (60, 0.10), (70, 0.20), (80, 0.32), (90, 0.52), (100, 0.85))
-"""Relative humidity, %, → share of the strength of corrugated boxes that it takes. Source: Fibre Box Association, as a
-maker of boxes gives its table (http://www.richbox.com/about_boxes/target_compression.asp)."""
+"""Relative humidity, % → the share of their strength that corrugated boxes lose. Source: table of the Fibre Box
+Association, as a maker of boxes reproduces it (http://www.richbox.com/about_boxes/target_compression.asp)."""
 
 TIME_LOSS: Final = ((10.0, 0.37), (30.0, 0.40), (90.0, 0.45), (180.0, 0.50))
-"""Days under a load → share of the strength that they take. Source: the same."""
+"""Days under a load → the share of its strength that a box loses. Source: the same."""
 
 PRESS_DAYS: Final = 1.0 / 1440
-"""How long a box in a press bears its load, days: a minute, which takes nothing. From there to ten days the loss grows
-with the logarithm of time: an assumption: creep follows such a law."""
+"""How long a box in a press bears its load, days: one minute, in which it loses nothing. From one minute to ten days,
+the loss is assumed to grow with the logarithm of time, as creep does."""
 
 
 class Stacking(CheckedRecord):
-    """Shares of a box's strength that are lost by the way it is stacked. 0 switches a loss off.
+    """Shares of its strength that a box loses because of its arrangement in the stack. A share of 0 turns a loss off.
 
-    McKee's formula and a press give the strength of a box between plates. On a pallet the walls of the box bear the
+    McKee's formula and presses give the strength of a box between two plates. On a pallet, the box's walls bear the
     boxes above.
 
-    The defaults of ``interlocked_loss`` and ``gap_loss`` are those of packaging sources. No source has a number for
-    walls that stand over nothing: they bear nothing.
+    The defaults of ``interlocked_loss`` and ``gap_loss`` come from packaging literature. For walls that hang over
+    nothing no source gives a number: they are assumed to bear nothing.
     """
 
     interlocked_loss: Annotated[float, within(0, 1)] = Field(
@@ -63,18 +63,18 @@ class Stacking(CheckedRecord):
     )
 
     def with_losses(self, factor: float) -> Self:
-        """The options with all losses by stacking times a factor, at most 1."""
+        """The options with each loss from stacking multiplied by a factor, and at most 1."""
         names = ("interlocked_loss", "overhang_loss", "gap_loss", "soft_deck_loss")
         return self.changed(**{name: min(factor * getattr(self, name), 1.0) for name in names})
 
     @property
     def humidity_loss(self) -> float:
-        """The share of the strength that moisture takes."""
+        """The share of its strength that a box loses through moisture."""
         percent, losses = np.array(HUMIDITY_LOSS).T
         return float(np.interp(self.humidity_percent, percent, losses))
 
     @property
     def time_loss(self) -> float:
-        """The share of the strength that time under load takes."""
+        """The share of its strength that a box loses over time under load."""
         days, losses = np.array([(PRESS_DAYS, 0.0), *TIME_LOSS]).T
         return float(np.interp(np.log(max(self.storage_days, PRESS_DAYS)), np.log(days), losses))

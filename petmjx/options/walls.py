@@ -1,6 +1,6 @@
-"""Options of a carrier's walls (``Walls``): the sides with a wall, the height of walls, and the open walls.
+"""Options of a carrier's walls (``Walls``): which sides have a wall, how high walls are, and which walls are open.
 
-Defaults, units, checks and descriptions are written only here. docs/carriers.md explains them to users.
+Defaults, units, checks and descriptions are defined only here. docs/carriers.md explains the options to users.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from petmjx.common.checked_records import CheckedRecord, CliFlag, complaint, wit
 
 
 class Side(StrEnum):
-    """The sides of a carrier, as in plans, whose origin is its front-left corner."""
+    """The sides of a carrier. As in plans, the origin is the carrier's front-left corner."""
 
     LEFT = "left"
     RIGHT = "right"
@@ -24,7 +24,7 @@ class Side(StrEnum):
 
     @property
     def axis(self) -> int:
-        """The axis on which the wall stands upright: 0 for x, 1 for y."""
+        """The axis at a right angle to the wall: 0 for x, 1 for y."""
         return 0 if self in (Side.LEFT, Side.RIGHT) else 1
 
     @property
@@ -34,10 +34,10 @@ class Side(StrEnum):
 
 
 class Walls(CheckedRecord):
-    """Walls around a carrier's deck. Made from a list of sides, or from a table.
+    """Walls around a carrier's deck. They can be given as a list of sides, or as a table.
 
-    A wall is an upright plate along a whole side. A wall is rigid, and belongs to the carrier's body. None: the value
-    of the carrier itself (``petmjx.options.carriers.walls_of``), else ``USUAL``.
+    A wall is a rigid upright plate along a whole side, and belongs to the carrier's body. A field that is None takes
+    the carrier's own value (``petmjx.options.carriers.walls_of``), else the value of ``USUAL``.
     """
 
     sides: Annotated[tuple[Side, ...] | None, CliFlag("--walls", "SIDE,…")] = Field(
@@ -80,7 +80,7 @@ class Walls(CheckedRecord):
     @field_validator("sides", "open", mode="before")
     @classmethod
     def _from_text(cls, value: Any) -> Any:
-        if isinstance(value, str):  # of a command line
+        if isinstance(value, str):  # from a command line
             return tuple(side.strip() for side in value.split(",") if side.strip())
         return value
 
@@ -93,7 +93,7 @@ class Walls(CheckedRecord):
         return None if value is None else tuple(side for side in Side if side in value)
 
     def or_of(self, other: Walls) -> Self:
-        """The same walls, with values of ``other`` where these walls have none."""
+        """The same walls; fields that are None here have the values of ``other``."""
         missing = [name for name in type(self).model_fields if getattr(self, name) is None]
         return self.model_copy(
             update={name: getattr(other, name) for name in missing} | {"open": self.open or other.open}
@@ -101,19 +101,20 @@ class Walls(CheckedRecord):
 
     @property
     def standing(self) -> tuple[Side, ...]:
-        """The sides whose walls bear: those that are not open."""
+        """The sides with a closed wall, which can bear load: all sides with walls except the open ones."""
         return tuple(side for side in self.sides or () if side not in self.open)
 
     def check_open(self) -> None:
-        """Complain of an open wall where there is none, as the record that has these ``walls`` does."""
+        """Check that every open wall is on a side that has a wall. The error names the field ``walls`` of the outer
+        record."""
         for at, side in enumerate(self.open):
             if side not in (self.sides or ()):
                 raise complaint(f"is {side}, where the carrier has no wall", "walls", "open", at)
 
     def room_fault(self, extent_mm: Sequence[float]) -> str | None:
-        """The error text for walls that leave no room on a carrier's top; None if they do.
+        """The error text for walls that leave no room on a carrier's top; None if there is room.
 
-        A wall narrows the room by the gap. Along the other axis, walls end at the gaps of both sides.
+        A wall narrows the room by its gap. Along the other axis, the wall ends where the gaps of both sides begin.
 
         Args:
             extent_mm: extents of the carrier's top along x and y, mm.
@@ -129,5 +130,5 @@ class Walls(CheckedRecord):
 USUAL: Final = Walls(
     sides=(), height_mm=1500.0, gap_mm=0.0, thickness_mm=30.0, mass_kg_m2=6.0, friction=None, material="wood"
 )
-"""Values that neither the user nor the carrier gives. The mass is an assumption: roll containers with three sides have
-40 to 45 kg, of which some 25 kg are the base, and some 3 m² are sides."""
+"""Values that apply if neither the user nor the carrier gives any. The mass is an assumption, from roll containers with
+three sides: they weigh 40 to 45 kg, of which the base is about 25 kg, and the sides have about 3 m²."""

@@ -1,6 +1,6 @@
 """Options of stretch wrap around a finished pallet (``Wrap``): how much film, and how hard it pulls.
 
-Defaults, units, checks and descriptions are written only here. docs/wrap.md explains them to users.
+Defaults, units, checks and descriptions are defined only here. docs/wrap.md explains the options to users.
 """
 
 from __future__ import annotations
@@ -15,8 +15,8 @@ from petmjx.common.checked_records import CheckedRecord, CliFlag, within
 class Wrap(CheckedRecord):
     """Film that is wound around a pallet before it is shaken.
 
-    The force of the film is the force of one turn times the number of turns (linear: Sensors 2025, 25(22), 6883). The
-    defaults of forces and friction are assumptions; measure your own.
+    The force of the film is proportional to the number of turns (Sensors 2025, 25(22), 6883). The defaults of the
+    forces and the friction are assumptions: measure your own film.
     """
 
     turns: Annotated[float, within(0, 1000), CliFlag("--wrap-turns", "N")] = Field(

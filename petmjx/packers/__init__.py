@@ -1,3 +1,4 @@
-"""Packers, which place the boxes of an order by rules alone or with physics, and the generator of sample plans."""
+"""Packers, which place the boxes of an order by rules alone or with the help of physics. Also generates sample
+plans."""
 
 from __future__ import annotations

@@ -1,12 +1,12 @@
-"""The packer ``balanced``: best fit, with the condition that the pile stays in balance, so that plans stand.
+"""The packer ``balanced``: best fit under the condition that the pile stays in balance, so that plans stand.
 
-At every step all kinds of remaining boxes compete for all corner points (best fit, after Allen, Burke, Kendall 2011, "A
-hybrid placement strategy for the three-dimensional strip packing problem", European J. of Operational Research 209,
-219–227). A low place, a large base, a heavy box and a tall box score well; a base that hangs over scores badly. The
-packer takes the best candidate with which the pile stays in balance (:mod:`petmjx.packers.pile_balance`). So the pile
-is in balance at every step.
+At every step, all kinds of remaining boxes compete for all corner points (best fit, after Allen, Burke, Kendall 2011,
+"A hybrid placement strategy for the three-dimensional strip packing problem", European J. of Operational Research 209,
+219–227). Low places, large bases, heavy boxes and tall boxes score well; bases that hang over score badly. The packer
+chooses the best candidate that keeps the pile in balance (:mod:`petmjx.packers.pile_balance`). So the pile is in
+balance after every step.
 
-The packer is deterministic: an order has one plan.
+The packer is deterministic: an order always gets the same plan.
 """
 
 from __future__ import annotations
@@ -19,9 +19,10 @@ from petmjx.packers.packing_state import Packing, Taste
 from petmjx.plans.order_generator import Item
 
 TASTES: Final = (Taste(), Taste(per_height=0.6), Taste(per_overhang=0.0), Taste(per_base_side=1.0))
-"""Weights of the rule. The first set is the best of 50 random sets on the first 40 orders of seed 0, by volume
-utilisation and boxes left out; similar sets are about as good. While boxes are left out, the further sets are tried in
-turn. In 600 orders of seed 0, the first set leaves out 35 boxes of 10 orders; all sets together leave out none."""
+"""Sets of weights for the rule. The first set is the best of 50 random sets on the first 40 orders of seed 0, by volume
+utilisation and boxes left out; similar sets are about as good. As long as boxes are left out, the other sets are tried
+one after the other. In 600 orders of seed 0, the first set leaves out 35 boxes from 10 orders; all sets together leave
+out none."""
 
 
 def pack_balanced(items: Sequence[Item], extent_mm: tuple[float, float]) -> list[PlacedBox]:

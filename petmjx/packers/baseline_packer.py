@@ -21,15 +21,16 @@ MAX_HEIGHT_MM = 2000.0
 
 @dataclass(frozen=True)
 class PackRules:
-    """The rules for a placement, and the choices that differ from plan to plan.
+    """The rules for placements, and parameters that may differ between plans.
 
     Attributes:
-        min_support: least share of a box's base that rests on the carrier or on tops (0 to 1).
-        centre_supported: the centre of the base must be inside the convex hull of the contact areas under it. Without
-            this rule a box may tip as soon as it is placed.
-        max_height_mm: greatest height of a top.
-        y_first: break ties of height by the smallest y, then x (else x, then y).
-        sort_noise: standard deviation of the noise in the sorting key (natural log), which is drawn once per article.
+        min_support: smallest share of a box's base that must rest on the carrier or on tops (0 to 1).
+        centre_supported: whether the centre of the base must be inside the convex hull of the contact areas under it.
+            Without this rule, a box may tip as soon as it is placed.
+        max_height_mm: greatest height of a box's top.
+        y_first: whether ties of height are broken by the smallest y, then x (else by x, then y).
+        sort_noise: standard deviation of the noise in the sorting key (natural logarithm). The noise is drawn once per
+            article.
         weight_exponent: exponent of the weight in the sorting key, relative to the base area.
     """
 
@@ -53,7 +54,7 @@ class PlacedBox:
 def pack_best(
     items: Sequence[Item], extent_mm: tuple[float, float], rules: PackRules, rng: np.random.Generator, attempts: int = 3
 ) -> list[PlacedBox]:
-    """The packing with most boxes among up to ``attempts`` packings, which differ in the sorting noise."""
+    """The packing with the most boxes, out of up to ``attempts`` packings with different sorting noise."""
     best: list[PlacedBox] = []
     for _ in range(attempts):
         placed = pack(items, extent_mm, rules, rng)
@@ -75,7 +76,7 @@ def pack(
     """Place the items on a target of ``extent_mm``, in packing order. Items without a place are left out.
 
     Args:
-        as_they_come: keep the sequence of ``items``, instead of a sort by volume and mass.
+        as_they_come: whether to keep the sequence of ``items`` instead of sorting them by volume and mass.
     """
     pile = _Pile(len(items), extent_mm, rules)
     placed = []
@@ -89,7 +90,8 @@ def pack(
 
 
 def _sorted_items(items: Sequence[Item], rules: PackRules, rng: np.random.Generator) -> list[Item]:
-    """The items, large bases and heavy boxes first. The noise is drawn per article, so equal boxes stay together."""
+    """The items, sorted so that large bases and heavy boxes come first. Noise is drawn per article, so equal boxes stay
+    together."""
     key: dict[str, float] = {}
     for item in items:
         if item.item_id not in key:
@@ -189,8 +191,8 @@ class _Pile:
 def in_hull_of_rectangles(point: FloatArray, low: FloatArray, high: FloatArray) -> bool:
     """Whether a (2,) point lies in the convex hull of rectangles, given by (n, 2) low and (n, 2) high corners.
 
-    The point is outside if all corners are on one side of a line through it. The point is then outside: the directions
-    to the corners leave a gap of more than 180°.
+    The point is outside if all corners are on one side of a line through it. The directions to the corners then leave a
+    gap of more than 180°.
     """
     corners = np.concatenate([low, high, np.c_[low[:, 0], high[:, 1]], np.c_[high[:, 0], low[:, 1]]]) - point
     if not len(corners):

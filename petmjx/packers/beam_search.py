@@ -2,9 +2,9 @@
 
 Every step extends ``width`` packings by the ``branch`` best candidates of each. A candidate is rated by its full
 packing, filled up by best fit (the pilot method: Duin, Voß 1999, "The pilot method: a strategy for heuristic repetition
-with application to the Steiner problem in graphs", Networks 34, 181–191). The best ``width`` packings stay. Filling up
-is aborted as soon as the packing is higher than the best ``width`` packings. In large orders a step
-places several boxes: the first is the candidate, the others follow by best fit.
+with application to the Steiner problem in graphs", Networks 34, 181–191). The best ``width`` packings are kept. Filling
+up is aborted as soon as the packing is higher than the best ``width`` packings. In large orders, a step places several
+boxes: the first one is the candidate, and the others follow by best fit.
 
 The search is deterministic, and does not depend on computing time.
 """
@@ -23,22 +23,23 @@ from petmjx.packers.packing_state import FullPacking, NextCandidate, Packing, Ta
 from petmjx.plans.order_generator import Item
 
 MOST_STEPS: Final = 80
-"""Largest number of steps of a search. With this limit an order of 162 different boxes takes 12 s, without it 34 s."""
+"""Largest number of steps of a search. With it, an order of 162 different boxes takes 12 s; without it, 34 s."""
 
 _VOLUME_DECIMALS: Final = 9
-"""Volumes in m³ are rounded to this many decimals, that is to a cubic millimetre. Sums over the same boxes in another
-order are then equal."""
+"""Volumes in m³ are rounded to this many decimals, which is to a cubic millimetre. Sums over the same boxes in
+different orders are then equal."""
 
 
 class PackingValue(NamedTuple):
-    """The value of a full packing; larger is better. The volume of the boxes counts first, then a low height."""
+    """The value of a full packing. A larger value is better. The volume of the boxes counts first, then a low
+    height."""
 
     volume_m3: float
     below_mm: float
     """Minus the height of the highest top."""
     deep_kg_mm: float
-    """Minus the moment of the masses (mass × height). Of packings of equal height, one with lower masses stands
-    better."""
+    """Minus the moment of the masses (mass × height). If two packings are equally high, the one with the lower masses
+    stands better."""
 
     @classmethod
     def of(cls, filled: FullPacking) -> PackingValue:
@@ -91,14 +92,14 @@ Fills = Callable[[Packing, NextCandidate | None, float], FullPacking | None]
 
 
 def fills_for(start: Packing) -> Fills:
-    """The function that fills up packings of an order. The search is compiled if Warp is installed; the packings are
-    the same.
+    """The function that fills up packings of an order. It is compiled if Warp is installed, and gives the same
+    packings.
 
     Args:
         start: the empty packing of the order.
     """
     if why_no_warp_on_cpu() is None:
-        with suppress(Exception):  # Warp cannot be loaded, or does not compile here
+        with suppress(Exception):  # Warp cannot be loaded, or cannot compile
             from petmjx.packers.compiled_fill import FillKernel
 
             return FillKernel(start)
@@ -142,13 +143,13 @@ def _search(
 
 
 def _step(ways: Sequence[_SearchNode], width: int, branch: int, stride: int, fills: Fills) -> list[_SearchNode]:
-    """The best packings with ``stride`` more boxes, the best first; empty if no more box can be placed."""
+    """The best packings with ``stride`` further boxes, best first; empty if no further box can be placed."""
     best: list[_SearchBranch] = []
     seen_packings: set[frozenset[PlacedBox]] = set()
     for way in ways:
         before = frozenset(way.packing.placed)
         for number, candidate in enumerate(way.packing.next(branch)):
-            packing = way.packing  # copied later, only if among the best
+            packing = way.packing  # copied later, and only if it is among the best
             first: NextCandidate | None = candidate
             boxes = before | {packing.box(candidate)}
             if stride > 1:
@@ -156,10 +157,10 @@ def _step(ways: Sequence[_SearchNode], width: int, branch: int, stride: int, fil
                 packing.put(candidate)
                 packing.fill(most=stride - 1)
                 boxes = frozenset(packing.placed)
-            if boxes in seen_packings:  # the same boxes at the same places, in another order
+            if boxes in seen_packings:  # the same boxes at the same places, but placed in another order
                 continue
             seen_packings.add(boxes)
-            if number == 0:  # the known full packing was filled up from this candidate
+            if number == 0:  # the known full packing began with this candidate
                 filled: RankedPacking | None = way.filled
             else:
                 filled = _full_packing(fills, packing, first, _worst(best, width, packing.n_items))
@@ -171,8 +172,8 @@ def _step(ways: Sequence[_SearchNode], width: int, branch: int, stride: int, fil
 
 
 def _worst(best: Sequence[_SearchBranch], width: int, n_items: int) -> float:
-    """The height that another packing must not exceed to be among the best, mm."""
-    if len(best) < width or len(best[-1].filled.placed) < n_items:  # with more boxes, a packing may have any height
+    """The height that a further packing must not exceed if it is to be among the best, mm."""
+    if len(best) < width or len(best[-1].filled.placed) < n_items:  # packings with more boxes may have any height
         return inf
     return best[-1].filled.height_mm
 

@@ -1,7 +1,7 @@
 """Compiled filling of packings: :meth:`petmjx.packers.packing_state.Packing.fill` in C++ (fill.cpp).
 
-Warp compiles the code, once for a machine. The compiled code puts the same boxes into the same places as Python, to the
-last bit. If that is not certain, Python fills up the packing.
+Warp compiles the code once per machine. The compiled code places the same boxes at the same places as Python, bit for
+bit. If that is not certain, Python fills up the packing.
 """
 
 from __future__ import annotations
@@ -34,10 +34,10 @@ from petmjx.packers.pile_balance import (
 )
 
 GRAIN_MM: Final = 2.0**-10
-"""If sides and free space are multiples of this, sums of areas are exact in any order of summation."""
+"""If all sides and the free space are multiples of this, sums of areas are exact whatever the order of summation."""
 
 POINTS, POINTS_PER_BOX, PLANES_PER_BOX = 64, 4, 16
-"""Capacities for corner points and for edges of hulls. Piles of 80 boxes have 2 points and 5 edges a box."""
+"""Capacities for corner points and for edges of hulls. Piles of 80 boxes have 2 points and 5 edges per box."""
 
 _KINDS: Final = {np.float64: wp.float64, np.int32: wp.int32, np.bool_: wp.bool}
 

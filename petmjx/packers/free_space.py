@@ -1,7 +1,8 @@
-"""Free space that a pile leaves for future boxes: how low typical cartons could stand, and how many places are level.
+"""The free space that a pile leaves for future boxes: how low typical cartons could stand, and how many places are
+level.
 
-A policy with one visible box does not know the next boxes, but cartons have much in common. The height map of the pile
-on a coarse grid, with a candidate placed, shows the lowest place for each typical carton, and the air under the carton
+A policy that sees one box does not know the boxes after it, but cartons have much in common. With a candidate placed,
+the height map of the pile on a coarse grid shows the lowest place for each typical carton, and the air under the carton
 at that place.
 """
 
@@ -38,8 +39,8 @@ def free_space(surface: HeightMap, low: FloatArray, high: FloatArray) -> dict[st
         low, high: (c, 3) corners of each candidate's box on the pile, mm.
 
     Returns:
-        Name, of ``NAMES`` → (c,) values. ``room_…``: height and air of the lowest place, mean over cartons, m.
-        ``level_…``: share of places that are level, mean over cartons.
+        Name, of ``NAMES`` → (c,) values. ``room_…``: height and air of the lowest place, m, as the mean over cartons.
+        ``level_…``: share of places that are level, as the mean over cartons.
     """
     lines = np.concatenate([surface.lines(low), surface.lines(high)], axis=1)[:, :, None]
     x, y = (np.arange(n) for n in surface.height.shape)
@@ -63,13 +64,15 @@ def free_space(surface: HeightMap, low: FloatArray, high: FloatArray) -> dict[st
 
 
 def _wider(highest: Heights, more: int) -> Heights:
-    """Maxima over windows that are wider by ``more`` cells, from maxima over windows at least ``more`` cells wide."""
+    """Maxima over windows that are ``more`` cells wider, computed from maxima over windows at least ``more`` cells
+    wide."""
     wider: Heights = np.maximum(highest[:, : max(highest.shape[1] - more, 0)], highest[:, more:])
     return wider
 
 
 _DEEPER: Final = {4: (1, 2), 6: (1, 2, 2), 8: (1, 2, 4), 11: (1, 2, 4, 3), 12: (1, 2, 4, 4)}
-"""Depth of a window → steps from one cell to this depth. No step is longer than the depth so far."""
+"""Depth of a window → steps by which it grows from one cell to this depth. No step is longer than the depth before
+it."""
 
 _NOWHERE_MM: Final = 2000.0
 

@@ -28,7 +28,7 @@ class Places(NamedTuple):
         size_mm: (c, 3) size with the free space along x and y, mm.
         mass_kg: (c,) mass of the box, kg.
         support: (c,) supported share of the base.
-        own_mm2: (c,) area of the box's base without free space, mm².
+        own_mm2: (c,) area of the base of the box itself, without free space, mm².
     """
 
     point: NDArray[np.intp]
@@ -54,7 +54,7 @@ class ItemStream(Packing):
 
     Attributes:
         clearance: (3,) free space of a box along x, y and z, mm.
-        surface: height map of the pile.
+        surface: height map of the pile of boxes placed so far.
         skipped: number of boxes left out so far.
 
     Args:
@@ -112,7 +112,7 @@ class ItemStream(Packing):
         return self._masses[: len(self.placed)]
 
     def worth(self, places: Places) -> FloatArray:
-        """(c,) value of each candidate's box in the rule of ``balanced``, without its place, mm."""
+        """(c,) value of each candidate's box in the rule of ``balanced``, apart from its place, mm."""
         worths: FloatArray = self._worth[places.shape]
         return worths
 

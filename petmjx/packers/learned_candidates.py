@@ -1,7 +1,7 @@
 """Candidates of the packer ``learned``: extreme points seen from all four corners of the target.
 
-At an extreme point (Crainic, Perboli, Tadei 2008) a box touches its neighbours on the sides that face the origin. With
-points of one kind a pile grows from one corner, and leaves its free space in slivers along the opposite edges. Here the
+At an extreme point (Crainic, Perboli, Tadei 2008), a box touches its neighbours on the sides that face the origin. With
+such points alone, a pile grows from one corner and leaves its free space in slivers along the opposite edges. Here the
 pile is also mirrored, so that points are found from the three other corners as well.
 """
 
@@ -23,8 +23,8 @@ from petmjx.packers.pile_balance import SHARE_SLACK, TOUCH_MM
 from petmjx.plans.order_generator import Item
 
 LEAST_SUPPORT: Final = 0.2
-"""Least supported share of a base. The least support may be low, since two other rules decide: the balance, and the
-chance to stand by the stability head."""
+"""Smallest supported share of a base. It may be low, because two other rules decide: the balance, and the chance to
+stand that the stability head predicts."""
 
 COARSE_MM: Final = 50.0
 
@@ -35,7 +35,7 @@ MIRRORS: Final = ((False, False), (True, False), (False, True), (True, True))
 """For each corner of the target: whether x and y are mirrored."""
 
 _DECIMALS: Final = 9
-"""Corners and costs in mm are rounded to this many decimals, since the last digits of a sum depend on the order of
+"""Corners and costs in mm are rounded to this many decimals, because the last digits of a sum depend on the order of
 summation."""
 
 
@@ -64,7 +64,7 @@ class MirroredCandidates(Candidates):
         return twin
 
     def candidates(self, shapes: NDArray[np.intp]) -> tuple[NDArray[np.intp], FloatArray, FloatArray, FloatArray]:
-        """The c candidates of some shapes.
+        """The c candidates for some shapes.
 
         Returns:
             (c,) shapes; (c, 2) corners, mm; (c,) heights of the bottom, mm; (c,) supported shares of the base.
@@ -138,7 +138,7 @@ class FourSidedStream(ItemStream):
         The balance is not checked here, but by ``keeps_balance``.
 
         Args:
-            least_support: least supported share of a base.
+            least_support: smallest allowed share of a base that is supported.
         """
         table, kinds = self._table, set(self.seen)
         visible_columns = np.array(
@@ -172,7 +172,7 @@ class FourSidedStream(ItemStream):
         return NextCandidate(point, shape, (x, y, z), rest)
 
     def still_open(self, places: Places) -> NDArray[np.bool_]:
-        """(c,) whether a candidate has not been refused for its balance."""
+        """(c,) False for candidates that were refused because of their balance, else True."""
         return np.array([point not in self._refused for point in places.point.tolist()], dtype=bool)
 
     def put(self, chosen: NextCandidate) -> None:
@@ -197,9 +197,9 @@ def cost_mm(stream: ItemStream, places: Places) -> FloatArray:
 
 
 def lowest_first(stream: FourSidedStream) -> NextCandidate | None:
-    """One step of a rule with these candidates: the place of least cost that keeps the balance.
+    """One step of a rule with these candidates: it chooses the place of least cost that keeps the balance.
 
-    Among several visible boxes, their value in the rule of ``balanced`` counts too.
+    With several visible boxes, their value in the rule of ``balanced`` counts as well.
     """
     places = stream.places()
     cost = cost_mm(stream, places) - stream.worth(places)

@@ -1,4 +1,4 @@
-"""Features of candidates for the packer ``learned``: the place, its neighbours, and the pile with the box on it.
+"""Features of candidates for the packer ``learned``: the place, its neighbours, and the pile once the box lies on it.
 
 All features have a magnitude of about 1. No feature depends on boxes that the packer does not see.
 """
@@ -18,8 +18,8 @@ from petmjx.packers.learned_candidates import FourSidedStream
 from petmjx.packers.pile_balance import TOUCH_MM
 
 LATE: Final = ("z", "support", "rougher", "room_small", "room_large")
-"""Features whose weight may depend on the height of the pile. The features appear a second time, multiplied by the
-pile's mean height in m."""
+"""Features whose weight may depend on the height of the pile. They appear a second time, multiplied by the pile's mean
+height in m."""
 
 NAMES: Final = (
     *("z", "grows", "below_top"),
@@ -36,10 +36,10 @@ NAMES: Final = (
 """Names of the features, in order. docs/packers.md explains them."""
 
 NEAR_MM: Final = 8.0
-"""Sides no further apart count as touching; tops with no larger difference count as level."""
+"""Sides at most this far apart count as touching. Tops whose heights differ by at most this count as level."""
 
 SLIVER_MM: Final = 100.0
-"""Gaps smaller than this are narrower than most cartons."""
+"""Gaps narrower than this are too narrow for most cartons."""
 
 MOST_GAP_MM: Final = 400.0
 
@@ -164,7 +164,7 @@ def _neighbour_features(
 
 
 def _heights(columns: dict[str, FloatArray | float], start: FloatArray, end: FloatArray, surface: HeightMap) -> None:
-    """Add the features of the height map: under the box, around the box, and after its placement."""
+    """Add the features from the height map: under the box, around the box, and of the map after the placement."""
     low, high = surface.lines(start), surface.lines(end)
     count, under, under_square = surface.over(low, high)
     n_outer, outer, outer_square = surface.over(low - _RING, high + _RING)

@@ -1,9 +1,8 @@
-"""The packer ``learned``: learned weights rank the candidates, and a small network predicts the chance of each to
+"""The packer ``learned``: learned weights rank the candidates, and a small network predicts how likely each is to
 stand.
 
-The packer was trained on generated orders only (examples/train_packer), with physics in the loop. In use it runs no
-simulation
-and is deterministic: an order has one plan.
+The packer was trained on generated orders only (examples/train_packer), with physics in the loop. When it packs, it
+runs no simulation and is deterministic: an order always gets the same plan.
 """
 
 from __future__ import annotations
@@ -33,7 +32,7 @@ LEARNED: Final = "learned"
 """The packer's name."""
 
 CLEARANCE_MM: Final = 4.0
-"""Free space between neighbours. The free space lets plans stand when a robot places the boxes (docs/packers.md)."""
+"""Free space between neighbours. It lets plans stand when a robot places the boxes (docs/packers.md)."""
 
 MOST_PLACES: Final = 32
 LEAST_PLACES: Final = 6
@@ -41,24 +40,24 @@ LEAST_PLACES: Final = 6
 box."""
 
 SURE: Final = 0.98
-"""The best candidate whose chance to stand is at least this is taken."""
+"""The packer takes the best candidate whose chance to stand is at least this."""
 
 LEAST_SURE: Final = 0.5
-"""If no candidate reaches ``SURE``, the candidate with the largest chance is taken if this chance is at least
-``LEAST_SURE``."""
+"""If no candidate reaches ``SURE``, the packer takes the candidate with the largest chance, provided that it is at
+least ``LEAST_SURE``."""
 
 MOST_TRIED: Final = 16
-"""Largest number of candidates whose chance is computed, if none reaches ``SURE``."""
+"""Largest number of candidates whose chance is computed when none reaches ``SURE``."""
 
 SCORE_DECIMALS: Final = 6
-"""Scores are rounded to this many decimals, so that processors that round differently choose the same places."""
+"""Scores are rounded to this many decimals, so that processors with different rounding choose the same places."""
 
 
 class ChosenCandidate(NamedTuple):
-    """The candidate that is taken.
+    """The candidate that the packer has chosen.
 
     Attributes:
-        row: its row in the places.
+        row: row of the candidate in ``Places``.
         next: the candidate itself.
         chance: predicted chance that the box stands when a robot places it inexactly.
     """
@@ -81,8 +80,8 @@ class Policy:
     """The two learned networks.
 
     Attributes:
-        taste: scores candidates from their ``features``; a network, or only its linear part.
-        head: predicts the chance that a placement stands from its ``stability_features``.
+        taste: network that scores candidates from their ``features``; it may have only its linear part.
+        head: network that predicts from ``stability_features`` the chance that a placement stands.
     """
 
     taste: Network
@@ -93,14 +92,14 @@ class Policy:
         return replace(self, taste=replace(self.taste, linear=weights))
 
     def seen(self, stream: FourSidedStream) -> tuple[Places, FloatArray] | None:
-        """The candidates to rate, with their features; None: there are none."""
+        """The candidates that are rated, with their features; None if there are none."""
         places = lowest(stream, stream.places())
         return (places, features(stream, places)) if len(places) else None
 
     def take(self, stream: FourSidedStream, places: Places, scores: FloatArray) -> ChosenCandidate | None:
-        """The best candidate that keeps the balance and has at least the chance ``SURE``.
+        """The best candidate that keeps the balance and whose chance is at least ``SURE``.
 
-        Without one among the first ``MOST_TRIED``, the candidate with the largest chance. None: no chance reaches
+        If none of the first ``MOST_TRIED`` reaches it, the candidate with the largest chance. None if no chance reaches
         ``LEAST_SURE``.
         """
         surest: ChosenCandidate | None = None
@@ -126,7 +125,7 @@ class Policy:
             chosen = self.take(stream, places, np.round(self.taste.scores(rows), SCORE_DECIMALS))
             if chosen is not None:
                 return Decision(places, rows, chosen)
-            if stream.still_open(places).any():  # some keep the balance, but their chance is too small
+            if stream.still_open(places).any():  # some keep the balance, but their chances are too small
                 return None
         return None
 
@@ -151,7 +150,7 @@ class Policy:
 
 
 def placing_of(stream: FourSidedStream, places: Places, row: int, rest: Rest | None = None) -> PlacementState:
-    """The placement of a candidate, without the free space around boxes."""
+    """The state in which a candidate is placed, without the free space around boxes."""
     low, high = stream.bare_boxes
     corner, size = places.corner_mm[row], places.size_mm[row] - stream.clearance
     return placement_state(stream.pile, low, high, stream.masses, corner, size, float(places.mass_kg[row]), rest)

@@ -74,11 +74,12 @@ class Packed:
     def orders(self) -> pd.DataFrame:
         """A table with one row for each order.
 
-        Columns: ``plan_id``; ``order_boxes``, the boxes of the order; ``boxes``, the placed ones; ``left_out``, the
-        others; ``why``, the reason; ``utilisation`` (volume over area of the target × height); ``height_mm``;
-        ``clearance_mm``; ``verdict`` when placed exactly; ``n_worlds``, the worlds with errors; ``n_standing``, those
-        in which the plan stands; ``share``, their share, with its Wilson 95 % interval ``low``, ``high``; ``tried``,
-        the simulated packings; ``good``, whether the plan stands as often as requested.
+        Columns: ``plan_id``; ``order_boxes``: number of boxes in the order; ``boxes``: number of placed boxes;
+            ``left_out``: number of other boxes; ``why``: the reason; ``utilisation``: volume over area of the target ×
+            height; ``height_mm``; ``clearance_mm``; ``verdict`` when placed exactly; ``n_worlds``: number of worlds
+            with errors; ``n_standing``: number of those in which the plan stands; ``share``: their share, with its
+            Wilson 95 % interval ``low``, ``high``; ``tried``: number of simulated packings; ``good``: whether the plan
+            stands as often as requested.
         """
         return pd.DataFrame([packed.row() for packed in self.packed_orders])
 
@@ -121,32 +122,34 @@ def pack(
 ) -> Packed:
     """Pack orders with the packer ``physical`` or ``learned``.
 
-    ``physical`` packs densely, and so that the plans stand in simulation, placed exactly and with the errors of a
-    robot. ``learned`` takes boxes in order of arrival; its plans are simulated as well.
+    ``physical`` packs densely, and so that the plans stand in simulation, both when placed exactly and with the errors
+    of a robot. ``learned`` places boxes in the order of their arrival; its plans are simulated as well.
 
     ``petmjx.pack("orders.json", least_share=0.95).save("plans.json")``
 
-    An order has one plan on an engine: only the errors are random, and they depend on the plan's id alone.
+    On the same engine, an order always gets the same plan: only the errors are random, and they depend on the plan's id
+    alone.
 
     Args:
-        orders: file of orders, BED-BPP's or of any other form that ``petmjx samples --orders`` reads; or a data frame
+        orders: file of orders, in BED-BPP's form or any other that ``petmjx samples --orders`` reads; or a data frame
             of items; None: ``n`` generated orders, as in ``petmjx samples``.
         n, seed: number and seed of the generated orders.
         packer: ``physical`` or ``learned``.
         look_ahead: number of next boxes that ``learned`` sees; None: 1.
-        workers: number of processes for the search. The option changes no plan. Scripts with more than one process need
-            ``if __name__ == "__main__":``.
-        on_bad_order: called with the error of an unusable order, which is then skipped; None: the error is raised.
-        target: carrier of orders whose file names none: ``euro-pallet``, ``rollcontainer``, or sizes in mm such as
-            ``1200x1000``; None: the file's container if it is a pallet, else a Euro pallet.
+        workers: number of processes for the search. It does not affect the plans. Scripts that use more than one
+            process need ``if __name__ == "__main__":``.
+        on_bad_order: function that is called with the error of an unusable order, which is then skipped; None: the
+            error is raised.
+        target: carrier for orders whose file does not name one: ``euro-pallet``, ``rollcontainer``, or sizes in mm such
+            as ``1200x1000``; None: the file's container if it is a pallet, else a Euro pallet.
         options: ``width``, ``branch``, ``clearances_mm``, ``worlds``, ``least_share``, ``maximise`` (docs/packers.md);
-            ``errors``, a sweep file; fields of ``petmjx.Simulation``; ``engine``, ``threads``, ``lanes``; how a
+            ``errors``, a sweep file; fields of ``petmjx.Simulation``; ``engine``, ``threads``, ``lanes``; and how a
             file of orders is read: ``units``, ``columns``, ``density``, ``items``, ``reading``
             (docs/plan-format.md#orders).
 
     Raises:
         InputError: orders or options are unusable.
-        EngineUnavailable: the requested engine cannot run here.
+        EngineUnavailable: the requested engine cannot run on this machine.
     """
     reading, options = reading_of(orders is not None, target, options)
     packed_orders = pack_each(
@@ -167,7 +170,7 @@ def pack_each(
     workers: int = 1,
     **options: Any,
 ) -> Iterator[PackedOrder]:
-    """The results of ``pack``, each as soon as known.
+    """Yield the results of ``pack``, each as soon as it is known.
 
     Args:
         orders: pairs of an id and an order.
@@ -211,10 +214,10 @@ def orders_of(
 def reading_of(
     are_read: bool, target: str | None, options: Mapping[str, Any]
 ) -> tuple[OrderReading | None, dict[str, Any]]:
-    """How a file of orders is read, and the options that are left.
+    """Split options into how a file of orders is read, and the remaining options.
 
     Args:
-        are_read: whether there is a file; False: these options must be missing.
+        are_read: whether there is a file. If not, these options must not be set.
 
     Raises:
         InputError: an option is unusable.

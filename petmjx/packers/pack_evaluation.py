@@ -1,4 +1,4 @@
-"""Evaluation of packings by simulation: placed exactly, and in worlds with errors."""
+"""Evaluates packings by simulation, both placed exactly and in worlds with errors."""
 
 from __future__ import annotations
 
@@ -14,11 +14,10 @@ from petmjx.plans.plan import Plan
 from petmjx.plans.plan_validation import parse_plan
 
 SOURCE = "pack"
-"""Source of the plans in messages, instead of a file's name."""
+"""Source of the plans in messages, where other plans have the name of a file."""
 
 FIRST_WORLDS: Final = 4
-"""Number of worlds with errors that are simulated first. These worlds suffice to refuse most packings that fall too
-often."""
+"""Number of worlds with errors that are simulated first. They suffice to refuse most packings that fall too often."""
 
 
 @dataclass(frozen=True)
@@ -65,7 +64,7 @@ class Trial:
         finalist: the packing.
         plan: the packing as a plan.
         asked: number of requested worlds.
-        n_worlds, n_standing: as in ``Evaluation``, so far.
+        n_worlds, n_standing: as in ``Evaluation``, for the verdicts so far.
     """
 
     def __init__(self, plan_id: str, finalist: Finalist) -> None:
@@ -114,13 +113,13 @@ def order_evaluation(
 
     The caller resumes the generator when all requested worlds have verdicts. Packings are evaluated one after the other
     until one is good. Each packing begins with a few worlds, and gets the remaining worlds only if it can still be
-    good. If no packing is good, all worlds of all packings are requested, since the packing that stands most often is
-    then taken.
+    good. If no packing is good, all worlds of all packings are requested, because then the packing that stands most
+    often is chosen.
 
     Args:
         finalists: packings of the order, the best first.
-        spare: whether the engine has spare capacity. With spare capacity, worlds are requested before they are
-            certainly needed.
+        spare: function that tells whether the engine has spare capacity. If it has, worlds are requested before it is
+            certain that they are needed.
     """
     tried: list[Trial] = []
     by_share = options.maximise == "share"
@@ -142,7 +141,7 @@ def order_evaluation(
 
 
 def decisive_evaluations(judged: Sequence[Evaluation], options: PhysicalOptions) -> Sequence[Evaluation]:
-    """The evaluations among which ``choose`` chooses. The results do not depend on how many further packings were
+    """The evaluations among which ``choose`` chooses. So its result does not depend on how many further packings were
     simulated.
 
     The evaluations end with the first good packing, since later ones are less dense. If the share is maximised, all
@@ -159,10 +158,10 @@ def plan_of(plan_id: str, finalist: Finalist) -> Plan:
 
 
 def choose(judged: Sequence[Evaluation], options: PhysicalOptions) -> Evaluation:
-    """The packing that is taken.
+    """Choose a packing from its evaluations.
 
-    Among good packings the choice is the largest volume, then the largest value of ``options.maximise``. Without a good
-    packing, the choice is the packing that stands most often.
+    Among good packings, it chooses the largest volume, then the largest value of ``options.maximise``. If no packing is
+    good, it chooses the one that stands most often.
 
     Args:
         judged: evaluations, at least one.

@@ -1,4 +1,4 @@
-"""Flow of orders through search and simulation (``Flow``). An order continues as soon as it has its own results."""
+"""Moves orders through search and simulation (``Flow``). An order continues as soon as its own results are known."""
 
 from __future__ import annotations
 
@@ -19,14 +19,14 @@ from petmjx.plans.order_generator import Order
 
 
 class Orders(NamedTuple):
-    """Limits on the orders and worlds that are simulated at a time.
+    """Limits on the numbers of orders and worlds that are simulated at the same time.
 
     Attributes:
-        few: an idle engine waits until this many orders have been searched.
-        most: largest number of orders in simulation; with more an engine is not faster.
-        worlds: an engine with fewer worlds than this has spare capacity for worlds that may not be needed.
-        rows: least number of worlds with rows in the tables of ``mjx-warp``. When the tables are full, all their
-            worlds end before new ones begin.
+        few: number of searched orders for which an idle engine waits.
+        most: largest number of orders in simulation. More orders do not make an engine faster.
+        worlds: an engine with fewer worlds than this has spare capacity for worlds that may turn out not to be needed.
+        rows: smallest number of worlds for which the tables of ``mjx-warp`` have rows. When the tables are full, all
+            their worlds end before new ones begin.
     """
 
     few: int
@@ -39,11 +39,11 @@ CPU: Final = Orders(4, 16, 0, 1024)
 GPU: Final = Orders(64, 1024, 256, 8192)
 
 GRANULE: Final = 96
-"""Capacities of tables, as numbers of boxes, are multiples of this. With a smaller step, an order with more boxes than
-earlier orders would wait until their worlds have ended, and so would all orders after it."""
+"""Capacities of tables, in boxes, are multiples of this. With a smaller step, an order with more boxes than earlier
+orders would have to wait until the worlds of these orders have ended, and so would all orders after it."""
 
 FEW_ALONE: Final = 16
-"""Upper limit of ``Orders.few`` if the process that simulates also searches."""
+"""Upper limit of ``Orders.few`` if the simulating process also searches."""
 
 Searched = tuple[str, Order, list[Finalist]]
 """Id, order, and the packings to simulate."""
@@ -85,7 +85,7 @@ class _PackingWorld(World):
 
 
 class Flow:
-    """Takes orders from the search through simulation to their packing.
+    """Takes orders from the search, through the simulation, to their chosen packing.
 
     Args:
         searched: the results of the searches.
@@ -130,7 +130,7 @@ class Flow:
             yield packed
 
     def _more(self) -> list[World]:
-        """The worlds requested since the last call, also the worlds of newly searched orders.
+        """The worlds requested since the last call, including those of newly searched orders.
 
         The flow waits for searches only if the engine has no other work, or if the search runs in this process.
         """
@@ -147,13 +147,13 @@ class Flow:
         return worlds
 
     def _has_spare(self) -> bool:
-        """Whether the engine has spare capacity for worlds that may not be needed. True at the end, with few orders
-        left.
+        """Whether the engine has spare capacity for worlds that may not be needed. It is true at the end, when few
+        orders are left.
         """
         return self._searched.ended and self._unanswered < self._at_a_time.worlds
 
     def _go_on(self, order: _OpenOrder) -> None:
-        """Request an order's next worlds. An order without missing worlds is packed."""
+        """Request the next worlds of an order. If none is missing, the order is complete and its packing is chosen."""
         try:
             requests = next(order.asking)
         except StopIteration as end:

@@ -15,11 +15,11 @@ MOST_CLEARANCE_MM: Final = 200.0
 MOST_CLEARANCES: Final = 16
 LEAST_WORLDS: Final = 4
 MOST_WORLDS: Final = 100_000
-"""Limits of the number of worlds, the same as of ``petmjx.options.run_options.Confidence``."""
+"""Limits of the number of worlds. They are the same as in ``petmjx.options.run_options.Confidence``."""
 
 
 def _split(values: Any) -> Any:
-    """Split a text of numbers with commas, as the command line passes it. All other values are returned unchanged."""
+    """Split text with numbers and commas, as the command line passes it. Any other value is returned unchanged."""
     if not isinstance(values, str):
         return values
     try:

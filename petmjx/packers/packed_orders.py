@@ -30,7 +30,7 @@ class PackedOrder:
         n_items: number of boxes of the order.
         taken: the chosen packing; None: no box has a place.
         tried: number of packings that were evaluated until one was good.
-        n_simulated: number of simulated worlds. The choice may depend on other orders.
+        n_simulated: number of simulated worlds. This number may depend on other orders.
         good: whether the plan stands as often as requested.
         left_out: items that the packing leaves out; None: no item.
         why: the reason why items are left out; "": no item is left out.

@@ -1,4 +1,4 @@
-"""Registry of packers by name (``PACKERS``). A packer takes the items of an order and returns them in packing order."""
+"""Registry of packers by name (``PACKERS``). Packers receive the items of an order and return them in packing order."""
 
 from __future__ import annotations
 
@@ -24,14 +24,14 @@ BALANCED: Final = "balanced"
 
 
 class Packer(Protocol):
-    """A function that packs one order. Boxes are lowered from above, from below upwards. Items without a place are left
-    out.
+    """A function that packs one order. Boxes are lowered from above, and placed from the bottom upwards. Items without
+    a place are left out.
     """
 
     def __call__(
         self, items: Sequence[Item], extent_mm: tuple[float, float], rules: PackRules | None, rng: np.random.Generator
     ) -> list[PlacedBox]:
-        """Place items on a target of ``extent_mm`` (x, y). Placed boxes hold the same objects as ``items``.
+        """Place items on a target of ``extent_mm`` (x, y). The placed boxes refer to the same objects as ``items``.
 
         Args:
             rules: rules of the packer ``baseline``; None: its defaults.
@@ -68,7 +68,7 @@ PACKERS: Final[Mapping[str, Packer]] = MappingProxyType(
 WHY: Final[Mapping[str, str]] = MappingProxyType(
     {LEARNED: "when they came, no place below 2 m was in balance and likely to stand"}
 )
-"""Name of a packer → its own reason for leaving boxes out, if it has one."""
+"""Name of a packer → why it leaves boxes out, if it has a reason of its own."""
 
 
 def packer_named(name: str, look_ahead: int | None = None) -> Packer:

@@ -1,4 +1,4 @@
-"""State of a growing packing (``Packing``): the pile, the remaining items, and the candidates for the next box.
+"""The state of a growing packing (``Packing``): the pile, the remaining items, and the candidates for the next box.
 
 A packing can be copied, so that a search can extend it in several ways.
 """
@@ -22,18 +22,18 @@ from petmjx.packers.pile_balance import SHARE_SLACK, TOUCH_MM, Balance, Rest
 from petmjx.plans.order_generator import Item
 
 LEAST_SUPPORT: Final = 0.5
-"""Least supported share of a base. The balance is the main rule; this one keeps the number of overhangs small."""
+"""Smallest supported share of a base. The balance is the main rule; this one limits the number of overhangs."""
 
 
 @dataclass(frozen=True)
 class Taste:
-    """Weights of the features of a candidate, in mm of height of its place.
+    """Weights of the features of a candidate, in mm of the height at which it is placed.
 
     Attributes:
         per_base_side: value per mm of the square root of the base area.
         per_log_weight: value per unit of the natural logarithm of the weight.
         per_height: value per mm of the box's height.
-        per_overhang: cost of a base without support; in proportion for a partly supported base.
+        per_overhang: cost of a base without any support. A partly supported base has a proportional cost.
         per_distance: cost per mm of x + y. Among equally good places, the place nearest to the corner is chosen.
     """
 
@@ -71,8 +71,8 @@ class Packing:
         placed: boxes in packing order, with the same objects as the items.
         top_mm: highest top.
         volume_m3: volume of the placed boxes.
-        moment_kg_mm: Σ mass × height of the box's middle. Of packings of equal height, one with a smaller moment stands
-            better.
+        moment_kg_mm: Σ mass × height of the box's middle. If two packings are equally high, the one with the smaller
+            moment stands better.
 
     Args:
         items: items of one order.
@@ -121,7 +121,7 @@ class Packing:
 
     @property
     def n_shapes(self) -> int:
-        """The number of shapes, that is of remaining kinds of boxes in each orientation."""
+        """The number of shapes. Each remaining kind of box has one shape per orientation."""
         return len(self._kind_of)
 
     @property
@@ -134,7 +134,7 @@ class Packing:
         return grain
 
     def next(self, count: int = 1, kinds: Sequence[int] | None = None) -> list[NextCandidate]:
-        """The best candidates that keep the pile in balance, at most ``count``, the best first.
+        """The best candidates that keep the pile in balance, at most ``count`` of them, best first.
 
         Args:
             kinds: only boxes of these kinds, numbered by their first appearance in the items; None: all kinds.
@@ -163,7 +163,7 @@ class Packing:
         return candidates
 
     def box(self, chosen: NextCandidate) -> PlacedBox:
-        """The placed box of a candidate of the last call of ``next``."""
+        """The placed box that a candidate of the last call of ``next`` would become."""
         item = self._stock[int(self._kind_of[chosen.shape])][-1]
         return PlacedBox(item, int(self._turned[chosen.shape]), chosen.corner_mm)
 
@@ -183,10 +183,10 @@ class Packing:
             self._keep_shapes(self._kind_of != kind)
 
     def fill(self, highest_mm: float = inf, most: float = inf) -> bool:
-        """Place the best candidate, again and again, until none is left. Returns False after an abort.
+        """Place the best candidate again and again, until there is none. Returns False if it was aborted.
 
         Args:
-            highest_mm: abort as soon as a top is higher.
+            highest_mm: abort as soon as a top is higher than this.
             most: largest number of boxes to place.
         """
         end = len(self.placed) + most
@@ -198,7 +198,7 @@ class Packing:
         return False
 
     def filled(self, first: NextCandidate | None = None, highest_mm: float = inf) -> FullPacking | None:
-        """The full packing that follows from this packing; this one stays unchanged. None: a top would be too high.
+        """Fill up a copy of this packing. Returns the full packing; None if a top would be too high.
 
         Args:
             first: candidate of the last call of ``next`` that is placed first; None: the best candidate.

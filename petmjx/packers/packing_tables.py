@@ -1,4 +1,5 @@
-"""Interface of Python and fill.cpp: the tables of a packing (``AXES``), and enumerations for their numbers."""
+"""The interface between Python and fill.cpp: the tables of a packing (``AXES``), and enumerations that name their
+entries."""
 
 from __future__ import annotations
 
@@ -12,7 +13,7 @@ import numpy as np
 class End(IntEnum):
     """How filling up ended.
 
-    ``FILLED``: complete. ``HIGHER``: aborted, since a top is too high. ``UNSURE``: Python must fill up the packing.
+    ``FILLED``: complete. ``HIGHER``: aborted, because a top is too high. ``UNSURE``: Python must fill up the packing.
     ``ASKS``: Python must decide whether the next box tips over.
     """
 
@@ -20,7 +21,7 @@ class End(IntEnum):
 
 
 class Begin(IntEnum):
-    """How filling up begins: with the best candidate, with a candidate that surely keeps the balance, or with the
+    """How filling up begins: with the best candidate; with a candidate that is known to keep the balance; or with the
     answer to the last question.
     """
 
@@ -30,27 +31,27 @@ class Begin(IntEnum):
 class Answer(IntEnum):
     """Answers about a balance.
 
-    ``UNKNOWN``: Python must decide whether the box itself tips over. ``NEAR``: a box below is too near to its limit.
+    ``UNKNOWN``: Python must decide whether the box itself tips over. ``NEAR``: a box below is too close to its limit.
     """
 
     TIPS, KEEPS, UNKNOWN, NEAR = range(4)
 
 
 class Count(IntEnum):
-    """Places in the table ``counts``: sizes of the tables, boxes placed, the first candidate, beginning and end."""
+    """Entries of the table ``counts``: sizes of the tables, boxes placed, the first candidate, beginning and end."""
 
     BOXES, POINTS, SHAPES, PLANES, MADE, POINT, SHAPE, HOW, OWN, END, UNDER = range(11)
 
 
 class Number(IntEnum):
-    """Places in the table ``numbers``: the greatest height allowed, the packing's top, its taste, and constants."""
+    """Entries of the table ``numbers``: the greatest allowed height, the packing's top, its taste, and constants."""
 
     HIGHEST, TOP, PER_OVERHANG, PER_DISTANCE, EXTENT_X, EXTENT_Y, MOST_HEIGHT, LEAST_SUPPORT = range(8)
     TOUCH, MARGIN, MARGIN_SHARE, SLACK, LEAST_TURN, DECIMALS = range(8, 14)
 
 
 def names_in_cpp() -> str:
-    """The enumerations as C++ code."""
+    """The enumerations, written as C++ code."""
     kinds = (End, Begin, Answer, Count, Number)
     enums = (f"enum {kind.__name__} {{ {', '.join(kind.__members__)} }};" for kind in kinds)
     return "namespace petmjx {\n" + "\n".join(enums) + "\n}\n"
@@ -97,8 +98,8 @@ AXES: Final[Mapping[str, tuple[Any, str]]] = {
     "corners": (_F, "corner 2"),
     "chain": (_F, "corner 2"),
 }
-"""Table of a packing → its element type and axes. Tables have capacity for all boxes that will be placed.
+"""Table of a packing → its element type and axes. The tables have capacity for all boxes that will be placed.
 
 ``base`` includes the free space, ``own_base`` does not. ``stock`` is the number of remaining boxes by kind. Lengths are
-in mm, but in m in the tables of the balance (``low_m`` to ``owner``). ``made_shape`` and ``made_corner`` are the placed
-boxes; all later tables are scratch memory."""
+in mm, except in the tables of the balance (``low_m`` to ``owner``), where they are in m. ``made_shape`` and
+``made_corner`` are the placed boxes; all tables after them are scratch memory."""

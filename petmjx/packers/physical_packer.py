@@ -1,9 +1,9 @@
 """The packer ``physical``: rules find dense packings, and physics chooses among them.
 
 Rules find packings that are dense and in balance (:mod:`petmjx.packers.beam_search`), with different free spaces
-between neighbours. Simulation shows which packings stand, placed exactly and placed by a robot. Searches run in worker
+between neighbours. Simulation shows which of them stand, placed exactly and placed by a robot. Searches run in worker
 processes. One engine simulates the packings of all orders, and gets the packings of an order as soon as they exist:
-engines are fast with many worlds at a time, and no order waits for another.
+engines are fast with many worlds at a time, and no order has to wait for another.
 """
 
 from __future__ import annotations
@@ -31,18 +31,18 @@ def pack_physical(
     workers: int,
     look_ahead: int | None = None,
 ) -> Iterator[PackedOrder]:
-    """Pack orders. Results are in the order of the input.
+    """Pack orders. The results are in the order of the input.
 
     Args:
         orders: pairs of an id and an order.
         how: options of ``petmjx.score`` for the simulation.
-        workers: number of processes for the search. The option changes no plan.
-        look_ahead: number of next boxes that the packer ``learned`` sees; its packing is simulated instead of those of
-            the search. None: search.
+        workers: number of processes for the search. It does not affect the plans.
+        look_ahead: number of next boxes that the packer ``learned`` sees. Its packing is then simulated instead of
+            those of the search. None: the search is used.
 
     Raises:
         InputError: options are unusable.
-        EngineUnavailable: the requested engine cannot run here.
+        EngineUnavailable: the requested engine cannot run on this machine.
     """
     engine = how.get("engine", AUTO)
     if engine == AUTO:

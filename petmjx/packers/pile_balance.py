@@ -1,14 +1,15 @@
-"""Static balance of a pile (``Balance``): loads pass from box to box, and each must act inside the box's supports.
+"""The static balance of a pile (``Balance``): loads pass from box to box, and each must act inside the box's supports.
 
 The criterion is mechanical equilibrium (Ramos, Oliveira, Gonçalves, Lopes 2016, "A container loading algorithm with
 static mechanical equilibrium constraints", Transportation Research Part B 91, 565–581): the resultant of a box's weight
-and of all loads on it must act within the convex hull of its contacts. Here the resultant must be inside by at least a
-margin. Statics do not determine how a box distributes its load among the boxes below. The pressure under its base is
-taken as a plane, p = a + b·x + c·y, as on a bed of equal springs (Winkler 1867, "Die Lehre von der Elasticität und
-Festigkeit"). The plane has the force and the moments of the load. On two narrow supports this is the lever rule.
+and of all loads on it must act within the convex hull of the box's contacts. Here the resultant must be inside by at
+least a margin. Statics does not determine how a box distributes its load among the boxes below. The pressure under its
+base is assumed to be a plane, p = a + b·x + c·y, as on a bed of equal springs (Winkler 1867, "Die Lehre von der
+Elasticität und Festigkeit"). The plane has the same force and moments as the load. On two narrow supports, this is the
+lever rule.
 
 So a load is a vector (F, F·x, F·y), and the load that a box passes to a box below is linear in its own load: a 3 × 3
-matrix. ``Balance`` keeps the products of these matrices, from each box to all boxes below it. So a further box needs
+matrix. ``Balance`` stores the products of these matrices, from each box to all boxes below it. So a further box needs
 only a few small products, however high the pile is. Forces are in kg (without g, which cancels), lengths in metres.
 """
 
@@ -26,30 +27,30 @@ from petmjx.common.units import MM_PER_M, FloatArray
 from petmjx.packers.packing_tables import Count
 
 TOUCH_MM: Final = 1e-6
-"""Tolerance for rounding errors of float64 sums. Tops with a smaller difference count as equally high, and smaller
-overlaps do not count."""
+"""Tolerance for rounding errors of float64 sums. Tops whose heights differ by less count as equally high, and overlaps
+smaller than this do not count."""
 
 SHARE_SLACK: Final = 1e-9
-"""Tolerance for rounding errors of a supported share, below the least share."""
+"""Tolerance for rounding errors: a supported share may be lower than the smallest allowed share by this much."""
 
 MARGIN_M: Final = 0.020
 MARGIN_SHARE: Final = 0.2
 """Margin by which a resultant must act inside the hull: 20 mm, or for small boxes a share of the shorter side. With 10
-mm and a least support of 0.6 also all of 60 plans stood; the larger margin is for the errors of a robot."""
+mm and a smallest support of 0.6, all of 60 plans stood as well; the larger margin allows for the errors of a robot."""
 
 FAR_M: Final = 0.2
 """Upper limit of reported margins. A box on the carrier has this margin."""
 
 SAME_PLACE_DECIMALS: Final = 9
-"""Corners are rounded to a nanometre. The hull takes points from left to right. Without rounding the hull could lose a
-point that is to the left of others by less than float64 products resolve."""
+"""Corners are rounded to a nanometre. The hull processes points from left to right. Without rounding, it could lose a
+point that lies to the left of others by less than products in float64 can resolve."""
 
 LEAST_TURN_M2: Final = 1e-12
-"""A point with a smaller turn of the hull is no corner but lies on an edge: tolerance for rounding errors of products
-of coordinates."""
+"""A point where the hull turns by less than this is not a corner but lies on an edge. This covers rounding errors in
+products of coordinates."""
 
 SLACK_KG_M: Final = 1e-9
-"""Tolerance for rounding errors of a load against an edge."""
+"""Tolerance for rounding errors when a load is compared with an edge."""
 
 
 class Rest(NamedTuple):
@@ -57,9 +58,10 @@ class Rest(NamedTuple):
 
     Attributes:
         load: (3,) the box's own weight as a load.
-        passed: (n, 3, 3) matrices from a load on the box to the load that reaches each of the n boxes placed before;
+        passed: (n, 3, 3) matrices that turn a load on the box into the load that reaches each of the n earlier boxes;
             None: the box stands on the carrier.
-        planes: (k, 3) edges of the box's hull, moved inward. The product with a load is ≤ 0 if it acts inside.
+        planes: (k, 3) edges of the box's hull, moved inward. The product of an edge with a load is ≤ 0 if the load acts
+            inside.
     """
 
     load: FloatArray
@@ -72,8 +74,8 @@ class Margins(NamedTuple):
 
     Attributes:
         rest: the effect of the box on the balance; None: the box has no support.
-        own_m: distance by which the box's weight acts inside its hull.
-        pile_m: the least such distance of the loads of all boxes below.
+        own_m: distance by which the box's weight acts inside its own hull.
+        pile_m: the smallest such distance for the loads of all boxes below.
     """
 
     rest: Rest | None
@@ -104,7 +106,7 @@ class Balance:
         twin, n = copy.copy(self), self.n
         twin._low, twin._high = self._low.copy(), self._high.copy()
         twin._top_mm, twin._load = self._top_mm.copy(), self._load.copy()
-        twin._passed = np.zeros_like(self._passed)  # memory pages that are never written cost nothing
+        twin._passed = np.zeros_like(self._passed)  # memory pages that are never written to cost nothing
         twin._passed[:n, :n] = self._passed[:n, :n]
         return twin
 
@@ -123,14 +125,14 @@ class Balance:
         return self._load[: self.n]
 
     def rest(self, corner_mm: tuple[float, float, float], base_mm: tuple[float, float], mass_kg: float) -> Rest | None:
-        """The effect of one more box that rests on the tops at its height; None: the new box or a box below would tip
+        """The effect of one more box that rests on the tops at its height. None: the new box or a box below would tip
         over."""
         let_down = self._let_down(corner_mm, base_mm, mass_kg)
         if corner_mm[2] <= 0:
             return let_down
         if let_down is None or tips(let_down.planes, let_down.load):
             return None
-        # all hulls of the pile at once: the load of each plane's owner against the plane
+        # checks all hulls of the pile at once: each plane is compared with the load of its owner
         if len(self._planes) and self._over_planes(let_down).max() > SLACK_KG_M:
             return None
         return let_down
@@ -142,7 +144,7 @@ class Balance:
         mass_kg: float,
         rest: Rest | None = None,
     ) -> Margins:
-        """The margins against tipping with one more box, m, at most ``FAR_M``. Negative: a box tips over.
+        """The margins against tipping with one more box, m, at most ``FAR_M``. A negative margin means that a box tips.
 
         Args:
             rest: result of the method ``rest`` for this box, if known.
@@ -160,8 +162,8 @@ class Balance:
         return Margins(let_down, min(box_margin, FAR_M), min(pile, FAR_M))
 
     def _over_planes(self, let_down: Rest) -> FloatArray:
-        """(k,) product of each plane of the pile with its owner's load, including one more box. Above 0: the load acts
-        outside.
+        """(k,) product of each plane of the pile with the load of its owner, including one more box. Above 0, the load
+        acts outside.
         """
         assert let_down.passed is not None
         after = self._load[: self.n] + let_down.passed @ let_down.load
@@ -171,7 +173,7 @@ class Balance:
     def _let_down(
         self, corner_mm: tuple[float, float, float], base_mm: tuple[float, float], mass_kg: float
     ) -> Rest | None:
-        """The effect of one more box, whether the pile keeps its balance or not; None: the box has no support."""
+        """The effect of one more box, even if the pile loses its balance; None if the box has no support."""
         n = self.n
         corner = np.array(corner_mm[:2]) / MM_PER_M
         base = np.array(base_mm) / MM_PER_M
@@ -214,12 +216,12 @@ class Balance:
 
 
 def tips(planes: FloatArray, load: FloatArray) -> bool:
-    """Whether a box with a load tips over an edge of its hull. ``planes`` as in ``Rest``."""
+    """Whether a box with a given load tips over an edge of its hull. ``planes`` is as in ``Rest``."""
     return bool((planes @ load).max() > 0)
 
 
 def margin_m(base_mm: tuple[float, float]) -> float:
-    """The margin by which the load of a box with a base must act inside its hull, m."""
+    """The margin by which the load of a box with this base must act inside its hull, m."""
     return min(MARGIN_M, MARGIN_SHARE * (min(base_mm) / MM_PER_M))
 
 
@@ -242,7 +244,7 @@ def hull_planes(low: FloatArray, high: FloatArray, margin: float) -> FloatArray:
         margin: distance, m.
 
     Returns:
-        (k, 3) rows (d, n_x, n_y): a point p lies by d + n · p beyond the moved edge.
+        (k, 3) rows (d, n_x, n_y). A point p lies beyond the moved edge by d + n · p.
     """
     lows, highs = np.round(low, SAME_PLACE_DECIMALS).tolist(), np.round(high, SAME_PLACE_DECIMALS).tolist()
     corners = [(x, y) for (x0, y0), (x1, y1) in zip(lows, highs, strict=True) for x in (x0, x1) for y in (y0, y1)]

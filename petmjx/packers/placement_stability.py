@@ -1,8 +1,8 @@
-"""Features and chances of placements: a network predicts whether a box stands that a robot places inexactly.
+"""Features and chances of placements: a network predicts whether a box stands when a robot places it inexactly.
 
 The network was trained on worlds in which all boxes are placed with the errors of a robot, in plans made by rules and
 partly at random (examples/train_packer). A box counts as standing if it stands to the end, or until another box fails
-first. So the product over a plan's boxes is the chance that the whole plan stands.
+first. So the product of these chances over a plan's boxes is the chance that the whole plan stands.
 """
 
 from __future__ import annotations
@@ -23,7 +23,8 @@ NAMES: Final = (
 )
 
 MOST_GAP_MM: Final = 15.0
-"""Largest gap of a contact. The errors of a robot are some millimetres, so neighbours further away have no effect."""
+"""Boxes at most this far apart count as touching. The errors of a robot are some millimetres, so neighbours further
+away have no effect."""
 
 _MARGIN_M: Final = 0.05
 
@@ -37,7 +38,7 @@ class PlacementState:
         mass_kg: mass of the box.
         low, high: (n, 3) corners of the boxes of the pile, mm.
         masses: (n,) masses of the boxes of the pile, kg.
-        margins: margins against tipping with the box on the pile.
+        margins: margins against tipping once the box lies on the pile.
     """
 
     corner_mm: FloatArray
@@ -74,7 +75,7 @@ def stability_features(box: PlacementState) -> FloatArray:
     """(f,) features of a placement, in the order of ``NAMES``."""
     start, size, low, high = box.corner_mm, box.size_mm, box.low, box.high
     end = start + size
-    away = np.maximum(start - high, low - end)  # (n, 3): below 0 is an overlap
+    away = np.maximum(start - high, low - end)  # (n, 3); a negative value is an overlap
     x, y, z = away.T
     shared = np.minimum(end, high) - np.maximum(start, low)
     over = (x < -TOUCH_MM) & (y < -TOUCH_MM)

@@ -15,7 +15,7 @@ class Network:
     """score = x · linear + tanh(x · hidden + bias) · out + constant, with x = (features − mean) / scale.
 
     Attributes:
-        mean, scale: (f,) mean and scale of the features; without training.
+        mean, scale: (f,) mean and scale of the features, which are not trained.
         linear: (f,) weights of the linear part.
         hidden: (f, h) weights of the hidden units.
         bias: (h,) biases of the hidden units.
@@ -59,7 +59,8 @@ class Network:
         )
 
     def slope(self, features: FloatArray, weights: FloatArray) -> FloatArray:
-        """The gradient of Σ weights · scores with respect to the learned parameters, in the order of ``learned``.
+        """The gradient of Σ weights · scores with respect to the learned parameters, which are in the order of
+        ``learned``.
 
         Args:
             features: (m, f) features.
@@ -77,5 +78,5 @@ class Network:
 
     @classmethod
     def of_arrays(cls, name: str, arrays: dict[str, FloatArray]) -> Self:
-        """The network with the arrays of a file of weights, the inverse of ``arrays``."""
+        """The network with the arrays of a file of weights. This is the inverse of ``arrays``."""
         return cls(**{field: np.asarray(arrays[f"{name}_{field}"], float) for field in cls.__dataclass_fields__})

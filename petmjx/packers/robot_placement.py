@@ -16,13 +16,14 @@ def placement_stability(plan: Plan) -> FloatArray:
     """(n,) the chance of each box of a plan to stand when a robot places all boxes inexactly.
 
     A box stands if it stands to the end, or until another box fails first. The product of the chances is the chance
-    that the whole plan stands. A box has the chance 0 if it touches no top below, or begins below the carrier's top.
+    that the whole plan stands. The chance of a box is 0 if it touches no top below it, or if its bottom is below the
+    carrier's top.
 
-    A network estimates the chances, in a millisecond a box; without a simulation. ``petmjx.score(plan, confidence=64)``
-    simulates the plan. docs/packers.md has the reliability of the estimate.
+    A network estimates the chances without a simulation, in a millisecond per box. ``petmjx.score(plan,
+    confidence=64)`` simulates the plan instead. docs/packers.md states how reliable the estimate is.
 
     Raises:
-        InputError: ``plan`` is no plan.
+        InputError: ``plan`` is not a plan.
     """
     instance_of(plan, "plan", Plan, "a plan")
     pile = Balance(plan.n_boxes)

@@ -1,9 +1,10 @@
-"""Sample plans in BED-BPP's format: packed from generated orders, or from a file of orders.
+"""Sample plans in BED-BPP's format, packed from generated orders or from a file of orders.
 
 ``generate`` and ``write_samples`` generate orders with BED-BPP's statistics and pack them. If no packer is named, they
 make a mixed set for trials and benchmarks: about half of its plans (``loose_share``) are packed with an unsafe support
-rule, so that some plans stand and some collapse. A named packer packs all plans by its own rules, as comparisons need.
-Plan i depends only on seed, i, packer and loose_share, so the plans of ``n = 10`` are the first of ``n = 1000``.
+rule, so that some plans stand and some collapse. A named packer packs all plans by its own rules, as comparisons
+require. Plan i depends only on seed, i, packer and loose_share, so the plans of ``n = 10`` are the first ones of ``n =
+1000``.
 
 ``pack_orders`` packs the orders of a file.
 """
@@ -35,12 +36,12 @@ if TYPE_CHECKING:
     from petmjx.plans.item_orders import OrderReading
 
 DEFAULT_LOOSE_SHARE = 0.5
-"""Share of a mixed set's plans that are packed loosely. Measured on the first 100 plans of seed 0 (one by one,
-adaptive, physics ``pallet``): 38 % fail, that is 38 of 55 loose plans and none of 45 strict ones."""
+"""Share of the plans of a mixed set that are packed loosely. In the first 100 plans of seed 0 (one by one, adaptive,
+physics ``pallet``), 38 % fail: 38 of the 55 loose plans and none of the 45 strict ones."""
 
 MOST_SAMPLES = 200_000
-"""Largest number of plans of a set: twenty times BED-BPP's. A file of this many plans has nearly 4 GiB, the most that
-petmjx reads."""
+"""Largest number of plans of a set: twenty times BED-BPP's number. A file with this many plans has nearly 4 GiB, the
+largest size that petmjx reads."""
 
 LOOSE_SUPPORT = (0.3, 0.6)
 """Range from which ``min_support`` of a loose plan is drawn. A strict plan has the default of ``PackRules``."""
@@ -53,9 +54,9 @@ class LeftOutItems:
     Attributes:
         order_id: id of the order and of the plan.
         n_items: number of items of the order.
-        numbers: keys of the left-out items in the order's ``item_sequence``, rising; in a generated order, which has no
-            keys, their positions from 1.
-        why: the reason; "": no place below 2 m.
+        numbers: keys of the left-out items in the order's ``item_sequence``, in ascending order. A generated order has
+            no keys; its items are numbered from 1.
+        why: the reason; "" if the item has no place below 2 m.
     """
 
     order_id: str
@@ -86,19 +87,20 @@ def generate(
     workers: int = 1,
     on_left_out: Callable[[LeftOutItems], None] | None = None,
 ) -> Iterator[tuple[str, list[Placement]]]:
-    """The first ``n`` plans of ``seed``: (plan id, placements in packing order). Plans are made lazily.
+    """Generate the first ``n`` plans of ``seed``, as (plan id, placements in packing order). Plans are made lazily.
 
     Args:
-        loose_share: share of loose plans of the packer ``baseline``; other packers make no loose plans. None: 0 for a
+        loose_share: share of loose plans, for the packer ``baseline``; other packers make no loose plans. None: 0 for a
             named packer, else ``DEFAULT_LOOSE_SHARE``.
         packer: a name of ``petmjx.packers.packer_registry.PACKERS``. All packers get the same orders. None: a mixed
             set, packed by ``baseline``.
         look_ahead: number of next boxes that the packer ``learned`` sees; None: 1.
-        workers: number of processes. The option changes no plan.
-        on_left_out: called with the items that a plan leaves out, just before the plan is yielded.
+        workers: number of processes. It does not affect the plans.
+        on_left_out: function that is called with the items that a plan leaves out, just before the plan is yielded.
 
     Raises:
-        InputError: ``n`` outside 1…``MOST_SAMPLES``, a negative seed, a share outside 0…1, or an unknown packer.
+        InputError: ``n`` is outside 1…``MOST_SAMPLES``, the seed is negative, the share is outside 0…1, or the packer
+            is unknown.
     """
     integer_of(n, "n", 1, MOST_SAMPLES)
     integer_of(seed, "seed", 0)
@@ -120,7 +122,8 @@ def generate_one(
 
 
 def loose_share_of(packer: str | None, share: float | None = None) -> float:
-    """The share of loose plans: ``share`` if set; else 0 for a named packer, ``DEFAULT_LOOSE_SHARE`` without one."""
+    """The share of loose plans: ``share`` if it is set; else 0 for a named packer, and ``DEFAULT_LOOSE_SHARE`` if none
+    is named."""
     if share is not None:
         return share
     return DEFAULT_LOOSE_SHARE if packer is None else 0.0
@@ -170,10 +173,10 @@ def pack_orders(
     on_left_out: Callable[[LeftOutItems], None] | None = None,
     reading: OrderReading | None = None,
 ) -> Iterator[tuple[str, list[Placement]]]:
-    """Pack a file of orders, BED-BPP's or of any other form: yields (plan id, placements), in the file's order.
+    """Pack a file of orders, in BED-BPP's form or any other. Yields (plan id, placements), in the order of the file.
 
-    Boxes that find no place below 2 m are left out. An order without any placed box has no plan. A packer may
-    sort the boxes, so ``sequence`` is renumbered in packing order.
+    Boxes that find no place below 2 m are left out. An order without any placed box has no plan. A packer may sort the
+    boxes, so ``sequence`` is renumbered in packing order.
 
     Args:
         path: the file, gzipped or not.
@@ -181,13 +184,14 @@ def pack_orders(
         packer: a name of ``petmjx.packers.packer_registry.PACKERS``; None: ``baseline``.
         rules: rules of the packer ``baseline``; None: its strict rules.
         look_ahead: number of next boxes that the packer ``learned`` sees; None: 1.
-        workers: number of processes. The option changes no plan.
-        on_bad_order: called with the error of a bad order, which is then skipped; None: the error is raised.
-        on_left_out: called with the items that a plan leaves out, just before the plan is yielded.
+        workers: number of processes. It does not affect the plans.
+        on_bad_order: function that is called with the error of a bad order, which is then skipped; None: the error is
+            raised.
+        on_left_out: function that is called with the items that a plan leaves out, just before the plan is yielded.
         reading: the reading of a file that is not in BED-BPP's form, and its target; None: the most plausible reading.
 
     Raises:
-        InputError: the file is no orders file, the packer is unknown, or an order is bad and ``on_bad_order`` is None.
+        InputError: the file has no orders, the packer is unknown, or an order is bad and ``on_bad_order`` is None.
     """
     name = BASELINE if packer is None else packer
     packer_named(name, look_ahead)
@@ -233,7 +237,7 @@ def _pack(
 
 
 def left_out_of(order_id: str, order: Order, placed: Iterable[PlacedBox], why: str = "") -> LeftOutItems | None:
-    """The items of an order that a packing leaves out; None: no item."""
+    """The items of an order that a packing leaves out; None if there are none."""
     counts = Counter(box.item for box in placed)
     missing = []
     # generated orders have no numbers: their items count from 1
@@ -278,7 +282,7 @@ def as_placements(placed: Iterable[PlacedBox]) -> list[Placement]:
 
 
 def _seldom(item: Item) -> dict[str, Any]:
-    """The properties of an item that few orders give."""
+    """Those properties of an item that few orders give."""
     fields: dict[str, Any] = {} if item.com_mm is None else dict(zip(COM_FIELDS_JSON, item.com_mm, strict=True))
     fields |= {} if item.stiffness_n_mm is None else {"stiffness_n_mm": item.stiffness_n_mm}
     return fields | ({"kind": item.kind} if item.kind else {})

@@ -1,4 +1,4 @@
-"""Packing plans: reading, checks, and plans as arrays."""
+"""Packing plans: how they are read and checked, and how they are stored as arrays."""
 
 from __future__ import annotations
 

@@ -1,9 +1,9 @@
-"""Tables of articles (``Articles``): properties of boxes by article, product group or material, from a user's file.
+"""Tables of articles (``Articles``) from users' files: properties of boxes by article, product group or material.
 
-The properties are material, centre of mass, stiffness and strength. A strength is given in newtons, or follows from the
-carton's board by McKee's formula (McKee, Gander, Wachuta 1963, "Compression strength formula for corrugated boxes",
+The properties are material, centre of mass, stiffness and strength. A strength is given in newtons, or is computed from
+the carton's board by McKee's formula (McKee, Gander, Wachuta 1963, "Compression strength formula for corrugated boxes",
 Paperboard Packaging 48(8)): 5.87 · edge crush strength · √(thickness · perimeter). This is the strength of a new box in
-a press; a safety factor gives the strength in use.
+a press; dividing it by a safety factor gives the strength in use.
 """
 
 from __future__ import annotations
@@ -58,13 +58,13 @@ _NUMBERS: Final = {
     _STIFFNESS: SPARSE[_STIFFNESS][:2],
     **dict.fromkeys(COM_FIELDS, (-LARGEST_MM / 2, LARGEST_MM / 2)),
 }
-"""Field → limits between which its values make sense. A lower limit of 0 is itself not allowed."""
+"""Field → limits between which its values are plausible. A lower limit of 0 is itself not allowed."""
 _FIELDS: Final = (*_KEYS, _MATERIAL, *_NUMBERS)
 
 _LONGEST_MATERIAL: Final = 100
 
 MOST_ARTICLES: Final = 1_000_000
-"""Largest number of articles of a table: more than any warehouse has. A table of this size takes some 400 MB."""
+"""Largest number of articles in a table: more than any warehouse has. A table of this size takes about 400 MB."""
 
 _COMMA_NUMBER: Final = re.compile(COMMA_NUMBER)
 _TOML_TABLES: Final = {"articles": "article", "product_groups": "product_group", "materials": _MATERIAL}
@@ -75,7 +75,7 @@ class Strength:
     """The strength in one row of a table of articles.
 
     Attributes:
-        strength_n: strength, N; None: by McKee's formula from the board.
+        strength_n: strength, N; None: it is computed from the board by McKee's formula.
         ect_kn_m: edge crush strength of the board, kN/m.
         thickness_mm: thickness of the board, mm.
         safety_factor: divisor of the strength; None: 1.
@@ -87,7 +87,7 @@ class Strength:
     safety_factor: float | None = None
 
     def of_box(self, length_mm: float, width_mm: float) -> float:
-        """The largest load of a box with this base, N."""
+        """The largest load that a box with this base can bear, N."""
         strength = self.strength_n
         if strength is None:
             perimeter_mm = 2 * (length_mm + width_mm)
@@ -101,10 +101,11 @@ class Article:
     """The properties of an article, a product group or a material.
 
     Attributes:
-        strength: strength of the boxes; None: not in the table.
-        material: material of the boxes, for friction (petmjx.options.materials); None: not in the table.
-        com_mm: centre of mass relative to the box's middle, along length, width and height, mm; None: not in the table.
-        stiffness_n_mm: as in ``Plan``; None: not in the table.
+        strength: strength of the boxes; None: the table does not give it.
+        material: material of the boxes, for friction (petmjx.options.materials); None: the table does not give it.
+        com_mm: centre of mass relative to the box's middle, along length, width and height, mm; None: the table does
+            not give it.
+        stiffness_n_mm: as in ``Plan``; None: the table does not give it.
     """
 
     strength: Strength | None = None
@@ -113,7 +114,7 @@ class Article:
     stiffness_n_mm: float | None = None
 
     def filled_up(self, other: Article) -> Article:
-        """A copy in which missing values are taken from another entry."""
+        """A copy in which missing values are those of another entry."""
         values = {field.name: value for field in fields(self) if (value := getattr(self, field.name)) is not None}
         return replace(other, **values)
 
@@ -122,8 +123,8 @@ class Article:
 class Articles:
     """Properties by article, by product group and by material.
 
-    For each property the value of the article counts, otherwise the value of the product group, otherwise that of the
-    material.
+    The value of each property is that of the article; if the article has none, that of the product group; and if this
+    has none, that of the material.
     """
 
     by_article: Mapping[str, Article]
@@ -134,7 +135,7 @@ class Articles:
         """All properties of a box.
 
         Args:
-            material: the box's material in the plan; "": the plan names none.
+            material: the box's material in the plan; "" if the plan gives none.
         """
         entry = self.by_article.get(article, _NOTHING)
         merged = entry.filled_up(self.by_group.get(group, _NOTHING) if group else _NOTHING)
@@ -145,19 +146,19 @@ _NOTHING: Final = Article()
 
 
 def material_key(name: str) -> str:
-    """A material's name in a form for comparisons: without case and white space around it."""
+    """A material's name in the form in which names are compared: without case, and without white space around it."""
     return name.strip().lower()
 
 
 def read_articles(path: str | Path) -> Articles:
-    """A table of articles: CSV (also gzipped), Parquet or TOML.
+    """Read a table of articles: CSV (possibly gzipped), Parquet or TOML.
 
     Raises:
-        InputError: the file cannot be read, or a row is unusable; the line names file, row and field.
+        InputError: the file cannot be read, or a row is unusable. The message names the file, the row and the field.
     """
     file, name = Path(path), printable(str(path))
     try:
-        has_own_reader = is_csv(file) or file.suffix.lower() == ".toml"  # their readers name other kinds themselves
+        has_own_reader = is_csv(file) or file.suffix.lower() == ".toml"  # their readers recognise other kinds of files
         if not has_own_reader and (foreign := foreign_kind_of(file)) is not None:
             raise InputError(f"{name}: {foreign}")
         if file.suffix.lower() == ".toml":
@@ -169,7 +170,7 @@ def read_articles(path: str | Path) -> Articles:
         else:
             raise InputError(f"{name}: the name must end in one of .toml, {PARQUET_SUFFIX}, {', '.join(CSV_SUFFIXES)}")
         articles: dict[str, dict[str, Article]] = {key: {} for key in (*_KEYS, _MATERIAL)}
-        for where, row in rows:  # one at a time: a table of a million rows takes a gigabyte as dictionaries
+        for where, row in rows:  # one at a time: as dictionaries, a million rows take a gigabyte
             key, value, article = _article(f"{name}: {where}", row)
             if value in articles[key]:
                 raise InputError(f"{name}: {where}: {key} {printable_name(value)} is there twice")
@@ -186,7 +187,8 @@ def read_articles(path: str | Path) -> Articles:
 
 
 def _article(where: str, row: Mapping[str, Any]) -> tuple[str, str, Article]:
-    """One checked row: the kind of its name (article, product_group or material), the name, and the properties."""
+    """Check one row. Returns the kind of its name (article, product_group or material), the name, and the
+    properties."""
     values = {name.strip().lower(): value for name, value in row.items() if value not in (None, "")}
     unknown = [name for name in values if name not in _FIELDS]
     if unknown:
@@ -315,14 +317,14 @@ def _cells(name: str, number: int, names: Sequence[str], row: Sequence[str], com
 
 
 def _has_decimal_commas(text: str) -> bool:
-    """Whether a number of a table with semicolons has a decimal comma."""
+    """Whether a table with semicolons has a number with a decimal comma."""
     if "," not in text:
         return False
     rows = csv.reader(io.StringIO(text, newline=""), delimiter=";")
     try:
         numeric = [at for at, field in enumerate(next(rows, [])) if field.strip().lower() in _NUMBERS]
         return any(_COMMA_NUMBER.match(row[at]) for row in rows for at in numeric if at < len(row))
-    except csv.Error:  # said of the row when the table is read
+    except csv.Error:  # reported for the row when the table is read
         return False
 
 
@@ -334,17 +336,17 @@ def _parquet_rows(file: Path) -> Iterator[tuple[str, dict[str, Any]]]:
         )
 
 
-# Articles applied to plans.
+# Applying articles to plans.
 
 
 def with_articles(plan: Plan, articles: Articles) -> Plan:
-    """The plan with the materials, centres of mass, stiffness and strength of its boxes from a table.
+    """Add to a plan the materials, centres of mass, stiffness and strength that a table gives for its boxes.
 
-    A value in the plan takes precedence over the table. If the table has nothing on the plan's boxes, the same object
-    is returned.
+    A value in the plan takes precedence over the table. If the table gives nothing for the plan's boxes, the same
+    object is returned.
 
     Raises:
-        InputError: ", placement 3: …": a centre of mass is not inside its box.
+        InputError: ", placement 3: …": a centre of mass is outside its box.
     """
     groups = plan.product_groups or ("",) * plan.n_boxes
     own_materials = plan.materials or ("",) * plan.n_boxes

@@ -1,7 +1,8 @@
-"""Meanings of the columns of other tools' tables (``BoxColumns``): sizes, places, turns, weights and names of boxes.
+"""Meanings of the columns of other tools' tables (``BoxColumns``): sizes, places, rotations, weights and names of
+boxes.
 
-Here cells become numbers, and each bad cell becomes a line that names row and column. What the numbers mean – units,
-axes, anchors – is decided later (``petmjx.plans.readings``).
+In this module cells become numbers, and each bad cell becomes a line that names its row and column. What the numbers
+mean (units, axes, anchors) is decided later (``petmjx.plans.readings``).
 """
 
 from __future__ import annotations
@@ -34,10 +35,10 @@ ROLES: Final = (
     "length", "width", "height", "depth", "x size", "y size", "z size", "x", "y", "z", "sizes", "position", "weight",
     "rotation", "plan", "sequence", "article", "item_id",
 )  # fmt: skip
-"""Roles that the option ``columns`` can give to a column. ``sizes`` and ``position`` are three numbers in one
+"""Roles that the option ``columns`` can assign to a column. ``sizes`` and ``position`` are three numbers in one
 column."""
 IGNORED: Final = "-"
-"""Instead of a column's name: no column holds this."""
+"""Written instead of a column's name: no column has this role."""
 
 _ON_AXES: Final = {"0": "x", "1": "y", "2": "z", "length": "x", "width": "y", "height": "z", "depth": "z"}
 _XYZ: Final = ("x", "y", "z")
@@ -55,19 +56,19 @@ def role_of(axis: str) -> str:
 
 @dataclass(frozen=True, eq=False)
 class Geometry:
-    """Sizes and places of boxes, in the file's units, by one choice of columns.
+    """Sizes and places of boxes in the file's units, for one choice of columns.
 
     Attributes:
-        size: (n, 3) sizes in the order of ``axes``; NaN where a cell is bad.
-        place: (n, 3) coordinates along the file's first, second and third axis; NaN where a cell is bad.
-        axes: names of the sizes' axes: words, or x, y, z, or "0", "1", "2" without names.
-        size_unit, place_unit: unit that names or cells give; "": none.
-        anchor: the point that names give; "": none.
-        placed: whether sizes are surely those as placed.
+        size: (n, 3) sizes in the order of ``axes``; NaN if a cell is bad.
+        place: (n, 3) coordinates along the file's first, second and third axis; NaN if a cell is bad.
+        axes: names of the axes of the sizes: words, or x, y, z, or "0", "1", "2" if they have no names.
+        size_unit, place_unit: unit according to names or cells; "": none is given.
+        anchor: the point of a box according to the names; "": none is given.
+        placed: whether the sizes are known to be those of the box as placed.
         columns: role → name of its column.
-        prior: how unlikely the choice is by itself; 0: usual.
+        prior: how unlikely the choice is in itself; 0: usual.
         turn: (n, 3, 3) rotations of poses; None: no poses.
-        named_up: the vertical axis that names of places give; "": none.
+        named_up: the vertical axis according to the names of places; "": none is given.
     """
 
     size: FloatArray
@@ -85,13 +86,14 @@ class Geometry:
 
 @dataclass(frozen=True, eq=False)
 class Turns:
-    """A column of rotations.
+    """A column with the rotations of boxes.
 
     Attributes:
-        column: its name.
-        rules: names of the rules that its values allow (``readings.ROTATION_RULES``).
-        codes: (n,) number of each turn: 0 to 5 as in py3dbp, or quarter turns; −1: unknown.
-        letters: (n, 3) which size lies along each axis, of turns that are letters; None: no such turns.
+        column: name of the column.
+        rules: names of the rules that are possible with its values (``readings.ROTATION_RULES``).
+        codes: (n,) number of each rotation: 0 to 5 as in py3dbp, or quarter turns; −1: unknown.
+        letters: (n, 3) for rotations written as letters, the size that lies along each axis; None: they are not
+            letters.
     """
 
     column: str
@@ -102,22 +104,23 @@ class Turns:
 
 @dataclass(frozen=True, eq=False)
 class BoxColumns:
-    """The boxes of a source by column.
+    """The boxes of a source, by column.
 
     Attributes:
-        source: origin of the turns.
-        geometries: choices of columns for sizes and places.
-        turns: rotations; None: no column has any.
-        weight: (n,) weights in the file's unit; None: no column has any.
-        weight_unit: unit that the name or the cells give; "": none.
-        weight_is_density: whether ``weight`` is a density, in units of water's or kg/m³.
-        plan, article, item_id, group: (n,) names; None: no column.
-        sequence: (n,) packing order; None: no column. A running number is no packing order: it may count in any order.
-        counters: name → (n,) whole numbers, of columns whose name may be that of a packing order ("Nr", "Pick"); NaN
-            for other cells.
-        columns: role → name of its column, for all roles except geometry.
-        faults: row → (column, text) of its first bad cell.
-        unread: names of columns that mean nothing here.
+        source: where the boxes come from.
+        geometries: possible choices of columns for sizes and places.
+        turns: rotations; None: no column has rotations.
+        weight: (n,) weights in the file's unit; None: no column has weights.
+        weight_unit: unit according to the name or the cells; "": none is given.
+        weight_is_density: whether ``weight`` is a density, relative to water or in kg/m³.
+        plan, article, item_id, group: (n,) names; None: no column has them.
+        sequence: (n,) packing order; None: no column has it. A running number is not a packing order, since it may
+            count in any order.
+        counters: name → (n,) whole numbers, of columns whose name could be that of a packing order ("Nr", "Pick"); NaN
+            for cells that are not whole numbers.
+        columns: role → name of its column, for all roles except those of the geometry.
+        faults: row → (column, error text) of the first bad cell in the row.
+        unread: names of columns that have no meaning here.
     """
 
     source: BoxSource
@@ -142,7 +145,7 @@ class BoxColumns:
 
 
 class Extraction:
-    """The columns of one source while their meanings are sought."""
+    """The columns of one source, while their meanings are being determined."""
 
     def __init__(self, source: BoxSource, chosen: Mapping[str, str], units: str = "", masses: str = "") -> None:
         self.source = source
@@ -155,7 +158,7 @@ class Extraction:
             self.meanings[upper["ID"]] = ColumnMeaning("article")
             self.meanings[upper["TYPE"]] = None
             self.meanings[upper.get("COPIES", upper["TYPE"])] = None
-        if source.form == BED_BPP:  # in this form item.sequence counts the order's items; the list is in packing order
+        if source.form == BED_BPP:  # here item.sequence counts the order's items
             self.meanings = [
                 None if meaning is not None and meaning.kind == "sequence" else meaning for meaning in self.meanings
             ]
@@ -182,7 +185,8 @@ class Extraction:
         self.faults.setdefault(row, (self.table.header[index], text))
 
     def numbers(self, index: int, units: Mapping[str, float]) -> tuple[FloatArray, str]:
-        """(n,) numbers of a column, NaN where a cell is bad; and the unit of its name or cells ("": none)."""
+        """(n,) numbers of a column, NaN if a cell is bad; and the unit according to its name or cells ("": none is
+        given)."""
         rows: list[Sequence[CellNumber]] = []
         for row, cell in enumerate(self.cells(index)):
             number = cell_number(cell, self.table.decimal)
@@ -198,7 +202,7 @@ class Extraction:
         return values[:, 0], unit
 
     def triples(self, index: int) -> tuple[FloatArray, str]:
-        """(n, 3) numbers of a column with three in a cell; and the unit."""
+        """(n, 3) numbers of a column with three numbers per cell; and their unit."""
         rows: list[Sequence[CellNumber]] = []
         for row, cell in enumerate(self.cells(index)):
             triple = cell_triple(cell, self.table.decimal)
@@ -213,10 +217,11 @@ class Extraction:
     def _in_one_unit(
         self, index: int, rows: Sequence[Sequence[CellNumber]], units: Mapping[str, float], width: int
     ) -> tuple[FloatArray, str]:
-        """(n, width) numbers of a column, NaN in rows without numbers; and their unit ("": none).
+        """(n, width) numbers of a column, NaN for rows without numbers; and their unit ("": none is given).
 
-        A number without a unit has that of the column's name, of an option or of the form. Without these it is bad if
-        other cells have units: the unit of one cell says nothing about the others. Zero needs no unit.
+        A number without a unit has the unit of the column's name, of an option, or of the form. If none of these gives
+        one, the number is bad if other cells have units, since the unit of one cell does not imply that of another.
+        Zero needs no unit.
         """
         values = np.full((len(rows), width), np.nan)
         is_mass = "kg" in units
@@ -226,7 +231,7 @@ class Extraction:
         wish = wish if wish in units else ""
         written = {number.unit for numbers in rows for number in numbers if number.unit in units} - {""}
         usual = of_name or wish or (form.masses if is_mass else form.units)
-        target = wish or ("kg" if is_mass else "mm")  # an option names the unit of all numbers of the file
+        target = wish or ("kg" if is_mass else "mm")  # an option sets the unit of all numbers of the file
         for row, numbers in enumerate(rows):
             if not numbers:
                 continue
@@ -242,7 +247,7 @@ class Extraction:
         return values, target if written else of_name
 
     def joined(self, indices: Sequence[int]) -> tuple[FloatArray, str]:
-        """(n, 3) numbers of three columns, in one unit."""
+        """(n, 3) numbers of three columns, converted to the same unit."""
         parts = [self.numbers(index, LENGTH_UNITS) for index in indices]
         units = {unit for _, unit in parts if unit}
         if len(units) <= 1:
@@ -252,7 +257,7 @@ class Extraction:
     # Geometry.
 
     def columns_of(self, *kinds: str) -> dict[str, list[int]]:
-        """Axis → columns of these kinds that describe boxes."""
+        """Axis → the columns of these kinds that describe boxes."""
         by_axis: dict[str, list[int]] = {}
         for index, meaning in enumerate(self.meanings):
             if meaning is not None and meaning.kind in kinds and not meaning.of_container:
@@ -260,7 +265,7 @@ class Extraction:
         return by_axis
 
     def size_choices(self) -> list[tuple[FloatArray, tuple[str, str, str], str, bool, dict[str, str]]]:
-        """(sizes, axes, unit, placed, columns) for each way to take sizes from columns."""
+        """(sizes, axes, unit, placed, columns) for each possible choice of columns for the sizes."""
         header = self.table.header
         if "sizes" in self.fixed:
             values, unit = self.triples(self.fixed["sizes"])
@@ -302,7 +307,8 @@ class Extraction:
         return meaning is not None and meaning.half
 
     def place_choices(self) -> list[tuple[FloatArray, str, str, dict[str, str], str]]:
-        """(places, unit, anchor, columns, vertical axis) for each way to take places from columns, the surest first."""
+        """(places, unit, anchor, columns, vertical axis) for each possible choice of columns for the places, most
+        certain first."""
         header = self.table.header
         if "position" in self.fixed:
             values, unit = self.triples(self.fixed["position"])
@@ -346,7 +352,7 @@ class Extraction:
         return choices[:1]
 
     def corner_choices(self) -> list[Geometry]:
-        """Geometries from the corners with the smallest and the largest coordinates."""
+        """Geometries from two corners: that with the smallest and that with the largest coordinates."""
         header = self.table.header
         ends = [self.columns_of(kind) for kind in ("low", "position", "edge1", "edge2", "high")]
         low, plain, first, second, high = ends
@@ -438,7 +444,7 @@ class Extraction:
         index: int,
         anchor: str,
     ) -> Geometry:
-        """A geometry of poses. Boxes that are not at right angles are refused."""
+        """A geometry from poses. Boxes whose rotation is not a multiple of right angles are refused."""
         for row in np.flatnonzero(_tilt(rotation) > _LEVEL):
             degrees = np.degrees(np.arccos(np.clip(np.abs(rotation[row]).max(axis=1).min(), 0, 1)))
             self.bad(
@@ -447,7 +453,7 @@ class Extraction:
         return Geometry(size, place, axes, size_unit, place_unit, anchor, True, columns, turn=np.abs(np.rint(rotation)))
 
     def array_choices(self) -> list[Geometry]:
-        """Geometries of columns without names: sizes first or places first, or two corners."""
+        """Geometries of columns without names: sizes first, or places first, or two corners."""
         header, width = self.table.header, len(self.table.header)
         starts = [start for start in (0, 1) if width >= start + 6]
         geometries = []
@@ -470,14 +476,14 @@ class Extraction:
                 corners = Geometry(second - first, first, _XYZ, "", "", "corner", True, ends, prior + 0.2)
                 geometries.append(corners)
         for name in geometries[0].columns.values() if geometries else ():
-            self.numbers(header.index(name), LENGTH_UNITS)  # names bad cells
+            self.numbers(header.index(name), LENGTH_UNITS)  # reports bad cells with the column's name
         return geometries
 
     def array_extras(self, geometries: Sequence[Geometry]) -> tuple[Turns | None, int | None, bool]:
-        """Rotations, the column of weights, and whether these are densities, of columns without names behind the first.
+        """Rotations, the column of weights, and whether weights are densities, from further columns without names.
 
-        Whole numbers from 0 to 5 are rotations, numbers up to ``_DENSEST`` densities in those of water, all others
-        weights.
+        Whole numbers from 0 to 5 are rotations. Numbers up to ``_DENSEST`` are densities relative to water. All others
+        are weights.
         """
         header = self.table.header
         used = {header.index(name) for name in geometries[0].columns.values()} if geometries else set()
@@ -499,10 +505,10 @@ class Extraction:
         with np.errstate(invalid="ignore"):
             return np.where(np.isnan(values), np.nanmedian(values) if np.isfinite(values).any() else 1.0, values)
 
-    # The rest.
+    # Other columns.
 
     def texts(self, *kinds: str, role: str = "") -> tuple[list[str] | None, str]:
-        """(n,) names of the first column of these kinds, and the column's name."""
+        """(n,) names in the first column of these kinds, and the column's name."""
         index = self.fixed.get(role)
         if index is None:
             index = next(
@@ -519,16 +525,16 @@ class Extraction:
         return [cell_text(cell) for cell in self.cells(index)], self.table.header[index]
 
     def filled_down(self, names: list[str] | None, column: str, least_rows: float = 1.0) -> list[str] | None:
-        """(n,) names of the plan or order of each row. Blank cells below a name, as merged cells leave them, get the
-        name: each name must then be written once, in the first row of its block.
+        """(n,) the name of the plan or order of each row. Blank cells below a name, as merged cells leave them, get
+        this name. Each name must then be written only once, in the first row of its block.
 
         Args:
-            names: texts of the cells; None: no column.
-            column: the column's name.
-            least_rows: least mean number of rows of a name; columns with more names are left as they are.
+            names: texts of the cells; None: there is no column.
+            column: name of the column.
+            least_rows: smallest mean number of rows per name. Columns with more names are not changed.
 
         Raises:
-            InputError: blank cells of another kind.
+            InputError: there are blank cells that cannot be filled in this manner.
         """
         if names is None or "" not in names or not any(names):
             return names
@@ -558,7 +564,7 @@ class Extraction:
         )
 
     def counters(self, used: Collection[str]) -> dict[str, FloatArray]:
-        """Unused columns of whole numbers whose names may stand for a packing order."""
+        """Unused columns of whole numbers whose names could be those of a packing order."""
         columns: dict[str, FloatArray] = {}
         for index, name in enumerate(self.table.header):
             if name in used or not may_count(name):
@@ -617,7 +623,7 @@ class Extraction:
                 np.int64,
             )
         if sum(allowed) * 2 <= len(filled_cells):
-            return None  # words of another kind; sizes are then taken as placed
+            return None  # other words; sizes are then assumed to be as placed
         for row, ok in enumerate(allowed):
             if not ok:
                 self.bad(row, index, _shown_turn(cells[row], kind))
@@ -625,13 +631,14 @@ class Extraction:
 
 
 _DENSEST: Final = 1.5
-"""Largest density in a column without a name, relative to water; denser than any carton."""
+"""Largest density, relative to water, in a column without a name. It is denser than any carton."""
 _LEVEL: Final = 2e-3
-"""Largest difference of a rotation matrix from right angles: 3.6°. Poses are written with three digits."""
+"""Largest deviation of a rotation matrix from right angles: 3.6°. Poses are written with three digits."""
 
 
 _MOST_SOUND: Final = 0.9
-"""Least share of rows without a header that must fit the guessed meaning of a column; all other rows have bad cells."""
+"""Smallest share of the rows of a table without a header that must match the guessed meaning of a column. The other
+rows then have bad cells."""
 
 
 def _mostly(rows: NDArray[np.bool_]) -> bool:
@@ -640,7 +647,7 @@ def _mostly(rows: NDArray[np.bool_]) -> bool:
 
 
 def _tilt(rotation: FloatArray) -> FloatArray:
-    """(n,) largest difference of the axes of (n, 3, 3) rotations from right angles."""
+    """(n,) largest deviation of the axes of rotations (n, 3, 3) from right angles."""
     tilt: FloatArray = np.abs(np.abs(rotation).max(axis=2) - 1).max(axis=1)
     return tilt
 
@@ -652,8 +659,8 @@ def _role_of(meaning: ColumnMeaning) -> str:
 
 
 def _same_prefix(header: Sequence[str], picked: Sequence[Sequence[int]]) -> list[tuple[int, ...]]:
-    """Three columns of one object, such as ``dimensions.width`` … If no three share an object, the first column of each
-    size."""
+    """Three columns of the same object, such as ``dimensions.width`` … If no three belong to the same object, the first
+    column of each size."""
     by_prefix: dict[str, list[int]] = {}
     for number, columns in enumerate(picked):
         for index in columns:
@@ -679,7 +686,8 @@ def _matrix_of(cell: Any) -> FloatArray | None:
 
 
 def _bad_member(cell: Any) -> str:
-    """Which member of a matrix is no number, from 0, for messages; "": its shape is wrong."""
+    """The number, from 0, of the first member of a matrix that is not a number, for messages; "" if the shape is
+    wrong."""
     flat = [value for row in cell for value in (row if isinstance(row, list | tuple) else (row,))] if cell else []
     for index, value in enumerate(flat):
         number = cell_number(value)
@@ -701,7 +709,8 @@ def _rotations_of(quaternion: FloatArray) -> FloatArray:
 
 
 def _letters_of(cell: Any) -> tuple[int, int, int] | None:
-    """Which size lies along x, y and z, of three letters such as "YXZ" or "WLH"; None: the letters are no turn."""
+    """For three letters such as "YXZ" or "WLH": the index of the size along x, y and z. None if the letters name no
+    orientation."""
     text = cell_text(cell).upper().removeprefix("ROTATIONTYPE.").removeprefix("RT_").removeprefix("ORIENTATION.")
     for letters in ("XYZ", "LWH", "WHD", "LBH", "LHD", "WDH", "ABC"):
         if sorted(text) == sorted(letters):
@@ -732,14 +741,14 @@ def _shown_turn(cell: Any, kind: str) -> str:
 def box_columns(
     source: BoxSource, chosen: Mapping[str, str] | None = None, units: str = "", masses: str = ""
 ) -> BoxColumns:
-    """The columns of a source by their meanings.
+    """Determine the columns of a source by their meanings.
 
     Args:
-        chosen: role (``ROLES``) → name of the column that holds it, or "-".
-        units, masses: unit of all lengths, and of all masses, that an option names; "": none.
+        chosen: role (``ROLES``) → name of the column that has it, or "-".
+        units, masses: unit of all lengths and of all masses that an option sets; "": no option.
 
     Raises:
-        InputError: a chosen column does not exist. Missing places and sizes leave ``geometries`` empty.
+        InputError: a chosen column does not exist. If places or sizes are missing, ``geometries`` is empty instead.
     """
     work = Extraction(source, chosen or {}, units, masses)
     turns = None

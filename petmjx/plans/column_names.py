@@ -1,8 +1,8 @@
-"""Column names of other tools' files (``ColumnMeaning``): words of six languages, units, axes and anchors.
+"""Column names in other tools' files (``ColumnMeaning``): words of six languages, units, axes and anchors.
 
-A name may be a header of a sheet ("Länge [mm]", "Pos. X", "Gewicht (kg)"), or the path of a value in JSON
-("position.x", "stackable.dx", "WHD[0]"). English, German, French, Spanish, Italian and Polish words are known, with and
-without accents, and their usual letters (L, B, H).
+A name may be the header of a sheet ("Länge [mm]", "Pos. X", "Gewicht (kg)"), or the path of a value in JSON
+("position.x", "stackable.dx", "WHD[0]"). Words in English, German, French, Spanish, Italian and Polish are known, with
+and without accents, as are their usual letters (L, B, H).
 """
 
 from __future__ import annotations
@@ -19,12 +19,12 @@ Kind = Literal[
     "rotation", "quantity", "layers", "plan", "sequence", "number", "article", "item_id", "group", "material",
     "row_kind", "strength",
 ]  # fmt: skip
-"""Meaning of a column. ``sizes`` and ``positions`` are three numbers in one cell; ``low`` and ``high`` are coordinates
-of the corners with the smallest and the largest x, y and z; ``sequence`` is a packing order, ``number`` a running
+"""Meaning of a column. ``sizes`` and ``positions`` are three numbers in one cell. ``low`` and ``high`` are coordinates
+of the corners with the smallest and the largest x, y and z. ``sequence`` is a packing order. ``number`` is a running
 number, which may be a packing order."""
 
 OWN_COLUMNS: Final = ("length_mm", "width_mm", "height_mm", "weight_kg")
-"""Names of petmjx's own for the sizes and the weight of items, with the units in them."""
+"""petmjx's own names for the sizes and the weight of items, which contain the units."""
 
 LENGTH_UNITS: Final = {
     "mm": 1.0, "millimeter": 1.0, "millimeters": 1.0, "millimetre": 1.0, "millimetres": 1.0, "milimetry": 1.0,
@@ -138,10 +138,10 @@ _LETTERS: Final[tuple[tuple[tuple[str, ...], tuple[str, ...]], ...]] = (
 )
 """Letters of three columns → their meanings: longueur, largeur, hauteur; Länge, Breite, Höhe; Breite, Höhe, Tiefe;
 largeur, hauteur, profondeur; larghezza, profondità, altezza; długość, szerokość, wysokość; largo, ancho, and H. The
-first rows tell capitals from small letters."""
+first rows distinguish capitals from small letters."""
 
 _LONE: Final = {"l": "length", "w": "width", "b": "width", "h": "height", "d": "depth", "t": "depth"}
-"""Letters that stand for a size also alone."""
+"""Letters that name a size even when they stand alone."""
 _BOX: Final = word_set("box item case carton package pkg karton kiste caja colis collo placed dim size")
 
 _TOKEN: Final = re.compile(r"[A-Z]+(?![a-z])|[A-Z]?[a-z]+|\d+|'")
@@ -149,7 +149,7 @@ _UNIT_MARK: Final = re.compile(
     r"[\[(\{<]\s*([^\])}>]*?)\s*[\])}>]|/\s*([a-zµ]+)\s*$|\bin\s+([a-z]+)\s*$", re.IGNORECASE
 )
 _SCALE: Final = re.compile(r"\bscale\b", re.IGNORECASE)
-"""Sizes of unit cubes in scenes of three.js and Unity, where nothing else is a size."""
+"""Sizes of unit cubes in scenes of three.js and Unity, in which no other field is a size."""
 _INDEX: Final = re.compile(r"\[(\d+)\]")
 _ORDER: Final = re.compile(
     r"(?<![a-z])([lwhbdtap])\s*[x×*/,;]\s*([lwhbdtap])\s*[x×*/,;]\s*([lwhbdtap])(?![a-z])", re.IGNORECASE
@@ -163,15 +163,17 @@ class ColumnMeaning:
 
     Attributes:
         kind: role of the column.
-        axis: for sizes length, width, height, depth, or x, y, z (``dx``, ``LX``); for positions x, y, z, or the word of
-            a size; for both "0", "1", "2" for the members of a list; "": no axis.
+        axis: for sizes: length, width, height, depth, or x, y, z (``dx``, ``LX``); for positions: x, y, z, or the word
+            for a size; for both: "0", "1", "2" for the members of a list; "": no axis.
         unit: name of the unit in ``LENGTH_UNITS`` or ``MASS_UNITS``; "": no unit.
-        anchor: for positions, the point in the name (``centre``, ``base-centre``, ``corner``); "": none.
-        placed: whether by the name sizes are those of the box as placed.
+        anchor: for positions, the point according to the name (``centre``, ``base-centre``, ``corner``); "": none is
+            given.
+        placed: whether the name implies that sizes are those of the box as placed.
         half: whether sizes are half extents.
-        of_container: whether the column is about the container or pallet, not about the box.
-        letter: whether a single letter means the axis.
-        order: for three numbers in one cell, their axes, such as ("length", "width", "height"); empty: not named.
+        of_container: whether the column describes the container or pallet instead of the box.
+        letter: whether the axis is given by a single letter.
+        order: for three numbers in one cell, the names of their axes, such as ("length", "width", "height"); empty: no
+            names.
     """
 
     kind: Kind
@@ -192,7 +194,8 @@ def plain_text(text: str) -> str:
 
 
 def split_unit(name: str) -> tuple[str, str]:
-    """A name without its unit, and the unit: "L [mm]" → ("L", "mm"), "length_mm" → ("length", "mm"). "": none."""
+    """A name without its unit, and the unit: "L [mm]" → ("L", "mm"), "length_mm" → ("length", "mm"). The unit is "" if
+    there is none."""
     for match in _UNIT_MARK.finditer(name):
         word = plain_text(next(filter(None, match.groups()), "")).strip(" .").lower()
         if word in LENGTH_UNITS or word in MASS_UNITS:
@@ -210,15 +213,16 @@ def split_unit(name: str) -> tuple[str, str]:
 
 
 def is_unit(text: str) -> bool:
-    """Whether a text is only a unit, as in a line of units below headers: "mm", "[kg]"."""
+    """Whether a text is only a unit, as in a line of units below the headers: "mm", "[kg]"."""
     word = plain_text(text).strip(" []().").lower()
     return word in LENGTH_UNITS or word in MASS_UNITS
 
 
 def column_meanings(names: Sequence[str]) -> list[ColumnMeaning | None]:
-    """Meanings of the names of a table's columns, in order; None: an unknown name.
+    """The meanings of the names of a table's columns, in the same order; None: the name is unknown.
 
-    Single letters are read together: L, B and H are length, width and height, but B, H and T width, height and depth.
+    Single letters are interpreted together: L, B and H are length, width and height, but B, H and T are width, height
+    and depth.
     """
     meanings = [_meaning(name) for name in names]
     if not any(meaning is not None and meaning.kind in ("size", "sizes", "high") for meaning in meanings):
@@ -254,12 +258,12 @@ _COUNTER: Final = re.compile(
 
 
 def may_count(name: str) -> bool:
-    """Whether a name may mean a column that counts boxes, in any order: "N°", "Lfd. Nr.", "#", "Pick"."""
+    """Whether a name may be that of a column that numbers boxes, in any order: "N°", "Lfd. Nr.", "#", "Pick"."""
     return bool(_COUNTER.match(" ".join(re.findall(r"[a-z]+|#", plain_text(name.rpartition("[")[0] or name).lower()))))
 
 
 def words_of(name: str) -> list[str]:
-    """The words of a name, plain and in lower case: "posX [mm]" → pos, x; "stackable.dx" → stackable, dx."""
+    """The words of a name, without accents and in lower case: "posX [mm]" → pos, x; "stackable.dx" → stackable, dx."""
     text = plain_text(name)
     text = re.sub(r"(?<=[a-z])(?=[XYZ](?![a-z]))", " ", text)
     return [match[0].lower() for match in _TOKEN.finditer(text)]
@@ -277,7 +281,7 @@ def _meaning(name: str) -> ColumnMeaning | None:
     words = words_of(_INDEX.sub(" ", base))
     if not words:
         return None
-    if {_X, _Y, _Z} <= set(words) and not index:  # three coordinates in a cell: "Position (x, y, z)"
+    if {_X, _Y, _Z} <= set(words) and not index:  # three coordinates in one cell: "Position (x, y, z)"
         return ColumnMeaning("positions", unit=unit if unit in LENGTH_UNITS else "", anchor=_anchor_of(set(words)))
     of_sharp = "ß" in name  # "Maße" are sizes, "Masse" is a mass
     tail = words_of(_INDEX.sub(" ", base.rpartition(".")[2])) or words
@@ -296,7 +300,7 @@ def _meaning(name: str) -> ColumnMeaning | None:
 
 
 def _geometry(tail: list[str], path: list[str], index: str, of_sharp: bool) -> ColumnMeaning | None:
-    """The meaning of a name for a size or a coordinate; None: the name means something else."""
+    """The meaning of a name for a size or a coordinate; None if the name means something else."""
     words, context = set(tail), set(path)
     everything = words | context
     placed = bool(words & _PLACED or context & _PLACED)
@@ -318,7 +322,7 @@ def _geometry(tail: list[str], path: list[str], index: str, of_sharp: bool) -> C
     if compact is not None and not words & _POSITION:
         letter = compact[2] if compact[2] in _AXES else compact[1]
         if last[1:] == "w" or last[:-1] == "w":
-            return None  # wx: an angular speed, or a word of another kind
+            return None  # wx: an angular velocity, or another kind of word
         return ColumnMeaning("size", letter, placed=last[0] in "l" or placed, half=half)
     point = re.fullmatch(r"(c|p|pos|m|ctr|cen|center|centre|mid|start|min|max|lo|hi|end|t|q|flb|loc)([xyz])", last)
     back = re.fullmatch(r"([xyz])(c|pos|min|max|center|centre|mid|start|end|lo|hi)", last)
@@ -375,7 +379,7 @@ def _geometry(tail: list[str], path: list[str], index: str, of_sharp: bool) -> C
 
 
 def _order_axis(words: set[str], index: int) -> str:
-    """The axis of a member of a list of sizes: in WHD the second is the height; elsewhere "1"."""
+    """The axis of a member of a list of sizes: in WHD, the second one is the height; in other lists, "1"."""
     order = _orders(words)
     return order[index] if index < len(order) else str(index)
 
@@ -385,7 +389,7 @@ def _orders(words: set[str]) -> tuple[str, ...]:
 
 
 def _letters_order(letters: str) -> tuple[str, ...]:
-    """The sizes that three letters name, as "WHD" does; empty: they name none."""
+    """The sizes that three letters such as "WHD" name; empty if they name none."""
     for initials, axes in _LETTERS:
         if sorted(initials) == sorted(letters):
             return tuple(axes[initials.index(letter)] for letter in letters)
@@ -407,7 +411,7 @@ _FIRST: Final[tuple[Kind, ...]] = (
 
 
 def _kind_of(tail: list[str], path: list[str]) -> Kind | None:
-    """The meaning of a name without axes."""
+    """The meaning of a name that contains no axis."""
     words = set(tail)
     joined = "".join(tail)
     if joined == "m":
@@ -417,7 +421,7 @@ def _kind_of(tail: list[str], path: list[str]) -> Kind | None:
     for kind in _FIRST:
         if words & _WORDS[kind] or joined in _WORDS[kind]:
             if kind == "sequence" and words & {"id", "no", "nr", "nummer", "number"} and "order" in words:
-                return "plan"  # order_id: the customer's order
+                return "plan"  # order_id is the customer's order
             if kind == "quantity" and words & {"id", "nr", "no", "name"}:
                 break
             if kind == "weight" and words & {"max", "limit", "capacity", "total", "maximum"}:

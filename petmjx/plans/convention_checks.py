@@ -1,8 +1,8 @@
-"""Detection of plans in another convention: centres for corners, metres for millimetres, z and y swapped.
+"""Detects plans in other conventions: centres given as corners, metres as millimetres, or y and z swapped.
 
-A plan is odd if boxes float or overlap. An odd plan is read in other conventions. A plan that is no longer odd in one
-convention probably follows it. Plans that really have odd boxes stay odd in every convention. A wrong unit of all
-lengths, or of masses, leaves the layout right; it is recognised by the density of the boxes.
+A plan is odd if boxes float or overlap. An odd plan is read in other conventions. If it is no longer odd in one of
+them, the plan probably follows this convention. Plans whose boxes really are odd stay odd in every convention. If all
+lengths or all masses have a wrong unit, the layout looks right; such a unit is recognised by the density of the boxes.
 """
 
 from __future__ import annotations
@@ -36,29 +36,29 @@ MOST_UNEXPLAINED: Final = 100
 ONE_IN: Final = 50
 """Limits of the search, since reading a plan in all conventions takes 2 ms. After ``MOST_UNEXPLAINED`` odd plans that
 no convention explains, only every ``ONE_IN``-th odd plan is read in all conventions. The other odd plans are read only
-in conventions that explain earlier plans."""
+in conventions that have explained earlier plans."""
 
 LIGHTEST_KG_M3: Final = 2.0
 HEAVIEST_KG_M3: Final = 20_000.0
-"""Densities of whole plans: air has 1.2 kg/m³, crisps in cartons 30, gold 19,300."""
+"""Limits of the density of a whole plan. Air has 1.2 kg/m³, crisps in cartons have 30 and gold has 19,300."""
 _USUAL_KG_M3: Final = 300.0
 _USUAL_M3: Final = 0.015
-"""Usual density and volume of a carton, from BED-BPP's orders. These limits distinguish grams from centimetres: both
-make plans a thousand times too dense."""
+"""Usual density and volume of a carton, from BED-BPP's orders. They distinguish grams from centimetres: either makes
+plans a thousand times too dense."""
 
 LEAST_SHARE: Final = 0.25
-"""Least share of the plans with an odd layout that a convention must explain to be reported. A packer that makes a
-mistake makes it in all plans. By chance, one in 300 plans with three floating boxes looks as if y and z were
+"""Smallest share of the plans with odd layouts that a convention must explain to be reported. If a packer makes a
+mistake, it makes it in all plans. By chance, one in 300 plans with three floating boxes looks as if y and z were
 swapped."""
 
 _LEAST_FILLED: Final = 0.3
-"""Least share of a plan's bounding box filled by boxes in a convention that explains the plan. Without this rule,
-larger coordinates would explain any plan: they also separate boxes that really overlap."""
+"""If a convention explains a plan, boxes must fill at least this share of the plan's bounding box. Without this rule,
+larger coordinates would explain any plan, since they separate even boxes that really overlap."""
 
 _MM3_PER_M3: Final = 1e9
 
 _MOST_ROUNDS: Final = 5
-"""Largest number of passes over the turned boxes; most rows are right after two."""
+"""Largest number of passes over the turned boxes. Most rows are right after two."""
 
 _Layout = tuple[FloatArray, FloatArray]
 """Corners and sizes, (n, 3) each, mm, in packing order."""
@@ -66,20 +66,21 @@ _Layout = tuple[FloatArray, FloatArray]
 
 @dataclass(frozen=True, eq=False)
 class Convention:
-    """A convention other than petmjx's, for a second reading of a plan.
+    """A convention other than petmjx's, in which a plan is read as well.
 
     Attributes:
-        looks: appearance of plans in this convention, for messages.
-        advice: how to correct it, for messages. ``{lowest}`` stands for the z of the lowest box, ``{x}`` and ``{y}``
-            for the middle of the carrier, mm.
-        read: converts corners and sizes to petmjx's convention. None: reading the plan in this convention changes
-            nothing.
-        least_odd: least number of floating boxes and overlaps of a plan that it explains, if the lowest box does not
-            float.
-        of_turned: apply ``read`` only to boxes that are turned by an orientation; all other boxes stay as they are.
-        of_some: apply ``read`` only to those of these boxes that then overlap less.
-        least_share: least share of the boxes above the carrier that float or overlap; at least one of them by more than
-            ``_SMALL_MM``.
+        looks: how plans in this convention look, for messages.
+        advice: how to correct the plan, for messages. ``{lowest}`` stands for the z of the lowest box, ``{x}`` and
+            ``{y}`` for the middle of the carrier, mm.
+        read: function that converts corners and sizes to petmjx's convention. None: reading the plan in this convention
+            changes nothing.
+        least_odd: smallest number of floating boxes and overlaps in a plan that this convention may explain, if the
+            lowest box does not float.
+        of_turned: whether ``read`` is applied only to boxes that their orientation turns. All other boxes stay
+            unchanged.
+        of_some: whether ``read`` is applied only to those of these boxes that overlap less afterwards.
+        least_share: smallest share of the boxes above the carrier that must float or overlap, at least one of them by
+            more than ``_SMALL_MM``.
     """
 
     looks: str
@@ -91,7 +92,7 @@ class Convention:
     least_share: float = 0.0
 
     def layout_of(self, plan: Plan) -> _Layout:
-        """The plan's corners and sizes, read in this convention."""
+        """The plan's corners and sizes when it is read in this convention."""
         assert self.read is not None
         corner, size = self.read(plan.corner_mm, plan.size_mm)
         if not self.of_turned:
@@ -123,13 +124,13 @@ _TURNED: Final = (
 )
 _YZ: Final = ("y and z look swapped", "give heights as z")
 _MOST: Final = 0.5
-"""Least share of the boxes above the carrier that float or overlap if y and z are swapped. If rows are flush in y,
-nothing floats or overlaps after a swap even in a right plan. So a few odd boxes are no evidence."""
+"""Smallest share of the boxes above the carrier that float or overlap when y and z are swapped. If rows are flush in y,
+nothing floats or overlaps even when y and z of a correct plan are swapped. So a few odd boxes are no evidence."""
 _SMALL_MM: Final = 20.0
 """Gaps and overlaps up to this size come from sheets, rounded heights or careless packers, not from a convention."""
 
 _WALL: Final = Convention(*_YZ, lambda corner, size: (corner[:, [0, 2, 1]], size[:, [0, 2, 1]]), least_share=_MOST)
-"""A wall or a row of boxes with all heights in y: nothing floats or overlaps, but it is too long."""
+"""A wall or a row of boxes whose heights are all in y. Nothing floats or overlaps, but the plan is too long."""
 
 LAYOUTS: Final[tuple[Convention, ...]] = (
     Convention(*_TURNED, lambda corner, size: (corner, size[:, [1, 0, 2]]), least_odd=1, of_turned=True),
@@ -158,7 +159,7 @@ LAYOUTS: Final[tuple[Convention, ...]] = (
     *(_scale_convention(unit, sizes=False) for unit in ("cm", "in", "m")),
     *(_scale_convention(unit, sizes=True) for unit in ("cm", "in", "m")),
 )
-"""Conventions that may explain an odd layout. The first one that fits is taken."""
+"""Conventions that may explain an odd layout. The first one that explains the plan is used."""
 
 _SIZES_ALONE: Final = LAYOUTS[-3:]
 
@@ -190,7 +191,7 @@ class _ConventionMatch:
 
 @dataclass
 class _Search:
-    """The search for conventions in a set of plans, with the matches so far."""
+    """The search for conventions in a set of plans, with the matches found so far."""
 
     extent_mm: tuple[float, float] | None
     found: dict[str, _ConventionMatch] = field(default_factory=dict)
@@ -202,8 +203,8 @@ class _Search:
         """Search for the convention of one plan.
 
         Args:
-            odd: the plan's odd boxes; None: its layout is not odd.
-            unit: a unit that explains the plan's density, and the evidence; None: the density is not odd.
+            odd: the plan's odd boxes; None if its layout is not odd.
+            unit: a unit that explains the plan's density, and the evidence; None if the density is not odd.
         """
         way = None
         if unit is not None and odd is not None:
@@ -212,7 +213,7 @@ class _Search:
             self._add(unit[0], plan, unit[1])
             if unit[0].read is not None:
                 corner, size = unit[0].read(plan.corner_mm, plan.size_mm)
-                plan = replace(plan, corner_mm=corner, size_mm=size, kinds=())  # pallets have fixed sizes
+                plan = replace(plan, corner_mm=corner, size_mm=size, kinds=())  # since pallets have fixed sizes
                 odd = check_layout(plan.plan_id, plan.source, corner, size, self.extent_mm)
         if odd is None:
             return
@@ -226,8 +227,8 @@ class _Search:
             self._add(MIDDLE, plan, f"{_box(plan, int(odd.outside[0]))} is outside the carrier")
 
     def _layout_of(self, plan: Plan, odd: PlanWarnings, ways: Sequence[Convention]) -> Convention | None:
-        """The convention that explains an odd layout; None: no such convention. The last one that explained a plan is
-        tried first.
+        """The convention that explains an odd layout; None if there is none. The convention that explained the previous
+        plan is tried first.
         """
         n_odd = odd.n_floating + odd.n_overlapping_pairs
         if not n_odd:
@@ -241,7 +242,7 @@ class _Search:
         return None
 
     def common(self, looks: str) -> bool:
-        """Whether the convention with this ``looks`` explains enough plans."""
+        """Whether the convention with this ``looks`` explains enough of the plans."""
         finding = self.found.get(looks)
         return finding is not None and (not finding.of_layout or finding.count >= LEAST_SHARE * self.n_odd)
 
@@ -255,14 +256,14 @@ class _Search:
 
 
 def with_conventions(plan_set: PlanSet, extent_mm: tuple[float, float] | None) -> PlanSet:
-    """The same plans with warnings about odd layouts, and with the conventions that they seem to follow.
+    """Add to plans warnings about odd layouts, and lines about the conventions that they appear to follow.
 
     Args:
-        extent_mm: x–y extent of the carrier; None: the plan's bounding box.
+        extent_mm: extent of the carrier along x and y; None: the extent of the plan's bounding box.
     """
     odd = odd_layouts(plan_set.plans, extent_mm)
     readings = [f"{source}: {reading.line()}" for source, reading in plan_set.readings.items()]
-    own = [plan for plan in plan_set.plans if plan.source not in plan_set.readings]  # others have known conventions
+    own = [plan for plan in plan_set.plans if plan.source not in plan_set.readings]  # conventions of the rest are known
     own_odd = [layout for layout in odd if layout.source not in plan_set.readings]
     conventions = _find_conventions(own, own_odd, extent_mm)
     return replace(plan_set, warnings=odd, conventions=[*readings, *conventions])
@@ -271,12 +272,12 @@ def with_conventions(plan_set: PlanSet, extent_mm: tuple[float, float] | None) -
 def _find_conventions(
     plans: Sequence[Plan], odd: Iterable[PlanWarnings], carrier_extent_mm: tuple[float, float] | None = None
 ) -> list[str]:
-    """A line for each convention that plans seem to follow instead of petmjx's.
+    """A line for each convention that plans appear to follow instead of petmjx's.
 
     Args:
         plans: plans with distinct ids.
         odd: warnings about odd layouts of these plans.
-        carrier_extent_mm: x–y extent of the carrier; None: the plan's bounding box.
+        carrier_extent_mm: extent of the carrier along x and y; None: the extent of the plan's bounding box.
     """
     search = _Search(carrier_extent_mm)
     layouts = {layout.plan_id: layout for layout in odd}
@@ -294,7 +295,7 @@ def _find_conventions(
 
 
 def warn(lines: Iterable[str]) -> None:
-    """Issue a ``PlanWarning`` for each line. The warning points at the caller outside petmjx."""
+    """Issue a ``PlanWarning`` for each line. The warning refers to the line of the caller's code, outside petmjx."""
     frame, depth = sys._getframe(1), 2
     while frame.f_back is not None and frame.f_globals.get("__name__", "").partition(".")[0] == "petmjx":
         frame, depth = frame.f_back, depth + 1
@@ -303,7 +304,7 @@ def warn(lines: Iterable[str]) -> None:
 
 
 def _explains(way: Convention, plan: Plan, n_odd: int) -> bool:
-    """Whether at most a tenth of the odd boxes and pairs remains in another reading of a plan."""
+    """Whether at most a tenth of the odd boxes and pairs remain when a plan is read in another convention."""
     if n_odd < way.least_odd and plan.corner_mm[:, 2].min() <= DEFAULT_TOLERANCE_MM:
         return False
     if way.of_turned and not plan.turned.any():
@@ -311,7 +312,7 @@ def _explains(way: Convention, plan: Plan, n_odd: int) -> bool:
     if way.least_share and not _is_mostly_odd(plan, way.least_share):
         return False
     corner, size = way.layout_of(plan)
-    if abs(corner[:, 2].min()) > DEFAULT_TOLERANCE_MM:  # in the right convention a box stands on the carrier
+    if abs(corner[:, 2].min()) > DEFAULT_TOLERANCE_MM:  # in the right convention, a box stands on the carrier
         return False
     bounds = (corner + size).max(axis=0) - corner.min(axis=0)
     if size.prod(axis=1).sum() < _LEAST_FILLED * bounds.prod():
@@ -321,9 +322,9 @@ def _explains(way: Convention, plan: Plan, n_odd: int) -> bool:
 
 
 def _overlapping_less(plan: Plan, size: FloatArray) -> NDArray[np.bool_]:
-    """(n,) whether a turned box overlaps fewer boxes with another size (``size``: (n, 3), mm).
+    """(n,) whether a turned box overlaps fewer boxes if it has another size (``size``: (n, 3), mm).
 
-    Boxes are changed one by one, in passes, until a pass changes no box.
+    The boxes are changed one by one, in passes, until a pass changes none.
     """
     chosen, sizes, low = np.zeros(plan.n_boxes, bool), plan.size_mm.copy(), plan.corner_mm
     turned = np.flatnonzero(plan.turned & (plan.size_mm != size).any(axis=1))
@@ -346,8 +347,8 @@ def _overlapping_less(plan: Plan, size: FloatArray) -> NDArray[np.bool_]:
 
 
 def _is_mostly_odd(plan: Plan, least_share: float) -> bool:
-    """Whether at least this share of the boxes above the carrier floats or overlaps, one by more than ``_SMALL_MM``. If
-    all boxes stand on the carrier, all boxes count."""
+    """Whether at least this share of the boxes above the carrier floats or overlaps, and one of them by more than
+    ``_SMALL_MM``. If all boxes stand on the carrier, all boxes count as above it."""
     gap, overlap = gaps_mm(plan.corner_mm, plan.size_mm), overlaps_mm(plan.corner_mm, plan.size_mm)
     above = plan.corner_mm[:, 2] > DEFAULT_TOLERANCE_MM
     above |= not above.any()
@@ -357,9 +358,9 @@ def _is_mostly_odd(plan: Plan, least_share: float) -> bool:
 
 
 def _is_wall_lying(plan: Plan, odd: PlanWarnings, extent_mm: tuple[float, float]) -> bool:
-    """Whether a plan whose boxes all have z = 0 is a wall with y and z swapped: a box lies wholly beside the carrier in
-    y, and after a swap boxes lie on boxes, all have support and no box is outside. A layer that would fit after a turn
-    is not odd."""
+    """Whether a plan whose boxes all have z = 0 is a wall with y and z swapped. This is so if the plan extends beyond
+    the carrier in y, and if after a swap some boxes lie on others, all have support, and none is outside. A layer that
+    would fit after a turn is not odd."""
     if odd.n_floating or odd.n_overlapping_pairs or plan.corner_mm[:, 2].max() > DEFAULT_TOLERANCE_MM:
         return False
     length, width = np.array(extent_mm) + DEFAULT_TOLERANCE_MM
@@ -374,7 +375,7 @@ def _is_wall_lying(plan: Plan, odd: PlanWarnings, extent_mm: tuple[float, float]
 
 
 def _from_the_middle(plan: Plan, way: Convention | None, extent_mm: tuple[float, float]) -> bool:
-    """Whether all boxes are on the carrier if its middle is the origin."""
+    """Whether all boxes are on the carrier if the origin is the carrier's middle."""
     corner, size = plan.corner_mm, plan.size_mm
     if way is not None and way.read is not None:
         corner, size = way.layout_of(plan)
@@ -384,7 +385,7 @@ def _from_the_middle(plan: Plan, way: Convention | None, extent_mm: tuple[float,
 
 
 def _odd_densities(plans: Sequence[Plan]) -> dict[str, tuple[Convention, str]]:
-    """Plan id → the unit that explains an impossible density, and the box with the most extreme density, in words."""
+    """Plan id → the unit that explains an impossible density, and in words the box with the most extreme density."""
     if not plans:
         return {}
     begins = np.cumsum([0, *(plan.n_boxes for plan in plans[:-1])])
@@ -403,7 +404,7 @@ def _odd_densities(plans: Sequence[Plan]) -> dict[str, tuple[Convention, str]]:
 
 
 def _why_dense(density: float, volume_m3: float) -> Convention:
-    """The convention with the most usual density of a plan and mean volume of its boxes."""
+    """The convention that makes the density of a plan and the mean volume of its boxes most usual."""
 
     def unusual(length: float, mass: float) -> float:
         of_volume = length**3
@@ -415,7 +416,7 @@ def _why_dense(density: float, volume_m3: float) -> Convention:
 
 
 def _first_oddity(plan: Plan, odd: PlanWarnings, way: Convention) -> str:
-    """The first odd box of a plan, in words."""
+    """Describe the first odd box of a plan."""
     lowest = int(plan.corner_mm[:, 2].argmin())
     bottom = plan.corner_mm[lowest, 2]
     if bottom > DEFAULT_TOLERANCE_MM:
@@ -431,5 +432,5 @@ def _first_oddity(plan: Plan, odd: PlanWarnings, way: Convention) -> str:
 
 
 def _box(plan: Plan, box: int) -> str:
-    """A box in words: "box 22 (candy-00100723)". Boxes count from 0 in packing order."""
+    """A box as messages name it: "box 22 (candy-00100723)". Boxes are numbered from 0, in packing order."""
     return box_in_words(box, plan.articles[box])

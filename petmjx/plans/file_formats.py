@@ -1,4 +1,4 @@
-"""File formats: recognition of plan files, and error texts for files of other programs."""
+"""File formats: recognises files of plans, and has the error texts for files of other programs."""
 
 from __future__ import annotations
 
@@ -25,28 +25,28 @@ class SupportsArrow(Protocol):
 
 
 class NoGeometry(InputError):
-    """The error of a file without columns of sizes and places of boxes."""
+    """A file has no columns with the sizes and places of boxes."""
 
 
 class NoBoxes(NoGeometry):
-    """The error of a file without boxes: it may be of another kind."""
+    """A file has no boxes at all, so it may be of another kind."""
 
 
 def is_csv(path: Path) -> bool:
-    """Whether a file is CSV by its name. The content alone would not distinguish such a file from damaged JSON."""
+    """Whether a file is CSV according to its name. Its content alone could also be damaged JSON."""
     return path.name.lower().endswith(CSV_SUFFIXES)
 
 
 def is_parquet_name(path: Path) -> bool:
-    """Whether a file is Parquet by its name."""
+    """Whether a file is Parquet according to its name."""
     return path.suffix.lower() == PARQUET_SUFFIX
 
 
 def is_parquet(path: Path) -> bool:
-    """Whether a file is Parquet, by its name or its first bytes.
+    """Whether a file is Parquet according to its name or its first bytes.
 
     Raises:
-        OSError: the file cannot be read, or is no regular file.
+        OSError: the file cannot be read, or is not a regular file.
         ValueError: no file can have this name.
     """
     with open_regular(path) as file:
@@ -55,30 +55,30 @@ def is_parquet(path: Path) -> bool:
 
 _N_NEEDED: Final = 5
 _COLUMN: Final = re.compile(rb"(plan_id|sequence|article|(length|width|height|weight)[\w/ ()]*|[xyz]_mm)")
-"""Names of columns by which text is recognised as a table if the file's name does not say so: more than
-``_N_NEEDED`` of them."""
+"""Names of columns. If the name of a file does not show that it is a table, text with more than ``_N_NEEDED`` of them
+is recognised as a table."""
 
 _JSON: Final = re.compile(rb"\s*+(\{\s*+[\"}]|\[\s*+[\"\[{\]])")
-"""The beginning of JSON. No header of a table begins so."""
+"""The beginning of JSON. No header of a table begins like this."""
 
 _SEPARATOR_MARK: Final = re.compile(rb"\s*\"?sep=.\"?[\s;,]*", re.IGNORECASE)
 
 _LONGEST_NUMBER: Final = 40
 _DECIMAL_COMMA: Final = re.compile(r"[+-]?\d*,\d+")
 COMMA_NUMBER: Final = r"^\s*[+-]?(\d*,\d+|\d+,|\d{1,3}(\.\d{3})+,\d+)([eE][+-]?\d+)?\s*$"
-"""A number with a decimal comma, maybe with points between its thousands."""
+"""A number with a decimal comma, possibly with points between its thousands."""
 _POINTS: Final = re.compile(r"[+-]?\d{1,3}(\.\d{3})+")
 _GROUPED: Final = re.compile(
     r"[+-]?\d{1,3}(?P<mark>[.,'\u2019 \u00a0\u202f])\d{3}(?:(?P=mark)\d{3})*(?:(?P<decimal>[.,])\d+)?"
 )
-"""Numbers with a mark between groups of three digits, and maybe a decimal mark."""
+"""Numbers with a mark between groups of three digits, and possibly a decimal mark."""
 
 
 def foreign_kind_of(path: Path) -> str | None:
-    """The format of a file that is neither text nor Parquet, by :func:`foreign_kind`.
+    """The format of a file that is neither text nor Parquet, from :func:`foreign_kind`.
 
     Raises:
-        OSError: the file cannot be read, or is no regular file.
+        OSError: the file cannot be read, or is not a regular file.
         ValueError: no file can have this name.
     """
     with open_regular(path) as file:
@@ -86,7 +86,7 @@ def foreign_kind_of(path: Path) -> str | None:
 
 
 def looks_like_table(data: bytes | bytearray) -> bool:
-    """Whether a text begins with the header of a table of placements, or with Excel's mark of the separator."""
+    """Whether a text begins with the header of a table of placements, or with Excel's separator mark."""
     first = data[: 1 << 16].split(b"\n", 1)[0].strip().lower()
     cells = [cell.strip(b'" ') for cell in re.split(rb"[,;\t]", first)]
     return separator_mark(first) is not None or sum(_COLUMN.fullmatch(cell) is not None for cell in cells) > _N_NEEDED
@@ -96,12 +96,13 @@ _LOOKED_AT_TEXT: Final = 1 << 16
 _OWN_JSON: Final = re.compile(rb'"(item_sequence|length/mm)"')
 _OTHER_UNITS: Final = re.compile(rb'"length/(cm|dm|m|in|inch|ft)"')
 _OTHER_TOOLS: Final = (b"PK\x03\x04", b"\x93NUMPY")
-"""First bytes of workbooks, of archives of arrays, and of arrays."""
+"""The first bytes of workbooks and of archives of arrays; and those of arrays."""
 _SCENE: Final = re.compile(rb"<mujoco[\s>/]")
 
 
 def looks_like_own_json(data: bytes | bytearray) -> bool:
-    """Whether a text has fields of BED-BPP's plans or orders, usually near its beginning, and only in usual units."""
+    """Whether a text has fields of BED-BPP's plans or orders, in general near its beginning, and only in usual
+    units."""
     if _OWN_JSON.search(data, 0, _LOOKED_AT_TEXT) is not None:
         return True
     if _OTHER_UNITS.search(data, 0, _LOOKED_AT_TEXT) is not None:
@@ -110,18 +111,18 @@ def looks_like_own_json(data: bytes | bytearray) -> bool:
 
 
 def is_of_other_tools(data: bytes | bytearray) -> bool:
-    """Whether bytes that are no UTF-8 text of petmjx's forms may be a sheet, an array or a scene."""
+    """Whether bytes that are not UTF-8 text in one of petmjx's forms may be a sheet, an array or a scene."""
     return bytes(data[:6]).startswith(_OTHER_TOOLS) or _SCENE.search(data, 0, _LOOKED_AT_TEXT) is not None
 
 
 def looks_like_json(data: bytes | bytearray) -> bool:
-    """Whether a text begins as JSON does, and as no table does."""
+    """Whether a text begins like JSON, and like no table."""
     return _JSON.match(data) is not None
 
 
 def separator_mark(header: bytes | bytearray) -> str | None:
-    """The error text for a first row that is Excel's mark of the separator, such as "sep=;". None: the content is text
-    or Parquet."""
+    """The error text for a first row that is Excel's separator mark, such as "sep=;". None if the content is text or
+    Parquet."""
     if not _SEPARATOR_MARK.fullmatch(header):
         return None
     mark = header.decode("utf-8", "replace").strip().strip('"')[:5]
@@ -129,13 +130,13 @@ def separator_mark(header: bytes | bytearray) -> str | None:
 
 
 def other_encoding(text: str) -> str:
-    """The end of a message about a text that is not UTF-8: its probable content. Bytes that are no UTF-8 become lone
-    surrogates."""
+    """The end of a message about a text that is not UTF-8: what it probably is. Bytes that are not UTF-8 have become
+    lone surrogates."""
     if not all(character.isascii() or is_surrogate(character) for character in text):
-        return ""  # all other bytes are UTF-8: the text is damaged, not in another encoding
+        return ""  # the other bytes are UTF-8, so the text is damaged
     try:
         read = text.encode("utf-8", "surrogateescape").decode("cp1252")
-    except UnicodeEncodeError:  # a surrogate that JSON wrote as an escape stands for no byte
+    except UnicodeEncodeError:  # a surrogate that JSON wrote as an escape is no byte
         return ""
     except UnicodeDecodeError:
         return ": save the file as UTF-8"
@@ -144,12 +145,13 @@ def other_encoding(text: str) -> str:
 
 
 def is_surrogate(character: str) -> bool:
-    """Whether a character is a surrogate: half of a character, or a byte that is no UTF-8."""
+    """Whether a character is a surrogate: half of a character, or a byte that is not UTF-8."""
     return 0xD800 <= ord(character) <= 0xDFFF
 
 
 def number_hint(text: str) -> str:
-    """A hint how to write a number that has a decimal comma or marks between its thousands; "" for all other texts."""
+    """A hint on how to write a number that has a decimal comma or marks between its thousands; "" for any other
+    text."""
     plain = text.strip()
     grouped = _GROUPED.fullmatch(plain) if len(plain) <= _LONGEST_NUMBER else None
     mark, decimal = (None, None) if grouped is None else (grouped["mark"], grouped["decimal"])
@@ -163,8 +165,8 @@ def number_hint(text: str) -> str:
 
 
 def point_fault(field: str, value: object) -> str | None:
-    """The error text for a number with a decimal point, or a point between thousands, in a table whose numbers have
-    decimal commas; None: the value has no point.
+    """The error text for a number with a decimal point, or with points between its thousands, in a table whose numbers
+    have decimal commas. None if the value has no point.
     """
     if not isinstance(value, str) or "." not in value or len(value) > _LONGEST_NUMBER or number_hint(value):
         return None

@@ -1,5 +1,5 @@
-"""Forms of other tools (``BoxSource``): a file's bytes, an array or a Python object becomes lists of boxes, with the
-known facts about the form.
+"""Forms of other tools (``BoxSource``): a file's bytes, an array or a Python object becomes lists of boxes, together
+with the known facts about the form.
 
 Sources of the forms: py3dbp (``Item.string``, ``get_dimension``; github.com/enzoruiz/3dbinpacking) and its fork with a
 web API (github.com/jerry800416/3D-bin-packing), packingsolver's certificates, 3d-bin-container-packing's placements,
@@ -36,14 +36,14 @@ from petmjx.plans.workbooks import RawFile, check_archive, read_raw_tables
 
 @dataclass(frozen=True, slots=True)
 class KnownForm:
-    """Known facts about a form. Empty values are unknown, and chosen by plausibility.
+    """Known facts about a form. Facts that are empty are unknown, and chosen by plausibility.
 
     Attributes:
-        name: the form in words.
-        units: name of the unit of lengths; masses: of masses (``column_names``).
-        anchor: point of a box to which coordinates refer.
+        name: name of the form, in words.
+        units: name of the unit of lengths; masses: that of masses (``column_names``).
+        anchor: the point of a box that coordinates describe.
         up: the vertical axis, "y" or "z".
-        sizes: "placed": of the box as placed; "item": before turning.
+        sizes: "placed": sizes of the box as placed; "item": sizes before turning.
         rule: how a column of rotations turns a box (``readings.ROTATION_RULES``).
     """
 
@@ -58,12 +58,12 @@ class KnownForm:
 
 @dataclass(frozen=True, eq=False)
 class BoxSource:
-    """The boxes of a file, before their columns are understood.
+    """The boxes of a file, before the meaning of their columns is known.
 
     Attributes:
-        boxes: list of boxes with places.
+        boxes: list of boxes with their places.
         form: known facts about the form.
-        notes: lines about the reading of the file.
+        notes: lines about how the file is read.
     """
 
     boxes: BoxList
@@ -72,7 +72,7 @@ class BoxSource:
 
 
 MOST_BYTES: Final = 32 << 20
-"""Largest file of another tool: 200,000 boxes. As Python values they take ten times as much memory."""
+"""Largest file of another tool: 200,000 boxes. As Python values, they take ten times as much memory as the file."""
 
 PY3DBP: Final = KnownForm("py3dbp", anchor="corner", rule="py3dbp", sizes="item")
 _UPRIGHT: Final = KnownForm("", anchor="corner", up="z", sizes="placed")
@@ -89,10 +89,10 @@ POSES: Final = KnownForm("poses", up="z")
 
 
 def sources_of_bytes(data: bytes | bytearray, path: Path) -> list[BoxSource]:
-    """The lists of boxes in a file's bytes, the likeliest first. Lists may lack places or sizes.
+    """The lists of boxes in a file's bytes, most likely first. Lists may lack places or sizes.
 
     Raises:
-        InputError: the file is none of the known forms, or is damaged. The error does not name the file.
+        InputError: the file has none of the known forms, or is damaged. The error does not name the file.
     """
     if len(data) > MOST_BYTES:
         raise NoBoxes(f"is larger than {MOST_BYTES >> 20} MiB, too large for a file of another tool")
@@ -130,7 +130,7 @@ def sources_of_bytes(data: bytes | bytearray, path: Path) -> list[BoxSource]:
 
 
 def sources_of_tables(file: RawFile) -> list[BoxSource]:
-    """Tables as lists of boxes. Tables with the same header are parts of one list."""
+    """Turn tables into lists of boxes. Tables with the same header become parts of one list."""
     groups: dict[tuple[str, ...], list[RawTable]] = {}
     for table in file.tables:
         groups.setdefault(table.header, []).append(table)
@@ -168,7 +168,7 @@ _SIZE_ABOVE: Final = re.compile(
 
 
 def _containers_above(table: RawTable) -> Mapping[str, Mapping[str, float]]:
-    """The size of the carrier in the lines above a table: "Palette 1200 x 800"."""
+    """The size of the carrier from the lines above a table, such as "Palette 1200 x 800"."""
     for line in table.above:
         if (match := _SIZE_ABOVE.search(line)) is not None:
             numbers = [cell_number(part, table.decimal) for part in match.groups() if part]
@@ -179,7 +179,7 @@ def _containers_above(table: RawTable) -> Mapping[str, Mapping[str, float]]:
 
 
 def _with_known_form(boxes: BoxList, kind: str = "JSON") -> BoxSource:
-    """A list of boxes with the facts that the names of its fields reveal. Rows of totals are left out."""
+    """A list of boxes with the facts that the names of its fields imply. Rows of totals are removed."""
     boxes = _without_totals(boxes)
     names = {name.lower() for name in boxes.table.header}
     plain = {re.sub(r"[^a-z0-9]", "", name) for name in names}
@@ -212,7 +212,7 @@ def _with_known_form(boxes: BoxList, kind: str = "JSON") -> BoxSource:
 
 
 def _with_named_units(source: BoxSource) -> BoxSource:
-    """A list of boxes with the units that fields around it name: "units": {"length": "in", "weight": "lb"}."""
+    """A list of boxes with the units that fields around it give, as in "units": {"length": "in", "weight": "lb"}."""
     words = {
         plain_text(value).strip(" .").lower()
         for name, value in flattened(source.boxes.around).items()
@@ -228,7 +228,7 @@ def _with_named_units(source: BoxSource) -> BoxSource:
 
 
 def _without_totals(boxes: BoxList) -> BoxList:
-    """Boxes without the last row of each part if that row has the sums or means of the others."""
+    """Remove the last row of each part if it has the sums or means of the other rows."""
     table = boxes.table
     if not table.has_header:
         return boxes
@@ -246,7 +246,7 @@ def _without_totals(boxes: BoxList) -> BoxList:
 
 
 def _without_corner_posts(boxes: BoxList) -> tuple[BoxList, int]:
-    """Boxes without the posts that the fork of py3dbp puts into the corners of its container; and their number."""
+    """Remove the posts that the fork of py3dbp puts into the corners of its container. Also returns their number."""
     if "type" not in boxes.table.header:
         return boxes, 0
     kinds = boxes.table.column("type")
@@ -265,7 +265,8 @@ def rows_of(boxes: BoxList, kept: Sequence[int]) -> BoxList:
 
 
 def _certificate(boxes: BoxList) -> BoxSource:
-    """packingsolver's certificate: rows of type ITEM are boxes; rows of type BIN are containers, COPIES times each."""
+    """The boxes of packingsolver's certificate. Rows of type ITEM are boxes. Rows of type BIN are containers, each of
+    them COPIES times."""
     table = boxes.table
     upper = {name.upper(): table.header.index(name) for name in table.header}
     kinds = [cell_text(row[upper["TYPE"]]).upper() for row in table.rows]
@@ -290,8 +291,8 @@ def _certificate(boxes: BoxList) -> BoxSource:
 
 
 def _of_d_wave(boxes: BoxList) -> BoxSource:
-    """The solution of D-Wave's example. The bins of such a file stand one behind the other along x: the boxes of each
-    bin are moved to x = 0."""
+    """The boxes in the solution of D-Wave's example. The bins in such a file stand one behind the other along x, so the
+    boxes of each bin are moved to x = 0."""
     dashes = re.compile(r"^[-=]{2,}$")
     box_lines = [
         index
@@ -318,7 +319,7 @@ def _of_d_wave(boxes: BoxList) -> BoxSource:
     return BoxSource(replace(boxes, table=replace(table, rows=rows)), D_WAVE, (note,))
 
 
-# Printed text of py3dbp.
+# Text that py3dbp prints.
 
 _ITEM_LINE: Final = re.compile(
     r"^\W*(?P<name>.*?)\((?P<width>[^x(),]+)x(?P<height>[^x(),]+)x(?P<depth>[^x(),]+),\s*weight:\s*(?P<weight>[^)]*)\)"
@@ -334,7 +335,7 @@ _PRINTED: Final = ("name", "width", "height", "depth", "weight", "pos x", "pos y
 
 
 def _printed(text: str) -> BoxSource | None:
-    """The boxes in text that py3dbp or its fork printed; None: another text."""
+    """The boxes in text that py3dbp or its fork has printed; None for any other text."""
     if "pos(" not in text and "W*H*D" not in text:
         return None
     rows: list[tuple[Any, ...]] = []
@@ -407,7 +408,7 @@ def _printed(text: str) -> BoxSource | None:
 
 
 def _triple_cells(text: str) -> list[str]:
-    """The three numbers of a printed position, as text, so that a bad one can be named."""
+    """The three numbers of a printed position as text, so that a message can show a bad one."""
     plain = re.sub(r"Decimal\(\s*['\"]?([^'\")]*)['\"]?\s*\)", r"\1", text).strip("[]() ")
     return [part.strip() for part in plain.split(",")]
 
@@ -416,14 +417,14 @@ def _triple_cells(text: str) -> list[str]:
 
 
 _MOST_HEADER: Final = 10_000
-"""Longest header of an array, bytes, as in NumPy."""
+"""Largest length of an array's header in bytes, as in NumPy."""
 
 
 def _loaded_array(data: bytes | bytearray, name: str = "") -> Any:
-    """The array of .npy bytes. The header is compared with the number of bytes before memory is reserved.
+    """Load an array from .npy bytes. Its header is compared with the number of bytes before memory is reserved.
 
     Args:
-        name: name of the member of an archive, for errors; "": the file itself.
+        name: name of the member of an archive, for errors; "" if the file is the array.
     """
     prefix = f"{printable_name(name)} " if name else ""
     try:
@@ -448,7 +449,7 @@ def _loaded_array(data: bytes | bytearray, name: str = "") -> Any:
 
 
 def _array_header(data: bytes | bytearray) -> tuple[np.dtype[Any], tuple[int, ...], int]:
-    """Type, shape and the position of the first value of .npy bytes (NumPy's format, versions 1 to 3).
+    """The type, the shape and the position of the first value in .npy bytes (NumPy's format, versions 1 to 3).
 
     Raises:
         ValueError, TypeError, SyntaxError, KeyError, IndexError, struct.error: the header is damaged.
@@ -476,10 +477,10 @@ def _loaded_arrays(data: bytes | bytearray) -> dict[str, Any]:
 
 
 def _sources_of_arrays(arrays: Mapping[str, Any]) -> list[BoxSource]:
-    """Arrays as lists of boxes: one array with a row a box, or several with a row a box each.
+    """Turn arrays into lists of boxes: one array with a row per box, or several arrays with a row per box each.
 
     Raises:
-        InputError: no array has rows of boxes.
+        InputError: no array has rows that are boxes.
     """
     row_arrays = {name: array for name, array in arrays.items() if getattr(array, "ndim", 0) >= 1}
     for name, array in row_arrays.items():
@@ -527,7 +528,7 @@ def _sources_of_arrays(arrays: Mapping[str, Any]) -> list[BoxSource]:
         rows, places, parts = [], [], []
         for number, plan in enumerate(plans.tolist()):
             used = [index for index, row in enumerate(plan) if any(row)]
-            for index in range(used[-1] + 1 if used else 0):  # arrays of fixed length end with rows of zeros
+            for index in range(used[-1] + 1 if used else 0):  # arrays of fixed length are filled up with zeros
                 rows.append(tuple(plan[index]))
                 places.append(f"row {index}" if array.ndim == 2 else f"plan {number}, row {index}")
                 parts.append("" if array.ndim == 2 else str(number))
@@ -543,7 +544,7 @@ def _sources_of_arrays(arrays: Mapping[str, Any]) -> list[BoxSource]:
 
 
 def _as_plans(sources: Sequence[BoxSource]) -> list[BoxSource]:
-    """Lists of boxes, the longest first; lists with the same columns are joined to one list of several plans."""
+    """Lists of boxes, longest first. Lists with the same columns are joined into one list of several plans."""
     groups: dict[tuple[str, ...], list[BoxSource]] = {}
     for source in sources:
         groups.setdefault(source.boxes.table.header, []).append(source)
@@ -560,7 +561,7 @@ def _as_plans(sources: Sequence[BoxSource]) -> list[BoxSource]:
 
 
 def column_names_known(columns: Mapping[str, Any]) -> bool:
-    """Whether names of arrays are those of sizes and places."""
+    """Whether the names of arrays are those of sizes and places."""
     names = [name if array.ndim == 1 else f"{name}[0]" for name, array in columns.items()]
     kinds = {meaning.kind for meaning in column_meanings(names) if meaning is not None}
     posed = any(array.ndim == 3 for array in columns.values())
@@ -588,12 +589,12 @@ _PALLET: Final = re.compile(r"pallet|palette|carrier|floor|ground|table|deck|wal
 
 
 def _scene(text: str) -> BoxSource:
-    """The boxes of a MuJoCo scene: free bodies whose only shape is a box. MuJoCo itself reads the text.
+    """The boxes of a MuJoCo scene: free bodies whose only shape is a box. MuJoCo itself parses the text.
 
     Raises:
-        InputError: MuJoCo cannot read it, or no free body is a box.
+        InputError: MuJoCo cannot parse it, or no free body is a box.
     """
-    import mujoco  # the code that understands all of MJCF: defaults, angles, masses from densities
+    import mujoco  # MuJoCo knows all of MJCF: defaults, angles, densities
 
     try:
         model = mujoco.MjModel.from_xml_string(text)
@@ -643,7 +644,7 @@ def _scene(text: str) -> BoxSource:
 
 
 def sources_of_object(value: Any) -> list[BoxSource]:
-    """The boxes of a Python object: py3dbp's packer, bin or list of bins; an array; nested dictionaries and lists.
+    """The boxes in a Python object: py3dbp's packer, bin or list of bins; an array; nested dictionaries and lists.
 
     Raises:
         InputError: the object holds no boxes.
@@ -662,11 +663,11 @@ def sources_of_object(value: Any) -> list[BoxSource]:
 
 
 def sources_of_frame(frame: Any) -> list[BoxSource]:
-    """The boxes of a data frame whose columns have other names. Rows count from 0.
+    """The boxes of a data frame whose columns do not have petmjx's names. Rows are numbered from 0.
 
     Raises:
-        NoBoxes: the frame is no table.
-        InputError: a column with a known name is there twice.
+        NoBoxes: the frame is not a table.
+        InputError: two columns have the same known name.
     """
     try:
         if hasattr(frame, "iloc") and hasattr(frame, "columns"):
@@ -678,7 +679,7 @@ def sources_of_frame(frame: Any) -> list[BoxSource]:
             table = pa.table(frame)
             header = tuple(table.column_names)
             rows = list(zip(*(column.to_pylist() for column in table.columns), strict=True))
-    except Exception as error:  # whatever an object raises that is no table
+    except Exception as error:  # an object that is no table may raise anything
         raise NoBoxes(f"is no table: {type(error).__name__}") from None
     places = [f"row {number}" for number in range(len(rows))]
     raw = RawTable(tuple(distinct_names(header)), rows, places, decimal_of(rows))
@@ -686,18 +687,18 @@ def sources_of_frame(frame: Any) -> list[BoxSource]:
 
 
 def _plain(cell: Any) -> Any:
-    """A cell of pandas as a Python value; None where it is missing."""
+    """A cell of pandas as a Python value; None if it is missing."""
     cell = cell.item() if isinstance(cell, np.generic) else cell
     is_missing = type(cell).__name__ in _MISSING or (isinstance(cell, float) and np.isnan(cell))
     return None if is_missing else cell
 
 
 _MISSING: Final = ("NoneType", "NAType", "NaTType")
-"""Types of missing cells. Pandas' own are not compared: that would need an import of pandas."""
+"""Names of the types of missing cells. Comparing with pandas' types would need an import of pandas."""
 
 
 def _bins_of(value: Any) -> list[Any]:
-    """The bins of py3dbp's objects; empty: another object."""
+    """The bins among py3dbp's objects; empty for any other object."""
     if isinstance(value, Mapping | str | bytes | np.ndarray) or value is None:
         return []
     if isinstance(value, list | tuple):
@@ -737,6 +738,6 @@ def _of_bins(bins: Sequence[Any]) -> BoxSource:
 
 
 def cell_triple_value(value: Any) -> Any:
-    """A number of a Python object as a float; other values unchanged."""
+    """A number of a Python object as a float. Other values are returned unchanged."""
     number = cell_number(value)
     return value if number is None else number.value

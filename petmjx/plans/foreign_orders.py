@@ -1,4 +1,4 @@
-"""Orders of anybody's files (``foreign_orders``): tables and sheets of items with quantities, lists in JSON, test
+"""Orders from files of any form (``foreign_orders``): tables and sheets of items with quantities, lists in JSON, test
 problems of packing research, and the boxes of plans."""
 
 from __future__ import annotations
@@ -33,14 +33,14 @@ _DELI: Final = ("尺寸（L）", "尺寸（W）", "尺寸（H）")
 
 
 def foreign_orders(data: bytes | bytearray, path: Path, source: str, reading: OrderReading) -> ForeignOrders:
-    """The orders in a file's bytes.
+    """Read the orders in a file's bytes.
 
     Args:
         source: name of the file in messages.
 
     Raises:
-        NoBoxes: the file holds nothing like boxes.
-        InputError: the file cannot be read as orders, or in two ways. The lines do not name the file.
+        NoBoxes: the file contains nothing like boxes.
+        InputError: the file cannot be read as orders, or can be read in two ways. The lines do not name the file.
     """
     numbers = order_source(data) or _array_of_sizes(data)
     if numbers is not None:
@@ -51,7 +51,7 @@ def foreign_orders(data: bytes | bytearray, path: Path, source: str, reading: Or
         if (sheet := _sheet_of_deli(data)) is not None:
             return _orders_of(sheet, source, reading)
         raise
-    # other tools' plans do not keep these columns
+    # plans of other tools do not keep these columns
     has_properties = reading.for_episodes and not {*BOX_PROPERTIES}.isdisjoint(sources[0].boxes.table.header)
     if _has_three_places(sources[0]) and sources[0].boxes.has_sizes and not has_properties:
         return _orders_of_plans(path, source, reading)
@@ -59,13 +59,13 @@ def foreign_orders(data: bytes | bytearray, path: Path, source: str, reading: Or
 
 
 def frame_orders(frame: Any, source: str, reading: OrderReading) -> ForeignOrders:
-    """The orders in a data frame or a table of Arrow's. Arguments and errors are those of :func:`foreign_orders`."""
+    """Read the orders in a data frame or an Arrow table. Arguments and errors are those of :func:`foreign_orders`."""
     return _orders_of(_best_source(sources_of_frame(frame), reading.items), source, reading)
 
 
 def _has_three_places(source: BoxSource) -> bool:
-    """Whether a list has coordinates x, y and z, and not only empty cells and zeros there. A column "Position" alone
-    may count the rows of an order."""
+    """Whether a list has coordinates x, y and z that are not all empty or zero. A column "Position" alone may number
+    the rows of an order."""
     kinds: dict[str, set[str]] = {}
     table = source.boxes.table
     for index, meaning in enumerate(source.boxes.meanings):
@@ -89,8 +89,8 @@ def _has_three_places(source: BoxSource) -> bool:
 
 
 def _with_articles(sources: Sequence[BoxSource], items: Path | None) -> BoxSource | None:
-    """Lines of orders, with the sizes of their articles from another table of the file, or of a file of items; None: no
-    such lines.
+    """Lines of orders, joined with the sizes of their articles from another table of the file, or from a file of items.
+    None if there are no such lines.
 
     Raises:
         InputError: the file of items cannot be read, or its items are not those of the orders.
@@ -118,7 +118,7 @@ def _with_articles(sources: Sequence[BoxSource], items: Path | None) -> BoxSourc
 
 
 def _best_source(sources: Sequence[BoxSource], items: Path | None = None) -> BoxSource:
-    """The list of items of a file, with the sizes of their articles."""
+    """The list of items of a file, with the sizes of their articles added."""
     if (joined := _with_articles(sources, items)) is not None:
         return joined
     sized = [source for source in sources if has_sizes_of_items(source)]
@@ -129,7 +129,7 @@ def _best_source(sources: Sequence[BoxSource], items: Path | None = None) -> Box
 
 
 def _without_gaps(source: BoxSource, columns: Sequence[str]) -> BoxSource:
-    """A source without rows that lack a value."""
+    """A source without the rows in which one of these columns lacks a value."""
     cells = [source.boxes.table.column(name) for name in columns]
     is_full = np.array([all(cell not in (None, "") for cell in row) for row in zip(*cells, strict=True)], bool)
     left = int((~is_full).sum())
@@ -140,7 +140,7 @@ def _without_gaps(source: BoxSource, columns: Sequence[str]) -> BoxSource:
 
 
 def _array_of_sizes(data: bytes | bytearray) -> BoxSource | None:
-    """The boxes of a NumPy array (n, 3) of sizes, or (orders, n, 3); None: the file is none."""
+    """The boxes of a NumPy array of sizes, (n, 3) or (orders, n, 3); None if the file is no such array."""
     if bytes(data[:6]) != b"\x93NUMPY":
         return None
     try:
@@ -153,7 +153,7 @@ def _array_of_sizes(data: bytes | bytearray) -> BoxSource | None:
     places, parts = [], []
     for number, order in enumerate(array if array.ndim == 3 else array[None]):
         for index, row in enumerate(order.tolist()):
-            if any(row):  # arrays of fixed length end with rows of zeros
+            if any(row):  # arrays of fixed length are filled up with zeros
                 rows.append(tuple(row))
                 places.append(f"row {index}" if array.ndim == 2 else f"order {number}, row {index}")
                 parts.append("" if array.ndim == 2 else str(number))
@@ -161,7 +161,7 @@ def _array_of_sizes(data: bytes | bytearray) -> BoxSource | None:
 
 
 def _sheet_of_deli(data: bytes | bytearray) -> BoxSource | None:
-    """The articles of RoboBPP's ``deli.xlsx``, whose columns have Chinese names; None: another file."""
+    """The articles of RoboBPP's ``deli.xlsx``, whose columns have Chinese names; None for any other file."""
     if bytes(data[:2]) != b"PK":
         return None
     from openpyxl import load_workbook
@@ -172,7 +172,7 @@ def _sheet_of_deli(data: bytes | bytearray) -> BoxSource | None:
     try:
         book = load_workbook(io.BytesIO(data), read_only=True, data_only=True)
         rows = list(book.worksheets[0].iter_rows(values_only=True))
-    except Exception:  # a damaged workbook may raise anything; the first reader reports the error
+    except Exception:  # a damaged workbook may raise anything; the first reader reports it
         return None
     head = next((number for number, row in enumerate(rows[:60]) if set(_DELI) <= set(row)), None)
     if head is None:
@@ -195,7 +195,7 @@ _LENGTHS: Final = ("length", "width", "height")
 
 
 def _orders_of_plans(path: Path, source: str, reading: OrderReading) -> ForeignOrders:
-    """The boxes of each plan of a file as an order."""
+    """Read each plan of a file as an order with the plan's boxes."""
     from petmjx.plans.plan_reader import DEFAULT_MAX_BOXES, read_plans
 
     wishes = reading.wishes

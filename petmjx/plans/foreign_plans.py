@@ -1,5 +1,5 @@
-"""Plans of other tools' files (``read_foreign``): columns are understood, a reading is chosen, and boxes become the
-same checked table of placements as those of petmjx's own forms."""
+"""Plans in files of other tools (``read_foreign``). The columns are interpreted, a reading is chosen, and the boxes
+become the same checked table of placements as in petmjx's own forms."""
 
 from __future__ import annotations
 
@@ -42,49 +42,50 @@ from petmjx.plans.reading_choice import TIE, choose_reading, container_of
 from petmjx.plans.readings import AmbiguousFile, Reading, Wishes
 
 USUAL_KG_M3: Final = 300.0
-"""Density of boxes if a file has no weights, that of cartons in BED-BPP's orders. Verdicts hardly depend on a density
+"""Density of boxes if a file has no weights: that of cartons in BED-BPP's orders. Verdicts hardly depend on a density
 that is the same for all boxes."""
 _WATER_KG_M3: Final = 1000.0
 _RELATIVE: Final = 1.5
-"""Densities up to this are relative to water."""
+"""Densities up to this value are relative to water."""
 _LIGHTEST, _HEAVIEST = 2.0, 5000.0
-"""Median densities beyond which weights or lengths are hardly right, kg/m³: below foam, above iron parts."""
+"""Median densities outside these limits, kg/m³, suggest wrong weights or lengths. They are below foam and above iron
+parts."""
 _DECK: Final = re.compile(
     r"^\W*(?:euro?|epal|chep|gma)?[\W\d_]*(?:pallet|palette|paleta|palet|pale|bancale|europalette|europallet|epal|eur|skid)\b",
     re.IGNORECASE,
 )
-"""Names of pallets among boxes, such as "EUR", "EPAL 1", "Euro pallet", "Palette"."""
+"""Names of pallets in lists of boxes, such as "EUR", "EPAL 1", "Euro pallet", "Palette"."""
 _OF_DECKS_MM: Final = ((380.0, 580.0), (1320.0, 1500.0))
-"""Least and largest short and long side of a pallet."""
+"""Smallest short and long side of a pallet, and largest short and long side."""
 _HIGHEST_DECK_MM: Final = 250.0
 _NUMBERS_OF_A_BOX: Final = 6
-"""Least number of numbers in a row of a box: three sizes, three coordinates."""
+"""Smallest number of numbers in the row of a box: three sizes and three coordinates."""
 _MANY_OVERLAP: Final = 0.3
-"""Least share of boxes that overlap that shows two pallets read as one."""
+"""If at least this share of the boxes overlap, two pallets have probably been read as one."""
 _LEVEL: Final = 0.01
-"""Largest difference of the lowest box from the deck, as a share of the boxes' median height: 2 mm for cartons of 200
-mm. Centres are often rounded to millimetres."""
+"""Largest height of the lowest box above or below the deck, as a share of the boxes' median height: 2 mm for cartons of
+200 mm. Centres are often rounded to millimetres."""
 _LEAST_OF_PALLETS: Final = 4
-"""Least number of boxes of several pallets for a guess of the column of pallets."""
+"""Smallest number of boxes for which a column of pallets is guessed."""
 _OF_PALLETS: Final = word_set(
     "pallet pallets palette paletten palet paleta pale palety bancale bancali pal palno palnr palletno palletid palid "
     "lu hu su sscc lpn uld stop unit nosnik ladungstrager ladetrager ladeeinheit carrier container bin"
 )
-"""Words for pallets in names of columns that are none of ``column_names``."""
+"""Words for pallets in names of columns that ``column_names`` does not know."""
 _MATCHED: Final = 0.9
-"""Least share of boxes with an item in a table, if the table belongs to the boxes."""
+"""A table of items belongs to the boxes if at least this share of the boxes has an item in it."""
 PACK: Final = "pack them first: petmjx samples --orders {file} -o plans.json"
 
 
 @dataclass(frozen=True, eq=False)
 class ForeignPlans:
-    """The plans of a file of another tool.
+    """The plans in a file of another tool.
 
     Attributes:
-        table: the good plans, as a table of placements in millimetres and kilograms; None: no good plan.
-        refused: plans and rows that cannot be used.
+        table: the good plans, as a table of placements in millimetres and kilograms; None if there are none.
+        refused: plans and rows that are unusable.
         reading: how the file was read.
-        containers: plan id → x, y and z size of its container, mm; NaN where unknown.
+        containers: plan id → size of its container along x, y and z, mm; NaN if unknown.
     """
 
     table: Table | None
@@ -96,16 +97,16 @@ class ForeignPlans:
 def read_foreign(
     data: bytes | bytearray, path: Path, source: str, wishes: Wishes, items: Path | None = None
 ) -> ForeignPlans:
-    """The plans in a file's bytes.
+    """Read the plans in a file's bytes.
 
     Args:
         source: name of the file in messages.
-        items: file with the sizes and weights of items, for files of places alone; None: no file, or the file beside
-            it.
+        items: file with the sizes and weights of items, for files that contain only places; None: no file, or a file
+            beside it.
 
     Raises:
         AmbiguousFile: the file can be read in two ways.
-        InputError: the file holds no plans. The lines do not name the file.
+        InputError: the file contains no plans. The lines do not name the file.
     """
     return plans_of_sources(sources_of_bytes(data, path), path, source, wishes, items)
 
@@ -113,7 +114,8 @@ def read_foreign(
 def plans_of_sources(
     sources: Sequence[BoxSource], path: Path | None, source: str, wishes: Wishes, items: Path | None = None
 ) -> ForeignPlans:
-    """The plans in lists of boxes, the likeliest first. Arguments and errors are those of :func:`read_foreign`."""
+    """Read the plans in lists of boxes, which are sorted by likelihood. Arguments and errors are those of
+    :func:`read_foreign`."""
     chosen = _with_items(sources, path, items)
     if chosen.boxes.table.decimal:
         return _plans_of(chosen, sources, path, source, wishes)
@@ -128,7 +130,7 @@ def plans_of_sources(
     parts = [plans for plans in (first, second) if plans is not None]
     best = min(parts, key=lambda plans: plans.reading.cost, default=None)
     if best is None or (len(parts) == 2 and abs(parts[0].reading.cost - parts[1].reading.cost) < TIE):
-        return _plans_of(chosen, sources, path, source, wishes)  # names a number that may be two
+        return _plans_of(chosen, sources, path, source, wishes)  # names a number that can be read as two
     return best
 
 
@@ -157,11 +159,11 @@ def _plans_of(
     return _plans_of(box_source, sources, path, source, wishes)
 
 
-# Items beside the places.
+# Items in another file than the places.
 
 
 def _with_items(sources: Sequence[BoxSource], path: Path | None, items: Path | None) -> BoxSource:
-    """The list of boxes with places, with sizes and weights from a table of items where it lacks them."""
+    """The list of boxes with places. Sizes and weights that it lacks are added from a table of items."""
     best = sources[0]
     if items is not None:
         tables = sources_of_bytes(bytes_of(items), items)
@@ -185,11 +187,11 @@ def _with_items(sources: Sequence[BoxSource], path: Path | None, items: Path | N
 
 _OF_ITEMS: Final = re.compile(r"item|article|artikel|sku|product|produkt", re.IGNORECASE)
 _MOST_BESIDE: Final = 20
-"""Largest number of files of items that are tried beside a file of places alone."""
+"""Largest number of files of items that are tried, beside a file that contains only places."""
 
 
 def _with_articles_beside(best: BoxSource, path: Path) -> BoxSource:
-    """Boxes with the sizes of the items in a file beside it, if exactly one file fits."""
+    """Boxes with the sizes from a file of items beside their file, if exactly one file matches."""
     try:
         beside = sorted(file for file in path.parent.iterdir() if file != path and _OF_ITEMS.search(file.name))
     except OSError:
@@ -199,7 +201,7 @@ def _with_articles_beside(best: BoxSource, path: Path) -> BoxSource:
         try:
             source = sources_of_bytes(bytes_of(file), file)[0]
         except InputError:
-            continue  # another file
+            continue  # not a file of these items
         if source.boxes.has_sizes and (completed := with_items_of(best, source, file.name)) is not None:
             joined.append(completed)
     return joined[0] if len(joined) == 1 else best
@@ -216,7 +218,7 @@ def bytes_of(path: Path) -> bytearray:
 
 
 def has_named_places(path: Path) -> bool:
-    """Whether a file has sizes of boxes and columns of at least two of their coordinates."""
+    """Whether a file has columns with the sizes of boxes and with at least two of their coordinates."""
     try:
         boxes = sources_of_bytes(bytes_of(path), path)[0].boxes
     except InputError:
@@ -230,7 +232,8 @@ def has_named_places(path: Path) -> bool:
 
 
 def _with_items_beside(best: BoxSource, path: Path) -> BoxSource:
-    """packingsolver's certificate with the weights of the items file beside it, if the sizes in both files agree."""
+    """packingsolver's certificate with the weights from the file of items beside it, if the sizes in both files
+    agree."""
     stem = re.sub(r"_?(solution|certificate|output|result)s?$", "", path.stem, flags=re.IGNORECASE)
     for name in dict.fromkeys((f"{path.stem}_items.csv", f"{stem}_items.csv", "items.csv")):
         beside = path.with_name(name)
@@ -244,10 +247,11 @@ def _with_items_beside(best: BoxSource, path: Path) -> BoxSource:
 
 
 def with_items_of(best: BoxSource, items: BoxSource, name: str, by_number: bool = False) -> BoxSource | None:
-    """Boxes with the columns of their items added; None: the items are not theirs.
+    """Boxes with the columns of their items added; None if the items do not belong to the boxes.
 
     Args:
-        by_number: whether the box's column ID counts the rows of items from 0; sizes must then agree.
+        by_number: whether the column ID of the boxes is the number of a row of the items, from 0. Sizes must then
+            agree.
     """
     table, other = best.boxes.table, items.boxes.table
     rows = _rows_by_number(table, other) if by_number else _rows_by_name(table, other)
@@ -287,7 +291,7 @@ def _rows_by_number(table: RawTable, other: RawTable) -> list[int | None] | None
 
 
 def _rows_by_name(table: RawTable, other: RawTable) -> list[int | None] | None:
-    """The row of each box's item, by the pair of columns with the best agreement of values."""
+    """For each box the row of its item, from the pair of columns whose values agree best."""
     best, most = None, _MATCHED * max(len(table.rows), 1)
     for item_column in range(len(other.header)):
         names: dict[str, int] = {}
@@ -306,7 +310,7 @@ def _rows_by_name(table: RawTable, other: RawTable) -> list[int | None] | None:
 
 
 def _no_geometry(columns: BoxColumns, sources: Sequence[BoxSource], path: Path | None, source: str) -> NoGeometry:
-    """The reason why a file has no places or sizes, and advice. ``NoBoxes``: it seems to be no file of boxes at all."""
+    """The error for a file without places or sizes, with advice. ``NoBoxes`` if it appears to have no boxes at all."""
     boxes = columns.source.boxes
     kinds = set().union(*(other.boxes.kinds for other in sources))
     file = source if path is None else printable(str(path))
@@ -316,7 +320,7 @@ def _no_geometry(columns: BoxColumns, sources: Sequence[BoxSource], path: Path |
         sum(meaning is not None and meaning.kind == "size" for meaning in column_meanings(other.boxes.table.header))
         for other in (columns.source, *sources)
     )
-    sized = some_sizes and n_sizes != 1  # one of three is no box's size
+    sized = some_sizes and n_sizes != 1  # a single one of three sizes is not a box's size
     places_named = bool(boxes.kinds & {"position", "positions", "low", "matrix"}) or columns.source.form == POSES
     if not columns.n_boxes:
         return NoGeometry("holds no box")
@@ -340,11 +344,11 @@ def _no_geometry(columns: BoxColumns, sources: Sequence[BoxSource], path: Path |
     return NoBoxes(f"lacks places (x, y, z) and sizes of boxes; {names}; {advice}")
 
 
-# Rows become plans.
+# From rows to plans.
 
 
 class _Builder:
-    """The plans of one list of boxes."""
+    """Builds the plans from one list of boxes."""
 
     def __init__(self, columns: BoxColumns, source: str, wishes: Wishes) -> None:
         self.columns, self.source, self.wishes = columns, source, wishes
@@ -352,9 +356,9 @@ class _Builder:
         self.places = self.boxes.table.places
         self.notes: list[str] = [*columns.source.notes, *self.boxes.table.notes, *self.boxes.left_out]
         self.faults: dict[int, str] = {}
-        self.decks: set[int] = set()  # rows that are pallets below boxes
-        self.of_one: tuple[Reading, Candidate] | None = None  # the choice if all boxes are one plan
-        self.counters: set[str] = set()  # columns that are the packing order of some plan
+        self.decks: set[int] = set()  # rows that are pallets under boxes
+        self.of_one: tuple[Reading, Candidate] | None = None  # choice if all boxes are one plan
+        self.counters: set[str] = set()  # columns used as packing order
 
     def plans(self) -> ForeignPlans:
         unsaid = "plan" not in self.wishes.columns and not self.wishes.exact
@@ -366,7 +370,7 @@ class _Builder:
             lost = self._plans_with_lost(names)
             single_name = self.of_one if len(plans) == 1 and not lost else None
             reading, candidate = single_name or choose_reading(self.columns, plans, self.wishes, lost)
-        except InputError:  # no good row, or missing rows make the other boxes implausible
+        except InputError:  # no good row, or missing rows make the rest implausible
             if self.boxes.table.lost:
                 place, fault = self.boxes.table.lost[0]
                 raise InputError(f"{place}: {fault}") from None
@@ -423,7 +427,7 @@ class _Builder:
         return ForeignPlans(table, tuple(refused), reading, containers)
 
     def _first_bad_row(self) -> tuple[int, str] | None:
-        """The first row that no reading can use, and its fault: a bad cell, or a size that is not positive; None: all
+        """The first row that no reading can use, and its fault: a bad cell, or a size that is not positive. None if all
         rows are good."""
         weight = self.columns.columns.get("weight", "") if self.wishes.density_kg_m3 is not None else ""
         faults = {row: f"{name} {text}" for row, (name, text) in self.columns.faults.items() if name != weight}
@@ -437,10 +441,12 @@ class _Builder:
         return min(faults.items(), default=None)
 
     def _find_pallets(self) -> None:
-        """Take a column for that of the plans if no other column separates pallets that would otherwise overlap.
+        """Find the column that names the pallets, if pallets would otherwise overlap and only one column separates
+        them.
 
         Raises:
-            InputError: such a column has a name that is no word for pallets, or there are several such columns.
+            InputError: the column does not have a word for pallets in its name, or several columns separate the
+                pallets.
         """
         columns = self.columns
         rows = np.arange(columns.n_boxes)
@@ -480,7 +486,7 @@ class _Builder:
         self.notes.append(f"several pallets, by {printable_name(sure[0])}")
 
     def _overlaps(self, plans: Mapping[str, NDArray[np.int64]], share: float) -> bool:
-        """Whether more than a share of the boxes overlap other boxes in the most plausible reading, or some float."""
+        """Whether, in the most plausible reading, more than a share of the boxes overlap other boxes, or some float."""
         try:
             choice = choose_reading(self.columns, plans, self.wishes)
             evidence = choice[0].evidence
@@ -492,15 +498,15 @@ class _Builder:
         return evidence.n_overlapping > share * evidence.n_boxes or (not share and evidence.n_floating > 0)
 
     def _place_of(self, row: int) -> str:
-        """Where a row is, with the name of its box."""
+        """The place of a row in the file, with the name of its box."""
         ids = self.columns.item_id
         name = "" if ids is None or not ids[row] else f" ({printable_name(ids[row])})"
         return f"{self.places[row]}{name}"
 
     def _plans_with_lost(self, names: Sequence[str]) -> dict[str, tuple[str, str]]:
-        """Name of a plan that lacks a row → (place, fault) of the first such row.
+        """Name of each plan that lacks a row → (place, fault) of the first missing row.
 
-        An unreadable row may belong to the plan before it or after it; both plans are refused.
+        An unreadable row may belong to the plan before or after it, so both plans are refused.
         """
         numbers = [_number_of(place, row) for row, place in enumerate(self.places)]
         lost: dict[str, tuple[str, str]] = {}
@@ -513,13 +519,13 @@ class _Builder:
         return lost
 
     def _plan_names(self) -> list[str]:
-        """(n,) the name of the plan of each row. Numbers of containers follow the file's name, so that files do not
-        share them.
+        """(n,) the name of the plan of each row. If the names are numbers of containers, the file's name comes before
+        them, so that plans of different files have different names.
         """
         parts = self.boxes.parts or ("",) * self.columns.n_boxes
         column = self.columns.plan
         if column is not None and len(set(column)) * 2 > self.columns.n_boxes + 2 and len(set(column)) > 1:
-            column = None  # a name for nearly each box is no plan
+            column = None  # nearly every box has its own name, so it is no plan
         stem = Path(self.source).name.split(".")[0] or "plan"
         names = [
             "/".join(filter(None, (part, "" if column is None else column[row]))) for row, part in enumerate(parts)
@@ -528,14 +534,14 @@ class _Builder:
             self.notes.append(f"no plan_id: {printable_name(stem)}")
             return [stem] * len(names)
         words = words_of(self.columns.columns.get("plan", ""))
-        if "plan" in words or "order" in words:  # names of plans, and no numbers of containers
+        if "plan" in words or "order" in words:  # names of plans, not numbers of containers
             return [name or stem for name in names]
         if len(set(names)) == 1 and names[0].isdigit():
-            return [stem] * len(names)  # the number of the only container
+            return [stem] * len(names)  # the only container
         return [f"{stem}/{name}" if name.isdigit() else name or stem for name in names]
 
     def _decks(self, plans: Mapping[str, NDArray[np.int64]], size: FloatArray, low: FloatArray) -> set[int]:
-        """Rows of pallets instead of boxes: named so, as large as a pallet, and below all other boxes."""
+        """Rows that describe a pallet, not a box: named as a pallet, pallet-sized, and below all boxes."""
         decks = set()
         for rows in plans.values():
             if len(rows) < 2 or np.isnan(low[rows]).any():
@@ -559,7 +565,7 @@ class _Builder:
     def _geometry(
         self, reading: Reading, candidate: Candidate, plans: Mapping[str, NDArray[np.int64]]
     ) -> tuple[FloatArray, FloatArray, dict[str, FloatArray]]:
-        """(n, 3) sizes and corners along the plan's axes, mm; and the containers' sizes, mm."""
+        """(n, 3) sizes and corners along the plan's axes, mm; and the sizes of the containers, mm."""
         factor = LENGTH_UNITS[reading.length_units[1]]
         n = self.columns.n_boxes
         size, low = np.full((n, 3), np.nan), np.full((n, 3), np.nan)
@@ -585,11 +591,11 @@ class _Builder:
     def _bottoms(
         low: FloatArray, plans: Mapping[str, NDArray[np.int64]], size: FloatArray, containers: Mapping[str, FloatArray]
     ) -> dict[str, float]:
-        """Height of the deck of each plan, mm: all plans of a file count heights from the same level.
+        """Height of the deck of each plan, mm. All plans of a file measure heights from the same level.
 
-        The level is 0 if a plan begins there, else the lowest box of the file. A plan that begins higher has lost its
-        bottom layer, and floats. With the origin in the middle of containers each plan counts from the bottom of its
-        container.
+        The level is 0 if a plan begins at 0, else it is the lowest box of the file. A plan that begins higher lacks its
+        bottom layer, and floats. If the origin is in the middle of containers, each plan measures from the bottom of
+        its own container.
         """
         small = {name: _LEVEL * float(np.nanmedian(size[rows, 2])) for name, rows in plans.items()}
         lowest = {name: float(np.nanmin(low[rows, 2])) for name, rows in plans.items()}
@@ -613,10 +619,10 @@ class _Builder:
         reading: Reading,
         bottom: float,
     ) -> str:
-        """Move the boxes of a plan so that the deck's corner is the origin. Returns a note ("": nothing moved).
+        """Move the boxes of a plan so that the deck's corner is the origin. Returns a note ("" if nothing was moved).
 
         Args:
-            used: the rows without faults.
+            used: the rows that have no faults.
             bottom: height of the deck, mm.
         """
         notes = []
@@ -640,7 +646,7 @@ class _Builder:
         return "; ".join(notes)
 
     def _check_ranges(self, reading: Reading, candidate: Candidate, size: FloatArray, low: FloatArray) -> None:
-        """Add faults of sizes and coordinates out of range, with the names of their columns."""
+        """Add faults for sizes and coordinates out of range, with the names of their columns."""
         sizes, places = reading.length_units
         names = dict(reading.columns)
         axes = candidate.geometry.axes
@@ -681,7 +687,7 @@ class _Builder:
         return self.wishes.density_kg_m3 or USUAL_KG_M3
 
     def _masses(self, reading: Reading, size: FloatArray) -> FloatArray:
-        """(n,) masses, kg; those that are missing by the density."""
+        """(n,) masses, kg. Missing masses are computed from the density."""
         columns, volume = self.columns, size.prod(axis=1) / 1e9
         density = self._density()
         if columns.weight is None:
@@ -715,7 +721,7 @@ class _Builder:
         )
 
     def _odd(self, size: FloatArray, mass: FloatArray) -> tuple[str, ...]:
-        """Lines about densities that no load on a pallet has."""
+        """Lines about densities that no load of a pallet can have."""
         with np.errstate(invalid="ignore", divide="ignore"):
             density = mass / (size.prod(axis=1) / 1e9)
         density = density[np.isfinite(density)]
@@ -725,7 +731,7 @@ class _Builder:
         return (f"{line}: weights or lengths in another unit? (--units)",)
 
     def _sequence(self, rows: NDArray[np.int64], low: FloatArray, size: FloatArray) -> tuple[NDArray[np.int64], str]:
-        """(n,) packing order of a plan's rows, from 1, and the origin of this order."""
+        """(n,) packing order of a plan's rows, from 1, and where this order comes from."""
         if self.columns.sequence is not None:
             return self.columns.sequence[rows].astype(np.int64), "sequence"
         order = np.arange(1, len(rows) + 1)
@@ -733,7 +739,7 @@ class _Builder:
         for name, values in self.columns.counters.items():
             counted = values[rows]
             if np.isnan(counted).any() or not _counts_all(counted) or not (np.diff(counted) != 1).any():
-                continue  # no numbers of all boxes, or the order of the rows
+                continue  # some boxes have no number, or it is the order of the rows
             if not _can_be_placed(counted, low, size):
                 continue
             if not possible:
@@ -749,7 +755,8 @@ class _Builder:
         return order, "rows"
 
     def _repeated(self, rows: NDArray[np.int64]) -> str | None:
-        """The fault of a plan whose packing order has a number twice, or a fraction; None: no fault."""
+        """The fault of a plan in whose packing order a number is repeated or is not whole; None if there is no
+        fault."""
         sequence = self.columns.sequence
         if sequence is None:
             return None
@@ -767,7 +774,7 @@ class _Builder:
         return None
 
     def _order_note(self, orders: Sequence[str], names: Sequence[str]) -> str:
-        """Origin of the packing order, with a note if no column is named so."""
+        """Where the packing order comes from, with a note if no column has a name for it."""
         sorted_plans = [name for name, order in zip(names, orders, strict=False) if order == "height"]
         if sorted_plans:
             plans_text = "" if len(orders) == 1 else f" in {first_names(sorted_plans, 3)}"
@@ -810,7 +817,7 @@ class _Builder:
 
 
 def _rows_by(names: Sequence[str]) -> dict[str, NDArray[np.int64]]:
-    """Name → its rows."""
+    """Name → the rows that have it."""
     rows: dict[str, list[int]] = {}
     for row, name in enumerate(names):
         rows.setdefault(name, []).append(row)
@@ -818,12 +825,12 @@ def _rows_by(names: Sequence[str]) -> dict[str, NDArray[np.int64]]:
 
 
 def _counts_all(values: FloatArray) -> bool:
-    """Whether numbers are all whole numbers from 0 or 1 on, in any order."""
+    """Whether the numbers are all the whole numbers from 0 or 1 on, in any order."""
     return bool((np.sort(values) - np.arange(len(values)) == min(max(float(values.min()), 0.0), 1.0)).all())
 
 
 def _can_be_placed(order: NDArray[Any], low: FloatArray, size: FloatArray) -> bool:
-    """Whether in this order each box on other boxes is placed after at least one of them."""
+    """Whether, in this order, each box that lies on others is placed after at least one of them."""
     by_order = np.argsort(order, kind="stable")
     low, size = low[by_order], size[by_order]
     in_order = gaps_mm(low, size) > DEFAULT_TOLERANCE_MM

@@ -1,4 +1,4 @@
-"""Conventions of input (``InputConventions``): the units of plans, and the point to which coordinates refer."""
+"""Conventions of input (``InputConventions``): the units of plans, and the point of a box that coordinates describe."""
 
 from __future__ import annotations
 
@@ -34,11 +34,11 @@ class Limits(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class InputConventions:
-    """The units of plans, and the point of a box to which coordinates refer.
+    """The units of plans, and the point of a box that coordinates describe.
 
     Attributes:
         units: units of lengths and masses, such as "cm,g".
-        anchor: the point, a name of ``ANCHORS``.
+        anchor: the point, as a name of ``ANCHORS``.
     """
 
     units: str = PLAN_UNITS
@@ -46,10 +46,10 @@ class InputConventions:
 
     @classmethod
     def checked(cls, units: Any, anchor: Any) -> InputConventions:
-        """Conventions from unchecked values; None: the default.
+        """Make conventions from unchecked values. A value of None means the default.
 
         Raises:
-            InputError: the units or the anchor are unknown.
+            InputError: the units or the anchor is unknown.
         """
         units, anchor = PLAN_UNITS if units is None else units, "corner" if anchor is None else anchor
         text_of(units, "units")
@@ -63,34 +63,35 @@ class InputConventions:
 
     @property
     def length_mm(self) -> float:
-        """A unit of length, mm."""
+        """Length of one unit of length, mm."""
         return LENGTHS_MM[plan_units(self.units)[0]][0]
 
     @property
     def mass_kg(self) -> float:
-        """A unit of mass, kg."""
+        """Mass of one unit of mass, kg."""
         return MASSES_KG[plan_units(self.units)[1]][0]
 
     @property
     def sizes(self) -> Limits:
-        """The range of sizes."""
+        """The allowed range of sizes."""
         factor, name = LENGTHS_MM[plan_units(self.units)[0]]
         return Limits(SMALLEST_MM / factor, LARGEST_MM / factor, name)
 
     @property
     def weights(self) -> Limits:
-        """The range of masses."""
+        """The allowed range of masses."""
         factor, name = MASSES_KG[plan_units(self.units)[1]]
         return Limits(SMALLEST_KG / factor, LARGEST_KG / factor, name)
 
     @property
     def coordinates(self) -> Limits:
-        """The range of coordinates."""
+        """The allowed range of coordinates."""
         factor, name = LENGTHS_MM[plan_units(self.units)[0]]
         return Limits(-FARTHEST_MM / factor, FARTHEST_MM / factor, name)
 
     def corner_mm(self, coordinates_mm: FloatArray, size_mm: FloatArray) -> FloatArray:
-        """(n, 3) front-left-bottom corners, mm, from the points of the input and the extents of the boxes as placed."""
+        """(n, 3) front-left-bottom corners, mm, computed from the points in the input and the extents of the boxes as
+        placed."""
         if self.anchor == "corner":
             return coordinates_mm
         corner: FloatArray = coordinates_mm - np.array(ANCHORS[self.anchor]) * size_mm

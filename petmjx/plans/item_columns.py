@@ -1,8 +1,8 @@
-"""Columns of tables of items (``ItemColumns``): sizes, weights, quantities, layers and names of goods that have no
-places yet.
+"""Columns of tables of items (``ItemColumns``): sizes, weights, quantities, layers and names of goods that have not
+been placed yet.
 
-Names of columns are understood as in tables of boxes (``petmjx.plans.column_names``); here are also those that only
-orders have: weights of whole rows, boxes of a layer, numbers of cartons.
+Names of columns are interpreted as in tables of boxes (``petmjx.plans.column_names``). This module adds the names that
+only orders have: weights of whole rows, boxes per layer, numbers of cartons.
 """
 
 from __future__ import annotations
@@ -26,8 +26,9 @@ from petmjx.plans.plan_fields import sparse_fault
 from petmjx.plans.raw_cells import cell_number, cell_text, number_fault_of
 
 ITEM_ROLES: Final = ("quantity", "layers", "per layer", "total weight")
-"""Roles of columns that only orders have, beside ``ROLES``. ``quantity`` counts all boxes of a row, ``per layer`` the
-boxes of one of its ``layers``; ``weight`` means one box, ``total weight`` all boxes of a row."""
+"""Roles of columns that only orders have, in addition to ``ROLES``. ``quantity`` is the number of boxes of a row, and
+``per layer`` the number in each of its ``layers``. ``weight`` is the weight of one box, ``total weight`` that of all
+boxes of a row."""
 TWO_WAYS: Final = "can be read in two ways:"
 _KINDS: Final[dict[str, Kind]] = {
     "quantity": "quantity", "layers": "layers", "per layer": "quantity", "total weight": "weight",
@@ -47,7 +48,7 @@ _WEIGHT: Final = word_set(
     "weight mass gewicht poids peso waga masa ciezar gesamtgewicht totalgewicht positionsgewicht zeilengewicht"
 )
 _GROSS: Final = word_set("gross brutto bruttogewicht bruto brut lordo")
-"""Words of gross weights, which are preferred to net weights."""
+"""Words for gross weights, which are preferred to net weights."""
 _PIECES: Final = word_set(
     "boxes cartons kartons kartonanzahl cases packages colli packstucke packstuecke stuck stueck cajas bultos colis "
     "scatole kartony kartonow paczki units unit einheiten items cs ctn ctns szt pz pzas st"
@@ -56,17 +57,17 @@ _COUNTED: Final = _PIECES | word_set(
     "nb nbr nombre n no num number of ordered order total gesamt totale bestellt bestellmenge de di anz "
     "pro per commandes pedidas ordinati zamowione pick picked"
 )
-"""Names of columns with quantities have a word of ``_PIECES``, and only words of ``_COUNTED``; their cells are whole
-numbers, and no column is called a quantity."""
+"""A column has quantities if its name has a word of ``_PIECES`` and only words of ``_COUNTED``, its cells are whole
+numbers, and no other column is named as a quantity."""
 _QUANTITY: Final = word_set("qta bestellmenge bestellt ordered commande pedida ordinata zamowiono need demand bedarf")
-"""Names of columns with quantities by themselves."""
+"""Names that by themselves mean a column of quantities."""
 _NO_QUANTITY: Final = word_set(
     "price preis prix precio prezzo cena priority prio profit value wert zone temperature temp color colour farbe date "
     "datum year zip plz line zeile row ligne riga rotation rotations stackable fragile max min limit layer level class "
     "klasse vpe lot batch charge stack stacking position pos volume weight index stop destination family customer "
     "store route dock door aisle"
 )
-"""Words of columns with whole numbers that are no quantities."""
+"""Words in names of columns whose whole numbers are not quantities."""
 _LAYER: Final = word_set("layer lage schicht couche capa strato warstwa warstwe warstwie")
 _PER: Final = word_set("per pro je par por na w each a")
 _ORDERS: Final = word_set(
@@ -75,47 +76,49 @@ _ORDERS: Final = word_set(
     "entrega consegna dostawa"
 )
 _NUMBERED: Final = word_set("nr no number nummer numero n id num sales purchase customer kunden name code deg")
-"""Names of columns with orders have a word of ``_ORDERS``, and besides only words of ``_NUMBERED``."""
+"""A column has orders if its name has a word of ``_ORDERS``, and otherwise only words of ``_NUMBERED``."""
 _ARTICLE: Final = word_set("indeks towar goods ware good mercancia merce marchandise")
 _TYPE: Final = word_set("type typ kind name code")
 _PIECE: Final = word_set("box carton karton case item package")
-"""Names of columns with articles: "Box type"."""
+"""Names of columns with articles, such as "Box type"."""
 _ORDER: Final = word_set("order orders ordre")
-"""Names of columns with a packing order, which are also those of customers' orders: the values decide."""
+"""Names of columns that may have a packing order or customers' orders. The values decide which it is."""
 
 
 STRENGTH: Final = "strength_n"
 UPRIGHT: Final = "upright"
 BOX_PROPERTIES: Final = (STRENGTH, UPRIGHT)
-"""Columns of boxes for episodes, which have these names alone."""
+"""Columns of boxes for episodes. They are recognised only by these names."""
 SIZE_LETTERS: Final = "lwh"
-"""Letters of the column ``upright``: length, width, height."""
+"""Letters in the column ``upright``: length, width, height."""
 
 
 @dataclass(frozen=True, eq=False)
 class ItemColumns:
-    """The items of a source by column.
+    """The items of a source, by column.
 
     Attributes:
-        source: origin of the items.
-        size: (n, 3) length, width and height in the file's unit; NaN where a cell is bad.
-        size_unit: unit that names or cells give; "": none.
-        size_names: columns of the three sizes; or of the one column with all three.
-        weight: (n,) weights in the file's unit; None: no column has any.
-        weight_unit: unit that the name or the cells give; "": none.
-        weight_is: meaning of ``weight``: of a "box", of a "row", or a "density"; "": box or row, the name leaves it
-            open.
-        quantity: (n,) whole numbers of boxes; NaN where a cell is bad; None: one box a row.
-        layers: (n,) whole numbers of layers; None: no column.
-        per_layer: whether ``quantity`` counts the boxes of a layer; None: the name leaves it open.
-        order, article, item_id, group: (n,) names; None: no column.
-        sequence: (n,) order of arrival; None: no column.
+        source: where the items come from.
+        size: (n, 3) length, width and height in the file's unit; NaN if a cell is bad.
+        size_unit: unit according to names or cells; "": none is given.
+        size_names: names of the columns of the three sizes, or of the one column that has all three.
+        weight: (n,) weights in the file's unit; None: no column has weights.
+        weight_unit: unit according to the name or the cells; "": none is given.
+        weight_is: what ``weight`` is: the weight of a "box" or of a "row", or a "density"; "": the weight of a box or
+            of a row, which the name leaves open.
+        quantity: (n,) whole numbers of boxes; NaN if a cell is bad; None: one box per row.
+        layers: (n,) whole numbers of layers; None: no column has them.
+        per_layer: whether ``quantity`` is the number of boxes of one layer; None: the name leaves it open.
+        order, article, item_id, group: (n,) names; None: no column has them.
+        sequence: (n,) order of arrival; None: no column has it.
         columns: role → name of its column.
-        faults: row → (column, text) of its first bad cell.
-        unread: names of columns that are not used, though they hold something.
-        maybe_quantity: the unknown column that may hold quantities, if no column is known; "": no such column.
-        strength: (n,) loads that the boxes bear, N, NaN: unknown; None: no column ``strength_n``, or not wanted.
-        upright: (n,) letters of the sizes that may be vertical; None: no column ``upright``, or not wanted.
+        faults: row → (column, error text) of the first bad cell in the row.
+        unread: names of columns that are not empty but are not used.
+        maybe_quantity: the unknown column that may have quantities, if no column is known to have them; "": there is
+            none.
+        strength: (n,) loads that the boxes can bear, N, NaN if unknown; None: no column ``strength_n``, or not
+            requested.
+        upright: (n,) letters of the sizes that may be vertical; None: no column ``upright``, or not requested.
     """
 
     source: BoxSource
@@ -150,19 +153,19 @@ class ItemColumns:
 
 
 def has_sizes_of_items(source: BoxSource) -> bool:
-    """Whether a list has sizes, also as packingsolver's items have them: X, Y and Z."""
+    """Whether a list has sizes, including those of packingsolver's items: X, Y and Z."""
     return source.boxes.has_sizes or _is_of_packingsolver(source.boxes.table.header)
 
 
 def _is_of_packingsolver(header: Sequence[str]) -> bool:
-    """Whether columns are those of packingsolver's items: X, Y, Z are sizes there, and no coordinates."""
+    """Whether columns are those of packingsolver's items, in which X, Y and Z are sizes instead of coordinates."""
     upper = {name.upper() for name in header}
     marks = upper & {"COPIES", "PROFIT"} or any(name.startswith("ROTATION") for name in upper)
     return upper >= {"X", "Y", "Z"} and not upper & {"LX", "LY", "LZ"} and bool(marks)
 
 
 class _ItemExtraction(Extraction):
-    """The columns of one source while their meanings are sought, with the columns of orders alone."""
+    """The columns of one source, including those that only orders have, while their meanings are being determined."""
 
     def __init__(self, source: BoxSource, chosen: Mapping[str, str], units: str = "", masses: str = "") -> None:
         header = source.boxes.table.header
@@ -195,7 +198,7 @@ class _ItemExtraction(Extraction):
                 self.meanings[index] = ColumnMeaning("size", name.lower())
 
     def _take_names_of_orders(self) -> None:
-        """The meanings of names that only orders have."""
+        """Determine the meanings of names that only orders have."""
         kinds = {meaning.kind for meaning in self.meanings if meaning is not None}
         for index, name in enumerate(self.table.header):
             base, unit = split_unit(name)
@@ -227,7 +230,8 @@ class _ItemExtraction(Extraction):
         return joined in _QUANTITY | _PIECES or bool(words & _PIECES and words <= _COUNTED)
 
     def _is_whole(self, index: int) -> bool:
-        """Whether most cells of a column are whole numbers, but no names: names count up, or are all large."""
+        """Whether most cells of a column are whole numbers that are not identifiers, which increase from row to row or
+        are all large."""
         numbers = [cell_number(cell, self.table.decimal) for cell in self.cells(index)]
         integers = [number.value for number in numbers if number is not None and number.value.is_integer()]
         if len(integers) * 2 <= len(numbers):
@@ -236,9 +240,9 @@ class _ItemExtraction(Extraction):
         return not (len(integers) > 2 and bool((steps > 0).all())) and min(integers) <= MOST_ITEMS
 
     def maybe_quantity(self) -> str:
-        """The column without a known name whose cells may be quantities: small whole numbers; "": no such column.
+        """A column with an unknown name that may have quantities, which are small whole numbers; "" if there is none.
 
-        Rows of boxes repeat their articles: among them such a column holds no quantities.
+        If articles are repeated, rows are single boxes, and no column has quantities.
         """
         articles = next((texts for kind in ("article", "item_id") if (texts := self.texts(kind)[0])), None)
         if (
@@ -262,7 +266,7 @@ class _ItemExtraction(Extraction):
     def role(
         self, role: str, kind: str, *, within: set[int] | None = None, without: set[int] | None = None
     ) -> int | None:
-        """The column of a role: the chosen one, else the first of its kind; None: no such column."""
+        """The column of a role: the one that an option names, else the first of its kind; None if there is none."""
         name = self.chosen.get(role)
         if name is not None:
             return None if name == IGNORED else self.table.header.index(name)
@@ -281,10 +285,10 @@ class _ItemExtraction(Extraction):
         }
 
     def counts(self, index: int, smallest: int, otherwise: float | None = None) -> FloatArray:
-        """(n,) whole numbers of a column; NaN where a cell is bad.
+        """(n,) whole numbers of a column; NaN if a cell is bad.
 
         Args:
-            otherwise: the number for empty cells; None: empty cells are bad.
+            otherwise: the number for an empty cell; None: an empty cell is bad.
         """
         values = np.full(len(self.table.rows), np.nan)
         for row, cell in enumerate(self.cells(index)):
@@ -301,7 +305,7 @@ class _ItemExtraction(Extraction):
         return values
 
     def strengths(self) -> FloatArray | None:
-        """(n,) loads that the boxes bear, N; NaN where the cell is empty or bad; None: no such column."""
+        """(n,) loads that the boxes can bear, N; NaN if the cell is empty or bad; None if there is no such column."""
         if STRENGTH not in self.table.header:
             return None
         index = self.table.header.index(STRENGTH)
@@ -320,7 +324,7 @@ class _ItemExtraction(Extraction):
         return values
 
     def sides(self) -> list[str] | None:
-        """(n,) letters of the sizes that may be vertical, in small letters; None: no such column."""
+        """(n,) letters of the sizes that may be vertical, in lower case; None if there is no such column."""
         if UPRIGHT not in self.table.header:
             return None
         index = self.table.header.index(UPRIGHT)
@@ -331,13 +335,14 @@ class _ItemExtraction(Extraction):
         return texts
 
     def _check_single(self, columns: Mapping[str, str]) -> None:
-        """Refuse tables with two different columns of a size, such as the sizes of a carton and of its content.
+        """Refuse a table with two different columns for a size, such as the size of a carton and the size of its
+        content.
 
         Args:
             columns: role → name of the chosen column.
 
         Raises:
-            InputError: two columns are possible, and no option says which is right.
+            InputError: two columns are possible, and no option names the right one.
         """
         for role, name in columns.items():
             index = self.table.header.index(name)
@@ -352,14 +357,14 @@ class _ItemExtraction(Extraction):
 
     @staticmethod
     def tie(role: str, name: str, other: str) -> InputError:
-        """The error of two columns that may have a role."""
+        """The error for two columns that may both have a role."""
         return InputError(
             f"{TWO_WAYS} the {role} is {printable_name(name)}, or {printable_name(other)}; say which with --columns "
             f"{role}={name} or --columns {role}={other}"
         )
 
     def sizes(self) -> tuple[FloatArray, str, tuple[str, ...]] | None:
-        """(n, 3) length, width and height, their unit, and names of their columns; None: there are none."""
+        """(n, 3) length, width and height, their unit, and the names of their columns; None if there are no sizes."""
         choices = self.size_choices()
         if not choices:
             return None
@@ -379,11 +384,11 @@ def item_columns(
     *,
     properties: bool = False,
 ) -> ItemColumns | None:
-    """The columns of a source of items; None: a source without sizes.
+    """Determine the columns of a source of items; None if the source has no sizes.
 
     Args:
-        chosen: role (``ROLES``, ``ITEM_ROLES``) → name of the column that holds it, or "-".
-        units, masses: unit of all lengths, and of all masses, that an option names; "": none.
+        chosen: role (``ROLES``, ``ITEM_ROLES``) → name of the column that has it, or "-".
+        units, masses: unit of all lengths and of all masses that an option sets; "": no option.
         properties: whether ``BOX_PROPERTIES`` are read.
 
     Raises:
@@ -477,8 +482,8 @@ def _weight(work: _ItemExtraction, columns: dict[str, str]) -> tuple[FloatArray 
 
 
 def _orders_in(work: _ItemExtraction, index: int) -> list[str] | None:
-    """(n,) customers' orders in a column called "order", if its values are no packing order: some occur twice, or are
-    no numbers; None: a packing order."""
+    """(n,) customers' orders from a column called "order". This requires that some values are repeated or are not
+    numbers; otherwise the column is a packing order, and the result is None."""
     if not _ORDER.intersection(words_of(work.table.header[index])) or "sequence" in work.fixed:
         return None
     cells = [cell_text(cell) for cell in work.cells(index)]
@@ -489,10 +494,10 @@ def _orders_in(work: _ItemExtraction, index: int) -> list[str] | None:
 
 
 def with_rows(source: BoxSource, kept: NDArray[np.bool_], notes: tuple[str, ...] = ()) -> BoxSource:
-    """A source with some of its rows, and more notes.
+    """A source with only some of its rows, and with more notes.
 
     Args:
-        kept: (n,) True: the row stays.
+        kept: (n,) True for the rows that stay.
     """
     table = source.boxes.table
 

@@ -1,6 +1,6 @@
-"""Items by column become orders (``orders_of_items``): units, masses, quantities and targets are chosen.
+"""Turns items, given by column, into orders (``orders_of_items``): chooses units, masses, quantities and targets.
 
-Where names leave the unit open, sizes and densities decide, and files with two possible readings are refused. Items
+If the names leave the unit open, sizes and densities decide. A file with two possible readings is refused. Items
 without weights get a density.
 """
 
@@ -34,27 +34,28 @@ from petmjx.plans.reading_files import wishes_of
 from petmjx.plans.readings import Wishes
 
 SET_KG_M3: Final = 200.0
-"""Density of boxes of RoboBPP's sets, which have no masses: an assumption, about the mean of BED-BPP's boxes."""
+"""Assumed density of the boxes in RoboBPP's sets, which give no masses. It is close to the mean of BED-BPP's boxes."""
 EURO: Final = "euro-pallet"
 _PALLET_MM: Final = (300.0, 1700.0)
-"""Sides of what may be a pallet: a larger or smaller container is no pallet, and its boxes go on a Euro pallet."""
+"""Limits of the sides of a container that may be a pallet. A container outside them is not a pallet, and its boxes are
+packed on a Euro pallet."""
 
 _LENGTH_PRIOR: Final = {"mm": 0.0, "cm": 0.0, "m": 0.0, "in": 0.7, "ft": 3.0}
 _MASS_PRIOR: Final = {"kg": 0.0, "g": 0.0, "lb": 0.7, "t": 3.0}
 _MIXED: Final = 1.5
-"""Cost of inches with kilograms, or of pounds with metric lengths, without names of units."""
+"""Cost of mixed systems, inches with kilograms or pounds with metric lengths, if no names give the units."""
 _DENSEST_KG_M3: Final = 1e6
-"""Densities above this are no evidence of a unit, but damaged weights."""
+"""Densities above this come from damaged weights, and are no evidence of a unit."""
 _BIN_PRIOR: Final = {"mm": 0.0, "cm": 0.0, "dm": 0.0}
-"""Units of test problems, whose bins have 10 or 100 units: 1 m."""
+"""Possible units of test problems, whose bins have 10 or 100 units. These stand for 1 m."""
 _LIST_PRIOR: Final = {"cm": -1.5, "mm": 0.0, "m": 0.0}
-"""Units of lists of lengths, which are those of RoboBPP, in cm, unless the sizes say otherwise."""
+"""Possible units of lists of lengths. These are RoboBPP's lists, in cm, unless the sizes indicate another unit."""
 ROW_LEAD: Final = 0.75
-"""If weights of rows are more plausible than weights of boxes by this cost, both readings are possible: boxes of 1,500
-kg/m³, of which ten make up a row. Weights of boxes are usual."""
+"""Weights of boxes are usual. If weights of rows are more plausible by at least this cost, both readings are possible.
+An example is a row of ten boxes, each of which would otherwise have 1,500 kg/m³."""
 _WATER_KG_M3: Final = 1000.0
 _RELATIVE: Final = 1.5
-"""Densities up to this are relative to water."""
+"""Densities up to this value are relative to water."""
 _FULL: Final = 1.02
 """Largest share of a target that a layer may cover."""
 
@@ -62,23 +63,23 @@ PG: Final = KnownForm("RoboBPP's pg.xlsx", "cm", "kg")
 DELI: Final = KnownForm("RoboBPP's deli.xlsx", "cm")
 SIZES: Final = KnownForm("an array of sizes")
 _WITHOUT_MASSES: Final = (LENGTHS.name, DELI.name)
-"""Forms with ``SET_KG_M3``."""
+"""Forms without masses, whose boxes get the density ``SET_KG_M3``."""
 _NUMBERED: Final = (THPACK.name, MPV.name, LENGTHS.name, DELI.name, SIZES.name)
-"""Forms whose orders are named by numbers; the file's name is put before these."""
+"""Forms whose orders are named by numbers. The name of the file is put before these numbers."""
 
 
 @dataclass(frozen=True)
 class OrderReading:
-    """Options of a caller about a file of orders. BED-BPP's own form needs no options.
+    """Options of a caller for reading a file of orders. BED-BPP's own form needs none.
 
     Attributes:
-        wishes: columns, units and density; empty values are chosen by plausibility.
-        target: carrier of orders that name no carrier: "euro-pallet", "rollcontainer", or sizes in millimetres,
+        wishes: columns, units and density. Empty values are chosen by plausibility.
+        target: carrier of orders that name none: "euro-pallet", "rollcontainer", or sizes in millimetres such as
             "1200x1000"; "": the file's container if it is a pallet, else a Euro pallet.
         most_items: largest number of items of an order.
-        items: file with the sizes and weights of articles, for orders that name articles alone; None: none.
-        for_episodes: whether strengths and sides that may be vertical are read, and nothing is said of tables that have
-            only names of petmjx's own: an environment reads its orders often.
+        items: file with the sizes and weights of articles, for orders that give only the articles; None: no file.
+        for_episodes: whether strengths and sides that may be vertical are read. It also suppresses the line about
+            tables that have only petmjx's own names, because an environment reads its orders often.
     """
 
     wishes: Wishes = field(default_factory=Wishes)
@@ -89,10 +90,10 @@ class OrderReading:
 
     @classmethod
     def of(cls, options: RunOptions, target: str | None = None) -> OrderReading:
-        """The options of a run about files of orders: units, columns, density, items and a written reading.
+        """Take from a run's options those about files of orders: units, columns, density, items and a written reading.
 
         Raises:
-            InputError: the target is unknown, or the written reading cannot be read.
+            InputError: the target is unknown, or the file with the reading cannot be read.
         """
         return cls(wishes_of(options), "" if target is None else target_named(target), items=options.items)
 
@@ -104,7 +105,7 @@ class ForeignOrders:
     Attributes:
         orders: (id, order) of each good order, in the order of the file.
         refused: (id, line) of each refused order.
-        line: how the file was read; "": as it says, with nothing left to choose or unused.
+        line: how the file was read; "" if the file left nothing to choose and nothing is unused.
     """
 
     orders: tuple[tuple[str, Order], ...]
@@ -114,7 +115,7 @@ class ForeignOrders:
 
 @dataclass(frozen=True)
 class _Units:
-    """Units of an order's numbers, and whether weights are of rows."""
+    """The units of an order's numbers, and whether its weights are those of rows."""
 
     length: str
     mass: str
@@ -122,7 +123,7 @@ class _Units:
 
 
 def orders_of_items(columns: ItemColumns, source: str, reading: OrderReading) -> ForeignOrders:
-    """The orders of a list of items.
+    """Read the orders in a list of items.
 
     Args:
         source: name of the file in messages.
@@ -134,7 +135,7 @@ def orders_of_items(columns: ItemColumns, source: str, reading: OrderReading) ->
 
 
 class _OrderBuilder:
-    """The orders of one list of items."""
+    """Builds the orders from one list of items."""
 
     def __init__(self, columns: ItemColumns, source: str, reading: OrderReading) -> None:
         self.columns, self.source, self.reading = columns, source, reading
@@ -173,7 +174,7 @@ class _OrderBuilder:
     # Names and rows.
 
     def _names(self) -> list[str]:
-        """(n,) the id of the order of each row."""
+        """(n,) for each row, the id of its order."""
         parts = self.columns.boxes.parts or ("",) * self.columns.n_rows
         column = self.columns.order
         stem = Path(self.source).name.split(".")[0] or "order"
@@ -188,7 +189,8 @@ class _OrderBuilder:
         return [name or stem for name in names]
 
     def _lost(self, names: Sequence[str]) -> dict[str, str]:
-        """Name of an order that lacks a row → place and fault. A lost row may belong to the order before or after."""
+        """Name of each order that lacks a row → place and fault. A lost row may belong to the order before or after
+        it."""
         numbers = [_number_of(place) for place in self.table.places]
         lost: dict[str, str] = {}
         for place, fault in self.table.lost:
@@ -200,7 +202,7 @@ class _OrderBuilder:
         return lost
 
     def _fault(self, rows: Sequence[int], lost: str | None, counts: NDArray[np.int64]) -> str | None:
-        """The reason for the refusal of an order; None: a good order."""
+        """Why an order is refused; None if it is good."""
         if lost is not None:
             return lost
         bad_rows = [row for row in rows if row in self.faults]
@@ -216,7 +218,7 @@ class _OrderBuilder:
         return None
 
     def _sorted(self, rows: Sequence[int]) -> list[int]:
-        """The rows of an order in the sequence of arrival."""
+        """The rows of an order, sorted by arrival."""
         sequence = self.columns.sequence
         if sequence is None or np.isnan(sequence[list(rows)]).any():
             return list(rows)
@@ -248,7 +250,8 @@ class _OrderBuilder:
         """The most plausible units.
 
         Raises:
-            InputError: two units of lengths, or weights of boxes and of rows, are possible; or no row is good.
+            InputError: two units of lengths are possible, or weights may be those of boxes or of rows, or no row is
+                good.
         """
         columns, wishes = self.columns, self.reading.wishes
         is_good = np.array([row not in self.faults for row in range(columns.n_rows)])
@@ -329,7 +332,7 @@ class _OrderBuilder:
     # Targets.
 
     def _container(self, part: str) -> FloatArray | None:
-        """Length, width and height of a container in the file's unit; None: the file names none."""
+        """Length, width and height of a container in the file's unit; None if the file gives none."""
         containers = self.columns.boxes.containers
         sizes = containers.get(part) or containers.get("") or {}
         if len(sizes) < 2:
@@ -368,7 +371,7 @@ class _OrderBuilder:
         """(n,) the number of boxes of each row.
 
         Raises:
-            InputError: quantities may be those of a layer or of all layers.
+            InputError: quantities may be those of one layer or of all layers.
         """
         columns = self.columns
         if columns.quantity is None:
@@ -399,7 +402,7 @@ class _OrderBuilder:
         )
 
     def _masses(self, units: _Units, size: FloatArray, counts: NDArray[np.int64]) -> FloatArray:
-        """(n,) mass of a box of each row, kg."""
+        """(n,) for each row, the mass of one box, kg."""
         columns, wishes = self.columns, self.reading.wishes
         volume: FloatArray = size.prod(axis=1) / 1e9
         usual = SET_KG_M3 if self.form.name in _WITHOUT_MASSES else USUAL_KG_M3
@@ -434,7 +437,7 @@ class _OrderBuilder:
         return mass
 
     def _check_sizes(self, unit: str) -> None:
-        """Add faults of sizes out of range."""
+        """Add faults for sizes out of range."""
         limits = _limits(SMALLEST_MM, LARGEST_MM, unit, LENGTH_UNITS)
         size, names = self.columns.size, self.columns.size_names
         for name in names if len(names) == 3 else ():
@@ -449,7 +452,7 @@ class _OrderBuilder:
             if fault is not None:
                 self.faults.setdefault(row, fault)
 
-    # The line.
+    # The line about the reading.
 
     def _has_own_names(self) -> bool:
         columns = self.columns
@@ -482,7 +485,7 @@ class _OrderBuilder:
 
 _OWN_NAMES: Final = {"weight_kg", "quantity", "order_id", "plan_id", "article", "item_id"}
 _SHOWN: Final = ("weight", "total weight", "density", "quantity", "per layer", "layers", "plan")
-"""Roles whose columns the message names after the sizes."""
+"""Roles whose columns are named after the sizes in the line about the reading."""
 
 
 def _number_of(place: str) -> int:

@@ -1,4 +1,4 @@
-"""Reader of JSON files of plans and orders: unpacks within bounds, and decodes one entry at a time."""
+"""Reads JSON files of plans and orders. Unpacks within limits, and decodes one entry at a time."""
 
 from __future__ import annotations
 
@@ -22,12 +22,12 @@ _UTF8_MARK: Final = b"\xef\xbb\xbf"
 
 
 def read_text_bytes(path: Path) -> tuple[bytearray, str | None]:
-    """The text of a file as bytes, and an error of the file as a whole (None: no error).
+    """The text of a file as bytes, and an error about the whole file (None if there is none).
 
-    Gzip is recognised by content, not by name. The packed and the plain bytes are in memory once each.
+    Gzip is recognised by content, not by name. Memory holds the packed and the unpacked bytes once each.
 
     Raises:
-        OSError: the file cannot be read, is no regular file, or is too large.
+        OSError: the file cannot be read, is not a regular file, or is too large.
         ValueError: no file can have this name.
     """
     data, fault = unpacked_bytes(path)
@@ -44,10 +44,10 @@ def read_text_bytes(path: Path) -> tuple[bytearray, str | None]:
 
 
 def unpacked_bytes(path: Path) -> tuple[bytearray, str | None]:
-    """The bytes of a file, unpacked if they are gzip, and an error of gzip (None: no error).
+    """The bytes of a file, unpacked if they are gzip, and an error of gzip (None if there is none).
 
     Raises:
-        OSError, ValueError: as :func:`read_text_bytes`.
+        OSError, ValueError: as for :func:`read_text_bytes`.
     """
     data = read_regular(path, MOST_BYTES)
     if data.startswith(_GZIP_MAGIC) and data[3:4] < b"\x20":  # no reserved flag is set (RFC 1952)
@@ -56,7 +56,7 @@ def unpacked_bytes(path: Path) -> tuple[bytearray, str | None]:
 
 
 def _gunzip(packed: bytearray) -> tuple[bytearray, str | None]:
-    """Unpack the sound part of a gzip stream, which may have several members. Also returns the error; None: none."""
+    """Unpack a gzip stream, which may have several members, up to its first error. Also returns this error, or None."""
     most = allowed_bytes(len(packed), FREE_BYTES)
     view = memoryview(packed)
     plain = bytearray()
@@ -82,7 +82,8 @@ def _gunzip(packed: bytearray) -> tuple[bytearray, str | None]:
 
 
 def _inflate_bytewise(inflate: zlib._Decompress, chunk: memoryview, plain: bytearray) -> None:
-    """Add the sound beginning of a chunk that has an error. Byte by byte, since a failing call returns no output."""
+    """Add the part of a chunk before its error. It is unpacked byte by byte, because a call that fails returns no
+    output."""
     for position in range(len(chunk)):
         try:
             plain += inflate.decompress(chunk[position : position + 1])
@@ -90,7 +91,8 @@ def _inflate_bytewise(inflate: zlib._Decompress, chunk: memoryview, plain: bytea
             return
 
 
-# JSON has less white space than \s. Possessive quantifiers keep the time of a match linear, also in malicious text.
+# JSON has fewer kinds of white space than \s. Possessive quantifiers keep matching linear in time, even for malicious
+# text.
 _SPACE: Final = re.compile(rb"[ \t\n\r]*+")
 _KEY: Final = re.compile(rb'("[^"\\]*+(?:\\.[^"\\]*+)*+")[ \t\n\r]*+:[ \t\n\r]*+', re.DOTALL)
 _CUT_KEY: Final = re.compile(rb'("[^"\\]*+(?:\\.[^"\\]*+)*+(\\|"[ \t\n\r]*+)?)?\Z', re.DOTALL)
@@ -103,22 +105,22 @@ _OTHER_VALUES: Final = {
 }
 
 _SHOWN_ID: Final = 1000
-"""Number of bytes of a damaged plan's id that are shown."""
+"""Number of bytes of a damaged plan's id that messages show."""
 LONGEST_VALUE: Final = 4 << 20
-"""Largest text of one plan, bytes. A plan of BED-BPP takes 10,000 to 25,000. In memory, a decoded plan takes up to 30
-times its text."""
+"""Largest text of one plan, bytes. A plan of BED-BPP takes 10,000 to 25,000 bytes. In memory, a decoded plan takes up
+to 30 times as much as its text."""
 _FIRST_WINDOW: Final = 1 << 15
 _SMALLEST_WINDOW: Final = 1 << 10
 _LONGEST_TOKEN: Final = 12
-"""Longest token that the end of a window may cut (``-Infinity``, an escape), in characters, without strings and
-numbers."""
+"""Length of the longest token that the end of a window may cut (``-Infinity``, an escape), in characters. Strings and
+numbers are treated separately."""
 
 
 class DuplicateFieldObject(dict[str, Any]):
-    """A JSON object that has a field twice. A repeated field keeps its last value.
+    """A JSON object in which a field is repeated. The last value of this field counts.
 
     Attributes:
-        field: the first field that occurs twice.
+        field: the first field that is repeated.
     """
 
     def __init__(self, pairs: list[tuple[str, Any]]) -> None:
@@ -128,21 +130,22 @@ class DuplicateFieldObject(dict[str, Any]):
 
 
 class MalformedPlans(InputError):
-    """Text is no JSON, or no object. The error names the plan, the line and the column (in bytes, both from 1)."""
+    """A text is not JSON, or not an object. The error names the plan, the line and the column (in bytes), both from
+    1."""
 
 
 class Entry(NamedTuple):
-    """One id and its JSON value, not yet validated."""
+    """One id and its JSON value, before validation."""
 
     plan_id: str
     value: object
 
 
 def scan_plans(data: bytes | bytearray, of: str = "plan id → placements", noun: str = "plan") -> Iterator[Entry]:
-    """Yield every entry of a file's bytes, in order.
+    """Yield every entry in a file's bytes, in order.
 
     Args:
-        of: the expected content of the file's object, for messages.
+        of: what the file's object should contain, for messages.
         noun: name of an entry in messages.
 
     Raises:
@@ -193,17 +196,17 @@ def _decoded_id(data: bytes | bytearray, key: re.Match[bytes], where: str) -> An
 
 
 def _decoded_value(data: bytes | bytearray, begin: int, window: int, where: str) -> tuple[Any, int]:
-    """One JSON value and the position of its end.
+    """Decode one JSON value. Returns it and the position of its end.
 
-    The decoder gets a window of the text, and a larger one if the value does not fit. Small windows are cheap: the
+    The decoder receives a window of the text, and a larger one if the value does not fit. Small windows are cheap: the
     decoder's errors count the lines of all text in the window, and text that is not ASCII takes up to four times its
     size while it is decoded.
 
     Args:
         begin: position of the value.
-        window: length of the first window, bytes. A window is twice as long as the value before, so that the total of
-            all windows is linear in the text.
-        where: the plan, for errors.
+        window: length of the first window, bytes. A window is twice as long as the previous value, so that the total
+            length of all windows is linear in the text.
+        where: name of the plan, for errors.
     """
     while True:
         text = _text(data[begin : begin + window])
@@ -239,9 +242,9 @@ def _after_space(data: bytes | bytearray, position: int) -> int:
 
 
 def _text(data: bytes | bytearray) -> str:
-    """Text of bytes. Bytes that are no UTF-8 become lone surrogates.
+    """Decode bytes to text. Bytes that are not UTF-8 become lone surrogates.
 
-    So the JSON around such names can still be read, and the error about a plan with such a name can name the plan.
+    The JSON around such bytes can then still be read, and an error about a plan with such a name can name the plan.
     """
     return data.decode("utf-8", "surrogateescape")
 
@@ -252,7 +255,8 @@ def _n_bytes(text: str, n_characters: int) -> int:
 
 
 def any_integer(digits: str) -> int | float:
-    """An integer of any length. An integer beyond float64 becomes infinite, and is refused later as not finite."""
+    """An integer of any length. If it is too large for float64 it becomes infinite, and is refused later as not
+    finite."""
     return int(digits) if len(digits) < 400 else float(digits)
 
 
@@ -271,5 +275,5 @@ def _decode_start(text: str) -> tuple[Any, int]:
     except json.JSONDecodeError:
         raise
     except ValueError:
-        # Python refuses integers of more than 4,300 digits. the plan is named and skipped; the run goes on
+        # Python refuses integers of more than 4,300 digits; here the plan with one is named and skipped instead
         return _PATIENT_DECODER.raw_decode(text)

@@ -1,4 +1,4 @@
-"""Writer of JSON files of plans and orders in BED-BPP's format."""
+"""Writes JSON files of plans and orders in BED-BPP's format."""
 
 from __future__ import annotations
 
@@ -30,7 +30,8 @@ def write_plans(
 ) -> None:
     """Write (plan id, placements) pairs as one BED-BPP object, one line per placement.
 
-    The file appears only when complete. The bytes depend only on the plans: the gzip header has no time stamp.
+    The file appears only when it is complete. Its bytes depend only on the plans, since the gzip header has no time
+    stamp.
 
     Raises:
         InputError: there is no plan, or the file cannot be written.
@@ -39,7 +40,7 @@ def write_plans(
 
 
 def write_orders(path: Path | str, orders: Iterable[tuple[str, Order]]) -> None:
-    """Write (id, order) pairs as BED-BPP's orders, one line per item. Numbers are read back to the last bit.
+    """Write (id, order) pairs as BED-BPP's orders, one line per item. Reading them gives exactly the same numbers.
 
     Raises:
         InputError: there is no order, or the file cannot be written.
@@ -57,7 +58,7 @@ def _order_text(order: Order) -> str:
 
 
 def item_json(item: Item) -> dict[str, Any]:
-    """An item with the fields of BED-BPP, and the properties that few orders give."""
+    """An item with BED-BPP's fields, and with the properties that few orders give."""
     seldom: dict[str, Any] = {} if item.com_mm is None else dict(zip(COM_FIELDS_JSON, item.com_mm, strict=True))
     seldom |= {} if item.stiffness_n_mm is None else {"stiffness_n_mm": item.stiffness_n_mm}
     seldom |= {"kind": item.kind} if item.kind else {}
@@ -93,7 +94,7 @@ def _write_entries(
     """Write a JSON object of named values.
 
     Args:
-        text_of: the JSON text of a value.
+        text_of: function that returns the JSON text of a value.
         what: "plan" or "order", for errors.
     """
     path = path_of(path, "path")
@@ -103,7 +104,7 @@ def _write_entries(
         raise InputError(f"{printable(str(path))}: there is no {what} to write")
     with atomic_write(path) as temporary, ExitStack() as stack:
         if isinstance(coming, Generator):
-            stack.callback(coming.close)  # closed even after an error: else its worker processes would live on
+            stack.callback(coming.close)  # closed even after an error, to end its worker processes
         out = _open_text(temporary, stack)
         out.write("{")
         for count, (name, value) in enumerate(chain([first], coming), start=1):

@@ -1,4 +1,4 @@
-"""Loose boxes: an estimate, from the plan alone, of the first box that tips over. Used for estimates of time only."""
+"""Loose boxes: estimates from the plan alone which box tips over first. Used only to estimate times."""
 
 from __future__ import annotations
 
@@ -12,20 +12,22 @@ from petmjx.plans.plan import Plan
 from petmjx.plans.plan_warnings import shared_length
 
 MOST_LOOKED_AT: Final = 200
-"""Largest number of plans of a run that are checked, evenly spread, so that a run of 10,003 plans does not wait."""
+"""Largest number of plans of a run that are examined. They are evenly spread. Without this limit, a run of 10,003 plans
+would be delayed."""
 
 _LEVEL_MM: Final = 3.0
-"""The highest top under a box bears it, and all tops that are lower by at most this."""
+"""A box is borne by the highest top under it, and by all tops that are lower by at most this."""
 
 _BESIDE_MM: Final = 1.0
-"""Boxes that overlap by no more than this along x or y stand beside each other."""
+"""If two boxes overlap by at most this along x or y, they stand beside each other."""
 
 
 def first_loose(plan: Plan) -> int:
     """The first box, in packing order, whose centre of mass is not over its supports; n if there is none.
 
     The supports of a box are the highest tops of earlier boxes under it, or the carrier. The centre of mass is over the
-    supports if it lies within the x–y extents of their contact areas. This rule is less strict than the convex hull.
+    supports if it lies within the bounding rectangle of their contact areas. This rule is less strict than one with the
+    convex hull.
     """
     low, high = plan.corner_mm, plan.corner_mm + plan.size_mm
     along = [shared_length(low[:, axis], high[:, axis]) for axis in (0, 1)]
@@ -48,9 +50,9 @@ def first_loose(plan: Plan) -> int:
 
 
 def placed_shares(plans: Sequence[Plan]) -> FloatArray:
-    """(n,) the share of each plan's boxes up to its first loose box, inclusive; 1 without a loose box.
+    """(n,) the share of each plan's boxes up to and including its first loose box; 1 if there is none.
 
-    Of more than ``MOST_LOOKED_AT`` plans only some are checked. The shares of these plans are repeated for all plans.
+    Of more than ``MOST_LOOKED_AT`` plans, only some are examined, and their shares are repeated for the other plans.
     """
     looked_at = (
         [plans[k] for k in np.unique(np.linspace(0, len(plans) - 1, MOST_LOOKED_AT).astype(int))] if plans else []

@@ -1,8 +1,8 @@
-"""Boxes nested anywhere in JSON, NumPy arrays or Python objects: lists of boxes become raw tables.
+"""Finds boxes nested anywhere in JSON, NumPy arrays or Python objects, and turns lists of boxes into raw tables.
 
-A list of boxes is a list (or an object) of objects with the same fields, one object of lists, or a list of lists of
-numbers. Fields of fields are named by their path: ``position.x``, ``stackable.dx``, ``WHD[0]``. The objects around a
-list name its plan and its container.
+A list of boxes may be a list (or an object) of objects with the same fields, an object of lists, or a list of lists of
+numbers. Fields inside fields are named by their path: ``position.x``, ``stackable.dx``, ``WHD[0]``. The objects around
+a list give the name of its plan and its container.
 """
 
 from __future__ import annotations
@@ -24,41 +24,41 @@ from petmjx.plans.raw_cells import cell_number, cell_text, decimal_of
 from petmjx.plans.raw_tables import MOST_ROWS, RawTable
 
 _DEEPEST: Final = 12
-"""Deepest nesting that is searched."""
+"""Largest depth of nesting that is searched."""
 _UNPLACED: Final = word_set(
     "unfit unfitted unpacked unplaced unassigned unloaded leftover leftovers remaining rejected failed unused "
     "notpacked notplaced"
 )
-"""Words of lists whose boxes are not in the plan."""
+"""Words for lists whose boxes are not in the plan."""
 _PLACED_FLAGS: Final = frozenset(("packed", "placed", "fitted", "fit", "is_packed", "is_placed", "loaded", "success"))
 _LAYERS: Final = word_set("layer layers level levels tier tiers lage lagen schicht schichten row rows couches")
-"""Words of lists whose members are parts of one plan."""
+"""Words for lists whose members are parts of one plan."""
 _NAMES: Final = (
     "plan_id", "planId", "order_id", "orderId", "pallet_id", "palletId", "container_id", "containerId", "bin_id",
     "binId",
     "id", "ID", "name", "partno", "bin", "pallet", "container", "index", "number", "no",
 )  # fmt: skip
-"""Fields that name a plan, from the surest on."""
+"""Fields that name a plan, most reliable first."""
 _HOLDERS: Final = word_set(
     "container containers bin bins pallet pallets truck trucks carrier carriers vehicle box_size bin_size binsize "
     "containersize palletsize load_carrier"
 )
 _PRINTED_SIZES: Final = re.compile(r"\(?\s*([\d.]+)\s*[x×]\s*([\d.]+)\s*[x×]\s*([\d.]+)")
 _LISTED: Final = 16
-"""Most numbers of a list that become fields of their own: a 4×4 matrix has 16."""
+"""Largest number of members of a list that become separate fields: a 4×4 matrix has 16."""
 
 
 @dataclass(frozen=True, eq=False)
 class BoxList:
-    """A list of boxes as a raw table, with the objects around it.
+    """A list of boxes as a raw table, with what the objects around it say.
 
     Attributes:
         table: the boxes.
-        path: path of the list, with [] for any member: "containers[].stack.placements[]".
-        parts: (n,) name of each row's plan; "" for a plan without a name.
-        containers: name of a plan → axis (as in ``ColumnMeaning``) → size of its container, in the file's unit.
-        left_out: a line about boxes that are not placed.
-        around: fields of the objects around the list, of the first box.
+        path: path of the list, with [] for each list that it passes through: "containers[].stack.placements[]".
+        parts: (n,) for each row, the name of its plan; "" if the plan has no name.
+        containers: name of a plan → axis (as in ``ColumnMeaning``) → size of the plan's container, in the file's unit.
+        left_out: a line about boxes that are not placed; "" if there are none.
+        around: fields of the objects around the first box of the list.
     """
 
     table: RawTable
@@ -88,10 +88,10 @@ class BoxList:
 
 
 class JsonLines(list[Any]):
-    """The values of JSON lines.
+    """The values of a text in JSON lines.
 
     Attributes:
-        lines: number of each value's line.
+        lines: for each value, the number of its line.
     """
 
     def __init__(self) -> None:
@@ -100,10 +100,10 @@ class JsonLines(list[Any]):
 
 
 def decoded_json(text: str) -> Any:
-    """The value of a text: JSON, or JSON lines.
+    """Decode a text that is JSON or JSON lines.
 
     Raises:
-        InputError: the text is neither. The error names the line and the column, and no file.
+        InputError: the text is neither. The error names the line and the column, but not the file.
     """
     try:
         return _json_value(text)
@@ -128,7 +128,7 @@ def decoded_json(text: str) -> Any:
 
 
 def _json_value(text: str) -> Any:
-    """The value of JSON. Whole numbers of thousands of digits, which Python refuses, become infinite: a later check
+    """Decode JSON. Python refuses whole numbers with thousands of digits; here they become infinite, and a later check
     refuses them as not finite, with their row and column."""
     try:
         return json.loads(text)
@@ -145,7 +145,7 @@ class _Member:
     Attributes:
         value: the object.
         place: its path in the file: "containers[0].boxes[3]".
-        around: (step, object) pairs from the outermost object: the name or number of each object around it, and the
+        around: (step, object) pairs for the objects around it, outermost first. A step is the name or the number of the
             object.
     """
 
@@ -155,7 +155,7 @@ class _Member:
 
 
 def box_lists(value: Any) -> list[BoxList]:
-    """All lists of boxes in a value, those with places and the most boxes first.
+    """Find all lists of boxes in a value. Those with places come first, then those with the most boxes.
 
     Raises:
         InputError: there are too many boxes.
@@ -177,7 +177,7 @@ def box_lists(value: Any) -> list[BoxList]:
 
 
 def _by_lines(boxes: BoxList, lines: Sequence[int]) -> BoxList:
-    """Boxes of JSON lines with the numbers of their lines: "[4].items[2]" → "line 5, items[2]"."""
+    """Number the boxes of JSON lines by their lines: "[4].items[2]" → "line 5, items[2]"."""
     places = []
     for place in boxes.table.places:
         member = re.match(r"\[(\d+)\]\.?", place)
@@ -198,7 +198,7 @@ def _is_unplaced(path: str) -> bool:
 def _members(
     value: Any, path: str, place: str, around: tuple[tuple[str, Mapping[str, Any]], ...], depth: int
 ) -> Iterator[tuple[str, _Member]]:
-    """(path, member) for each object of each list in a value."""
+    """Yield (path, member) for each object in each list inside a value."""
     if depth > _DEEPEST:
         return
     if isinstance(value, Mapping):
@@ -215,7 +215,7 @@ def _members(
             if keyed:
                 yield from _members(inner, f"{path}[]", inner_place, (*step, (str(name), {"id": str(name)})), depth + 1)
             elif alike and isinstance(inner, Mapping):
-                around_it = (*around, (_last_step(place), {}))  # its fields are boxes, and no container
+                around_it = (*around, (_last_step(place), {}))  # its fields are boxes, it is no container
                 yield f"{path}[]", _Member({"id": name, **inner}, inner_place, around_it)
                 yield from _members(inner, f"{path}[]", inner_place, step, depth + 1)
             elif isinstance(inner, Mapping | list | tuple | np.ndarray):
@@ -247,7 +247,7 @@ def _last_step(place: str) -> str:
 
 
 def _alike(members: Sequence[Mapping[str, Any]]) -> bool:
-    """Whether objects have the same kind of fields, as the boxes of one list do."""
+    """Whether objects have similar fields, as the boxes of one list do."""
     names = [set(member) for member in members[:50]]
     common = set.intersection(*names)
     return len(common) >= 2 and len(common) * 2 >= max(map(len, names))
@@ -258,12 +258,12 @@ _FORM_WORDS: Final = word_set(
     "data result results rows records bin bins container containers pallet pallets plans layout solution parcels "
     "objects orders order stack positions kartons pieces"
 )
-"""Words of fields that hold lists of boxes, and name no plan."""
+"""Words in names of fields that hold lists of boxes but do not name a plan."""
 
 
 def _is_plan_key(value: Mapping[str, Any]) -> bool:
-    """Whether the fields of an object are names of plans: all fields hold lists, and no field's name is a word of a
-    form."""
+    """Whether the fields of an object are names of plans: each of them holds a list, and none has a word of a form in
+    its name."""
     lists = [inner for inner in value.values() if isinstance(inner, list) and inner]
     if len(lists) != len(value) or not lists:
         return False
@@ -278,8 +278,8 @@ _LEAST_COLUMNS: Final = 5
 
 
 def _columnar(value: Mapping[str, Any]) -> list[dict[str, Any]] | None:
-    """The rows of an object of lists of one length, or of pandas' forms: with ``columns`` and ``data``, or an object
-    with a value for each row; None: none."""
+    """The rows of an object that stores them by column: lists of the same length, or pandas' forms (``columns`` and
+    ``data``, or objects with one value per row). None if it is no such object."""
     names, data = value.get("columns"), value.get("data")
     if isinstance(names, list) and isinstance(data, list) and data and all(isinstance(row, list) for row in data):
         if all(isinstance(name, str) for name in names) and all(len(row) == len(names) for row in data):
@@ -308,7 +308,7 @@ _LEAST_NUMBERS: Final = 6
 
 
 def _rows_of_numbers(value: Sequence[Any]) -> list[dict[str, Any]] | None:
-    """Rows of a list of lists of numbers: sizes, coordinates and more, or matrices; None: the list is none."""
+    """The rows of a list of lists of numbers: sizes, coordinates and more, or matrices. None if it is no such list."""
     if not value or not all(isinstance(row, list | tuple) for row in value):
         return None
     first = value[0]
@@ -324,8 +324,8 @@ def _rows_of_numbers(value: Sequence[Any]) -> list[dict[str, Any]] | None:
 
 
 def flattened(value: Mapping[str, Any], prefix: str = "", depth: int = 0) -> dict[str, Any]:
-    """Path → value of an object: a "." leads into an object, "[0]" into a short list of numbers. Longer lists are left
-    out."""
+    """Path → value for all values inside an object: "." leads into an object, "[0]" into a short list of numbers.
+    Longer lists are left out."""
     flat: dict[str, Any] = {}
     for name, inner in value.items():
         path = f"{prefix}{name}"
@@ -347,7 +347,8 @@ def flattened(value: Mapping[str, Any], prefix: str = "", depth: int = 0) -> dic
 
 
 def _quantity(value: Mapping[str, Any]) -> Any:
-    """The text of an object that is a number with a unit: {"value": "400", "unit": "mm"}; None: another object."""
+    """The text of a number with a unit, from an object such as {"value": "400", "unit": "mm"}; None for other
+    objects."""
     if "value" in value and isinstance(value.get("unit"), str) and len(value) <= 4:
         return f"{value['value']} {value['unit']}"
     if set(value) == {"ticks"}:
@@ -360,7 +361,7 @@ def _is_matrix(value: Sequence[Any]) -> bool:
 
 
 def _box_list(path: str, members: Sequence[_Member]) -> BoxList | None:
-    """A list of objects as a table; None: the objects are no boxes."""
+    """Turn a list of objects into a table; None if the objects are not boxes."""
     flat = [flattened(member.value) for member in members]
     counts: dict[str, int] = {}
     for row in flat:
@@ -404,7 +405,8 @@ def _cell(value: Any) -> Any:
 
 
 def _parts(members: Sequence[_Member]) -> list[str]:
-    """The name of each member's plan: the names of the objects around it that differ, else the innermost name."""
+    """The name of each member's plan: the differing names of the objects around it, or, if none differ, the innermost
+    name."""
     depth = max((len(member.around) for member in members), default=0)
     levels = [
         [member.around[level] if level < len(member.around) else ("", {}) for member in members]
@@ -427,7 +429,7 @@ def _parts(members: Sequence[_Member]) -> list[str]:
 
 
 def _only_name(around: Sequence[tuple[str, Mapping[str, Any]]]) -> str:
-    """The name of the only plan of a file; "": nothing names it."""
+    """The name of a file's only plan; "" if nothing names it."""
     for _, holder in reversed(around):
         for name in _NAMES[:10]:
             if (text := _name_text(holder.get(name))) != "":
@@ -441,7 +443,8 @@ def _only_name(around: Sequence[tuple[str, Mapping[str, Any]]]) -> str:
 
 
 def _names_of(holders: Sequence[tuple[str, Mapping[str, Any]]]) -> list[str]:
-    """The names of objects around boxes: the text of the first field that is unique, else the object's place."""
+    """The names of objects around boxes. A name is the text of the first field that is unique, else the place of the
+    object."""
     texts = {name: [_name_text(holder.get(name)) for _, holder in holders] for name in _NAMES}
     counts = {name: Counter(values) for name, values in texts.items()}
     names = []
@@ -456,19 +459,17 @@ def _names_of(holders: Sequence[tuple[str, Mapping[str, Any]]]) -> list[str]:
 
 def _name_text(value: Any) -> str:
     if isinstance(value, str):
-        printed = re.match(r"^([\w .#-]+)\([\d.]+\s*x", value)  # py3dbp prints "euro(1200x800x1500, …)"
+        printed = re.match(r"^([\w .#-]+)\([\d.]+\s*x", value)  # as py3dbp prints "euro(1200x800x1500, …)"
         return (printed[1] if printed else value).strip()[:1000]
     return cell_text(value) if isinstance(value, int | float) and not isinstance(value, bool) else ""
 
 
 def _container_of(member: _Member) -> dict[str, float]:
-    """The size of the container around a box, by axis; empty: no size."""
+    """The size of the container around a box, by axis; empty if no size is given."""
     for step, holder in reversed(member.around):
         for name, inner in holder.items():
             words = words_of(str(name))
-            is_box = (
-                isinstance(inner, Mapping) and str(name).lower() == "box"
-            )  # beside a list, as py3dbp's web API has it
+            is_box = isinstance(inner, Mapping) and str(name).lower() == "box"  # beside a list, as in py3dbp's web API
             if not (_HOLDERS.intersection(words) or str(name).lower() in _HOLDERS or is_box):
                 continue
             if isinstance(inner, Mapping) and (sizes := _sizes_in(inner)):
@@ -492,7 +493,7 @@ def _holds_objects(value: Sequence[Any]) -> bool:
 
 
 def _sizes_in(value: Mapping[str, Any]) -> dict[str, float]:
-    """Axis → size among the fields of an object; empty: no three sizes."""
+    """Axis → size, from the fields of an object; empty unless there are three sizes."""
     flat = flattened(value)
     sizes: dict[str, float] = {}
     for name, meaning in zip(flat, column_meanings(list(flat)), strict=True):

@@ -1,8 +1,8 @@
-"""Generator of synthetic orders with BED-BPP's statistics: number of boxes, number of distinct articles, cartons.
+"""Generates synthetic orders with BED-BPP's statistics: number of boxes, number of distinct articles, and cartons.
 
 BED-BPP (Kagerer et al. 2023, "BED-BPP: Benchmarking dataset for robotic bin packing problems", Int. J. of Robotics
-Research 42(11)) has 10,003 grocery orders of 43±14 items for two targets. Here a catalogue of articles replaces the
-warehouse, and an order draws articles from it. Names and ids are invented.
+Research 42(11)) has 10,003 grocery orders of 43±14 items for two targets. Here a catalogue of articles takes the place
+of the warehouse, and each order draws articles from it. Names and ids are invented.
 
 Order i depends only on (seed, i), so the orders of a smaller set are the first orders of a larger set.
 """
@@ -24,25 +24,26 @@ TARGET_EXTENT_MM: dict[str, tuple[int, int]] = {"euro-pallet": (1200, 800), "rol
 """BED-BPP's two targets → their extents along x and y, mm."""
 _SIZED_TARGET = re.compile(r"([0-9.]{1,9})\s*[x×]\s*([0-9.]{1,9})")
 TARGET_RANGE_MM = (100.0, 20_000.0)
-"""Range of the sides of a target."""
+"""Allowed range for the sides of a target."""
 
 MOST_ITEMS = 512
-"""Largest number of items of an order: twice the boxes of the largest plan. The packer's time grows with its third
-power."""
+"""Largest number of items of an order: twice the number of boxes in the largest plan. The packer's time grows with the
+third power of this number."""
 
 MEAN_BOXES = 43.5
 STD_BOXES = 15.0
 MIN_BOXES = 10
 MAX_BOXES = 80
-"""Boxes of an order: a normal distribution between limits. The limits reduce the standard deviation by 1, and the
-packer leaves out about 1 % of the boxes. So packed plans have BED-BPP's 43±14 boxes."""
+"""Limits of the number of boxes of an order, which is drawn from a normal distribution. The limits reduce the standard
+deviation by 1, and the packer leaves out about 1 % of the boxes. With both, packed plans have BED-BPP's 43±14 boxes."""
 
 EURO_PALLET_SHARE = 0.6
 DISTINCT_SHARE = (0.35, 0.7)
-"""Range of distinct articles per box of an order."""
+"""Range of the number of distinct articles, as a share of the number of boxes of the order."""
 
 FILL_BUDGET = 0.55
-"""Largest share of a target's volume (2 m high) that an order's boxes may fill: a warehouse's orders fit their targets.
+"""Largest share of a target's volume (2 m high) that the boxes of an order may fill, since a warehouse's orders fit
+their targets.
 """
 
 CATALOGUE_SIZE = 800
@@ -51,16 +52,16 @@ FIRST_ARTICLE_ID = 100_001
 _MEDIAN_KG = 6.0
 _MEDIAN_M3 = 0.02
 _VOLUME_EXPONENT = 0.65
-"""Exponent of mass over volume. Below 1, since large cartons hold light goods: density falls with volume (BED-BPP: up
-to 750 kg/m³ at 8 l, about 100 at 50 l)."""
+"""Exponent of volume in the formula for mass. It is below 1, since large cartons hold light goods and so density falls
+with volume (BED-BPP: up to 750 kg/m³ at 8 l, about 100 at 50 l)."""
 _DENSITY_SIGMA = 0.35
 WEIGHT_RANGE_KG = (0.2, 20.0)
 DENSITY_RANGE_KG_M3 = (60.0, 900.0)
 _LIGHT_SHARE = 0.08
 _LIGHT_FACTOR = 0.3
-"""Share of articles that are mostly air at any size (crisps, paper cups), and the factor on their mass."""
+"""Share of articles that are mostly air whatever their size (crisps, paper cups), and the factor on their mass."""
 
-# Random streams of one seed: first part of their keys. The second part is the number of the order or article.
+# Random streams of a seed: the first part of their keys. The second part is the number of the order or article.
 _CATALOGUE_STREAM = 0
 _ORDER_STREAM = 1
 PACKER_STREAM = 2
@@ -68,7 +69,7 @@ PACKER_STREAM = 2
 
 @dataclass(frozen=True)
 class _Family:
-    """Cartons of one kind: their share, their ranges of length, width and height in mm, and their product groups."""
+    """A kind of cartons: its share, its ranges of length, width and height in mm, and its product groups."""
 
     share: float
     length_mm: tuple[int, int]
@@ -84,7 +85,8 @@ _FAMILIES = (
     _Family(0.26, (270, 340), (160, 220), (110, 290), ("poultry", "fish", "side dish", "instant meals")),
     _Family(0.12, (120, 260), (100, 180), (100, 200), ("confectionery", "non-food products")),
 )
-"""The kinds of cartons in BED-BPP's sample: 600 × 400 module, its halves, slim long ones, quarters, small cartons."""
+"""The kinds of cartons in BED-BPP's sample: 600 × 400 modules, their halves, long narrow ones, quarters, and small
+cartons."""
 
 
 @dataclass(frozen=True)
@@ -92,11 +94,13 @@ class Item:
     """One box of an order, with BED-BPP's fields.
 
     Attributes:
-        com_mm: centre of mass relative to the item's middle, along length, width and height, mm; None: in the middle.
+        com_mm: centre of mass relative to the item's middle, along length, width and height, mm; None: it is in the
+            middle.
         stiffness_n_mm: as in ``Plan``; None: rigid.
         kind: "box", "sheet" or "" (a box).
-        strength_n: load that the box bears on its top, N; None: unknown. Files of orders do not keep it.
-        upright: letters of the sizes that may be vertical, of l, w and h; "": the height alone. Files do not keep it.
+        strength_n: load that the box can bear on its top, N; None: unknown. Written files of orders do not contain it.
+        upright: those letters of l, w and h whose sizes may be vertical; "": only the height. Written files do not
+            contain it.
     """
 
     article: str
@@ -109,7 +113,7 @@ class Item:
     com_mm: tuple[float, float, float] | None = field(default=None, kw_only=True)
     stiffness_n_mm: float | None = field(default=None, kw_only=True)
     kind: str = field(default="", kw_only=True)
-    # no part of what an item is: packers and matching use neither
+    # packers and matching use neither, so they do not count when items are compared
     strength_n: float | None = field(default=None, kw_only=True, compare=False)
     upright: str = field(default="", kw_only=True, compare=False)
 
@@ -123,7 +127,7 @@ class Item:
 class Order:
     """An order: the items for one target ("euro-pallet", "rollcontainer", or sizes in millimetres, "1200x1000").
 
-    ``numbers`` are the sequence numbers of the items in a file. Generated orders have none.
+    ``numbers`` are the sequence numbers that the items have in a file. Generated orders have none.
     """
 
     target: str
@@ -135,7 +139,7 @@ def target_named(text: str) -> str:
     """The name of a target: "euro-pallet", "rollcontainer", or its sizes along x and y, mm, as in "1200x1000".
 
     Raises:
-        InputError: the value is no target.
+        InputError: the text names no target.
     """
     if text in TARGET_EXTENT_MM:
         return text
@@ -166,13 +170,13 @@ def target_extent_mm(target: str) -> tuple[float, float]:
 
 
 def stream(seed: int, *key: int) -> np.random.Generator:
-    """The random stream of ``key`` under ``seed``, independent of all other keys."""
+    """The random stream of ``key`` under ``seed``. It is independent of the streams of all other keys."""
     return np.random.Generator(np.random.Philox(np.random.SeedSequence(seed, spawn_key=key)))
 
 
 @functools.lru_cache(maxsize=4)
 def catalogue(seed: int) -> tuple[Item, ...]:
-    """The articles that the orders of ``seed`` draw from."""
+    """The articles from which the orders of ``seed`` are drawn."""
     return tuple(_draw_article(stream(seed, _CATALOGUE_STREAM, j), FIRST_ARTICLE_ID + j) for j in range(CATALOGUE_SIZE))
 
 
@@ -183,7 +187,7 @@ def _volumes_m3(seed: int) -> FloatArray:
 
 
 def draw_order(seed: int, index: int) -> Order:
-    """Order ``index`` of ``seed``: number of boxes, target, and articles with their quantities."""
+    """Draw order ``index`` of ``seed``: number of boxes, target, and articles with their quantities."""
     articles = catalogue(seed)
     rng = stream(seed, _ORDER_STREAM, index)
     n_boxes = _draw_count(rng)
@@ -191,7 +195,7 @@ def draw_order(seed: int, index: int) -> Order:
     low, high = DISTINCT_SHARE
     n_articles = max(1, round(n_boxes * (low + (high - low) * rng.random())))
     chosen = [int(j) for j in rng.permutation(len(articles))[:n_articles]]
-    # One box of each article. The remaining boxes are distributed so that few articles have many boxes.
+    # One box of each article; the remaining boxes are distributed so that few articles have many boxes.
     appetite = -np.log1p(-rng.random(n_articles))
     edges = np.cumsum(appetite) / appetite.sum()
     extra = np.searchsorted(edges[:-1], rng.random(n_boxes - n_articles), side="right")
@@ -202,7 +206,7 @@ def draw_order(seed: int, index: int) -> Order:
     of_all = _volumes_m3(seed)
     volumes = of_all[chosen]
     while float(volumes @ quantity) > budget_m3:
-        # Too much for one target: replace the article with the largest volume in the order by a smaller article.
+        # Too much for one target: replace the article with the largest total volume by a smaller article.
         bulkiest = int(np.argmax(volumes * quantity))
         free = of_all < volumes[bulkiest]
         free[chosen] = False
@@ -213,8 +217,8 @@ def draw_order(seed: int, index: int) -> Order:
 
 
 def _draw_count(rng: np.random.Generator) -> int:
-    """A number of boxes from a normal distribution. A number outside the limits is drawn again, so that the limits
-    themselves do not become frequent.
+    """Draw a number of boxes from a normal distribution. A number outside the limits is drawn again, because clipping
+    would make the limits themselves frequent.
     """
     while True:
         n = round(MEAN_BOXES + STD_BOXES * float(rng.standard_normal()))
@@ -225,7 +229,7 @@ def _draw_count(rng: np.random.Generator) -> int:
 def _draw_article(rng: np.random.Generator, number: int) -> Item:
     shares = np.cumsum([family.share for family in _FAMILIES])
     family = _FAMILIES[int(np.searchsorted(shares[:-1], rng.random(), side="right"))]
-    grid_mm = 10 if rng.random() < 0.7 else 1  # most suppliers state centimetres
+    grid_mm = 10 if rng.random() < 0.7 else 1  # most suppliers give whole centimetres
     sides = [_between(rng, bounds, grid_mm) for bounds in (family.length_mm, family.width_mm)]
     length, width = max(sides), min(sides)
     height = _between(rng, family.height_mm, grid_mm)

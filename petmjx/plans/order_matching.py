@@ -1,17 +1,17 @@
-"""Matching of plans with their orders (``match``, ``check_orders``).
+"""Matches plans with their orders (``match``, ``check_orders``).
 
-``match`` finds the item of each box. Boxes are matched by ``id`` and ``article`` together, by the single name that is
-present, or without names by size, mass and properties. An item matches one box at most: if an item is packed twice, the
-second box was not ordered. ``sequence`` is ignored, since packers renumber boxes. Sizes are compared in any
-orientation.
+``match`` finds the item of each box. Boxes are matched by ``id`` and ``article`` together, by whichever of the two
+names is present, or, if there are no names, by size, mass and properties. An item matches at most one box: if it is
+packed twice, the second box was not ordered. ``sequence`` is ignored, because packers renumber boxes. Sizes are
+compared in any orientation.
 
-Properties of goods belong to the order, not to the packer: a box with another centre of mass, stiffness or kind than
-its item differs like a box of another size. The properties of an item are those of the order, else those of the user's
-table of articles (:func:`with_properties`). Without both the item's centre of mass is in its middle, and the item is
-rigid.
+Properties of goods belong to the order, not to the packer: a box that differs from its item in centre of mass,
+stiffness or kind counts as different, as if its size differed. The properties of an item are those in the order, else
+those in the user's table of articles (:func:`with_properties`). If neither gives any, the item's centre of mass is in
+its middle, and the item is rigid.
 
-``check_orders`` compares plans with a file of orders: items left out, boxes not ordered, and boxes with another size or
-mass than ordered.
+``check_orders`` compares plans with a file of orders. It finds items that were left out, boxes that were not ordered,
+and boxes with another size or mass than ordered.
 """
 
 from __future__ import annotations
@@ -35,33 +35,33 @@ from petmjx.plans.order_reader import read_orders
 from petmjx.plans.plan import Plan
 from petmjx.plans.plan_fields import SHEET
 
-if TYPE_CHECKING:  # its module loads Arrow
+if TYPE_CHECKING:  # its module would load Arrow
     from petmjx.plans.articles import Articles
 
 SIZE_TOLERANCE_MM: Final = 0.5
-"""Tolerance of equal sizes: orders have whole millimetres, and packers may round to them."""
+"""Sizes that differ by at most this are equal: orders have whole millimetres, and packers may round to them."""
 
 MASS_TOLERANCE: Final = 0.001
-"""Tolerance of equal masses, as a share of the order's mass."""
+"""Masses that differ by at most this share of the order's mass are equal."""
 
 MASS_TOLERANCE_KG: Final = 0.0005
-"""Tolerance of equal masses that also holds for small masses: half a gram, since small masses are rounded."""
+"""Masses that differ by at most this are equal, too: half a gram, since small masses are rounded."""
 
 _ROUNDING: Final = 1e-9
-"""Allowance for float64: a difference that is exactly a tolerance may become slightly larger."""
+"""Allowance for float64: a difference that is exactly a tolerance may be computed as slightly larger."""
 
 
 @dataclass(frozen=True, eq=False)
 class Matching:
-    """The n boxes of a plan and the m items of its order.
+    """How the n boxes of a plan match the m items of its order.
 
     Attributes:
-        item: (n,) the item of each box; −1: the box was not ordered, or all its items are other boxes.
-        resized: (n,) whether the box has another size, mass, centre of mass, stiffness or kind than its item.
-        same_size: (n,) whether a box that is ``resized`` has its item's size and mass all the same.
-        by_size: (n,) whether the box has neither id nor article, and was matched by size and mass.
-        sheets: (n,) whether the box is an interlayer sheet, which orders need not have.
-        n_items: m, the number of items.
+        item: (n,) the item of each box; −1: the box was not ordered, or its items are already matched by other boxes.
+        resized: (n,) whether the box differs from its item in size, mass, centre of mass, stiffness or kind.
+        same_size: (n,) whether a ``resized`` box has its item's size and mass nevertheless.
+        by_size: (n,) whether the box was matched by size and mass, because it or the item has neither id nor article.
+        sheets: (n,) whether the box is an interlayer sheet. Orders need not have these.
+        n_items: the number m of items.
     """
 
     item: NDArray[np.int64]
@@ -73,17 +73,17 @@ class Matching:
 
     @property
     def as_ordered(self) -> NDArray[np.bool_]:
-        """(n,) whether a box was ordered, with this size and mass and these properties."""
+        """(n,) whether a box was ordered, and has the size, the mass and the properties of its item."""
         return (self.item >= 0) & ~self.resized
 
     @property
     def not_ordered(self) -> NDArray[np.bool_]:
-        """(n,) whether a box was not ordered. Sheets do not count."""
+        """(n,) whether a box was not ordered. Sheets never count as not ordered."""
         return (self.item < 0) & ~self.sheets
 
     @property
     def left_out(self) -> int:
-        """The number of items that match no box."""
+        """The number of items that no box matches."""
         return self.n_items - int(np.count_nonzero(self.item >= 0))
 
 
@@ -99,12 +99,12 @@ _Takes = Callable[[_Names], bool]
 
 
 class _MatchKey(NamedTuple):
-    """One way to match: boxes and items with the same key match.
+    """One rule of matching: boxes and items with the same key match.
 
     Attributes:
-        key: the key of a box or an item; None: no key, and no match.
-        boxes, items: whether a box or an item takes part.
-        named: whether the key alone identifies the item, whatever the box's size.
+        key: function that returns the key of a box or an item; None: it has no key, and does not match.
+        boxes, items: whether a box or an item takes part in the rule.
+        named: whether the key alone identifies the item, even if the size of the box differs.
     """
 
     key: _Key
@@ -126,8 +126,9 @@ _WAYS: Final = (
     _MatchKey(lambda names: (), lambda box: not any(box), _any, named=False),
     _MatchKey(lambda names: (), _any, lambda item: not any(item), named=False),
 )
-"""Ways to match, in order; each with the boxes and items that earlier ways left unmatched. All ways are tried first
-with equal size and mass, then those with ``named`` without. A name that one side lacks is not compared."""
+"""Rules of matching, in order. Each is applied to the boxes and items that are still unmatched. First all rules are
+applied to boxes and items of equal size and mass, then the ``named`` rules to the others. A name that one side lacks is
+not compared."""
 
 
 def match(plan: Plan, order: Order) -> Matching:
@@ -168,7 +169,7 @@ def match(plan: Plan, order: Order) -> Matching:
 def _match_equal(
     boxes: list[_Names], of_boxes: FloatArray, items: list[_Names], of_items: FloatArray, matched: NDArray[np.int64]
 ) -> None:
-    """Match boxes whose names, size and mass are exactly those of an item. This way is fast, and matches most boxes."""
+    """Match boxes whose names, size and mass are exactly those of an item. This is fast, and matches most boxes."""
     free: dict[Hashable, list[int]] = defaultdict(list)
     for number in reversed(range(len(items))):
         free[items[number], *of_items[number].tolist()].append(number)
@@ -188,7 +189,7 @@ def _groups(numbers: list[int], names: list[_Names], takes: _Takes, key: _Key) -
 def _equal_pairs(
     boxes: list[int], items: list[int], of_boxes: FloatArray, of_items: FloatArray
 ) -> list[tuple[int, int]]:
-    """Pairs (box, item) of equal size and mass. A box and an item belong to at most one pair."""
+    """Pairs (box, item) of equal size and mass. Each box and each item is in at most one pair."""
     if not items:
         return []
     is_equal = _equal_measures(of_boxes[boxes][:, None], of_items[items][None])
@@ -203,7 +204,7 @@ def _equal_pairs(
 
 
 def _equal_measures(box: FloatArray, item: FloatArray) -> NDArray[np.bool_]:
-    """Whether sizes and masses, and properties if present, are equal within the tolerances."""
+    """Whether sizes, masses and, if present, properties are equal within the tolerances."""
     apart = np.abs(box - item)
     sizes = (apart[..., :3] <= SIZE_TOLERANCE_MM + _ROUNDING).all(axis=-1)
     masses = apart[..., 3] <= np.maximum(MASS_TOLERANCE * item[..., 3], MASS_TOLERANCE_KG) + _ROUNDING
@@ -217,7 +218,7 @@ def _equal_measures(box: FloatArray, item: FloatArray) -> NDArray[np.bool_]:
 
 
 def _equal_centres(box: FloatArray, item: FloatArray) -> NDArray[np.bool_]:
-    """Whether boxes have their centres of mass where the items have them, however they stand.
+    """Whether the centres of mass of boxes are where their items have them, in any orientation of the box.
 
     Args:
         box, item: (…, 6) lengths, widths and heights, and centres of mass along them, mm.
@@ -239,7 +240,7 @@ _ROTATIONS: Final = tuple(
     for signs in product((1, -1), repeat=3)
     if _parity(axes) * signs[0] * signs[1] * signs[2] == 1
 )
-"""The 24 ways to turn a box: its axes in another order, and their signs. No rotation is a mirror image."""
+"""The 24 rotations of a box: orders of its axes, with their signs. None of them is a mirror image."""
 
 _N_PLAIN: Final = 4
 """Number of columns of :func:`_measures`."""
@@ -254,7 +255,7 @@ def _item_has_properties(item: Item) -> bool:
 
 
 def _properties(plan: Plan, sizes: FloatArray) -> FloatArray:
-    """(n, 8) stiffness (0: rigid), whether a sheet, and length, width, height and centre of mass along them."""
+    """(n, 8) stiffness (0: rigid), whether it is a sheet, and length, width, height and centre of mass along these."""
     stiff = np.zeros(plan.n_boxes) if plan.stiffness_n_mm is None else np.nan_to_num(plan.stiffness_n_mm)
     return _as_rows(stiff, plan.sheets, plan.item_size_mm, plan.item_com_mm, sizes)
 
@@ -269,15 +270,15 @@ def _properties_of(items: tuple[Item, ...], sizes: FloatArray) -> FloatArray:
 def _as_rows(
     stiff: FloatArray, sheets: NDArray[np.bool_], extents: FloatArray, com_mm: FloatArray, sizes: FloatArray
 ) -> FloatArray:
-    """Properties in rows. Where the centre of mass is in the middle, sides are in ascending order, so that equal boxes
-    have equal rows however they stand.
+    """Properties as rows of numbers. If the centre of mass is in the middle, the sides are in ascending order, so that
+    equal boxes have equal rows in any orientation.
     """
     off = com_mm.any(axis=1, keepdims=True)
     return np.column_stack([stiff, sheets, np.where(off, extents, sizes), com_mm])
 
 
 def with_properties(order: Order, articles: Articles | None) -> Order:
-    """The order with properties of its items from a table of articles, where the order itself gives none."""
+    """The order, with properties of its items from a table of articles if the order itself gives none."""
     if articles is None:
         return order
     return replace(order, items=tuple(_filled_up(item, articles) for item in order.items))
@@ -301,21 +302,20 @@ def _measures_of(items: tuple[Item, ...]) -> FloatArray:
 
 
 MOST_LISTED: Final = 10_000
-"""Largest number of plans, orders or errors that are listed one by one. The counts include all."""
+"""Largest number of plans, orders or errors that are listed one by one. The counts include all of them."""
 
 MOST_ARTICLES: Final = 5
 """Largest number of articles that a line names."""
 
 
 class PlanOrderCounts(NamedTuple):
-    """Counts of boxes of one plan and its order.
+    """Numbers of boxes for one plan and its order.
 
     Attributes:
-        ordered_boxes: boxes of the order.
-        left_out: boxes that were ordered, but are not in the plan.
-        not_ordered: boxes of the plan that were not ordered.
-        resized: boxes of the plan that were ordered with another size or mass, or with another centre of mass,
-            stiffness or kind.
+        ordered_boxes: boxes in the order.
+        left_out: ordered boxes that are not in the plan.
+        not_ordered: boxes in the plan that were not ordered.
+        resized: boxes in the plan that were ordered, but with another size, mass, centre of mass, stiffness or kind.
     """
 
     ordered_boxes: int
@@ -326,18 +326,18 @@ class PlanOrderCounts(NamedTuple):
 
 @dataclass
 class OrderCounts:
-    """Counts of all plans of a run and all orders.
+    """Counts over all plans of a run and all orders.
 
     Attributes:
-        orders: usable orders of the file.
+        orders: usable orders in the file.
         ordered_boxes, left_out, not_ordered, resized: boxes (see :class:`PlanOrderCounts`) of all plans that have an
-        order.
-        matched_by_size: boxes of these plans without id and article, which are matched by size and mass.
+            order.
+        matched_by_size: boxes of these plans without id and article, which were matched by size and mass.
         plans_leaving_out: plans that leave out at least one box.
-        plans_without_order: plans without a usable order in the file.
-        orders_without_plan, boxes_without_plan: orders without a usable plan, and their boxes; None: unknown, since not
-            all plans were read.
-        unusable_orders: orders of the file that were not compared.
+        plans_without_order: plans for which the file has no usable order.
+        orders_without_plan, boxes_without_plan: orders that have no usable plan, and their boxes; None: unknown,
+            because not all plans were read.
+        unusable_orders: orders in the file that could not be compared.
     """
 
     orders: int = 0
@@ -359,12 +359,12 @@ class OrderCheck:
 
     Attributes:
         file: name of the orders file.
-        digest: digest of the ordered items, hexadecimal.
-        of_plan: plan id → counts, for each plan that has an order; also plans of other shards.
+        digest: digest of the ordered items, in hexadecimal.
+        of_plan: plan id → counts, for each plan that has an order, including plans of other shards.
         counts: counts of this shard.
         lines: a line for each plan of this shard that differs from its order.
-        without_plan: ids of orders of this shard that have no usable plan.
-        unusable: a line for each order that was not compared.
+        without_plan: ids of the orders of this shard that have no usable plan.
+        unusable: a line for each order that could not be compared.
     """
 
     file: str
@@ -385,19 +385,19 @@ def check_orders(
     strict: bool = False,
     articles: Articles | None = None,
 ) -> OrderCheck:
-    """Compare plans with the orders of a file, BED-BPP's or of any other form. A plan and its order have the same id.
+    """Compare plans with the orders of a file, in BED-BPP's form or any other. A plan and its order have the same id.
 
     Args:
         path: the file, gzipped or not.
         plans: all plans of the run, with distinct ids.
-        takes: returns whether the plan or order with an id is in this shard.
-        all_plans: whether ``plans`` has all plans. False: orders without a plan are not counted.
-        strict: raise at the first unusable order, instead of leaving it out of the comparison.
-        articles: the user's table of articles, for properties that orders do not give.
+        takes: function that returns whether the plan or order with an id is in this shard.
+        all_plans: whether ``plans`` has all plans. If not, orders without a plan are not counted.
+        strict: whether to raise at the first unusable order, instead of leaving it out of the comparison.
+        articles: the user's table of articles, for properties that the orders do not give.
 
     Raises:
-        InputError: the file cannot be read, is damaged or has no usable order; with ``strict`` an order is unusable.
-            The line names file, order and field.
+        InputError: the file cannot be read, is damaged or has no usable order; or, with ``strict``, an order is
+            unusable. The message names the file, the order and the field.
     """
     by_id = {plan.plan_id: plan for plan in plans}
     check = OrderCheck(printable(str(path)))
@@ -457,7 +457,8 @@ _ALTERED: Final = (
 
 
 def difference_in_words(plan: Plan, order: Order, matching: Matching) -> str:
-    """The differences between a plan and its order: "2 of 9 ordered boxes are left out (2 × jam)"; empty: none."""
+    """The differences between a plan and its order: "2 of 9 ordered boxes are left out (2 × jam)"; empty if there are
+    none."""
     ordered, parts = counts_of(matching), []
     if ordered.left_out:
         missing = set(range(len(order.items))) - set(matching.item.tolist())
@@ -482,10 +483,10 @@ def difference_in_words(plan: Plan, order: Order, matching: Matching) -> str:
 
 
 def on_target(plan: Plan, order: Order) -> NDArray[np.bool_]:
-    """(n,) whether a box of a plan is on the order's target.
+    """(n,) whether each box of a plan is on the order's target.
 
-    If the plan's bounding box fits on the target, also turned, all boxes count as on the target, for any origin of the
-    plan. Otherwise a box is on the target if its middle is over the target with its corner at the origin.
+    If the plan's bounding box fits on the target, possibly turned, all boxes count as on the target, wherever the plan
+    has its origin. Otherwise a box is on the target if its middle is, when the target's corner is at the origin.
     """
     extent = np.array(target_extent_mm(order.target), float)
     low, high = plan.corner_mm[:, :2], plan.corner_mm[:, :2] + plan.size_mm[:, :2]
@@ -498,8 +499,8 @@ def on_target(plan: Plan, order: Order) -> NDArray[np.bool_]:
 
 @dataclass(eq=False)
 class OddBoxes:
-    """Differences between many plans and their orders: the number of boxes of each kind, and the first boxes in
-    words."""
+    """Differences between many plans and their orders: the number of boxes of each kind, and a description of the first
+    ones."""
 
     counts: Counter[str] = field(default_factory=Counter)
     first: dict[str, str] = field(default_factory=dict)
@@ -524,10 +525,10 @@ class OddBoxes:
                 self.first[kind] = words
 
     def lines(self, whose: str = "") -> Iterator[str]:
-        """A line for each kind with at least one box.
+        """A line for each kind that has at least one box.
 
         Args:
-            whose: "of NAME", the name of a packer; may be empty.
+            whose: "of NAME", with the name of a packer; may be empty.
         """
         for kind, one, many in (
             ("not_ordered", "was not ordered", "were not ordered"),
@@ -558,8 +559,8 @@ def _name_of_box(plan: Plan, box: int) -> str:
 
 
 def _name(item_id: str, article: str) -> str:
-    """The article, and the id if the article does not contain it: "bread-00105329", "carton (77)". Without an article
-    the id; "" without both.
+    """The article, and the id if the article does not contain it: "bread-00105329", "carton (77)". The id if there is
+    no article; "" if there is neither.
     """
     if not article:
         return printable_name(item_id)
@@ -575,7 +576,7 @@ def _measures_of_item(item: Item) -> str:
 
 
 def _pair(plan: Plan, order: Order, matching: Matching, box: int) -> str:
-    """A box and its item: "400 × 300 × 201 mm, 8 kg for 400 × 300 × 200 mm, 8 kg"."""
+    """A box and its item as text: "400 × 300 × 201 mm, 8 kg for 400 × 300 × 200 mm, 8 kg"."""
     item = order.items[matching.item[box]]
     measures = _measures_of_box(plan, box), _measures_of_item(item)
     if not matching.same_size[box]:
@@ -586,7 +587,7 @@ def _pair(plan: Plan, order: Order, matching: Matching, box: int) -> str:
 
 
 def _in_words_of(com_mm: Sequence[float], stiffness_n_mm: float, sheet: bool) -> str:
-    """Properties in words: "a sheet, centre of mass -190, 0, 0 mm off its middle, 300 N/mm"."""
+    """Properties as text: "a sheet, centre of mass -190, 0, 0 mm off its middle, 300 N/mm"."""
     offset = f"{', '.join(f'{value:g}' for value in com_mm)} mm off" if any(com_mm) else "in"
     stiffness = f"{stiffness_n_mm:g} N/mm" if stiffness_n_mm else "rigid"
     return f"{'a sheet' if sheet else 'a box'}, centre of mass {offset} its middle, {stiffness}"

@@ -1,5 +1,5 @@
-"""Reader of orders (``read_orders``): BED-BPP's files, order id → ``item_sequence`` and ``properties``, and those of
-anybody."""
+"""Reads orders (``read_orders``): BED-BPP's files, which map an order id to ``item_sequence`` and ``properties``, and
+files of any other form."""
 
 from __future__ import annotations
 
@@ -40,13 +40,13 @@ if TYPE_CHECKING:
     from petmjx.plans.item_orders import ForeignOrders, OrderReading
 
 _CONVERT: Final = "petmjx convert {file} --orders -o orders.json takes it, and writes orders that all commands read"
-"""Appended where a command has no options for reading orders."""
+"""Advice that is appended for commands that have no options for reading orders."""
 _FRAME: Final = "orders"
 """Name of a data frame in messages."""
 _SIZES: Final = ("length/mm", "width/mm", "height/mm")
 _FORMS: Final = "orders are BED-BPP's JSON, or tables of items with sizes and quantities (docs/plan-format.md#orders)"
 _MOST_DIGITS: Final = 18
-"""Largest number of digits of a sequence number."""
+"""Largest number of digits in a sequence number."""
 
 
 def read_orders(
@@ -57,11 +57,12 @@ def read_orders(
     """Yield (order id, order) for each order of a file, gzipped or not. Items are sorted by sequence number.
 
     Orders in BED-BPP's form are read directly. A file of another form is read by ``petmjx.plans.foreign_orders``, and a
-    ``PlanWarning`` says how.
+    ``PlanWarning`` states how.
 
     Args:
-        on_bad_order: called with the error of a bad order, which is then skipped; None: the error is raised.
-        reading: how files of other forms are read, and their target; None: the most plausible way.
+        on_bad_order: function that is called with the error of a bad order, which is then skipped; None: the error is
+            raised.
+        reading: how files of other forms are read, and their target; None: the most plausible reading.
 
     Raises:
         InputError: the file cannot be read, or has no orders (raised before the first order); or an order is bad and
@@ -99,7 +100,7 @@ def read_order_frame(
 ) -> Iterator[tuple[str, Order]]:
     """Yield (order id, order) for each order of a data frame, or of any object with Arrow's stream interface.
 
-    Arguments and errors are those of :func:`read_orders`; lines name the frame "orders".
+    Arguments and errors are those of :func:`read_orders`. Messages call the frame "orders".
     """
     from petmjx.plans.foreign_orders import frame_orders
     from petmjx.plans.item_orders import OrderReading
@@ -113,7 +114,7 @@ def read_order_frame(
 
 
 def keep_orders(source: Path, path: Path) -> None:
-    """Copy a file of orders. Orders in another form than BED-BPP's are written in BED-BPP's.
+    """Copy a file of orders. Orders of any other form are written in BED-BPP's form.
 
     Raises:
         InputError: a file cannot be read or written.
@@ -134,10 +135,10 @@ def _own_bytes(path: Path, name: str) -> bytearray | None: ...
 
 
 def _own_bytes(path: Path, name: str, is_own: bool = False) -> bytearray | None:
-    """The bytes of a file of orders in BED-BPP's form; None: another form.
+    """The bytes of a file of orders if it has BED-BPP's form; None if it has another form.
 
     Args:
-        is_own: whether the file is certainly JSON in BED-BPP's form.
+        is_own: whether the file is known to be JSON in BED-BPP's form.
 
     Raises:
         InputError: the file is damaged or has no order.
@@ -165,7 +166,7 @@ def _own_bytes(path: Path, name: str, is_own: bool = False) -> bytearray | None:
 
 
 def _foreign(path: Path, name: str, reading: OrderReading | None) -> ForeignOrders | None:
-    """The orders of a file of another form; None: JSON without boxes.
+    """Read the orders of a file that does not have BED-BPP's form; None if it is JSON without boxes.
 
     Raises:
         InputError: the file cannot be read as orders.
@@ -194,7 +195,7 @@ def _foreign(path: Path, name: str, reading: OrderReading | None) -> ForeignOrde
 def _good_orders(
     orders: ForeignOrders, on_bad_order: Callable[[InputError], None] | None
 ) -> Iterator[tuple[str, Order]]:
-    """The good orders of a file. Errors are those of :func:`read_orders`."""
+    """Yield the good orders of a file. Errors are those of :func:`read_orders`."""
     for _, line in orders.refused:
         error = InputError(line)
         if on_bad_order is None:
@@ -260,7 +261,7 @@ def _item(raw: object, where: str) -> Item:
 def _optional(
     raw: dict[str, Any], field: str, fault_of: Callable[[str, Any, float], str | None], size: float, where: str
 ) -> float | None:
-    """A number that an item may lack."""
+    """A number of an item; None if the item lacks it."""
     value = raw.get(field)
     if value is None:
         return None

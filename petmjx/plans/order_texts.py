@@ -1,9 +1,9 @@
-"""Orders as text files of numbers (``order_source``): test problems of packing research, and lists of lengths.
+"""Reads orders from text files of numbers (``order_source``): test problems of packing research, and lists of lengths.
 
-Forms: Bischoff and Ratcliff's ``thpack`` and ``wtpack`` files of the OR-Library (people.brunel.ac.uk/~mastjjb/jeb,
-pages ``thpackinfo`` and ``conloadinfo``); files of the generator of Martello, Pisinger and Vigo (2000), "The
-three-dimensional bin packing problem", Operations Research 48(2), 256–267: number of boxes, bin, a line a box; three
-lengths a line, as RoboBPP's ``opai.txt``.
+The forms are: Bischoff and Ratcliff's ``thpack`` and ``wtpack`` files of the OR-Library
+(people.brunel.ac.uk/~mastjjb/jeb, pages ``thpackinfo`` and ``conloadinfo``); files of the generator of Martello,
+Pisinger and Vigo (2000), "The three-dimensional bin packing problem", Operations Research 48(2), 256–267, which have
+the number of boxes, the bin and a line per box; and files with three lengths per line, such as RoboBPP's ``opai.txt``.
 """
 
 from __future__ import annotations
@@ -21,17 +21,17 @@ from petmjx.plans.raw_cells import cell_number
 from petmjx.plans.raw_tables import MOST_ROWS, RawTable, decoded_text
 
 SET_ITEMS: Final = 50
-"""Number of boxes in an order if a set is one long list."""
+"""Number of boxes per order if a set is one long list."""
 THPACK: Final = KnownForm("a container loading problem (thpack)")
 MPV: Final = KnownForm("a bin packing problem of Martello, Pisinger and Vigo's form")
 LENGTHS: Final = KnownForm("a list of lengths")
 _LINES_BEFORE: Final = 5
-"""Largest number of lines before the first line of a box type."""
+"""Largest number of lines before the first line with a box type."""
 
 
 @dataclass
 class _Rows:
-    """Boxes gathered so far."""
+    """The boxes that have been read so far."""
 
     header: tuple[str, ...]
     rows: list[tuple[Any, ...]] = field(default_factory=list)
@@ -73,7 +73,7 @@ class _Line:
 
     @property
     def values(self) -> list[float | None]:
-        """The numbers of the line; None for a word that is none."""
+        """The numbers in the line; None for each word that is not a number."""
         numbers = [cell_number(word) for word in self.words]
         return [None if number is None else number.value for number in numbers]
 
@@ -82,10 +82,10 @@ class _Line:
         return all(value is not None for value in self.values)
 
     def whole(self, index: int, what: str, smallest: int = 1) -> int:
-        """A whole number.
+        """The whole number at a position in the line.
 
         Raises:
-            InputError: the word is none.
+            InputError: the word there is not a whole number.
         """
         value = self.values[index]
         if value is None or not value.is_integer() or not smallest <= value <= MOST_ROWS:
@@ -95,10 +95,10 @@ class _Line:
 
 
 def order_source(data: bytes | bytearray) -> BoxSource | None:
-    """The boxes of a text of numbers; None: an unknown form.
+    """Read the boxes of a text of numbers; None if the form is unknown.
 
     Raises:
-        InputError: a text of a known form is damaged. The error names the line, and not the file.
+        InputError: a text of a known form is damaged. The error names the line, but not the file.
     """
     if data[:2] == b"PK" or b"\0" in data[:2000]:
         return None
@@ -125,8 +125,9 @@ def order_source(data: bytes | bytearray) -> BoxSource | None:
 
 
 def _flags_at(line: _Line) -> int | None:
-    """Position of a box type's length in its line, by the marks 0 and 1 behind the sizes; None: another line."""
-    for begin in (1, 0):  # with the number of the type, or without
+    """Position of a box type's length in its line, which is recognised by the marks 0 and 1 after the sizes. None if
+    the line has no such marks."""
+    for begin in (1, 0):  # with or without the number of the type
         marks = line.words[begin + 1 : begin + 6 : 2]
         if len(line) >= begin + 7 and len(marks) == 3 and sum(mark in ("0", "1") for mark in marks) >= 2:
             return begin
@@ -134,7 +135,7 @@ def _flags_at(line: _Line) -> int | None:
 
 
 def _is_thpack(lines: Sequence[_Line]) -> bool:
-    """Whether lines are those of container loading problems: a container, the number of types, and a line a type."""
+    """Whether lines are container loading problems: a container, the number of types, and a line per type."""
     first = next(
         (number for number, line in enumerate(lines[: _LINES_BEFORE + 1]) if _flags_at(line) is not None), None
     )
@@ -146,12 +147,12 @@ def _is_thpack(lines: Sequence[_Line]) -> bool:
 
 
 def _thpack(lines: Sequence[_Line]) -> BoxSource:
-    """Problems as ``thpack`` and ``wtpack`` have them.
+    """The problems of ``thpack`` and ``wtpack`` files.
 
-    The line of a type is its number, length, mark, width, mark, height, mark, quantity, and in ``wtpack`` (which has no
-    numbers of types) the weight, kg, and load bearing strengths. The marks say whether a size may be upright. petmjx
-    turns boxes about the vertical alone: the height is upright if its mark allows it, else the first size with such a
-    mark.
+    The line of a type has its number, length, mark, width, mark, height, mark and quantity. In ``wtpack``, types have
+    no numbers, and the quantity is followed by the weight in kg and by load bearing strengths. A mark states whether
+    the size before it may be vertical. petmjx turns boxes only about the vertical. So the height is vertical if its
+    mark allows it, else the first size whose mark does.
     """
     weighted = any(len(line) - (_flags_at(line) or 0) >= 8 and _flags_at(line) == 0 for line in lines)
     rows = _Rows(("type", "length", "width", "height", "quantity", *(("weight per box",) if weighted else ())))
@@ -219,7 +220,7 @@ def _thpack(lines: Sequence[_Line]) -> BoxSource:
 
 
 def _problem_head(lines: Sequence[_Line], position: int) -> tuple[dict[str, float], int, int]:
-    """The container and the number of types of a problem, and the position of the first type.
+    """Read the head of a problem: its container, its number of types, and the position of its first type.
 
     Raises:
         InputError: the lines have another form.
@@ -242,9 +243,10 @@ def _problem_head(lines: Sequence[_Line], position: int) -> tuple[dict[str, floa
 
 
 def _bin_packing(lines: Sequence[_Line]) -> BoxSource | None:
-    """Problems as number of boxes, bin and a line a box: width, height and depth; None: the lines are none.
+    """Problems given as number of boxes, bin, and a line per box: width, height and depth. None if the lines have
+    another form.
 
-    The head is "n W H D", or "n" and "W H D" in two lines, in any sequence. The height is upright.
+    The head is "n W H D" in one line, or "n" and "W H D" in two lines, in any sequence. The height is vertical.
     """
     head = _bin_head(lines, 0)
     if head is None:
@@ -280,7 +282,7 @@ def _bin_packing(lines: Sequence[_Line]) -> BoxSource | None:
 
 
 def _bin_head(lines: Sequence[_Line], position: int) -> tuple[int, list[float], int] | None:
-    """Number of boxes, bin and position of the first box; None: there is no head."""
+    """The number of boxes, the bin and the position of the first box; None if there is no head."""
     head_line = lines[position]
     after = lines[position + 1] if position + 1 < len(lines) else _Line(0, ())
     if len(head_line) == 4 and head_line.is_numeric:
@@ -302,7 +304,7 @@ def _bin_head(lines: Sequence[_Line], position: int) -> tuple[int, list[float], 
 
 
 def _counts_up(lines: Sequence[_Line]) -> bool:
-    """Whether the first numbers of lines count from 0 or 1."""
+    """Whether the first numbers of the lines are 0, 1, 2, … or 1, 2, 3, …"""
     first = [line.values[0] for line in lines]
     return any(first == list(map(float, range(begin, begin + len(first)))) for begin in (0, 1))
 
@@ -311,10 +313,10 @@ def _counts_up(lines: Sequence[_Line]) -> bool:
 
 
 def _lengths(lines: Sequence[_Line]) -> BoxSource | None:
-    """Three lengths a line, in orders of ``SET_ITEMS``; None: the lines have another number of words.
+    """Lines of three lengths, grouped into orders of ``SET_ITEMS``; None if lines have another number of words.
 
     Raises:
-        InputError: lines have fewer numbers.
+        InputError: some lines have fewer numbers.
     """
     widths = [len(line) for line in lines]
     width = max(set(widths), key=widths.count)

@@ -1,9 +1,9 @@
-"""Tables of placements: columns (``InputColumn``) become the checked fields of plans (``table_plans``).
+"""Tables of placements: their columns (``InputColumn``) become the checked fields of plans (``table_plans``).
 
-A table has one row for each placement. ``sequence`` is the packing order, so rows may come in any order. Each unusable
-plan or row gets one line.
+A table has one row per placement. ``sequence`` is the packing order, so rows may come in any order. Each unusable plan
+or row gets one line.
 
-For speed, whole columns are converted and checked in C. Python checks single values and rows only where that fails.
+For speed, whole columns are converted and checked in C. Python checks single values and rows only if that fails.
 """
 
 from __future__ import annotations
@@ -50,17 +50,17 @@ _NUMBER: Final = r"^[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?$"
 _SHORT_WHOLE: Final = r"^[+-]?(\d{1,18}|[1-8]\d{18})$"
 _WHOLE: Final = re.compile(r"[+-]?[0-9]+")
 _MOST_EXACT: Final = 2.0**53
-"""Up to this number float64 represents every whole number."""
+"""float64 represents every whole number up to this one exactly."""
 
 
 @dataclass(frozen=True, eq=False)
 class InputColumn:
-    """A column of a table, before it is checked.
+    """A column of a table before it is checked.
 
     Attributes:
-        values: an Arrow array; or Python objects, if they are of several types.
-        is_text: whether numbers are texts, as in CSV. Empty text is then a missing value.
-        decimal: the decimal mark of numbers that are texts. Numbers with a decimal comma have no point.
+        values: an Arrow array; or Python objects, if they have several types.
+        is_text: whether numbers are stored as text, as in CSV. Empty text is then a missing value.
+        decimal: the decimal mark of numbers stored as text. Numbers with a decimal comma have no point.
     """
 
     values: pa.Array | Sequence[Any]
@@ -68,10 +68,10 @@ class InputColumn:
     decimal: str = "."
 
     def raw(self, row: int, number: bool = False) -> Any:
-        """The value of a row in messages; None: a missing value.
+        """The value of a row as messages show it; None if it is missing.
 
         Args:
-            number: whether the column should have numbers. A number that is text is then shown as a number.
+            number: whether the column should have numbers. A number stored as text is then shown as a number.
         """
         value = self.values[row]
         value = value.as_py() if isinstance(value, pa.Scalar) else value
@@ -85,18 +85,18 @@ class InputColumn:
             return None
         if self.is_text and number:
             return _as_number(value.strip(), self.decimal)
-        # times, and values of all further types, are shown as text
+        # times, and values of any further type, are shown as text
         return value if isinstance(value, str | int | float | list | dict) else str(value)
 
     def missing(self, number: bool = False) -> NDArray[np.bool_]:
-        """(n,) whether a row has no value. ``number`` as for :meth:`raw`."""
+        """(n,) whether a row has no value. ``number`` is as in :meth:`raw`."""
         if not isinstance(self.values, pa.Array):
             return np.array([self.raw(row, number) is None for row in range(len(self.values))], dtype=bool)
         array = _trimmed_text(self.values) if self.is_text and number else self.values
         return np.asarray(array.is_null())
 
     def numbers(self) -> tuple[FloatArray, NDArray[np.bool_]]:
-        """(n,) numbers, NaN for a missing number; and the mask of usable numbers. Ranges are not checked."""
+        """(n,) numbers, NaN if missing; and a mask of the usable ones. Ranges are not checked."""
         array = self.values
         if not isinstance(array, pa.Array):
             return _converted_objects(array, _float, np.nan, np.float64)
@@ -108,7 +108,7 @@ class InputColumn:
         return np.asarray(numbers.fill_null(np.nan)), np.asarray(numbers.is_valid())
 
     def whole(self) -> tuple[NDArray[np.int64], NDArray[np.bool_]]:
-        """(n,) whole numbers, 0 for a missing number; and the mask of rows with a number."""
+        """(n,) whole numbers, 0 if missing; and a mask of the rows that have one."""
         numbers, usable = self.numbers()
         usable &= (np.abs(numbers) <= _MOST_EXACT) & (numbers == np.rint(numbers))
         integers = np.where(usable, numbers, 0).astype(np.int64)
@@ -120,7 +120,7 @@ class InputColumn:
         return np.where(known, np.asarray(exact.fill_null(0)), integers), known | usable
 
     def texts(self) -> tuple[NDArray[np.object_], NDArray[np.bool_]]:
-        """(n,) names, "" for a missing name; and the mask of usable names. Equal names share one string."""
+        """(n,) names, "" if missing; and a mask of the usable ones. Equal names share one string."""
         array = self.values
         if not isinstance(array, pa.Array):
             return _converted_objects(array, _name, "", np.object_)
@@ -162,13 +162,13 @@ def _is_number(kind: pa.DataType) -> bool:
 
 
 def _trimmed_text(array: pa.Array) -> pa.Array:
-    """Text without white space around it; null for empty text."""
+    """Text without white space around it. Empty text becomes null."""
     text = pc.ascii_trim_whitespace(array)
     return pc.if_else(pc.equal(text, ""), None, text)
 
 
 def _exact(array: pa.Array) -> pa.Array:
-    """Whole numbers as int64, since float64 would lose digits; null for a missing number."""
+    """Whole numbers as int64, since float64 would lose digits. Null if missing."""
     try:
         return pc.cast(array, pa.int64())
     except pa.ArrowInvalid:
@@ -180,7 +180,7 @@ def _exact(array: pa.Array) -> pa.Array:
 
 
 def _numeric_text(array: pa.Array, decimal: str) -> pa.Array:
-    """The numbers in texts, as float64; null for other texts."""
+    """The numbers in texts, as float64. Null for other texts."""
     text = _trimmed_text(array)
     if decimal != ".":
         text = pc.if_else(pc.match_substring(text, "."), "", pc.replace_substring(text, decimal, "."))
@@ -191,7 +191,7 @@ def _numeric_text(array: pa.Array, decimal: str) -> pa.Array:
 
 
 def _as_number(text: str, decimal: str) -> Any:
-    """The number in a text. A text that is no number is returned unchanged; None: an empty text."""
+    """The number in a text. A text that is not a number is returned unchanged. None for an empty text."""
     if not text:
         return None
     if _WHOLE.fullmatch(text) and len(text) < 300:
@@ -203,12 +203,12 @@ def _as_number(text: str, decimal: str) -> Any:
 def _converted_objects(
     values: Sequence[Any], read: Callable[[Any], Any], otherwise: Any, kind: type[np.generic]
 ) -> tuple[NDArray[Any], NDArray[np.bool_]]:
-    """Values of Python objects, converted one by one; and the mask of usable values.
+    """Python objects, converted one by one; and a mask of the usable values.
 
     Args:
-        read: converts a value; None: it cannot be used.
-        otherwise: value in place of unusable ones.
-        kind: type of the array.
+        read: function that converts a value; it returns None if the value is unusable.
+        otherwise: value that takes the place of unusable ones.
+        kind: type of the resulting array.
     """
     readings = [read(value.item() if isinstance(value, np.generic) else value) for value in values]
     usable = np.array([value is not None for value in readings], dtype=bool)
@@ -238,17 +238,17 @@ NEEDED: Final = ("plan_id", "sequence", "article", *_SIZE, "weight_kg", *_CORNER
 """Columns that every table must have."""
 _SELDOM: Final = ("material", "kind", *COM_FIELDS, *SPARSE)
 OPTIONAL: Final = ("item_id", "product_group", "orientation", "order_sequence", *_SELDOM)
-"""Columns that a table may have. ``order_sequence`` is BED-BPP's ``item.sequence``, the number within the order;
-without this column ``sequence`` is used."""
+"""Columns that a table may have. ``order_sequence`` is BED-BPP's ``item.sequence``, the number within the order.
+Without this column, ``sequence`` is used instead."""
 _TEXTS: Final = ("article", "item_id", "product_group", "material", "kind")
 NAMES: Final = ("plan_id", *_TEXTS)
 """Columns with names; all others have numbers."""
 _MAY_LACK: Final = ("item_id", "product_group", *_SELDOM)
-"""Columns in which a row may lack a value."""
+"""Columns in which rows may lack a value."""
 _ALIASES: Final = {
     name.replace("_mm", "/mm").replace("_kg", "/kg"): name for name in (*_SIZE, "weight_kg", *COM_FIELDS)
 }
-"""BED-BPP's spelling of sizes, weights and centres of mass → petmjx's."""
+"""BED-BPP's names for sizes, weights and centres of mass → petmjx's names."""
 
 
 PlanFields = dict[str, Any]
@@ -259,8 +259,8 @@ class TableError(InputError):
     """A whole table cannot be used.
 
     Attributes:
-        n_known: number of its columns that have petmjx's names.
-        is_own: whether the table is surely one of petmjx's own.
+        n_known: number of columns with petmjx's names.
+        is_own: whether the table is certainly one of petmjx's own.
     """
 
     def __init__(self, message: str, n_known: int = 0, is_own: bool = False) -> None:
@@ -269,14 +269,14 @@ class TableError(InputError):
 
 
 class RefusedPlan(NamedTuple):
-    """A refused plan, or a refused row of no known plan (``plan_id`` is None). ``message`` is the whole line."""
+    """A refused plan, or a refused row whose plan is unknown (``plan_id`` is None). ``message`` is the whole line."""
 
     plan_id: str | None
     message: str
 
 
 class LostRow(NamedTuple):
-    """A row that cannot be read. ``plan_id`` is None if unknown."""
+    """A row that cannot be read. ``plan_id`` is None if it is unknown."""
 
     number: int
     plan_id: str | None
@@ -288,11 +288,11 @@ class Table:
     """A table after reading, before its values are checked.
 
     Attributes:
-        columns: name, of `NEEDED` or `OPTIONAL` → column of n rows.
+        columns: name in `NEEDED` or `OPTIONAL` → column of n rows.
         unread: names of columns that are not read.
-        numbers: (n,) the number of each row for messages.
-        lost: rows that could not be read, and are not in the columns.
-        cut_off: whether the table ends too early, so that the last plan may lack rows.
+        numbers: (n,) the number of each row, for messages.
+        lost: rows that could not be read, and are missing in the columns.
+        cut_off: whether the table ends prematurely, so that the last plan may lack rows.
     """
 
     columns: Mapping[str, InputColumn]
@@ -303,12 +303,12 @@ class Table:
 
 
 def sorted_columns(names: Sequence[str]) -> tuple[dict[str, int], list[str]]:
-    """petmjx's name of a column → its position; and the names of columns that are not read.
+    """petmjx's name of each known column → its position; and the names of the columns that are not read.
 
-    Case, and white space around a name, are ignored.
+    Case and surrounding white space are ignored.
 
     Raises:
-        TableError: a column occurs twice, or is missing. The error does not name the file.
+        TableError: a column occurs twice or is missing. The error does not name the file.
     """
     positions: dict[str, int] = {}
     unread = []
@@ -332,20 +332,20 @@ def sorted_columns(names: Sequence[str]) -> tuple[dict[str, int], list[str]]:
 def table_plans(
     table: Table, source: str, max_boxes: int, notes: list[str], given: InputConventions = USUAL
 ) -> Generator[PlanFields | RefusedPlan, None, None]:
-    """The plans of a table, in order of appearance, and the refused plans and rows.
+    """Yield the plans of a table, in order of appearance, and the refused plans and rows.
 
     Args:
         source: name of the file in messages.
         max_boxes: plans with more boxes are refused.
-        notes: gets a line about plans whose ``sequence`` has gaps.
-        given: the user's units and anchor of the table's numbers.
+        notes: list to which a line is added about plans whose ``sequence`` has gaps.
+        given: the units and the anchor of the table's numbers, as the user gave them.
     """
     return _TableReader(table, source, max_boxes, notes, given).plans()
 
 
 @dataclass(eq=False)
 class _TableReader:
-    """The reading of one table. Rows with an unusable plan id belong to no plan."""
+    """Reads one table. Rows with an unusable plan id belong to no plan."""
 
     table: Table
     source: str
@@ -359,7 +359,7 @@ class _TableReader:
         try:
             if self._plan_ids:
                 yield from self._rows_of_plans()
-        finally:  # also if the caller takes only the first plans
+        finally:  # even if the caller stops early
             if self.gaps:
                 plans = f"{count_text(len(self.gaps), 'plan')} ({first_names(self.gaps)})"
                 self.notes.append(f"{self.source}: sequence has gaps in {plans}; are rows missing?")
@@ -387,7 +387,7 @@ class _TableReader:
 
     @cached_property
     def _numbers(self) -> dict[str, FloatArray]:
-        """Sizes, weights and coordinates, mm and kg; NaN where a value cannot be used."""
+        """Sizes, weights and coordinates, in mm and kg. NaN if a value is unusable."""
         columns = {}
         for name, (low, high, _) in self._limits.items():
             numbers, usable = self.table.columns[name].numbers()
@@ -398,7 +398,7 @@ class _TableReader:
 
     @cached_property
     def _com(self) -> dict[str, FloatArray]:
-        """Centres of mass along the items' sides, mm; 0 without a value, NaN for an unusable value."""
+        """Centres of mass along the sides of the items, mm. 0 if missing, NaN if unusable."""
         columns = {}
         for name, of in zip(COM_FIELDS, _SIZE, strict=True):
             if name in self.table.columns:
@@ -445,7 +445,7 @@ class _TableReader:
 
     @cached_property
     def _sparse(self) -> dict[str, FloatArray]:
-        """Optional numbers of placements; NaN where a value is unusable or missing."""
+        """Optional numbers of placements. NaN if a value is unusable or missing."""
         columns = {}
         for name, known in SPARSE.items():
             if name in self.table.columns:
@@ -455,13 +455,13 @@ class _TableReader:
 
     @cached_property
     def _missing(self) -> dict[str, NDArray[np.bool_]]:
-        """Name of a column → (n,) whether the row lacks a value."""
+        """Name of a column → (n,) whether each row lacks a value."""
         names = [name for name in (*NEEDED, *OPTIONAL) if name in self.table.columns]
         return {name: self.table.columns[name].missing(number=name not in NAMES) for name in names}
 
     @cached_property
     def _coded(self) -> tuple[NDArray[np.int64], list[str]]:
-        """(n,) the number of each row's plan, −1 for an unusable plan id; and the ids of the plans.
+        """(n,) the number of each row's plan, −1 if its plan id is unusable; and the ids of the plans.
 
         Plans are numbered in order of appearance.
         """
@@ -479,7 +479,7 @@ class _TableReader:
 
     @cached_property
     def _order(self) -> NDArray[np.int64]:
-        """Rows sorted by plan and packing order; rows of no plan come first."""
+        """The rows, sorted by plan and packing order. Rows that belong to no plan come first."""
         order: NDArray[np.int64] = np.lexsort((self._whole["sequence"][0], self._codes))
         return order
 
@@ -534,7 +534,7 @@ class _TableReader:
         }
 
     def _fault(self, begin: int, end: int, bad: bool) -> str | None:
-        """The reason for the refusal of a plan; None: a good plan. Begins with ", row" if the fault is in a row."""
+        """Why a plan is refused; None if it is good. The text begins with ", row" if the fault is in a row."""
         if end - begin > self.max_boxes:
             return too_many_boxes(end - begin, self.max_boxes)
         rows = np.sort(self._order[begin:end])
@@ -548,7 +548,7 @@ class _TableReader:
         return f", rows {first} and {second}: sequence {numbers[twice[0]]} is there twice"
 
     def _fault_of_rows(self, rows: NDArray[np.int64]) -> str:
-        """The fault of bad rows: all missing values if several rows lack some, otherwise the first fault."""
+        """The fault of bad rows: if several rows lack values, all missing values; otherwise the first fault."""
         numbers = self.table.numbers
         needed = {name: empty[rows] for name, empty in self._missing.items() if name not in _MAY_LACK}
         missing = {name: numbers[rows[empty]].tolist() for name, empty in needed.items() if empty.any()}
@@ -559,7 +559,7 @@ class _TableReader:
         return next(faults, "is unusable")
 
     def _fault_of(self, row: np.int64) -> str | None:
-        """The first fault of a row, in the order of the columns; None: no fault."""
+        """The first fault of a row, in the order of the columns; None if there is none."""
         missing = [name for name, empty in self._missing.items() if empty[row] and name not in _MAY_LACK]
         if missing:
             return missing_fault(missing)
@@ -591,7 +591,7 @@ class _TableReader:
     def _raw(self, name: str, row: np.int64) -> Any:
         return self.table.columns[name].raw(int(row), number=name not in NAMES)
 
-    # Rows and plans that are refused.
+    # Refused rows and plans.
 
     def _rows_of_no_plan(self) -> Iterator[RefusedPlan]:
         for row in np.flatnonzero(self._codes < 0):
@@ -606,7 +606,7 @@ class _TableReader:
                 yield RefusedPlan(lost.plan_id, f"{self.source}:{plan} row {lost.number}: {lost.fault}")
 
     def _refused_before(self) -> dict[str, str]:
-        """Id of a plan that lacks a row → the fault."""
+        """Id of each plan that lacks a row → its fault."""
         reasons: dict[str, str] = {}
         if self.table.cut_off and len(self._codes) and self._codes[-1] >= 0:
             reasons[self._plan_ids[self._codes[-1]]] = "the file ends inside this plan; truncated?"
@@ -617,5 +617,5 @@ class _TableReader:
 
 
 def _integer_value(value: Any) -> Any:
-    """A float such as 2.0 as an integer; all other values unchanged."""
+    """A whole number stored as float, such as 2.0, as an integer. Other values are returned unchanged."""
     return int(value) if isinstance(value, float) and value.is_integer() else value

@@ -25,25 +25,27 @@ class Plan:
     Attributes:
         plan_id: the plan's key in its file.
         source: name of its file, for messages.
-        size_mm: (n, 3) extents of the boxes along x, y, z as placed, orientation applied.
+        size_mm: (n, 3) extents of the boxes along x, y, z as placed, that is, after they were turned.
         corner_mm: (n, 3) front-left-bottom corners; z = 0 is the top of the carrier.
         mass_kg: (n,) masses, kg.
         item_ids, articles: n names each.
         sequence: (n,) number of each item in the customer's order.
-        orientation: (n,) 0: the item's length lies along x; 1: along y. None: unknown, and the extents are taken as the
-            item's length and width.
-        product_groups: n names, "" for an item without a group; empty: no item has a group.
+        orientation: (n,) 0: the item's length lies along x; 1: along y. None: unknown; the extents along x and y are
+            then assumed to be the item's length and width.
+        product_groups: n names, "" for an item without a group; empty if no item has a group.
         materials: n names of materials, which determine friction (petmjx.options.materials); "": unknown for this box;
             empty: unknown for all boxes.
-        mass_center_mm: (n, 3) centres of mass relative to the middles of the boxes, along x, y and z; None: all in the
-            middles.
-        approach_deg: (n,) horizontal direction in which each box moves to its place, from +x to +y, degrees; NaN: free
-            for this box; None: free for all boxes. Used if boxes are carried (``petmjx.options.placing``).
+        mass_center_mm: (n, 3) centres of mass relative to the middles of the boxes, along x, y and z; None: they are
+            all in the middles.
+        approach_deg: (n,) horizontal direction in which each box moves to its place, in degrees from +x towards +y;
+            NaN: free for this box; None: free for all boxes. It is used when boxes are carried
+            (``petmjx.options.placing``).
         stiffness_n_mm: (n,) force on the box's top per compression, as in a press, N/mm; NaN: the box is rigid; None:
             all boxes are rigid.
-        strength_n: (n,) load that the box bears on its top, N; NaN: unknown for this box; None: unknown for all boxes.
-        kinds: n times "box", "sheet" (an interlayer sheet) or the name of a pallet, such as "epal-1"; empty: all are
+        strength_n: (n,) load that the box can bear on its top, N; NaN: unknown for this box; None: unknown for all
             boxes.
+        kinds: for each of the n items "box", "sheet" (an interlayer sheet) or the name of a pallet, such as "epal-1";
+            empty: all are boxes.
     """
 
     plan_id: str
@@ -64,9 +66,9 @@ class Plan:
     kinds: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
-        """Convert lists to arrays, and refuse values that no engine can use.
+        """Convert lists to arrays, and refuse values that no engine could use.
 
-        Errors name the field; those of ``from_boxes`` also name the box.
+        Errors name the field. The errors of ``from_boxes`` also name the box.
 
         Raises:
             InputError: a field has a wrong type or length, or a number is not finite or not positive.
@@ -134,32 +136,33 @@ class Plan:
         anchor: Anchor = "corner",
         **columns: Any,
     ) -> Plan:
-        """A plan from plain values, with the same checks as for files.
+        """Make a plan from plain values, with the same checks as for files.
 
         ``Plan.from_boxes("tower", size_mm=[[400, 300, 200]] * 2, corner_mm=[[0, 0, 0], [0, 0, 200]], mass_kg=[6, 6])``
 
         Args:
             plan_id: 1 to 1,000 characters.
             boxes: a dictionary for each box, in packing order; or one dictionary with a list of n values for each
-                field; or a data frame. Fields are the columns of tables: ``length_mm``, ``width_mm``, ``height_mm``,
-                ``weight_kg``, ``x_mm``, ``y_mm``, ``z_mm``, and optionally ``article``, ``item_id``,
+                field; or a data frame. The fields are the columns of tables: ``length_mm``, ``width_mm``,
+                ``height_mm``, ``weight_kg``, ``x_mm``, ``y_mm``, ``z_mm``, and optionally ``article``, ``item_id``,
                 ``product_group``, ``orientation``, ``order_sequence``, ``approach_deg``, ``material``,
                 ``com_length_mm``, ``com_width_mm``, ``com_height_mm``, ``stiffness_n_mm``, ``strength_n`` and ``kind``.
                 ``sequence`` sets another packing order.
-            size_mm: instead of lengths, widths and heights: (n, 3) extents along x, y, z as placed, mm, as in
-                ``Plan.size_mm``. An ``orientation`` only records how the boxes were turned; the sizes are already those
-                after the turn.
-            corner_mm: instead of x, y and z: (n, 3) front-left-bottom corners, mm; z = 0 is the top of the carrier.
-            mass_kg: instead of weights: (n,) masses, kg.
-            units: units of all these lengths (mm, cm, m or in) and masses (kg, g, lb or t), such as "cm,g".
-            anchor: the point of a box to which the coordinates refer: ``corner``, ``centre``, ``base-centre`` or
+            size_mm: (n, 3) extents along x, y, z as placed, mm, as in ``Plan.size_mm``, instead of lengths, widths and
+                heights. An ``orientation`` then only records how the boxes were turned, since the extents are already
+                those after the turn.
+            corner_mm: (n, 3) front-left-bottom corners, mm, instead of x, y and z; z = 0 is the top of the carrier.
+            mass_kg: (n,) masses, kg, instead of weights.
+            units: the unit of all these lengths (mm, cm, m or in) and the unit of all masses (kg, g, lb or t), such as
+                "cm,g".
+            anchor: the point of a box that the coordinates describe: ``corner``, ``centre``, ``base-centre`` or
                 ``far-corner``.
             columns: further fields as lists of n values.
 
         Raises:
-            InputError: a field is missing, unknown or unusable; the line names the box and the field.
+            InputError: a field is missing, unknown or unusable. The message names the box and the field.
         """
-        from petmjx.plans.plan_builder import fields_from_boxes  # not at the top of the module: it loads Arrow
+        from petmjx.plans.plan_builder import fields_from_boxes  # imported here, since it loads Arrow
 
         arrays = {"size_mm": size_mm, "corner_mm": corner_mm, "mass_kg": mass_kg}
         return cls(**fields_from_boxes(plan_id, boxes, arrays, columns, InputConventions.checked(units, anchor)))
@@ -175,22 +178,23 @@ class Plan:
         pallet_kg: float = 25.0,
         material: str = "",
     ) -> Plan:
-        """Loaded pallets as one plan: beside one another on a carrier, or stacked. Pallet after pallet with its load is
-        placed.
+        """Make one plan from loaded pallets, beside one another on a carrier or stacked. One pallet after the other is
+        placed, each followed by its load.
 
-        ``Plan.of_units("two", [plan, plan], [(0, 0, 0), (0, 0, 1344)])`` has the second pallet on a load of 1,200 mm.
+        ``Plan.of_units("two", [plan, plan], [(0, 0, 0), (0, 0, 1344)])`` stacks a second pallet on a load of 1,200 mm.
 
         Args:
-            loads: the plan of each pallet's load: z = 0 is the pallet's top, and the origin is its corner.
+            loads: for each pallet, the plan of its load. In such a plan, z = 0 is the pallet's top, and the origin is
+                the pallet's corner.
             corner_mm: (u, 3) front-left-bottom corner of each pallet, mm.
             pallet: the kind of the pallets, "epal-1" or "gma-48x40".
             pallet_kg: mass of each pallet, kg.
-            material: material of the pallets, for friction by materials; "": unknown.
+            material: material of the pallets, for friction that depends on materials; "": unknown.
 
         Raises:
             InputError: an argument is unusable.
         """
-        from petmjx.plans.plan_builder import fields_of_units  # not at the top of the module: it loads Arrow
+        from petmjx.plans.plan_builder import fields_of_units  # imported here, since it loads Arrow
 
         loads = list_of(loads, "loads", Plan, "Plan objects")
         return cls(**fields_of_units(plan_id, loads, corner_mm, pallet, pallet_kg, material))
@@ -201,17 +205,17 @@ class Plan:
 
     @property
     def sheets(self) -> NDArray[np.bool_]:
-        """(n,) whether an item is an interlayer sheet."""
+        """(n,) whether each item is an interlayer sheet."""
         return np.array([name == SHEET for name in self.kinds] or [False] * self.n_boxes, bool)
 
     @property
     def pallets(self) -> dict[int, str]:
-        """Which items are pallets: number of the item → kind."""
+        """The items that are pallets: number of the item → its kind."""
         return {box: name for box, name in enumerate(self.kinds) if name in PALLETS}
 
     @property
     def turned(self) -> NDArray[np.bool_]:
-        """(n,) whether the item's length lies along y."""
+        """(n,) whether each item's length lies along y."""
         return np.zeros(self.n_boxes, dtype=bool) if self.orientation is None else self.orientation == 1
 
     @property
@@ -220,11 +224,11 @@ class Plan:
         if self.mass_center_mm is None:
             return np.zeros((self.n_boxes, 3))
         along = self.mass_center_mm[:, [1, 0, 2]] * (1.0, -1.0, 1.0)
-        return np.where(self.turned[:, None], along, self.mass_center_mm) + 0.0  # not -0.0
+        return np.where(self.turned[:, None], along, self.mass_center_mm) + 0.0  # + 0.0 turns -0.0 into 0.0
 
     @property
     def item_size_mm(self) -> NDArray[np.float64]:
-        """(n, 3) length, width and height of the items before turning."""
+        """(n, 3) length, width and height of the items, before they are turned."""
         return np.where(self.turned[:, None], self.size_mm[:, [1, 0, 2]], self.size_mm)
 
     def __repr__(self) -> str:
@@ -232,7 +236,7 @@ class Plan:
 
 
 def _whole_numbers(values: Any, name: str) -> NDArray[np.int64]:
-    """(n,) whole numbers as int64. Raises InputError: some are not."""
+    """(n,) whole numbers as int64. Raises InputError if some are not whole."""
     if isinstance(values, np.ndarray) and values.dtype == np.int64 and values.ndim == 1:
         return values
     array = array_of(values, name, ())

@@ -1,4 +1,4 @@
-"""Builder of plans from plain Python values and NumPy arrays, with the same checks as for files."""
+"""Builds plans from plain Python values and NumPy arrays, with the same checks as for files."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ _ARRAYS: Final = {
     "corner_mm": ("x_mm", "y_mm", "z_mm"),
     "mass_kg": ("weight_kg",),
 }
-"""Argument of ``Plan.from_boxes`` → the columns of a table that it stands for."""
+"""Argument of ``Plan.from_boxes`` → the columns of a table that it replaces."""
 
 
 def fields_from_boxes(
@@ -74,7 +74,7 @@ def fields_from_boxes(
 def fields_of_units(
     plan_id: str, loads: Sequence[Any], corner_mm: Any, pallet: str, pallet_kg: float, material: str
 ) -> dict[str, Any]:
-    """The fields of a plan of loaded pallets. Arguments are those of ``Plan.of_units``; ``loads`` are plans.
+    """The fields of a plan made from loaded pallets. Arguments are those of ``Plan.of_units``; ``loads`` are plans.
 
     Raises:
         InputError: an argument is unusable.
@@ -106,17 +106,17 @@ def fields_of_units(
 
 
 def _joined(of_pallets: Sequence[Any], of_loads: Sequence[Any]) -> Any:
-    """A value of each pallet followed by the values of its load, pallet after pallet."""
+    """For each pallet, its own value followed by the values of its load."""
     return np.concatenate([part for one, load in zip(of_pallets, of_loads, strict=True) for part in ([one], load)])
 
 
 def _filled(values: Any, usual: Any, count: int) -> Any:
-    """The values, or ``count`` usual values without them."""
+    """The given values; if there are none, ``count`` times the usual value."""
     return np.array([usual] * count) if values is None else values
 
 
 def _columns_of(boxes: Any, where: str) -> dict[str, Any]:
-    """Columns of a list of dictionaries, of a dictionary of lists, or of a data frame."""
+    """The columns in a list of dictionaries, a dictionary of lists, or a data frame."""
     if boxes is None:
         return {}
     if isinstance(boxes, Mapping) or (hasattr(boxes, "iloc") and hasattr(boxes, "columns")):
@@ -148,13 +148,13 @@ def _columns_of_arrays(arrays: Mapping[str, Any], where: str) -> dict[str, Any]:
 
 
 def _of_items(columns: Mapping[str, Any]) -> dict[str, Any]:
-    """Lengths and widths of the items, as tables have them, from extents of the placed boxes. Wrong orientations are
-    refused later.
+    """Compute the lengths and widths of items, which tables need, from the extents of the placed boxes. Wrong
+    orientations are refused later.
     """
     turned = np.zeros(len(columns["length_mm"]), bool)
     try:
         orientations = list(columns["orientation"])
-    except TypeError:  # no list
+    except TypeError:  # not a list
         orientations = []
     for box, value in enumerate(orientations[: len(turned)]):
         turned[box] = isinstance(value, int | float | np.number) and value == 1
@@ -163,7 +163,7 @@ def _of_items(columns: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def _length(values: Any, name: str) -> int:
-    with suppress(Exception):  # whatever an object raises when its length is taken
+    with suppress(Exception):  # taking an object's length may raise anything
         if not isinstance(values, str | bytes):
             return len(values)
     raise InputError(f"{name} must be a list of values, one for each box, {shown_value(values)}")

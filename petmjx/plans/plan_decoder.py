@@ -1,7 +1,7 @@
-"""Fast decoder of BED-BPP's JSON: placements become records without a Python object for each number.
+"""Fast decoder of BED-BPP's JSON. It turns placements into records without making a Python object for each number.
 
-The decoder reads only plans without faults, and with the common fields alone. Every other plan goes through
-``parse_plan``, which checks field by field and knows the text of each error. Both ways yield the same plans.
+The decoder only reads plans that have no faults, and no fields but the common ones. Any other plan is read by
+``parse_plan``, which checks field by field and has the text of each error. Both give the same plans.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ from petmjx.plans.plan_fields import (
 from petmjx.plans.plan_validation import PlanError, parse_plan
 
 _MOST_PLANS: Final = 2000
-"""Plans that are decoded together: 90,000 records of 200 bytes."""
+"""Number of plans that are decoded together: 90,000 records of 200 bytes."""
 
 _Name = Annotated[str, msgspec.Meta(max_length=LONGEST_NAME)]
 
@@ -43,7 +43,7 @@ _Name = Annotated[str, msgspec.Meta(max_length=LONGEST_NAME)]
 class _Item(
     msgspec.Struct,
     forbid_unknown_fields=True,
-    gc=False,  # no cycles: the garbage collector would visit each record several times
+    gc=False,  # no cycles are made, and the garbage collector would visit each record several times
     rename={"length": "length/mm", "width": "width/mm", "height": "height/mm", "weight": "weight/kg"},
 ):
     article: _Name
@@ -62,7 +62,7 @@ class _Placement(msgspec.Struct, forbid_unknown_fields=True, gc=False):
     flb_coordinates: tuple[float, float, float]
 
 
-# loops over these are in C
+# loops over these run in C
 _SEQUENCE: Final = attrgetter("sequence")
 _SIZE: Final = attrgetter("length", "width", "height")
 _WEIGHT: Final = attrgetter("weight")
@@ -70,14 +70,14 @@ _ORIENTATION: Final = attrgetter("orientation")
 _POINT: Final = attrgetter("flb_coordinates")
 
 _N_FIELDS: Final = 10
-"""Fields of a placement and its item, without the product group."""
+"""Number of fields of a placement and its item, without the product group."""
 
 _PLANS: Final = msgspec.json.Decoder(dict[str, msgspec.Raw])
 _PLACEMENTS: Final = msgspec.json.Decoder(list[_Placement])
 
 
 class ReadEntry(NamedTuple):
-    """One entry of a file after reading: a plan, a faulty entry, or an order.
+    """One entry of a file after it was read: a plan, a faulty entry, or an order.
 
     Attributes:
         plan: the plan; None for a faulty entry or an order.
@@ -91,11 +91,11 @@ class ReadEntry(NamedTuple):
 
 @dataclass(frozen=True)
 class DecoderOptions:
-    """The arguments of ``parse_plan`` that all plans of a file share.
+    """Arguments of ``parse_plan`` that are the same for all plans of a file.
 
     Attributes:
-        names: names read so far, so that equal names share one string.
-        unread: receives the counts of fields that petmjx does not read.
+        names: names read so far. They are kept so that equal names share one string.
+        unread: counter of the fields that petmjx does not read.
     """
 
     source: str
@@ -106,15 +106,15 @@ class DecoderOptions:
 
 
 def decode_entries(data: bytes | bytearray, options: DecoderOptions) -> list[ReadEntry] | None:
-    """The entries of a file, in order. None: the text is not JSON, or not an object whose ids differ; the caller then
-    reads the text again, up to the error."""
+    """Decode the entries of a file, in order. None if the text is not JSON, or not an object with distinct ids; the
+    caller then reads the text again, up to the error."""
     try:
         values = _PLANS.decode(data)
     except (msgspec.DecodeError, UnicodeError, RecursionError):
         return None
-    texts = list(values.values())  # of the caller's memory
+    texts = list(values.values())  # these refer to the caller's memory
     colons = [bytes(text).count(b":") for text in texts]
-    # an id that stands twice would be lost: all members of the text must be there
+    # a repeated id would lose an entry, so every colon of the text must belong to an entry that was found
     if data.count(b":") != sum(colons) + len(texts) + sum(plan_id.count(":") for plan_id in values):
         return None
     if max((memoryview(text).nbytes for text in texts), default=0) > LONGEST_VALUE:
@@ -134,10 +134,10 @@ def decode_entries(data: bytes | bytearray, options: DecoderOptions) -> list[Rea
 def _decode(
     plan_ids: Sequence[str], texts: Sequence[msgspec.Raw], colons: Sequence[int], options: DecoderOptions
 ) -> Iterator[ReadEntry]:
-    """The entries of some plans, in order.
+    """Decode the entries of some plans, in order.
 
     Args:
-        colons: number of colons of each text: of its members, and within its strings.
+        colons: for each text, the number of colons of its fields, plus those inside its strings.
     """
     plain = {
         number: placements
@@ -152,7 +152,7 @@ def _decode(
 
 
 def _plain_placements(text: msgspec.Raw, colons: int, max_boxes: int) -> list[_Placement] | None:
-    """The placements of a plan with only the common fields, of the right types, each once; else None."""
+    """The placements of a plan that has only the common fields, each once and of the right type; else None."""
     try:
         placements = _PLACEMENTS.decode(text)
     except (msgspec.DecodeError, UnicodeError, RecursionError):
@@ -165,9 +165,9 @@ def _plain_placements(text: msgspec.Raw, colons: int, max_boxes: int) -> list[_P
 def _plans_of(
     plan_ids: Sequence[str], plans: Sequence[Sequence[_Placement]], options: DecoderOptions
 ) -> list[Plan | None]:
-    """The plans of these placements; None for a plan with a value that is not allowed.
+    """The plans of these placements. None for a plan with a value that is not allowed.
 
-    Whole columns are checked for all plans at once. The plans share their arrays.
+    Whole columns are checked, for all plans at once. The plans share their arrays.
     """
     if not plans:
         return []
@@ -207,7 +207,7 @@ def _plans_of(
     shared = {name: list(map(names.setdefault, column, column)) for name, column in texts.items()}
     ends = np.cumsum([len(plan) for plan in plans])
     begins = np.concatenate([[0], ends[:-1]])
-    are_good = np.logical_and.reduceat(is_good, begins)  # no plan is without placements
+    are_good = np.logical_and.reduceat(is_good, begins)  # every plan has placements
     return [
         _plan(plan_id, options.source, slice(begin, end), arrays, shared) if all_good else None
         for plan_id, begin, end, all_good in zip(
@@ -217,12 +217,12 @@ def _plans_of(
 
 
 def _triples(values: Iterable[tuple[float, float, float]], count: int) -> FloatArray:
-    """(count, 3) these triples. ``numpy.array`` of a list of tuples takes four times as long."""
+    """(count, 3) an array of these triples. ``numpy.array`` of a list of tuples would take four times as long."""
     return np.fromiter(chain.from_iterable(values), np.float64, 3 * count).reshape(-1, 3)
 
 
 _DEFAULTS: Final[dict[str, Any]] = {field.name: field.default for field in fields(Plan)}
-_SET_FIELD: Final = object.__setattr__  # the class is frozen
+_SET_FIELD: Final = object.__setattr__  # since the class is frozen
 
 
 def _plan(
@@ -232,7 +232,8 @@ def _plan(
     arrays: Mapping[str, NDArray[Any]],
     texts: Mapping[str, Sequence[str]],
 ) -> Plan:
-    """The plan of some rows, without the checks of its constructor: they have been made for all plans."""
+    """The plan of some rows. The checks of its constructor are skipped, because they were made for all plans
+    together."""
     values = _DEFAULTS | {"plan_id": plan_id, "source": source}
     for name, array in arrays.items():
         values[name] = array[rows]
@@ -247,7 +248,7 @@ def _plan(
 
 
 def _read_entry(plan_id: str, text: msgspec.Raw, options: DecoderOptions) -> ReadEntry:
-    """An entry that is read field by field: with other fields, with a fault, or an order."""
+    """Read an entry field by field, because it has other fields or a fault, or is an order."""
     (entry,) = scan_plans(b'{"":' + bytes(text) + b"}")
     if isinstance(entry.value, dict) and "item_sequence" in entry.value:
         return ReadEntry(plan_id)

@@ -18,10 +18,11 @@ from petmjx.plans.file_formats import number_hint, other_encoding
 
 SMALLEST_MM: Final = 1.0
 LARGEST_MM: Final = 4_000.0
-"""Limits of the sizes of items. A value beyond them has the wrong unit or a damaged digit. Boxes that wait for their
-placement hang at least 8 m apart, so the bounding spheres of two cubes of 4 m, whose diagonal is 6.9 m, do not meet."""
+"""Limits of the sizes of items. A value beyond them has the wrong unit or a damaged digit. Boxes that wait to be placed
+hang at least 8 m apart. Since the diagonal of a cube of 4 m is 6.9 m, the bounding spheres of two such cubes do not
+touch."""
 FARTHEST_MM: Final = 20_000.0
-"""Limit of coordinates. Boxes that wait for their placement hang at least 50 m high, far above all places of a plan."""
+"""Limit of coordinates. Boxes that wait to be placed hang at least 50 m high, far above all places of a plan."""
 SMALLEST_KG: Final = 0.001
 LARGEST_KG: Final = 10_000.0
 """Limits of masses. A pallet carries at most a few tonnes."""
@@ -32,11 +33,12 @@ COM_FIELDS_JSON: Final = tuple(name.replace("_mm", "/mm") for name in COM_FIELDS
 """Fields of a centre of mass in JSON."""
 
 LARGEST_DEG: Final = 360.0
-"""Limit of the direction of approach, in both senses of rotation."""
+"""Limit of the direction of approach, for both signs."""
 
 
 def vanishing_side(size_mm: FloatArray, size_reduction_mm: float) -> tuple[int, str] | None:
-    """The first of (n, 3) boxes that has no extent left after the size reduction, with a text; None: none."""
+    """The first of n boxes, given by their sizes (n, 3), that has no extent left after the size reduction; and a text
+    about it. None if there is no such box."""
     thin = np.flatnonzero((size_mm <= size_reduction_mm).any(axis=1))
     if not len(thin):
         return None
@@ -45,11 +47,11 @@ def vanishing_side(size_mm: FloatArray, size_reduction_mm: float) -> tuple[int, 
 
 
 class SparseField(NamedTuple):
-    """An optional number of placements.
+    """A field with a number that placements may lack.
 
     Attributes:
-        low, high: its limits.
-        unit: its unit in columns of files.
+        low, high: limits of the number.
+        unit: its unit in names of columns in files.
         units: its unit in sentences.
         reaches_results: whether results depend on the field.
     """
@@ -66,17 +68,18 @@ SPARSE: Final = {
     "stiffness_n_mm": SparseField(0.01, 1e6, "N/mm", "N/mm"),
     "strength_n": SparseField(0.01, 1e9, "N", "N", reaches_results=False),
 }
-"""Optional numbers of placements; a plan has a field of the same name. The stiffness of corrugated boxes is 100 to 500
-N/mm."""
+"""The fields with numbers that placements may lack. A plan has a field of the same name. The stiffness of corrugated
+boxes is 100 to 500 N/mm."""
 
 SHEET: Final = "sheet"
 PALLETS: Final[Mapping[str, tuple[float, float, float]]] = {
     Carrier.EPAL_1.value: (1200.0, 800.0, 144.0),
     Carrier.GMA_48X40.value: (1219.0, 1016.0, 121.0),
 }
-"""Kinds of items that are pallets, which bear other boxes → their extents, mm. Carriers have the same names."""
+"""Kinds of items that are pallets, and so bear other boxes → their extents, mm. Carriers have the same names."""
 PALLET_SIZE_MM: Final = 1.0
-"""Largest difference between an item's sizes and those of its pallet, mm: the last digit of plans."""
+"""Largest difference between the sizes of an item and those of its kind of pallet, mm. This is the last digit of
+plans."""
 KINDS: Final = ("box", SHEET, *PALLETS)
 """Kinds of items; the default is a box."""
 KINDS_IN_WORDS: Final = f"{', '.join(KINDS[:-1])} or {KINDS[-1]}"
@@ -88,7 +91,7 @@ _LIKE: Final = {
     ("kilograms", False): (1000.0, "tonnes? then give units t"),
     ("kilograms", True): (0.001, "grams? then give units g"),
 }
-"""Unit of a value, and whether the value is too large → factor that brings it into range, and its probable unit."""
+"""Unit of a value, and whether the value is too large → the factor that brings it into range, and its probable unit."""
 
 _NUMBERS: Final = {int, float}
 _INT64: Final = np.iinfo(np.int64)
@@ -97,7 +100,7 @@ _MOST_NAMED: Final = 8
 
 
 def text_fault(field: str, value: object) -> str | None:
-    """The error text for a name; None for a good name."""
+    """The error text for a name; None if the name is good."""
     if not isinstance(value, str):
         return f"{field} must be a string, got {kind(value)}"
     if len(value) > LONGEST_NAME:
@@ -106,7 +109,7 @@ def text_fault(field: str, value: object) -> str | None:
 
 
 def plan_id_fault(value: str) -> str | None:
-    """The error text for a plan id; None for a good id."""
+    """The error text for a plan id; None if the id is good."""
     if not value:
         return "the plan id must be text and not empty"
     if not is_text(value):
@@ -117,7 +120,7 @@ def plan_id_fault(value: str) -> str | None:
 
 
 def number_fault(field: str, value: object) -> str | None:
-    """The error text for a value that must be a finite number; None for a finite number."""
+    """The error text for a value that must be a finite number; None if it is one."""
     if type(value) not in _NUMBERS:
         return f"{field} must be a number, got {kind(value)}{number_hint(value) if isinstance(value, str) else ''}"
     try:
@@ -128,7 +131,7 @@ def number_fault(field: str, value: object) -> str | None:
 
 
 def positive_fault(field: str, value: Any, smallest: float, largest: float, unit: str) -> str | None:
-    """The error text for a size or mass; None for a good value. Value and limits are in ``unit``."""
+    """The error text for a size or a mass; None if it is good. The value and the limits are in ``unit``."""
     fault = number_fault(field, value)
     if fault is not None:
         return fault
@@ -142,7 +145,7 @@ def positive_fault(field: str, value: Any, smallest: float, largest: float, unit
 
 
 def coordinate_fault(field: str, value: Any, smallest: float, largest: float, unit: str) -> str | None:
-    """The error text for a coordinate; None for a good value."""
+    """The error text for a coordinate; None if it is good."""
     fault = number_fault(field, value)
     if fault is None and not smallest <= value <= largest:
         return _out_of_range(field, value, smallest, largest, unit)
@@ -154,7 +157,7 @@ def _out_of_range(field: str, value: Any, smallest: float, largest: float, unit:
 
 
 def com_fault(field: str, value: Any, size: float) -> str | None:
-    """The error text for a centre of mass along one side of a box; None for a good value.
+    """The error text for a centre of mass along one side of a box; None if it is good.
 
     Args:
         size: length of this side, in the unit of the value.
@@ -166,46 +169,46 @@ def com_fault(field: str, value: Any, size: float) -> str | None:
 
 
 def com_along_axes(item_com_mm: FloatArray, turned: NDArray[np.bool_]) -> FloatArray:
-    """(n, 3) centres of mass along x, y and z, from (n, 3) centres of mass along the items' length, width and height.
+    """(n, 3) centres of mass along x, y and z, computed from those along the items' length, width and height (n, 3).
 
     The length of a turned item lies along y, and its width along −x.
     """
     across = item_com_mm[:, [1, 0, 2]] * (-1.0, 1.0, 1.0)
-    return np.where(turned[:, None], across, item_com_mm) + 0.0  # not -0.0
+    return np.where(turned[:, None], across, item_com_mm) + 0.0  # + 0.0 turns -0.0 into 0.0
 
 
 def integer_fault(field: str, value: object) -> str | None:
-    """The error text for a sequence number; None for a good value."""
+    """The error text for a sequence number; None if it is good."""
     if type(value) is not int:
         return f"{field} must be an integer, got {kind(value)}"
     return None if _INT64.min <= value <= _INT64.max else f"{field} is too large, got {kind(value)}"
 
 
 def orientation_fault(value: object) -> str | None:
-    """The error text for an orientation; None for a good value."""
+    """The error text for an orientation; None if it is good."""
     is_valid = type(value) is int and value in (0, 1)
     return None if is_valid else f"orientation must be 0 or 1, got {kind(value)}"
 
 
 def sparse_fault(field: str, value: object) -> str | None:
-    """The error text for an optional number (`SPARSE`); None for a good value."""
+    """The error text for an optional number (`SPARSE`); None if it is good."""
     known = SPARSE[field]
     return None if value is None else coordinate_fault(field, value, known.low, known.high, known.units)
 
 
 def kind_fault(value: object) -> str | None:
-    """The error text for the kind of an item; None for a good value."""
+    """The error text for the kind of an item; None if it is good."""
     if value is None or value == "" or (isinstance(value, str) and value in KINDS):
         return None
     return f"kind must be {KINDS_IN_WORDS}, got {kind(value)}"
 
 
 def pallet_fault(name: str | None, size_mm: Sequence[float]) -> str | None:
-    """The error text for an item that is a pallet of wrong sizes; None for right sizes.
+    """The error text for an item that is a pallet but has other sizes than its kind; None if the sizes are right.
 
     Args:
         name: the item's kind.
-        size_mm: its length, width and height, mm, or its extents as placed.
+        size_mm: its length, width and height, or its extents as placed, mm.
     """
     if name is None or name not in PALLETS:
         return None
@@ -223,11 +226,11 @@ def missing_fault(fields: Sequence[str]) -> str:
 
 
 def missing_anywhere(missing: Mapping[str, Sequence[int]], noun: str) -> str | None:
-    """The error text for all missing fields of a plan; None: at most one of its placements lacks fields.
+    """The error text for all missing fields of a plan; None if at most one of its placements lacks fields.
 
     Args:
         missing: field → numbers of the placements that lack it.
-        noun: name of the counted things, such as "row".
+        noun: name of what is counted, such as "row".
     """
     if len({index for indices in missing.values() for index in indices}) < 2:
         return None
@@ -239,12 +242,12 @@ def missing_anywhere(missing: Mapping[str, Sequence[int]], noun: str) -> str | N
 
 
 def too_many_boxes(n_boxes: int, most: int) -> str:
-    """The error text for a plan with more boxes than the largest capacity."""
+    """The error text for a plan with more boxes than allowed."""
     return f"has {n_boxes} boxes, more than the largest capacity of {most}"
 
 
 def kind(value: object) -> str:
-    """A JSON value as messages show it: scalars as JSON, containers by name."""
+    """A JSON value as messages show it: scalars as JSON, containers by the name of their type."""
     if isinstance(value, dict):
         return "an object"
     if isinstance(value, list):
@@ -262,7 +265,7 @@ def joined_names(names: Sequence[str]) -> str:
 
 
 class UnreadFields(Counter[str]):
-    """Fields of plans that petmjx does not read: name → number of placements with this field."""
+    """Fields of plans that petmjx does not read: name → number of placements that have it."""
 
     def notes(self) -> list[str]:
         """A list with one line that names the fields; empty if there are none."""

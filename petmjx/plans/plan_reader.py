@@ -1,6 +1,6 @@
-"""Reader of packing plans (``load_plans``): files of all formats become validated plans.
+"""Reads packing plans (``load_plans``): files of all formats become validated plans.
 
-Each unusable plan, entry or file gets one line. Modules that read tables load Arrow, so they are imported only when a
+Each unusable plan, entry or file gets one line. Modules that read tables load Arrow, so they are imported only if a
 table is read.
 """
 
@@ -49,16 +49,16 @@ if TYPE_CHECKING:
     from petmjx.plans.readings import Reading, Wishes
 
 DEFAULT_MAX_BOXES: Final = 512
-"""Default limit of a plan's boxes: twelve times BED-BPP's mean of 43, and twice the largest known plan of other
-packers. With this number of boxes a model declares 132,000 pairs of geoms on C MuJoCo."""
+"""Default limit for the boxes of a plan: twelve times BED-BPP's mean of 43, and twice the largest known plan of other
+packers. With this number of boxes, a model declares 132,000 pairs of geoms on C MuJoCo."""
 
 MOST_LINES: Final = 100_000
 """Largest number of unusable entries of a file that are listed one by one. Further entries are only counted."""
 FRAME: Final = "data frame"
 OBJECT: Final = "python"
-"""Names of a data frame, and of another object, in messages."""
+"""Names of a data frame, and of any other object, in messages."""
 _MOSTLY_OWN: Final = 4
-"""A table with more of petmjx's own names of columns is meant to be one of petmjx's."""
+"""A table with more than this number of petmjx's own column names is meant to be one of petmjx's."""
 _SUFFIXES: Final = (".json", ".json.gz", *CSV_SUFFIXES, PARQUET_SUFFIX, ".jsonl", ".xlsx", ".ods", ".npy", ".npz")
 
 
@@ -80,41 +80,41 @@ def load_plans(
 ) -> PlanSet:
     """Read and validate packing plans.
 
-    A ``PlanWarning`` is issued if plans seem to follow another convention, such as coordinates of centres, and for each
-    file of another tool, with its reading.
+    A ``PlanWarning`` is issued if plans appear to follow another convention, such as coordinates of centres. It is also
+    issued for each file of another tool, and states how the file was read.
 
     Args:
         paths: a file, a folder, or several of them; or a table of placements, as a pandas data frame or any object with
             Arrow's stream interface; or boxes in another tool's form: py3dbp's packer or bins, a NumPy array, nested
-            dictionaries. Files are BED-BPP's JSON, CSV (``*.csv``, ``*.tsv``), Parquet, or of another tool: JSON with
-            boxes anywhere, tables of any locale, sheets (.xlsx, .ods), arrays (.npy, .npz), MJCF. JSON and text may be
-            gzipped. A file may have at most 4 GiB; devices and FIFOs are not read. In a folder, all such files directly
-            in it are read, sorted by name.
-        limit: stop after this many good plans.
-        strict: raise an error instead of skipping anything.
-        max_boxes: plans with more boxes are skipped.
-        carrier_extent_mm: x–y extent of the carrier; boxes beyond it are reported as outside. None: the extent of the
-            plan's boxes.
-        units: units of the plans' lengths (mm, cm, m or in) and masses (kg, g, lb or t), such as "cm,g"; None: mm and
-            kg, in files of other tools the most plausible units.
-        anchor: the point of a box to which the plans' coordinates refer: ``corner`` (front-left-bottom), ``centre``,
-            ``base-centre`` or ``far-corner`` (with the largest x, y and z); None: the corner, in files of other tools
-            the most plausible point.
-        up: the vertical axis of files of other tools; None: the most plausible axis. The following arguments, too, are
-            for files of other tools.
-        sizes: ``placed``: of boxes as placed; ``item``: before turning.
+            dictionaries. Files are BED-BPP's JSON, CSV (``*.csv``, ``*.tsv``) or Parquet, or files of other tools: JSON
+            with boxes anywhere, tables of any locale, sheets (.xlsx, .ods), arrays (.npy, .npz), MJCF. JSON and text
+            may be gzipped. A file may have at most 4 GiB; devices and FIFOs are not read. In a folder, all such files
+            that are directly in it are read, sorted by name.
+        limit: number of good plans after which reading stops.
+        strict: whether to raise an error instead of skipping anything.
+        max_boxes: largest number of boxes. Plans with more are skipped.
+        carrier_extent_mm: extent of the carrier along x and y. Boxes that reach beyond it are reported as outside.
+            None: the extent of the plan's boxes.
+        units: unit of the plans' lengths (mm, cm, m or in) and unit of their masses (kg, g, lb or t), such as "cm,g";
+            None: mm and kg, or for files of other tools the most plausible units.
+        anchor: the point of a box that the plans' coordinates describe: ``corner`` (front-left-bottom), ``centre``,
+            ``base-centre`` or ``far-corner`` (with the largest x, y and z); None: the corner, or for files of other
+            tools the most plausible point.
+        up: the vertical axis in files of other tools; None: the most plausible axis. The arguments after this one are
+            also only for files of other tools.
+        sizes: ``placed``: sizes of boxes as placed; ``item``: sizes before boxes are turned.
         columns: role (``length``, ``x``, ``weight`` …, see docs/plan-format.md) → name of its column, or "-".
-        density: density of boxes without a weight, kg/m³; None: 300.
-        items: file with sizes and weights of items, for files of places alone.
-        reading: how a file was read before: ``PlanSet.readings``, or a file that ``petmjx info --write-as`` wrote.
+        density: density of boxes that have no weight, kg/m³; None: 300.
+        items: file with the sizes and weights of items, for files that contain only places.
+        reading: how a file was read earlier: ``PlanSet.readings``, or a file that ``petmjx info --write-as`` wrote.
 
     Returns:
         The good plans. Bad plans, damaged parts and unusable files are in ``skipped``. If several plans have the same
-        id, the first good plan counts.
+        id, only the first good one is used.
 
     Raises:
-        InputError: a path does not exist, a folder has no plan files, a data frame lacks columns, or an argument is
-            invalid. With ``strict`` also if a plan would be skipped.
+        InputError: a path does not exist, a folder has no files of plans, a data frame lacks columns, or an argument is
+            invalid. With ``strict``, also if a plan would be skipped.
     """
     if limit is not None:
         integer_of(limit, "limit", 1)
@@ -148,14 +148,14 @@ def read_plans(
     """Like :func:`load_plans`, but without a Python warning.
 
     Args:
-        options: limit, strict, and the fields ``READING``.
-        reading: how files of other tools are read; None: as the options say.
+        options: the options limit and strict, and the fields ``READING``.
+        reading: how files of other tools are read; None: as the options state.
     """
     given = InputConventions.checked(options.units, options.anchor)
     if options.reading is not None:
         from petmjx.plans.reading_files import read_reading
 
-        read_reading(options.reading)  # an error in this argument is an error of the call, not of each file
+        read_reading(options.reading)  # report a wrong argument once, not for each file
     loading = _PlanLoader(options.limit, options.strict, max_boxes, extent_mm, given, options, reading)
     if is_box_object(paths):
         loading.read_object(paths)
@@ -172,7 +172,7 @@ def read_plans(
 
 
 def is_box_object(value: Any) -> bool:
-    """Whether a Python object may hold boxes in another tool's form: dictionaries, an array, py3dbp's objects."""
+    """Whether a Python object may contain boxes in another tool's form: dictionaries, an array, py3dbp's objects."""
     if isinstance(value, list | tuple):
         return bool(value) and (isinstance(value[0], Mapping) or is_box_object(value[0]))
     if isinstance(value, str | PathLike | SupportsArrow | Plan | PlanSet):
@@ -182,11 +182,12 @@ def is_box_object(value: Any) -> bool:
 
 
 _OF_A_RUN: Final = "petmjx convert writes its plans to a file"
-"""Advice for the folder of a run, where only files of plans are read."""
+"""Advice for the folder of a run, if it is given where only files of plans are read."""
 
 
 def _list_files(paths: list[Path]) -> list[Path]:
-    """Files in the order of reading. All paths are checked before any file is read, so a typing error shows at once."""
+    """The files in the order in which they are read. All paths are checked before any file is read, so that a typing
+    error is reported at once."""
     if not paths:
         raise InputError("no plan files were given")
     files: list[Path] = []
@@ -209,7 +210,7 @@ def _list_files(paths: list[Path]) -> list[Path]:
 
 
 def plan_files_in(folder: Path) -> list[Path]:
-    """The files directly in a folder whose names are those of plan files, sorted. Raises OSError."""
+    """The files directly in a folder that are named like files of plans, sorted. Raises OSError."""
     return sorted(
         member
         for member in folder.iterdir()
@@ -219,15 +220,15 @@ def plan_files_in(folder: Path) -> list[Path]:
 
 @dataclass
 class _PlanLoader:
-    """The state of one call of `load_plans`: the plans so far, and the ids in use.
+    """The state of one call of `load_plans`: the plans found so far, and the ids in use.
 
     Attributes:
-        found: plans, skipped entries and notes so far.
+        found: the plans, skipped entries and notes found so far.
         source_of: plan id → name of its file.
-        names: name → the same name, so that equal names share one string.
+        names: name → the same name. It is kept so that equal names share one string.
         unread: counts of the fields that petmjx ignores.
-        unlisted: unusable entries of the current file that are only counted.
-        most_skipped: limit of ``found.skipped`` for the current file.
+        unlisted: number of unusable entries of the current file that are counted but not listed.
+        most_skipped: limit for the length of ``found.skipped`` in the current file.
     """
 
     limit: int | None
@@ -251,7 +252,7 @@ class _PlanLoader:
         return self.limit is not None and len(self.found.plans) >= self.limit
 
     def done(self) -> PlanSet:
-        """The result, when all files have been read."""
+        """The result, once all files have been read."""
         self.found.notes.extend(self.unread.notes())
         return with_conventions(self.found, self.carrier_extent_mm)
 
@@ -290,7 +291,7 @@ class _PlanLoader:
         self._count_unlisted(FRAME)
 
     def _read_foreign_parquet(self, source: str, path: Path) -> InputError | None:
-        """Read a Parquet file with other names of columns. Returns the reason for a failure; None: the file was
+        """Read a Parquet file with other column names than petmjx's. Returns why it cannot be read; None if it was
         read."""
         from petmjx.plans.table_files import parquet_frame
 
@@ -300,7 +301,8 @@ class _PlanLoader:
             return error
 
     def _read_foreign_frame(self, frame: SupportsArrow, source: str = FRAME) -> InputError | None:
-        """Read a data frame with other names of columns. Returns why it cannot be read; None: it was read."""
+        """Read a data frame with other column names than petmjx's. Returns why it cannot be read; None if it was
+        read."""
         from petmjx.plans.foreign_formats import sources_of_frame
         from petmjx.plans.foreign_plans import plans_of_sources
 
@@ -311,10 +313,10 @@ class _PlanLoader:
         return None
 
     def read_object(self, value: Any) -> None:
-        """Read boxes of Python objects in another tool's form.
+        """Read boxes from Python objects in another tool's form.
 
         Raises:
-            InputError: the object holds no plans.
+            InputError: the object contains no plans.
         """
         from petmjx.plans.foreign_formats import sources_of_object
         from petmjx.plans.foreign_plans import plans_of_sources
@@ -327,25 +329,26 @@ class _PlanLoader:
         self._count_unlisted(OBJECT)
 
     def _read_foreign(self, source: str, path: Path, data: bytes | bytearray) -> InputError | None:
-        """Read a file of another tool. Returns why it cannot be read; None: it was read."""
+        """Read a file of another tool. Returns why it cannot be read; None if it was read."""
         from petmjx.plans.foreign_plans import read_foreign
 
         try:
             self._take_foreign(source, partial(read_foreign, data, path, source))
         except InputError as error:
-            if self.strict and str(error).startswith(f"{source}: "):  # of a plan or row
+            if self.strict and str(error).startswith(f"{source}: "):  # an error of a plan or row
                 raise
             return error
         return None
 
     def _take_foreign(self, source: str, read: Callable[[Wishes, Path | None], ForeignPlans]) -> None:
-        """Take the plans of another tool's form. A tie becomes a question if the caller can answer.
+        """Add the plans of a file or object in another tool's form. If two readings tie, the caller is asked if it can
+        answer.
 
         Args:
-            read: reads them, from wishes and the file with the items.
+            read: function that reads them, with the wishes and the file of items.
 
         Raises:
-            InputError: the form holds no plans, or can be read in two ways.
+            InputError: the form contains no plans, or can be read in two ways.
         """
         from petmjx.plans.reading_files import wishes_of, wishes_of_reading
         from petmjx.plans.readings import CHOOSER, AmbiguousFile
@@ -394,8 +397,8 @@ class _PlanLoader:
         """Read a table.
 
         Args:
-            otherwise: reads the text as a file of another tool if it has no form of petmjx; returns the reason for a
-                failure.
+            otherwise: function that reads the text as a file of another tool, if it has none of petmjx's forms. It
+                returns why it failed.
         """
         from petmjx.plans.placement_table import TableError
 
@@ -409,7 +412,7 @@ class _PlanLoader:
         self._take_table(source, table, self.given)
 
     def _take_table(self, source: str, table: Table, given: InputConventions) -> None:
-        """Take the plans of a table of placements."""
+        """Add the plans of a table of placements."""
         from petmjx.plans.placement_table import RefusedPlan, table_plans
 
         if not len(table.numbers) and not table.lost:
@@ -425,10 +428,10 @@ class _PlanLoader:
                     break
 
     def _read_json(self, source: str, path: Path, data: bytearray, damaged: bool) -> None:
-        """Read the plans of a text. If a text turns out to be no JSON, its plans are removed again.
+        """Read the plans of a text. If the text turns out not to be JSON, its plans are removed again.
 
         Args:
-            damaged: whether the text is certainly damaged. In this case the plans before the damage count.
+            damaged: whether the text is known to be damaged JSON. In this case, the plans before the damage are kept.
         """
         if not damaged and not looks_like_own_json(data) and not self._is_left_to_own(source, path, data):
             return
@@ -472,7 +475,7 @@ class _PlanLoader:
 
     def _is_left_to_own(self, source: str, path: Path, data: bytearray) -> bool:
         """Read a text that is not BED-BPP's as a file of another tool. Returns whether the text is JSON without any
-        list of boxes; the reader of BED-BPP's JSON then explains the error.
+        list of boxes; then the reader of BED-BPP's JSON explains the error.
         """
         fault = self._read_foreign(source, path, data)
         if fault is None:
@@ -496,7 +499,7 @@ class _PlanLoader:
             self._keep(plan)
 
     def _take_all(self, source: str, entries: Sequence[ReadEntry]) -> None:
-        """Take the entries of a text that is JSON."""
+        """Add the entries of a text that is JSON."""
         for entry in entries:
             if entry.fault is not None:
                 self._skip(source, entry.plan_id, entry.fault)
@@ -507,7 +510,7 @@ class _PlanLoader:
             self._skip(source, None, _orders_message(source, printable_name(orders[0]), len(orders)))
 
     def _keep(self, plan: Plan) -> None:
-        """Add a good plan, unless its id is in use."""
+        """Add a good plan, unless its id is already used."""
         source, plan_id = plan.source, plan.plan_id
         first_source = self.source_of.get(plan_id)
         if first_source is not None:
@@ -535,20 +538,20 @@ class _PlanLoader:
 
 
 def _likelier(own: TableError, other: InputError) -> InputError:
-    """The reason to tell for a table that is read neither as one of petmjx's nor as another tool's.
+    """Which error to report for a table that could be read neither as petmjx's nor as another tool's.
 
-    Another tool's table needs fewer columns. So a bad cell, or two ways to read it, is the reason; columns that only
-    petmjx's tables need are one only where sizes or places are missing, too.
+    Another tool's table needs fewer columns. So its error, a bad cell or two possible readings, is reported. Missing
+    columns that only petmjx's tables need are reported only if sizes or places are missing as well.
     """
     lacks_columns = isinstance(other, NoBoxes) or (own.n_known > _MOSTLY_OWN and isinstance(other, NoGeometry))
     return own if lacks_columns else other
 
 
 def _kind_of_text(data: bytearray, named: bool) -> str | None:
-    """The error text for a text that does not begin like JSON; None: JSON, or damaged JSON.
+    """The error text for a text that does not begin like JSON; None for JSON, including damaged JSON.
 
     Args:
-        named: whether the file's name is that of JSON. Without such a name, only a table is told from damaged JSON.
+        named: whether the file has a name for JSON. If not, only a table can be distinguished from damaged JSON.
     """
     if looks_like_table(data):
         return "looks like a table as text: it is read as one if its name ends in .csv or .tsv"

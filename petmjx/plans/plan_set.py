@@ -1,4 +1,4 @@
-"""Sets of plans (``PlanSet``), with skipped entries and warnings."""
+"""Sets of plans (``PlanSet``), with the skipped entries and the warnings."""
 
 from __future__ import annotations
 
@@ -20,10 +20,10 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True)
 class Skipped:
-    """A skipped plan, or another skipped part of the input. ``message`` is the whole line, with file and plan.
+    """A skipped plan, or another skipped part of the input. ``message`` is the whole line, with the file and the plan.
 
-    ``plan_id`` is None for an entry that is not about one plan (a file, or damage between plans). ``number`` is the
-    plan's number in the input, from 0.
+    ``plan_id`` is None if the entry does not concern a single plan (but a file, or damage between plans). ``number`` is
+    the plan's number in the input, from 0.
     """
 
     source: str
@@ -33,13 +33,13 @@ class Skipped:
 
     @classmethod
     def plan(cls, plan: Plan, why: str, strict: bool) -> Skipped:
-        """A plan that was read but cannot be simulated.
+        """An entry for a plan that was read but cannot be simulated.
 
         Args:
-            why: the message after the plan's id, such as ": repeated plan id".
+            why: the part of the message after the plan's id, such as ": repeated plan id".
 
         Raises:
-            InputError: with ``strict``.
+            InputError: ``strict`` is set.
         """
         message = f"{plan.source}: plan {printable_name(plan.plan_id)}{why}"
         if strict:
@@ -56,13 +56,14 @@ class PlanSet:
 
     Attributes:
         plans: the good plans.
-        skipped: an entry for each skipped plan, damaged part or file.
-        warnings: an entry for each plan of ``plans`` with an overlap, a box outside the carrier or a floating box.
+        skipped: an entry for each skipped plan, damaged part or unusable file.
+        warnings: an entry for each plan of ``plans`` in which a box overlaps another, is outside the carrier, or
+            floats.
         notes: lines about the whole input, such as ignored fields.
-        conventions: a line for each file of another tool, and for each foreign convention that plans seem to follow.
-        readings: name of a file of another tool → its reading.
-        numbers: plan id → number of the plan in the input, from 0, skipped plans included; empty: the order of
-            ``plans``.
+        conventions: a line for each file of another tool, and for each other convention that plans appear to follow.
+        readings: name of a file of another tool → how it was read.
+        numbers: plan id → number of the plan in the input, from 0, counting skipped plans; empty: the plans are
+            numbered as in ``plans``.
     """
 
     plans: list[Plan] = field(default_factory=list)
@@ -74,7 +75,7 @@ class PlanSet:
     numbers: dict[str, int] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        """Raises InputError: ``plans`` is no list of plans."""
+        """Check the type. Raises InputError if ``plans`` is not a list of plans."""
         if not isinstance(self.plans, list) or not all(type(plan) is Plan for plan in self.plans):
             object.__setattr__(self, "plans", list_of(self.plans, "plans", Plan, "Plan objects"))
         for name in ("skipped", "warnings", "notes", "conventions"):
@@ -87,7 +88,7 @@ class PlanSet:
         return iter(self.plans)
 
     def to_frame(self) -> pd.DataFrame:
-        """The plans as a table with one row for each placement. ``petmjx.score`` accepts this table.
+        """The plans as a table with one row per placement, which ``petmjx.score`` accepts.
 
         Raises:
             ValueError: there is no plan.

@@ -1,4 +1,4 @@
-"""Sources of plans (files, folders, objects): plans are gathered, and those that cannot be simulated are skipped."""
+"""Sources of plans (files, folders, objects): collects the plans, and skips those that cannot be simulated."""
 
 from __future__ import annotations
 
@@ -39,13 +39,13 @@ _SOURCES = "paths or Plan objects, or one of them, a PlanSet or a data frame"
 
 
 def usable_plans(plans: PlanSource | None, sim: Simulation, options: RunOptions) -> PlanSet:
-    """The plans that can be simulated. Conventions that they seem to follow are warned of.
+    """The plans that can be simulated. Warns about conventions that they appear to follow.
 
     Args:
-        plans: None: the bundled plans.
+        plans: the source; None: the bundled plans.
 
     Raises:
-        InputError: no plan can be simulated, or with ``options.strict`` a plan would be skipped.
+        InputError: no plan can be simulated; or, with ``options.strict``, a plan would be skipped.
     """
     if isinstance(plans, Mapping):
         raise InputError(f"plans must be {_SOURCES}, got a table (of a plan file? give its path)")
@@ -67,7 +67,7 @@ def usable_plans(plans: PlanSource | None, sim: Simulation, options: RunOptions)
 
 
 def are_files(plans: PlanSource | None) -> bool:
-    """Whether plans are read from files. The bundled plans (None) are."""
+    """Whether plans are read from files. This is also true for the bundled plans (None)."""
     if isinstance(plans, PlanSet | Plan | SupportsArrow):
         return False
     given = [plans] if plans is None or isinstance(plans, str | PathLike) else plans
@@ -75,16 +75,16 @@ def are_files(plans: PlanSource | None) -> bool:
 
 
 def gather_plans(plans: PlanSource | None, sim: Simulation, options: RunOptions) -> PlanSet:
-    """All plans of a source, with the properties of their boxes from the table of articles.
+    """All plans of a source, with properties of their boxes added from the table of articles.
 
-    Files are read and checked. Plan objects are used unchanged; a plan with a repeated id gets a new id.
+    Files are read and checked. Plan objects are used unchanged, except that a repeated id is replaced by a new one.
     """
     plan_set = _gather_plans(plans, sim, options)
     return plan_set if options.articles is None else _with_articles(plan_set, options.articles, options.strict)
 
 
 def _with_articles(plan_set: PlanSet, file: Path, strict: bool) -> PlanSet:
-    """Plans with the properties of their boxes from a table of articles. Plans that contradict the table are
+    """Add the properties of boxes from a table of articles to the plans. Plans that contradict the table are
     skipped."""
     from petmjx.plans.articles import read_articles, with_articles
 
@@ -105,10 +105,11 @@ def _with_articles(plan_set: PlanSet, file: Path, strict: bool) -> PlanSet:
 
 
 def _idle_rows(articles: Articles, plans: Sequence[Plan], name: str) -> list[str]:
-    """A list with one line about the rows of a table of articles that match no box; empty if all rows match.
+    """A list with one line about the rows of a table of articles that match no box; empty if every row matches one.
 
     Args:
-        plans: plans before and after the table is applied, since boxes may have their materials from the table itself.
+        plans: the plans before and after the table is applied, since the materials of boxes may come from the table
+            itself.
     """
     from petmjx.plans.articles import material_key
 
@@ -162,10 +163,11 @@ def _extent_mm(sim: Simulation) -> tuple[float, float] | None:
 
 
 def _distinct_plan_ids(plan_set: PlanSet, options: RunOptions) -> PlanSet:
-    """The same plans with distinct ids, since ids are keys of tables. The second plan with the id ID is renamed "ID#2".
+    """The same plans with distinct ids, since ids are keys of tables. A second plan with the id ID is renamed to
+    "ID#2".
 
-    In files an id names one plan, and a second plan with this id is skipped (petmjx.plans.plan_reader). But a caller
-    with plan objects expects a result for each of them.
+    In files, an id identifies a single plan, so a second plan with this id is skipped (petmjx.plans.plan_reader). But a
+    caller that passes plan objects expects a result for each of them.
     """
     given = plan_set.plans[: options.limit]
     plan_ids = {plan.plan_id for plan in given}
@@ -184,12 +186,12 @@ def _distinct_plan_ids(plan_set: PlanSet, options: RunOptions) -> PlanSet:
         verb = "repeats an id and is" if len(renamed) == 1 else "repeat ids and are"
         notes.append(f"{count_text(len(renamed), 'plan')} {verb} called {first_names(renamed)}")
     numbers = {plan.plan_id: number for number, plan in enumerate(plans)}
-    skipped = [replace(skip, number=None) for skip in plan_set.skipped]  # skipped plans are not among these plans
+    skipped = [replace(skip, number=None) for skip in plan_set.skipped]  # skipped plans are not among them
     return replace(plan_set, plans=plans, skipped=skipped, notes=notes, numbers=numbers)
 
 
 def without_vanishing_boxes(plan_set: PlanSet, size_reduction_mm: float, strict: bool = False) -> PlanSet:
-    """Skip plans with a box that has no extent left after the size reduction (mm).
+    """Skip plans that have a box without extent after the size reduction (mm).
 
     Raises:
         InputError: with ``strict``, a plan would be skipped.
@@ -205,7 +207,7 @@ def without_vanishing_boxes(plan_set: PlanSet, size_reduction_mm: float, strict:
 def without_narrow_walls(
     plan_set: PlanSet, carrier: Carrier | OwnCarrier, walls: Walls, strict: bool = False
 ) -> PlanSet:
-    """Skip plans on whose carrier the walls leave no room. A carrier ``footprint`` is as large as the plan.
+    """Skip plans for which the walls leave no room on the carrier. A carrier ``footprint`` is as large as the plan.
 
     Raises:
         InputError: with ``strict``, a plan would be skipped.
@@ -222,7 +224,7 @@ def without_narrow_walls(
 
 
 def _without_faults(plan_set: PlanSet, fault_of: Callable[[Plan], str | None], strict: bool) -> PlanSet:
-    """Skip plans with a fault. ``fault_of`` has the message after the plan's id, or None."""
+    """Skip plans with a fault. ``fault_of`` returns the part of the message after the plan's id, or None."""
     good_plans, skipped = [], list(plan_set.skipped)
     for plan in plan_set.plans:
         fault = fault_of(plan)
@@ -238,7 +240,7 @@ def find_plan(plan_set: PlanSet, plan_id: str) -> Plan:
     """The plan with an id.
 
     Raises:
-        InputError: no plan has this id. If the plan was skipped, the line has the reason.
+        InputError: no plan has this id. If the plan was skipped, the message gives the reason.
     """
     for plan in plan_set.plans:
         if plan.plan_id == plan_id:

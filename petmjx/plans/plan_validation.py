@@ -1,4 +1,4 @@
-"""Validation of a plan in BED-BPP's format: decoded JSON becomes checked arrays, or an error of one line."""
+"""Validates a plan in BED-BPP's format: decoded JSON becomes checked arrays, or an error of one line."""
 
 from __future__ import annotations
 
@@ -52,7 +52,7 @@ _NUMBERS: Final = {int, float}
 
 
 class PlanError(InputError):
-    """A plan is refused. The text is the whole line: file, plan, placement, field and value."""
+    """A plan is refused. The text is the whole line, with file, plan, placement, field and value."""
 
 
 def parse_plan(
@@ -69,15 +69,15 @@ def parse_plan(
     Args:
         source: name of the file in messages.
         value: the decoded JSON value of the plan.
-        max_boxes: a plan with more boxes is refused, never cut.
-        names: names read so far (item ids, articles, groups, materials), so that equal names share one string. BED-BPP
-            repeats each about 20 times.
-        unread: receives the counts of a good plan's fields that petmjx ignores.
-        given: the user's units and anchor of the plan's numbers.
+        max_boxes: largest number of boxes. A plan with more is refused, never truncated.
+        names: names read so far (item ids, articles, groups, materials), kept so that equal names share one string.
+            BED-BPP repeats each about 20 times.
+        unread: counter to which the ignored fields of a good plan are added.
+        given: the units and the anchor of the plan's numbers, as the user gave them.
 
     Raises:
-        PlanError: the plan is refused. The message names file, plan, placement (counted from 0, like all boxes) and
-            field.
+        PlanError: the plan is refused. The message names the file, the plan, the placement (numbered from 0, like all
+            boxes) and the field.
     """
     where = f"{source}: plan {printable_name(plan_id)}"
     fault = plan_id_fault(plan_id)
@@ -117,8 +117,8 @@ def _parse_columns(
 ) -> Plan | None:
     """Read all placements column by column; None if anything is wrong.
 
-    Whole columns are checked in C, since 10,003 plans have 3 million numbers. For a bad plan `find_fault` does the same
-    checks value by value, and makes the error text.
+    Whole columns are checked in C, since 10,003 plans have 3 million numbers. For a bad plan, `find_fault` makes the
+    same checks value by value, and produces the error text.
     """
     try:
         items = [placement["item"] for placement in value]
@@ -170,7 +170,7 @@ def _parse_columns(
         return None
     size = np.ascontiguousarray(numbers[:3].T) * given.length_mm
     mass = numbers[3] * given.mass_kg
-    # Comparisons with NaN are false, so the ranges also refuse NaN.
+    # comparisons with NaN are false, so these ranges also exclude NaN
     in_range = (
         ((size >= SMALLEST_MM) & (size <= LARGEST_MM)).all()
         and ((mass >= SMALLEST_KG) & (mass <= LARGEST_KG)).all()
@@ -210,7 +210,7 @@ def _value_or_default(item: dict[str, Any], field: str, otherwise: Any) -> Any:
 
 
 def find_fault(placement: object, given: InputConventions = USUAL) -> str | None:
-    """The error text for the first bad field of a placement; None for a good placement."""
+    """The error text for the first bad field of a placement; None if the placement is good."""
     if not isinstance(placement, dict):
         return f"must be an object, got {kind(placement)}"
     for record, of in ((placement, ""), (placement.get("item"), "item.")):
@@ -251,7 +251,7 @@ def find_fault(placement: object, given: InputConventions = USUAL) -> str | None
 
 
 def _missing(placement: dict[str, Any]) -> list[str]:
-    """Fields that a placement lacks. If its item is no object, the item's fields are not checked."""
+    """The fields that a placement lacks. If its item is not an object, the item's fields are not checked."""
     item = placement.get("item")
     inner = [field for field in _NEEDED if field not in item] if isinstance(item, dict) else []
     outer = [field for field in _OF_PLACEMENT if field not in placement]
@@ -259,7 +259,7 @@ def _missing(placement: dict[str, Any]) -> list[str]:
 
 
 def _all_missing(placements: list[Any]) -> str | None:
-    """The error text for missing fields, if several placements lack fields; else None."""
+    """The error text for missing fields if several placements lack fields; else None."""
     missing: dict[str, list[int]] = {}
     for index, placement in enumerate(placements):
         for field in _missing(placement) if isinstance(placement, dict) else ():

@@ -1,11 +1,11 @@
-"""Warnings about odd plans (``PlanWarnings``): overlapping and floating boxes, and boxes outside the carrier.
+"""Warnings about odd plans (``PlanWarnings``): boxes that overlap, float, or are outside the carrier.
 
-Packing algorithms produce such plans, and physics is to judge them. So odd boxes are only counted, and the plan is not
-refused. Functions work on plain arrays of one plan: ``corner_mm`` and ``size_mm``, both (n, 3), rows in packing order,
-sizes as placed.
+Packing algorithms do produce such plans, and physics shall judge them. So odd boxes are only counted, and the plan is
+not refused. The functions use arrays of one plan: ``corner_mm`` and ``size_mm``, both (n, 3), with rows in packing
+order and sizes as placed.
 
-``shared_length`` and ``meets`` compute where two boxes overlap along an axis, and whether the top of one is at the
-bottom of the other. The callers add conditions: the order of placement, the carrier, or a least width.
+``shared_length`` computes by how much two boxes overlap along an axis, and ``meets`` whether the top of one is at the
+bottom of the other. Callers add further conditions: the order of placement, the carrier, or a smallest width.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 
 
 def shared_length(low: FloatArray, high: FloatArray) -> FloatArray:
-    """(…, n, n) overlap of each pair of boxes along an axis; negative: the gap between them.
+    """(…, n, n) overlap of each pair of boxes along an axis. A negative value is the gap between them.
 
     Args:
         low, high: (…, n) lower and upper ends of the boxes along the axis.
@@ -37,15 +37,15 @@ def shared_length(low: FloatArray, high: FloatArray) -> FloatArray:
 
 
 def overlap(low: FloatArray, high: FloatArray, tolerance: float = 0.0) -> NDArray[np.bool_]:
-    """(…, n, n) whether two boxes overlap along an axis by more than a tolerance: ``shared_length > tolerance``,
-    without a matrix of lengths. Their overlap is the least of the four distances from a lower to an upper end of the
-    two.
+    """(…, n, n) whether two boxes overlap along an axis by more than a tolerance. This is ``shared_length >
+    tolerance``, but without a matrix of lengths. The overlap of two boxes is the smallest of the four distances from a
+    lower end of one of them to an upper end of one of them.
 
     Args:
         low, high: (…, n) lower and upper ends of the boxes along the axis.
     """
     over: NDArray[np.bool_]
-    if tolerance == 0.0:  # a difference of floats is positive exactly if the first one is larger
+    if tolerance == 0.0:  # a difference of floats is positive only if the first is larger
         over = high[..., :, None] > low[..., None, :]
         thick = high > low
     else:
@@ -63,7 +63,7 @@ def meets(
     Args:
         low, high: (…, n) lower and upper ends of the boxes along an axis.
         tolerance: the upper end may be above the lower end by at most this.
-        most_gap: the upper end may be below the lower end by at most this; None: ``tolerance``.
+        most_gap: the upper end may be below the lower end by at most this; None: by at most ``tolerance``.
     """
     over = high[..., :, None] - low[..., None, :]
     touching: NDArray[np.bool_] = (over <= tolerance) & (
@@ -73,12 +73,12 @@ def meets(
 
 
 DEFAULT_TOLERANCE_MM: Final = 0.5
-"""Gaps and overlaps up to this count as touching. Plans have whole millimetres, with neighbours that touch. Half of the
-last digit separates rounding from intent."""
+"""Gaps and overlaps up to this size count as touching. Plans are in whole millimetres, and their neighbours touch. Half
+of the last digit distinguishes rounding from intent."""
 
 
 _MOST_PAIRS: Final = 1 << 17
-"""Pairs of boxes that are compared together: a matrix of numbers takes 1 MB then, which caches hold."""
+"""Number of pairs of boxes that are compared together. A matrix of numbers then takes 1 MB, which fits into caches."""
 
 MOST_NAMED: Final = 3
 """Largest number of boxes, or of pairs, that a warning names."""
@@ -89,11 +89,11 @@ class PlanWarnings:
     """The odd boxes of one plan: their counts, and the names of the first ones.
 
     Attributes:
-        plan_id, source: id of the plan, and its file.
+        plan_id, source: the plan's id and its file.
         n_overlapping_pairs: pairs of boxes that overlap by more than the tolerance along all three axes.
         n_outside: boxes that reach beyond the carrier or below its top.
-        n_floating: boxes without support at their placement.
-        overlapping, outside, floating: the first ``MOST_NAMED`` boxes or pairs of each kind, in words: "3 and 7", "3",
+        n_floating: boxes that had no support when they were placed.
+        overlapping, outside, floating: the first ``MOST_NAMED`` boxes or pairs of each kind, as text: "3 and 7", "3",
             "3 by 100 mm".
     """
 
@@ -135,8 +135,8 @@ def check_layout(
     """Count and name the odd boxes of one plan.
 
     Args:
-        carrier_extent_mm: x–y extent of the carrier, whose corner is the origin. None: the carrier is the plan's
-            bounding box, so only boxes below its top are outside.
+        carrier_extent_mm: extent of the carrier along x and y, with its corner at the origin. None: the plan's bounding
+            box is used as the carrier's extent, so a box can only be outside by being below the carrier's top.
     """
     low, high = corner_mm.T, (corner_mm + size_mm).T
     side_by_side, overlapping = _overlaps(low, high, tolerance_mm)
@@ -158,8 +158,8 @@ def check_layout(
 
 
 def odd_layouts(plans: Sequence[Plan], carrier_extent_mm: tuple[float, float] | None = None) -> list[PlanWarnings]:
-    """``check_layout`` of many plans: those that have odd boxes, in order. Plans with equally many boxes are checked at
-    once, in half of the time."""
+    """The results of ``check_layout`` for those of many plans that have odd boxes, in order. Plans with equal numbers
+    of boxes are checked together, which takes half of the time."""
     numbers = defaultdict[int, list[int]](list)
     for number, plan in enumerate(plans):
         numbers[plan.n_boxes].append(number)
@@ -181,7 +181,7 @@ def odd_layouts(plans: Sequence[Plan], carrier_extent_mm: tuple[float, float] | 
 def _are_odd(
     corner_mm: FloatArray, size_mm: FloatArray, carrier_extent_mm: tuple[float, float] | None
 ) -> NDArray[np.bool_]:
-    """(plans,) whether plans have odd boxes, from (plans, n, 3) corners and sizes."""
+    """(plans,) whether each plan has odd boxes, from corners and sizes (plans, n, 3)."""
     low, high = np.moveaxis(corner_mm, -1, 0), np.moveaxis(corner_mm + size_mm, -1, 0)
     side_by_side, overlapping = _overlaps(low, high, DEFAULT_TOLERANCE_MM)
     n_thick = np.count_nonzero(_thick_enough(low, high, DEFAULT_TOLERANCE_MM), axis=1)
@@ -193,10 +193,10 @@ def _are_odd(
 
 
 def gaps_mm(corner_mm: FloatArray, size_mm: FloatArray, in_order: bool = True) -> FloatArray:
-    """(n,) gap between each box and its support, a box or the carrier's top, mm; 0 if the support reaches into it.
+    """(n,) gap between each box and its support (a box or the carrier's top), mm; 0 if the support penetrates the box.
 
     Args:
-        in_order: whether only boxes placed earlier can be supports; False: all boxes can.
+        in_order: whether only boxes placed earlier can be supports; if not, all boxes can.
     """
     low, high = corner_mm.T, (corner_mm + size_mm).T
     side_by_side, _ = _overlaps(low, high, DEFAULT_TOLERANCE_MM)
@@ -204,7 +204,7 @@ def gaps_mm(corner_mm: FloatArray, size_mm: FloatArray, in_order: bool = True) -
 
 
 def overlaps_mm(corner_mm: FloatArray, size_mm: FloatArray) -> FloatArray:
-    """(n,) largest penetration of each box into another box, mm; 0 without an overlap.
+    """(n,) largest penetration of each box into another one, mm; 0 if it overlaps none.
 
     The penetration of two boxes is their overlap along the axis with the smallest overlap.
     """
@@ -216,8 +216,9 @@ def overlaps_mm(corner_mm: FloatArray, size_mm: FloatArray) -> FloatArray:
 
 
 def _overlaps(low: FloatArray, high: FloatArray, tolerance_mm: float) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
-    """(…, n, n) whether two boxes overlap seen from above, and whether they overlap. The matrices are symmetric. The
-    diagonals are true for boxes that overlap themselves, that is, for boxes that are thick enough.
+    """(…, n, n) whether two boxes overlap when seen from above, and whether they overlap in all directions. The
+    matrices are symmetric. Their diagonals, which compare a box with itself, are true for boxes that are thicker than
+    the tolerance.
 
     Args:
         low, high: (3, …, n) ends of the boxes along the axes.
@@ -251,13 +252,13 @@ def _gaps(
 ) -> FloatArray:
     """(…, n) gap between each box and its support, mm.
 
-    The support of a box is the highest box that begins below it, or the carrier's top.
+    The support of a box is the highest box whose bottom is below its own, or the carrier's top.
 
-    A box into which another box reaches from below counts as overlapping, not as floating. A box that is placed before
-    the box under it floats: placed one by one, it falls.
+    If a box reaches into another one from below, the other one counts as overlapping, not as floating. A box that is
+    placed before the box under it floats: placed one by one, it would fall.
     """
     bottom, top = low[2], high[2]
-    # Row: the supporting box; column: the upper box. Supporting boxes are earlier in packing order.
+    # Rows are supporting boxes, columns are upper boxes. Supporting boxes come earlier in packing order.
     below = side_by_side & (bottom[..., :, None] < bottom[..., None, :])
     if in_order:
         below &= ~np.tri(bottom.shape[-1], dtype=bool)

@@ -1,6 +1,6 @@
-"""Writer of plans (``save_plans``): BED-BPP's JSON, or tables with one row for each placement.
+"""Writes plans (``save_plans``): BED-BPP's JSON, or tables with one row per placement.
 
-A written plan is read back without any change.
+Reading a written plan gives exactly the same plan.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ from petmjx.plans.plan import Plan
 from petmjx.plans.plan_fields import COM_FIELDS, COM_FIELDS_JSON, SPARSE
 
 _PLANS_AT_A_TIME: Final = 1_000
-"""Number of plans whose rows are in memory at a time: about 43,000 rows."""
+"""Number of plans whose rows are in memory at the same time: about 43,000 rows."""
 _JSON: Final = (".json", ".json.gz")
 _CSV: Final = (".csv", ".csv.gz")
 _PARQUET: Final = (".parquet",)
@@ -41,9 +41,10 @@ _UNITS: Final = {
 
 
 def save_plans(plans: Plan | Iterable[Plan], path: str | os.PathLike[str]) -> None:
-    """Write plans to one file. The suffix sets the format: ``.json``, ``.csv`` (both also ``.gz``) or ``.parquet``.
+    """Write plans to one file. Its suffix determines the format: ``.json``, ``.csv`` (both also ``.gz``) or
+    ``.parquet``.
 
-    The file appears whole or not at all. Numbers are read back to the last bit.
+    The file never appears half-written. Reading it gives exactly the same numbers.
 
     Raises:
         InputError: the suffix is unknown, there is no plan, two plans have the same id, or the file cannot be written.
@@ -62,7 +63,7 @@ def save_plans(plans: Plan | Iterable[Plan], path: str | os.PathLike[str]) -> No
 
 
 def check_plan_file(file: Path) -> None:
-    """Raise InputError if plans cannot be written into a file of this name."""
+    """Check the name of a file. Raises InputError if plans cannot be written into a file of this name."""
     _writer_for(file)
 
 
@@ -76,7 +77,7 @@ def _writer_for(file: Path) -> Callable[[Sequence[Plan], Path], None]:
 
 
 def plans_table(plans: Sequence[Plan]) -> pa.Table:
-    """Plans as a table with one row for each placement; see docs/plan-format.md."""
+    """Plans as a table with one row per placement, which docs/plan-format.md describes."""
     return _Columns.of(plans).table(plans)
 
 
@@ -112,7 +113,7 @@ def as_placements(plan: Plan) -> list[Placement]:
 
 
 def _sparse(plan: Plan, name: str) -> FloatArray:
-    """(n,) values of an optional number (`SPARSE`), NaN where a placement has none."""
+    """(n,) values of an optional number (`SPARSE`). NaN if a placement has none."""
     values: FloatArray | None = getattr(plan, name)
     return np.full(plan.n_boxes, np.nan) if values is None else values
 
@@ -149,7 +150,7 @@ def _write_parquet(plans: Sequence[Plan], file: Path) -> None:
 
 @dataclass(frozen=True)
 class _Columns:
-    """The optional columns of a table: a column is left out if all its values are missing or the default."""
+    """The optional columns of a table. A column is left out if all its values are missing or have the default."""
 
     item_id: bool
     product_group: bool

@@ -1,6 +1,7 @@
-"""Plausibility of layouts and units: overlaps, floating boxes, support, neighbours, the carrier, sizes and densities.
+"""Plausibility of layouts and units, from overlaps, floating boxes, support, neighbours, the carrier, sizes and
+densities.
 
-Costs are like negative log likelihoods: they are added, and a difference of 1.5 is odds of 4 to 1.
+Costs behave like negative log likelihoods: they are added, and a difference of 1.5 corresponds to odds of 4 to 1.
 """
 
 from __future__ import annotations
@@ -16,17 +17,17 @@ from numpy.typing import NDArray
 from petmjx.common.units import FloatArray
 
 _OVERLAP, _FLOAT, _OUTSIDE, _SUPPORT, _TOUCH = 25.0, 20.0, 15.0, 4.0, 2.0
-"""Costs if all boxes overlap, float, are outside the carrier, hang over, and touch no neighbour. A box that overlaps
-or floats by mistake is rare in a packer's output; overhang and gaps are not."""
+"""Costs if all boxes overlap, float, are outside the carrier, hang over, or touch no neighbour. In the output of a
+packer, a box rarely overlaps or floats by mistake, whereas overhang and gaps are common."""
 _TOLERANCE: Final = 0.01
-"""Tolerance of touching, as a share of the median of the boxes' smallest sides: 2 mm for cartons of 200 mm. Centres are
-often rounded to centimetres or half millimetres."""
+"""Largest gap at which boxes touch, as a share of the median of the boxes' smallest sides: 2 mm for cartons of 200 mm.
+Centres are often rounded to centimetres or half millimetres."""
 _SMALL_LOAD: Final = 160
-"""Number of boxes by which a plan is judged: the first boxes in packing order, from the ground up."""
+"""Number of boxes from which a plan is judged: the first ones in packing order, from the ground up."""
 _CARTON_MM, _CARTON_SPREAD = 280.0, 0.75
-"""Geometric mean of a carton's sides and its spread (of the logarithm), from BED-BPP's 1.5 million boxes."""
+"""Geometric mean of a carton's sides, and its spread (in the logarithm), from BED-BPP's 1.5 million boxes."""
 _CARTON_KG_M3, _DENSITY_SPREAD = 250.0, 1.1
-"""Density of cartons and its spread."""
+"""Density of cartons, and its spread."""
 _DECKS_MM: Final = (
     (1200.0, 800.0), (1200.0, 1000.0), (800.0, 600.0), (600.0, 400.0), (1219.2, 1016.0), (1100.0, 1100.0),
     (1140.0, 1140.0), (1200.0, 1200.0), (1000.0, 1000.0), (800.0, 700.0), (5898.0, 2352.0), (12032.0, 2352.0),
@@ -34,22 +35,22 @@ _DECKS_MM: Final = (
 )  # fmt: skip
 """Usual carriers: pallets of Europe, America and Asia, the roll container, sea containers and a trailer."""
 _PALLETS: Final = 10
-"""The first of the carriers are pallets; the other carriers count only if the file names them."""
+"""The first carriers of this number are pallets. The others are considered only if the file names them."""
 _DECK_SPREAD: Final = 0.6
 _LARGE_MM: Final = 1000.0
-"""Least length of a carrier for evidence by a load's footprint: two cartons also have the footprint of a small
-carrier."""
+"""Smallest length of a carrier for which the footprint of a load is evidence. Smaller carriers are no larger than two
+cartons."""
 _NEAR: Final = 0.03
 """Largest relative difference between a deck and a usual deck."""
 
 
 @dataclass(frozen=True, eq=False)
 class Layout:
-    """The boxes in one reading, in the file's unit of coordinates, along the plan's axes.
+    """The boxes as one reading gives them, in the file's unit of coordinates, along the plan's axes.
 
     Attributes:
         low, size: (n, 3) corners and sizes.
-        container: sizes of the container along x, y, z; NaN where unknown.
+        container: sizes of the container along x, y and z; NaN if unknown.
     """
 
     low: FloatArray
@@ -58,10 +59,10 @@ class Layout:
 
 
 def layout_cost(layout: Layout) -> tuple[float, str, tuple[int, int, int, float]]:
-    """How implausible a layout is, where its origin is, and (overlapping, floating, outside boxes, sum of supported
+    """How implausible a layout is; where its origin is; and (overlapping, floating, outside boxes, sum of supported
     shares).
 
-    Heights count from the lowest box. If the lowest box is not at 0, the reading costs more.
+    Heights are measured from the lowest box. If the lowest box is not at 0, the cost is higher.
     """
     low, size = layout.low, layout.size
     tolerance = _TOLERANCE * float(np.median(size.min(axis=1)))
@@ -106,14 +107,14 @@ def layout_cost(layout: Layout) -> tuple[float, str, tuple[int, int, int, float]
 
 
 _NEGATIVE: Final = 1.0
-"""Cost of corners with negative coordinates, without a known container: the origin is no corner of the deck."""
+"""Cost of corners with negative coordinates if no container is known. The origin is then not a corner of the deck."""
 _FIRST_ODD, _MORE_ODD = 3.0, 1.5
-"""Largest cost of the first odd box, and of each further one: one plan in 20 has a box that a packer placed wrong. In a
-plan of few boxes a share is weaker evidence."""
+"""Largest cost of the first odd box, and of each further one. One plan in 20 has a box that its packer placed wrongly.
+In a plan with few boxes, a share is weaker evidence."""
 
 
 def _odd_cost(odd: NDArray[np.bool_], weight: float) -> float:
-    """Cost of boxes that are odd in one way.
+    """Cost of boxes that are odd for one reason.
 
     Args:
         weight: cost if all boxes are odd.
@@ -125,8 +126,8 @@ def _odd_cost(odd: NDArray[np.bool_], weight: float) -> float:
 def _contacts(
     low: FloatArray, high: FloatArray, tolerance: float
 ) -> tuple[NDArray[np.bool_], NDArray[np.bool_], FloatArray, NDArray[np.bool_]]:
-    """(n,) four arrays: whether boxes overlap another box, whether they float, the supported share of their bases,
-    whether they touch a box at a side or have no neighbours. The deck is at height 0."""
+    """Four arrays (n,): whether a box overlaps another one, whether it floats, the supported share of its base, and
+    whether it touches a box at a side or has no neighbours. The deck is at height 0."""
     common = [
         np.minimum.outer(high[:, axis], high[:, axis]) - np.maximum.outer(low[:, axis], low[:, axis])
         for axis in range(3)
@@ -134,7 +135,7 @@ def _contacts(
     wide = [length > tolerance for length in common]
     overlaps = wide[0] & wide[1] & wide[2]
     np.fill_diagonal(overlaps, False)
-    on_top = np.abs(np.subtract.outer(high[:, 2], low[:, 2])) <= tolerance  # row below, column above
+    on_top = np.abs(np.subtract.outer(high[:, 2], low[:, 2])) <= tolerance  # rows are below, columns above
     carried = on_top & wide[0] & wide[1]
     np.fill_diagonal(carried, False)
     base = (high - low)[:, 0] * (high - low)[:, 1]
@@ -157,15 +158,15 @@ def _contacts(
 def _outside(
     low: FloatArray, high: FloatArray, container: FloatArray, tolerance: float
 ) -> tuple[NDArray[np.bool_], float, str]:
-    """(n,) boxes outside the container, the cost of the origin, and the origin's place."""
+    """(n,) whether boxes are outside the container; the cost of the origin; and where the origin is."""
     n = len(low)
     if np.isnan(container[:2]).any():
         around = bool((low[:, :2].min(axis=0) < -tolerance).all()) and bool((high[:, :2].max(axis=0) > tolerance).all())
-        # of a corner of the deck coordinates are rarely negative
+        # if the origin is a corner of the deck, coordinates are rarely negative
         begin = low[:, :2].min(axis=0)
         cost = _NEGATIVE if (begin < -tolerance).any() else 0.0
         return np.zeros(n, bool), cost, "middle" if around else "given"
-    # a pallet may be overhung: a tenth of its side is no evidence against a reading
+    # loads may overhang pallets, so a tenth of a side is no evidence against a reading
     slack = np.maximum(tolerance, 0.02 * container[:2])
     at_corner = ((low[:, :2] < -slack) | (high[:, :2] > container[:2] + slack)).any(axis=1)
     half = container[:2] / 2
@@ -179,7 +180,7 @@ def _outside(
 
 
 def same_layouts(one: Sequence[Layout], other: Sequence[Layout]) -> bool:
-    """Whether readings give the same piles but for a shift, a mirror image, or a turn by 90°, and units."""
+    """Whether two readings give the same piles, apart from units, a shift, a mirror image or a turn by 90°."""
     factors = set()
     for first, second in zip(one, other, strict=True):
         a, b = _normal(first), _normal(second)
@@ -201,7 +202,7 @@ def _near(one: tuple[FloatArray, FloatArray], other: tuple[FloatArray, FloatArra
 
 
 def _images(low: FloatArray, size: FloatArray) -> Iterator[tuple[FloatArray, FloatArray]]:
-    """A pile and its mirror images and turns about the vertical."""
+    """Yield a pile, its mirror images, and its turns about the vertical."""
     for order in ([0, 1, 2], [1, 0, 2]):
         placed, extent = low[:, order], size[:, order]
         end = (placed + extent).max(axis=0)
@@ -216,23 +217,23 @@ def _images(low: FloatArray, size: FloatArray) -> Iterator[tuple[FloatArray, Flo
 
 
 def side_cost(side_mm: float) -> float:
-    """How unusual the sides of boxes are, by their geometric mean."""
+    """How unusual the sizes of boxes are, judged by the geometric mean of their sides."""
     return _squared(side_mm, _CARTON_MM, _CARTON_SPREAD)
 
 
 def density_cost(density_kg_m3: float) -> float:
-    """How unusual a density of boxes is."""
+    """How unusual a density is for boxes."""
     return _squared(density_kg_m3, _CARTON_KG_M3, _DENSITY_SPREAD)
 
 
 def _squared(value: float, usual: float, spread: float) -> float:
-    """Half the square of the logarithmic distance from a usual value, in spreads."""
+    """Half the square of the logarithmic distance from the usual value, measured in spreads."""
     return (math.log(value / usual) / spread) ** 2 / 2 if value > 0 else 50.0
 
 
 def deck_cost(deck_mm: FloatArray, known: bool) -> float:
-    """Cost of an unusual deck (known), or of an unusual footprint of a load (deck unknown): a load may be smaller than
-    its deck."""
+    """Cost of an unusual deck, if it is known; else the cost of an unusual footprint of the load, which may be smaller
+    than its deck."""
     long, short = float(deck_mm.max()), float(deck_mm.min())
     usual = any(
         abs(long / side - 1) < _NEAR and abs(short / other - 1) < (_NEAR if known else 0.12)
@@ -249,22 +250,23 @@ def deck_cost(deck_mm: FloatArray, known: bool) -> float:
 
 
 _LOAD_MM: Final = (1340.0, 1320.0)
-"""Largest x–y size of a load on a pallet, longer side first: the largest pallets, with an overhang of a tenth."""
+"""Largest extents of a load on a pallet along x and y, longer side first: the largest pallets with an overhang of a
+tenth."""
 _HIGHEST_MM: Final = 3000.0
 _SMALLEST_SIDE_MM, _LARGEST_SIDE_MM = 50.0, 1500.0
 """Limits of the geometric mean of the sides of boxes on pallets."""
 _OF_PALLET_MM: Final = (580.0, 1500.0, 380.0, 1320.0)
-"""Least and largest long side, and short side, of a carrier that a person may take for a pallet."""
+"""Smallest and largest long side, then smallest and largest short side, of a carrier that could be a pallet."""
 
 
 def load_fit(side_mm: float, load_mm: FloatArray, deck_mm: FloatArray, known: bool) -> int:
-    """Fit of boxes and load to a carrier in one unit: 0 no fit, 1 to a carrier of another size, 2 to a usual carrier
-    that is known or filled. Masses do not count here.
+    """How well boxes and a load fit a carrier in one unit: 0 not at all; 1 a carrier of unusual size; 2 a usual carrier
+    that is known or filled. Masses do not matter.
 
     Args:
         side_mm: geometric mean of the boxes' sides.
-        load_mm: extents of the load along x, y, z.
-        deck_mm: x–y size of the carrier if ``known``, else of the load.
+        load_mm: extents of the load along x, y and z.
+        deck_mm: extents of the carrier along x and y if it is ``known``, else those of the load.
     """
     if not _SMALLEST_SIDE_MM <= side_mm <= _LARGEST_SIDE_MM or load_mm[2] > _HIGHEST_MM:
         return 0
@@ -281,10 +283,10 @@ def load_fit(side_mm: float, load_mm: FloatArray, deck_mm: FloatArray, known: bo
 
 
 _WHOLE_MM: Final = 0.03
-"""Largest distance of a length from whole millimetres, mm: inches have three digits behind the point."""
+"""Largest distance of a length from whole millimetres, mm. Lengths in inches have three decimals."""
 
 
 def converted_share(lengths_mm: FloatArray) -> float:
-    """Share of lengths that are whole millimetres. Few whole inches are whole millimetres; of sizes such as 23.622
-    inches, 600 mm, all are."""
+    """Share of lengths that are whole millimetres. For whole inches this share is small. For inches that were converted
+    from millimetres, such as 23.622 inches from 600 mm, it is 1."""
     return float(np.mean(np.abs(lengths_mm - np.rint(lengths_mm)) <= _WHOLE_MM))

@@ -1,5 +1,5 @@
-"""Cells of other tools' tables: numbers with any decimal sign, marks between thousands and units behind them; three
-numbers in one cell; names."""
+"""Cells of other tools' tables: numbers with any decimal sign, marks between thousands and units after them; three
+numbers in one cell; and names."""
 
 from __future__ import annotations
 
@@ -17,11 +17,11 @@ from petmjx.plans.file_formats import number_hint
 from petmjx.plans.plan_fields import LARGEST_MM
 
 GROUPED: Final = "grouped"
-"""Value instead of a decimal sign: no number has one, and points and commas stand between thousands."""
+"""Used in place of a decimal sign if no number has decimals, and points and commas only separate thousands."""
 
 
 class CellNumber(NamedTuple):
-    """A number in a cell, and the unit that is written behind it ("": none)."""
+    """A number in a cell, and the unit after it ("" if there is none)."""
 
     value: float
     unit: str
@@ -35,11 +35,11 @@ _LONGEST_NUMBER: Final = 60
 
 
 def cell_number(cell: Any, decimal: str = ".") -> CellNumber | None:
-    """The number in a cell; None: there is none. NaN and infinite numbers are numbers.
+    """The number in a cell; None if there is none. NaN and infinite values also count as numbers.
 
     Args:
-        decimal: the decimal sign of numbers that are text; "": unknown. With "," a point may only stand between
-            thousands, and only beside a decimal comma: "1.234,5".
+        decimal: the decimal sign of numbers stored as text; "": unknown. With ",", a point may only stand between
+            thousands, and only if there is also a decimal comma: "1.234,5".
     """
     if isinstance(cell, bool) or cell is None:
         return None
@@ -78,7 +78,7 @@ def cell_number(cell: Any, decimal: str = ".") -> CellNumber | None:
 
 
 def number_fault_of(cell: Any, decimal: str) -> str:
-    """The end of a message about a cell that should be a number: its fault, and advice."""
+    """The end of a message about a cell that should have a number: what is wrong with it, and advice."""
     if cell is None or cell == "":
         return "is missing"
     if not isinstance(cell, str):
@@ -93,7 +93,8 @@ def number_fault_of(cell: Any, decimal: str) -> str:
 
 
 def cell_text(cell: Any) -> str:
-    """A cell as a name: text without white space around it, whole numbers without a point; "" for an empty cell."""
+    """A cell as a name: text without surrounding white space, and whole numbers without a point; "" for an empty
+    cell."""
     if cell is None:
         return ""
     if isinstance(cell, float) and cell.is_integer() and abs(cell) < 2**53:
@@ -102,7 +103,7 @@ def cell_text(cell: Any) -> str:
 
 
 def cell_triple(cell: Any, decimal: str = ".") -> list[CellNumber] | None:
-    """The three numbers in a cell: "400x300x200", "(0, 0, 200)", "[Decimal('600.0'), 0, 0]"; None: there are none."""
+    """The three numbers in a cell: "400x300x200", "(0, 0, 200)", "[Decimal('600.0'), 0, 0]"; None if there are none."""
     if isinstance(cell, list | tuple | np.ndarray):
         numbers = [cell_number(value) for value in cell]
         return [number for number in numbers if number is not None] if len(numbers) == 3 and all(numbers) else None
@@ -133,17 +134,19 @@ _MAYBE: Final = re.compile(r"^[+-]?\d{1,3}([.,])\d{3}$")
 
 _WITH_THREE: Final = re.compile(r"^[+-]?[1-9]\d{0,2}\.\d{3}(\s*[a-zA-Z]+)?$")
 _LEAST_LIKELY_MM: Final = 10.0
-"""Least size of a box that has three decimals in millimetres. Letters and flat cartons are thicker."""
+"""Smallest plausible size of a box that is given in millimetres with three decimals. Letters and flat cartons are
+thicker."""
 
 
 def thousands_faults(cells: Sequence[Any], decimal: str, unit: str, are_sizes: bool) -> dict[int, str]:
-    """Row → fault of numbers such as "1.200" of a column of lengths with decimal points that may be 1200.
+    """Row → fault, for numbers such as "1.200" that could mean 1200, in a column of lengths with decimal points.
 
-    They may if all points of the column have three digits behind them, no number is too large with a thousand times its
-    value, and either numbers without a point stand beside them, or sizes would be thinner than boxes are.
+    A number could mean 1200 if three conditions hold. All points of the column are followed by three digits. No number
+    is too large when multiplied by a thousand. And either the column also has numbers without a point, or the sizes
+    would be thinner than boxes are.
 
     Args:
-        unit: unit of numbers that name none.
+        unit: unit of numbers that have none of their own.
         are_sizes: whether the lengths are sizes of boxes.
     """
     texts = {row: cell.strip() for row, cell in enumerate(cells) if isinstance(cell, str)}
@@ -165,10 +168,10 @@ def thousands_faults(cells: Sequence[Any], decimal: str, unit: str, are_sizes: b
 
 
 def decimal_of(rows: Sequence[Sequence[Any]]) -> str:
-    """The decimal sign of the numbers in cells that are text; "": undecided, and "1,200" may be 1200 or 1.2.
+    """The decimal sign of numbers that are stored as text. "" if it is undecided, so that "1,200" could be 1200 or 1.2.
 
-    "1,200" has a decimal comma if other numbers have no mark between their thousands. "1.200" may be 1200 if numbers of
-    its column have no decimals.
+    "1,200" has a decimal comma if the other numbers have no mark between their thousands. "1.200" may mean 1200 if the
+    numbers of its column have no decimals.
     """
     commas = points = 0
     maybe = {",": False, ".": False}

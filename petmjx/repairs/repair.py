@@ -316,7 +316,7 @@ def _repaired(plans: Iterable[Plan], question: Question, options: RepairOptions)
         try:
             run_searches(searches, ask, question.threads)
             late = [search for search in searches if search.before is None]
-            drafts: list[Asked] = [(Draft.of(search.plan, question.film_turns), False) for search in late]
+            drafts = [Asked(Draft.of(search.plan, question.film_turns), is_judged=False) for search in late]
             for search, trial in zip(late, question.trials(drafts) if late else [], strict=True):
                 search.begin(trial)
             results = _with_shares(searches, question, options)

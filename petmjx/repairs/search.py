@@ -29,7 +29,7 @@ from petmjx.repairs.proposals import Limits, Proposal, lifted_with, proposals, t
 from petmjx.repairs.rebuilds import rebuilds
 from petmjx.repairs.repair_options import RepairOptions
 from petmjx.repairs.states import AT_ONCE, Candidate, Node, State, batch_of, key_of, n_counted, shortest, way_of
-from petmjx.repairs.trials import Asked, Trial
+from petmjx.repairs.trials import ERROR_WORLDS, Asked, Trial
 
 Asking = Generator[list[Asked], list[Trial], None]
 
@@ -63,8 +63,14 @@ MOST_ANEW: Final = 2
 CONFIRMED_AT_ONCE: Final = 8
 """Plans that stand when judged, and are scored at once."""
 
-MOST_FINALISTS: Final = 6
-"""Repairs with the least number of changes that are compared with errors."""
+MOST_FINALISTS: Final = 4
+"""Repairs with the least number of changes from which one is chosen by scores with errors."""
+
+MOST_COMPARED: Final = 12
+"""Repairs with the least number of changes that are judged in a few worlds with errors."""
+
+MORE_TO_COMPARE: Final = 24
+"""Further changed plans that are judged to have repairs to compare."""
 
 MOST_UNDONE: Final = 8
 """Limit of changes in all compared repairs, each of which is undone and scored: of long repairs fewer are compared."""
@@ -165,7 +171,7 @@ class Search:
         self, drafts: Sequence[Draft], *, judged: bool = False
     ) -> Generator[list[Asked], list[Trial], list[Trial]]:
         self.n_trials += len(drafts)
-        return (yield [(draft, judged) for draft in drafts])
+        return (yield [Asked(draft, judged) for draft in drafts])
 
     # ------------------------------------------------------------------ film
 
@@ -203,18 +209,20 @@ class Search:
         nodes = [Node(replace(state, faults=count)) for state, count in zip(start, faults, strict=True)]
         ways = {way_of(node.state) for node in nodes}
         standing: list[State] = []
+        judged: list[State] = []  # that stand
         is_late = False
         while self.n_trials < last:
+            nodes.sort(key=lambda node: node.key)
+            useful = nodes
             if standing:  # only shorter repairs are of use
                 fewest = len(standing[0].changes)
-                nodes = [n for n in nodes if len(n.state.changes) < fewest - 1 and n.n_expected <= fewest]
-            nodes.sort(key=lambda node: node.key)
+                useful = [n for n in nodes if len(n.state.changes) < fewest - 1 and n.n_expected <= fewest]
             if not (standing or is_late) and self.n_trials >= alone:
                 is_late = True
                 standing = yield from self._nearly(nodes)
                 if standing:
                     break
-            queues = self._queues(nodes, limits, anew=is_late)
+            queues = self._queues(useful, limits, anew=is_late)
             if not queues:
                 break
             batch = batch_of(queues, min(2 * AT_ONCE if is_late else AT_ONCE, last - self.n_trials))
@@ -222,6 +230,7 @@ class Search:
             if any(state.trial.stands for state in states):  # further plans may stand more often with errors
                 next_candidates = batch_of(queues, min(AT_ONCE, last - self.n_trials))
                 batch, states = batch + next_candidates, states + (yield from self._judged(next_candidates))
+                judged += [state for state in states if state.trial.stands]
                 confirmed = yield from self._confirmed(states)
                 shortened = yield from self._pruned(confirmed, judged=True)
                 if shortened and not standing:
@@ -233,8 +242,47 @@ class Search:
                 if self._is_short(state) and not state.trial.stands and (way := way_of(state)) not in ways:
                     ways.add(way)
                     nodes.append(Node(state))
+        if standing and self.options.worlds and options.profile is None:
+            fewest = len(standing[0].changes)
+            nodes = sorted((n for n in nodes if len(n.state.changes) == fewest - 1), key=lambda node: node.key)
+            further = yield from self._judged(batch_of(self._queues(nodes, limits, anew=False), MORE_TO_COMPARE))
+            judged += [state for state in further if state.trial.stands]
+            standing = yield from self._compared(standing, [one for one in judged if len(one.changes) == fewest])
         nodes.sort(key=lambda node: (node.n_expected, node.key))
         return standing, [node.state for node in nodes[:BEAM]]
+
+    def _compared(
+        self, scored: Sequence[State], judged: Sequence[State]
+    ) -> Generator[list[Asked], list[Trial], list[State]]:
+        """Of repairs with as many changes, those that stand most often in a few worlds with errors.
+
+        Args:
+            scored, judged: plans that stand when scored, or judged.
+        """
+        different = [*{key_of(state.draft): state for state in (*judged, *scored)}.values()]
+        chosen = [different[k] for k in self._safest(different)[:MOST_COMPARED]]
+        worlds = range(1, ERROR_WORLDS + 1)
+        self.n_trials += len(chosen) * len(worlds)
+        trials = iter((yield [Asked(state.draft, True, world) for state in chosen for world in worlds]))
+        counted = [replace(state, n_good=sum(next(trials).stands for _ in worlds)) for state in chosen]
+        counted.sort(key=lambda state: -state.n_good)
+        best, sure = counted[: 2 * MOST_FINALISTS], {key_of(state.draft) for state in scored}
+        unsure = [k for k, state in enumerate(best) if key_of(state.draft) not in sure]
+        scores = (yield from self._simulated([best[k].draft for k in unsure])) if unsure else []
+        for k, trial in zip(unsure, scores, strict=True):
+            best[k] = replace(best[k], trial=trial)
+        return [state for state in best if state.trial.stands] or [*scored]
+
+    def _safest(self, states: Sequence[State]) -> list[int]:
+        """Numbers of states, the least weak and cheapest of each way to change a plan, then the second of each."""
+        ways: Counter[tuple[object, ...]] = Counter()
+        ranks = []
+        risks = self._risks(states)
+        for k in sorted(range(len(states)), key=risks.__getitem__):
+            way = way_of(states[k])
+            ranks.append((ways[way], k))
+            ways[way] += 1
+        return [k for _, k in sorted(ranks, key=lambda rank: rank[0])]
 
     def _nearly(self, nodes: Sequence[Node]) -> Generator[list[Asked], list[Trial], list[State]]:
         """The shortest of the plans with a single fault that stand when scored: a box tilts, and leans."""
@@ -335,19 +383,13 @@ class Search:
     def _confirmed(self, states: list[State]) -> Generator[list[Asked], list[Trial], list[State]]:
         """Score states that stand when judged, those with few changes first, until some are confirmed. Returns the
         standing ones; other scored states get the trial of the score. With a drive all trials are scores."""
-        ways: Counter[tuple[object, ...]] = Counter()
-        queue = []
         numbers = [k for k, state in enumerate(states) if state.trial.stands]
-        weakness = dict(zip(numbers, self._weakness([states[k] for k in numbers]), strict=True))
-        for k in sorted(numbers, key=lambda k: (len(states[k].changes), weakness[k], states[k].cost)):
-            way = way_of(states[k])
-            queue.append((len(states[k].changes), ways[way], k))  # one change of each way first
-            ways[way] += 1
-        queue.sort(key=lambda place: place[:2])
+        safest = [numbers[n] for n in self._safest([states[k] for k in numbers])]
+        queue = sorted(safest, key=lambda k: len(states[k].changes))
         if self.options.profile is not None:
-            return [states[k] for _, _, k in queue]
+            return [states[k] for k in queue]
         for begin in range(0, len(queue), CONFIRMED_AT_ONCE):
-            chosen = [k for _, _, k in queue[begin : begin + CONFIRMED_AT_ONCE]]
+            chosen = queue[begin : begin + CONFIRMED_AT_ONCE]
             trials = yield from self._simulated([states[k].draft for k in chosen])
             for k, trial in zip(chosen, trials, strict=True):
                 states[k] = replace(states[k], trial=trial)
@@ -414,8 +456,8 @@ class Search:
             reduced.append((yield from self._reduced(state)))
         pruned = shortest((yield from self._pruned(reduced, judged=fewest > MOST_UNDONE)))
         different = [*{key_of(state.draft): state for state in pruned}.values()]
-        ranks = zip(self._weakness(different), (math.floor(state.cost / SAME_COST) for state in different), strict=True)
-        self.repairs = tuple(state for _, state in sorted(zip(ranks, different, strict=True), key=lambda p: p[0]))
+        ranks = [(-state.n_good, *risk) for state, risk in zip(different, self._risks(different), strict=True)]
+        self.repairs = tuple(different[k] for k in sorted(range(len(ranks)), key=ranks.__getitem__))
 
     def _reduced(self, state: State) -> Generator[list[Asked], list[Trial], State]:
         """The state without groups of needless changes if it has many: halves first, then smaller groups."""
@@ -475,10 +517,14 @@ class Search:
             shorter[k] = replace(shorter[k], trial=trial) if trial.stands else states[k]
         return shorter
 
-    def _weakness(self, states: Sequence[State]) -> list[int]:
-        """What makes each changed plan fall with errors only, in steps of ``SAME_WEAKNESS``."""
+    def _risks(self, states: Sequence[State]) -> list[tuple[int, int]]:
+        """What makes each changed plan fall with errors only, in steps of ``SAME_WEAKNESS``, and its cost, in steps of
+        ``SAME_COST``."""
         some = balances([state.draft for state in states], self.sim)
-        return [round((balance.weakness + balance.trouble) / SAME_WEAKNESS) for balance in some]
+        return [
+            (round((balance.weakness + balance.trouble) / SAME_WEAKNESS), math.floor(state.cost / SAME_COST))
+            for state, balance in zip(states, some, strict=True)
+        ]
 
 
 def _lost(draft: Draft, trial: Trial) -> int:

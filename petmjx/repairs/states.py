@@ -32,12 +32,14 @@ class State:
         changes: the changes.
         trial: its simulation.
         faults: an estimate of the changes that are still needed.
+        n_good: number of worlds with errors in which it stands, of ``ERROR_WORLDS``.
     """
 
     draft: Draft
     changes: tuple[Change, ...]
     trial: Trial
     faults: float = math.inf
+    n_good: int = 0
 
     @property
     def cost(self) -> float:

@@ -28,12 +28,14 @@ from petmjx.results.run_reader import RunResults
 from petmjx.runs.confidence import confidence_sweep
 from petmjx.runs.simulate import simulate
 from petmjx.runs.study import Nominal
+from petmjx.runs.sweep_design import Design
 from petmjx.runs.sweep_file import Sweep, sweep_of_tables
 from petmjx.runs.sweep_study import SweepStudy
 from petmjx.world.job import Job
 from petmjx.world.profiles.profile import Strength
 from petmjx.world.profiles.profile_registry import resolve
-from petmjx.world.scene import build_scene
+from petmjx.world.scene import Scene, build_scene
+from petmjx.world.variants import apply
 
 OF_RUN: Final = ("engine", "threads", "lanes", "world_timeout_s")
 """Fields of ``RunOptions`` that a repair accepts."""
@@ -51,8 +53,21 @@ TABLE: Final = 512, 32
 """Fewest rows of a table on a GPU, and boxes in steps of which it has columns. Each batch of trials has another number
 of worlds, and each size of a table takes seconds to compile."""
 
-Asked = tuple[Draft, bool]
-"""A draft, and whether it is only judged, that is simulated once until a box is lost. Otherwise the draft is scored."""
+ERROR_WORLDS: Final = 4
+"""Worlds with errors in which many repairs are compared."""
+
+
+class Asked(NamedTuple):
+    """A draft to be simulated.
+
+    Attributes:
+        is_judged: whether it is only judged, that is simulated once until a box is lost. Otherwise it is scored.
+        world: number of the world with errors in which it is judged, up to ``ERROR_WORLDS``; 0: without errors.
+    """
+
+    draft: Draft
+    is_judged: bool
+    world: int = 0
 
 
 class Trial(NamedTuple):
@@ -129,14 +144,12 @@ class Question:
         self._threads = self._run.threads or cpu_threads()
         self._run = RunOptions(engine=self._engine)
         self._engines = Engines(self._engine, Progress())
-        limits = self.sim.thresholds
-        self._quick = self.sim.changed(
-            longest_wait_s=min(self.sim.longest_wait_s, LONGEST_WAIT_S),
-            thresholds=limits.changed(tilt_deg=min(limits.tilt_deg, JUDGED_TILT_DEG)),
-        )
+        self._quick = [_quick(self.sim)] * 2  # without errors, and with errors
         self._drive_sweep(self.sim.wrap.turns)  # an unusable profile is refused before anything is simulated
         if options.worlds:
-            confidence_sweep(options.worlds, self._errors, of_simulation)
+            self._error_sweep = confidence_sweep(ERROR_WORLDS, self._errors, of_simulation)
+            self._variants = [placement for placement, _ in Design(self._error_sweep).placements()]  # the first: exact
+            self._quick[1] = _quick(self._error_sweep.simulation)
 
     @property
     def threads(self) -> int:
@@ -151,7 +164,7 @@ class Question:
     def trials(self, asked: Sequence[Asked]) -> list[Trial]:
         """The trial of each draft. All are simulated at once, except those with other turns of film. If pallets must
         survive a profile, all are scored."""
-        drafts = [draft for draft, _ in asked]
+        drafts = [one.draft for one in asked]
         self.n_simulated += len(drafts)
         results = self._judged(asked) if self._options.profile is None else {}
         turns = dict.fromkeys(draft.film_turns for draft in drafts)
@@ -184,20 +197,29 @@ class Question:
         takes a quarter of the time, as worlds with errors do. No draft is simulated again with other settings, as a
         score would do (docs/rules.md, section 9). So a standing draft is scored before it counts as standing.
         """
-        jobs: dict[int, list[tuple[int, Job]]] = {}
+        jobs: dict[tuple[int, bool], list[tuple[int, Job]]] = {}
         engines: dict[int, Engine] = {}
-        for number, (draft, is_judged) in enumerate(asked):
-            if is_judged:
-                job = Job(build_scene(draft.as_plan(), self.sim), has_errors=True)
+        for number, one in enumerate(asked):
+            if one.is_judged:
+                job = Job(self._scene(one), has_errors=True)
                 engine = self._engines.for_job(job, self.sim, doubles=False, soft=job.scene.soft is not None)
                 engines[id(engine)] = engine
-                jobs.setdefault(id(engine), []).append((number, job))
+                jobs.setdefault((id(engine), one.world > 0), []).append((number, job))
         results: dict[int, Trial] = {}
-        for key, numbered in jobs.items():
-            for outcome in engines[key].run([job for _, job in numbered], self._quick):
+        for (key, with_errors), numbered in jobs.items():
+            sim = self._quick[int(with_errors)]
+            for outcome in engines[key].run([job for _, job in numbered], sim):
                 number = numbered[outcome.job][0]
-                results[number] = _trial_of(outcome, asked[number][0].order, self._quick)
+                results[number] = _trial_of(outcome, asked[number].draft.order, sim)
         return results
+
+    def _scene(self, asked: Asked) -> Scene:
+        """The scene in which a draft is judged. All drafts of a plan have the same errors, others than a score has."""
+        plan = asked.draft.as_plan()
+        if not asked.world:
+            return build_scene(plan, self.sim)
+        scene = build_scene(plan, self._error_sweep.simulation)
+        return apply(scene, f"{plan.plan_id}: search", self._variants[asked.world], self._error_sweep.seed)
 
     def close(self) -> None:
         """Free the engine's resources."""
@@ -238,6 +260,14 @@ class Question:
             axes[str(profiles[0].strength)] = options.level
         simulation = {**self._of_simulation, "wrap": self.sim.wrap.changed(turns=film_turns)}
         return sweep_of_tables({"name": "repair", "axes": axes}, Path("repair"), True, simulation)
+
+
+def _quick(sim: Simulation) -> Simulation:
+    """The options for drafts that are only judged."""
+    return sim.changed(
+        longest_wait_s=min(sim.longest_wait_s, LONGEST_WAIT_S),
+        thresholds=sim.thresholds.changed(tilt_deg=min(sim.thresholds.tilt_deg, JUDGED_TILT_DEG)),
+    )
 
 
 def _engines(run: RunOptions) -> tuple[Engine, RunOptions | None]:

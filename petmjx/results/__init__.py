@@ -1,1 +1,1 @@
-"""Reads and writes the folder of a run, part by part."""
+"""Reads and writes the folder of a run, one part at a time."""

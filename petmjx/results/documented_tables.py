@@ -1,4 +1,4 @@
-"""Writes tables as Parquet and CSV files. The metadata of Parquet has the unit and the meaning of every column."""
+"""Writes tables as Parquet and CSV files. The Parquet metadata has the unit and the description of every column."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from petmjx.common.safe_read import read_regular
 from petmjx.results.run_folder import Write, csv, parquet, write_together
 
 Described = Mapping[str, tuple[str, str]]
-"""Column → unit and meaning."""
+"""Column → its unit and description."""
 
 _MOST_JSON_BYTES: Final = 1 << 28
 _LONGEST_HEADER: Final = 1 << 20
@@ -27,7 +27,7 @@ def documented_table(frame: pd.DataFrame, name: str, described: Described) -> pa
     """A data frame as an Arrow table, with the unit and the description of every column in its metadata.
 
     Raises:
-        KeyError: a column is not described.
+        KeyError: a column has no description.
     """
     table = pa.Table.from_pandas(frame, preserve_index=False)
     fields = [
@@ -40,12 +40,12 @@ def documented_table(frame: pd.DataFrame, name: str, described: Described) -> pa
 def write_documented_tables(
     folder: Path, tables: Iterable[tuple[str, pd.DataFrame, Described]], others: Mapping[str, Write] | None = None
 ) -> None:
-    """Write tables as ``NAME.parquet`` and ``NAME.csv`` into a folder: all of them or none.
+    """Write tables as ``NAME.parquet`` and ``NAME.csv`` into a folder. Either all of them are written or none.
 
     The folder is made if missing. Existing files are replaced, so call :func:`check_tables_free` first.
 
     Args:
-        others: name of each further file → its content.
+        others: name of each further file → the function that writes it.
 
     Raises:
         OSError: a file cannot be written.
@@ -66,18 +66,18 @@ def check_tables_free(
     inputs: Iterable[Path] = (),
     others: Mapping[str, IsOurs] | None = None,
 ) -> None:
-    """Check that :func:`write_documented_tables` would only replace files that it may replace. The check comes before
-    the work that makes the tables, which can take minutes.
+    """Check that :func:`write_documented_tables` would replace no file that it must not replace. This check is made
+    before the tables are computed, which can take minutes.
 
     Args:
         tables: names of the tables.
         overwrite: whether tables that petmjx wrote into the folder earlier may be replaced.
         inputs: files that the command reads; they must not be replaced.
-        others: name of each further file → function that says whether an existing file of this name is petmjx's.
+        others: name of each further file → function that tells whether petmjx wrote an existing file of this name.
 
     Raises:
-        InputError: an existing file of one of these names is not petmjx's or may not be replaced, or ``folder`` is not
-            a folder.
+        InputError: an existing file of one of these names was not written by petmjx or must not be replaced, or
+            ``folder`` is not a folder.
     """
     others = others or {}
     names = [*others, *(f"{name}{suffix}" for name in tables for suffix in (".parquet", ".csv"))]
@@ -89,8 +89,8 @@ def check_tables_free(
 
 
 def is_documented_table(file: Path) -> bool:
-    """Whether :func:`write_documented_tables` may have written a file. A Parquet file shows it by its metadata. A CSV
-    file must have the columns of the Parquet file beside it."""
+    """Whether :func:`write_documented_tables` may have written a file. The metadata of a Parquet file show it. A CSV
+    file must have the same columns as the Parquet file beside it."""
     if file.suffix == ".csv":
         columns = _documented_columns(file.with_suffix(".parquet"))
         return columns is not None and _header(file) == columns
@@ -98,7 +98,7 @@ def is_documented_table(file: Path) -> bool:
 
 
 def has_keys(file: Path, keys: Iterable[str]) -> bool:
-    """Whether a file is a JSON object with these keys."""
+    """Whether a file contains a JSON object with these keys."""
     try:
         content: Any = json.loads(read_regular(file, _MOST_JSON_BYTES))
     except (OSError, ValueError, RecursionError):
@@ -107,21 +107,21 @@ def has_keys(file: Path, keys: Iterable[str]) -> bool:
 
 
 def _documented_columns(file: Path) -> list[str] | None:
-    """The columns of a Parquet file if each of them has a unit and a description, else None. None also for parts of
-    runs."""
+    """The columns of a Parquet file in which every column has a unit and a description. None for any other file, and
+    for parts of runs."""
     try:
         with open_for_arrow(file) as stream:
             schema = pq.read_schema(stream)
     except (OSError, ValueError, pa.ArrowException):
         return None
-    if b"schema_version" in (schema.metadata or {}):  # a part of a run
+    if b"schema_version" in (schema.metadata or {}):  # it is a part of a run
         return None
     described = all({b"unit", b"description"} <= (field.metadata or {}).keys() for field in schema)
     return list(schema.names) if described and len(schema) else None
 
 
 def _header(file: Path) -> list[str]:
-    """The names in the first line of a CSV file that Arrow wrote."""
+    """The column names in the first line of a CSV file that Arrow wrote."""
     try:
         with file.open("rb") as stream:
             line = stream.readline(_LONGEST_HEADER)

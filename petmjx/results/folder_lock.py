@@ -1,7 +1,8 @@
-"""A lock that lets one run at a time write into a folder. The lock ends with its process, even if that is killed.
+"""A lock that lets only one run at a time write into a folder. The lock ends when its process ends, even if it is
+killed.
 
-The package ``filelock`` does less: it takes any file of the lock's name for a lock, does not say which process holds
-it, and where a file system has no locks it falls back to a file that outlives a kill.
+The package ``filelock`` is no replacement. It accepts any file of the lock's name as a lock, does not say which process
+holds it, and on file systems without locks it uses a file that remains after a kill.
 """
 
 from __future__ import annotations
@@ -20,8 +21,8 @@ from petmjx.common.checked_records import option
 from petmjx.common.errors import InputError
 
 LOCK_FILE: Final = ".lock"
-"""File in the run's folder while a run writes. The file of a killed run is no longer locked, so the next run takes it
-over."""
+"""File in the run's folder while a run writes. After a run was killed the file is no longer locked, so the next run can
+lock it."""
 
 _OURS: Final = re.compile(rb"\d*\n?")
 
@@ -31,11 +32,11 @@ _NO_LOCKS: Final = (errno.ENOSYS, errno.ENOTSUP, errno.ENOLCK)
 
 @contextlib.contextmanager
 def held_folder_lock(folder: Path) -> Iterator[bool]:
-    """Lock a folder for one run; yields whether its file system has locks.
+    """Lock a folder for one run. Yields whether its file system supports locks.
 
     Raises:
-        InputError: another run writes into the folder, or something else has the name of the lock file.
-        OSError: the folder cannot be written.
+        InputError: another run is writing into the folder, or something else has the name of the lock file.
+        OSError: the folder is not writable.
     """
     descriptor = _lock_descriptor(folder)
     try:
@@ -51,7 +52,7 @@ def held_folder_lock(folder: Path) -> Iterator[bool]:
         try:
             yield has_locks
         finally:
-            # remove the file before the lock is released: the next run then finds a new file, or none
+            # remove the file before releasing the lock, so that the next run finds either a new file or none
             with contextlib.suppress(OSError):
                 (folder / LOCK_FILE).unlink()
     finally:
@@ -68,7 +69,8 @@ def _lock_descriptor(folder: Path) -> int:
 
 
 def _check_ours(descriptor: int, folder: Path) -> None:
-    """Refuse a file that holds anything but a process number: a lock file is overwritten, and removed at the end."""
+    """Refuse a file that contains anything but a process number, because a lock file is overwritten and later
+    deleted."""
     if not stat.S_ISREG(os.fstat(descriptor).st_mode) or not _OURS.fullmatch(os.pread(descriptor, 32, 0)):
         raise _not_ours(folder)
 
@@ -81,8 +83,7 @@ def _not_ours(folder: Path) -> InputError:
 
 
 def _take(descriptor: int, folder: Path) -> bool:
-    """Lock the file. Returns whether the locked file is still in the folder, since its last holder may have removed
-    it."""
+    """Lock the file. Returns whether the locked file is still in the folder; its last holder may have deleted it."""
     while True:
         try:
             fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)

@@ -1,6 +1,6 @@
-"""Recorded histories of worlds as rows of the tables ``histories``, ``frames`` and ``contacts``, and back.
+"""Converts recorded histories of worlds to rows of the tables ``histories``, ``frames`` and ``contacts``, and back.
 
-``Recording`` says which worlds a run records and which histories it keeps.
+``Recording`` states which worlds a run records and which histories it keeps.
 """
 
 from __future__ import annotations
@@ -30,16 +30,16 @@ _KEY = ("plan_id", "variant")
 
 @dataclass(frozen=True)
 class Recording:
-    """What a run records of its worlds.
+    """Which worlds a run records, and which histories it keeps.
 
-    Whether a world fails is known only at its end. So with ``failed_only`` all worlds are recorded, and the history of
-    a stable world is dropped as soon as it ends. No world is simulated twice, and memory holds only the histories of
-    worlds in flight.
+    Whether a world fails is known only when it ends. So ``failed_only`` records all worlds and drops the history of a
+    stable world when it ends. No world is simulated twice, and memory holds only the histories of worlds still being
+    simulated.
 
     Attributes:
-        record: the engine's recording; None: no recording.
+        record: what the engine records; None: no recording.
         plan_ids: plans whose worlds are recorded; None: all.
-        failed_only: keep the histories of worlds that are not stable.
+        failed_only: keep only the histories of worlds that are not stable.
     """
 
     record: Record | None = None
@@ -47,17 +47,17 @@ class Recording:
     failed_only: bool = False
 
     def of(self, plan: Plan) -> Record | None:
-        """The recording of the worlds of a plan; None: no recording."""
+        """What to record of the worlds of a plan; None: nothing."""
         return self.record if self.plan_ids is None or plan.plan_id in self.plan_ids else None
 
     def kept(self, outcome: Outcome) -> Outcome:
-        """The outcome, without its history if the run drops it."""
+        """The outcome; its history is removed if the run does not keep it."""
         if outcome.history is None or not self.failed_only or outcome.verdict is not Verdict.STABLE:
             return outcome
         return replace(outcome, history=None)
 
     def missing(self, parts: Parts) -> int:
-        """How many completed worlds of a run should have a history but have none."""
+        """Number of completed worlds that should have a history but have none."""
         if self.record is None:
             return 0
         frames = parts.table("frames", _KEY)
@@ -76,13 +76,13 @@ NO_RECORDING = Recording()
 
 
 def recording_of(options: RunOptions, engine: str, plans: Sequence[Plan]) -> Recording:
-    """The recording of a run of these plans.
+    """Make the ``Recording`` of a run of these plans, from its options.
 
     Args:
         engine: name of the engine.
 
     Raises:
-        InputError: a plan to record is not among ``plans``, or the engine cannot record these details.
+        InputError: a plan to record is not among ``plans``, or the engine cannot record the requested details.
     """
     choice = options.record
     if choice is None:
@@ -107,7 +107,7 @@ def _split(text: str) -> list[str]:
 
 
 _DRIVES: Final = ((FORCE, "drive_force", "_n"), (ACCELERATION, "drive_acc", ""))
-"""For each kind of drive: the name and the ending of its columns of ``frames``."""
+"""For each kind of drive: the prefix and the suffix of its columns in ``frames``."""
 
 _XYZ: Final = "xyz"
 _WXYZ: Final = "wxyz"
@@ -115,7 +115,7 @@ _WXYZ: Final = "wxyz"
 
 @dataclass(frozen=True, eq=False)
 class RecordedWorld:
-    """A recorded world. ``rank`` is its place in the order of the run."""
+    """A recorded world. ``rank`` is its position in the order of the run."""
 
     plan_id: str
     variant: int
@@ -134,7 +134,7 @@ Columns = Mapping[str, Any]
 
 
 def history_columns(worlds: Sequence[RecordedWorld]) -> Columns:
-    """Columns of ``histories``: frame after frame, and in each frame the placed boxes in packing order."""
+    """Columns of ``histories``: one row per frame and placed box, sorted by frame and then by packing order."""
     parts = []
     for world in worlds:
         history = world.history
@@ -185,17 +185,17 @@ TABLES: Final[Mapping[str, Callable[[Sequence[RecordedWorld]], Columns]]] = {
     "frames": frame_columns,
     "contacts": contact_columns,
 }
-"""Table → function that makes its columns."""
+"""Table → the function that makes its columns."""
 
 
 def read_history(run: RunResults, plan_id: str, variant: int, n_boxes: int) -> History | None:
-    """The history of a world; None if the world was not recorded.
+    """Read the history of a world; None if the world was not recorded.
 
     Args:
         n_boxes: number of boxes of the plan.
 
     Raises:
-        InputError: a part is damaged, or the tables do not fit together.
+        InputError: a part is damaged, or the tables contradict each other.
     """
     boxes, frames, touches = (_read(run, table, plan_id, variant) for table in TABLES)
     if frames is None or boxes is None:
@@ -231,17 +231,17 @@ def read_history(run: RunResults, plan_id: str, variant: int, n_boxes: int) -> H
 
 
 def _components(name: str, values: FloatArray, parts: str, end: str = "") -> dict[str, FloatArray]:
-    """One column for each component of (rows, components) values."""
+    """Split values of shape (rows, components) into one column per component."""
     return {f"{name}_{part}{end}": values[:, i] for i, part in enumerate(parts)}
 
 
 def _vector(columns: Mapping[str, FloatArray], name: str, parts: str, end: str = "") -> FloatArray:
-    """(rows, components) from the columns that ``_components`` made."""
+    """Join columns made by ``_components`` into an array of shape (rows, components)."""
     return np.stack([columns[f"{name}_{part}{end}"] for part in parts], axis=1)
 
 
 def _or_null(values: FloatArray | None, indices: tuple[NDArray[np.intp], NDArray[np.intp]], width: int) -> FloatArray:
-    """(rows, width) values of frames and boxes; NaN if not recorded."""
+    """(rows, width) values of frames and boxes; NaN if they were not recorded."""
     if values is None:
         return np.full((len(indices[0]), width), np.nan)
     return values[indices].reshape(-1, width)
@@ -252,7 +252,7 @@ def _key(history: History, frame: NDArray[np.integer]) -> dict[str, Any]:
 
 
 def _stacked_columns(worlds: Sequence[RecordedWorld], parts: Sequence[Columns]) -> Columns:
-    """The columns of all worlds, one world after the other, with the columns that name the world."""
+    """The columns of all worlds, one world after the other, together with the columns that identify the world."""
     columns: dict[str, Any] = {name: np.concatenate([part[name] for part in parts]) for name in (parts or [{}])[0]}
     rows = np.repeat(np.arange(len(worlds)), [len(part["frame"]) for part in parts])
     columns["plan_id"] = pa.array([world.plan_id for world in worlds], pa.string()).take(pa.array(rows))
@@ -262,7 +262,7 @@ def _stacked_columns(worlds: Sequence[RecordedWorld], parts: Sequence[Columns]) 
 
 
 def _read(run: RunResults, table: str, plan_id: str, variant: int) -> dict[str, Any] | None:
-    """Columns of a world's rows, with null as NaN; None if the world has no rows."""
+    """The columns of a world's rows, with null as NaN; None if the world has no rows."""
     rows = rows_of(run, table, plan_id, variant)
     if rows is None:
         return None
@@ -271,7 +271,7 @@ def _read(run: RunResults, table: str, plan_id: str, variant: int) -> dict[str, 
 
 
 def _fits(boxes: Mapping[str, Any], f: int, n_boxes: int) -> bool:
-    """Whether all rows belong to existing frames and boxes."""
+    """Whether all rows belong to frames and boxes that exist."""
     frame, box = boxes["frame"], boxes["box"]
     return bool(((frame >= 0) & (frame < f) & (box >= 0) & (box < n_boxes)).all())
 

@@ -1,4 +1,4 @@
-"""Tables as short HTML for notebooks. The tables have no styles, so that they follow the notebook's theme."""
+"""Tables as short HTML for notebooks. The HTML has no styles of its own, so it follows the notebook's theme."""
 
 from __future__ import annotations
 
@@ -19,13 +19,13 @@ MOST_ROWS: Final = 20
 
 @dataclass(frozen=True)
 class ShownColumn:
-    """A column as notebooks show it.
+    """A column, as shown in notebooks.
 
     Attributes:
-        name: name of the data frame's column.
-        head: its heading, with the unit.
-        decimals: digits of fractional numbers.
-        factor: converts the values to the unit in the heading.
+        name: name of the column in the data frame.
+        head: its heading with the unit.
+        decimals: number of decimals for fractional numbers.
+        factor: factor that converts the values to the unit in the heading.
     """
 
     name: str
@@ -47,18 +47,18 @@ WORLD_COLUMNS: Final = (
     ShownColumn("max_tilt_deg", "tilt °", 1),
     ShownColumn("rest_top_force_n", "rest force N", 1),
 )
-"""Columns of ``worlds``. The variant is left out if only the nominal one exists."""
+"""The shown columns of ``worlds``. The variant is left out if only variant 0 exists."""
 
 
 def worlds_as_html(title: str, worlds: pd.DataFrame) -> str:
-    """The first rows of the table ``worlds`` under a line of text."""
+    """The first rows of the table ``worlds``, below a line of text."""
     varied = "variant" in worlds and worlds["variant"].any()
     columns = [column for column in WORLD_COLUMNS if varied or column.name != "variant"]
     return block_as_html([title], [table_as_html(worlds, columns, "worlds")])
 
 
 def block_as_html(lines: Sequence[str], tables: Sequence[str]) -> str:
-    """Lines of text, the first as code, and tables that :func:`table_as_html` made."""
+    """Lines of text, the first of them set as code, and tables that :func:`table_as_html` made."""
     first, *other_lines = map(html.escape, lines)
     texts = "".join(f"<p>{line}</p>" for line in other_lines)
     return f"<div><p><code>{first}</code></p>{texts}{''.join(tables)}</div>"
@@ -68,7 +68,7 @@ def table_as_html(frame: pd.DataFrame, columns: Sequence[ShownColumn], attribute
     """The first rows of a data frame. Columns that the frame lacks are left out.
 
     Args:
-        attribute: attribute that holds the whole data frame, such as ``.worlds``.
+        attribute: name of the attribute that holds the whole data frame, such as ``.worlds``.
     """
     columns = [column for column in columns if column.name in frame]
     heads = "".join(f"<th>{html.escape(column.head)}</th>" for column in columns)
@@ -80,11 +80,11 @@ def table_as_html(frame: pd.DataFrame, columns: Sequence[ShownColumn], attribute
 
 
 def _cell(value: Any, column: ShownColumn) -> str:
-    import pandas as pd  # loaded with the frame; not before there is one
+    import pandas as pd  # imported here: a caller that has a frame has loaded pandas already
 
     if pd.isna(value):
         return "<td></td>"
     if isinstance(value, float):
-        text = f"{round(value * column.factor, column.decimals) + 0.0:,.{column.decimals}f}"  # + 0.0: no -0
+        text = f"{round(value * column.factor, column.decimals) + 0.0:,.{column.decimals}f}"  # + 0.0 turns -0 into 0
         return f"<td>{text}</td>"
     return f"<td>{html.escape(str(value))}</td>"

@@ -1,4 +1,5 @@
-"""The comparison of plans with their orders in a run's folder: columns of ``plans`` and blocks of ``run.json``."""
+"""How a run's folder stores the comparison of its plans with their orders: columns of ``plans``, blocks of
+``run.json``."""
 
 from __future__ import annotations
 
@@ -12,7 +13,7 @@ from petmjx.results.run_tables import Parts
 
 
 def orders_block(check: OrderCheck) -> dict[str, Any]:
-    """The block ``orders`` of ``run.json``. ``counts`` has the numbers of the order."""
+    """The block ``orders`` of ``run.json``, with the numbers about the orders in ``counts``."""
     return {
         "file": check.file,
         "digest": check.digest,
@@ -28,7 +29,7 @@ def counts_block(check: OrderCheck) -> dict[str, Any]:
 
 
 def read_check(folder: Path, info: Mapping[str, Any]) -> OrderCheck | None:
-    """The order check of a run; None: the run was not compared with orders.
+    """Read the order check of a run; None if the run was not compared with orders.
 
     Raises:
         InputError: the run's table ``plans`` is damaged.
@@ -60,12 +61,12 @@ def read_check(folder: Path, info: Mapping[str, Any]) -> OrderCheck | None:
 
 
 def joined_check(checks: Sequence[OrderCheck]) -> OrderCheck:
-    """The order check of a whole run, from the checks of all its shards. All shards were compared with the same
+    """Combine the order checks of all shards into that of the whole run. All shards were compared with the same
     orders."""
     counts = {
         field.name: _sum([getattr(check.counts, field.name) for check in checks]) for field in fields(OrderCounts)
     }
-    # unusable orders belong to no shard: each shard lists all of them
+    # unusable orders belong to no single shard: each shard lists all of them
     counts["unusable_orders"] = checks[0].counts.unusable_orders
     return replace(
         checks[0],
@@ -76,6 +77,6 @@ def joined_check(checks: Sequence[OrderCheck]) -> OrderCheck:
 
 
 def _sum(values: Sequence[int | None]) -> Any:
-    """The sum; None if one of the values is unknown."""
+    """The sum of the values; None if one of them is unknown."""
     values_with_number = [value for value in values if value is not None]
     return sum(values_with_number) if len(values_with_number) == len(values) else None

@@ -1,6 +1,6 @@
-"""Finds the plans of a run again: in its table ``placements``, or in the files that it names.
+"""Finds the plans of a run again, in its table ``placements`` or in the files that they came from.
 
-The other tables of a run have no sizes of boxes.
+No other table of a run has the sizes of boxes.
 """
 
 from __future__ import annotations
@@ -27,13 +27,13 @@ from petmjx.results.run_reader import RunResults, load_run
 
 @dataclass(frozen=True, eq=False)
 class PlanLookup:
-    """The plans of a run, if they could be found.
+    """The plans of a run that could be found.
 
     Attributes:
-        plans: by id, the plans that equal the simulated ones.
-        missing: ids of plans that were not read, sorted.
-        changed: ids of plans that were read but have changed since, sorted.
-        gone: files in the run that no longer exist.
+        plans: by id, the plans that are equal to the simulated ones.
+        missing: ids of the plans that were not found, sorted.
+        changed: ids of the plans that were found but have changed since the run, sorted.
+        gone: files of the run's plans that no longer exist.
     """
 
     plans: Mapping[str, Plan]
@@ -48,16 +48,16 @@ def find_plans(
     wanted: Collection[str],
     given: PlanSource | None = None,
 ) -> PlanLookup:
-    """Find the plans of a run. Only plans that equal the simulated ones count.
+    """Find the plans of a run. Only plans that are equal to the simulated ones count as found.
 
     Args:
-        records: the run's records of its plans, by id. A plan without a record is taken in any version.
+        records: the run's records of its plans, by id. A plan without a record is accepted as it is.
         wanted: ids of the plans to find.
-        given: the present place of the plans; None: the plan objects of the run, else the plans in its table, else the
-            files that it names.
+        given: where the plans are now. None: use the plan objects of the run; without these, the plans in its table;
+            without these, the files that the table ``plans`` names.
 
     Raises:
-        InputError: ``given`` cannot be used.
+        InputError: ``given`` is unusable.
     """
     missing_files: list[str] = []
     found_plans: dict[str, Plan] = {}
@@ -84,11 +84,11 @@ def find_plans(
 
 
 def plans_in_place(plans: PlanSource | None, strict: bool = False) -> PlanSource | None:
-    """The plans of a source; of the folders of runs, the plans that they simulated.
+    """The plans of a source. For folders of runs, these are the plans that the runs simulated.
 
     Raises:
-        InputError: a run cannot be read, or none of its plans is in its tables or in a file any more; with ``strict``,
-            one plan is missing.
+        InputError: a run cannot be read, or none of its plans can be found in its tables or in a file; with ``strict``,
+            already if a single plan is missing.
     """
     several: Any = [plans] if isinstance(plans, str | PathLike) else plans
     if not isinstance(several, list | tuple) or not several or not all(map(is_run, several)):
@@ -105,15 +105,16 @@ def is_run(source: object) -> bool:
     """Whether a source of plans is the folder of a run."""
     try:
         return isinstance(source, str | PathLike) and (Path(source) / RUN_FILE).is_file()
-    except (OSError, ValueError):  # the code that reads it reports the error
+    except (OSError, ValueError):  # the function that reads the source reports the error
         return False
 
 
 def plans_of(run: RunResults, strict: bool = False) -> PlanSet:
-    """The plans that a run simulated. Missing plans are skipped.
+    """The plans that a run simulated. Plans that cannot be found are skipped.
 
     Raises:
-        InputError: the run lists no plans, or keeps none; with ``strict``, a plan would be skipped.
+        InputError: the run lists no plans, or none of them can be found; with ``strict``, already if a single plan
+            cannot.
     """
     records = Manifest.read(run.parts, run.info).plans
     simulated = set(run.worlds["plan_id"])
@@ -135,7 +136,7 @@ def plans_of(run: RunResults, strict: bool = False) -> PlanSet:
 
 
 def how_read(info: Mapping[str, Any]) -> RunOptions:
-    """The options by which a run read its plans: units, anchor, articles …
+    """The options with which a run read its plans: units, anchor, articles …
 
     Raises:
         InputError: the options are damaged.
@@ -145,7 +146,7 @@ def how_read(info: Mapping[str, Any]) -> RunOptions:
 
 
 def plan_file(source: str) -> Path | None:
-    """The file that a plan came from; None: it no longer exists. Bundled plans may have another path on this
+    """The file that a plan came from; None if it no longer exists. The path of a bundled plan may differ on this
     machine."""
     file, bundled = Path(source), bundled_path()
     if file.is_file():

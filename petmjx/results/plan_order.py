@@ -1,7 +1,8 @@
-"""The order of a run's worlds: plan by plan in the order of the input, then by variant.
+"""The order of a run's worlds: by plan in the order of the input, then by variant.
 
-Worlds end in any order, and rows are written as worlds end. The rank of a world is in the column ``rank``, and readers
-sort by it. Runs of petmjx before 0.3 have no ranks: their rows are sorted by the order of the table ``plans``.
+Worlds end in any order, and their rows are written when they end. The column ``rank`` has each world's position in the
+order, and readers sort by it. Runs of petmjx before 0.3 have no ranks; their rows are sorted by the order of the table
+``plans``.
 """
 
 from __future__ import annotations
@@ -27,11 +28,11 @@ _MOST_VARIANTS: Final = 1 << 32
 
 class WorldRanks:
     """The rank of each world of a run. In a whole run whose plans all have the same variants, ranks are 0, 1, 2, …
-    without a gap; in a search they have gaps.
+    without gaps. In a search they have gaps.
 
     Args:
-        plan_ids: all plans in the order of the input, including those of other shards. Other plans follow, in the order
-            of their first rank.
+        plan_ids: all plans in the order of the input, including those of other shards. Plans that are not listed come
+            after them, in the order in which they are first ranked.
         variants: numbers of each plan's variants; None: unknown, as in a search.
     """
 
@@ -45,14 +46,14 @@ class WorldRanks:
         return place * len(self._variants) + variant - self._variants.start
 
     def ranks(self, table: pa.Table) -> NDArray[np.int64]:
-        """(n,) rank of the world of each row."""
+        """(n,) for each row, the rank of its world."""
         plans = table["plan_id"].combine_chunks().dictionary_encode()
         first = np.array([self.rank(plan_id, 0) for plan_id in plans.dictionary.to_pylist()], dtype=np.int64)
         ranks: NDArray[np.int64] = first[np.asarray(plans.indices)] + np.asarray(table["variant"], dtype=np.int64)
         return ranks
 
     def ranked(self, table: pa.Table) -> pa.Table:
-        """The rows with their ranks, sorted by rank. The rows of one world keep their order."""
+        """The rows with their ranks, sorted by rank. The rows of a world stay in the same order."""
         ranks = self.ranks(table)
         place = table.schema.get_field_index(RANK)
         if place >= 0:
@@ -62,18 +63,18 @@ class WorldRanks:
 
 
 def is_ranked(parts: Parts, plan_ids: Sequence[str]) -> bool:
-    """Whether the rows of a run have ranks that follow this order of plans. All tables of a run have ranks, or
-    none."""
+    """Whether the rows of a run have ranks that match this order of plans. Either all tables of a run have ranks, or
+    none has."""
     ranked = all(RANK in parts.columns(file) for file in parts.files("worlds"))
     return ranked and PlanOrder.of(parts).plan_ids == plan_ids
 
 
 def rows_in_order(parts: Parts, table: str, columns: Sequence[str] | None = None) -> pa.Table | None:
-    """The rows of a table of worlds in the order of the run; None without a part. The rows of one world keep their
-    order.
+    """The rows of a table of worlds in the order of the run; None if the table has no part. The rows of a world stay in
+    the same order.
 
     Args:
-        columns: columns to read, with ``plan_id`` and ``variant``; None: all.
+        columns: columns to read, including ``plan_id`` and ``variant``; None: all.
 
     Raises:
         InputError: a part is damaged or missing.
@@ -94,11 +95,11 @@ def _joined(tables: Sequence[pa.Table]) -> pa.Table:
 
 @dataclass(frozen=True, eq=False)
 class PlanOrder:
-    """The plans of a run in the order of its input.
+    """The plans of a run, in the order of the input.
 
     Attributes:
         plan_ids: ids of all plans; empty if unknown.
-        numbers: place of each plan in the input, counting skipped plans.
+        numbers: position of each plan in the input, counting skipped plans.
     """
 
     plan_ids: Sequence[str]
@@ -106,7 +107,7 @@ class PlanOrder:
 
     @classmethod
     def of(cls, parts: Parts) -> Self:
-        """The order in the table ``plans``.
+        """Read the order from the table ``plans``.
 
         Raises:
             InputError: the table is damaged.
@@ -123,24 +124,24 @@ class PlanOrder:
         return pa.array(self.plan_ids, pa.string())
 
     def places(self, plan_ids: pa.ChunkedArray) -> NDArray[np.int64]:
-        """(n,) places of plans in the order of the input; unknown plans come last."""
+        """(n,) positions of plans in the order of the input. Unknown plans come last."""
         places = pc.index_in(plan_ids, value_set=self._ids)
         return np.asarray(pc.fill_null(places, len(self.plan_ids)), dtype=np.int64)
 
     def keys(self, table: pa.Table) -> NDArray[np.int64]:
-        """(n,) sort keys of worlds. Different worlds have different keys."""
+        """(n,) sort key of each row's world. Different worlds have different keys."""
         return self.places(table["plan_id"]) * _MOST_VARIANTS + np.asarray(table["variant"], dtype=np.int64)
 
     def ordered(self, table: pa.Table) -> pa.Table:
-        """The rows in order. The rows of one world keep their order."""
+        """The rows in the order of the run. The rows of a world stay in the same order."""
         if not self.plan_ids or not len(table):
             return table
         keys = self.keys(table)
         return table if is_sorted(keys) else table.take(np.argsort(keys, kind="stable"))
 
     def index(self, plan_ids: pd.Series) -> pd.Index:
-        """The numbers of plans, as the index of a frame with one row per plan."""
-        import pandas as pd  # loaded with the ids; not before there are any
+        """The numbers of plans, as the index of a data frame with one row per plan."""
+        import pandas as pd  # imported here: a caller that has ids in a Series has loaded pandas already
 
         number_of = dict(zip(self.plan_ids, self.numbers, strict=True))
         numbers = [number_of.get(plan_id, -1) for plan_id in plan_ids]

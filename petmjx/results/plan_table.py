@@ -1,7 +1,7 @@
-"""The table ``placements``: all fields of a run's plans, with one row per box.
+"""The table ``placements`` of a run: all fields of its plans, with one row per box.
 
-With this table a run can be shown and reported from its folder alone, even if the files of its plans are gone or the
-folder was moved. Null means that the plan has no such value. NaN is another value than null.
+With this table, a run can be shown and reported from its folder alone, even if the files of its plans are gone or the
+folder was moved. Null means that the plan has no such value; NaN is a value.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ _NUMBERS: Final = ("mass_kg", "sequence", "orientation", *SPARSE)
 
 
 def placements_table(plans: Iterable[Plan]) -> pa.Table | None:
-    """The table; None if a text of the plans cannot be written as UTF-8."""
+    """Make the table; None if a text of the plans cannot be written as UTF-8."""
     plans, schema = list(plans), placements_schema()
     counts = [plan.n_boxes for plan in plans]
     columns: dict[str, Sequence[Any]] = {}
@@ -53,7 +53,7 @@ def placements_table(plans: Iterable[Plan]) -> pa.Table | None:
 
 
 def _array(values: Sequence[Any], counts: Sequence[int], kind: pa.DataType) -> pa.Array:
-    """The values of all boxes; null for the boxes of plans without this field, whose entry in ``values`` is None."""
+    """The values of all boxes. A plan without this field has None in ``values``, and its boxes have null."""
     if all(of_plan is None for of_plan in values):
         return pa.nulls(sum(counts), kind)
     if kind == pa.string():
@@ -65,7 +65,7 @@ def _array(values: Sequence[Any], counts: Sequence[int], kind: pa.DataType) -> p
 
 
 def kept_plans(parts: Parts, records: Mapping[str, PlanRecord], wanted: Collection[str]) -> dict[str, Plan]:
-    """The plans in a run's table, by id, in the order of the table. A plan that differs from the simulated one is left
+    """The plans in a run's table by id, in the order of the table. Plans that differ from the simulated ones are left
     out.
 
     Args:
@@ -84,7 +84,7 @@ def kept_plans(parts: Parts, records: Mapping[str, PlanRecord], wanted: Collecti
     for plan_id, rows in _by_plan(table):
         try:
             plan = _plan(plan_id, records[plan_id].source, rows)
-        except InputError:  # somebody has changed the rows
+        except InputError:  # somebody has edited the rows
             continue
         if plan_digest(plan) == records[plan_id].digest:
             plans[plan_id] = plan
@@ -92,7 +92,7 @@ def kept_plans(parts: Parts, records: Mapping[str, PlanRecord], wanted: Collecti
 
 
 def _by_plan(table: pa.Table) -> Iterator[tuple[str, pa.Table]]:
-    """(id, rows) of each plan. The rows of a plan are adjacent."""
+    """Yield (id, rows) of each plan. The rows of a plan are adjacent."""
     codes = table["plan_id"].combine_chunks().dictionary_encode() if table.num_rows else None
     if codes is None:
         return
@@ -103,7 +103,7 @@ def _by_plan(table: pa.Table) -> Iterator[tuple[str, pa.Table]]:
 
 
 def _plan(plan_id: str, source: str, rows: pa.Table) -> Plan:
-    """A plan from its rows. Raises InputError if the rows are not a plan."""
+    """A plan from its rows. Raises InputError if the rows do not make a plan."""
     fields: dict[str, Any] = {}
     for name, field in _TEXTS.items():
         fields[field] = () if rows[name].null_count else tuple(rows[name].to_pylist())

@@ -1,4 +1,4 @@
-"""Lists the files that a command reads, so that it does not overwrite them (petmjx.common.overwrite_guard)."""
+"""Lists the files that a command reads, so that the command does not overwrite them (petmjx.common.overwrite_guard)."""
 
 from __future__ import annotations
 
@@ -13,8 +13,8 @@ from petmjx.results.run_folder import RUN_FILE, TABLES
 
 
 def source_files(*sources: Any) -> list[Path]:
-    """The files and folders that are read from some sources. For a run these are its ``run.json`` and its tables, for
-    another folder its files of plans, and for a file the file itself.
+    """The files and folders that are read for some sources. For a run, these are its ``run.json`` and its tables; for
+    another folder, its files of plans; for a file, the file itself.
 
     Args:
         sources: paths, lists of paths, or None. Other values, such as data frames and runs in memory, have no files.
@@ -26,7 +26,7 @@ def source_files(*sources: Any) -> list[Path]:
         elif isinstance(source, list | tuple):
             files += source_files(*source)
         elif isinstance(source, str | PathLike):
-            with suppress(OSError, ValueError):  # the code that reads it reports the error
+            with suppress(OSError, ValueError):  # the function that reads the source reports the error
                 files += _files_of(Path(source))
     return files
 

@@ -1,4 +1,4 @@
-"""The earlier run in a folder, for a run that resumes it: its worlds, its ``run.json`` and its files."""
+"""The earlier run in a folder, as a resumed run needs it: its worlds, its ``run.json`` and its files."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ class CompletedWorlds:
     """The completed worlds of a run, with their rows in the table ``worlds``.
 
     Args:
-        parts: files of the run; None: no world is completed.
+        parts: files of the run; None: no world is completed yet.
         columns: columns of ``worlds`` to read, in addition to the columns of every run.
 
     Raises:
@@ -48,7 +48,7 @@ class CompletedWorlds:
             self._index(self._table, parts)
 
     def _index(self, table: pa.Table, parts: Parts | None) -> None:
-        """Sort the rows by plan and variant. The index takes a few bytes per world; a dictionary of all worlds would
+        """Sort the rows by plan and variant. The sorted index takes a few bytes per world, where a dictionary would
         take hundreds."""
         plans = table["plan_id"].combine_chunks().dictionary_encode()
         plan = np.asarray(plans.indices, dtype=np.int64)
@@ -76,7 +76,8 @@ class CompletedWorlds:
         return end - first
 
     def _rows_of(self, plan_id: str) -> dict[int, int]:
-        """Variant → row, for the worlds of a plan. Runs ask plan by plan, so the result for the last plan is cached."""
+        """Variant → row, for the worlds of a plan. The result for the last plan is cached, since runs look up worlds
+        plan by plan."""
         if self._last[0] != plan_id:
             span = slice(*self._spans.get(plan_id, (0, 0)))
             rows = dict(zip(self._variants[span].tolist(), self._sorted[span].tolist(), strict=True))
@@ -84,12 +85,12 @@ class CompletedWorlds:
         return self._last[1]
 
     def row(self, plan_id: str, variant: int) -> dict[str, Any] | None:
-        """Column → value of one world, with null as None; None for a world that is not completed."""
+        """One world as column → value, with null as None. None if the world is not completed."""
         row = self._rows_of(plan_id).get(variant)
         return None if row is None else {name: values[row] for name, values in self._values.items()}
 
     def counts(self) -> WorldCounts:
-        """Counts of the worlds, by verdict and reason."""
+        """Counts of the completed worlds, by verdict and reason."""
         return WorldCounts() if self._table is None else WorldCounts.of(self._table)
 
     def _column(self, name: str) -> list[Any]:
@@ -102,10 +103,10 @@ class CompletedWorlds:
 
 
 def engine_of_run(folder: Path) -> str | None:
-    """The engine of the run in a folder; None: no run of petmjx can be read there."""
+    """The engine of the run in a folder; None if the folder has no readable run of petmjx."""
     try:
         engine = read_info(folder).get("identity", {}).get("engine")
-    except InputError:  # the code that resumes the run reports the error
+    except InputError:  # the function that resumes the run reports the error
         return None
     return engine if isinstance(engine, str) else None
 
@@ -113,13 +114,14 @@ def engine_of_run(folder: Path) -> str | None:
 def resume_state(
     folder: Path, manifest: Manifest | None, versions: Mapping[str, str]
 ) -> tuple[dict[str, Any], Parts, list[str]]:
-    """The ``run.json`` of the earlier run, its files, and its warnings about worlds that are not simulated again.
+    """The ``run.json`` of the earlier run, its files, and its warnings, to which different versions and missing
+    data add further ones.
 
     Args:
-        versions: package → version, for the run that resumes.
+        versions: package → version, as in the resumed run.
 
     Raises:
-        InputError: the folder has another run, or the run is damaged.
+        InputError: the folder has another run, or its run is damaged.
     """
     info = read_info(folder)
     if manifest is None:
@@ -135,7 +137,7 @@ def resume_state(
             warnings.append(f"resumed with {name} {version}; earlier worlds were simulated with {before or 'none'}")
     parts = parts.with_worlds()
     lacking = parts.lacking_boxes() if info["config"].get("keep") != WORLDS else []
-    if lacking:  # petmjx before 0.3 left such folders when a merge was cut short
+    if lacking:  # petmjx before 0.3 left such folders when a merge was interrupted
         if parts.files("frames"):
             raise InputError(
                 f"{folder / 'boxes' / part_name(lacking[0])}: missing, though the worlds of this part are there; "

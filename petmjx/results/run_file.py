@@ -23,19 +23,19 @@ Share = Annotated[str, Field(pattern=r"^[1-9][0-9]{0,8}/[1-9][0-9]{0,8}$")]
 
 
 class _PartialRecord(BaseModel):
-    """A table of which only some entries are read."""
+    """A table of ``run.json`` of which only some entries are read."""
 
     model_config = ConfigDict(strict=True, extra="ignore")
 
 
 _NEWER_FIELDS: Final = ("resized", "matched_by_size")
-"""Fields of ``OrderCounts`` that runs of petmjx 0.2 do not have."""
+"""Fields of ``OrderCounts`` that are missing in runs of petmjx 0.2."""
 
 _ORDER_FIELDS: Final[dict[str, Any]] = {
     name: (kind, 0 if name in _NEWER_FIELDS else ...) for name, kind in get_type_hints(OrderCounts).items()
 }
 _OrderCounts = create_model("_OrderCounts", __base__=_PartialRecord, **_ORDER_FIELDS)
-"""All fields of ``OrderCounts``."""
+"""A record with all fields of ``OrderCounts``."""
 
 
 class _Counts(_PartialRecord):
@@ -71,7 +71,7 @@ class _Orders(_PartialRecord):
 
 
 class RunFile(_PartialRecord):
-    """The entries that petmjx itself reads."""
+    """The entries that petmjx reads."""
 
     status: str = ""
     started: str = ""
@@ -87,7 +87,7 @@ class RunFile(_PartialRecord):
     skipped: list[_Skipped] = []
     warnings: list[str] = []
     orders: _Orders | None = None
-    """Only in runs with orders, like ``counts.orders``."""
+    """Only runs that were compared with orders have this entry, as with ``counts.orders``."""
     parts: dict[TableName, dict[PartName, Digest]]
     """Table → file name → digest, for the files that belong to the run."""
     digest: Digest | None = None
@@ -98,8 +98,8 @@ _OPTIONAL: Final = ("orders", "digest")
 
 
 def run_digest(info: Mapping[str, Any]) -> str:
-    """Digest of all entries of a ``run.json`` except ``digest``. The digest does not depend on the order of entries or
-    on white space."""
+    """Digest of all entries of a ``run.json`` except ``digest``. Neither the order of entries nor white space affects
+    it."""
     other_entries = {name: value for name, value in info.items() if name != "digest"}
     text = json.dumps(other_entries, sort_keys=True, ensure_ascii=True)
     return hashlib.blake2b(text.encode(), digest_size=DIGEST_BYTES).hexdigest()
@@ -113,10 +113,10 @@ def write_run_file(info: Mapping[str, Any], folder: Path) -> None:
 
 
 def check_run_file(info: Mapping[str, Any], file: Path) -> None:
-    """Check the entries that exist.
+    """Check each entry that is present.
 
     Raises:
-        InputError: "DIR/run.json: counts.worlds must be a whole number, got None".
+        InputError: an entry is wrong, as in "DIR/run.json: counts.worlds must be a whole number, got None".
     """
     try:
         read = RunFile.model_validate(info)
@@ -132,10 +132,10 @@ def check_run_file(info: Mapping[str, Any], file: Path) -> None:
 
 
 def check_whole(info: Mapping[str, Any], file: Path) -> None:
-    """Check that no entry is missing, for a run that is resumed or merged.
+    """Check that no entry is missing, so that the run can be resumed or merged.
 
     Raises:
-        InputError: "DIR/run.json: damaged: timings is missing".
+        InputError: an entry is missing, as in "DIR/run.json: damaged: timings is missing".
     """
     for name in RunFile.model_fields:
         if name not in info and name not in _OPTIONAL:

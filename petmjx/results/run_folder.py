@@ -12,9 +12,9 @@
     DIR/placements/part-*.parquet   one row per box of its plans, with all fields
     DIR/.lock                       exists while a run writes
 
-Every file appears whole or not at all. A part counts once ``run.json`` lists it, with its digest
-(petmjx.results.run_tables). Unlisted parts were left by a killed run. Parts of ``worlds``, ``boxes`` and ``attempts``
-with the same number belong together, and so do those of ``histories``, ``frames`` and ``contacts``.
+A file never appears half-written. A part belongs to the run once ``run.json`` lists it with its digest
+(petmjx.results.run_tables). Parts that are not listed were left by a killed run. Parts of ``worlds``, ``boxes`` and
+``attempts`` with the same number hold the same worlds, and so do those of ``histories``, ``frames`` and ``contacts``.
 """
 
 from __future__ import annotations
@@ -41,14 +41,14 @@ from petmjx.common.safe_read import read_regular
 
 RUN_FILE: Final = "run.json"
 OF_SOME_WORLDS: Final = ("attempts", "histories", "frames", "contacts")
-"""Tables that may lack a part, if none of its worlds has a row in the table."""
+"""Tables of which a part may be missing, because none of its worlds has a row in the table."""
 
 OF_WORLDS: Final = ("worlds", "boxes", *OF_SOME_WORLDS)
 TABLES: Final = (*OF_WORLDS, "summary", "plans", "placements")
 
 ROWS_PER_GROUP: Final = 131_072
-"""Rows in a row group of Parquet. A group of ``boxes`` has a few megabytes, so that readers can take it group by group.
-A part of ``worlds`` is one group."""
+"""Rows in a row group of Parquet. A group of ``boxes`` has a few megabytes, so that readers can process one group at a
+time. A part of ``worlds`` is a single group."""
 
 DIGEST_BYTES: Final = 16
 _BLOCK: Final = 1 << 20
@@ -56,11 +56,12 @@ _BLOCK: Final = 1 << 20
 _PART: Final = re.compile(r"part-\d{5,}\.parquet")
 _HIDDEN: Final = re.compile(r"\.(part-\d{5,}\.parquet|run\.json)\.[0-9a-f]{32}\.tmp")
 MOST_RUN_FILE_BYTES: Final = 1 << 30
-"""Largest ``run.json``. A million lines about skipped plans take 200 MB."""
+"""Largest accepted ``run.json``. A million lines about skipped plans take 200 MB."""
 
 
 def part_name(number: int) -> str:
-    """File name of a part. A part has the same number in ``worlds``, ``boxes`` and all other tables of worlds."""
+    """File name of a part. The parts of some worlds have the same number in ``worlds``, ``boxes`` and all other
+    tables."""
     return f"part-{number:05d}.parquet"
 
 
@@ -75,12 +76,12 @@ def part_files(folder: Path, table: str) -> list[Path]:
 
 
 Write = Callable[[BinaryIO], object]
-"""Writes the content of a file."""
+"""A function that writes the content of a file into a stream."""
 
 
 def parquet(table: pa.Table) -> Write:
-    """A table as Parquet. Measured values hardly repeat, so they get no dictionary: it would double the time and take
-    space."""
+    """A writer of a table as Parquet. Measured values hardly repeat, so they get no dictionary, which would double the
+    time and take more space."""
     repeats = [field.name for field in table.schema if not pa.types.is_floating(field.type)]
     return lambda file: pq.write_table(
         table, file, compression="zstd", compression_level=1, row_group_size=ROWS_PER_GROUP, use_dictionary=repeats
@@ -88,20 +89,21 @@ def parquet(table: pa.Table) -> Write:
 
 
 def csv(table: pa.Table) -> Write:
-    """A table as CSV."""
+    """A writer of a table as CSV."""
     return lambda file: pa_csv.write_csv(table, file)
 
 
 def text(content: str) -> Write:
-    """A text as UTF-8. Characters that UTF-8 cannot encode, as in some file names, are escaped as in JSON."""
+    """A writer of a text as UTF-8. Characters that UTF-8 cannot encode, as in some file names, are escaped as in
+    JSON."""
     return lambda file: file.write(content.encode(errors="backslashreplace"))
 
 
 def write_together(files: Mapping[Path, Write]) -> None:
-    """Write several files. Each file appears whole, and no file appears before all are on disk. Folders are not made.
+    """Write several files. No file appears before all of them are completely on disk. The folders must exist.
 
     Raises:
-        OSError: a file cannot be written; existing files are unchanged.
+        OSError: a file cannot be written. Existing files are then unchanged.
     """
     hidden: dict[Path, Path] = {}
     try:
@@ -116,7 +118,8 @@ def write_together(files: Mapping[Path, Write]) -> None:
 
 
 def appear(hidden: Mapping[Path, Path]) -> None:
-    """Rename finished hidden files to their final paths. ``hidden`` maps final path → path of the hidden file."""
+    """Rename finished hidden files to their final paths. ``hidden`` maps the final path → the path of the hidden
+    file."""
     for path, temporary in hidden.items():
         os.replace(temporary, path)
     for folder in {path.parent for path in hidden}:
@@ -128,26 +131,26 @@ def appear(hidden: Mapping[Path, Path]) -> None:
 
 
 def write_table(table: pa.Table, path: Path) -> str:
-    """Write one Parquet file so that it appears whole or not at all; returns its digest. A missing run folder is not
-    made again."""
+    """Write one Parquet file, which never appears half-written; returns its digest. If the run's folder is gone, it is
+    not created again."""
     path.parent.mkdir(exist_ok=True)
     return _write_whole(path, parquet(table))
 
 
 def write_text(content: str, path: Path) -> None:
-    """Write one text file, encoded as by :func:`text`, so that it appears whole or not at all."""
+    """Write one text file, encoded as by :func:`text`. It never appears half-written."""
     _write_whole(path, text(content))
 
 
 def copy_file(source: Path, path: Path) -> str:
-    """Copy one file so that it appears whole or not at all; returns its digest."""
+    """Copy one file; the copy never appears half-written. Returns its digest."""
     path.parent.mkdir(exist_ok=True)
     with source.open("rb") as original:
         return _write_whole(path, lambda file: shutil.copyfileobj(original, file))
 
 
 def digest_of(stream: BinaryIO) -> str:
-    """Hexadecimal digest (BLAKE2b) of the rest of a file, from its current position. The function reads a gigabyte per
+    """Hexadecimal digest (BLAKE2b) of a file from its current position to its end, computed at a gigabyte per
     second."""
     digest = hashlib.blake2b(digest_size=DIGEST_BYTES)
     while block := stream.read(_BLOCK):
@@ -156,8 +159,8 @@ def digest_of(stream: BinaryIO) -> str:
 
 
 def holds_run(folder: Path) -> bool:
-    """Whether a folder has a run, or parts of one. Tables of plans alone are no parts of a run: they are written before
-    ``run.json``."""
+    """Whether a folder has a run, or parts of one. Tables of plans alone do not count as parts, since they are written
+    before ``run.json``."""
     tables = (table for table in TABLES if table not in ("plans", "placements"))
     return (folder / RUN_FILE).exists() or any(part_files(folder, table) for table in tables)
 
@@ -166,12 +169,12 @@ def check_run_folder(folder: Path, overwrite: bool = False, resume: bool = False
     """Check that a run may write into a folder. Nothing is changed.
 
     Args:
-        overwrite: whether an existing run is to be replaced.
-        resume: whether an existing run is to be resumed.
+        overwrite: whether an existing run may be replaced.
+        resume: whether an existing run may be resumed.
 
     Raises:
-        InputError: the folder has a run, and neither option is set; or a file, folder or link has the name of a run's
-            file but was not written by petmjx.
+        InputError: the folder has a run, and neither option is set; or a file, folder or link that petmjx did not write
+            has the name of a run's file.
     """
     parts = {file: table for table in TABLES for file in part_files(folder, table)}
     hidden = [file for place in (folder, *(folder / table for table in TABLES)) for file in _own_files(place, _HIDDEN)]
@@ -179,13 +182,13 @@ def check_run_folder(folder: Path, overwrite: bool = False, resume: bool = False
 
     def is_ours(file: Path) -> bool:
         if file.name == RUN_FILE:
-            return resume or _listed_parts(file) is not None  # on resume the reader reports errors
+            return resume or _listed_parts(file) is not None  # on resume, the reader reports errors
         return file in hidden or file in listed or _is_part_of(parts[file], file)
 
     def check(*files: Path) -> None:
         check_outputs(files, overwrite=True, folder=folder, is_ours=is_ours)
 
-    # folders to be made are checked, too: ``check`` walks down each path from the top
+    # folders that do not exist yet are checked as well: ``check`` descends each path from the top
     check(folder / RUN_FILE, *(folder / table / "x" for table in TABLES))
     listed = _listed_parts(folder / RUN_FILE) or ()
     check(*parts, *hidden)
@@ -207,7 +210,7 @@ def _listed_parts(run_file: Path) -> frozenset[Path] | None:
 
 
 def _is_part_of(table: str, file: Path) -> bool:
-    """Whether the metadata of a file names a part of this table, of any run."""
+    """Whether the file's metadata names it as a part of this table, of any run."""
     try:
         with open_for_arrow(file) as stream:
             metadata = pq.read_schema(stream).metadata or {}
@@ -217,12 +220,12 @@ def _is_part_of(table: str, file: Path) -> bool:
 
 
 def make_room(folder: Path) -> None:
-    """Delete the files of the run in a folder, and no other files. Call :func:`check_run_folder` first.
+    """Delete the files of the run in a folder, and no others. Call :func:`check_run_folder` first.
 
-    ``run.json`` is deleted first: after a crash the folder then has no run, instead of a run without some parts.
+    ``run.json`` is deleted first. After a crash, the folder then has no run, rather than a run with parts missing.
 
     Raises:
-        OSError: the folder cannot be written.
+        OSError: the folder is not writable.
     """
     if holds_run(folder):
         (folder / RUN_FILE).unlink(missing_ok=True)
@@ -238,10 +241,10 @@ def tidy(folder: Path) -> None:
 
 
 def drop_parts(folder: Path, kept: Callable[[str], Collection[Path]]) -> None:
-    """Delete the parts that a killed run has left.
+    """Delete parts that a killed run has left.
 
     Args:
-        kept: table → files that stay.
+        kept: maps a table to the files that are not deleted.
     """
     for table in TABLES:
         files = kept(table)
@@ -251,18 +254,18 @@ def drop_parts(folder: Path, kept: Callable[[str], Collection[Path]]) -> None:
 
 
 def _own_files(folder: Path, pattern: re.Pattern[str]) -> list[Path]:
-    """The files of a folder whose names match a pattern of petmjx's; none if the path is not a folder."""
+    """The files of a folder whose names match a pattern of petmjx; none if the path is not a folder."""
     return [file for file in folder.iterdir() if pattern.fullmatch(file.name)] if folder.is_dir() else []
 
 
 def _hidden_path(path: Path) -> Path:
-    """Temporary path of a file, before it is renamed to ``path``."""
+    """Temporary path under which a file is written before it is renamed to ``path``."""
     return path.with_name(f".{path.name}.{secrets.token_hex(16)}.tmp")
 
 
 def _write(path: Path, write: Write) -> str:
     """Write a new file and flush it to disk; returns its digest."""
-    # the name is secret and an existing file is never opened, so nobody can plant a file or a link in its place
+    # the name cannot be guessed and an existing file is never opened, so nobody can place a file or a link there first
     open_flags = os.O_RDWR | os.O_CREAT | os.O_EXCL | os.O_NOFOLLOW | os.O_CLOEXEC
     with open(os.open(path, open_flags, 0o666), "w+b") as file:
         write(file)

@@ -1,4 +1,4 @@
-"""Gathers the entries of ``run.json`` while worlds finish."""
+"""Collects the entries of ``run.json`` while worlds are simulated."""
 
 from __future__ import annotations
 
@@ -16,19 +16,19 @@ from petmjx.results.schema import SCHEMA_VERSION, Param
 from petmjx.results.world_counts import WorldCounts
 
 RUNNING: Final = "running"
-"""The status of a run that has not ended, or that was killed."""
+"""The status of a run that has not ended yet, or that was killed."""
 
 
 class RunInfo:
-    """Gathers the entries of ``run.json``, except the list of files.
+    """Collects the entries of ``run.json``, except the list of files.
 
     Attributes:
-        skipped: plans and files that are not simulated, each with the reason.
-        warnings: warnings about the whole run, each once.
+        skipped: plans and files that are not simulated, with the reason of each.
+        warnings: warnings about the whole run, without repetitions.
         odd_plans: a line for each plan with overlapping, floating or outside boxes.
         timings: seconds by name.
-        earlier_s: timings of the earlier, resumed run, to which ``timings`` are added.
-        head: entries with values known at the beginning of the run.
+        earlier_s: timings of the earlier run that this one resumes. ``timings`` are added to them.
+        head: entries whose values are known when the run begins.
     """
 
     def __init__(
@@ -62,7 +62,7 @@ class RunInfo:
         }
 
     def skip(self, skipped: Skipped) -> None:
-        """Record a plan or a file that is not simulated, with the reason."""
+        """Record that a plan or a file is not simulated, and why."""
         self.skipped.append(skipped)
 
     def warn(self, message: str) -> None:
@@ -70,7 +70,7 @@ class RunInfo:
         self.warnings[message] = None
 
     def entries(self, counts: WorldCounts) -> dict[str, Any]:
-        """The entries as of now.
+        """The entries at this moment.
 
         Args:
             counts: counts of the written worlds.

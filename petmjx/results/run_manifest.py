@@ -1,4 +1,4 @@
-"""The manifest of a run: the settings and plans that its results depend on, and how two manifests differ."""
+"""The manifest of a run: the settings and plans that determine its results, and the differences of two manifests."""
 
 from __future__ import annotations
 
@@ -24,11 +24,11 @@ from petmjx.results.run_tables import Parts
 from petmjx.results.schema import plans_schema
 
 DIGEST_BYTES: Final = 8
-"""Bytes of a plan's digest. With 2^64 values, two of a million plans have the same digest by chance in one of 30
-million runs."""
+"""Length of a plan's digest. With 2^64 values, among a million plans two different ones have the same digest in one of
+30 million runs."""
 
 MOST_NAMED: Final = 4
-"""Largest number of differences in a message; further ones are only counted."""
+"""Largest number of differences that a message names. Further ones are only counted."""
 
 
 def plan_digest(plan: Plan) -> str:
@@ -54,11 +54,11 @@ class PlanRecord(NamedTuple):
 
     Attributes:
         digest: digest of everything in the plan that affects the results.
-        source: the file it came from.
-        volume_m3: volume of its boxes.
+        source: the file that the plan came from.
+        volume_m3: total volume of its boxes.
         extent_x_m, extent_y_m: extents of its bounding box.
         height_m: height of its highest box above the carrier.
-        number: its place in the input, counting skipped plans; None: unknown.
+        number: its position in the input, counting skipped plans; None: unknown.
     """
 
     digest: str
@@ -74,7 +74,7 @@ def records_of(plans: Sequence[Plan], numbers: Mapping[str, int] | None = None) 
     """The records of plans by id, in the order of the input.
 
     Args:
-        numbers: plan id → its place in the input; None: no plan was skipped.
+        numbers: plan id → its position in the input; None: no plan was skipped.
     """
     if not plans:
         return {}
@@ -90,7 +90,7 @@ def records_of(plans: Sequence[Plan], numbers: Mapping[str, int] | None = None) 
         plan.plan_id: PlanRecord(
             plan_digest(plan),
             plan.source,
-            # not reduceat, which adds in another order
+            # reduceat would add in another order
             float(volume_of_box[begin:end].sum()),
             extent_x,
             extent_y,
@@ -104,8 +104,8 @@ def records_of(plans: Sequence[Plan], numbers: Mapping[str, int] | None = None) 
 
 
 def _arrow_column(values: Sequence[Any], kind: pa.DataType) -> pa.Array:
-    """``pyarrow.array`` of texts or numbers, which would first load pandas: a run has no time for it before its first
-    world."""
+    """The same as ``pyarrow.array`` of texts or numbers, which would first load pandas. Loading it would delay a run's
+    first world."""
     if None in values:
         return pa.array(values, kind)
     if kind != pa.string():
@@ -119,12 +119,12 @@ def _arrow_column(values: Sequence[Any], kind: pa.DataType) -> pa.Array:
 
 @dataclass(frozen=True, eq=False)
 class Manifest:
-    """The identity of a run. Two runs of one identity have the same results.
+    """The identity of a run. Two runs with the same identity have the same results.
 
     Attributes:
-        settings: JSON-like: command, simulation, sweep, engine, shard.
-        plans: all plans by id, also those of other shards, in the order of the input.
-        placements: makes the table ``placements`` of the plans of this run; None: no such table.
+        settings: JSON-like values: command, simulation, sweep, engine, shard.
+        plans: all plans by id, including those of other shards, in the order of the input.
+        placements: function that makes the table ``placements`` of the run's plans; None: no such table.
     """
 
     settings: Mapping[str, Any]
@@ -139,7 +139,7 @@ class Manifest:
         return {**self.settings, "plans": {"count": len(self.plans), "digest": digest}}
 
     def table(self, ordered: Mapping[str, PlanOrderCounts] | None = None) -> pa.Table:
-        """The table ``plans``.
+        """Make the table ``plans``.
 
         Args:
             ordered: plan id → counts of its comparison with its order; None: no columns about orders.
@@ -157,7 +157,7 @@ class Manifest:
 
     @classmethod
     def read(cls, parts: Parts, info: Mapping[str, Any]) -> Manifest:
-        """The manifest of a run, from its tables and its ``run.json``.
+        """Read the manifest of a run from its tables and its ``run.json``.
 
         Raises:
             InputError: the run has no manifest, or the manifest is damaged.
@@ -174,10 +174,10 @@ class Manifest:
         return cls({name: value for name, value in info["identity"].items() if name != "plans"}, plans)
 
     def difference_from(self, earlier: Manifest, without: Sequence[str] = ()) -> str:
-        """The differences from an earlier manifest, in one line; empty without a difference.
+        """The differences from an earlier manifest, in one line; empty if there are none.
 
         Args:
-            without: settings that may differ.
+            without: settings in which the two may differ.
         """
         settings = {name: value for name, value in _settings_of_command(self.settings).items() if name not in without}
         differences = [
@@ -204,8 +204,8 @@ _NOTHING: Final = object()
 
 
 def _settings_of_command(settings: Mapping[str, Any]) -> Mapping[str, Any]:
-    """Settings with the names that the command uses. The sweep of a score is written as its number of worlds and its
-    errors. An entry that is only written if its option is on counts as false if missing."""
+    """Rename settings to the names that the command uses. The sweep of a score becomes its number of worlds and its
+    errors. An entry that is written only if its option is on counts as false if it is missing."""
     settings = {"force_intervals": False, "keep": ALL, **settings}
     if isinstance(simulation := settings.get("simulation"), Mapping):
         settings["simulation"] = _with_later_fields(simulation)
@@ -218,7 +218,8 @@ def _settings_of_command(settings: Mapping[str, Any]) -> Mapping[str, Any]:
 
 
 def _with_later_fields(simulation: Mapping[str, Any]) -> dict[str, Any]:
-    """Options of a simulation with the fields that runs of earlier versions do not have, which mean nothing there."""
+    """Options of a simulation, completed with fields that earlier versions did not write, at values without
+    effect."""
     walls = Walls().model_dump(mode="json")
     later = {"walls": walls, **simulation}
     if isinstance(carrier := later.get("carrier"), Mapping):
@@ -230,11 +231,11 @@ def _with_later_fields(simulation: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def _setting_differences(was: Any, now: Any, path: str) -> Iterator[str]:
-    """ "simulation.schedule is fixed, was adaptive", for every value that differs."""
+    """Yield a line such as "simulation.schedule is fixed, was adaptive" for every value that differs."""
     if isinstance(was, Mapping) and isinstance(now, Mapping):
         for name in dict.fromkeys((*was, *now)):
             if name == "errors" and not path and not (name in was and name in now):
-                continue  # only one of the two has confidence, which is reported
+                continue  # only one of the two has confidence, and that difference is reported
             inner = f"{path}.{name}" if path else str(name)
             yield from _setting_differences(was.get(name, _NOTHING), now.get(name, _NOTHING), inner)
     elif _are_tables(was) and _are_tables(now) and len(was) == len(now):

@@ -1,6 +1,6 @@
-"""Reads the folder of a run into pandas data frames, or single worlds without reading the rest.
+"""Reads the folder of a run into pandas data frames. Can also read single worlds without reading the rest.
 
-The layout of the folder: petmjx.results.run_folder.
+petmjx.results.run_folder describes the layout of the folder.
 """
 
 from __future__ import annotations
@@ -45,18 +45,18 @@ if TYPE_CHECKING:
     import pandas as pd
 
 _NAMES_WORLDS: Final = {"histories": "frames", "frames": "frames", "contacts": "frames"}
-"""Table → the table whose part of the same number has the same worlds. For tables without an entry here it is
-``worlds``."""
+"""Table → the table that lists the worlds of its parts: the part of the same number. For tables without an entry here,
+that is ``worlds``."""
 
 
 def world_row(run: RunResults, plan_id: str, variant: int) -> dict[str, Any] | None:
-    """A world's row of ``worlds``: column → value, with null as None. None if the world is not in the run."""
+    """A world's row of ``worlds`` as column → value, with null as None. None if the world is not in the run."""
     rows = rows_of(run, "worlds", plan_id, variant)
     return None if rows is None else dict(rows.to_pylist()[0])
 
 
 def read_outcome(run: RunResults, plan_id: str, variant: int) -> Outcome | None:
-    """A world's outcome, with the values in the tables; None if the world is not in the run.
+    """Rebuild a world's outcome from the tables; None if the world is not in the run.
 
     Values of boxes that were never placed are NaN. Measured values have the precision of the table ``boxes``.
     """
@@ -73,7 +73,7 @@ def read_outcome(run: RunResults, plan_id: str, variant: int) -> Outcome | None:
     values["dropped"] = values["dropped"] > 0
     cells: dict[str, Any] = {name: row[name] for name in ("n_boxes", "n_placed", "solver", "attempt")}
     for of_world in world_metrics():
-        value = row.get(of_world.name)  # a run of an earlier version may not have it
+        value = row.get(of_world.name)  # a run of an earlier version may lack it
         nothing = -1 if of_world.numbers else math.nan
         cells[of_world.name] = nothing if value is None else value
     return Outcome(
@@ -88,10 +88,10 @@ def read_outcome(run: RunResults, plan_id: str, variant: int) -> Outcome | None:
 
 
 def rows_of(run: RunResults, table: str, plan_id: str, variant: int) -> pa.Table | None:
-    """The rows of one world in a table of a run; None without rows.
+    """The rows of one world in a table of a run; None if there are none.
 
     Raises:
-        InputError: a damaged or missing part.
+        InputError: a part is damaged or missing.
     """
     of_table = {file.name: file for file in run.parts.files(table)}
     for file in run.parts.files(_NAMES_WORLDS.get(table, "worlds")):
@@ -103,14 +103,14 @@ def rows_of(run: RunResults, table: str, plan_id: str, variant: int) -> pa.Table
 
 
 def rows_of_worlds(run: RunResults, table: str, worlds: pd.DataFrame, columns: Sequence[str]) -> pd.DataFrame:
-    """The rows of some worlds in a table of a run, part by part, so that only one part is in memory.
+    """The rows of some worlds in a table of a run. Only one part is in memory at a time.
 
     Args:
         worlds: ``plan_id`` and ``variant`` of each world.
         columns: columns of the table to read.
 
     Raises:
-        InputError: a damaged or missing part.
+        InputError: a part is damaged or missing.
     """
     plan_ids = pa.array(worlds["plan_id"].unique(), pa.string())
 
@@ -130,22 +130,22 @@ def rows_of_worlds(run: RunResults, table: str, worlds: pd.DataFrame, columns: S
 
 
 def _rows_of_one_world(part: pa.Table, plan_id: str, variant: int) -> pa.Table:
-    """The rows of one world."""
+    """The rows of one world in a part."""
     return part.filter(pc.and_(pc.equal(part["plan_id"], plan_id), pc.equal(part["variant"], variant)))
 
 
 FINISHED: Final = "finished"
-"""The status of a run that came to its end."""
+"""The status of a run that came to its normal end."""
 
 
 @dataclass(frozen=True, eq=False)
 class RunResults:
-    """The results of a run. Tables are read on first use.
+    """The results of a run. Each table is read when it is first used.
 
     Attributes:
-        parts: the files of the tables; callers use it to read single columns.
-        info: ``run.json``.
-        held: the plans by id, if they are objects and not files.
+        parts: the files of the tables, for callers that read single columns.
+        info: the entries of ``run.json``.
+        held: plans by id, for plans that are objects in memory and are in no file.
     """
 
     parts: Parts
@@ -160,33 +160,34 @@ class RunResults:
         return f"RunResults({self.where}: {count_text(counts.get('worlds', 0), noun)}, {verdicts}; {status})"
 
     def _repr_html_(self) -> str:
-        """HTML for notebooks: one line about the run, and its first worlds."""
+        """HTML for notebooks: one line about the run, and the rows of its first worlds."""
         return worlds_as_html(repr(self), self.worlds)
 
     @property
     def where(self) -> str:
-        """The run's folder as text, or a text for a run without folder."""
+        """The path of the run's folder as text; a description if the run has no folder."""
         return "in memory" if isinstance(self.parts, MemoryParts) else str(self.path)
 
     @property
     def unfinished(self) -> str | None:
-        """How an unfinished run ended, such as ``interrupted``. Worlds are then missing. None if the run finished."""
+        """How an unfinished run ended, such as ``interrupted``; some worlds are then missing. None if the run
+        finished."""
         status = str(self.info.get("status", "unknown"))
         return None if status == FINISHED else status
 
     @property
     def carrier(self) -> Carrier | OwnCarrier:
-        """The carrier under the boxes; ``footprint`` if the run names no known carrier."""
+        """The carrier under the boxes; ``footprint`` if the run does not name a known carrier."""
         return self._carrying.carrier
 
     @property
     def walls(self) -> Walls:
-        """The walls from the run's options; the carrier may have walls of its own."""
+        """The walls in the run's options. The carrier may also have walls of its own."""
         return self._carrying.walls
 
     @property
     def _carrying(self) -> Simulation:
-        """The run's options of the carrier and its walls; all others have their defaults."""
+        """The carrier and walls in the run's options. All other options have their defaults."""
         settings = self.info.get("config", {}).get("simulation", {})
         try:
             return Simulation.read({"carrier": settings["carrier"], "walls": settings.get("walls", {})})
@@ -194,13 +195,13 @@ class RunResults:
             return Simulation()
 
     def doubts(self, name: str) -> list[str]:
-        """A line about a run that is not finished, with its ``name``; else an empty list."""
+        """A line that the run, called ``name``, is not finished; an empty list if it is."""
         return [f"{name} is not finished ({self.unfinished})"] if self.unfinished else []
 
     @cached_property
     def path(self) -> Path:
-        """The run's folder. Results in memory are first written to a temporary folder, which is removed with this
-        object.
+        """The run's folder. Results in memory are first written to a temporary folder, which is deleted together with
+        this object.
 
         Raises:
             PetmjxError: the temporary folder cannot be written.
@@ -222,11 +223,11 @@ class RunResults:
 
     @cached_property
     def worlds(self) -> pd.DataFrame:
-        """One row per world, in the order of the input. ``culprit`` is a nullable integer; other missing
+        """One row per world, in the order of the input. ``culprit`` is a nullable integer. In other columns missing
         numbers are NaN.
 
-        In a score without ``confidence`` the index is the plan's number: ``worlds.verdict[k]`` is the verdict of plan
-        k. A KeyError is raised if plan k has no row: skipped, of another shard, or not reached.
+        In a score without ``confidence``, the index is the plan's number: ``worlds.verdict[k]`` is the verdict of plan
+        k. A KeyError means that plan k has no row: it was skipped, belongs to another shard, or was not reached.
         """
         frame = self._read("worlds")
         frame["culprit"] = frame["culprit"].astype("Int32")
@@ -236,10 +237,10 @@ class RunResults:
 
     @cached_property
     def skipped(self) -> pd.DataFrame:
-        """Plans and files that were not simulated, with the reason: ``number`` (of the plan, as in ``plans``; null for
-        other entries, such as a damaged file), ``plan_id``, ``source``, ``error``."""
+        """Plans and files that were not simulated, and why. The columns are ``number`` (the plan's number, as in
+        ``plans``; null for other entries, such as a damaged file), ``plan_id``, ``source`` and ``error``."""
         columns = ["number", "plan_id", "source", "error"]
-        import pandas as pd  # not at the top of the module: a run needs it when it has ended
+        import pandas as pd  # imported here because a run does not need pandas before it has ended
 
         frame = pd.DataFrame(self.info.get("skipped", []), columns=columns)
         return frame.astype({"number": "Int32"} | dict.fromkeys(columns[1:], "str"))
@@ -249,7 +250,7 @@ class RunResults:
         """One row per box of each world, in packing order.
 
         Raises:
-            InputError: the run did not keep this table.
+            InputError: the run did not keep the table ``boxes``.
         """
         if not self.keeps_boxes:
             raise InputError(f"{self.where}: the run kept no boxes (keep {WORLDS})")
@@ -257,7 +258,7 @@ class RunResults:
 
     @property
     def boxes_if_kept(self) -> pd.DataFrame:
-        """As ``boxes``, but without rows if the run has no such table."""
+        """The same as ``boxes``; without rows if the run did not keep the table."""
         return self.boxes if self.keeps_boxes else self._read("boxes")
 
     @property
@@ -277,7 +278,7 @@ class RunResults:
 
     @cached_property
     def frames(self) -> pd.DataFrame:
-        """One row per frame of each recorded world: the carrier and its drive."""
+        """One row per frame of each recorded world: the state of the carrier and its drive."""
         return self._read("frames")
 
     @cached_property
@@ -294,20 +295,21 @@ class RunResults:
 
     @cached_property
     def placements(self) -> pd.DataFrame:
-        """One row per box of the simulated plans, with all fields of the plan. A run in memory has no rows: its plans
-        are held as objects or in their files."""
+        """One row per box of the simulated plans, with all fields of the plan. A run in memory has no rows, since its
+        plans are held as objects or are in their files."""
         parts = self.parts.table(PLACEMENTS)
         frame: pd.DataFrame = pa.concat_tables(parts or [placements_schema().empty_table()]).to_pandas()
         return frame
 
     @cached_property
     def summary(self) -> pd.DataFrame | None:
-        """The answers of a sweep or of a score with confidence; None if the run has none."""
+        """The answers of a sweep, or of a score with confidence; None if the run has no such table."""
         parts = self.parts.table("summary")
         return pa.concat_tables(parts).to_pandas() if parts else None
 
     def units(self, table: str) -> dict[str, str]:
-        """Column → unit of a table: ``""`` for text, ``"1"`` for counts; empty for a missing table."""
+        """The units of a table's columns, as column → unit: ``""`` for text, ``"1"`` for counts. Empty if the table is
+        missing."""
         files = self.parts.files(table)
         schema = self.parts.read(files[0]).schema if files else pa.schema([])
         return {
@@ -329,11 +331,11 @@ def load_run(path: str | Path, held: Mapping[str, Plan] | None = None) -> RunRes
     """Open the folder of a run.
 
     Args:
-        held: plans of the run by id, for plans in no file.
+        held: plans of the run by id, for plans that are in no file.
 
     Raises:
         InputError: the folder has no run, ``run.json`` cannot be read, or a newer petmjx wrote the results. Reading a
-            table also raises this error if a part is damaged or missing.
+            table later raises the same error if one of its parts is damaged or missing.
     """
     folder = path_of(path, "path")
     info = read_info(folder)
@@ -344,7 +346,7 @@ def read_info(folder: Path) -> dict[str, Any]:
     """The entries of ``run.json``.
 
     Raises:
-        InputError: no run in the folder, an unreadable or damaged ``run.json``, or results of a newer petmjx.
+        InputError: the folder has no run, ``run.json`` is unreadable or damaged, or a newer petmjx wrote the results.
     """
     file = folder / RUN_FILE
     try:
@@ -365,8 +367,8 @@ def read_info(folder: Path) -> dict[str, Any]:
 
 
 def split_warnings(info: Mapping[str, Any]) -> tuple[list[str], list[str]]:
-    """The warnings of a ``run.json`` as two lists: those about the whole run, and a line for each odd plan. In the file
-    the lines about odd plans come last."""
+    """Split the warnings of a ``run.json`` into two lists: warnings about the whole run, and one line per plan with
+    oddly placed boxes. The file lists the latter last."""
     warnings = list(info.get("warnings", []))
     first_odd = len(warnings) - info.get("counts", {}).get("odd_plans", len(warnings))
     return warnings[:first_odd], warnings[first_odd:]

@@ -1,6 +1,6 @@
-"""Writes and deletes the table files of a run in progress, and keeps the list of files that count.
+"""Writes and deletes the table files of a run in progress, and keeps the list of the files that belong to it.
 
-The tables of a run without a folder stay in memory as long as they fit into one part.
+The tables of a run without a folder stay in memory while they fit into one part.
 """
 
 from __future__ import annotations
@@ -18,10 +18,10 @@ from petmjx.results.run_tables import Parts, with_columns
 
 
 class Tables:
-    """A run's tables on disk. All methods raise ``OSError`` where a file cannot be written.
+    """A run's tables on disk. All methods raise ``OSError`` if a file cannot be written.
 
-    New files have new numbers, so that old and new files exist side by side until ``run.json`` lists the new ones. A
-    killed run is then either in the old or in the new state.
+    New files get new numbers, so old and new files exist side by side until ``run.json`` lists the new ones. If the run
+    is killed, its folder is therefore in either the old or the new state.
 
     Attributes:
         parts: the files that belong to the run.
@@ -32,29 +32,29 @@ class Tables:
         self.parts = parts or Parts(folder, {})
 
     def write(self, table: str, number: int, content: pa.Table) -> dict[Path, str]:
-        """Write a part of a table. The file does not belong to the run yet. Returns the digest of its file."""
+        """Write a part of a table, and return the digest of its file. The file does not belong to the run yet."""
         path = self._folder / table / part_name(number)
         return {path: write_table(content, path)}
 
     def add(self, digests: Mapping[Path, str]) -> None:
-        """Add files to the run, by their digests."""
+        """Add files to the run, given their digests."""
         self.parts = self.parts.plus(digests)
 
     def replace_worlds(self, digests: Mapping[Path, str]) -> None:
-        """Add files to the run instead of its present tables of worlds."""
+        """Replace the run's present tables of worlds by these files."""
         self.parts = self.parts.without(*OF_WORLDS).plus(digests)
 
     def write_only(self, table: str, content: pa.Table) -> None:
-        """Write the only part of a table. An earlier file no longer belongs to the run."""
+        """Write a table that has a single part. Its earlier file no longer belongs to the run."""
         digests = self.write(table, self.parts.next_number(table), content)
         self.parts = self.parts.without(table).plus(digests)
 
     def copies(self, others: Parts, ranks: WorldRanks | None) -> Iterator[tuple[Path, str]]:
-        """Copy the tables of worlds of this or another run, file by file, under numbers that no file has. The
-        copies do not belong to the run yet. Yields each file with its digest.
+        """Copy the tables of worlds of this or another run, file by file, under unused numbers. Yields each copy with
+        its digest. The copies do not belong to the run yet.
 
         Args:
-            ranks: ranks to give to the rows; None: they keep theirs, and files are copied byte by byte.
+            ranks: new ranks for the rows; None: rows keep their ranks, and files are copied byte by byte.
 
         Raises:
             InputError: a file of the other run is damaged or missing.
@@ -80,7 +80,7 @@ class Tables:
 
 @dataclass(frozen=True, eq=False)
 class MemoryParts(Parts):
-    """Tables under the names that their files would have in the run's folder."""
+    """Tables in memory, by the names that their files would have in the run's folder."""
 
     tables: dict[Path, pa.Table] = field(default_factory=dict)
 
@@ -98,20 +98,20 @@ class MemoryParts(Parts):
         return with_columns(self.tables[file], file, columns)
 
     def plus(self, digests: Mapping[Path, str]) -> Parts:
-        """The same tables: they belong to the run when written, and have no digests."""
+        """The same tables. In memory, a table belongs to the run as soon as it is written, and has no digest."""
         return self
 
     def without(self, *tables: str) -> Parts:
-        """The same tables: no table replaces an earlier one."""
+        """The same tables. In memory, no table replaces an earlier one."""
         return self
 
     def write(self, folder: Path) -> dict[Path, str]:
-        """Write the tables as files; returns the digest of each. Raises OSError."""
+        """Write the tables as files, and return the digest of each. Raises OSError."""
         return {folder / file: write_table(table, folder / file) for file, table in self.tables.items()}
 
 
 class MemoryTables(Tables):
-    """Takes the tables of a new run like ``Tables``, but keeps them in memory."""
+    """The same interface as ``Tables`` for a new run, but tables stay in memory."""
 
     parts: MemoryParts
 

@@ -1,4 +1,4 @@
-"""Reads the table files that ``run.json`` lists, and checks that they are what the run wrote."""
+"""Reads the table files that ``run.json`` lists, and checks that they have not changed since the run wrote them."""
 
 from __future__ import annotations
 
@@ -23,22 +23,22 @@ MOST_AT_ONCE: Final = 8
 """Number of parts that are read at the same time."""
 
 LISTED: Final = "parts"
-"""Entry of ``run.json``: table → file name → digest. Files that are not in the list were left by a killed run, and are
-not read."""
+"""Entry of ``run.json``: table → file name → digest. Files that are not listed were left by a killed run, and are not
+read."""
 
 
 FREE_BYTES: Final = 256 << 20
-"""Memory that the tables of a run may take in any case, bytes. Above it the general limit holds, relative to their size
-on disk. Boxes at rest and columns without values are packed to a hundredth, so small files may unpack to large
-tables."""
+"""Memory in bytes that the tables of a run may always take. Above this, the limit is relative to their size on disk.
+Boxes at rest and columns without values are compressed to a hundredth, so small files may unpack to large tables."""
 
 MOST_TABLE_BYTES: Final = 1 << 40
-"""Largest memory of a table, bytes. The bound is high because the real bound of large runs is the machine's memory."""
+"""Upper limit for the memory of a table, bytes. It is this high because the real limit of large runs is the machine's
+memory."""
 
 
 @dataclass(frozen=True, eq=False)
 class Parts:
-    """The files of a run's tables. Each file is checked once, when first read.
+    """The files of a run's tables. Each file is checked once, when it is first read.
 
     Attributes:
         folder: the run's folder.
@@ -55,28 +55,28 @@ class Parts:
         return cls(folder, info[LISTED])
 
     def files(self, table: str) -> list[Path]:
-        """The listed files of a table, in order. The files may be missing on disk."""
+        """The listed files of a table, in order, even if they are missing on disk."""
         return sorted((self.folder / table / name for name in self.digests.get(table, ())), key=part_number)
 
     def read(self, file: Path, columns: Sequence[str] | None = None) -> pa.Table:
-        """One file of these as a table, or some of its columns.
+        """Read one of these files as a table, or some of its columns.
 
         Raises:
-            InputError: the file is missing, is not what the run wrote, lacks one of the columns, or is of a newer
-                petmjx.
+            InputError: the file is missing, was changed after the run wrote it, lacks one of the columns, or was
+                written by a newer petmjx.
         """
         self.check(file)
         return read_part(file, columns)
 
     def columns(self, file: Path) -> list[str]:
-        """The names of the columns of one file. Raises InputError as :meth:`read`."""
+        """The names of the columns of one file. Raises InputError like :meth:`read`."""
         self.check(file)
         with open_part(file) as parquet:
             names: list[str] = parquet.schema_arrow.names
         return names
 
     def table(self, table: str, columns: Sequence[str] | None = None) -> list[pa.Table]:
-        """All parts of a table, as :meth:`read`; read in parallel."""
+        """Read all parts of a table in parallel, each as by :meth:`read`."""
         files = self.files(table)
         if len(files) < 2:
             return [self.read(file, columns) for file in files]
@@ -101,19 +101,19 @@ class Parts:
             self.check(file)
 
     def plus(self, digests: Mapping[Path, str]) -> Parts:
-        """The files plus new files, with their digests."""
+        """These files and some new ones, given with their digests."""
         listed = {table: dict(files) for table, files in self.digests.items()}
         for file, digest in digests.items():
             listed.setdefault(file.parent.name, {})[file.name] = digest
         return Parts(self.folder, listed, {*self._checked, *digests})
 
     def without(self, *tables: str) -> Parts:
-        """The files without the files of these tables."""
+        """These files except those of the given tables."""
         remaining = {table: dict(files) for table, files in self.digests.items() if table not in tables}
         return Parts(self.folder, remaining, set(self._checked))
 
     def without_numbers(self, numbers: Collection[int]) -> Parts:
-        """The files without the parts of worlds with these numbers."""
+        """These files, except the parts of worlds that have the given numbers."""
         removed_names = {part_name(number) for number in numbers}
         remaining = {
             table: {
@@ -124,11 +124,11 @@ class Parts:
         return Parts(self.folder, remaining, set(self._checked))
 
     def with_worlds(self) -> Parts:
-        """The files without those whose part of ``worlds`` was deleted. A user deletes such a part to simulate its
-        worlds again.
+        """These files except those whose part of ``worlds`` was deleted. A user deletes such a part in order to
+        simulate its worlds again.
         """
         missing_names = {file.name for file in self.files("worlds") if not file.exists()}
-        if not missing_names or self.files("frames"):  # the histories of these worlds are unknown
+        if not missing_names or self.files("frames"):  # which histories belong to these worlds is unknown
             return self
         remaining = {
             table: {
@@ -139,16 +139,16 @@ class Parts:
         return Parts(self.folder, remaining)
 
     def lacking_boxes(self) -> list[int]:
-        """Numbers of parts that ``worlds`` has and ``boxes`` lacks."""
+        """Numbers of the parts that exist for ``worlds`` but not for ``boxes``."""
         have = {part_number(file) for file in self.files("boxes")}
         return [number for number in map(part_number, self.files("worlds")) if number not in have]
 
     def next_number(self, *tables: str) -> int:
-        """The number of the next part, which no file of these tables has."""
+        """A number for the next part that no file of these tables has."""
         return 1 + max((part_number(file) for table in tables for file in self.files(table)), default=-1)
 
     def check(self, file: Path) -> None:
-        """Check that a file is as the run wrote it.
+        """Check that a file has not changed since the run wrote it.
 
         Raises:
             InputError: the file is missing or has changed.
@@ -170,7 +170,7 @@ class Parts:
         self._checked.add(file)
 
     def _cure(self, file: Path) -> str:
-        """How to repair a run that lacks a file."""
+        """Advice on how to repair a run that lacks a file."""
         if file.parent.name == "summary":
             return f"use {option('--resume', 'True')} to make it again"
         if file.parent.name not in OF_WORLDS or self.files("frames"):
@@ -181,10 +181,10 @@ class Parts:
 
 
 def read_part(file: Path, columns: Sequence[str] | None = None) -> pa.Table:
-    """One Parquet file, or some of its columns.
+    """Read one Parquet file, or some of its columns.
 
     Raises:
-        InputError: the file is missing, is damaged, lacks one of the columns, or is of a newer petmjx.
+        InputError: the file is missing or damaged, lacks one of the columns, or was written by a newer petmjx.
     """
     with open_part(file) as parquet:
         schema = parquet.schema_arrow
@@ -202,7 +202,7 @@ def read_part(file: Path, columns: Sequence[str] | None = None) -> pa.Table:
 
 
 def with_columns(table: pa.Table, file: Path, columns: Sequence[str] | None) -> pa.Table:
-    """Some columns of a part; None: all.
+    """Some columns of a part; all columns if ``columns`` is None.
 
     Raises:
         InputError: the part lacks a column.

@@ -1,8 +1,8 @@
-"""Writes the folder of a run while worlds finish. Its layout: petmjx.results.run_folder.
+"""Writes the folder of a run while worlds are simulated. petmjx.results.run_folder describes its layout.
 
-One thread owns the folder. Other threads put finished worlds and requests into its queue, and it takes them in order.
-The thread gathers worlds into parts, and writes each part once: when the part is full, when a world has waited for a
-minute, on request, and at the end. Signals interrupt only the main thread, so they never interrupt a write.
+One thread owns the folder. Other threads put finished worlds and requests into its queue, and it processes them in
+order. The thread collects worlds into parts, and writes each part once: when the part is full, when a world has waited
+for a minute, on request, and at the end. Signals interrupt only the main thread, so they never interrupt a write.
 """
 
 from __future__ import annotations
@@ -45,71 +45,73 @@ from petmjx.results.world_counts import COUNTED, WorldCounts
 from petmjx.results.world_rows import Part, Row
 
 WORLDS_PER_PART: Final = 5_000
-"""Most worlds in a part: 15 MB of ``boxes`` at 43 boxes a world. A million worlds are 200 parts."""
+"""Largest number of worlds in a part. With 43 boxes per world, ``boxes`` then has 15 MB. A million worlds make 200
+parts."""
 
 BYTES_PER_PART: Final = 64 << 20
-"""Memory at which a part is full: 4,000 worlds of 43 boxes, 60 with histories, 20 with histories in detail."""
+"""Memory at which a part is full: 4,000 worlds of 43 boxes, 60 with histories, or 20 with detailed histories."""
 
 SECONDS_PER_PART: Final = 60.0
-"""Longest time that a world waits for its part to be written. The bound also holds if no other world finishes."""
+"""Longest time that a world waits for its part to be written. The limit holds even if no other world finishes."""
 
 MOST_WAITING_BYTES: Final = 4 * BYTES_PER_PART
-"""Memory of worlds that wait to be written. If waiting worlds take more, ``add`` waits."""
+"""Memory that worlds waiting to be written may take. Beyond it, ``add`` blocks."""
 
 RETRY_S: Final = 10.0
-"""Time between an error and the next attempt, s. On a full disk at most one part is packed in this time."""
+"""Time between a write error and the next attempt, s. On a full disk, at most one part is packed in this time."""
 
 PLACEMENTS_S: Final = 2.0
-"""Time between the begin of a run and its table ``placements``, s, unless worlds are written before. Until then the
-first worlds are made, which would wait for it: it takes 0.3 s for 10,003 plans."""
+"""Delay before a run writes its table ``placements``, s, unless worlds are written earlier. The table takes 0.3 s for
+10,003 plans; written earlier, it would delay the first worlds."""
 
 LOOK_S: Final = 1.0
-"""Time between two looks at whether the thread still runs, while another thread waits for its answer, s."""
+"""While another thread waits for an answer, time between two checks whether the writer's thread still runs, s."""
 
 
 class _Request(NamedTuple):
-    """A function that the thread calls, and the queue for its result and its error."""
+    """A function for the writer's thread to call, and the queue for its result or its error."""
 
     call: Callable[[], Any]
     reply: SimpleQueue[tuple[Any, BaseException | None]]
 
 
 class _CutShortError(Exception):
-    """Something is not done because the run is interrupted."""
+    """A request was dropped because the run was interrupted."""
 
 
 class RunWriter(RunInfo):
-    """Writes one run's results as its worlds finish. A context manager.
+    """Writes the results of one run while its worlds finish. A context manager.
 
-    At the end, also after Ctrl-C or an error, the waiting worlds are written, and ``run.json`` has the run's end:
-    ``finished``, ``interrupted`` or ``failed``. Memory holds at most ``MOST_WAITING_BYTES`` of worlds. After an error
-    of the disk the thread tries again every ``RETRY_S``; ``add`` raises the error once that many bytes wait.
+    At the end, even after Ctrl-C or an error, the waiting worlds are written, and ``run.json`` states how the run
+    ended: ``finished``, ``interrupted`` or ``failed``. Memory holds at most ``MOST_WAITING_BYTES`` of worlds. After a
+    disk error, the thread tries again every ``RETRY_S``; ``add`` raises the error once that many bytes wait.
 
-    Rows are written in the order in which worlds finish, in each part sorted by rank (petmjx.results.plan_order).
+    Rows are written in the order in which worlds finish. Within a part they are sorted by rank
+    (petmjx.results.plan_order).
 
     Args:
-        out_dir: the run's folder; made if missing. None: a run of at most one part stays in memory. A
-            larger run is written to a temporary folder, which is removed together with its results.
-        config: all options with their values, as plain JSON values (``Simulation.model_dump(mode="json")`` and others).
-        params: parameters of a sweep's variants; each is a column of ``worlds``.
-        variants: numbers of each plan's variants, if all plans have the same variants: ranks then have no gaps.
+        out_dir: the run's folder, which is made if missing. None: a run that fits into one part stays in memory; a
+            larger run is written to a temporary folder, which is deleted together with the results.
+        config: the values of all options as plain JSON values (from ``Simulation.model_dump(mode="json")`` and others).
+        params: parameters of a sweep's variants. Each becomes a column of ``worlds``.
+        variants: numbers of each plan's variants, if all plans have the same ones. Ranks then have no gaps.
         dynamic, force_intervals, legs: as in ``petmjx.results.schema.schemas``.
         boxes: whether the run has the table ``boxes``.
-        versions: package → version; the version of Python is added.
+        versions: package → version. The version of Python is added.
         device: name of the device on which the worlds ran.
         expected_worlds: number of worlds of the run, if known.
-        manifest: settings and plans of the run; a run without it cannot be resumed.
-        orders: how its plans compare with their orders. A resumed run uses this check, not the earlier one.
-        overwrite: replace a run in the folder.
-        resume: continue the run in the folder, if it has the same manifest.
-        worlds_per_part, seconds_per_part: a part is written when one of these limits is reached.
+        manifest: settings and plans of the run. Without a manifest, the run cannot be resumed.
+        orders: how the plans compare with their orders. A resumed run uses this check instead of the earlier one.
+        overwrite: whether a run in the folder is replaced.
+        resume: whether to continue the run in the folder, which must have the same manifest.
+        worlds_per_part, seconds_per_part: limits of a part. It is written when either is reached.
 
     Attributes:
         recorded: the completed worlds of a resumed run.
         counts: counts of the written worlds.
         out_dir: the run's folder.
 
-    Raises InputError if the folder already has a run (with ``resume``: another run), or cannot be written.
+    Raises InputError if the folder is not writable or already has a run (with ``resume``: another run).
     """
 
     def __init__(
@@ -146,26 +148,27 @@ class RunWriter(RunInfo):
         self._manifest, self._overwrite, self._resume = manifest, overwrite, resume
         self._ranks = WorldRanks(manifest.plans if manifest else (), variants)
         self._worlds_per_part, self._seconds_per_part = worlds_per_part, seconds_per_part
-        # the queues are written in C: an interrupt of the main thread leaves none of them locked or half changed
+        # the queues are implemented in C: interrupting the main thread leaves none of them locked or half changed
         self._queue: SimpleQueue[Row | _Request] = SimpleQueue()
-        self._room: SimpleQueue[None] = SimpleQueue()  # an entry after each attempt at writing
+        self._room: SimpleQueue[None] = SimpleQueue()  # receives an entry after each attempt at writing
         self._thread = threading.Thread(target=self._work, name="petmjx-writer", daemon=True)
-        self._added_bytes = 0  # changed by the thread that adds
-        self._cut_short = False  # set by the main thread
-        # all attributes below belong to the writer's thread, once it has begun
+        self._added_bytes = 0  # changed only by the thread that adds
+        self._cut_short = False  # set only by the main thread
+        # once the writer's thread has started, only that thread uses the attributes below
         self._tables: Tables = MemoryTables() if self._in_memory else Tables(self.out_dir)
         self._temporary: tempfile.TemporaryDirectory[str] | None = None
         self._rows: list[Row] = []
         self._row_bytes = self._written_bytes = 0
-        self._lacks_placements = False  # whether the table ``placements`` must still be written
+        self._lacks_placements = False  # whether the table ``placements`` is still to be written
         self._opened_s = 0.0  # when the table ``plans`` was written (monotonic clock)
-        self._is_behind = False  # whether run.json must still be written
-        self._trouble: Exception | None = None  # why the last attempt at writing failed
-        self._retry_s = 0.0  # no attempt at writing before this time (monotonic clock)
+        self._is_behind = False  # whether run.json is still to be written
+        self._trouble: Exception | None = None  # the error of the last attempt at writing, if it failed
+        self._retry_s = 0.0  # no attempt at writing is made before this time (monotonic clock)
         self._until_end = contextlib.ExitStack()
         self._ended = False
 
-    # Calls of other threads. Only these methods, ``warnings`` and the like are used outside the writer's thread.
+    # Calls from other threads. Only these methods, ``warnings`` and similar attributes are used outside the writer's
+    # thread.
 
     def __enter__(self) -> Self:
         self._thread.start()
@@ -189,20 +192,20 @@ class RunWriter(RunInfo):
         params: Mapping[str, Any] | None = None,
         interval_n: FloatArray | None = None,
     ) -> None:
-        """Add one finished world. The call waits while too many worlds are not written yet.
+        """Add one finished world. The call blocks while too many worlds are waiting to be written.
 
         Args:
-            plan: plan of the world; ``outcome`` has the same boxes in the same order.
-            variant: 0 is nominal.
+            plan: plan of the world. ``outcome`` has its boxes in the same order.
+            variant: number of the variant; 0 is the nominal one.
             schedule: name of the schedule, as in the results.
-            outcome: copied; its arrays may be reused, and its ``state`` is dropped.
+            outcome: the outcome, which is copied, so its arrays may be reused. Its ``state`` is dropped.
             attempts: all attempts in order, if the world needed more than one.
-            params: parameter → value; missing values become null.
-            interval_n: (boxes, 2) least and most force on the top of each box at rest, N; None: unknown.
+            params: parameter → value. Missing values become null.
+            interval_n: (boxes, 2) smallest and largest force on the top of each box at rest, N; None: unknown.
 
         Raises:
-            ValueError: the outcome is of another plan, or the run does not have a parameter.
-            PetmjxError: too many worlds wait, and they cannot be written (a full disk).
+            ValueError: the outcome belongs to another plan, or the run does not have one of the parameters.
+            PetmjxError: too many worlds are waiting and cannot be written, for example because the disk is full.
         """
         values = {param.name: None for param in self.params} | dict(params or {})
         if len(values) > len(self.params):
@@ -220,15 +223,15 @@ class RunWriter(RunInfo):
         """Write all added worlds, so that they can be read before the run ends.
 
         Raises:
-            PetmjxError: they cannot be written.
+            PetmjxError: the worlds cannot be written.
         """
         self._ask(lambda: self._write_waiting(last=True))
 
     def adopt(self, parts: Parts, *, ranked: bool = False) -> None:
-        """Copy the worlds of another run, which has the same columns.
+        """Copy the worlds of another run that has the same columns.
 
         Args:
-            ranked: whether its rows already have their ranks in this run.
+            ranked: whether the rows already have the ranks that they have in this run.
 
         Raises:
             InputError: a part is damaged.
@@ -237,7 +240,7 @@ class RunWriter(RunInfo):
         self._ask(lambda: self._adopt(parts, ranked))
 
     def write_summary(self, answers: pa.Table) -> None:
-        """Write a sweep's table ``summary`` (petmjx.results.schema.summary_table). An old one is replaced.
+        """Write a sweep's table ``summary`` (petmjx.results.schema.summary_table). An earlier one is replaced.
 
         Raises:
             PetmjxError: the file cannot be written.
@@ -247,10 +250,10 @@ class RunWriter(RunInfo):
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, traceback: TracebackType | None
     ) -> None:
-        if self.status != RUNNING:  # the run has ended, and another run may have the folder by now
+        if self.status != RUNNING:  # the run has ended, so another run may own the folder by now
             return
         self._cut_short = error is not None
-        # the first of several Ctrl-C ends the run; later ones must not end the process before all worlds are written
+        # the first Ctrl-C ends the run; further ones must not end the process before all worlds are written
         with defer_signals(afterwards=error is None):
             trouble = self._ask(lambda: self._end(error))
             self._joined()
@@ -258,10 +261,10 @@ class RunWriter(RunInfo):
             raise trouble
 
     def results(self, held: Mapping[str, Plan] | None = None) -> RunResults:
-        """The results of the run, after its end.
+        """The results of the run, once it has ended.
 
         Args:
-            held: the run's plans by id, for plans in no file.
+            held: the run's plans by id, for plans that are in no file.
         """
         if self._in_memory:
             return RunResults(self.parts, to_json(self.info), held or {})
@@ -272,17 +275,17 @@ class RunWriter(RunInfo):
 
     @property
     def parts(self) -> Parts:
-        """The files of the tables that are written."""
+        """The files of the tables written so far."""
         return self._tables.parts
 
     @property
     def info(self) -> dict[str, Any]:
-        """The entries of ``run.json`` as of now, without the digest. Counts are of written worlds."""
+        """The entries of ``run.json`` at this moment, without the digest. Counts cover the written worlds."""
         return {**self.entries(self.counts), LISTED: self.parts.digests}
 
     def _ask(self, call: Callable[[], Any]) -> Any:
-        """Let the thread call a function, after all that was put into the queue before. Returns its result, or raises
-        its error. If this thread is interrupted meanwhile, the function is called all the same."""
+        """Let the writer's thread call a function after everything that is already in the queue. Returns the result of
+        the function, or raises its error. The function is called even if the waiting thread is interrupted."""
         request = _Request(call, SimpleQueue())
         self._queue.put(request)
         while True:
@@ -301,11 +304,12 @@ class RunWriter(RunInfo):
         atexit.unregister(self._end_at_exit)
 
     def _end_at_exit(self) -> None:
-        """End the run with the process. Only needed if a second Ctrl-C came before ``__exit__`` deferred signals."""
+        """End the run when the process exits. Only needed if a second Ctrl-C came before ``__exit__`` deferred
+        signals."""
         with contextlib.suppress(_CutShortError):
             self.__exit__(KeyboardInterrupt, KeyboardInterrupt(), None)
 
-    # The thread.
+    # The writer's thread.
 
     def _work(self) -> None:
         while not self._ended:
@@ -326,7 +330,7 @@ class RunWriter(RunInfo):
             request.reply.put((None, error))
 
     def _due_s(self) -> float | None:
-        """Time until something must be written though nothing else comes, s; None: nothing waits."""
+        """Time after which something must be written even if nothing more is added, s; None: nothing is waiting."""
         due_s = []
         if self._is_full or self._is_behind:
             due_s.append(0.0)
@@ -341,7 +345,7 @@ class RunWriter(RunInfo):
         return len(self._rows) >= self._worlds_per_part or self._row_bytes >= BYTES_PER_PART
 
     def _try_to_write(self) -> None:
-        """Write what waits. An error is stored; the thread tries again after a while."""
+        """Write everything that waits. An error is stored, and the thread tries again after a while."""
         try:
             self._write_waiting()
         except Exception as error:
@@ -353,7 +357,7 @@ class RunWriter(RunInfo):
         self._room.put(None)
 
     def _write_waiting(self, last: bool = False) -> None:
-        """Write everything that waits. With ``last`` a run in memory stays in memory, and a run without worlds gets an
+        """Write everything that waits. With ``last``, a run in memory stays in memory; and a run without worlds gets an
         empty part, so that readers find the columns.
 
         Raises:
@@ -369,9 +373,9 @@ class RunWriter(RunInfo):
         while begin < len(self._rows):
             try:
                 self._write_part(begin)
-            except PetmjxError:  # the disk: other parts would fail, too
+            except PetmjxError:  # the disk fails, so other parts would fail as well
                 raise
-            except Exception as error:  # rows that cannot be packed do not stop other rows
+            except Exception as error:  # rows that cannot be packed must not stop other rows
                 begin, failure = begin + self._worlds_per_part, failure or error
         if self._is_behind:
             self._write_info()
@@ -379,7 +383,7 @@ class RunWriter(RunInfo):
             raise failure
 
     def _write_part(self, begin: int) -> None:
-        """Write waiting rows from number ``begin`` on as a part. On failure the worlds wait on."""
+        """Write waiting rows, from row ``begin`` on, as a part. If that fails, the worlds keep waiting."""
         rows = self._rows[begin : begin + self._worlds_per_part]
         number = self.parts.next_number(*OF_WORLDS)
         digests: dict[Path, str] = {}
@@ -387,7 +391,7 @@ class RunWriter(RunInfo):
             for name, table in Part(sorted(rows, key=lambda row: row.rank)).tables(self.schemas):
                 digests |= self._tables.write(name, number, table)
         self._tables.add(digests)
-        self.counts += WorldCounts.of(table)  # ``worlds`` came last
+        self.counts += WorldCounts.of(table)  # ``worlds`` was the last table
         del self._rows[begin : begin + len(rows)]
         n_bytes = sum(row.nbytes for row in rows)
         self._row_bytes -= n_bytes
@@ -402,7 +406,7 @@ class RunWriter(RunInfo):
             self._is_behind = False
 
     def _write_placements(self) -> None:
-        """Write the table ``placements``, while worlds are simulated."""
+        """Write the table ``placements`` while worlds are being simulated."""
         content = self._manifest.placements() if self._manifest else None
         if content is not None:
             with self._writing():
@@ -421,10 +425,10 @@ class RunWriter(RunInfo):
         self._opened_s = time.monotonic()
 
     def _open(self) -> None:
-        """Lock the folder, and write the files that need no world.
+        """Lock the folder, and write the files that do not depend on worlds.
 
         Raises:
-            InputError: the folder cannot be written, or has a run that is not to be replaced or resumed.
+            InputError: the folder is not writable, or has a run that must not be replaced or resumed.
         """
         if self._in_memory:
             self._write_plans()
@@ -449,7 +453,7 @@ class RunWriter(RunInfo):
         """Resume the run in the folder.
 
         Raises:
-            InputError: the folder has another run, or the run is damaged.
+            InputError: the folder has another run, or its run is damaged.
         """
         info, parts, warnings = resume_state(self.out_dir, self._manifest, self.head["versions"])
         self.warnings |= dict.fromkeys(warnings)
@@ -459,11 +463,11 @@ class RunWriter(RunInfo):
         self.earlier_s = dict(info["timings"])
         self.head |= {"started": info["started"], "resumed": [*info["resumed"], now()]}
         self._tables = Tables(self.out_dir, parts.without("summary"))
-        self._write_info()  # before listed files are deleted; and after a kill the run must not look finished
+        self._write_info()  # before listed files are deleted, and so that a killed run does not look finished
         self._tables.drop_others()
         ranked = is_ranked(parts, list(self._manifest.plans if self._manifest else ()))
         self._write_plans()
-        if not ranked:  # a run of petmjx before 0.3, or plans in another order: only then are rows rewritten
+        if not ranked:  # rows are rewritten only here: an old run (petmjx < 0.3), or another order of plans
             self._tables.replace_worlds(self._copies(self.parts, self._ranks))
         self._write_info()
         self._tables.drop_others()
@@ -479,7 +483,7 @@ class RunWriter(RunInfo):
         self._in_memory, self._lacks_placements, self._is_behind = False, self._manifest is not None, True
 
     def _adopt(self, parts: Parts, ranked: bool) -> None:
-        """Copy the worlds of another run. The files belong to the run once all of them exist."""
+        """Copy the worlds of another run. The files belong to this run only once all of them exist."""
         counts = [WorldCounts.of(worlds) for worlds in parts.table("worlds", COUNTED)]
         with self._writing():
             digests = self._copies(parts, None if ranked else self._ranks)
@@ -504,13 +508,13 @@ class RunWriter(RunInfo):
             self._tables.drop_others()
 
     def _end(self, error: BaseException | None) -> Exception | None:
-        """Write the remaining worlds and the run's end in ``run.json``, and leave the folder.
+        """Write the remaining worlds, state in ``run.json`` how the run ended, and leave the folder.
 
         Args:
-            error: the error that ended the run; None: it came to its end.
+            error: the error that ended the run; None: the run is complete.
 
         Returns:
-            The error at writing the remaining worlds, if any.
+            The error while writing the remaining worlds, if any.
         """
         trouble: Exception | None = None
         try:
@@ -525,14 +529,14 @@ class RunWriter(RunInfo):
         else:
             self.status, self.error = "failed", one_line(cause)
         if error is not None and trouble is not None:
-            # the error that ended the body is raised; this error is only noted in run.json, until the run is resumed
+            # the error of the run itself is raised; this one is only noted in run.json, until the run is resumed
             also = f"the last part could not be written: {one_line(trouble)}"
             self.error = f"{self.error}; {also}" if self.error else also
         try:
             with contextlib.nullcontext() if cause is None else contextlib.suppress(PetmjxError):
                 self._write_info()
             if cause is not None and not self._in_memory:
-                with contextlib.suppress(OSError):  # a part from an unfinished write, which readers might find
+                with contextlib.suppress(OSError):  # delete a part of an unfinished write, which readers might find
                     self._tables.drop_others()
         finally:
             self._leave()

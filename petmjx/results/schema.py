@@ -1,13 +1,13 @@
-"""Columns of the result tables: name, type, unit and meaning. Metrics come from petmjx.engines.metrics.
+"""Columns of the result tables: name, type, unit and meaning. petmjx.engines.metrics defines the metrics.
 
-Types, and why:
+The types, with reasons:
 
-- Texts are plain strings. On disk, Parquet encodes such texts with a dictionary anyway. In memory they have the same
-  type for all readers; two pandas categoricals with different categories could not even be compared.
-- ``worlds`` is float64: times are float64 sums of the timestep, and are compared to the step. ``boxes`` is forty times
-  as long: measured values are float32, only times are float64.
-- A value that does not exist (no culprit, a box that was never placed, a world that never came to rest) is null. The
-  ``reason`` of a stable world is the empty string, since pandas drops null keys when grouping.
+- Texts are plain strings. On disk, Parquet encodes them with a dictionary anyway. In memory they have the same type for
+  all readers, whereas two pandas categoricals with different categories could not even be compared.
+- ``worlds`` is float64, because times are float64 sums of the timestep and are compared exactly. ``boxes`` is forty
+  times as long, so its measured values are float32 and only its times are float64.
+- A value that does not exist is null: there is no culprit, a box was never placed, or a world never came to rest. The
+  ``reason`` of a stable world, however, is the empty string, since pandas drops null keys when grouping.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ if TYPE_CHECKING:
     import pandas as pd
 
 SCHEMA_VERSION: Final = 2
-"""Increase it when a column is renamed or removed, or when its meaning changes. New columns do not need it."""
+"""Version of the columns. It is increased when a column is renamed, removed or redefined, but not for new columns."""
 
 _FLAG_BITS = ", ".join(
     f"{flag.value} {(flag.name or '').lower().replace('_', '-')}"
@@ -45,7 +45,7 @@ def _column(name: str, kind: pa.DataType, unit: str, text: str) -> pa.Field:
 
 @dataclass(frozen=True)
 class Param:
-    """A parameter of a sweep's variants: an additional column of ``worlds``. ``type`` is float, int, bool or str."""
+    """A parameter of a sweep's variants, which becomes a column of ``worlds``. ``type`` is float, int, bool or str."""
 
     name: str
     unit: str = DIMENSIONLESS
@@ -76,7 +76,7 @@ def _metrics(columns: Iterable[metrics.Column]) -> list[pa.Field]:
 
 
 RANK: Final = "rank"
-"""Column of all tables of worlds: the world's place in the order of the run (petmjx.results.plan_order)."""
+"""Column of all tables of worlds: the world's position in the order of the run (petmjx.results.plan_order)."""
 
 RANK_COLUMN: Final = _column(
     RANK, pa.int64(), DIMENSIONLESS, "the world's place in the order of the run: plan by plan as given, then by variant"
@@ -98,7 +98,7 @@ _WORLD_COLUMNS = (
     *_texts(verdict=_one_of(Verdict), reason="why it is not stable; empty where it is"),
     *_counts(culprit="box that first crossed a threshold (packing order from 0); null where none did"),
 )
-"""Columns before the metrics. The flags come after the metrics."""
+"""Columns of ``worlds`` before the metrics. The flags follow the metrics."""
 
 _BOX_COLUMNS = (
     *_KEY,
@@ -106,7 +106,7 @@ _BOX_COLUMNS = (
     *_texts(item_id="id of the item in the plan", article="article of the item"),
     _column("sequence", pa.int64(), DIMENSIONLESS, "sequence number of the item in the plan"),
 )
-"""Columns before the metrics."""
+"""Columns of ``boxes`` before the metrics."""
 
 
 _ATTEMPT_COLUMNS = (
@@ -128,7 +128,7 @@ _FRAME_KEY = (
 
 
 def _vector(name: str, unit: str, text: str, parts: str = "xyz", end: str = "") -> list[pa.Field]:
-    """A column for each component: ``name_x``, …, and ``end``."""
+    """A column for each component, named ``name_x``, … with the suffix ``end``."""
     return [_column(f"{name}_{part}{end}", pa.float64(), unit, f"{text}, {part}") for part in parts]
 
 
@@ -163,7 +163,7 @@ _CONTACT_COLUMNS = (
 
 
 _NUMBER = _counts(number="number of the plan among those given, from 0, counting skipped ones")
-"""Column of ``plans``, which has its rows in this order."""
+"""Column of ``plans``, by which its rows are sorted."""
 
 _EXTENT_COLUMNS = (
     _column("volume_m3", pa.float64(), "m^3", "sum of its boxes' volumes"),
@@ -207,14 +207,14 @@ def _schema(table: str, columns: Iterable[pa.Field]) -> pa.Schema:
 def schemas(
     params: Iterable[Param] = (), dynamic: bool = False, force_intervals: bool = False, legs: bool = False
 ) -> dict[str, pa.Schema]:
-    """Table → schema, for ``worlds``, ``boxes``, ``attempts`` (one row per attempt, for worlds that needed more than
-    one), and for the tables of recorded worlds: ``histories``, ``frames``, ``contacts``.
+    """Table → schema. The tables are ``worlds``, ``boxes`` and ``attempts`` (one row per attempt, for worlds that
+    needed more than one), and the tables of recorded worlds: ``histories``, ``frames``, ``contacts``.
 
     Args:
-        params: parameters of a sweep's variants; the last columns of ``worlds``.
+        params: parameters of a sweep's variants, which become the last columns of ``worlds``.
         dynamic: whether the run has profiles; ``boxes`` then has additional metrics.
         force_intervals: whether ``boxes`` has intervals of the forces at rest.
-        legs: whether the run is a chain of several legs; ``boxes`` then has the largest force at rest after any.
+        legs: whether the run is a chain of several legs; ``boxes`` then has the largest force at rest after any leg.
 
     Raises:
         ValueError: two columns have the same name.
@@ -232,7 +232,7 @@ def schemas(
 
 
 def plans_schema(ordered: bool = False) -> pa.Schema:
-    """Schema of ``plans``. The table tells whether two runs have the same plans.
+    """Schema of ``plans``, the table that shows whether two runs have the same plans.
 
     Args:
         ordered: whether the run was compared with orders; the table then has the columns of
@@ -245,15 +245,15 @@ def plans_schema(ordered: bool = False) -> pa.Schema:
 
 
 def placements_schema() -> pa.Schema:
-    """Schema of ``placements``: all fields of the run's plans, so that the folder does not depend on the plan files."""
+    """Schema of ``placements``: all fields of the run's plans, so that the run can be read without the plan files."""
     return _schema("placements", _PLACEMENT_COLUMNS)
 
 
 def summary_schema(inferred: pa.Schema, units: Mapping[str, str], descriptions: Mapping[str, str]) -> pa.Schema:
-    """Schema of ``summary`` from the columns of a data frame, with a unit for every number.
+    """Schema of ``summary``, derived from the columns of a data frame, with a unit for every number.
 
     Raises:
-        ValueError: a numeric column without a unit.
+        ValueError: a numeric column has no unit.
     """
     for field in inferred:
         numeric = pa.types.is_integer(field.type) or pa.types.is_floating(field.type)
@@ -266,32 +266,32 @@ def summary_schema(inferred: pa.Schema, units: Mapping[str, str], descriptions: 
 def summary_table(
     frame: pd.DataFrame, units: Mapping[str, str], descriptions: Mapping[str, str] | None = None
 ) -> pa.Table:
-    """The table ``summary``; the frame's index is left out.
+    """Make the table ``summary``. The frame's index is left out.
 
     Args:
-        units: column → unit, for every column of numbers (``"1"`` for counts and shares).
-        descriptions: column → one line.
+        units: column → unit, for every numeric column (``"1"`` for counts and shares).
+        descriptions: column → description in one line.
 
     Raises:
-        ValueError: a numeric column without a unit.
+        ValueError: a numeric column has no unit.
     """
     table = pa.Table.from_pandas(frame, preserve_index=False)
     return pa.Table.from_arrays(table.columns, schema=summary_schema(table.schema, units, descriptions or {}))
 
 
 _NUMBERS: Final = tuple(metric.name for metric in metrics.world_metrics() if metric.numbers)
-"""Columns of ``worlds`` with the number of a box or a step."""
+"""Columns of ``worlds`` whose value is the number of a box or of a step."""
 
 
 def data_frame(table: pa.Table) -> pd.DataFrame:
-    """A table as a data frame, without ranks, since its rows are in order. The columns ``_NUMBERS`` are always float64,
-    as pandas makes them if values are missing, so that the type does not depend on the worlds."""
+    """A table as a data frame without ranks, since its rows are already in order. The columns ``_NUMBERS`` are always
+    float64, the type that pandas uses when values are missing, so the type does not depend on the worlds."""
     frame: pd.DataFrame = table.select([name for name in table.column_names if name != RANK]).to_pandas()
     return frame.astype({name: "float64" for name in _NUMBERS if name in frame})
 
 
 def schema_version_of(metadata: Mapping[bytes, bytes] | None) -> int:
-    """The schema version in a file's metadata; 0 if there is none."""
+    """The schema version in a file's metadata; 0 if it has none."""
     text: Any = (metadata or {}).get(b"schema_version", b"0")
     try:
         return int(text)
@@ -300,7 +300,7 @@ def schema_version_of(metadata: Mapping[bytes, bytes] | None) -> int:
 
 
 def check_version(file: Path, version: int) -> None:
-    """Raises InputError if a newer petmjx wrote the results."""
+    """Check that the results can be read. Raises InputError if a newer petmjx wrote them."""
     if version > SCHEMA_VERSION:
         raise InputError(
             f"{file}: written by a newer petmjx (schema {version}; this one reads up to {SCHEMA_VERSION}): update it"

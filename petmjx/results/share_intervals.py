@@ -1,6 +1,7 @@
 """Shares of worlds that stand, with confidence intervals.
 
-For two shares from the same trials: the interval of their difference, an exact test, and a correction for many tests.
+For two shares from the same trials, there are the interval of their difference, an exact test, and a correction for
+many tests.
 """
 
 from __future__ import annotations
@@ -22,11 +23,11 @@ DEFAULT_CONFIDENCE = 0.95
 
 ALL_PLANS = "all"
 ONE_PLAN = "plan"
-"""Values of the column ``scope``: of summary rows over all plans together, whose ``plan_id`` is null, and of rows about
-one plan."""
+"""Values of the column ``scope`` in summary rows: rows about all plans together, whose ``plan_id`` is null, and rows
+about one plan."""
 
 KEYS = ("scope", "plan_id", "axis", "value")
-"""Columns that name the subject of a summary row."""
+"""Columns that state what a summary row is about."""
 
 
 def wilson_interval(
@@ -34,11 +35,11 @@ def wilson_interval(
 ) -> tuple[FloatArray, FloatArray]:
     """Wilson's score interval of a share, element by element; (0, 1) where n is 0.
 
-    Source: Wilson (1927), J. Am. Stat. Assoc. 22, 209-212. The interval is always inside [0, 1]. The Wilson interval
-    also has a width at shares of 0 and 1, where the usual ± interval has none.
+    Source: Wilson (1927), J. Am. Stat. Assoc. 22, 209-212. The interval always lies inside [0, 1]. At shares of 0 and 1
+    it still has a width, whereas the usual ± interval has none.
 
     Raises:
-        ValueError: successes outside 0 … n, or a confidence outside (0, 1).
+        ValueError: successes are not in 0 … n, or the confidence is not in (0, 1).
     """
     k, total = np.broadcast_arrays(np.asarray(successes, dtype=np.float64), np.asarray(n, dtype=np.float64))
     if not 0 < confidence < 1:
@@ -50,21 +51,22 @@ def wilson_interval(
     share = k / n_or_one
     centre = (share + z * z / (2 * n_or_one)) / (1 + z * z / n_or_one)
     half = z / (1 + z * z / n_or_one) * np.sqrt(share * (1 - share) / n_or_one + z * z / (4 * n_or_one * n_or_one))
-    # At shares of 0 and 1 the bound is exactly that share; rounding must not move it.
+    # at shares of 0 and 1 the bound is exactly that share; rounding must not change it
     low = np.where((total == 0) | (k == 0), 0.0, centre - half)
     high = np.where((total == 0) | (k == total), 1.0, centre + half)
     return low, high
 
 
 def by_plan_and_axis(worlds: pd.DataFrame, axes: Sequence[str], **columns: tuple[str, str]) -> pd.DataFrame:
-    """Aggregate worlds in groups: over all plans and for each plan, both over all worlds (axis "") and by axis value.
+    """Aggregate worlds in groups: over all plans, and for each plan. Both are done over all worlds (axis "") and for
+    each value of each axis.
 
     Args:
-        columns: aggregates of each group, as pandas' ``agg`` takes them: name=(column, function).
+        columns: aggregates of each group, in the form that pandas' ``agg`` accepts: name=(column, function).
 
     Returns:
-        The columns ``KEYS`` and the aggregates. Rows over all plans come first; the column ``scope`` distinguishes them
-        from rows about a plan.
+        The columns ``KEYS`` and the aggregates. Rows about all plans come first; the column ``scope`` distinguishes
+        them from rows about one plan.
     """
     parts = []
     for scope, rows in ((ALL_PLANS, worlds.assign(plan_id="")), (ONE_PLAN, worlds)):
@@ -83,21 +85,21 @@ def share_standing(worlds: pd.DataFrame, axes: Sequence[str]) -> pd.DataFrame:
     """The share of worlds that stand, for every value of every axis. Shares with random draws have a Wilson 95 %
     interval.
 
-    Invalid worlds are no evidence about the pallet: they are counted separately and are not in the share. Worlds
-    without a value on an axis (the nominal world) are left out of the rows of this axis.
+    Invalid worlds are no evidence about the pallet: they are counted separately and do not enter the share. A world
+    without a value on an axis (the nominal world) does not enter the rows of that axis.
 
-    A world without random values has the same outcome every time, so a row with such a world has no interval. Worlds
-    of one draw are not independent of each other. So the number of trials is the number of draws, whatever the number
-    of worlds: the mean over the worlds of a draw varies at most as much as one world.
+    A world without random values always has the same outcome, so a row with such a world has no interval. Worlds of the
+    same draw are not independent of each other. So the number of trials is the number of draws, however many worlds
+    there are. This is safe, because the mean over the worlds of a draw varies at most as much as one world.
 
     Args:
-        worlds: rows with ``plan_id``, ``verdict`` and a column for each axis; ``draw``, if present, is equal for worlds
-            that share their random numbers, and null for worlds without any.
-        axes: parameter columns; a row of the summary is about one value of one axis, over all values of the other axes.
+        worlds: rows with ``plan_id``, ``verdict`` and a column for each axis. The column ``draw``, if present, is equal
+            for worlds that share their random numbers, and null for worlds without random numbers.
+        axes: parameter columns. A row of the summary is about one value of one axis, over all values of the other axes.
 
     Returns:
-        Columns ``KEYS``, n_worlds, n_standing, n_invalid, share, n_draws (0 where the row has no interval), low, high;
-        a row with axis "" sums over everything.
+        Columns ``KEYS``, n_worlds, n_standing, n_invalid, share, n_draws (0 if the row has no interval), low, high. A
+        row with axis "" covers all worlds.
     """
     verdict = worlds["verdict"].astype(str)
     invalid = verdict == str(Verdict.INVALID)
@@ -125,10 +127,10 @@ def _text(value: object) -> str:
 
 @dataclass(frozen=True)
 class PairedCounts:
-    """Counts of trials by success in a and in b.
+    """Counts of trials by their outcomes in a and in b.
 
     Attributes:
-        both, only_a, only_b, neither: successes.
+        both, only_a, only_b, neither: number of trials that succeeded in both, only in a, only in b, or in neither.
     """
 
     both: int
@@ -143,12 +145,12 @@ class PairedCounts:
 
     @property
     def difference(self) -> float:
-        """Share of b minus share of a; NaN without trials."""
+        """Share of successes in b minus share in a; NaN without trials."""
         return (self.only_b - self.only_a) / self.n if self.n else float("nan")
 
 
 def newcombe_interval(counts: PairedCounts, confidence: float = DEFAULT_CONFIDENCE) -> tuple[float, float]:
-    """Confidence interval of share b − share a: Newcombe's square-and-add interval; (−1, 1) without trials.
+    """Confidence interval of (share of b − share of a): Newcombe's square-and-add interval; (−1, 1) without trials.
 
     Source: Newcombe (1998), "Improved confidence intervals for the difference between binomial proportions based on
     paired data", Statistics in Medicine 17, 2635–2650, method 10: it combines the Wilson intervals of both shares with
@@ -162,7 +164,7 @@ def newcombe_interval(counts: PairedCounts, confidence: float = DEFAULT_CONFIDEN
     (below_b, below_a), (above_b, above_a) = (hits / n - low).tolist(), (high - hits / n).tolist()
     twice = 2 * _correlation(counts)
     difference = counts.difference
-    # rounding may leave a tiny negative number where a bound is the share itself
+    # if a bound equals the share itself, rounding may leave a tiny negative number
     down = sqrt(max(0.0, below_b**2 - twice * below_b * above_a + above_a**2))
     up = sqrt(max(0.0, above_b**2 - twice * above_b * below_a + below_a**2))
     return max(-1.0, difference - down), min(1.0, difference + up)
@@ -180,8 +182,8 @@ def _correlation(counts: PairedCounts) -> float:
 
 
 def mcnemar_p(counts: PairedCounts) -> float:
-    """P-value (two-sided) of McNemar's exact test: among the trials in which a and b differ, do a and b succeed equally
-    often? 1 if they differ in no trial.
+    """Two-sided p-value of McNemar's exact test: whether a and b succeed equally often in the trials in which they
+    differ. 1 if they differ in no trial.
 
     Raises:
         InputError: SciPy is not installed.
@@ -197,10 +199,11 @@ def mcnemar_p(counts: PairedCounts) -> float:
 
 
 def holm(p_values: Sequence[float]) -> FloatArray:
-    """P-values corrected for the number of tests, so that the chance of any false alarm stays below the level.
+    """P-values corrected for the number of tests, so that the probability of any false alarm stays below the level.
 
     Source: Holm (1979), "A simple sequentially rejective multiple test procedure", Scandinavian Journal of Statistics
-    6, 65–70: the smallest of m is multiplied by m, the next one by m − 1, …; none becomes smaller than its predecessor.
+    6, 65–70. The smallest of m p-values is multiplied by m, the next one by m − 1, and so on; none may become smaller
+    than its predecessor.
     """
     p = np.asarray(p_values, dtype=np.float64)
     order = np.argsort(p, kind="stable")

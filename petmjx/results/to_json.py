@@ -12,16 +12,16 @@ import numpy as np
 
 
 def to_json(value: Any) -> Any:
-    """The value as plain JSON values.
+    """Convert a value to plain JSON values.
 
-    NumPy scalars, enums and tuples are unpacked, a data frame becomes a list of rows, a path becomes text. Missing and
-    non-finite numbers become None.
+    NumPy scalars, enums and tuples are unpacked, a data frame becomes a list of rows, and a path becomes text. Missing
+    and non-finite numbers become None.
     """
     if isinstance(value, Mapping):
         return {str(to_json(key)): to_json(item) for key, item in value.items()}
     if isinstance(value, list | tuple | set | frozenset):
         return [to_json(item) for item in value]
-    pandas = sys.modules.get("pandas")  # without it there is no data frame; it takes 0.2 s to load
+    pandas = sys.modules.get("pandas")  # a data frame exists only if pandas is loaded, which takes 0.2 s
     if pandas is not None and isinstance(value, pandas.DataFrame):
         return to_json(value.to_dict("records"))
     if isinstance(value, np.ndarray | np.generic):

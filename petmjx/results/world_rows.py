@@ -1,4 +1,4 @@
-"""Finished worlds as rows, and rows as the tables of a part."""
+"""Finished worlds as rows, and the tables of a part made from these rows."""
 
 from __future__ import annotations
 
@@ -22,14 +22,15 @@ from petmjx.results import history_tables
 from petmjx.results.schema import RANK
 
 ROW_BYTES: Final = 2_000
-"""Memory of a row without its boxes and its history, bytes: 1,200 by tracemalloc, and its own numbers and texts."""
+"""Memory of a row without its boxes and its history, bytes: 1,200 by tracemalloc, plus the numbers and texts of the
+world itself."""
 
 _OF_OUTCOME: Final = ("engine", "solver", "attempt", "n_boxes", "n_placed", "verdict", "reason", "flags")
-"""Columns of ``worlds`` that are fields of an outcome, in addition to its metrics."""
+"""Columns of ``worlds``, besides the metrics, that are fields of an outcome."""
 
 
 def _block_columns() -> list[Column]:
-    """Metrics with a value for each box. The schema of ``boxes`` decides which of them are written."""
+    """Metrics that have a value for each box. The schema of ``boxes`` determines which of them are written."""
     return [*box_columns(), *FORCE_INTERVAL]
 
 
@@ -69,13 +70,13 @@ def _layout() -> _Layout:
 
 @dataclass(frozen=True, eq=False)
 class Row:
-    """One finished world that waits to be written. The row has copies, so the engine may reuse its arrays.
+    """One finished world that waits to be written. The row holds copies, so the engine may reuse its arrays.
 
     Attributes:
-        cells: columns of ``worlds`` that are not reductions over boxes.
-        block: (columns, boxes) metrics of boxes, in the order of ``_block_columns``.
+        cells: values for the columns of ``worlds`` that are not computed from all boxes.
+        block: (columns, boxes) metrics of the boxes, in the order of ``_block_columns``.
         attempts: all attempts; empty if the world needed only one.
-        recorded: the recorded world with its history; None without a recording.
+        recorded: the world with its history; None if it was not recorded.
         ended_s: when the world ended (monotonic clock).
     """
 
@@ -88,13 +89,13 @@ class Row:
 
     @property
     def rank(self) -> int:
-        """The world's place in the order of the run."""
+        """The world's position in the order of the run."""
         rank: int = self.cells[RANK]
         return rank
 
     @property
     def nbytes(self) -> int:
-        """Memory of the row, without its plan, bytes."""
+        """Memory of the row without its plan, bytes."""
         return ROW_BYTES + self.block.nbytes + (self.recorded.size if self.recorded is not None else 0)
 
     @classmethod
@@ -109,10 +110,10 @@ class Row:
         params: Mapping[str, Any],
         interval_n: FloatArray | None = None,
     ) -> Row:
-        """Copy the written values of an outcome. The outcome's ``state`` is dropped.
+        """Copy those values of an outcome that are written. The outcome's ``state`` is dropped.
 
         Raises:
-            ValueError: the outcome does not belong to the plan (another number of boxes).
+            ValueError: the outcome does not belong to the plan: the numbers of boxes differ.
         """
         n = outcome.n_boxes
         if not n == plan.n_boxes == len(outcome.boxes.max_tilt_deg) or n == 0:
@@ -125,7 +126,7 @@ class Row:
                 cells[name] = None
         cells |= params
         block = np.full((layout.n_rows, n), np.nan)
-        placed = slice(outcome.n_placed)  # boolean columns read NaN as "no"
+        placed = slice(outcome.n_placed)  # in boolean columns, NaN counts as "no"
         for rows, values in zip(layout.block_rows, layout.block_of(outcome.boxes), strict=True):
             block[rows, placed] = np.asarray(values)[placed].T
         if interval_n is not None:
@@ -137,12 +138,13 @@ class Row:
 
 @dataclass(frozen=True)
 class Part:
-    """The rows of one part of a run, in the order of writing."""
+    """The rows of one part of a run, in the order in which they are written."""
 
     rows: Sequence[Row]
 
     def tables(self, schemas: Mapping[str, pa.Schema]) -> Iterator[tuple[str, pa.Table]]:
-        """(name, table) of every table of the part; ``worlds`` comes last. ``boxes`` is left out without a schema."""
+        """Yield (name, table) for every table of the part, ``worlds`` last. ``boxes`` is left out if it has no
+        schema."""
         recorded = [row.recorded for row in self.rows if row.recorded is not None]
         for name, columns_of in history_tables.TABLES.items() if recorded else ():
             columns = columns_of(recorded)
@@ -155,7 +157,8 @@ class Part:
         yield "worlds", self.worlds(schemas["worlds"])
 
     def worlds(self, schema: pa.Schema) -> pa.Table:
-        """The ``worlds`` table, with reductions over boxes, for the whole part at once."""
+        """Make the table ``worlds`` for the whole part at once, including the values that are computed from all
+        boxes."""
         blocks, counts = self._blocks
         starts = np.cumsum(counts) - counts
         columns: dict[str, Any] = {}
@@ -169,7 +172,7 @@ class Part:
         return _typed_table(columns | {name: [row.cells[name] for row in self.rows] for name in other_names}, schema)
 
     def boxes(self, schema: pa.Schema) -> pa.Table:
-        """The ``boxes`` table: world after world, boxes in packing order."""
+        """Make the table ``boxes``: world after world, and boxes in packing order."""
         blocks, counts = self._blocks
         world = np.repeat(np.arange(len(self.rows)), counts)
         columns: dict[str, Any] = {
@@ -186,7 +189,7 @@ class Part:
         return _typed_table(columns, schema)
 
     def attempts(self, schema: pa.Schema) -> pa.Table:
-        """The ``attempts`` table: no rows if every world needed only one attempt."""
+        """Make the table ``attempts``. It has no rows if every world needed only one attempt."""
         rows = [(row, attempt) for row in self.rows for attempt in row.attempts]
         cells = [{**row.cells, **vars(attempt)} for row, attempt in rows]
         return _typed_table({name: [cell[name] for cell in cells] for name in schema.names}, schema)

@@ -1,4 +1,4 @@
-"""The answers of a chain: how likely a pallet arrives, the weakest leg, and the gain by a remedy.
+"""The summary of a chain: how likely a pallet is to arrive, the weakest leg, and the gain from each remedy.
 
 Users read about the columns in docs/chains.md.
 """
@@ -22,10 +22,10 @@ from petmjx.runs.chain_legs import AS_IS, PLACING
 from petmjx.runs.sweep_worlds import SweepPlan
 
 WHOLE_WAY: Final = ""
-"""``leg`` of the rows about the whole way."""
+"""``leg`` of the rows that cover the whole journey, from placing to the last leg."""
 
 OF_WORLDS: Final = ("plan_id", "variant", "verdict", "culprit", "leg", "remedy")
-"""Columns of ``worlds`` for the summary."""
+"""Columns of ``worlds`` that the summary needs."""
 
 _KEYS: Final = ["scope", "plan_id", "remedy", "leg"]
 _COUNTS: Final = ["n_worlds", "n_standing", "n_invalid"]
@@ -55,12 +55,12 @@ _TEXTS: Final = frozenset({"scope", "plan_id", "remedy", "leg", "weakest_leg"})
 
 @dataclass(frozen=True)
 class ChainColumns:
-    """Facts about a chain that its summary needs. ``run.json`` has it, so that shards can be joined.
+    """Facts about a chain that its summary needs. They are stored in ``run.json``, so that shards can be merged.
 
     Attributes:
         legs: names of the legs that shake the pallet, in order.
         remedies: names of the remedies, in order.
-        random: whether worlds are drawn.
+        random: whether worlds are random draws.
     """
 
     legs: Sequence[str]
@@ -69,16 +69,17 @@ class ChainColumns:
 
     @classmethod
     def of(cls, plan: SweepPlan) -> ChainColumns:
-        """The columns of a sweep with legs."""
+        """The facts about a sweep with legs."""
         first, *remedies = plan.ways
         return cls([leg.name for leg in plan.ways[first]], remedies, bool(plan.draws()))
 
 
 def summarise_chain(worlds: pd.DataFrame, chain: ChainColumns) -> pd.DataFrame:
-    """The summary of a chain: a row for all plans and for each plan, for each remedy, for the whole way and each leg.
+    """The summary of a chain. It has rows for all plans together and for each plan; each of these has rows for each
+    remedy, and each remedy has one row for the whole journey and one for each leg.
 
-    Worlds of a plan are independent draws, so shares have Wilson's interval. A world and the same world with a remedy
-    are a pair.
+    The worlds of a plan are independent draws, so each share gets a Wilson interval. A world without remedies and the
+    same world with a remedy form a pair.
 
     Args:
         worlds: the columns ``OF_WORLDS`` of all worlds of the run, in its order.
@@ -131,8 +132,8 @@ def _leg_counts(worlds: pd.DataFrame, legs: Sequence[str]) -> pd.DataFrame:
 
 
 def _weakest_legs(summary: pd.DataFrame, worlds: pd.DataFrame) -> pd.DataFrame:
-    """The leg in which most worlds failed, for each row about the whole way, and the box that failed most often in that
-    leg. Of equal numbers the first counts."""
+    """For each row about the whole journey: the leg in which the largest number of worlds failed, and the box that
+    failed most often in that leg. In a tie, the first one counts."""
     way = _KEYS[:3]
     failed = summary.assign(n=summary["n_worlds"] - summary["n_standing"] - summary["n_invalid"])
     failed = failed[(failed["leg"] != WHOLE_WAY) & (failed["n"] > 0)]
@@ -146,7 +147,7 @@ def _weakest_legs(summary: pd.DataFrame, worlds: pd.DataFrame) -> pd.DataFrame:
 
 
 def _gains(worlds: pd.DataFrame, *, random: bool) -> pd.DataFrame:
-    """The gain by each remedy, for rows about the whole way."""
+    """The gain from each remedy, for the rows about the whole journey."""
     judged = worlds[worlds["verdict"] != Verdict.INVALID.value]
     pairs = ["scope", "plan_id", "pair", "draw"]
     without = judged.loc[judged["remedy"] == AS_IS, [*pairs, "verdict"]]
@@ -166,13 +167,13 @@ def _gains(worlds: pd.DataFrame, *, random: bool) -> pd.DataFrame:
 
 
 def _gain(counts: PairedCounts, random: bool) -> tuple[float, float, float]:
-    """The gain of a remedy, a in the pairs being the world without it, and its interval."""
+    """The gain from a remedy, and its interval. The first world of each pair is the one without the remedy."""
     low, high = newcombe_interval(counts) if random and counts.n else (np.nan, np.nan)
     return counts.difference, low, high
 
 
 def write_chain(writer: RunWriter, chain: ChainColumns) -> None:
-    """Write the table ``summary`` of a chain. All parts of the run must be written.
+    """Write the table ``summary`` of a chain. All other tables of the run must be complete.
 
     Raises:
         PetmjxError: the file cannot be written.
@@ -185,18 +186,18 @@ def write_chain(writer: RunWriter, chain: ChainColumns) -> None:
 
 
 def arrivals(summary: pd.DataFrame, remedy: str = AS_IS) -> pd.DataFrame:
-    """The rows of a chain's summary about the whole way of each plan, in the order of the run."""
+    """The summary's rows for the whole journey of each plan, in the order of the run."""
     chosen = (summary["scope"] == ONE_PLAN) & (summary["leg"] == WHOLE_WAY) & (summary["remedy"] == remedy)
     return summary[chosen].reset_index(drop=True)
 
 
 def shares_by_leg(summary: pd.DataFrame) -> pd.DataFrame:
-    """P(stands after a leg, given that it was reached) of each plan without remedies: one row per plan, one column per
-    leg in order."""
+    """For each plan without remedies: P(the pallet stands after a leg, given that it reached the leg). One row per
+    plan, one column per leg, legs in order."""
     chosen = summary[(summary["scope"] == ONE_PLAN) & (summary["remedy"] == AS_IS) & (summary["leg"] != WHOLE_WAY)]
     return chosen.pivot(index="plan_id", columns="leg", values="share")[chosen["leg"].unique().tolist()]
 
 
 def is_chain(info: Mapping[str, Any]) -> bool:
-    """Whether a run is one of a chain. ``info``: its ``run.json``."""
+    """Whether a run is a run of a chain. ``info``: the content of ``run.json``."""
     return info.get("config", {}).get("chain") is not None

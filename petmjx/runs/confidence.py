@@ -1,6 +1,6 @@
-"""Scores with confidence: the share of worlds that stand with the errors of a stated robot and its cartons.
+"""Scores with confidence: the share of worlds that stand, given the errors of a stated robot and its cartons.
 
-A score with confidence is a sweep of single errors with replicates and the nominal world, with a summary of its own.
+A score with confidence is a sweep with single errors, replicates and the nominal world. It has its own summary.
 Users read about it in docs/confidence.md.
 """
 
@@ -33,10 +33,10 @@ READY_MADE: Final = "confidence"
 EVEN: Final = 0.5
 
 SIGNIFICANCE: Final = 0.05
-"""Chance of at least one false alarm in a run if no plan's share depends on the way of placing."""
+"""Chance of at least one false alarm in a run in which no plan's share depends on how boxes are placed."""
 
 PLACING: Final = "placing"
-"""The axis, and the column of worlds, for the way in which boxes with errors were placed."""
+"""Name of the axis, and of the column of ``worlds``, that states how boxes with errors were placed."""
 
 _DESCRIPTIONS: Final = {
     "plan_id": "id of the packing plan",
@@ -65,7 +65,7 @@ _OF_BOTH: Final = {
     "number of plans by Holm's method",
     "placing_matters": f"whether that is below {SIGNIFICANCE:g}: the two shares differ beyond chance",
 }
-"""Columns of a run whose worlds with errors were placed both ways, carried and appearing."""
+"""Further columns of a run in which each world with errors was simulated twice: boxes carried, and boxes appearing."""
 
 _TEXTS: Final = frozenset({"plan_id", "verdict", "reason", "coin_toss", "placing_matters"})
 """Columns that are not numbers."""
@@ -79,11 +79,11 @@ def confidence_sweep(
     Args:
         n_worlds: worlds with errors for each plan, in addition to the nominal world.
         errors: a sweep file of errors, or the name of a ready-made one; None: ``READY_MADE``.
-        simulation: fields of ``Simulation`` that replace those of the file.
-        exact_too: as in ``petmjx.options.run_options.Confidence``: each world with errors is simulated twice.
+        simulation: fields of ``Simulation`` that override those of the file.
+        exact_too: as in ``petmjx.options.run_options.Confidence``: simulate each world with errors twice.
 
     Raises:
-        InputError: an unusable file, a file with more than single errors, or ``exact_too`` although boxes are not
+        InputError: the file is unusable or has more than single errors, or ``exact_too`` is set although boxes are not
             carried.
     """
     error_sweep = load_sweep(find_sweep(errors or READY_MADE), plans_given=True, simulation=simulation)
@@ -100,7 +100,7 @@ def confidence_sweep(
 
 
 def _error_sweep_fault(sweep: Sweep) -> str:
-    """A line on the first thing that a file of errors may not have; empty if there is none."""
+    """One line about the first entry that a file of errors must not have; empty if there is none."""
     if sweep.search is not None:
         return "[search] contradicts confidence, which asks for a share: use petmjx sweep"
     if sweep.legs:
@@ -120,13 +120,13 @@ def _error_sweep_fault(sweep: Sweep) -> str:
 
 
 def summarise_confidence(parts: Parts, *, both: bool = False) -> pd.DataFrame:
-    """One row per plan, in the order of the input: its nominal verdict, and the share that stands with errors.
+    """One row per plan, in the order of the input: the nominal verdict, and the share of worlds with errors that stand.
 
     Columns: docs/confidence.md.
 
     Args:
-        parts: files of the run, all written.
-        both: whether worlds with errors were placed both ways (``exact_too``).
+        parts: files of the run, all complete.
+        both: whether each world with errors was simulated both ways (``exact_too``).
     """
     columns = ["plan_id", "variant", "verdict", "reason", "margin", "flags"]
     columns += [PLACING, "replicate"] if both else []
@@ -149,14 +149,14 @@ def summarise_confidence(parts: Parts, *, both: bool = False) -> pd.DataFrame:
 
 
 def _shares(drawn: pd.DataFrame) -> pd.DataFrame:
-    """The share of each plan that stands."""
+    """For each plan, the share of worlds that stand."""
     shares = share_standing(drawn.assign(draw=drawn["variant"]), ())
     return shares[shares["scope"] == ONE_PLAN]
 
 
 def _failures(drawn: pd.DataFrame) -> pd.DataFrame:
-    """For each plan, the number of unstable worlds in which a box could not be placed, and the number of other worlds
-    in which boxes fell."""
+    """For each plan, two counts of unstable worlds: worlds in which a box could not be placed, and the other worlds, in
+    which boxes fell."""
     fails = drawn["verdict"].astype(str) == Verdict.UNSTABLE.value
     missed = (drawn["flags"].to_numpy(np.int64) & int(Flag.NOT_PLACED)) != 0
     counted = pd.DataFrame({"plan_id": drawn["plan_id"], "n_not_placed": fails & missed, "n_fell": fails & ~missed})
@@ -164,8 +164,8 @@ def _failures(drawn: pd.DataFrame) -> pd.DataFrame:
 
 
 def _paired_draws(carried: pd.DataFrame, exact: pd.DataFrame) -> pd.DataFrame:
-    """For each plan, the draws that stand with only one way of placing, among draws with a verdict for both ways, and
-    the test of these numbers."""
+    """For each plan: the number of draws that stand with only one of the two ways of placing, and the test of these
+    numbers. Only draws with a verdict for both ways count."""
     pairs = carried.merge(exact, on=["plan_id", "replicate"], suffixes=("_carried", "_exact"))
     one, other = (pairs[f"verdict_{way}"].astype(str) for way in ("carried", "exact"))
     stands, stands_exact = one == Verdict.STABLE.value, other == Verdict.STABLE.value
@@ -185,7 +185,7 @@ def _paired_draws(carried: pd.DataFrame, exact: pd.DataFrame) -> pd.DataFrame:
 
 
 def write_confidence(writer: RunWriter, axes: Collection[str] = ()) -> None:
-    """Write the table ``summary`` of a run with confidence. All its parts must be written.
+    """Write the table ``summary`` of a run with confidence. All other tables of the run must be complete.
 
     Args:
         axes: names of the axes of the sweep.
@@ -199,7 +199,8 @@ def write_confidence(writer: RunWriter, axes: Collection[str] = ()) -> None:
 
 
 def contradiction_mask(summary: pd.DataFrame) -> pd.Series[bool]:
-    """For each plan, whether most worlds with errors contradict its nominal verdict, beyond chance."""
+    """For each plan, whether its nominal verdict is contradicted by more than half of the worlds with errors, beyond
+    chance."""
     stands = summary["verdict"] == Verdict.STABLE.value
     falls = summary["verdict"] == Verdict.UNSTABLE.value
     return (stands & (summary["high"] < EVEN)) | (falls & (summary["low"] > EVEN))

@@ -1,4 +1,4 @@
-"""Settled placements, and the worlds that are forked from them: drives, and the legs of a chain."""
+"""Settled placements, and the worlds that start from them: drives, and the legs of a chain."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ class SettledPlacement:
     outcome: Outcome
     attempts: tuple[Attempt, ...]
     _of_legs: dict[tuple[float | None, tuple[Side, ...]], Scene] = field(default_factory=dict, init=False)
-    """Turns of film and open walls → the scene with both."""
+    """(Turns of film, open walls) → the scene with both."""
 
     @cached_property
     def load_height_m(self) -> float:
@@ -41,8 +41,8 @@ class SettledPlacement:
         return load_height_m(self.outcome.boxes.pos, self.scene.half_size)
 
     def shaken(self, outcome: Outcome, thresholds: Thresholds) -> Outcome:
-        """The outcome of a fork, judged together with its placement. The history of a fork begins with that of the
-        placement."""
+        """The outcome of a drive or leg, judged together with the outcome of its placement. Its history begins with the
+        history of the placement."""
         placed = self.outcome
         if outcome.verdict is Verdict.STABLE and placed.verdict is not Verdict.STABLE:
             judge_args = outcome.flags, outcome.boxes, outcome.n_placed, thresholds
@@ -60,13 +60,13 @@ class SettledPlacement:
         return replace(outcome, history=placed.history.then(outcome.history))
 
     def undriven(self, variant: Variant) -> FinishedWorld:
-        """A world with the outcome of the placement. No step was simulated for such a world."""
+        """A world that adopts the outcome of the placement. No steps are simulated for such a world."""
         outcome = replace(self.outcome, flags=self.outcome.flags | Flag.FORKED, n_steps=0, state=None)
         end = LegEnd(PLACING, 0.0) if variant.legs else None
         return FinishedWorld(self.group.plan, variant, self.scene, outcome, self.attempts, self.outcome, ended_in=end)
 
     def scene_of(self, leg: LegSpec) -> Scene:
-        """The scene on a leg: with its film around the pallet, and its walls open."""
+        """The scene during a leg: with the leg's film around the pallet, and with the leg's open walls removed."""
         key = leg.wrap_turns, leg.open_walls
         if key == (None, ()):
             return self.scene
@@ -74,19 +74,19 @@ class SettledPlacement:
             scene = self.scene
             if leg.wrap_turns is not None:
                 scene = replace(scene, wrap=scene.wrap.changed(turns=leg.wrap_turns))
-            # walls that are open by the options are not among those of the carrier
+            # walls that are open by the options are already missing from the carrier
             closed = [side for side in leg.open_walls if side in scene.carrier.walls]
             self._of_legs[key] = scene.with_open_walls(closed) if closed else scene
         return self._of_legs[key]
 
 
 Test = tuple[int, int]
-"""Item of a search and index of the tested level, as in `Bisection`."""
+"""Item of a search, and index of the tested level, as in `Bisection`."""
 
 
 @dataclass(frozen=True, eq=False)
 class DriveWorld(World):
-    """A fork as a world that the engine simulates. ``test`` is its test of a search."""
+    """A drive from a settled placement, as a world that the engine simulates. ``test`` is the search's test."""
 
     settled: SettledPlacement
     change: Variant
@@ -95,12 +95,12 @@ class DriveWorld(World):
 
 @dataclass(frozen=True, eq=False)
 class LegStart:
-    """Where a leg of a chain begins.
+    """The state from which a leg of a chain begins.
 
     Attributes:
-        changes: the worlds that begin there, with equal chains up to this leg.
-        number: of the leg in their chains.
-        before: the outcome after the legs before; None: this is the first leg.
+        changes: the worlds that begin here; their chains are equal up to this leg.
+        number: index of the leg in these chains.
+        before: the outcome of the previous leg; None: this is the first leg.
     """
 
     settled: SettledPlacement

@@ -36,13 +36,13 @@ def failure_mode(outcome: Outcome, tilt_deg: float = DEFAULT_TILT_DEG) -> str:
 
 @dataclass(frozen=True)
 class Probe:
-    """The values of a world that a search needs. The row of a test in ``worlds`` has the same values, so that a search
-    can be resumed.
+    """The values of a world that a search needs. The row of each test in ``worlds`` stores the same values, so that a
+    search can be resumed.
 
     Attributes:
-        culprit: the box that failed first; −1 for none.
+        culprit: the box that failed first; −1: none.
         mode: the mode of failure (`failure_mode`).
-        moving: whether boxes still moved when the world's time was up, so that longer waiting may change the verdict.
+        moving: whether boxes were still moving when the world ended, so that a longer wait may change the verdict.
         values: columns that the sweep adds to ``worlds``.
     """
 
@@ -54,7 +54,7 @@ class Probe:
 
     @classmethod
     def of(cls, outcome: Outcome, tilt_deg: float = DEFAULT_TILT_DEG, values: Mapping[str, Any] | None = None) -> Probe:
-        """The probe of a simulated world. A failed box that tilted by more than ``tilt_deg`` failed by tilt."""
+        """The probe of a simulated world. A box that failed with a tilt above ``tilt_deg`` failed by tilting."""
         moving = Flag.MOVING in outcome.flags
         return cls(outcome.verdict, outcome.culprit, failure_mode(outcome, tilt_deg), moving, values or {})
 
@@ -67,15 +67,15 @@ class Probe:
 
 @dataclass
 class SearchBracket:
-    """Knowledge of a search about one item: a placement, a profile and a direction.
+    """What a search knows about one item: a placement, a profile and a direction.
 
     Attributes:
-        stands_at_rest: whether the placement stood before any profile; if not, nothing is tested.
-        survived: index of the largest level survived below every failure; −1: none.
+        stands_at_rest: whether the placement stood before any profile; if not, no level is tested.
+        survived: index of the largest survived level below all failed levels; −1: none.
         failed: index of the smallest level that failed; the number of levels if none failed; 0 if the pallet falls at
             rest.
-        highest: index of the largest level survived, even above a failure.
-        box, mode: the box that failed first at ``failed`` (or at rest), −1 for none, and its mode of failure.
+        highest: index of the largest survived level, including levels above a failed one.
+        box, mode: the box that failed first at level ``failed`` (or at rest; −1: none), and its mode of failure.
     """
 
     stands_at_rest: bool
@@ -95,21 +95,21 @@ class SearchBracket:
 
 
 class Bisection:
-    """Search for the largest level survived, for many items (placement × profile × direction) at once.
+    """Search for the largest level survived, for many items (placement × profile × direction) together.
 
-    Levels are on a common grid. So an answer is exact to the grid's step, and the tested levels do not depend on the
-    order of answers. In each round up to ``sections`` levels of an item are tested side by side, evenly spread between
-    the largest survived and the smallest failed level. Items do not wait for one another.
+    All items share one grid of levels. So an answer is exact to one step of the grid, and the tested levels do not
+    depend on the order in which worlds end. In each round, up to ``sections`` levels of an item are tested side by
+    side, evenly spread between the largest survived and the smallest failed level. Items do not wait for one another.
 
     The search assumes that a pallet that survives a level survives all lower ones. This assumption can be wrong: a
-    stronger push may press a box against its neighbour, where it jams. If a tested level above a failed one was
-    survived, the answer is the largest level below every failure, and ``monotone`` is False for that item.
+    stronger push may press a box against its neighbour, so that it jams. If a level above a failed one was survived,
+    the answer is the largest level below all failed ones, and ``monotone`` is False for that item.
 
     Args:
-        levels: (n_levels,) rising; g, or scale.
+        levels: (n_levels,) rising; in g, or as a scale.
         at_rest: for each item, its world before any profile. Items that do not stand are finished at once, with no
-            level survived. Where ``levels[0]`` is 0, standing at rest counts as surviving level 0.
-        sections: levels of an item tested at a time, ≥ 1; 1 is plain bisection.
+            level survived. If ``levels[0]`` is 0, an item that stands at rest has survived level 0.
+        sections: number of levels of an item tested at a time, ≥ 1; 1 is plain bisection.
 
     Attributes:
         items: the bracket of each item.
@@ -141,12 +141,12 @@ class Bisection:
         return (item, bracket.survived), (item, bracket.failed)
 
     def largest_survived(self, item: int) -> float | None:
-        """Largest level survived below every failure, in g, or scale; None: none."""
+        """Largest survived level below all failed levels, in g, or as a scale; None: none."""
         survived = self.items[item].survived
         return float(self.levels[survived]) if survived >= 0 else None
 
     def first_failed(self, item: int) -> float | None:
-        """Smallest level that failed, in g, or scale; None: no level failed, or nothing was tested."""
+        """Smallest level that failed, in g, or as a scale; None: no level failed, or nothing was tested."""
         bracket = self.items[item]
         return (
             float(self.levels[bracket.failed]) if bracket.stands_at_rest and bracket.failed < len(self.levels) else None
@@ -161,10 +161,10 @@ class Bisection:
         return [(item, bracket.survived + step) for step in steps.tolist()]
 
     def record(self, tests: Sequence[tuple[int, int]], worlds: Sequence[Probe]) -> None:
-        """Record the worlds of tests. The answers must cover all requested levels of an item; any number of items is
-        allowed.
+        """Record the results of tests. For each item, all requested levels must be recorded together; any number of
+        items is allowed.
 
-        An invalid world has not survived; its mode is the reason for ``invalid``.
+        An invalid world counts as not survived; its mode is the reason why it is invalid.
         """
         if len(tests) != len(worlds):
             raise ValueError("record needs one answer for each test")
@@ -179,7 +179,7 @@ class Bisection:
             elif level < bracket.failed:
                 bracket.failed = level
                 bracket.box, bracket.mode = world.culprit, world.mode
-        # Failures were recorded first: a level survived above a failed one must not raise the answer.
+        # Failures are recorded before survivals: a level survived above a failed one must not raise the answer.
         for bracket, level in survivors:
             bracket.highest = max(bracket.highest, level)
             if level < bracket.failed:

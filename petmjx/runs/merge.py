@@ -29,7 +29,7 @@ from petmjx.runs.confidence import write_confidence
 from petmjx.runs.sweep_summary import ShareColumns, summarise_shares
 
 _ANSWER: Final = ("plan_id", "placement", "profile", "direction_deg")
-"""Columns that identify a row of a search's summary, and sort its rows."""
+"""Columns that identify a row of a search's summary. They also define the order of its rows."""
 
 
 def merge_runs(shards: Iterable[str | Path], out: str | Path, *, overwrite: bool = False) -> RunResults:
@@ -41,7 +41,7 @@ def merge_runs(shards: Iterable[str | Path], out: str | Path, *, overwrite: bool
         overwrite: replace the results that ``out`` holds.
 
     Raises:
-        InputError: a shard is missing, is not finished, belongs to another run or was compared with other orders; or
+        InputError: a shard is missing or not finished, belongs to another run, or was checked against other orders; or
             two shards have the same world.
     """
     folders = [path_of(shard, "shards") for shard in list_of(shards, "shards", object, "folders")]
@@ -94,7 +94,7 @@ def _sorted_shards(runs: Sequence[RunResults]) -> list[RunResults]:
     """The runs, sorted by the numbers of their shards.
 
     Raises:
-        InputError: a run is not a shard or is not finished, or a shard is missing or there twice.
+        InputError: a run is not a shard or is not finished, or a shard is missing or given twice.
     """
     run_by_shard: dict[int, RunResults] = {}
     of: set[int] = set()
@@ -123,7 +123,7 @@ def _sorted_shards(runs: Sequence[RunResults]) -> list[RunResults]:
 
 
 def _check_worlds(runs: Sequence[RunResults], manifest: Manifest) -> None:
-    """Raises InputError if two shards have the same world, no shard has a world of a plan, or boxes are missing."""
+    """Raise InputError if two shards have the same world, no shard has a world of a plan, or boxes are missing."""
     home: dict[tuple[str, int], Path] = {}
     for run in runs:
         for boxes in run.parts.files("boxes"):
@@ -140,43 +140,43 @@ def _check_worlds(runs: Sequence[RunResults], manifest: Manifest) -> None:
 
 
 def _is_search(info: Mapping[str, Any]) -> bool:
-    """Whether a run is a search: its plans have different numbers of worlds, and its answers are not shares."""
+    """Whether a run is a search: its plans have different numbers of worlds, and its summary has no shares."""
     shares = info["config"].get("shares") is not None or is_chain(info)
     return info["identity"]["command"] == "sweep" and not shares
 
 
 def _variants(runs: Sequence[RunResults]) -> range:
-    """Numbers from the first to the last variant of any plan."""
+    """All variant numbers from the smallest to the largest of any plan."""
     parts = [part for run in runs for part in run.parts.table("worlds", ("variant",)) if len(part)]
     least, most = pc.min_max(pa.concat_tables(parts)["variant"]).values()
     return range(least.as_py(), most.as_py() + 1)
 
 
 def _placements(runs: Sequence[RunResults]) -> pa.Table | None:
-    """The table ``placements`` of all plans; None if a shard lacks it."""
+    """The table ``placements`` of all plans; None if any shard lacks it."""
     tables = [run.parts.table(PLACEMENTS) for run in runs]
     return pa.concat_tables(itertools.chain.from_iterable(tables)) if all(tables) else None
 
 
 def _orders(runs: Sequence[RunResults]) -> OrderCheck | None:
-    """The order check of all plans; None: no shard was compared with orders.
+    """The order check of all plans; None: no shard was checked against orders.
 
     Raises:
-        InputError: not all shards were compared with the same orders.
+        InputError: not all shards were checked against the same orders.
     """
     checks = [read_check(run.path, run.info) for run in runs]
     for run, check in zip(runs, checks, strict=True):
         if (check and check.digest) != (checks[0] and checks[0].digest):
             raise InputError(
-                f"{run.path}: compared with other orders than {runs[0].path}; use {option('--resume', 'True')} on one "
-                f"of them with the {option('--orders')} of the other; nothing is simulated again"
+                f"{run.path}: was checked against other orders than {runs[0].path}; resume one of the two runs with "
+                f"{option('--resume', 'True')} and the other's {option('--orders')} (nothing is simulated again)"
             )
     order_checks = [check for check in checks if check is not None]
     return joined_check(order_checks) if order_checks else None
 
 
 def _of_shard(run: RunResults) -> dict[str, Any]:
-    """The entries about a shard in ``run.json`` of the whole run."""
+    """The entries about one shard in the ``run.json`` of the merged run."""
     info = run.info
     return {
         "shard": info["identity"]["shard"],
@@ -189,7 +189,7 @@ def _of_shard(run: RunResults) -> dict[str, Any]:
 
 
 def _note_input(writer: RunWriter, infos: Sequence[Mapping[str, Any]]) -> None:
-    """Note skipped plans and warnings of the shards, each line once, in order of first appearance."""
+    """Copy skipped plans and warnings from the shards, each line once, in order of first appearance."""
     entries = itertools.chain.from_iterable(info["skipped"] for info in infos)
     skipped = (
         Skipped(entry["source"], entry.get("plan_id") or None, entry.get("error", ""), entry.get("number"))
@@ -204,7 +204,7 @@ def _note_input(writer: RunWriter, infos: Sequence[Mapping[str, Any]]) -> None:
 
 
 def _other_versions(runs: Sequence[RunResults]) -> Iterator[str]:
-    """A line for each package whose version differs from that of the first shard, since results may depend on it."""
+    """One line for each package whose version differs from the first shard's, since results may depend on it."""
     first = runs[0].info["versions"]
     for run in runs[1:]:
         versions = run.info["versions"]
@@ -218,8 +218,8 @@ def _other_versions(runs: Sequence[RunResults]) -> Iterator[str]:
 
 
 def _write_summary(writer: RunWriter, runs: Sequence[RunResults]) -> None:
-    """Write the table ``summary``. Shares are computed again from all worlds. Answers of searches are concatenated,
-    since each belongs to one plan."""
+    """Write the table ``summary``. Shares are computed again from all worlds. Rows of searches are concatenated, since
+    each belongs to one plan."""
     tables = [table for run in runs for table in run.parts.table("summary")]
     shares = runs[0].info["config"].get("shares")
     if shares is None:

@@ -1,4 +1,4 @@
-"""Progress of a run that Python started: a bar below the cell in a notebook, else lines on standard error."""
+"""Progress of a run started from Python: a bar below the cell in a notebook, else lines on standard error."""
 
 from __future__ import annotations
 
@@ -19,14 +19,14 @@ LINE_S: Final = 5.0
 """Time between two lines of a script, s."""
 
 REFRESH_S: Final = 0.25
-"""Least time between two drawings of the bar, s. Each drawing is sent to the browser."""
+"""Shortest time between two drawings of the bar, s. Each drawing is sent to the browser."""
 
 
 class NotebookBar:
-    """Watches a run from a notebook.
+    """Shows the progress of a run in a notebook.
 
     Args:
-        display: shows HTML and returns a function ``update(html)`` that changes it.
+        display: shows HTML; returns a function ``update(html)`` that replaces it.
     """
 
     def __init__(self, display: Callable[[str], Callable[[str], None]], clock: Callable[[], float] = time.monotonic):
@@ -71,11 +71,11 @@ class NotebookBar:
 
 
 class ScriptLines:
-    """Watches a run from a script: a line at its beginning, every ``LINE_S`` seconds, and at its end. A thread
-    writes the lines, so they also appear while no world ends.
+    """Shows the progress of a run in a script: one line at the start, one every ``LINE_S`` seconds, and one at the end.
+    A thread writes the lines, so they also appear while no world ends.
 
     Args:
-        write: takes each line; by default standard error.
+        write: receives each line; by default, lines go to standard error.
     """
 
     def __init__(self, write: Callable[[str], object] | None = None, line_s: float = LINE_S) -> None:
@@ -111,7 +111,7 @@ class ScriptLines:
         self._say(", ".join(filter(None, (*self._pace.words, message))))
 
     def _say(self, line: str) -> None:
-        with suppress(OSError, ValueError, AttributeError):  # standard error is closed, or there is none
+        with suppress(OSError, ValueError, AttributeError):  # standard error is closed or missing
             if self._write is not None:
                 self._write(line)
             else:
@@ -119,7 +119,7 @@ class ScriptLines:
 
 
 def notebook_bar() -> NotebookBar | None:
-    """A bar if this process is the kernel of a notebook, else None. The module does not import IPython."""
+    """A bar if this process is the kernel of a notebook, else None. This function never imports IPython by itself."""
     ipython: Any = sys.modules.get("IPython")
     shell = None if ipython is None else ipython.get_ipython()
     if shell is None or not hasattr(shell, "kernel"):  # IPython in a terminal has no kernel

@@ -1,4 +1,4 @@
-"""Restores the plans and the sweep of an earlier run: from the files that it names, or from its folder."""
+"""Restores the plans and the sweep of an earlier run, from the files that the run names or from the run's folder."""
 
 from __future__ import annotations
 
@@ -26,10 +26,10 @@ from petmjx.runs.sweep_worlds import SweepPlan
 
 
 def plan_of_run(run: RunResults, plan_id: str, plans: PlanSource | None = None) -> Plan:
-    """A plan as the run simulated it.
+    """A plan, exactly as the run simulated it.
 
     Args:
-        plans: source of the plan; None: the plan object of the run, its table of plans, or the file that it read.
+        plans: source of the plan; None: the plan object that the run holds, its table of plans, or its input file.
 
     Raises:
         InputError: the run has no such plan, or the plan's file is gone or has changed.
@@ -64,10 +64,10 @@ def _file(run: RunResults, plan_id: str, source: str) -> Path:
 def worlds_of_run(
     run: RunResults, plan_id: str, plans: PlanSource | None = None, variant: int | None = None
 ) -> tuple[SweepPlan, int]:
-    """The worlds of a plan in a run, and the index of the requested world: by default the nominal world.
+    """The sweep over one plan of a run, and the number of the requested variant (default: the nominal world, 0).
 
     Raises:
-        InputError: as :func:`plan_of_run` and :func:`sweep_of_run`; or the variant does not exist.
+        InputError: see :func:`plan_of_run` and :func:`sweep_of_run`; or the variant does not exist.
     """
     sweep, plan = sweep_of_run(run), plan_of_run(run, plan_id, plans)
     if variant is None and not sweep.nominal:
@@ -84,7 +84,7 @@ def worlds_of_run(
 
 
 def sweep_of_run(run: RunResults) -> Sweep:
-    """The sweep of a run; for a score the nominal sweep.
+    """The sweep of a run. A score has the nominal sweep.
 
     Raises:
         InputError: the sweep's file is gone or has changed, or ``run.json`` is damaged.
@@ -115,7 +115,7 @@ def sweep_of_run(run: RunResults) -> Sweep:
         sweep_file = sweep_path if sweep_path.is_file() else find_sweep(sweep_path.stem)
     except InputError:
         raise InputError(f"{run.path}: the sweep file it was made of is not there") from None
-    has_both_ways = PLACING in config["sweep"].get("axes", {})  # not an axis of the sweep of errors itself
+    has_both_ways = PLACING in config["sweep"].get("axes", {})  # the file of errors has no such axis: exact_too adds it
     sweep = (
         chain_sweep(sweep_file, worlds, changes)
         if is_chain(run.info) and worlds

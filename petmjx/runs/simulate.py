@@ -1,6 +1,6 @@
 """Runs one score or sweep from start to end: plans → worlds → engine → results.
 
-The study of the run makes the worlds of its plans (petmjx.runs.study).
+The run's study turns plans into worlds (petmjx.runs.study).
 """
 
 from __future__ import annotations
@@ -44,20 +44,20 @@ if TYPE_CHECKING:
     from petmjx.plans.articles import Articles
 
 Intervals = Callable[[Scene, Physics, BoxMetrics], FloatArray | None]
-"""Computes (n, 2) least and largest force on the top of each box at rest, N; None for a world without intervals."""
+"""Computes (n, 2) smallest and largest force on the top of each box at rest, N; None for a world without intervals."""
 
 
 @dataclass(frozen=True)
 class RunStart:
-    """Facts at the beginning of a run.
+    """Facts known at the start of a run.
 
     Attributes:
         what: the noun for a world in messages: "plan", or "world" if plans have several.
         total: number of worlds; None if unknown (searches).
         size: one line with the number of worlds and steps, and the estimated time.
-        choice: the engine, and the reason for it.
-        progress: updated by the engine.
-        recorded: number of completed worlds of a resumed run; they are part of the total.
+        choice: the engine, and the reason for choosing it.
+        progress: kept up to date by the engine.
+        recorded: number of worlds that a resumed run already has; they are included in the total.
     """
 
     what: str
@@ -89,10 +89,10 @@ def simulate(
     """Run a study to its end.
 
     Args:
-        ask: makes the study from the plans that were read.
+        ask: makes the study from the loaded plans.
         sim: options of the simulation.
         plans: as for ``petmjx.score``.
-        intervals: computes the intervals of forces that ``options.force_intervals`` asks for.
+        intervals: computes the intervals of forces when ``options.force_intervals`` is set.
 
     Raises:
         InputError: unusable plans or options.
@@ -122,7 +122,7 @@ def simulate(
         plan_set = replace(plan_set, skipped=[*plan_set.skipped, *later_inputs], notes=notes)
         records = records_of(study.everything, plan_set.numbers)
     earlier = engine_of_run(options.out) if options.resume and options.out is not None else None
-    hands_over = not options.record_details  # only C MuJoCo records them
+    hands_over = not options.record_details  # only C MuJoCo records these details
     with engine_for(options, study.work, ahead, hands_over=hands_over, earlier=earlier) as (engine, choice):
         recording = recording_of(options, choice.name, study.everything)
         run = _Run(study, options, plan_set, records, orders, engine, choice, recording, intervals)
@@ -130,8 +130,8 @@ def simulate(
 
 
 def _last_permille_s(ends_s: Sequence[float]) -> float:
-    """Time from the end of the first 99.9 % of the worlds to the end of the last one, s: the wait of a run for its last
-    worlds. For fewer than 1,000 worlds, the time for the last world."""
+    """Time from the end of the first 99.9 % of the worlds to the end of the last world, s: how long the run waited for
+    its last worlds. For fewer than 1,000 worlds, the time of the last world alone."""
     last = -(-len(ends_s) // 1000)
     return round(ends_s[-1] - ends_s[-1 - last], 3) if len(ends_s) > last else 0.0
 
@@ -147,12 +147,12 @@ def _articles(options: RunOptions) -> Articles | None:
 
 @dataclass(eq=False)
 class _Run:
-    """A run with valid input and an available engine.
+    """A run whose input is valid and whose engine is available.
 
     Attributes:
-        found: the read plans, with skipped entries and warnings.
-        records: the run's records of its plans, by id.
-        intervals_s: time spent on intervals of forces, s.
+        found: the loaded plans, with skipped entries and warnings.
+        records: the records of the run's plans, by id.
+        intervals_s: time spent on computing intervals of forces, s.
     """
 
     study: Study
@@ -168,7 +168,7 @@ class _Run:
     intervals_s: float = 0.0
 
     def identity(self) -> dict[str, Any]:
-        """The settings that must be equal in a resumed run."""
+        """The settings that must be the same when a run is resumed."""
         return {
             "command": self.study.command,
             "simulation": self.study.sim.model_dump(mode="json"),
@@ -192,10 +192,10 @@ class _Run:
         }
 
     def results(self, watcher: Watcher | None, held: Mapping[str, Plan]) -> RunResults:
-        """Simulate the missing worlds, and write everything to the folder in the options.
+        """Simulate the missing worlds, and write everything to the output folder.
 
         Args:
-            held: plans that are in no file, by id.
+            held: plans that are not stored in a file, by id.
         """
         study, options = self.study, self.options
         with RunWriter(
@@ -216,7 +216,7 @@ class _Run:
             resume=options.resume,
         ) as writer:
             self._note_input(writer)
-            self.progress.notes = writer.warnings  # the same place for score and sweep
+            self.progress.notes = writer.warnings  # notes of the engine become warnings of the run
             if watcher is not None:
                 watcher.begin(self._start(len(writer.recorded)))
             ends_s = array("d")
@@ -239,7 +239,7 @@ class _Run:
         return writer.results(held)
 
     def _note_input(self, writer: RunWriter) -> None:
-        """Write skipped plans and warnings into ``run.json``."""
+        """Write skipped plans and warnings to ``run.json``."""
         for skipped in self.found.skipped:
             writer.skip(skipped)
         writer.odd_plans += (str(odd) for odd in self.found.warnings if self.options.takes(odd.plan_id))
@@ -268,8 +268,8 @@ class _Run:
             writer.warn(f"plan {printable_name(plan.plan_id)}{variant}: {failed}{world.outcome.message}")
 
     def _interval_n(self, world: FinishedWorld) -> FloatArray | None:
-        """(n, 2) least and largest force on the top of each box, N. None without a request, and after a drive, since
-        the place of the carrier is then unknown."""
+        """(n, 2) smallest and largest force on the top of each box, N. None if not requested. Also None after a drive,
+        since the position of the carrier is then unknown."""
         if self.intervals is None or world.driven:
             return None
         start = time.perf_counter()

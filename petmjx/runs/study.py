@@ -1,7 +1,7 @@
-"""``Study``: the worlds that a run makes of its plans, and their summary.
+"""``Study``: the worlds that a run makes from its plans, and their summary.
 
-The study of a score is here: one unchanged world per plan. Studies with variants build on it
-(petmjx.runs.sweep_study).
+This module has the study that ``score`` uses: one unchanged world per plan. Studies with variants are in
+petmjx.runs.sweep_study.
 """
 
 from __future__ import annotations
@@ -42,10 +42,10 @@ NOMINAL: Final = Variant(0, UNCHANGED)
 
 @dataclass(frozen=True)
 class LegEnd:
-    """The leg of a chain that ends a world.
+    """The leg of a chain in which a world ended.
 
     Attributes:
-        began_s: when the leg began, in the world's time, s; 0 for the placing.
+        began_s: time in the world at which the leg began, s; 0 for the placing.
     """
 
     leg: str
@@ -57,10 +57,10 @@ class FinishedWorld:
     """One world with its final outcome.
 
     Attributes:
-        placement: the outcome of the placement from which the world was forked; None for a world without a fork.
-        driven: whether the drive was simulated. If the placement does not stand, the world has the outcome of the
-            placement. Without early stop such a world is still shaken, but it is not stable.
-        ended_in: of a chain: where it ended. None: the pallet arrived, or the world has no chain.
+        placement: the outcome of the placement from which the world started; None: it was simulated in one piece.
+        driven: whether the drive was simulated. If the placement does not stand, the drive is skipped and the world
+            gets the outcome of the placement. Without early stop, such a world is still shaken, but it is not stable.
+        ended_in: the leg in which a world of a chain ended. None: the pallet arrived, or the world has no chain.
     """
 
     plan: Plan
@@ -75,7 +75,7 @@ class FinishedWorld:
 
 @dataclass(eq=False, kw_only=True)
 class Study(ABC):
-    """The worlds that a run makes of its plans, and their summary.
+    """The worlds that a run makes from its plans, and their summary.
 
     Attributes:
         sim: the options of every world, before attempts change them.
@@ -83,20 +83,20 @@ class Study(ABC):
         plans: the plans of this run.
         work: the amount of work of all worlds, for estimates of time.
         n_worlds: largest possible number of worlds.
-        known: whether the number is exact for any outcomes, as it is except in searches.
-        first_variant: variant of each plan's first world. Further variants follow without a gap if ``known``.
-        amount: the amount of simulation in words.
+        known: whether ``n_worlds`` is exact. It is exact except in searches, where the outcomes decide the number.
+        first_variant: variant of each plan's first world. If ``known``, further variants follow without a gap.
+        amount: the amount of simulation, in words.
         command: "score" or "sweep", as the results name it.
         what: the noun for a world in messages.
         skipped: plans that this study cannot simulate.
         notes: warnings about the whole run.
-        params: columns of ``worlds`` that tell a plan's worlds apart.
+        params: columns of ``worlds`` that distinguish the worlds of a plan.
         dynamic: whether worlds have drives.
-        legs: whether worlds take several legs of a chain.
+        legs: whether worlds pass through several legs of a chain.
         axes: names of the axes of a sweep.
-        has_errors: whether places or sizes have errors in some worlds.
+        has_errors: whether positions or sizes have errors in some worlds.
         identity: the settings that worlds depend on, in addition to plans and ``sim``.
-        config: entries of ``run.json`` about the study, in addition to options.
+        config: entries of ``run.json`` about the study, in addition to the options.
     """
 
     sim: Simulation
@@ -132,11 +132,11 @@ class Study(ABC):
         return range(self.first_variant, self.first_variant + self.n_worlds // max(len(self.plans), 1))
 
     def size(self, seconds: float | None, recorded: int = 0) -> str:
-        """One line with the number of worlds, and the expected number of steps and time.
+        """One line with the number of worlds, the expected number of steps, and the expected time.
 
         Args:
             seconds: expected time of all worlds, s; None: unknown.
-            recorded: number of completed worlds. Completed worlds are left out of steps and time.
+            recorded: number of completed worlds. Steps and time exclude completed worlds.
         """
         share = 1 - recorded / max(self.n_worlds, 1)
         left = " left" if recorded else ""
@@ -147,24 +147,24 @@ class Study(ABC):
     def worlds(
         self, engine: Engine, recorded: CompletedWorlds, recording: Recording, progress: Progress
     ) -> Iterator[FinishedWorld]:
-        """Simulate the missing worlds. Yields each world when it is final, in any order.
+        """Simulate the missing worlds. Yields each world once its outcome is final, in any order.
 
         Args:
             recorded: the completed worlds of the run.
-            recording: which worlds' histories are recorded.
-            progress: updated meanwhile.
+            recording: decides for which worlds histories are recorded.
+            progress: kept up to date during the simulation.
         """
 
     def values(self, world: FinishedWorld) -> Mapping[str, Any]:
-        """The values of ``params`` for a world."""
+        """The values of the columns ``params`` for a world."""
         return {}
 
     def timings(self) -> Mapping[str, float]:
-        """Timings, once all worlds are done."""
+        """Timings; valid once all worlds are done."""
         return {}
 
     def summarise(self, writer: RunWriter) -> None:
-        """Write the table ``summary``. All worlds of the run are written."""
+        """Write the table ``summary``. All worlds of the run are already written."""
         return None
 
 
@@ -172,7 +172,7 @@ class Nominal(Study):
     """The study of a score: one unchanged world per plan.
 
     Raises:
-        InputError: more than a million plans, without ``allow_large``.
+        InputError: there are more than a million plans, and ``allow_large`` is not set.
     """
 
     def __init__(self, sim: Simulation, plans: Sequence[Plan], options: RunOptions) -> None:
@@ -209,7 +209,7 @@ class Nominal(Study):
             yield FinishedWorld(world.plan, NOMINAL, world.job.scene, scored_world.outcome, scored_world.attempts)
 
     def _longest_first(self) -> Iterator[Plan]:
-        """The plans, those with the most boxes that are placed first: a run whose long worlds begin early does not
-        wait for one of them at its end."""
+        """The plans, those with the most placed boxes first. If long worlds begin early, the run does not wait for one
+        of them at its end."""
         placed = np.asarray(self.work.boxes) * self.work.share
         return (self.plans[number] for number in np.argsort(-placed, kind="stable").tolist())

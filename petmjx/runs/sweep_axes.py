@@ -33,15 +33,15 @@ from petmjx.world.random_streams import WorldKey
 from petmjx.world.variants import Distribution, DistributionShape
 
 MAX_AXIS_VALUES: Final = 100_000
-"""Most values of one axis, so that a range with a typing error in its step does not fill the memory."""
+"""Largest number of values of one axis. With this limit, a typing error in a step cannot fill the memory."""
 
 MAX_STRENGTH: Final = 1000.0
-"""Largest level (g), scale or factor. A larger value is a typing error: shocks of packed goods stay below 100 g."""
+"""Largest level (g), scale or factor. Larger values must be typing errors: shocks of packed goods stay below 100 g."""
 MAX_FRICTION_FACTOR: Final = 100.0
 MIN_MASS_FACTOR: Final = 0.001
 """Smallest factor on masses, since MuJoCo refuses bodies without mass."""
 MAX_ERROR: Final = 10_000.0
-"""Largest error of a place, mm."""
+"""Largest error of a position, mm."""
 MAX_SIZE_ERROR_MM: Final = 1000.0
 MAX_RELATIVE_ERROR: Final = 1.0
 MAX_YAW_ERROR_DEG: Final = 360.0
@@ -51,7 +51,7 @@ DIRECTIONS_DEG: Final = {"+x": 0.0, "+y": 90.0, "-x": 180.0, "-y": 270.0}
 Value = float | str | Distribution
 
 
-# Numbers, ranges of them, and lists.
+# Numbers, ranges of numbers, and lists.
 
 T = TypeVar("T")
 
@@ -76,7 +76,7 @@ def _axis_text(value: object) -> str:
 
 
 def _value_or(tag: str) -> Discriminator:
-    """Chooses the branch of a union: a table (or a list), or anything else."""
+    """Chooses the branch of a union by the shape of the value: a table (or a list), or anything else."""
     return Discriminator(lambda value: tag if shape(value) == tag else VALUE)
 
 
@@ -84,13 +84,13 @@ OneOrMore = Annotated[
     Annotated[tuple[T, ...], AfterValidator(_distinct_values), Tag(LIST)] | Annotated[T, Tag(VALUE)],
     _value_or(LIST),
 ]
-"""A value or a list of values."""
+"""One value, or a list of values."""
 Names = OneOrMore[Annotated[str, Field(max_length=100)]]
 Ways = OneOrMore[Literal["exact", "drop", "hand", "tines"]]
 
 
 def degrees(value: object) -> object:
-    """The degrees of a direction such as "+x"; other values unchanged."""
+    """The angle of a direction such as "+x", in degrees; other values are returned unchanged."""
     if isinstance(value, str):
         if value not in DIRECTIONS_DEG:
             raise ValueError(f"must be degrees or one of {', '.join(DIRECTIONS_DEG)}, {shown_value(value)}")
@@ -107,7 +107,7 @@ Number = TypeVar("Number", bound=float)
 
 
 class Range(CheckedRecord, Generic[Number]):
-    """A range of numbers: with a step, with a count, or (mode ``sample``) a continuous one between its ends."""
+    """A range of numbers: with a step, with a count, or (mode ``sample``) continuous between its ends."""
 
     low: Number = Field(alias="from", description="the first value")
     high: Number = Field(alias="to", description="the last value, if the steps reach it")
@@ -131,7 +131,7 @@ class Range(CheckedRecord, Generic[Number]):
     def values(self) -> tuple[float, ...]:
         """The values, rounded so that 0.1 + 2 × 0.1 is 0.3."""
         if self.step is not None:
-            # slightly increased against rounding, so that the last value of 0.1 … 1.6 with step 0.1 is 1.6
+            # 1e-9 offsets rounding errors, so that the last value of 0.1 … 1.6 with step 0.1 is 1.6
             step, count = self.step, math.floor((self.high - self.low) / self.step + 1e-9) + 1
         else:
             count = self.count or 2
@@ -140,7 +140,7 @@ class Range(CheckedRecord, Generic[Number]):
 
 
 class DrawnRange(Range[Positive]):
-    """A range of a level or a scale of a chain, from which each world draws."""
+    """A range of levels or scales of a chain. Each world draws one value from it."""
 
     low: Positive = Field(alias="from", description="the least value that is drawn")
     high: Positive = Field(alias="to", description="the largest value that is drawn")
@@ -167,12 +167,12 @@ Strengths = Annotated[Annotated[DrawnRange, Tag(TABLE)] | Annotated[Positive, Ta
 
 
 def _value_list(setting: Any) -> tuple[Any, ...]:
-    """A value or a list of values (`OneOrMore`) as a list."""
+    """The values of a setting of type `OneOrMore`, as a tuple."""
     return setting if isinstance(setting, tuple) else (setting,)
 
 
 def _ends(setting: Any) -> tuple[float, float]:
-    """The smallest and the largest number of a range, a list, or one value."""
+    """The smallest and the largest number of a setting: a range, a list, or one value."""
     return (
         (setting.low, setting.high)
         if isinstance(setting, Range)
@@ -199,7 +199,7 @@ def _are_frictions(setting: Any) -> Any:
 
 Frictions = Annotated[Positives, AfterValidator(_are_frictions)]
 
-# Errors, each a distribution.
+# Errors: each is a distribution.
 
 Error = Annotated[StrictFloat, within(-MAX_ERROR, MAX_ERROR)]
 Spread = Annotated[StrictFloat, Field(ge=0), within(0, MAX_ERROR)]
@@ -248,13 +248,13 @@ _Table = Annotated[
 _Sd = Annotated[Spread, AfterValidator(lambda sd: Distribution(DistributionShape.NORMAL, 0.0, sd)), Tag(VALUE)]
 _Height = Annotated[Spread, AfterValidator(lambda height: Distribution(DistributionShape.FIXED, height)), Tag(VALUE)]
 Errors = OneOrMore[Annotated[_Table | _Sd, Discriminator(shape)]]
-"""Distributions. A plain number is the standard deviation of a normal distribution around 0."""
+"""Distributions. A plain number means the standard deviation of a normal distribution around 0."""
 Heights = OneOrMore[Annotated[_Table | _Height, Discriminator(shape)]]
-"""Distributions. A plain number is the height itself."""
+"""Distributions. A plain number means the height itself."""
 
 
 def _up_to(largest: float) -> AfterValidator:
-    """A check that errors lie in ±``largest``, which is smaller than the range of places."""
+    """A check that errors lie in ±``largest``, which is a narrower range than that of position errors."""
 
     def check(setting: Any) -> Any:
         for error in _value_list(setting):
@@ -272,15 +272,15 @@ YawErrors = Annotated[Errors, _up_to(MAX_YAW_ERROR_DEG)]
 
 @dataclass(frozen=True)
 class AxisKind:
-    """The values of an axis, the fields that they change, and the axis's column in the results.
+    """One kind of axis: its allowed values, the fields that they change, and its column in the results.
 
     Attributes:
-        unit: of its column in the results; "1" for factors, "" for names.
-        values: the type that checks its values.
-        meaning: one line.
+        unit: unit of the column; "1" for factors, "" for names.
+        values: the type that checks the values.
+        meaning: what the axis changes, in one line.
         changes: fields of `PlacementChange` that get the value of the axis; empty: the axis changes the drive.
         suffix: end of the column's name, after the name of the axis.
-        plain: for axes of errors: the distribution that a plain number means. Normal: the number is the standard
+        plain: for axes of errors, the distribution that a plain number stands for. Normal: the number is the standard
             deviation, around 0. Fixed: the number is the value itself.
     """
 
@@ -298,7 +298,7 @@ class AxisKind:
 
     @property
     def placement(self) -> bool:
-        """Whether a new value needs a new placement."""
+        """Whether a change of the value requires a new placement."""
         return bool(self.changes)
 
 
@@ -346,8 +346,8 @@ AXIS_KINDS: Final = {
         AxisKind("tines_height_mm", "mm", Positives, "height of the edge that comes down last", ("tines_height_mm",)),
     )
 }
-"""All axes of sweep files, in the order of nesting. Among the axes of placements, and among those of drives, the last
-axis varies fastest."""
+"""All axes of sweep files, in the order of nesting. Among the axes of placements, the last one varies fastest; likewise
+among the axes of drives."""
 
 _FIELDS: Final[dict[str, Any]] = {name: (kind.values | None, None) for name, kind in AXIS_KINDS.items()}
 _Axes = create_model("_Axes", __base__=CheckedRecord, **_FIELDS)
@@ -372,19 +372,19 @@ class Axis:
 
     @property
     def random(self) -> bool:
-        """Whether replicates differ in this axis."""
+        """Whether replicates get different values on this axis."""
         return any(isinstance(value, Distribution) and value.random for value in self.values)
 
     def pick(self, key: WorldKey) -> Value:
-        """A random value. The random stream depends only on the key and the axis."""
+        """A random value of the axis. The random stream depends only on the key and the axis."""
         rng = key.rng(f"design:{self.name}")
         if self.continuous:
             return float(rng.uniform(self.low, self.high))
         return self.values[int(rng.integers(len(self.values)))]
 
     def cell(self, value: Value) -> float | str:
-        """A value as written to the results. Distributions are written as plain numbers if this is possible for all
-        values of the axis, else as text."""
+        """A value as written to the results. Distributions are written as plain numbers if every value of the axis can
+        be written so, else as text."""
         if not isinstance(value, Distribution):
             return value
         number = self._plain_number(value)
@@ -392,7 +392,7 @@ class Axis:
         return number if one_shape and number is not None else value.label()
 
     def _plain_number(self, value: Value) -> float | None:
-        """The plain number that stands for a value in a sweep file; None if the value needs a table."""
+        """The plain number that stands for a value in sweep files; None if the value needs a table."""
         if not isinstance(value, Distribution) or value.shape is not self.kind.plain:
             return None
         if value.shape is DistributionShape.FIXED:
@@ -407,7 +407,7 @@ class Axis:
 
 
 def read_axes(tables: Any, sampled: bool) -> dict[str, Axis]:
-    """The table ``[axes]`` as axes by name, in the order of the file. Called by a validator.
+    """The axes in the table ``[axes]``, by name, in the order of the file. Called by a validator.
 
     Args:
         sampled: whether {from, to} without step or count is allowed (mode ``sample``).

@@ -1,6 +1,6 @@
-"""The variants of a sweep, which are the same for every plan, and the identity of a sweep.
+"""The variants of a sweep, and the identity of a sweep. All plans have the same variants.
 
-Two sweeps with the same identity have the same worlds.
+Two sweeps with the same identity make the same worlds.
 """
 
 from __future__ import annotations
@@ -21,11 +21,11 @@ from petmjx.world.random_streams import WorldKey
 from petmjx.world.variants import Distribution, DriveSpec, LegSpec, PlacementChange, PlacementKey, Variant
 
 MOST_KEPT: Final = 100_000
-"""Up to this number, variants are made once for all plans; each takes 1 kB. Larger numbers are made again for every
-plan."""
+"""Up to this number, variants are made once and kept for all plans; each takes 1 kB. Larger numbers of variants are
+made again for each plan."""
 
 REMEDY: Final = "remedy"
-"""Column of the worlds of a chain."""
+"""Column of ``worlds`` with the name of the remedy, in a chain."""
 
 Point = Mapping[str, Value]
 """A value for each axis, by the axis's name."""
@@ -33,7 +33,7 @@ Point = Mapping[str, Value]
 
 @dataclass(frozen=True)
 class SearchItem:
-    """One question of a search: up to which level of this profile in this direction does a placement survive?"""
+    """One question of a search: up to which level of this profile, in this direction, does a placement survive?"""
 
     profile: str
     direction_deg: float
@@ -44,7 +44,7 @@ class Design:
     """The variants of a sweep.
 
     Variants are numbered from 1, in the order of the axes. Number 0 is the nominal world, which is simulated only on
-    request. A grid is counted without enumerating it, so that a too large grid is refused at once.
+    request. The size of a grid is computed without enumerating it, so that a grid that is too large is refused at once.
     """
 
     sweep: Sweep
@@ -70,8 +70,8 @@ class Design:
 
     @property
     def n_variants(self) -> int:
-        """Variants per plan, with the nominal one. In a search the number is an upper bound: every item takes all its
-        rounds."""
+        """Number of variants per plan, including the nominal one. For a search this is an upper bound: it assumes that
+        every item needs all its rounds."""
         sweep = self.sweep
         nominal = int(sweep.nominal)
         if sweep.sample is not None:
@@ -91,20 +91,20 @@ class Design:
 
     @property
     def n_placements(self) -> int:
-        """Placements per plan, without the nominal world."""
+        """Number of placements per plan, without the nominal world."""
         if self.sweep.sample is not None:
             return len({variant.placement_key for variant in self._sampled()})
         return sum(points * repeats for points, repeats in self._placement_counts())
 
     @property
     def n_random_placements(self) -> int:
-        """Placements per plan that have random errors."""
+        """Number of placements per plan that have random errors."""
         if self.sweep.sample is not None:
             return self.n_placements if any(axis.random for axis in self._axes(placement=True)) else 0
         return sum(points * repeats for points, repeats in self._placement_counts()[1:])
 
     def _placement_counts(self) -> tuple[tuple[int, int], ...]:
-        """(points, replicates of each): points with a random error are repeated, all others occur once."""
+        """(number of points, replicates of each): points with a random error are repeated, all others occur once."""
         if not self.sweep.axes and not self.sweep.legs:
             return ()
         axes = self._axes(placement=True)
@@ -117,7 +117,8 @@ class Design:
 
     @cached_property
     def ways(self) -> Mapping[str, tuple[LegSpec, ...]]:
-        """Name of each remedy of a chain → its legs. The chain without remedies is the first (``AS_IS``)."""
+        """Name of each remedy of a chain → the legs with this remedy. The chain without remedies (``AS_IS``) is
+        first."""
         sweep = self.sweep
         remedies: tuple[Remedy | None, ...] = (None, *sweep.remedies)
         return {
@@ -127,17 +128,17 @@ class Design:
 
     @property
     def _chain_replicates(self) -> int:
-        """Worlds of a chain without remedies: one world without random values."""
+        """Replicates of a chain; 1 if nothing in the chain is random."""
         random = [axis.random for axis in self.sweep.axes.values()]
         random += [self._is_drawn(drive) for legs in self.ways.values() for leg in legs for drive in leg.drives]
         return self.sweep.replicates if any(random) else 1
 
     def _is_drawn(self, drive: DriveSpec) -> bool:
-        """Whether a drive differs from world to world."""
+        """Whether a drive is random, so that it differs from world to world."""
         return drive.scale_to is not None or self.sweep.profiles[drive.profile].random
 
     def _ways_from(self, placement: Variant, again: Sequence[int]) -> Iterator[Variant]:
-        """The worlds of a chain that share a placement: for each replicate of its legs, one for each remedy."""
+        """The worlds of a chain that share a placement: for each replicate of the legs, one world for each remedy."""
         ways = self.ways
         for replicate in again:
             for number, (remedy, legs) in enumerate(ways.items()):
@@ -148,14 +149,14 @@ class Design:
                 yield replace(placement, index=index, replicate=replicate, parameters=parameters, legs=legs)
 
     def _axes(self, placement: bool) -> list[Axis]:
-        """In the order of nesting, not in the order of the file."""
+        """The axes of placements or of drives, in the order of nesting, not in the order of the file."""
         axes = self.sweep.axes
         return [axes[name] for name, kind in AXIS_KINDS.items() if name in axes and kind.placement is placement]
 
     # Enumeration.
 
     def placements(self) -> Iterator[tuple[Variant, tuple[Variant, ...]]]:
-        """Each placement with its worlds. A search has no such worlds: they are made level by level."""
+        """Each placement with its worlds. In a search the worlds are empty: they are made level by level."""
         return iter(self._kept_placements if self.n_variants <= MOST_KEPT else self._placements())
 
     @cached_property
@@ -196,10 +197,10 @@ class Design:
                 yield placement, variants
 
     def draws(self) -> dict[int, int]:
-        """Index of each variant with random values → its draw. Variants of one draw share their random numbers.
+        """Index of each variant with random values → its draw. All variants of a draw use the same random numbers.
 
-        In a grid a draw is a replicate, with different random numbers for each plan. In a sample a draw is the variant
-        itself, whose parameters are the same for every plan.
+        In a grid, a draw is a replicate; its random numbers differ from plan to plan. In a sample, each variant is a
+        draw of its own, and its parameters are the same for all plans.
         """
         sweep = self.sweep
         if sweep.sample is not None:
@@ -213,7 +214,7 @@ class Design:
         return {variant.index: variant.replicate for variant in drawn}
 
     def search_items(self) -> tuple[SearchItem, ...]:
-        """The questions of a search for each placement: every profile in every direction."""
+        """The questions that a search asks about each placement: every profile in every direction."""
         directions = self.sweep.axes["direction"].values if "direction" in self.sweep.axes else (0.0,)
         return tuple(
             SearchItem(name, direction)
@@ -229,7 +230,7 @@ class Design:
         return (replicate,)
 
     def _sampled(self) -> Iterator[Variant]:
-        """Variants drawn from the axes, the same for every plan. Each question has a replicate number of its own."""
+        """Variants drawn from the axes; all plans have the same ones. Each variant has its own replicate number."""
         axes = [*self._axes(placement=True), *self._axes(placement=False)]
         for number in range(1, (self.sweep.sample or 0) + 1):
             key = WorldKey(self.sweep.seed, "", number)
@@ -252,13 +253,13 @@ class Design:
         return Variant(index, change, drive, replicate, parameters)
 
     def _change(self, point: Point) -> PlacementChange:
-        # Axes that change the same field are never in the same sweep.
+        # A sweep never has two axes that change the same field.
         changes: dict[str, Any] = {field: value for name, value in point.items() for field in AXIS_KINDS[name].changes}
         return PlacementChange(shifts_from_release=self.sweep.shifts_from == "release", **changes)
 
 
 def _drives(variant: Variant) -> Iterator[DriveSpec]:
-    """The drives of a variant, also those of its legs."""
+    """The drives of a variant, including the drives of its legs."""
     if variant.drive is not None:
         yield variant.drive
     for leg in variant.legs:
@@ -266,7 +267,7 @@ def _drives(variant: Variant) -> Iterator[DriveSpec]:
 
 
 def _points(axes: Sequence[Axis]) -> Iterator[dict[str, Value]]:
-    """The full grid; the last axis varies fastest. One empty point if there is no axis."""
+    """All points of the grid; the last axis varies fastest. Without axes, one empty point."""
     names = [axis.name for axis in axes]
     for values in itertools.product(*(axis.values for axis in axes)):
         yield dict(zip(names, values, strict=True))
@@ -277,15 +278,16 @@ def _n_points(axes: Iterable[Axis]) -> int:
 
 
 _BESIDE = {"name", "description", "plans", "simulation", "axes", "own_profiles"}
-"""Fields of a sweep file that change no world, or that a resumed run compares separately."""
+"""Fields of a sweep file that change no world, or that are compared separately when a run is resumed."""
 
 
 def sweep_identity(sweep: Sweep) -> dict[str, Any]:
-    """The settings of a sweep as plain JSON values, without its simulation; profiles by a digest of their samples."""
+    """The settings of a sweep as plain JSON values, without its simulation. Profiles appear as digests of their
+    samples."""
     settings = sweep.model_dump(mode="json", exclude=_BESIDE)
     if sweep.search is not None:
         settings["search"]["levels"] = len(sweep.search_levels)
-    if not sweep.legs:  # so that runs of earlier versions can be resumed
+    if not sweep.legs:  # the identities in runs of earlier versions have no such entries
         del settings["legs"], settings["remedies"]
     settings["axes"] = {name: _values(axis) for name, axis in sweep.axes.items()}
     settings["profiles"] = {name: _digest(sweep, name) for name in sweep.profiles}
@@ -299,7 +301,7 @@ def _values(axis: Axis) -> object:
 
 
 def _digest(sweep: Sweep, name: str) -> str:
-    """Digest of the first realisation of a profile. Realisations differ only by random numbers."""
+    """Digest of the first realisation of a profile. Realisations of a profile differ only by random numbers."""
     profile = sweep.profiles[name]
     excitation = profile.excitation(sweep.simulation.physics.timestep_s, 0.0, WorldKey(sweep.seed, "", 0))
     digest = hashlib.blake2b(f"{excitation.kind} {excitation.samples.shape}".encode(), digest_size=8)

@@ -1,7 +1,7 @@
 """Reads and checks sweep files (``sweeps/*.toml``), and finds ready-made ones by name.
 
-Ready-made files are in ``sweeps/`` of a checkout, or copied into an installed package. Allowed content of sweep files:
-docs/sweeps.md.
+Ready-made files are in the folder ``sweeps/`` of a checkout; an installed package has a copy. docs/sweeps.md describes
+what sweep files may contain.
 """
 
 from __future__ import annotations
@@ -42,7 +42,7 @@ from petmjx.world.profiles.profile_tables import MAX_NAME, FileName, define_prof
 
 _PACKAGE = Path(__file__).resolve().parents[1]
 _FOLDERS = (_PACKAGE / "ready_sweeps", _PACKAGE.parent / "sweeps")
-"""The wheel has ``sweeps/`` as ``petmjx/ready_sweeps`` (pyproject.toml). In a checkout this folder is beside the
+"""The wheel has ``sweeps/`` as ``petmjx/ready_sweeps`` (pyproject.toml). In a checkout, ``sweeps/`` is next to the
 package."""
 
 
@@ -53,13 +53,13 @@ def ready_sweeps() -> dict[str, Path]:
 
 
 def find_sweep(name_or_path: str | Path) -> Path:
-    """The file of a sweep: its path, or the name of a ready-made one such as ``eumos``.
+    """The file of a sweep, given its path or the name of a ready-made sweep such as ``eumos``.
 
     Raises:
-        InputError: no such file or name; the line lists the ready-made names.
+        InputError: there is no such file or name; the message lists the ready-made names.
     """
     path = Path(name_or_path)
-    with suppress(OSError, ValueError):  # a name that is too long, for instance, or holds a zero
+    with suppress(OSError, ValueError):  # for instance, the name is too long or contains a null character
         if path.is_file():
             return path
     files_by_name = ready_sweeps()
@@ -74,24 +74,24 @@ def find_sweep(name_or_path: str | Path) -> Path:
 
 
 SAMPLES: Final = "samples"
-"""Value of ``plans`` for the bundled samples."""
+"""Value of ``plans`` that stands for the bundled samples."""
 
 DEFAULT_TOLERANCE: Final = {Strength.LEVEL: 0.01, Strength.SCALE: 0.02}
-"""How exactly a search finds the largest level (g) or scale survived."""
+"""Default accuracy with which a search finds the largest level (g) or scale survived."""
 
 MAX_SEARCH_LEVELS: Final = 1_000_000
 MAX_PROFILE_STEPS: Final = 4_000_000
-"""Steps of one profile: its samples take 24 bytes a step."""
+"""Largest number of steps of one profile. Its samples take 24 bytes per step."""
 MAX_TEXT: Final = 100_000
-"""Characters of the name and of the description."""
+"""Largest number of characters of the name, and of the description."""
 MIN_TOLERANCE: Final = 1e-5
-"""Smallest tolerance of a search. Levels are rounded to 1e-12: much closer ones would become equal."""
+"""Smallest tolerance of a search. Levels are rounded to 1e-12, so much closer levels would become equal."""
 MAX_REPEATS: Final = 2**31 - 1
-"""Largest number of samples or replicates; the results hold it in 32 bits."""
+"""Largest number of samples or replicates; the results store it in 32 bits."""
 
 
 class Search(CheckedRecord):
-    """``[search]``: instead of an axis ``level`` or ``scale``, find the largest one survived."""
+    """``[search]``: finds the largest level or scale survived, instead of an axis ``level`` or ``scale``."""
 
     lower: StrictFloat = Field(0.0, ge=0, le=MAX_STRENGTH, description="lowest level (g) or scale")
     upper: StrictFloat = Field(2.0, gt=0, le=MAX_STRENGTH, description="highest level (g) or scale")
@@ -109,7 +109,7 @@ class Search(CheckedRecord):
         return self
 
     def tests(self, n_levels: int) -> int:
-        """Largest number of worlds that one question needs: the sum of the levels over all rounds."""
+        """Largest number of worlds that one question needs: the sum over all rounds of the levels tested."""
         tests = 0
         while n_levels > 0:
             tests += min(self.sections, n_levels)
@@ -126,7 +126,7 @@ def _own_profiles(tables: Any, info: ValidationInfo) -> dict[str, Profile]:
 
 
 def _named_axes(tables: Any, info: ValidationInfo) -> dict[str, Axis]:
-    """Axes by name, with profiles instead of families of them."""
+    """Axes by name. Families of profiles are replaced by their profiles."""
     axes = read_axes(tables, info.data.get("mode") == "sample")
     if "profile" in axes:
         names: list[str] = []
@@ -182,7 +182,7 @@ class Sweep(CheckedRecord):
     _tables: Mapping[str, Any] | None = None
 
     def model_post_init(self, context: Any) -> None:
-        """Keep the file's path, which is the context of the validation."""
+        """Keep the path of the file, which the validation gets as its context."""
         self._file = context
 
     @property
@@ -192,7 +192,7 @@ class Sweep(CheckedRecord):
 
     @cached_property
     def profiles(self) -> dict[str, Profile]:
-        """The profiles that the sweep uses, by name: those of its axis, or of the legs of its chain."""
+        """The profiles that the sweep uses, by name: those of its axis ``profile``, or of the legs of its chain."""
         if self.legs:
             return profiles_of_legs(self.legs, self.own_profiles)
         names = [str(value) for value in self.axes["profile"].values] if "profile" in self.axes else []
@@ -200,34 +200,34 @@ class Sweep(CheckedRecord):
 
     @property
     def is_random(self) -> bool:
-        """Whether worlds with the same changes may differ."""
+        """Whether two worlds with the same changes may differ."""
         axes, profiles = self.axes.values(), self.profiles.values()
         drawn = any(event.drawn for leg in self.legs for event in leg.events)
         return drawn or any(axis.random for axis in axes) or any(profile.random for profile in profiles)
 
     @property
     def has_drives(self) -> bool:
-        """Whether something follows a placement: profiles, or the legs of a chain."""
+        """Whether something shakes the pallet after its placement: profiles, or the legs of a chain."""
         return bool(self.profiles or self.legs)
 
     @property
     def strength(self) -> Strength:
-        """The quantity that a search looks for: a level, or a scale. The value of this field is the name of the
+        """The quantity that a search varies: a level or a scale. The value of the enum member is the name of the
         axis."""
         levels = any(profile.strength is Strength.LEVEL for profile in self.profiles.values())
         return Strength.LEVEL if levels else Strength.SCALE
 
     @cached_property
     def search_levels(self) -> FloatArray:
-        """(n,) the levels a search can test, rising: from `lower` by its tolerance, and `upper` itself.
+        """(n,) the levels that a search can test, rising: from `lower` in steps of its tolerance, and `upper` itself.
 
-        The last step is shorter where the tolerance does not lead to `upper`. No level lies beyond it.
+        The last step is shorter if the tolerance does not divide the range. No level is above `upper`.
         """
         if self.search is None:
             return np.zeros(0)
         lower, upper = self.search.lower, self.search.upper
-        # Slightly reduced against rounding, so that 0 … 2 by 0.01 ends with `upper` once, without a second level next
-        # to it.
+        # 1e-6 offsets rounding errors, so that 0 … 2 by 0.01 ends with `upper` once, without a second level right
+        # below it.
         count = max(math.ceil((upper - lower) / self._tolerance - 1e-6), 1)
         return np.append(np.round(lower + np.arange(count) * self._tolerance, 12), upper)
 
@@ -237,7 +237,7 @@ class Sweep(CheckedRecord):
         return tolerance or DEFAULT_TOLERANCE[self.strength]
 
     def resolved(self) -> dict[str, Any]:
-        """The sweep as written to ``run.json``: every setting, with defaults, as plain JSON values."""
+        """The sweep as written to ``run.json``: all settings, including defaults, as plain JSON values."""
         record = {
             "file": self.file,
             "tables": _json_tables(self._tables),
@@ -249,7 +249,7 @@ class Sweep(CheckedRecord):
         record["profiles"] = {name: {"kind": p.kind, "source": p.source} for name, p in self.profiles.items()}
         return record
 
-    # Combinations that are refused.
+    # Refused combinations.
 
     @model_validator(mode="after")
     def _mode(self) -> Self:
@@ -373,12 +373,12 @@ def load_sweep(path: str | Path, plans_given: bool = False, simulation: Mapping[
     """Read and check a sweep file.
 
     Args:
-        plans_given: whether the caller gives plans. The file then need not name plans, and plans that it names may be
-            missing.
-        simulation: fields of ``Simulation`` that replace those of the file.
+        plans_given: whether the caller gives plans. Then the file need not name plans, and the plans that it names need
+            not exist.
+        simulation: fields of ``Simulation`` that override those of the file.
 
     Raises:
-        InputError: one line with file and field, such as "x.toml: axes.scale must be > 0, got -1".
+        InputError: the message is one line with file and field, such as "x.toml: axes.scale must be > 0, got -1".
     """
     path = Path(path)
     return sweep_of_tables(read_toml(path), path, plans_given, simulation)
@@ -387,11 +387,11 @@ def load_sweep(path: str | Path, plans_given: bool = False, simulation: Mapping[
 def sweep_of_tables(
     tables: Mapping[str, Any], path: Path, plans_given: bool = False, simulation: Mapping[str, Any] | None = None
 ) -> Sweep:
-    """As :func:`load_sweep`, but from the tables of an earlier file."""
+    """Check a sweep, as :func:`load_sweep` does, but from the tables of a file that was read earlier."""
     said_by_file = _json_tables(tables)
     simulation_table = tables.get("simulation")
     if simulation and "carrier" in simulation and isinstance(simulation_table, dict):
-        simulation_table.pop("carrier", None)  # for an earlier run: its file may be gone or changed by now
+        simulation_table.pop("carrier", None)  # overridden; its file is from an earlier run and may be gone or changed
     try:
         sweep = Sweep.read({"name": path.stem, **tables}, context=path)
         changes: dict[str, Any] = {"plans": None if plans_given else _existing_files(sweep.plans, path.parent)}
@@ -405,7 +405,7 @@ def sweep_of_tables(
 
 
 def _json_tables(tables: Mapping[str, Any] | None) -> Mapping[str, Any] | None:
-    """Tables of TOML as JSON; None if they have times, infinities or too many levels."""
+    """Tables of TOML as JSON; None if they contain times or infinities, or are nested too deeply."""
     try:
         return None if tables is None else json.loads(json.dumps(tables, allow_nan=False))
     except (TypeError, ValueError, RecursionError):
@@ -413,7 +413,7 @@ def _json_tables(tables: Mapping[str, Any] | None) -> Mapping[str, Any] | None:
 
 
 def _existing_files(plans: str | tuple[Path, ...] | None, folder: Path) -> str | tuple[Path, ...]:
-    """Plan files; their names are relative to the sweep file's folder."""
+    """The plan files, which must exist. Their names are relative to the sweep file's folder."""
     if plans is None:
         raise InputError("plans is missing: name plan files here or on the command line "
                          f'(plans = "{SAMPLES}" takes the bundled ones)')  # fmt: skip
@@ -425,7 +425,7 @@ def _existing_files(plans: str | tuple[Path, ...] | None, folder: Path) -> str |
     for path in paths:
         try:
             exists = path.exists()
-        except (OSError, ValueError):  # a name that is too long, for instance, or holds a zero
+        except (OSError, ValueError):  # for instance, the name is too long or contains a null character
             exists = False
         if not exists:
             raise InputError(f"plans: no such file or folder: {printable(str(path))}")
@@ -433,20 +433,21 @@ def _existing_files(plans: str | tuple[Path, ...] | None, folder: Path) -> str |
 
 
 def nominal_sweep(sim: Simulation) -> Sweep:
-    """The sweep with one variant, the unchanged plan: a score."""
+    """The sweep of a plain score: its only variant is the unchanged plan."""
     return Sweep(name="nominal", nominal=True, simulation=sim)
 
 
 def chain_sweep(file: str | Path, n_worlds: int | None, simulation: Mapping[str, Any]) -> Sweep:
-    """The sweep of a score with a chain: its worlds, and the nominal one, which is only placed.
+    """The sweep of a score with a chain: the worlds of the chain, and the nominal world, which is placed but not
+    shaken.
 
     Args:
         file: a sweep file with legs, or the name of a ready-made one.
         n_worlds: worlds with errors for each plan; None: the number in the file.
-        simulation: fields of ``Simulation`` that replace those of the file.
+        simulation: fields of ``Simulation`` that override those of the file.
 
     Raises:
-        InputError: an unusable file, or one without legs.
+        InputError: the file is unusable or has no legs.
     """
     path = find_sweep(file)
     tables = read_toml(path)

@@ -1,4 +1,4 @@
-"""The study of a run with variants: a sweep, or a score with confidence."""
+"""The study for runs with variants: sweeps, and scores with confidence."""
 
 from __future__ import annotations
 
@@ -32,13 +32,13 @@ from petmjx.runs.transport_limits import hopeless_profiles
 
 
 class SweepStudy(Study):
-    """All variants of each plan.
+    """The study whose worlds are all variants of each plan.
 
     Args:
-        confidence: number of worlds with errors for each plan, for a score with confidence; None for a sweep.
+        confidence: number of worlds with errors per plan, for a score with confidence; None for a sweep.
 
     Raises:
-        InputError: as ``SweepPlan``.
+        InputError: see ``SweepPlan``.
     """
 
     def __init__(
@@ -72,7 +72,7 @@ class SweepStudy(Study):
             command="sweep" if confidence is None else "score",
             what="world",
             skipped=plan.skipped,
-            # friction by materials may hold a load that the friction of boxes and carrier does not hold
+            # friction by materials may hold a load that the general friction of boxes and carrier does not hold
             notes=() if any(input_plan.materials for input_plan in everything) else hopeless_profiles(sweep),
             params=self._columns.params,
             dynamic=self._columns.has_drives,

@@ -1,4 +1,4 @@
-"""Additions of a sweep to the results: columns of ``worlds`` for parameters and answers, and the table ``summary``."""
+"""What a sweep adds to the results: columns of ``worlds`` for parameters and answers, and the table ``summary``."""
 
 from __future__ import annotations
 
@@ -27,13 +27,13 @@ from petmjx.runs.transport_limits import EUMOS_COLUMNS, EUMOS_PROFILE, eumos_ass
 from petmjx.world.profiles.accelerations import Tilt
 
 RANGE_BINS = 8
-"""Number of equal parts into which the summary divides an axis with a continuous range."""
+"""Number of equal intervals into which the summary divides an axis with a continuous range."""
 
 MODE = Param("mode", TEXT, "how the first box failed: slide, tilt or drop; empty where stable", str)
 SIGN = Param("sign_in_profile_s", "s", "when the culprit crossed a threshold, from the profile's beginning")
 LEG = Param("leg", TEXT, "leg of the chain in which the world failed first; empty: it arrived", str)
 EUMOS_WORST = tuple(column.name for column in EUMOS_COLUMNS if column.unit)
-"""What a laboratory measures: deformations, of which the summary of a grid has the largest of a row's worlds."""
+"""Columns of deformations that a laboratory measures. A grid's summary has the largest values of a row's worlds."""
 FAIL_ANGLE = Param("fail_angle_deg", "deg", "angle of the carrier at that moment; null for profiles that do not tilt")
 
 
@@ -65,14 +65,14 @@ class SweepColumns:
         return columns
 
     def of(self, world: FinishedWorld) -> dict[str, Any]:
-        """Column → value of one world; missing values become null."""
+        """Column → value of one world; columns without a value become null."""
         values: dict[str, Any] = dict(world.variant.parameters)
         values[MODE.name] = failure_mode(world.outcome, self._sim.thresholds.tilt_deg)
         values |= self.during_drive(world)
         return values
 
     def during_drive(self, world: FinishedWorld) -> dict[str, Any]:
-        """The values of the drive."""
+        """The values of the columns that concern the drive or the legs."""
         values: dict[str, Any] = {}
         if world.variant.legs:
             return self._of_leg(world)
@@ -90,7 +90,7 @@ class SweepColumns:
         return values
 
     def _of_leg(self, world: FinishedWorld) -> dict[str, Any]:
-        """The leg in which a world of a chain ended, and the time at which a box crossed a threshold."""
+        """The leg in which a world of a chain ended, and the time in that leg at which a box crossed a threshold."""
         end = world.ended_in
         if end is None or end.leg == PLACING:
             return {LEG.name: end.leg if end is not None else ""}
@@ -98,8 +98,8 @@ class SweepColumns:
         return {LEG.name: end.leg, SIGN.name: since_s if since_s > 0.5 * self._sim.physics.timestep_s else None}
 
     def _eumos(self, world: FinishedWorld, placement: Outcome) -> dict[str, Any]:
-        """EUMOS's figures, measured from where the boxes stood. A placement that did not stand has none, or has not
-        passed."""
+        """The values of EUMOS's columns, measured from the positions at which the boxes stood before the drive. If the
+        placement did not stand, the test is not passed."""
         values: dict[str, Any] = {}
         if world.driven:
             assessment = eumos_assessment(world.outcome.boxes, placement.boxes.pos, world.scene.half_size)
@@ -111,10 +111,10 @@ class SweepColumns:
         return values
 
     def _sign_in_profile_s(self, outcome: Outcome) -> float | None:
-        """Time from the profile's beginning to the first sign; None if there is no sign, or if it came earlier."""
+        """Time from the beginning of the profile to the first sign; None if there was no sign or it came earlier."""
         began_s = outcome.sim_time_s - outcome.n_steps * self._sim.physics.timestep_s
         since_s = outcome.first_sign_s - began_s
-        # half a step, because the running sum of the timestep differs from a multiple in the last digits
+        # half a step: the time is a running sum of timesteps, which differs from a multiple in the last digits
         return since_s if since_s > 0.5 * self._sim.physics.timestep_s else None
 
 
@@ -132,14 +132,14 @@ def _type_of(column: str, axes: Mapping[str, Axis]) -> type[float] | type[int] |
 
 @dataclass(frozen=True)
 class ShareColumns:
-    """The columns of ``worlds`` over which shares are taken. ``run.json`` has them, so that shards can be joined.
+    """The columns of ``worlds`` by which shares are grouped. They are stored in ``run.json``, to merge shards.
 
     Attributes:
         axes: columns, in the order of the summary.
         ranges: column → (low, high), for columns whose values were drawn from a range.
-        eumos, tilt: whether the sweep has EUMOS's profile, and profiles that tilt.
-        draws: (variant, draw) of the variants with random values; see `Design.draws`.
-        same_draws: whether a draw is the same for every plan.
+        eumos, tilt: whether the sweep has EUMOS's profile, and whether it has profiles that tilt.
+        draws: (variant, draw) for each variant with random values; see `Design.draws`.
+        same_draws: whether a draw has the same random numbers for all plans.
     """
 
     axes: tuple[str, ...]
@@ -161,14 +161,14 @@ class ShareColumns:
 
 
 def summarise_shares(parts: Parts, columns: ShareColumns) -> pd.DataFrame:
-    """The summary of a grid or a sample: the share that stands by axis value, over all plans and for each plan.
+    """The summary of a grid or a sample: the share of worlds that stand, by axis value, over all plans and per plan.
 
-    Continuous ranges are divided into ``RANGE_BINS`` equal parts. With EUMOS's profile there are also the share that
-    passes the standard's limits, and the largest deformations. With ``tilt`` there is the smallest angle at which a
-    world failed.
+    Continuous ranges are divided into ``RANGE_BINS`` equal intervals. For EUMOS's profile, the summary also has the
+    share of worlds within the standard's limits, and the largest deformations. With ``tilt``, it has the smallest angle
+    at which a world failed.
 
     Args:
-        parts: files of the run, all written.
+        parts: files of the run, all complete.
     """
     axes = list(columns.axes)
     extra = ["eumos_passed", *EUMOS_WORST] if columns.eumos else []
@@ -199,7 +199,7 @@ def summarise_shares(parts: Parts, columns: ShareColumns) -> pd.DataFrame:
 
 
 def _draws(worlds: pd.DataFrame, columns: ShareColumns) -> pd.Series[float]:
-    """A number that is equal for worlds with the same random numbers; NaN for worlds without random numbers."""
+    """For each world, a number that identifies its random numbers; NaN for worlds without random numbers."""
     drawn = worlds["variant"].map(dict(columns.draws))
     if columns.same_draws:
         return drawn
@@ -248,7 +248,7 @@ def search_row(answer: Answer, columns: SweepColumns) -> dict[str, Any]:
 
 
 def search_frame(rows: Sequence[Mapping[str, Any]]) -> pd.DataFrame:
-    """The summary of a search, in an order that does not depend on when answers came."""
+    """The summary of a search. The order of rows does not depend on the order in which answers arrived."""
     frame = pd.DataFrame(list(rows))
     numbers = {
         "box": "Int32",

@@ -1,6 +1,6 @@
 """Limits of transport tests: the limits of EUMOS 40509:2020, and the profiles that no unsecured load survives.
 
-A profile is hopeless if it slides any load farther than the shift threshold, whatever the plan.
+A profile is hopeless if any load, whatever the plan, slides farther than the shift threshold.
 """
 
 from __future__ import annotations
@@ -25,15 +25,15 @@ from petmjx.world.profiles.accelerations import Tilt
 from petmjx.world.variants import MIN_FRICTION_FRACTION, Distribution, DistributionShape
 
 EUMOS_PROFILE = "eumos-40509"
-"""The profile whose worlds are also compared with the limits of the standard."""
+"""The profile whose worlds are also checked against the limits of the standard."""
 
 EUMOS_ELASTIC_SHARE = 0.10
-"""Largest displacement during the test as a share of the load's height."""
+"""Largest displacement during the test, as a share of the load's height."""
 EUMOS_PERMANENT_SHARE = 0.05
-"""Largest displacement left after the test as a share of the load's height."""
+"""Largest displacement that remains after the test, as a share of the load's height."""
 EUMOS_FOOT_HEIGHT_M = 0.20
 EUMOS_FOOT_PERMANENT_M = 0.04
-"""Largest displacement left after the test in the lowest 20 cm."""
+"""Largest displacement that remains after the test in the lowest 20 cm of the load."""
 
 EUMOS_COLUMNS = (
     Param("eumos_elastic_share", DIMENSIONLESS, "largest horizontal displacement during the test / load height"),
@@ -41,24 +41,25 @@ EUMOS_COLUMNS = (
     Param("eumos_foot_permanent_m", "m", "the same, in m, among boxes that reach into the lowest 20 cm"),
     Param("eumos_passed", TEXT, "whether it stood, all limits of EUMOS 40509 hold and nothing fell", bool),
 )
-"""Additional columns of worlds with EUMOS's profile."""
+"""Additional columns of worlds that are shaken by EUMOS's profile."""
 
 
 def load_height_m(settled_pos: FloatArray, half_size: FloatArray) -> float:
-    """Height of a load above the carrier's top, z = 0, from (n, 3) settled centres and half extents, m."""
+    """Height of a load above the carrier's top (z = 0), m, computed from (n, 3) settled centres and half extents, m."""
     return float((settled_pos[:, 2] + half_size[:, 2]).max())
 
 
 def eumos_assessment(boxes: BoxMetrics, settled_pos: FloatArray, half_size: FloatArray) -> dict[str, Any]:
     """The values of ``EUMOS_COLUMNS`` for one world after the test.
 
-    Elastic deformation at most 10 % of the load's height during the test; permanent deformation at most 5 %
-    of it, and at most 4 cm in the lowest 20 cm, after it. Displacements are those of box centres from their settled
-    places. The load's height counts from the carrier's top, z = 0. The elastic deformation includes the permanent
-    deformation, since on film the two cannot be distinguished before the end. A world in which a box fell never passes,
-    however
-    small the shares, nor does a world with a NaN: its profile never ran to its end. Source: EUMOS 40509:2020, criteria
-    as published by ESTL, the laboratory behind the standard.
+    The standard allows an elastic deformation of at most 10 % of the load's height during the test. After the test, the
+    permanent deformation may be at most 5 % of the load's height, and at most 4 cm in the lowest 20 cm. Displacements
+    are those of box centres from their settled positions. The load's height counts from the carrier's top, z = 0. The
+    elastic deformation includes the permanent one, since on film the two cannot be distinguished before the end.
+
+    A world in which a box fell never passes, however small the shares. A world with a NaN never passes either, since
+    its profile did not run to its end. Source: EUMOS 40509:2020, criteria as published by ESTL, the laboratory behind
+    the standard.
 
     Args:
         settled_pos: (n, 3) centres before the profile, m.
@@ -81,10 +82,10 @@ def eumos_assessment(boxes: BoxMetrics, settled_pos: FloatArray, half_size: Floa
 
 
 RANGE_POINTS = 9
-"""Number of values that are checked on an axis whose values are drawn from a range."""
+"""Number of values that are checked on an axis with a continuous range."""
 
 LARGEST_SD = 4.0
-"""Normal errors are checked up to this number of standard deviations above the mean. One draw in 30,000 is larger."""
+"""Normal errors are checked up to this number of standard deviations above the mean. One draw in 30,000 is beyond."""
 
 
 def slide_m(
@@ -95,33 +96,33 @@ def slide_m(
     enough_m: float = math.inf,
     kinetic: float = 1.0,
 ) -> float:
-    """How far a block slides on a carrier that moves: its largest distance from where it stood, m.
+    """How far a block slides on a moving carrier: its largest distance from its first position on the carrier, m.
 
-    Coulomb's friction: the block stays while the carrier's horizontal acceleration is at most friction × (gravity +
-    vertical acceleration); beyond that friction has exactly this value, or for a sliding block ``kinetic`` times it,
-    against the sliding. Exact for an acceleration along one line that is constant within each step, except for the
-    steps in which the block stops or its friction changes.
+    The model is Coulomb's friction. The block stays in place while the carrier's horizontal acceleration is at most
+    friction × (gravity + vertical acceleration). Beyond that, friction has exactly this value, or ``kinetic`` times it
+    if the block slides, and acts against the sliding. The result is exact for an acceleration along one line that is
+    constant within each step, except for steps in which the block stops or its friction changes.
 
-    A whole load slides about as far or farther: on a load that touches only the carrier's top, the horizontal force is
+    A whole load slides about as far, or farther. On a load that touches only the carrier's top, the horizontal force is
     at most friction × the vertical force, as on the block. So the centre of mass of a load, and with it at least one
     box, moves at least this far.
 
     Args:
         acceleration: (n_steps, 3) acceleration of the carrier, m/s².
-        enough_m: the computation ends as soon as the block has slid farther than this, m.
-        kinetic: friction of a fast sliding block as a share of the friction at rest (petmjx/world/contact_laws.py).
+        enough_m: the computation stops once the block has slid farther than this, m.
+        kinetic: friction of a fast-sliding block as a share of the friction at rest (petmjx/world/contact_laws.py).
     """
     grip = friction * np.maximum(gravity_m_s2 + acceleration[:, 2], 0.0)
     slips = np.flatnonzero(np.hypot(acceleration[:, 0], acceleration[:, 1]) > grip)
     vx = vy = x = y = farthest = 0.0
     step = 0
     while farthest <= enough_m:
-        if vx == vy == 0.0:  # on to the next step that makes it slip
+        if vx == vy == 0.0:  # skip to the next step in which the block slips
             next_slip = int(np.searchsorted(slips, step))
             if next_slip == len(slips):
                 break
             step = int(slips[next_slip])
-        if step == len(acceleration):  # the remaining speed is braked on a carrier at rest
+        if step == len(acceleration):  # the carrier is at rest now; friction brakes the remaining speed
             speed, brake = math.hypot(vx, vy), friction * kinetic * gravity_m_s2
             if brake == 0:
                 return math.inf
@@ -140,10 +141,11 @@ def slide_m(
 
 
 def hopeless_profiles(sweep: Sweep) -> list[str]:
-    """A line for each profile that slides every unsecured load farther than the shift threshold, from some strength on.
+    """A line for each profile that makes every unsecured load slide farther than the shift threshold.
 
-    The line is about accelerations only, which are the same for every plan. Searches find this strength themselves.
-    Runs that end at a multiple of their placement time may end before the load slides that far, and are left out.
+    If the sweep has several strengths, the line names the smallest one that does. Lines depend only on accelerations,
+    which are the same for all plans. Searches have no lines, since they find this strength themselves. Runs that end at
+    a multiple of their placement time have none either, since they may end before the load slides that far.
     """
     sim, axes = sweep.simulation, sweep.axes
     if sweep.search is not None or sim.total_time_factor is not None:
@@ -156,7 +158,7 @@ def hopeless_profiles(sweep: Sweep) -> list[str]:
         return []  # film secures every load
 
     def values(name: str) -> list[float]:
-        """Rising values of an axis that multiplies something."""
+        """The values of an axis that is a factor, rising; 1 if the sweep has no such axis."""
         if name not in axes:
             return [1.0]
         factors = axes[name].values or np.linspace(axes[name].low, axes[name].high, RANGE_POINTS).tolist()
@@ -164,7 +166,7 @@ def hopeless_profiles(sweep: Sweep) -> list[str]:
 
     common_factors = values("friction_factor")
     box, carrier = (values(f"{side}_friction_factor") for side in ("box", "carrier"))
-    # MuJoCo takes the larger coefficient of two partners
+    # of the coefficients of two partners, MuJoCo uses the larger one
     friction = common_factors[-1] * max(sim.physics.box_friction[0] * box[-1], carrier_friction(sim) * carrier[-1])
     errors = _friction_errors(sweep)
     friction *= max(1.0 + max(map(_largest, errors), default=0.0), MIN_FRICTION_FRACTION)
@@ -199,14 +201,15 @@ def _friction_errors(sweep: Sweep) -> list[Distribution]:
 
 
 def _largest(error: Distribution) -> float:
-    """The largest error that is checked."""
+    """The largest value of an error that is checked."""
     return error.centre + (LARGEST_SD if error.shape is DistributionShape.NORMAL else 1.0) * error.spread
 
 
 def _first_hopeless(unit: FloatArray, strengths: Sequence[float], friction: float, sim: Simulation) -> int:
-    """Index of the first of rising strengths that slides a block too far; the number of strengths if no strength does.
+    """Index of the first strength that makes a block slide too far; the number of strengths if there is none.
+    Strengths are rising.
 
-    If one strength slides the block, every larger strength does so, too.
+    A strength above one that makes the block slide too far does so, too.
     """
     physics, limit_m = sim.physics, sim.thresholds.shift_m
 

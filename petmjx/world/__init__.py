@@ -1,1 +1,1 @@
-"""One plan's world: scene, exact model, variants, profiles that shake it, and jobs for engines."""
+"""The world of one plan: its scene, exact model, variants, the profiles that shake it, and jobs for engines."""

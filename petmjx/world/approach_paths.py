@@ -1,8 +1,8 @@
-"""Approach paths: where a box begins, how it moves to its place, and the hand that holds it on the way.
+"""Approach paths: where a box starts, how it moves to its place, and the hand that holds it meanwhile.
 
-A box begins above its place. A carried box also begins beside its place, away from its neighbours. The way is straight:
-a spring and a damper draw the box to a point that moves smoothly from there to the place. Boxes that appear at
-their places have no path. The rules: docs/rules.md, section 4.
+A box starts above its place. A carried box also starts to the side of its place, away from its neighbours. The path is
+straight: a spring and a damper pull the box towards a point that moves smoothly from the start to the place. Boxes that
+appear at their places have no path. The rules: docs/rules.md, section 4.
 """
 
 from __future__ import annotations
@@ -24,75 +24,75 @@ from petmjx.world.stackable_scenes import stacked_values
 HAND_RATE_1_S: Final = 50.0
 """Natural frequency of the hand's spring, 1/s. The spring is critically damped: a box that is pushed away is back after
 about 3 / 50 s. The value is 1 / the time constant of the contacts of ``pallet``: a stiffer hand would fight with
-contacts. The stiffness is m · 50² / s²: a box that lags 1 mm behind on its way is pressed with 2.5 N per kg."""
+contacts. The stiffness is m · 50² / s²: a box that lags 1 mm behind on its path is pushed with 2.5 N per kg."""
 
 MOST_RATE_PER_STEP: Final = 0.1
 """Largest natural frequency × timestep. The hand's forces are computed at the beginning of a step. With semi-implicit
-Euler, steps of the damped hand are stable below 2 (√2 − 1) = 0.83 (Jury's criterion on z² − (2 − 2h − h²) z + 1 − 2h).
-At 0.1 the steps follow the continuous forces to a tenth."""
+Euler, the damped hand is stable if this product is below 2 (√2 − 1) = 0.83 (Jury's criterion on
+z² − (2 − 2h − h²) z + 1 − 2h). At 0.1, the simulated motion follows the continuous one to within a tenth."""
 
 MOST_WAY_S: Final = 2.0
-"""Longest time of a way. A box that begins so high that its way would take longer moves faster instead."""
+"""Longest duration of an approach, s. A box whose approach would take longer, because it starts high, moves faster."""
 
 MOST_STUCK_S: Final = 0.5
-"""Longest time for which a hand holds a box after the end of the way, if the box does not come to rest. Setting the box
-down may take as long again."""
+"""Longest time for which a hand holds a box after the end of the path, s, if the box does not come to rest. Setting the
+box down may take up to the same time again."""
 
 AT_PLACE_M: Final = 0.0002
-"""A box has arrived if it is within this distance of the end of its way. A contact gives way by a tenth of a
+"""A box has arrived once it is within this distance of the end of its path, m. A contact gives way by a tenth of a
 millimetre."""
 
 MISSED_M: Final = 0.01
-"""A box counts as not placed if the hand releases it further than this from its place. A box that finds room is
-within 5 mm of its place. A box that stands on the edge of a neighbour is too high by the neighbour's height or half of
-it."""
+"""A box counts as not placed if the hand releases it farther than this from its place, m. A box that finds room is
+within 5 mm of its place. A box that stands on the edge of a neighbour is too high by the neighbour's height, or by half
+of it."""
 
 LOWERING_RATE_1_S: Final = 400.0
 MOST_LOWERING_PER_STEP: Final = 0.8
-"""A damper of the rate ``LOWERING_RATE_1_S``, 1/s, sets a box down; rate × timestep is at most
-``MOST_LOWERING_PER_STEP``, since semi-implicit Euler is stable below 2. The box sinks with g / 400 per s, 25 mm/s. At
-this speed a contact of ``pallet`` gives way by a quarter of a millimetre."""
+"""A damper sets a box down. Its rate is ``LOWERING_RATE_1_S``, 1/s. Rate × timestep is at most
+``MOST_LOWERING_PER_STEP``, since semi-implicit Euler is stable below 2. The box sinks at a speed of g / 400 s⁻¹,
+25 mm/s. At this speed a contact of ``pallet`` gives way by a quarter of a millimetre."""
 
 LOWERING_STEPS: Final = 5
-"""Fewest steps of setting down. Beyond these a box without a support is faster than a quiet box."""
+"""Smallest number of steps of setting down. After these steps, a box without a support is faster than a quiet box."""
 
 FREE_M: Final = 0.0003
-"""Boxes that overlap by no more than this are free of one another. This amount is twice the distance by which soft
-contacts may move neighbours that stand flush, and too little to push neighbours apart visibly."""
+"""Boxes that overlap by at most this amount count as not overlapping, m. The amount is twice the distance by which soft
+contacts may move neighbours that stand flush. It is too small to push neighbours apart visibly."""
 
 MOST_TILTED: Final = 0.5
-"""Tines tilt a box by at most this share of the threshold of tilt, so that its release is not taken for a first
-sign."""
+"""Tines tilt a box by at most this share of the tilt threshold, so that its release does not count as a first sign of
+failure."""
 
 MOST_SIDESTEPS: Final = 8
-"""How often a box goes aside before it goes up."""
+"""Largest number of moves aside before a box moves up instead."""
 
 ASIDE_SHARE: Final = 2.0
-"""Largest move aside, as a multiple of the distance at which a box begins beside its place: errors of two places may
-add."""
+"""Largest move aside, as a multiple of the distance to the side at which a box starts: the errors of two places may add
+up."""
 
 CLEARANCE_M: Final = 0.001
-"""Height of a box's bottom above the bodies in its way when it begins above them."""
+"""A box that has to start above obstacles starts with its bottom this far above them, m."""
 
 BESIDE_M: Final = 0.005
-"""Boxes are beside one another along an axis if their planned extents overlap by no more than this: sizes and places
+"""Boxes are beside one another along an axis if their planned extents overlap by at most this, m: sizes and places
 have errors."""
 
 
 class ApproachPath(NamedTuple):
-    """The ways on which the n boxes of a scene come to their places.
+    """The paths on which the n boxes of a scene reach their places.
 
-    For several stackable scenes every array has a leading axis of the scenes. All places are places of the boxes'
-    middles, m.
+    For several stackable scenes, every array has a leading axis, one entry per scene. All positions are positions of
+    the boxes' middles, m.
 
     Attributes:
-        lift: (n, 3) from the place at which a box would rest to its release.
-        quat: (n, 4) orientation of the box on its way.
-        offset: (n, 3) from a box's release to the beginning of its way, if that place is free.
-        steps: (n,) number of steps of its way; 0: the box is not carried, but falls.
-        falls: (n,) True: the box is released at the end of its way and falls. False: the hand sets it down first.
-        aside: (n, 2, 2) free moves of a box from the beginning of its way towards the low and the high end of x and y,
-            m.
+        lift: (n, 3) from the place at which a box would rest to the point of its release.
+        quat: (n, 4) orientation of the box along the path.
+        offset: (n, 3) from a box's release to the start of its path, if that start is free.
+        steps: (n,) number of steps of the path; 0: the box is not carried, but falls.
+        falls: (n,) True: the box is released at the end of its path and falls. False: the hand sets it down first.
+        aside: (n, 2, 2) how far a box may move aside from the start of its path, towards the low and the high end of x
+            and y, m.
     """
 
     lift: FloatArray
@@ -128,8 +128,8 @@ def approach_path_of(scene: Scene, sim: Simulation) -> ApproachPath | None:
 
 
 def approach_paths_of(scenes: Sequence[Scene], sim: Simulation) -> ApproachPath | None:
-    """The approach paths of stackable scenes (petmjx.world.stackable_scenes), identical to the last bit with
-    ``approach_path_of`` of each scene."""
+    """The approach paths of stackable scenes (petmjx.world.stackable_scenes), bit-identical to the result of
+    ``approach_path_of`` for each scene."""
     placing = scenes[0].placing
     if placing.appears or sim.check is Check.STATIC:
         return None
@@ -158,15 +158,15 @@ def approach_paths_of(scenes: Sequence[Scene], sim: Simulation) -> ApproachPath 
 def _between_walls(
     room: Room, end: FloatArray, offset: FloatArray, reaches: FloatArray, aside: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
-    """(…, n, 2) offsets with which boxes begin between the walls, and (…, n, 2, 2) the room for moves aside there.
+    """(…, n, 2) offsets with which boxes start between the walls, and (…, n, 2, 2) how far each may then move aside.
 
-    A box without enough room between the walls begins in the middle.
+    A box that does not fit between the walls starts in the middle.
 
     Args:
-        end: (…, n, 3) the ends of the ways, where boxes are released, m.
-        offset: (…, n, 2) from the ends of the ways to their beginnings, m.
+        end: (…, n, 3) the ends of the paths, at which boxes are released, m.
+        offset: (…, n, 2) from the ends of the paths to their starts, m.
         reaches: (…, n, 3) half extents of the boxes along the axes, m.
-        aside: as in ``ApproachPath``, but without walls.
+        aside: as in ``ApproachPath``, but before walls are taken into account.
     """
     gap = room.gaps(end, reaches, BESIDE_M)
     low, high = -gap[..., 0, :], gap[..., 1, :]
@@ -180,10 +180,10 @@ def _between_walls(
 def way_steps(
     length_m: FloatArray | float, mass_kg: FloatArray | float, placing: Placing, timestep_s: float
 ) -> NDArray[np.int64]:
-    """Number of steps of ways with these lengths.
+    """Number of steps of paths with these lengths.
 
-    The largest speed, 1.5 × length / time, is at most the speed of the options. Half of the hand's force is enough for
-    the largest acceleration, 6 × length / time². No way takes longer than ``MOST_WAY_S``.
+    The largest speed, 1.5 × length / time, is at most the speed in the options. The largest acceleration, 6 × length /
+    time², needs at most half of the hand's force. No path takes longer than ``MOST_WAY_S``.
     """
     seconds = np.maximum(1.5 * length_m / placing.speed_m_s, np.sqrt(12.0 * mass_kg * length_m / placing.force_n))
     steps: NDArray[np.int64] = np.ceil(np.minimum(seconds, MOST_WAY_S) / timestep_s).astype(np.int64)
@@ -191,51 +191,53 @@ def way_steps(
 
 
 def progress(step: int, steps: int) -> float:
-    """Share of its way of ``steps`` steps that a box has covered after ``step`` steps: 3t² − 2t³ with t = step / steps.
-    The box is at rest at both ends."""
+    """Share of a path of ``steps`` steps covered by step ``step``: 3t² − 2t³ with t = step / steps. The box is at rest
+    at both ends."""
     share = min(max(step / steps, 0.0), 1.0)
     return share * share * (3.0 - 2.0 * share)
 
 
 def rate_1_s(timestep_s: float) -> float:
-    """Natural frequency of the hand's spring, 1/s."""
+    """Natural frequency of the hand's spring at this timestep, 1/s."""
     return min(HAND_RATE_1_S, MOST_RATE_PER_STEP / timestep_s)
 
 
 def lowering_rate_1_s(timestep_s: float) -> float:
-    """Rate of the damper by which a box is set down, 1/s."""
+    """Rate of the damper that sets a box down, at this timestep, 1/s."""
     return min(LOWERING_RATE_1_S, MOST_LOWERING_PER_STEP / timestep_s)
 
 
 def most_aside_m(placing: Placing) -> float:
-    """Largest move aside of a box along x and y each, m."""
+    """Largest distance that a box may move aside along x, and along y, m."""
     return ASIDE_SHARE * placing.side_mm / MM_PER_M
 
 
 def stuck_steps(timestep_s: float) -> int:
-    """Largest number of steps for which a hand holds a box after the end of its way, or sets it down."""
+    """Largest number of steps for which a hand holds a box after the end of its path. Also the largest number of steps
+    for which it sets the box down."""
     return int(MOST_STUCK_S / timestep_s)
 
 
 def reach(quat: FloatArray, half_size: FloatArray) -> FloatArray:
-    """(k, 3) half extents of the axis-aligned bounding boxes of k turned boxes, m."""
+    """(k, 3) half extents of the axis-aligned bounding boxes of k rotated boxes, m."""
     return np.asarray(np.einsum("kij,kj->ki", np.abs(rotations(quat)), half_size))
 
 
 def free_begin(
     begin: FloatArray, own_reach: FloatArray, pos: FloatArray, reaches: FloatArray, most_m: FloatArray
 ) -> FloatArray:
-    """(3,) the place nearest to ``begin`` at which a box overlaps no other box, m: ``begin`` itself, aside, or above.
+    """(3,) where a box starts so that it overlaps no other box, m: at ``begin`` itself, else aside, else above.
 
-    The box goes aside from the first box that it overlaps, along the axis, x or y, of the smaller overlap. This is
-    repeated at most ``MOST_SIDESTEPS`` times. If the box would have to go aside by more than ``most_m``, or is still
-    not free, it goes up from ``begin`` instead. ``begin`` is between the carrier's walls, and ``most_m`` ends at them.
+    The box moves aside from the first box that it overlaps, along x or y, whichever overlap is smaller. This is
+    repeated at most ``MOST_SIDESTEPS`` times. If the box would have to move aside by more than ``most_m``, or still
+    overlaps a box, it moves up from ``begin`` instead. ``begin`` is between the carrier's walls, and moves of up to
+    ``most_m`` stay between them.
 
     Args:
-        begin: (3,) place at which the box should begin, m.
+        begin: (3,) position at which the box would start if it were free, m.
         own_reach: (3,) half extents of the box, m.
-        pos, reaches: (k, 3) middles and half extents of the boxes that stand, m.
-        most_m: (2, 2) largest way aside to the low and the high end of x and y.
+        pos, reaches: (k, 3) middles and half extents of the boxes that already stand, m.
+        most_m: (2, 2) largest distance aside, towards the low and the high end of x and y, m.
     """
     aside = begin.copy()
     for _ in range(MOST_SIDESTEPS + 1):
@@ -272,16 +274,17 @@ def _approaches(scene: Scene, room: Room | None) -> tuple[FloatArray, FloatArray
 
 
 def _approaches_of(beside: NDArray[np.bool_], approaches: FloatArray | None) -> tuple[FloatArray, FloatArray]:
-    """(…, n, 2) horizontal directions in which boxes go to their places, and (…, n, 2) unit vectors along an axis.
+    """(…, n, 2) horizontal directions in which boxes move to their places, and (…, n, 2) unit vectors along an axis.
 
-    The directions are shares of the distance aside of the options. If the plan gives none, a box goes along x, towards
-    the side with a neighbour if the other side has no neighbour; likewise along y. So a box without neighbours, or
-    between two, comes from straight above. The unit vector is the axis of the box that is nearest to the direction.
-    Without any direction, the unit vector is an axis along which the box has no neighbour, +x before +y.
+    A direction is in units of the distance to the side in the options. If the plan gives no direction, a box moves
+    along x towards the side that has a neighbour, provided that the opposite side has none; likewise along y. So a box
+    without neighbours, or between two, comes from straight above. The unit vector is the axis of the box that is
+    nearest to the direction. If there is no direction, the unit vector is an axis along which the box has no neighbour,
+    +x before +y.
 
     Args:
         beside: the mask of ``_neighbour_mask``.
-        approaches: (n, 2) directions of the plan; None: the plan has no directions.
+        approaches: (n, 2) directions given by the plan; None: the plan gives none.
     """
     towards = beside[..., 1, :].astype(float) - beside[..., 0, :]
     if approaches is not None:
@@ -298,17 +301,17 @@ def _approaches_of(beside: NDArray[np.bool_], approaches: FloatArray | None) -> 
 def _neighbour_mask(
     place: FloatArray, half: FloatArray, placing: Placing, room: Room | None = None
 ) -> NDArray[np.bool_]:
-    """(…, n, 2, 2) whether each side of a box has a neighbour, by the plan, when the box is placed: (low and high side,
-    x and y). A neighbour, a box or a wall, is no further away than the box may go aside.
+    """(…, n, 2, 2) whether each side of a box has a neighbour when the box is placed, according to the plan: (low and
+    high side, x and y). A neighbour is a box or a wall that is no farther away than the box may move aside.
 
     Args:
         place: (…, n, 3) planned middles, m.
         half: (…, n, 3) half extents, m.
-        room: the room between the carrier's walls; None: no walls.
+        room: the space between the carrier's walls; None: no walls.
     """
     near_m = most_aside_m(placing)
     lifted_m = placing.height_mm / MM_PER_M
-    # along each axis, from the row's box to the column's
+    # distance along each axis from the row's box to the column's box
     between = [place[..., None, :, axis] - place[..., :, None, axis] for axis in range(3)]
     gap = [np.abs(between[axis]) - (half[..., None, :, axis] + half[..., :, None, axis]) for axis in range(3)]
     before = np.tri(place.shape[-2], k=-1, dtype=bool)
@@ -323,11 +326,11 @@ def _neighbour_mask(
 
 
 def _on_an_edge(scene: Scene, towards: FloatArray, tilt_deg: float) -> tuple[FloatArray, FloatArray]:
-    """(n, 3) lifts and (n, 4) orientations of boxes that stand on their rear bottom edge, with the front one raised.
+    """(n, 3) lifts and (n, 4) orientations of boxes that stand on their rear bottom edge, with the front edge raised.
 
     Args:
-        towards: (n, 2) direction ahead of each box: along x or y of its own axes before it is turned.
-        tilt_deg: the threshold of tilt.
+        towards: (n, 2) forward direction of each box: x or y of its own axes, before the box is rotated.
+        tilt_deg: the tilt threshold.
     """
     yaw = 2.0 * np.arctan2(scene.start_quat[:, 3], scene.start_quat[:, 0])
     cos, sin = np.cos(yaw), np.sin(yaw)

@@ -1,7 +1,8 @@
 """Bodies of a scene and their shapes. A shape is a solid box that is fixed to its body.
 
-The origin of a body's frame is the centre of mass. The axes are the shapes' axes, which count as the principal axes.
-So the inertia matrix of any number of bodies is diagonal, and MuJoCo's qpos and qvel describe the centre of mass.
+The origin of a body's frame is its centre of mass. The frame's axes are parallel to the edges of its shapes and count
+as principal axes. So the inertia matrix of every body is diagonal, and MuJoCo's qpos and qvel describe the centre of
+mass.
 """
 
 from __future__ import annotations
@@ -24,14 +25,14 @@ class Body:
 
     Attributes:
         pos: (3,) centre of mass, m.
-        mass: kg.
-        half_size: (s, 3) half extents of its shapes, m.
-        shape_pos: (s, 3) their centres in the body's frame, m.
-        friction: (s, 3) their sliding, torsional and rolling coefficients.
+        mass: mass, kg.
+        half_size: (s, 3) half extents of the shapes, m.
+        shape_pos: (s, 3) centres of the shapes in the body's frame, m.
+        friction: (s, 3) sliding, torsional and rolling coefficients of the shapes.
         inertia_box: (3,) half extents of the solid box that has the body's mass and moments of inertia, m: MuJoCo's
             equivalent inertia box.
-        surface: (s,) numbers of their surfaces (petmjx/world/friction_pairs.py); None: all 0.
-        walls: sides of a carrier with a wall. Walls are the last shapes, in this order; all other shapes are boards.
+        surface: (s,) surface number of each shape (petmjx/world/friction_pairs.py); None: all 0.
+        walls: sides of a carrier that have a wall. Walls are the last shapes, in this order; all others are boards.
     """
 
     pos: FloatArray
@@ -45,21 +46,21 @@ class Body:
 
     @classmethod
     def solid(cls, pos: FloatArray, half_size: FloatArray, mass: float, friction: Triple) -> Body:
-        """One solid box."""
+        """A body that is one solid box."""
         return cls(pos, mass, half_size[None], np.zeros((1, 3)), np.array([friction]), half_size)
 
     @classmethod
     def of_boards(cls, center: FloatArray, half_size: FloatArray, mass: FloatArray, friction: FloatArray) -> Body:
-        """Boards that are solid boxes.
+        """A body made of boards. Each board is a solid box.
 
-        The axes of the shapes count as the principal axes of the body. Products of inertia of boards that do not
-        balance are left out: a few per cent of the moments for a pallet without one of its outer deck boards. Principal
-        axes would matter only if the carrier turned, and it stands on the floor.
+        The edges of the boards count as the principal axes of the body. Products of inertia are neglected, although
+        boards may be unbalanced: for a pallet without one of its outer deck boards, these products are a few per cent
+        of the moments. The principal axes would matter only if the carrier turned, and the carrier stands on the floor.
 
         Args:
             center: (s, 3) centres of the boards, m.
             half_size: (s, 3) half extents, m.
-            mass: (s,) kg.
+            mass: (s,) masses of the boards, kg.
             friction: (s, 3) as in ``Body``.
         """
         pos = mass @ center / mass.sum()
@@ -70,7 +71,7 @@ class Body:
     def with_walls(
         self, center: FloatArray, half_size: FloatArray, mass: FloatArray, friction: FloatArray, sides: Sequence[Side]
     ) -> Body:
-        """The body with walls, one for each side. Arguments as for ``of_boards``."""
+        """This body with walls added, one for each side. Arguments as for ``of_boards``."""
         boards = self.pos + self.shape_pos
         body = Body.of_boards(
             np.vstack([self.pos, center]),
@@ -87,18 +88,18 @@ class Body:
         )
 
     def shapes_at(self, pos: FloatArray, quat: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """(s, 3) centres, (s, 3, 3) rotations and (s, 3) half extents of its shapes when the body is at this pose."""
+        """(s, 3) centres, (s, 3, 3) rotations and (s, 3) half extents of the shapes if the body has this pose."""
         turns = np.tile(rotations(quat[None]), (len(self.half_size), 1, 1))
         return pos + np.einsum("sij,sj->si", turns, self.shape_pos), turns, self.half_size
 
     @property
     def n_boards(self) -> int:
-        """Number of shapes that are no walls: the first ones of the body."""
+        """Number of shapes that are not walls. They are the first shapes of the body."""
         return len(self.half_size) - len(self.walls)
 
     def without_walls(self, sides: Collection[Side]) -> Body:
-        """The body with the walls of these sides open. The mass of open walls stays, so that the body's frame is the
-        same.
+        """This body without the walls of these sides. The body keeps the mass of these walls, so that its frame stays
+        the same.
 
         Raises:
             ValueError: the body has no wall on one of the sides.
@@ -112,12 +113,12 @@ class Body:
 
     @property
     def boards(self) -> FloatArray:
-        """(s, 6) extents of its shapes and their places in the body's frame, m, in the form of pages and tables."""
+        """(s, 6) full extents of the shapes and their centres in the body's frame, m, as pages and tables need them."""
         return np.hstack([2 * self.half_size, self.shape_pos])
 
     @property
     def room(self) -> Room:
-        """The room between its walls, with the body at its planned place."""
+        """The space between the walls, with the body at its planned place."""
         face, top = np.array([[-np.inf] * 2, [np.inf] * 2]), np.full((2, 2), -np.inf)
         center, half = (self.pos + self.shape_pos)[self.n_boards :], self.half_size[self.n_boards :]
         for row, side in enumerate(self.walls):
@@ -128,24 +129,24 @@ class Body:
 
     @property
     def low(self) -> FloatArray:
-        """(3,) the lowest corner of all shapes with the body at its planned place, m."""
+        """(3,) the lowest coordinates of all shapes, with the body at its planned place, m."""
         low: FloatArray = (self.pos + self.shape_pos - self.half_size).min(axis=0)
         return low
 
     @property
     def high(self) -> FloatArray:
-        """(3,) the highest corner, m."""
+        """(3,) the highest coordinates of all shapes, m."""
         high: FloatArray = (self.pos + self.shape_pos + self.half_size).max(axis=0)
         return high
 
 
 @dataclass(frozen=True, eq=False)
 class Room:
-    """The room between the walls of a carrier, or of several.
+    """The space between the walls of one or several carriers.
 
     Attributes:
         face: (…, 2, 2) inner faces of the walls at the low and the high end of x and y, m; infinite without a wall.
-        top: (…, 2, 2) heights of their tops, m.
+        top: (…, 2, 2) heights of the tops of the walls, m.
     """
 
     face: FloatArray
@@ -153,7 +154,7 @@ class Room:
 
     @classmethod
     def of(cls, carriers: Sequence[Body]) -> Room:
-        """The rooms of m carriers: arrays (m, 2, 2)."""
+        """The rooms of m carriers, stacked: arrays (m, 2, 2)."""
         rooms = [carrier.room for carrier in carriers]
         return cls(np.array([room.face for room in rooms]), np.array([room.top for room in rooms]))
 
@@ -161,12 +162,12 @@ class Room:
         return Room(self.face[row], self.top[row])
 
     def gaps(self, place: FloatArray, half: FloatArray, least_m: float) -> FloatArray:
-        """(…, n, 2, 2) gaps between boxes and walls, m; negative: a box is in a wall. Infinite where there is no wall,
-        and where a box is above the wall, or with its middle beyond it.
+        """(…, n, 2, 2) gaps between boxes and walls, m; negative: the box overlaps the wall. The gap is infinite if
+        there is no wall, if the box is above the wall, or if the box's middle is beyond the wall's inner face.
 
         Args:
             place, half: (…, n, 3) middles and half extents of the boxes along the axes, m.
-            least_m: a box is beside a wall if the box reaches below the wall's top by more than this.
+            least_m: a box is beside a wall if it reaches below the wall's top by more than this, m.
         """
         inwards, beside = self._inwards(place, half, least_m)
         gap: FloatArray = np.where(beside & (inwards > 0), inwards - half[..., None, :2], np.inf)
@@ -174,7 +175,8 @@ class Room:
 
     def depths(self, place: FloatArray, half: FloatArray, least_m: float) -> FloatArray:
         """(…, n, 2, 2) lengths by which boxes reach beyond the inner faces of walls, m; 0 for boxes that do not reach
-        the faces. Unlike in ``gaps``, every box counts wherever its middle is, also a box wholly behind a wall.
+        the faces. Unlike in ``gaps``, the position of a box's middle does not matter: a box wholly behind a wall
+        counts, too.
 
         Args:
             place, half, least_m: as in ``gaps``.
@@ -184,19 +186,20 @@ class Room:
         return depth
 
     def _inwards(self, place: FloatArray, half: FloatArray, least_m: float) -> tuple[FloatArray, NDArray[np.bool_]]:
-        """(…, n, 2, 2) distances of boxes' middles inside the faces, m, and whether boxes reach below the tops."""
+        """(…, n, 2, 2) distances of boxes' middles from the faces, inwards, m, and whether boxes reach below the
+        tops."""
         inwards = (place[..., None, :2] - self.face[..., None, :, :]) * np.array([[1.0], [-1.0]])
         return inwards, (place - half)[..., None, None, 2] < self.top[..., None, :, :] - least_m
 
 
 @dataclass(frozen=True, eq=False)
 class Pieces:
-    """The shapes of a box that is made of several solid boxes.
+    """The shapes of a box that is made up of several solid boxes.
 
     Attributes:
         box: number of the box.
         half_size: (s, 3) half extents, m.
-        pos: (s, 3) their middles, seen from the box's middle, m.
+        pos: (s, 3) middles, relative to the middle of the box, m.
     """
 
     box: int
@@ -206,12 +209,12 @@ class Pieces:
 
 @dataclass(frozen=True, eq=False)
 class Shapes:
-    """The shapes of a scene's bodies, body after body: those of the carrier, then those of the boxes in packing order.
+    """The shapes of a scene's bodies: first those of the carrier, then those of each box in packing order.
 
     Attributes:
-        body: (s,) number of the box to which a shape belongs, or ``CARRIER``.
-        half_size, pos, friction: (s, 3) as in ``Body``.
-        surface: (s,) as in ``Body``.
+        body: (s,) number of the box to which each shape belongs, or ``CARRIER``.
+        half_size, pos, friction: (s, 3) see ``Body``.
+        surface: (s,) see ``Body``.
     """
 
     body: NDArray[np.intp]
@@ -221,6 +224,6 @@ class Shapes:
     surface: NDArray[np.intp]
 
     def of(self, body: int) -> range:
-        """The rows of a body's shapes."""
+        """The rows that hold a body's shapes."""
         begin, end = np.searchsorted(self.body, [body, body + 1]).tolist()
         return range(begin, end)

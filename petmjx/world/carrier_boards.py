@@ -1,7 +1,7 @@
-"""Carriers made of boards: pallets with gaps between their boards, as real ones have.
+"""Carriers made of boards: pallets with gaps between their boards, like real ones.
 
-Boards are boxes, written in mm as (front-left-bottom corner, size). The pallet's front-left corner is at the origin,
-its bottom at z = 0.
+A board is a box, given in mm as (front-left-bottom corner, size). The pallet's front-left corner is at the origin, and
+its bottom is at z = 0.
 """
 
 from __future__ import annotations
@@ -27,14 +27,14 @@ Board = tuple[Triple, Triple]
 
 @dataclass(frozen=True)
 class Pallet:
-    """A pallet of boards.
+    """A pallet made of boards.
 
     Attributes:
         boards: corner and size of each board, mm.
         masses_kg: mass of each board.
-        frictions: coefficient of sliding friction of each board; None: the coefficient of carriers in the physics.
+        frictions: coefficient of sliding friction of each board; None: the carrier's coefficient in the physics.
             Empty: no board has a value of its own.
-        materials: material of each board; empty: all boards are of wood.
+        materials: material of each board; empty: all boards are wooden.
     """
 
     boards: tuple[Board, ...]
@@ -44,12 +44,12 @@ class Pallet:
 
     @property
     def height_mm(self) -> float:
-        """From the floor to the top of its deck."""
+        """Height of the top of the deck above the floor."""
         return max(corner[2] + size[2] for corner, size in self.boards)
 
     @property
     def deck_mm(self) -> FloatArray:
-        """(b, 2, 2) lowest and highest corner along x and y of each board that reaches the top of the pallet."""
+        """(b, 2, 2) lowest and highest corner in x and y of each board that reaches the top of the pallet."""
         corner, size = np.array(self.boards, np.float64).swapaxes(0, 1)
         end = corner + size
         on_top = end[:, 2] >= self.height_mm - TOUCH_MM
@@ -57,7 +57,7 @@ class Pallet:
 
 
 def _spread(length: float, widths: tuple[float, ...]) -> list[float]:
-    """Places where boards of these widths begin along a length, mm. The outer boards are flush, and all gaps are
+    """Where boards of these widths begin along a length, mm. The outer boards are flush with the ends, and all gaps are
     equal."""
     gap = (length - sum(widths)) / (len(widths) - 1)
     return [sum(widths[:k]) + k * gap for k in range(len(widths))]
@@ -70,8 +70,8 @@ def _by_volume(boards: Sequence[Board], mass_kg: float) -> tuple[float, ...]:
 
 
 def _epal_1() -> Pallet:
-    """EN 13698-1: 1200 × 800 × 144 mm, about 25 kg. Five deck boards on three cross boards, nine blocks, three bottom
-    boards."""
+    """EN 13698-1: 1200 × 800 × 144 mm, about 25 kg. It has five deck boards on three cross boards, nine blocks, and
+    three bottom boards."""
     length, width, board, block = 1200.0, 800.0, 22.0, 78.0
     deck, rows, columns = (145.0, 100.0, 145.0, 100.0, 145.0), (100.0, 145.0, 100.0), (145.0, 145.0, 145.0)
     x, y = _spread(length, columns), _spread(width, rows)
@@ -86,8 +86,8 @@ def _epal_1() -> Pallet:
 
 
 def _gma() -> Pallet:
-    """GMA 48 × 40 in as it is commonly built: seven deck boards, two of 140 and five of 89 mm, on three stringers of
-    38 × 89 mm, five bottom boards; boards 16 mm thick, 20 kg."""
+    """GMA 48 × 40 in, as commonly built. It has seven deck boards (two of 140 mm, five of 89 mm), three stringers of
+    38 × 89 mm, and five bottom boards. Boards are 16 mm thick; the mass is 20 kg."""
     length, width, board, stringer, high = 1219.0, 1016.0, 16.0, 38.0, 89.0
     deck, bottom = (140.0, *[89.0] * 5, 140.0), (140.0, *[89.0] * 3, 140.0)
     boards: list[Board] = []
@@ -100,8 +100,8 @@ def _gma() -> Pallet:
 
 
 def _pet_eur() -> Pallet:
-    """The pallet of PET-Physics (its ``eur-pallet.xml``, 7031863): 20 boxes of 2 kg, some of which overlap by 4 mm. In
-    PET-Physics its deck is 5 mm above z = 0; here the deck is at z = 0, as for all carriers."""
+    """The pallet of PET-Physics (its ``eur-pallet.xml``, 7031863). It has 20 boxes of 2 kg, some of which overlap by
+    4 mm. In PET-Physics its deck is 5 mm above z = 0; here the deck is at z = 0, as for all carriers."""
     middle, bottom_mm = np.array([600.0, 400.0, 0.0]), -72.0
     half_and_place: list[tuple[Triple, Triple]] = [((600, 75, 15), (0, y, 62)) for y in (-325, 0, 325)]
     half_and_place += [((600, 60, 15), (0, y, 62)) for y in (-162.5, 162.5)]
@@ -118,8 +118,8 @@ def _pet_eur() -> Pallet:
 def _rollcontainer_grid() -> Pallet:
     """The base of a roll container: 14 bars of 8 mm with gaps of 53 mm, on four tubes of 30 mm; 200 mm high, 25 kg.
 
-    A typical base of no certain maker: no source was found for the bars. The extents are those of the target
-    ``rollcontainer``. Castors are modelled as blocks, and roll no more than the feet of a pallet.
+    It is a typical base, not that of a certain maker: no source was found for the bars. Its extents are those of the
+    target ``rollcontainer``. Castors are modelled as blocks; like the feet of a pallet, they do not roll.
     """
     length, width, bar, tube, castor, top = 800.0, 700.0, 8.0, 30.0, 60.0, 200.0
     under = top - bar - tube
@@ -130,8 +130,8 @@ def _rollcontainer_grid() -> Pallet:
 
 
 def _gitterbox() -> Pallet:
-    """The base of a box pallet of steel: a floor of 30 mm on four feet, 150 mm high, 25 kg. UIC 435-3 has the sizes of
-    the whole box pallet. Its feet are plain blocks here."""
+    """The base of a steel box pallet: a floor of 30 mm on four feet, 150 mm high, 25 kg. UIC 435-3 gives the sizes of
+    the whole box pallet. The feet are modelled as plain blocks."""
     length, width, floor, foot, top = 1200.0, 800.0, 30.0, 100.0, 150.0
     boards: list[Board] = [((0, 0, top - floor), (length, width, floor))]
     boards += [((x, y, 0), (foot, foot, top - floor)) for x in (0.0, length - foot) for y in (0.0, width - foot)]
@@ -139,13 +139,13 @@ def _gitterbox() -> Pallet:
 
 
 def _container_20ft() -> Pallet:
-    """The floor of a container, of 28 mm of wood on a frame: one slab here, 150 mm high, 900 kg."""
+    """The floor of a container: 28 mm of wood on a frame. It is modelled as one slab, 150 mm high, 900 kg."""
     boards: list[Board] = [((0, 0, 0), (5867.0, 2330.0, 150.0))]
     return Pallet(tuple(boards), (900.0,))
 
 
 def _trailer() -> Pallet:
-    """The floor of a semi-trailer, of wood on a frame: one slab here, 150 mm high, 6 t with its frame."""
+    """The floor of a semi-trailer: wood on a frame. Modelled as one slab, 150 mm high, 6 t including the frame."""
     boards: list[Board] = [((0, 0, 0), (13600.0, 2480.0, 150.0))]
     return Pallet(tuple(boards), (6000.0,), materials=(TRAILER_FLOOR,))
 
@@ -170,7 +170,7 @@ OF_SLABS: Final = ("floor_z_m", "carrier_half_height_m", "carrier_mass_kg")
 
 @lru_cache(maxsize=16)
 def pallet(carrier: Carrier | OwnCarrier) -> Pallet | None:
-    """The boards of a carrier; None for a slab."""
+    """The boards of a carrier; None if the carrier is a slab."""
     if isinstance(carrier, OwnCarrier):
         boards = tuple((board.corner_mm, board.size_mm) for board in carrier.boards)
         return Pallet(boards, carrier.masses_kg, carrier.frictions, carrier.materials)
@@ -189,24 +189,24 @@ def body_of(board_pallet: Pallet, physics: Physics) -> Body:
 
 
 WALL_DEPTH_M: Final = 0.02
-"""Largest depth of walls below the carrier's top, so that no box gets under them."""
+"""Largest depth to which walls reach below the carrier's top, m, so that no box gets under them."""
 
 
 def has_walls(sim: Simulation) -> bool:
-    """Whether the carrier has walls, open ones included."""
+    """Whether the carrier has walls. Open walls count."""
     return bool(walls_of(sim.carrier, sim.walls).sides)
 
 
 def with_walls(carrier: Body, sim: Simulation) -> Body:
-    """A carrier with the walls of the options, except the open ones.
+    """A carrier with the walls from the options, except the open ones.
 
-    A wall stands along a whole side, and reaches over the ends of the walls beside it.
+    A wall stands along a whole side, and also covers the ends of the adjacent walls.
 
     Args:
-        carrier: its boards, with its top at z = 0.
+        carrier: the carrier's boards, with the top at z = 0.
 
     Raises:
-        InputError: the walls leave no room.
+        InputError: there is no room between the walls.
     """
     walls = walls_of(sim.carrier, sim.walls)
     if not walls.sides:
@@ -232,7 +232,7 @@ def with_walls(carrier: Body, sim: Simulation) -> Body:
 
 
 def carrier_surfaces(sim: Simulation) -> list[tuple[float | None, str]]:
-    """The friction and the material of each shape of the carrier: its boards, and the walls that are not open."""
+    """Friction and material of each shape of the carrier: first its boards, then the walls that are not open."""
     board_pallet, walls = pallet(sim.carrier), walls_of(sim.carrier, sim.walls)
     count = 1 if board_pallet is None else len(board_pallet.boards)
     frictions, materials = ((), ()) if board_pallet is None else (board_pallet.frictions, board_pallet.materials)
@@ -241,7 +241,7 @@ def carrier_surfaces(sim: Simulation) -> list[tuple[float | None, str]]:
 
 
 def carrier_notes(sim: Simulation) -> Iterator[str]:
-    """A line for each option that has no effect with this carrier."""
+    """One line for each option that has no effect with this carrier."""
     board_pallet, physics = pallet(sim.carrier), sim.physics
     if board_pallet is None:
         return

@@ -1,14 +1,16 @@
-"""Compliance of boxes: contacts are springs, as stiff as the two boxes that touch.
+"""Compliance of boxes: contacts are springs whose stiffness depends on the two boxes that touch.
 
-A box of stiffness k gives way by F/k between a load F on its top and its support. Half of the compression is at either
-face, as in a column, so that the box comes down by m·g/2k under its own weight. A face is a bed of springs (Winkler
-1867, "Die Lehre von der Elasticität und Festigkeit"), 2k/A for each area of the face A. If two faces press on one
-another, their beds are in series. The common area of two faces, as planned, determines how stiff the contact is. So a
-box sinks deeper if less of its base is supported, and a narrow box presses deeper into its support.
+A box of stiffness k is compressed by F/k between a load F on its top and its support. Half of the compression is at
+each face, as in a column. So a box sinks by m·g/2k under its own weight. A face is a bed of springs (Winkler 1867, "Die
+Lehre von der Elasticität und Festigkeit") with a stiffness of 2k/A per area, where A is the area of the face. If two
+faces press on one another, their beds are in series. The planned common area of the two faces determines the stiffness
+of the contact. So a box sinks deeper if less of its base is supported, and a narrow box presses deeper into its
+support.
 
-MuJoCo's contact of impedance d and time constant τ at rest is the spring f = x / (τ²·ζ²·(1 − d)·A), with A the sum of
-the inverse masses (petmjx/world/contact_laws.py). So a stiffness is an impedance. If the impedance would be below
-``LEAST_IMPEDANCE``, the time constant is longer instead. No box can be stiffer than the contacts of ``Physics``.
+At rest, MuJoCo's contact of impedance d and time constant τ is the spring f = x / (τ²·ζ²·(1 − d)·A), where A is the sum
+of the inverse masses (petmjx/world/contact_laws.py). So each stiffness corresponds to an impedance. If that impedance
+were below ``LEAST_IMPEDANCE``, the time constant is made longer instead. No box can be stiffer than the contacts of
+``Physics``.
 """
 
 from __future__ import annotations
@@ -27,38 +29,39 @@ from petmjx.world.scene import Scene
 from petmjx.world.supports import TOUCH_M, bearing_of
 
 LEAST_IMPEDANCE: Final = 0.5
-"""Smallest impedance. Below it friction would give way: boxes on a slope would creep by tenths of a millimetre a
-second."""
+"""Smallest impedance. With a smaller one, friction would give way: boxes on a slope would creep by tenths of a
+millimetre per second."""
 
 LEAST_SHARE: Final = 0.05
-"""Smallest common area of two faces, as a share of the smaller face. A sliver that two boxes share only by an error of
-their places is no bed of springs."""
+"""Smallest common area of two faces, as a share of the smaller face. A sliver that two boxes share only because of
+position errors is not a bed of springs."""
 
 
 POINTS_PER_BED: Final = 4
 """Number of contacts between two faces that press on one another, if at least one of the boxes is compliant."""
 
 EDGE_SHARE: Final = 2 / 3
-"""Least share of the common area of two faces that counts as pressed: a smaller share is as stiff as this one. On
-springs alone a load near an edge would sink in without end. A carton spreads this load, and its edges bear more than
-its middle. Up to 0.28 of the width from the middle, a load leans as on springs."""
+"""Smallest share of the common area of two faces that counts as pressed; smaller shares are treated as equal to this
+one. On springs alone, a load near an edge would sink without limit. A real carton spreads such a load, and its edges
+bear more than its middle. A load up to 0.28 of the width from the middle leans as on springs alone."""
 
 OUTWARD: Final = 0.6
-"""If the pressed share is below ``EDGE_SHARE``, the pressure also moves outward: by this factor times ``EDGE_SHARE`` /
-share − 1 of the way to the deepest line. At a quarter of the face the pressure reaches the deepest line. The lean is
-then 12 F / (k·L), at which only the points at one edge, of Simpson's nine, bear."""
+"""If the pressed share is below ``EDGE_SHARE``, the pressure also moves outwards, towards the deepest line. It moves by
+this factor times (``EDGE_SHARE`` / share − 1) of the distance to that line. At a quarter of the face, the pressure
+reaches the deepest line. The lean is then 12 F / (k·L). At this lean, only the points at one edge bear, of the nine
+points of Simpson's rule."""
 
 FACE_COSINE: Final = 0.5
-"""Two faces press on one another if the cosine between one normal and the reverse of the other is at least this.
-Otherwise an edge presses on a body."""
+"""Two faces press on one another if the cosine between the normal of one and the reversed normal of the other is at
+least this. Otherwise, an edge presses on a body."""
 
 
 @dataclass(frozen=True)
 class Face:
-    """The values of a shape that determine the law of its contacts.
+    """The values of a shape that determine the law of its contacts: those of its face and of its body.
 
     Attributes:
-        give: area of its face over twice the stiffness, A/2k, m³/N; 0: the face is rigid.
+        give: area of the face over twice the stiffness, A/2k, m³/N; 0: the face is rigid.
         middle, half: planned middle and half extents, m.
         inverse_mass: 1 / mass of its body, 1/kg; 0: the body does not move.
     """
@@ -70,14 +73,14 @@ class Face:
 
 
 def compliances(stiffness_n_m: FloatArray, half_size: FloatArray) -> FloatArray:
-    """(n,) area of each box's top over twice its stiffness, m³/N; 0 for a rigid box (stiffness inf)."""
+    """(n,) area of each box's top divided by twice its stiffness, m³/N; 0 for a rigid box (stiffness inf)."""
     area: FloatArray = 4.0 * half_size[:, 0] * half_size[:, 1]
     return area / (2.0 * stiffness_n_m)
 
 
 def shared_area_m2(one: Face, two: Face) -> float:
-    """Planned area in which two shapes press on one another; the area of the smaller shape if neither is above the
-    other."""
+    """Planned area over which two shapes press on one another. If neither is above the other: the area of the smaller
+    shape."""
     (ax, ay, az), (bx, by, bz) = one.middle, two.middle
     (al, aw, ah), (bl, bw, bh) = one.half, two.half
     smaller = 4.0 * min(al * aw, bl * bw)
@@ -88,22 +91,22 @@ def shared_area_m2(one: Face, two: Face) -> float:
 
 
 def spring_laws(physics: Physics, spring_n_m: FloatArray, inverse_mass: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """(p, 2) MuJoCo's solref and (p,) impedances of contacts that act at rest as springs of these stiffnesses."""
+    """(p, 2) MuJoCo's solref and (p,) impedances of contacts that behave at rest like springs of these stiffnesses."""
     time_s, damping, impedance = _spring_terms(physics, spring_n_m, inverse_mass)
     return np.column_stack(np.broadcast_arrays(time_s, damping)), impedance
 
 
 def spring_law(physics: Physics, spring_n_m: float, inverse_mass: float) -> tuple[tuple[float, float], Triple]:
-    """MuJoCo's solref and solimp of a contact that acts at rest as a spring of this stiffness."""
+    """MuJoCo's solref and solimp of a contact that behaves at rest like a spring of this stiffness."""
     time_s, damping, impedance = map(float, _spring_terms(physics, spring_n_m, inverse_mass))
     return (time_s, damping), (impedance, impedance, physics.solimp[2])
 
 
 def _spring_terms(physics: Physics, spring_n_m: Any, inverse_mass: Any) -> tuple[Any, Any, Any]:
-    """Both numbers of solref and the impedance, of one contact or (p,) of many."""
+    """Both numbers of solref, and the impedance, for one contact or (p,) for many."""
     time_s, damping = physics.solref
     time_s = time_s if time_s < 0 else max(time_s, 2 * physics.timestep_s)
-    # stiffness of the spring at rest, in units of 1 / ((1 − d)·A), 1/s²
+    # stiffness of the contact's spring at rest, in units of 1 / ((1 − d)·A), 1/s²
     stiffness = -time_s if time_s < 0 else 1 / (time_s * damping) ** 2
     lack = stiffness / (spring_n_m * inverse_mass)
     impedance = np.clip(1 - lack, LEAST_IMPEDANCE, physics.solimp[1])
@@ -114,7 +117,8 @@ def _spring_terms(physics: Physics, spring_n_m: Any, inverse_mass: Any) -> tuple
 
 
 def law_between(physics: Physics, one: Face, two: Face | None) -> tuple[tuple[float, float], Triple]:
-    """MuJoCo's solref and solimp of contacts between two shapes, or between a shape and the floor (``two`` is None)."""
+    """MuJoCo's solref and solimp of the contacts between two shapes. If ``two`` is None: between a shape and the
+    floor."""
     give = one.give + (two.give if two is not None else 0.0)
     if give == 0.0:
         return physics.solref, physics.solimp
@@ -132,7 +136,7 @@ def bed_depth_m(scene: Scene, load_n: FloatArray) -> FloatArray:
     if scene.stiffness is None:
         return np.zeros(scene.n_boxes)
     bearing = bearing_of(scene)
-    give = np.append(compliances(scene.stiffness, scene.half_size), 0.0)  # CARRIER is the last
+    give = np.append(compliances(scene.stiffness, scene.half_size), 0.0)  # the last entry is for CARRIER
     area = (bearing.high - bearing.low).prod(axis=1)
     with np.errstate(divide="ignore"):
         spring = area / (give[bearing.upper] + give[bearing.lower])
@@ -145,7 +149,8 @@ def bed_depth_m(scene: Scene, load_n: FloatArray) -> FloatArray:
 def sinks_m(scene: Scene, gravity_m_s2: float) -> FloatArray | None:
     """(n,) expected descent of each box once all boxes are placed, m; None if no box is compliant.
 
-    The descent is the sum of the compressions of the box's own face and of the boxes below, under the planned loads.
+    The descent of a box is the compression of the springs below it plus the largest descent of the boxes on which it
+    rests, under the planned loads.
     """
     if scene.stiffness is None:
         return None

@@ -1,19 +1,19 @@
-"""Forces of stretch film on the boxes of a pallet: it presses on the outer faces, and holds them by friction.
+"""Forces of stretch film on the boxes of a pallet: film presses on the outer faces, and holds them by friction.
 
-A model with three numbers, for a pallet that is wrapped to its carrier:
+The model has three parts, for a pallet that is wrapped to its carrier:
 
 - **Tension.** A layer of film pulls across its width with the force of a turn × the number of turns. So a strip of
-  the height h has the tension T = force · turns · h / width. Around a corner the film pulls along both sides. So each
-  side of the load is pressed inwards by T at either end. This force, 2·T in all, is spread over the outer faces of that
-  side.
-  If nothing stands behind a box, film draws it in and slackens: after ``SLACK_M`` nothing presses on the box.
-- **Hold.** Film sticks to an outer face with a force of at most friction × that pressure. A box that moves against the
-  carrier is held by a spring, with this force at most. Beyond it the film slips.
-- **A hat** presses on the tops on which no box stands.
+  height h has the tension T = force · turns · h / width. Around a corner, the film pulls along both sides. So each side
+  of the load is pressed inwards by T at each of its two ends. This force, 2·T in all, is spread over the outer faces of
+  that side. If nothing stands behind a box, the film draws the box in and slackens: after ``SLACK_M`` it no longer
+  presses on the box.
+- **Hold.** Film sticks to an outer face with a force of at most friction × that pressure. A spring holds a box that
+  moves relative to the carrier, with at most this force. Beyond it, the film slips.
+- **A hat** presses on all tops on which no box stands.
 
-Faces that stand back from the outermost face of their side by more than ``MOST_BACK_M`` touch no film. Forces act in
-the boxes' centres of mass. Stretching, tearing and creeping of the film are not modelled. Source of the linearity:
-Sensors 2025, 25(22), 6883.
+Faces that stand back from the outermost face of their side by more than ``MOST_BACK_M`` do not touch the film. The
+forces act at the boxes' centres of mass. Stretching, tearing and creeping of the film are not modelled. Source of the
+linearity: Sensors 2025, 25(22), 6883.
 """
 
 from __future__ import annotations
@@ -27,17 +27,17 @@ from petmjx.common.units import MM_PER_M, FloatArray
 from petmjx.world.scene import Scene
 
 MOST_BACK_M: Final = 0.02
-"""How far a face may stand back from the outermost face of its side and still touch the film, m."""
+"""Largest distance by which a face may stand back from the outermost face of its side and still touch the film, m."""
 
 SLACK_M: Final = 0.005
-"""How far film draws a box in, m: an assumption. Film that is stretched further also follows further, and closes wider
-gaps."""
+"""How far film draws a box in before it slackens, m: an assumption. Film that is stretched more also follows farther,
+and closes wider gaps."""
 
 RATE_1_S: Final = 100.0
-"""Natural frequency of a box on its film, 1/s: a box that is held by a force equal to its weight gives way by 1 mm."""
+"""Natural frequency of a box held by film, 1/s: a box held by a force equal to its weight gives way by 1 mm."""
 
 MOST_RATE_PER_STEP: Final = 0.2
-"""Largest natural frequency × timestep. Above it the spring would not be stable."""
+"""Largest natural frequency × timestep. Above it, the spring would be unstable."""
 
 SIDES: Final = ((0, -1.0), (0, 1.0), (1, -1.0), (1, 1.0))
 """Axis and sign of the outward normal of each side of the load."""
@@ -56,16 +56,16 @@ class Film(NamedTuple):
 
 
 def spring_rate_1_s(timestep_s: float) -> float:
-    """Natural frequency of a box on its film, 1/s."""
+    """Natural frequency of a box held by film at this timestep, 1/s."""
     return min(RATE_1_S, MOST_RATE_PER_STEP / timestep_s)
 
 
 _FILMS: Final = WeakKeyDictionary[Scene, Film]()
-"""Films of scenes that are in use. The legs of a chain share scenes."""
+"""Films of scenes that are in use. Legs of a chain may share a scene."""
 
 
 def film_of(scene: Scene) -> Film:
-    """The forces of a scene's film, by the places of the plan."""
+    """The forces of a scene's film, computed from the planned places."""
     if scene not in _FILMS:
         _FILMS[scene] = _film(scene)
     return _FILMS[scene]
@@ -95,7 +95,7 @@ def _film(scene: Scene) -> Film:
 
 
 def _hat(low: FloatArray, high: FloatArray) -> FloatArray:
-    """(n,) each box's share of the free top area; 0 if a box stands on it."""
+    """(n,) each box's share of the free top area; 0 if another box stands on the box."""
     over = (low[:, None, :2] < high[None, :, :2]) & (high[:, None, :2] > low[None, :, :2])
     is_under = (over.all(axis=2) & (low[None, :, 2] >= high[:, None, 2] - 1e-3)).any(axis=1)
     area = np.where(is_under, 0.0, (high - low)[:, :2].prod(axis=1))

@@ -1,9 +1,9 @@
-"""Tables of friction and landings by pairs of surfaces, and the surfaces of a plan's world.
+"""Tables of friction and landings for pairs of surfaces, and the surfaces of a plan's world.
 
-A table is used if the coefficient between two shapes is not the larger of their own coefficients. Shapes have surfaces,
-numbered from 1. The table has the coefficient of sliding friction of each pair of surfaces. The floor and all shapes
-without a surface of their own have surface 0. Surfaces follow from the materials of boxes and boards, and from the
-boards' own friction.
+A table is used if the friction between two shapes is not just the larger of their own coefficients. Each shape has a
+surface, numbered from 1. The table holds the coefficient of sliding friction for each pair of surfaces. The floor, and
+all shapes without a surface of their own, have surface 0. Surfaces follow from the materials of boxes and boards, and
+from the friction that boards have of their own.
 """
 
 from __future__ import annotations
@@ -23,37 +23,36 @@ from petmjx.plans.plan import Plan
 from petmjx.world.carrier_boards import carrier_surfaces
 
 MOST_SURFACES: Final = 16
-"""Rows of a world's table on devices, surface 0 included."""
+"""Number of rows of a world's table on devices, including surface 0."""
 
 LARGER: Final = -1.0
-"""Marks an entry without a coefficient: the larger coefficient of the two shapes counts, as everywhere in
-MuJoCo."""
+"""Marks an entry without a coefficient: the larger coefficient of the two shapes counts, as is usual in MuJoCo."""
 
 
 USUAL: Final = -1.0
-"""Marks an entry without a restitution, a time of a landing, or a share of kinetic friction: the value of the physics
-counts."""
+"""Marks an entry without a restitution, landing time or share of kinetic friction: the value of the physics counts."""
 
 
 def no_landings(n_surfaces: int = MOST_SURFACES) -> FloatArray:
-    """(k, k, 2) a table of landings without entries."""
+    """(k, k, 2) a table of landings in which no entry has a value."""
     return np.full((n_surfaces, n_surfaces, 2), USUAL)
 
 
 def no_pairs(n_surfaces: int = MOST_SURFACES) -> FloatArray:
-    """(k, k) a table of friction without entries."""
+    """(k, k) a table of friction in which no entry has a coefficient."""
     return np.full((n_surfaces, n_surfaces), LARGER)
 
 
 def scaled_pairs(
     table: FloatArray | None, of_boards: NDArray[np.intp] | None, box_factor: float, carrier_factor: float
 ) -> FloatArray | None:
-    """(k, k) a table with the friction of boxes and carrier changed by factors.
+    """(k, k) a table in which the friction of boxes and carrier is multiplied by factors.
 
-    Between two surfaces the larger factor counts, as the larger coefficient does for a pair without an entry.
+    For a pair of surfaces the larger of the two factors counts, just as the larger coefficient counts for a pair
+    without an entry.
 
     Args:
-        of_boards: the surfaces of the carrier's boards; None: the boards have no surfaces of their own.
+        of_boards: the surfaces of the carrier's boards; None: the boards have no surface of their own.
     """
     if table is None:
         return None
@@ -64,10 +63,10 @@ def scaled_pairs(
 
 
 def filled_up(table: FloatArray | None) -> FloatArray:
-    """(``MOST_SURFACES``, ``MOST_SURFACES``) a world's table, padded with rows without entries.
+    """(``MOST_SURFACES``, ``MOST_SURFACES``) a world's friction table, padded with rows without entries.
 
     Raises:
-        ValueError: the table has more rows.
+        ValueError: the table has too many rows.
     """
     filled = no_pairs()
     if table is not None:
@@ -78,7 +77,7 @@ def filled_up(table: FloatArray | None) -> FloatArray:
 
 
 def filled_up_shares(table: FloatArray | None) -> FloatArray:
-    """(``MOST_SURFACES``, ``MOST_SURFACES``) a world's shares of kinetic friction, padded with rows without entries."""
+    """(``MOST_SURFACES``, ``MOST_SURFACES``) a world's kinetic shares, padded with rows without entries."""
     filled = np.full((MOST_SURFACES, MOST_SURFACES), USUAL)
     if table is not None:
         filled[: len(table), : len(table)] = table
@@ -94,7 +93,7 @@ def filled_up_landings(table: FloatArray | None) -> FloatArray:
 
 
 _NOT_SAID: Final = ""
-"""The material of a box without a material in the plan."""
+"""The material of a box to which the plan gives no material."""
 
 
 class Surfaces(NamedTuple):
@@ -104,9 +103,9 @@ class Surfaces(NamedTuple):
         of_boxes: (n,) surface of each box.
         of_boards: (s,) surface of each board and wall of the carrier.
         friction: (k, k) coefficients between surfaces, or ``LARGER``.
-        landing: (k, k, 2) restitution and time of a landing, s, between surfaces.
-        kinetic: (k, k) friction of sliding surfaces, as a share of friction at rest, or ``USUAL``; None: no
-            pair has a share.
+        landing: (k, k, 2) restitution and landing time, s, between surfaces.
+        kinetic: (k, k) friction of sliding surfaces, as a share of friction at rest, or ``USUAL``; None: no pair has a
+            share of its own.
     """
 
     of_boxes: NDArray[np.intp]
@@ -119,12 +118,13 @@ class Surfaces(NamedTuple):
 def find_surfaces(plan: Plan, sim: Simulation) -> Surfaces | None:
     """The surfaces of a plan's boxes and of its carrier's boards and walls.
 
-    None if boxes have no materials and boards have no friction of their own, and with pyramidal cones, which have no
-    friction by pairs. Between a box and a board the friction of the board counts if it has one, otherwise the friction
-    of the two materials. If a box has no material, the larger coefficient of two shapes counts.
+    The result is None if neither boxes have materials nor boards have friction of their own. It is also None with
+    pyramidal cones, which have no friction by pairs. Between a box and a board, the friction of the board counts if it
+    has one, otherwise the friction of the two materials. If a box has no material, the larger coefficient of the two
+    shapes counts.
 
     Raises:
-        InputError: friction between two of the materials is not known, or there are too many surfaces.
+        InputError: the friction between two of the materials is unknown, or there are too many surfaces.
     """
     boards = carrier_surfaces(sim)
     materials = plan.materials or (_NOT_SAID,) * plan.n_boxes
@@ -166,10 +166,11 @@ def find_surfaces(plan: Plan, sim: Simulation) -> Surfaces | None:
 
 
 def check_surfaces(plans: Iterable[Plan], sim: Simulation) -> list[str]:
-    """Check that friction between all materials of all plans is known; a line if materials or stiffness have no effect.
+    """Check that friction is known between all materials of all plans. Returns a line if materials or stiffness have
+    no effect.
 
     Raises:
-        InputError: as ``find_surfaces``.
+        InputError: see ``find_surfaces``.
     """
     plans = list(plans)
     with_materials = [plan for plan in plans if plan.materials]
@@ -186,19 +187,19 @@ def check_surfaces(plans: Iterable[Plan], sim: Simulation) -> list[str]:
 
 
 def _pair_friction(one: str, other: str, sim: Simulation) -> float:
-    """The entry of a table for a pair of materials. Bodies of an unknown pair never touch (``check_pairs``)."""
+    """A pair's entry in the table of friction. Bodies of an unknown pair never touch (``check_pairs``)."""
     friction = friction_between(one, other, sim.friction_pairs) if one and other else None
     return LARGER if friction is None else friction
 
 
 def _kinetic(one: str, other: str, sim: Simulation) -> float:
-    """The entry of a table of shares of kinetic friction for a pair of materials."""
+    """A pair's entry in the table of shares of kinetic friction. A pair is two materials."""
     share = kinetic_share_between(one, other, sim.friction_pairs) if one and other else None
     return USUAL if share is None else share
 
 
 def _landing(one: str, other: str, sim: Simulation) -> tuple[float, float]:
-    """The entry of a table of landings for a pair of materials."""
+    """A pair's entry in the table of landings. A pair is two materials."""
     if not (one and other):
         return USUAL, USUAL
     restitution, landing_s = landing_between(one, other, sim.landing_pairs)

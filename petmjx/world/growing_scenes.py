@@ -1,7 +1,7 @@
-"""Scenes of worlds to which boxes are added one by one, and arrays of the next box of each world.
+"""Scenes of worlds to which boxes are added one by one, and arrays with the next box of each world.
 
 A packer adds thousands of boxes at a time and reads few scenes. So boxes are kept in arrays, and a scene is made only
-on access.
+when it is read.
 """
 
 from __future__ import annotations
@@ -22,18 +22,18 @@ _FIRST_ROOM = 16
 
 
 class OpenScenes:
-    """The scenes of n worlds with one carrier.
+    """The scenes of n worlds that have the same carrier.
 
     Args:
-        scenes: the scenes at the beginning.
-        blank: the values that all added boxes have in common.
+        scenes: the scenes at the start.
+        blank: the values that all added boxes share.
     """
 
     def __init__(self, scenes: Sequence[Scene], blank: EmptyCarrier) -> None:
         n = len(scenes)
         self._blank, self._carrier = blank, scenes[0].carrier
         self._scenes = list(scenes)
-        """For each world a scene with its first boxes, perhaps with all."""
+        """For each world, a scene with its first boxes or with all of them."""
         self._count = np.zeros(n, np.int64)
         self._half_size, self._target = (np.full((n, _FIRST_ROOM, 3), np.nan) for _ in range(2))
         self._mass: FloatArray = np.full((n, _FIRST_ROOM), np.nan)
@@ -75,7 +75,7 @@ class OpenScenes:
             table[np.asarray(into, np.intp)] = table[np.asarray(sources, np.intp)]
 
     def stacks(self, worlds: Sequence[int]) -> Stacks:
-        """The boxes of these worlds in arrays as wide as the fullest of them. A world may occur several times."""
+        """The boxes of these worlds, in arrays as wide as the fullest world. A world may occur several times."""
         rows = np.asarray(worlds, np.intp)
         width = int(self._count[rows].max(initial=0))
         half_size, target, mass = (table[rows, :width] for table in self._columns)
@@ -88,7 +88,7 @@ class OpenScenes:
         return self._half_size, self._target, self._mass
 
     def _make_room(self, n_boxes: int) -> None:
-        """If the arrays have fewer columns than ``n_boxes``, widen them to twice as many."""
+        """Widen the arrays to twice ``n_boxes`` columns if they have fewer than ``n_boxes``."""
         if n_boxes <= self._mass.shape[1]:
             return
         self._half_size, self._target, self._mass = (_widened_columns(table, 2 * n_boxes) for table in self._columns)
@@ -105,12 +105,12 @@ _ONE_MM: Final = np.full((1, 3), 100.0)
 
 @dataclass(frozen=True, eq=False)
 class NextBoxes:
-    """One box for each of m worlds, in the units of ``Scene``.
+    """One box for each of m worlds. Units are those of ``Scene``.
 
     Attributes:
         half_size: (m, 3) half extents, m.
-        target: (m, 3) planned middles, m, at which boxes are also released.
-        mass: (m,) kg.
+        target: (m, 3) planned middles, at which boxes are also released, m.
+        mass: (m,) masses, kg.
     """
 
     half_size: FloatArray
@@ -119,10 +119,10 @@ class NextBoxes:
 
     @classmethod
     def of(cls, size_mm: FloatArray, corner_mm: FloatArray, mass_kg: FloatArray, sim: Simulation) -> NextBoxes:
-        """Boxes from extents and corners, identical to the last bit with those of ``build_scene``.
+        """Boxes from extents and corners, bit-identical to those of ``build_scene``.
 
         Args:
-            size_mm, corner_mm: (m, 3) extents of the boxes as they stand, and their corners.
+            size_mm, corner_mm: (m, 3) extents of the boxes in their planned orientation, and their corners.
             mass_kg: (m,) masses.
         """
         return cls(*half_size_and_target(size_mm, corner_mm, sim), mass_kg)
@@ -137,12 +137,12 @@ class NextBoxes:
 
 @dataclass(frozen=True, eq=False)
 class Stacks:
-    """The planned boxes of m worlds with one carrier, in k columns; NaN if a world has fewer boxes.
+    """The planned boxes of m worlds that have the same carrier, in k columns; NaN if a world has fewer boxes.
 
     Attributes:
         half_size, target: (m, k, 3) half extents and planned middles, m.
-        mass: (m, k) kg.
-        carrier_mass: kg.
+        mass: (m, k) masses of the boxes, kg.
+        carrier_mass: mass of the carrier, kg.
         carrier_friction, box_friction: coefficients of sliding friction.
     """
 
@@ -154,7 +154,7 @@ class Stacks:
     box_friction: float
 
     def with_next(self, boxes: NextBoxes) -> tuple[FloatArray, FloatArray]:
-        """(m, k + 1, 3) half extents and (m, k + 1, 3) planned middles after one more box for each world, m."""
+        """(m, k + 1, 3) half extents and (m, k + 1, 3) planned middles after adding one box to each world, m."""
         m = len(boxes)
         tables = []
         count = np.isfinite(self.mass).sum(axis=1)
@@ -166,7 +166,7 @@ class Stacks:
 
 
 class EmptyCarrier:
-    """A carrier without boxes, and the values that all boxes added to it have in common."""
+    """A carrier without boxes, and the values that all boxes added to it share."""
 
     def __init__(self, sim: Simulation) -> None:
         plan = Plan("", "", _ONE_MM, np.zeros((1, 3)), np.ones(1), ("",), ("",), np.ones(1, np.int64))
@@ -176,8 +176,8 @@ class EmptyCarrier:
         self.surface = 0 if self._one.surface is None else int(self._one.surface[0])
 
     def with_box(self, scene: Scene, boxes: NextBoxes, row: int) -> Scene:
-        """The scene with one more box: row ``row`` of ``boxes``, which have no fields beyond extents, place and
-        mass."""
+        """The scene with one more box: row ``row`` of ``boxes``. The box has no values of its own except extents, place
+        and mass."""
         place = boxes.target[row]
         box_values = {"half_size": boxes.half_size[row], "mass": boxes.mass[row], "target": place, "start_pos": place}
         grown: dict[str, Any] = {}

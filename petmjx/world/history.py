@@ -13,17 +13,17 @@ from petmjx.common.units import FloatArray
 
 CARRIER = -1
 FLOOR = -2
-"""Bodies of contacts that are not boxes; boxes count from 0, in packing order."""
+"""Numbers of bodies in contacts that are not boxes. Boxes are numbered from 0, in packing order."""
 
 
 @dataclass(frozen=True)
 class Record:
-    """The frames that an engine should record of a world.
+    """The frames of a world that an engine should record.
 
     Attributes:
-        interval_s: time between frames, s, rounded to steps. The moments of placements and the last state are
+        interval_s: time between frames, s, rounded to whole steps. The moments of placements and the last state are
             additional frames.
-        details: True: record accelerations, penetrations and contacts, too; engine ``mujoco`` only.
+        details: True: also record accelerations, penetrations and contacts; engine ``mujoco`` only.
     """
 
     interval_s: float
@@ -32,15 +32,15 @@ class Record:
 
 @dataclass(frozen=True, eq=False)
 class Contacts:
-    """Contacts of all frames, c rows in order of frames.
+    """Contacts of all frames, as c rows in order of frames.
 
     Attributes:
-        frame: (c,) the frame.
+        frame: (c,) number of the frame.
         body: (c, 2) the two bodies: boxes from 0, ``CARRIER``, ``FLOOR``.
-        point: (c, 3) place of the contact, m, world axes.
+        point: (c, 3) position of the contact in world axes, m.
         normal: (c, 3) unit vector from the first body to the second.
-        force: (c, 3) force of the first body on the second, N, world axes.
-        distance: (c,) m; negative if the bodies penetrate.
+        force: (c, 3) force of the first body on the second in world axes, N.
+        distance: (c,) distance of the bodies, m; negative if they penetrate.
     """
 
     frame: NDArray[np.int32]
@@ -57,7 +57,7 @@ class Contacts:
         return cls(np.zeros(0, np.int32), np.zeros((0, 2), np.int32), vectors, vectors, vectors, np.zeros(0))
 
     def of_frames(self, kept: NDArray[np.bool_], shift: int) -> Contacts:
-        """The contacts of the remaining frames, with ``shift`` added to the frame numbers."""
+        """The contacts of the kept frames, with ``shift`` added to the frame numbers."""
         rows = kept[self.frame]
         field_rows = {field.name: getattr(self, field.name)[rows] for field in fields(self)}
         return Contacts(**field_rows | {"frame": field_rows["frame"] + np.int32(shift)})
@@ -66,18 +66,18 @@ class Contacts:
         return f"Contacts({count_text(len(self.frame), 'contact')})"
 
     def then(self, later: Contacts) -> Contacts:
-        """These contacts followed by later contacts."""
+        """These contacts, followed by ``later``."""
         names = [field.name for field in fields(self)]
         return Contacts(**{name: np.concatenate((getattr(self, name), getattr(later, name))) for name in names})
 
 
 @dataclass(frozen=True, eq=False)
 class History:
-    """One world's f frames of n boxes, in packing order. Values of boxes that are not placed yet are NaN.
+    """The history of one world: f frames of n boxes, in packing order. Values of boxes not yet placed are NaN.
 
-    A frame is taken after a step. The poses of a frame are those after the step. Forces, accelerations, contacts and
-    drives are those during the step; MuJoCo evaluates them at the beginning of the step. Forces and accelerations are 0
-    for a box that was placed after the step.
+    A frame is taken after a step. Its poses are those after the step. Its forces, accelerations, contacts and drive are
+    those during the step; MuJoCo evaluates them at the beginning of the step. For a box that was placed after the step,
+    forces and accelerations are 0.
 
     Attributes:
         time_s: (f,) time since the soft start; the first frame is the first placement or, with check ``static``, 0.
@@ -85,11 +85,11 @@ class History:
         pos: (f, n, 3) centres, m.
         quat: (f, n, 4) orientations, (w, x, y, z).
         top_force_n: (f, n) force on top of each box, N.
-        carrier_pos: (f, 3) the carrier's centre, m.
-        carrier_quat: (f, 4) its orientation, (w, x, y, z).
+        carrier_pos: (f, 3) centre of the carrier, m.
+        carrier_quat: (f, 4) orientation of the carrier, (w, x, y, z).
         drive: (f, 3) the drive: force on the carrier, N, or its acceleration, m/s²; zero without a drive.
         drive_kind: "force" or "acceleration"; "" without a drive.
-        lin_acc, ang_acc: (f, n, 3) m/s² and rad/s²; None if details were not recorded.
+        lin_acc, ang_acc: (f, n, 3) accelerations, m/s² and rad/s²; None if details were not recorded.
         penetration_m: (f, n) greatest depth of any contact of the box; None if details were not recorded.
         contacts: all contacts; None if details were not recorded.
     """
@@ -114,10 +114,10 @@ class History:
         return f"History({count_text(frames, 'frame')} of {count_text(boxes, 'box', 'boxes')}, {span})"
 
     def then(self, later: History) -> History:
-        """This history up to the first frame of a later one, followed by the later history.
+        """This history up to the first frame of a later one, followed by the later one.
 
-        Where both histories have a frame of the same moment, the frame of this history counts: the later world began
-        there, and does not know the earlier forces.
+        If both have a frame at the same moment, the frame of this history is kept: the later world started at that
+        moment and does not know the forces before it.
         """
         is_before, is_after = self.time_s <= later.time_s[0], later.time_s > later.time_s[0]
         joined: dict[str, Any] = {}

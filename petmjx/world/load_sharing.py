@@ -1,18 +1,19 @@
-"""Load sharing: the forces with which supports bear a box, if supports can only push.
+"""Load sharing: the forces with which supports carry a box, given that supports can only push.
 
 The pressure of a box on a bed of equal springs is a plane (petmjx.world.supports). If a load is far from the middle of
-the supports, the plane pulls: springs on the opposite side would be stretched. Real supports only push. The solution is
-a set of forces that push, each within its own contact area, and balance the load with the least energy of the springs
-(Menabrea 1858, "Nouveau principe sur la distribution des tensions dans les systèmes élastiques"). If the plane pulls
-nowhere, the plane is the solution.
+the supports, part of this plane pulls: springs on the opposite side would be stretched. Real supports only push. The
+solution is the set of pushing forces, each within its own contact area, that balances the load with the least energy of
+the springs (Menabrea 1858, "Nouveau principe sur la distribution des tensions dans les systèmes élastiques"). If the
+plane pulls nowhere, it is the solution.
 
-A contact's force F and its moments about the middle of its area A, of half lengths a and b, have the energy
+A contact has the force F and the moments Mx, My about the middle of its area A, whose half lengths are a and b. The
+energy is
 
     (F² + 3 Mx²/a² + 3 My²/b²) / 2A,   with F ≥ 0, |Mx| ≤ a F and |My| ≤ b F
 
-In the coordinates z = (F, √3 Mx/a, √3 My/b) / √A the energy is half the squared length and the constraints are a square
-cone. So the dual problem has one pressure plane for each box, three numbers. The forces are the projections of the
-planes onto the cones. The dual is piecewise quadratic, and Newton's method finds its least value.
+In the coordinates z = (F, √3 Mx/a, √3 My/b) / √A, the energy is half the squared length of z, and the constraints form
+a square cone. So the dual problem has one pressure plane for each box, that is, three numbers. The forces are the
+projections of the planes onto the cones. The dual is piecewise quadratic, and Newton's method finds its minimum.
 """
 
 from __future__ import annotations
@@ -29,31 +30,31 @@ from petmjx.world.rectangle_hulls import HullTable
 IntArray = NDArray[np.intp]
 
 PULL: Final = 1e-9
-"""A support pulls if its force is below minus this share of the load, or acts further beyond its area than this, m.
-Less is rounding."""
+"""A support pulls if its force is below minus this share of the load, or if the force acts farther outside its area
+than this, m. Smaller values are rounding errors."""
 
 ON_EDGE_M: Final = 1e-6
-"""A load nearer to the hull's edge than this rests on the edge: the planes become infinitely steep there."""
+"""A load closer to the hull's edge than this counts as on the edge, m: the planes become infinitely steep there."""
 
 _ROOT: Final = math.sqrt(3.0)
 _MOST_STEPS: Final = 60
 _MOST_HALVINGS: Final = 30
 _EXACT: Final = 1e-11
 _ENOUGH: Final = 1e-8
-"""Tolerances of force and moments, as shares of the load and its extent. Newton's steps end at ``_EXACT``. Iterations
-end at ``_ENOUGH`` if loads come no nearer: very near an edge, rounding prevents it."""
+"""Tolerances of force and moments, as shares of the load and its extent. Newton's steps end at ``_EXACT``. If the error
+stops shrinking, they end at ``_ENOUGH``: very near an edge, rounding prevents better results."""
 
 _RIDGE: Final = 1e-13
-"""Share that is added to the diagonal of second derivatives: they are singular if a single corner bears."""
+"""Share that is added to the diagonal of second derivatives, which are singular if only one corner carries load."""
 
 
 def pulls(force: FloatArray, low: FloatArray, high: FloatArray, load: FloatArray) -> NDArray[np.bool_]:
-    """(c,) whether a contact pulls, or pushes beyond its area.
+    """(c,) whether each contact pulls, or pushes outside its area.
 
     Args:
-        force: (c, 3) force and first moments along x and y of each contact.
+        force: (c, 3) force of each contact, and its first moments along x and y.
         low, high: (c, 2) corners of the areas, m.
-        load: (c,) load of the box above.
+        load: (c,) load of the box above each contact.
     """
     slack = -PULL * np.abs(load)
     least = np.minimum(force[:, 1:] - low * force[:, :1], high * force[:, :1] - force[:, 1:])
@@ -62,12 +63,12 @@ def pulls(force: FloatArray, low: FloatArray, high: FloatArray, load: FloatArray
 
 
 def pushes(load: FloatArray, owner: IntArray, low: FloatArray, high: FloatArray) -> FloatArray:
-    """(c, 3) forces of contacts and their first moments along x and y. The forces push and balance the loads, which are
-    within the hulls of their contacts.
+    """(c, 3) forces of contacts and their first moments along x and y. All forces push, and together they balance the
+    loads. Each load must be within the hull of its contacts.
 
     Args:
         load: (p, 3) loads of boxes: force and first moments along x and y.
-        owner: (c,) the box that rests on each contact, in the order of the boxes; each box has at least one contact.
+        owner: (c,) the box that rests on each contact, in the order of boxes; each box has at least one contact.
         low, high: (c, 2) corners of the contacts' areas.
     """
     begins = np.flatnonzero(np.diff(owner, prepend=-1))
@@ -103,7 +104,7 @@ def _projected_planes(to_cone: FloatArray, owner: IntArray, begins: IntArray, un
     for _ in range(_MOST_STEPS):
         residual = np.add.reduceat(np.einsum("cji,cj->ci", to_cone, projected), begins) - unit_loads
         off = np.abs(residual).max(axis=1)
-        # each box stops separately, so that its forces do not depend on other boxes
+        # each box stops on its own, so that its forces do not depend on other boxes
         goes_on &= ~((off <= _EXACT) | ((before / 2 <= off) & (off <= _ENOUGH)))
         if not goes_on.any():
             break
@@ -125,7 +126,7 @@ def _projected_planes(to_cone: FloatArray, owner: IntArray, begins: IntArray, un
 
 
 def _cone_projection(point: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """(c, 3) the nearest points of the cone |z₁|, |z₂| ≤ √3 z₀, and (c, 3, 3) their derivatives."""
+    """(c, 3) the points of the cone |z₁|, |z₂| ≤ √3 z₀ nearest to each point, and (c, 3, 3) their derivatives."""
     size, height = np.abs(point[:, 1:]), point[:, 0]
     first_is_large = size[:, 0] >= size[:, 1]
     large, small = np.maximum(size[:, 0], size[:, 1]), np.minimum(size[:, 0], size[:, 1])
@@ -134,7 +135,7 @@ def _cone_projection(point: FloatArray) -> tuple[FloatArray, FloatArray]:
     inside = _ROOT * height >= large
     face = ~inside & (_ROOT * on_face >= small)
     ridge = ~(inside | face) & (on_ridge > 0)
-    # which coordinates stay: all inside, and the smaller one on a face
+    # coordinates that do not change: all of them inside the cone, and the smaller one on a face
     stays = np.stack([inside, inside | (face & ~first_is_large), inside | (face & first_is_large)], axis=1)
     towards = np.where(point < 0, -_ROOT, _ROOT)
     towards[:, 0] = 1.0
@@ -150,12 +151,12 @@ def _cone_projection(point: FloatArray) -> tuple[FloatArray, FloatArray]:
 def on_edges(
     load: FloatArray, owner: IntArray, low: FloatArray, high: FloatArray, hulls: HullTable, hull: IntArray
 ) -> FloatArray:
-    """(c, 3) forces at the contacts of boxes whose loads are at the edge of the hull, or beyond.
+    """(c, 3) forces at the contacts of boxes whose loads are at the edge of their hull, or beyond it.
 
-    The two outermost corners on the nearest edge bear, as for a box that begins to tip over.
+    Only the two outermost corners on the nearest edge carry the load, as for a box that begins to tip over.
 
     Args:
-        load, owner, low, high: as in ``pushes``.
+        load, owner, low, high: see ``pushes``.
         hull: (p,) number of the hull of each box's contacts.
     """
     point = load[:, 1:] / load[:, :1]

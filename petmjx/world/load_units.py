@@ -1,8 +1,8 @@
 """Load units: pallets among the boxes of a plan, with boxes on them.
 
-A pallet that stands on a trailer's floor, on a rack or on another load is an item of its own, of the kind of a carrier.
-The body of such an item has a shape for each board, so that it slides, tips and bears as the real pallet does. The mass
-is the item's, shared among the boards by volume.
+A pallet that stands on a trailer's floor, on a rack or on another load is an item of its own. Its kind is the name of a
+pallet, as for a carrier. The body of such an item has one shape per board, so that it slides, tips and carries load as
+the real pallet does. The mass is that of the item, shared among the boards by volume.
 """
 
 from __future__ import annotations
@@ -22,11 +22,11 @@ from petmjx.world.carrier_boards import pallet
 def with_pallets(
     plan: Plan, half_size: FloatArray, mass_center: FloatArray | None
 ) -> tuple[tuple[Pieces, ...], FloatArray | None, FloatArray | None]:
-    """The pieces of a plan's pallets, (n, 3) centres of mass and (n, 3) inertia boxes of all boxes, as in ``Scene``.
+    """The pieces of a plan's pallets, (n, 3) centres of mass and (n, 3) inertia boxes of all boxes; see ``Scene``.
 
     Args:
-        half_size: (n, 3) half extents of the boxes, m. Boards are scaled as the item is.
-        mass_center: (n, 3) centres of mass that the plan gives; None: in the middles.
+        half_size: (n, 3) half extents of the boxes, m. Boards are scaled with their item.
+        mass_center: (n, 3) centres of mass given by the plan; None: in the middles.
     """
     if not plan.pallets:
         return (), mass_center, None
@@ -51,7 +51,7 @@ def with_pallets(
 
 
 def _boards(kind: str, half_size: FloatArray) -> Body:
-    """The boards of a kind of pallet, not turned, seen from the middle, m; scaled to a pallet of this half size."""
+    """The boards of a kind of pallet, not rotated and relative to its middle, m, scaled to this half size."""
     boards = pallet(Carrier(kind))
     assert boards is not None
     corner, size = (mm_to_m(np.array(part, np.float64)) for part in zip(*boards.boards, strict=True))

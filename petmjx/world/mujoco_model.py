@@ -1,4 +1,4 @@
-"""The MuJoCo model of a scene: stepped by the engine ``mujoco``, written by ``petmjx export``, padded for MJX.
+"""The MuJoCo model of a scene. The engine ``mujoco`` steps it, ``petmjx export`` writes it, and MJX uses it padded.
 
 Boxes are rigid bodies or flex bodies. ``to_mjcf`` writes the model as text.
 """
@@ -27,13 +27,13 @@ CARRIER_NAME = "carrier"
 _CONE = {Cone.PYRAMIDAL: mujoco.mjtCone.mjCONE_PYRAMIDAL, Cone.ELLIPTIC: mujoco.mjtCone.mjCONE_ELLIPTIC}
 
 _SOLIMP_TAIL = (0.5, 2.0)
-"""MuJoCo's defaults for the last two solimp numbers. The reference implementation does not change them."""
+"""MuJoCo's defaults for the last two numbers of solimp. The reference implementation does not change them."""
 
 BOX_COLOURS = ((0.80, 0.65, 0.45, 1.0), (0.70, 0.52, 0.35, 1.0), (0.88, 0.76, 0.58, 1.0))
-"""Cardboard in three shades, so that a viewer shows where one box ends and the next begins."""
+"""Three shades of cardboard, so that a viewer shows where one box ends and the next begins."""
 
 _WALL_OPACITY = 0.1
-"""Boxes are seen through a carrier's walls."""
+"""Walls of a carrier are drawn nearly transparent, so that boxes behind them are visible."""
 
 _CARRIER_COLOUR = (0.45, 0.32, 0.20, 1.0)
 _FLOOR_COLOUR = (0.55, 0.57, 0.60, 1.0)
@@ -41,9 +41,9 @@ _FLOOR_COLOUR = (0.55, 0.57, 0.60, 1.0)
 
 @dataclass(frozen=True, eq=False)
 class HeldCarrier:
-    """The pose at which a carrier is clamped. pos (3,) m, quat (4,) (w, x, y, z).
+    """The pose in which a carrier is clamped: pos (3,), m, and quat (4,), (w, x, y, z).
 
-    The carrier is a static body. With ``mocap`` the carrier is a mocap body, whose pose is in a world's data, so that
+    The carrier is a static body. With ``mocap`` it is a mocap body, whose pose is stored in a world's data, so that
     worlds can share a model.
     """
 
@@ -53,7 +53,7 @@ class HeldCarrier:
 
 
 def box_name(box: int) -> str:
-    """Name of a box's body and its shape, by packing order from 0."""
+    """Name of the body of a box, and of its shape. ``box`` is the packing order, from 0."""
     return f"box_{box}"
 
 
@@ -62,13 +62,13 @@ def build_spec(
 ) -> mujoco.MjSpec:
     """The exact, unpadded model of a scene (docs/rules.md, section 1).
 
-    Bodies in order: world (with the floor), carrier, box_0, box_1, …. A free carrier has the first free joint (qpos
-    0…6, qvel 0…5); the boxes' joints follow in the same order. Initial positions are the release poses. Geoms are the
-    floor and the scene's shapes, body after body: ``geom_bodies`` has the body of each geom.
+    Bodies are in this order: world (with the floor), carrier, box_0, box_1, … A free carrier has the first free joint
+    (qpos 0…6, qvel 0…5); the boxes' joints follow in the same order. Initial positions are the release poses. The geoms
+    are the floor and then the scene's shapes, body after body; ``geom_bodies`` returns the body of each geom.
 
     Args:
         held_carrier: clamp the carrier at this pose instead of giving it a free joint.
-        n_boxes: build only the first boxes in packing order; all of them when None.
+        n_boxes: build only this number of boxes, the first in packing order; None: build all.
 
     Raises:
         ValueError: ``n_boxes`` is not in 0…scene.n_boxes.
@@ -112,7 +112,7 @@ def add_boxes(
     before: Sequence[int] = (),
     held: bool = False,
 ) -> None:
-    """Add bodies of ``boxes``, in this order, to a spec that already has the boxes ``before``.
+    """Add the bodies of ``boxes``, in this order, to a spec that already has the boxes ``before``.
 
     Args:
         held: True: the carrier is clamped.
@@ -133,7 +133,7 @@ def geom_bodies(model: mujoco.MjModel, boxes: Sequence[int] | NDArray[np.integer
     """(ngeom,) the body to which each geom belongs: a box, ``CARRIER`` or ``FLOOR``.
 
     Args:
-        boxes: the boxes in the order of their bodies, which are the last bodies of the model.
+        boxes: the boxes, in the order of their bodies. These bodies are the last ones of the model.
     """
     of_body = np.full(model.nbody, CARRIER, np.intp)
     of_body[0] = FLOOR
@@ -143,7 +143,7 @@ def geom_bodies(model: mujoco.MjModel, boxes: Sequence[int] | NDArray[np.integer
 
 
 def geom_surfaces(scene: Scene, bodies: NDArray[np.integer]) -> NDArray[np.intp]:
-    """(ngeom,) surfaces of geoms. ``bodies``: the result of ``geom_bodies``."""
+    """(ngeom,) the surface of each geom. ``bodies``: the result of ``geom_bodies``."""
     surface = np.zeros(len(bodies), np.intp)
     if scene.surface is not None:
         surface[bodies >= 0] = scene.surface[bodies[bodies >= 0]]
@@ -154,14 +154,14 @@ def geom_surfaces(scene: Scene, bodies: NDArray[np.integer]) -> NDArray[np.intp]
 
 @dataclass(frozen=True)
 class _Partner:
-    """The values of a geom that its declared pairs need."""
+    """The values of a geom from which its contact pairs are declared."""
 
     name: str
     friction: Triple
     skin_m: float
     surface: int = 0
     face: Face | None = None
-    """Set if the scene has compliant boxes (petmjx/world/compliance.py); None for the floor."""
+    """Set if the scene has compliant boxes (petmjx/world/compliance.py); None for the floor, and in other scenes."""
 
 
 def _declare_pairs(
@@ -171,11 +171,11 @@ def _declare_pairs(
     these: Sequence[_Partner],
     other_partners: Sequence[_Partner],
 ) -> None:
-    """Declare a contact pair of each geom of ``these`` with each of ``other_partners``.
+    """Declare a contact pair between each geom of ``these`` and each of ``other_partners``.
 
-    Pairs are declared if friction has a time constant of its own: MuJoCo allows one for declared pairs only. All other
-    values are as without a declaration: the larger friction of two geoms counts, unless the table of their surfaces has
-    an entry.
+    Pairs are declared if friction has a time constant of its own: MuJoCo allows this only for declared pairs. All other
+    values are the same as without a declaration: the larger friction of two geoms counts, unless the table of their
+    surfaces has an entry.
     """
     if not physics.has_own_friction:
         return
@@ -200,7 +200,7 @@ def _declare_pairs(
 
 @lru_cache(maxsize=256)
 def _partners(scene: Scene, physics: Physics, held: bool = False) -> dict[int, list[_Partner]]:
-    """The geoms of each body and of the floor; ``held``: the carrier is clamped."""
+    """The geoms of each body and of the floor. ``held``: whether the carrier is clamped."""
     partners = {FLOOR: [_Partner(FLOOR_NAME, scene.floor_friction, 0.0)], CARRIER: []}
     shapes = scene.shapes
     faces = _faces(scene, held)
@@ -218,11 +218,11 @@ def _partners(scene: Scene, physics: Physics, held: bool = False) -> dict[int, l
 
 
 def _faces(scene: Scene, held: bool) -> list[Face | None]:
-    """The face of each shape, for the laws of its contacts, if the scene has compliant boxes; otherwise None."""
+    """The face of each shape, which determines the laws of its contacts. None if the scene has no compliant boxes."""
     if scene.stiffness is None:
         return [None] * len(scene.shapes.body)
     carrier, shapes = scene.carrier, scene.shapes
-    # CARRIER is the last of each
+    # the last entry of each array is for CARRIER
     give = np.append(compliances(scene.stiffness, scene.half_size), 0.0)[shapes.body]
     inverse = np.append(1 / scene.mass, 0.0 if held else 1 / carrier.mass)[shapes.body]
     frame = np.vstack([scene.target - scene.middle, carrier.pos])[shapes.body]
@@ -243,14 +243,15 @@ def _set_options(spec: mujoco.MjSpec, physics: Physics) -> None:
 def _add_shapes(
     body: mujoco.MjsBody, scene: Scene, physics: Physics, number: int, rgba: tuple[float, float, float, float]
 ) -> None:
-    """Add a body's shapes, each larger on all sides by its skin.
+    """Add a body's shapes. Each shape is larger on all sides by its skin.
 
-    A contact then begins at a depth equal to the skins of both partners. For faces this is where the boxes themselves
-    touch; for edges and corners contacts begin up to √2 − 1 and √3 − 1 skins before.
+    A contact begins once the enlarged shapes overlap by the skins of both partners. For faces, this is where the boxes
+    themselves touch; for edges and corners, contacts begin up to √2 − 1 and √3 − 1 skins earlier.
 
-    MuJoCo's collider takes the single point of two crossing edges instead of the contact of faces if that point is less
-    deep by 5 % (3.17: ``engine_collision_box.c``). At the usual depth, a tenth of a millimetre, it alternates between
-    the two, and pallets tremble. A skin makes faces and edges deeper by the same amount (docs/validation.md).
+    For two crossing edges, MuJoCo's collider returns their single point instead of the contact of the faces if that
+    point is less deep by 5 % (3.17: ``engine_collision_box.c``). At the usual depth, a tenth of a millimetre, it
+    alternates between the two, and pallets tremble. A skin makes faces and edges deeper by the same amount
+    (docs/validation.md).
     """
     shapes = scene.shapes
     walls = range(scene.carrier.n_boards, len(scene.carrier.half_size))
@@ -273,11 +274,11 @@ def _add_shapes(
 
 
 def _set_inertia(body: mujoco.MjsBody, scene: Scene, physics: Physics, number: int) -> None:
-    """Set mass and moments of inertia. For a solid box without a skin MuJoCo computes the moments. The last digits of
-    both differ, and the reference implementation has MuJoCo's."""
+    """Set mass and moments of inertia. For a solid box without a skin, MuJoCo computes the moments: its results differ
+    in the last digits, and the reference implementation uses them."""
     mass = scene.carrier.mass if number == CARRIER else float(scene.mass[number])
     carrier = scene.carrier
-    of_one = len(carrier.half_size) == 1 and not carrier.shape_pos.any()  # an open wall has left its mass
+    of_one = len(carrier.half_size) == 1 and not carrier.shape_pos.any()  # an open wall leaves its mass behind
     solid = scene.inertia_box is None and of_one and not scene.pieces
     if solid and scene.mass_center is None and not physics.skin_m:
         body.first_geom().mass = mass
@@ -305,21 +306,21 @@ def _add_geom(
     geom.solref = np.array(physics.solref)
     geom.solimp = np.array(physics.solimp + _SOLIMP_TAIL)
     if physics.has_own_friction:
-        geom.contype = geom.conaffinity = 0  # only declared pairs touch (_declare_pairs), and only once
+        geom.contype = geom.conaffinity = 0  # only declared pairs collide (_declare_pairs), each only once
     return geom
 
 
 _MEMORY_BYTES = 1 << 24
-"""Memory for each box: faces of points have up to a hundred contacts each. The system allocates only the used part."""
+"""Memory per box: faces made of points have up to a hundred contacts each. The system allocates only the used part."""
 
 
 def soft_spec(
     scene: Scene, physics: Physics, held_carrier: HeldCarrier | None = None, n_boxes: int | None = None
 ) -> mujoco.MjSpec:
-    """As ``build_spec``, with soft boxes as flex bodies: 27 bodies for each soft box instead of one.
+    """Like ``build_spec``, but soft boxes are flex bodies: 27 bodies for each soft box instead of one.
 
     Raises:
-        InputError: as ``check_soft``.
+        InputError: see ``check_soft``.
     """
     check_soft(scene)
     count = scene.n_boxes if n_boxes is None else n_boxes

@@ -1,4 +1,4 @@
-"""Notes on options that have no effect, and on options and plans that are probably mistaken."""
+"""Notes on options that have no effect, and on options and plans that are probably wrong."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ _USES: Final = {
     Way.HAND: ("height_mm", "side_mm", "speed_m_s", "force_n"),
     Way.TINES: ("height_mm", "side_mm", "speed_m_s", "force_n", "tines_mm"),
 }
-"""Way → the fields of ``Placing`` that it uses."""
+"""Way of placing → the fields of ``Placing`` that it uses."""
 
 _AXES: Final = {
     "placing_height_mm": "height_mm",
@@ -36,7 +36,7 @@ _AXES: Final = {
     "placing_force_n": "force_n",
     "tines_height_mm": "tines_mm",
 }
-"""Axis of sweeps → the field of ``Placing`` that it changes."""
+"""Axis of a sweep → the field of ``Placing`` that it changes."""
 
 
 def notes_about(
@@ -50,7 +50,8 @@ def notes_about(
         driven: whether worlds are shaken.
 
     Raises:
-        InputError: as ``check_surfaces``; soft boxes that MuJoCo cannot have; or film around pallets among the boxes.
+        InputError: see ``check_surfaces``; or MuJoCo cannot simulate the soft boxes; or film is around a plan that has
+            pallets among its boxes.
     """
     return [
         *carrier_notes(sim),
@@ -100,7 +101,7 @@ def _wrap_notes(wrap: Wrap, axes: Collection[str], driven: bool, plans: Sequence
 
 
 def _gap_notes(sim: Simulation, plans: Sequence[Plan]) -> Iterator[str]:
-    """Notes on boxes on a carrier of boards whose middles are outside the hull of their supports."""
+    """Notes on boxes that stand on a carrier of boards, with their middle outside the hull of their supports."""
     board_pallet = pallet(sim.carrier)
     if board_pallet is None:
         return
@@ -118,7 +119,7 @@ def _gap_notes(sim: Simulation, plans: Sequence[Plan]) -> Iterator[str]:
 
 
 def _wall_notes(sim: Simulation, plans: Sequence[Plan]) -> Iterator[str]:
-    """Notes on options of walls without walls, and on boxes that are planned through a wall."""
+    """Notes on wall options for a carrier without walls, and on boxes that are planned through a wall."""
     if not has_walls(sim):
         idle = [name for name in Walls.model_fields if getattr(sim.walls, name) not in (None, ())]
         if idle:
@@ -142,7 +143,8 @@ def _wall_notes(sim: Simulation, plans: Sequence[Plan]) -> Iterator[str]:
 
 
 def _through_walls(plan: Plan, sim: Simulation) -> Iterator[tuple[int, Side, float]]:
-    """Boxes that are planned through a wall, its side, the deepest box, and its depth, mm."""
+    """(box, side of the wall, depth in mm) for each box that is planned through a wall. If a box reaches through
+    several walls, the deepest one counts."""
     place, half = (mm_to_m(values) for values in (plan.corner_mm + plan.size_mm / 2, plan.size_mm / 2))
     depth = carrier_of(plan, sim).room.depths(place, half, DEFAULT_TOLERANCE_MM / MM_PER_M)
     depth_mm = np.stack([MM_PER_M * depth[:, int(side.is_far), side.axis] for side in Side], axis=1)
@@ -152,7 +154,7 @@ def _through_walls(plan: Plan, sim: Simulation) -> Iterator[tuple[int, Side, flo
 
 
 def _stiffness_notes(sim: Simulation, plans: Sequence[Plan], errors: bool) -> Iterator[str]:
-    """Notes on boxes that are too soft for their loads, and on options for soft boxes without soft boxes."""
+    """Notes on boxes too soft for their loads, and on soft-box options that are set though no box is soft."""
     if sim.has_soft and errors and sim.placing.name is Way.AUTO:
         raise InputError(
             "soft: a hand would place boxes with errors, but soft boxes appear at their places; pass placing exact"
@@ -187,7 +189,7 @@ def _attempt_notes(sim: Simulation, driven: bool) -> Iterator[str]:
 
 
 def _static_notes(sim: Simulation) -> Iterator[str]:
-    """A note on the option ``duration_s`` beside a static check: this check ends when the pallet rests."""
+    """A note if ``duration_s`` is set but does not fix the duration: a static check ends when the pallet rests."""
     duration_set = sim.duration_s != Simulation.model_fields["duration_s"].default
     if duration_set and sim.check is Check.STATIC and sim.schedule is Schedule.ADAPTIVE:
         yield (
@@ -222,7 +224,7 @@ def _over_gaps(plan: Plan, deck_mm: FloatArray) -> list[int]:
     low, high = plan.corner_mm[lying, :2], (plan.corner_mm + plan.size_mm)[lying, :2]
     begin, end = np.maximum(low[:, None], deck_mm[None, :, 0]), np.minimum(high[:, None], deck_mm[None, :, 1])
     borne = (end > begin).all(axis=2, keepdims=True)
-    # the hull of a box's supports is no larger than the rectangle around it
+    # the hull of a box's supports lies within the rectangle around the supports
     least, most = np.where(borne, begin, np.inf).min(axis=1), np.where(borne, end, -np.inf).max(axis=1)
     middle = (low + high) / 2
     boxes: list[int] = lying[((middle < least) | (middle > most)).any(axis=1)].tolist()

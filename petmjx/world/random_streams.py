@@ -1,4 +1,4 @@
-"""Random streams of worlds: they depend on the identity of a world, never on when or where it is simulated."""
+"""Random streams of worlds. They depend on the identity of a world, never on when or where it is simulated."""
 
 from __future__ import annotations
 
@@ -11,10 +11,10 @@ import numpy as np
 
 @dataclass(frozen=True)
 class WorldKey:
-    """The identity of a world, on which alone its random numbers depend.
+    """The identity of a world. The world's random numbers depend on nothing else.
 
-    ``replicate`` counts repetitions of the same parameters. Worlds that differ only in their profile, its
-    level or its direction share a replicate, so they share a placement too, and can be compared pairwise.
+    ``replicate`` counts repetitions of the same parameters. Worlds that differ only in their profile, its level or its
+    direction have the same replicate number. So they also have the same placement, and can be compared in pairs.
     """
 
     seed: int
@@ -25,8 +25,8 @@ class WorldKey:
         """A separate generator for each purpose ("size", "yaw", …), so that a new axis in a sweep does not change the
         numbers of other axes.
 
-        Philox (Salmon et al., SC'11) is counter-based: its 128-bit key is the BLAKE2b hash of the world's
-        identity, the same on every platform, engine, batch and order.
+        Philox (Salmon et al., SC'11) is counter-based: its 128-bit key is the BLAKE2b hash of the world's identity. The
+        key is the same on every platform and engine, and in every batch and order.
         """
         return np.random.Generator(np.random.Philox(key=int.from_bytes(self._digest(purpose), "little")))
 
@@ -36,8 +36,8 @@ class WorldKey:
 
 
 def rngs(keys: Iterable[WorldKey], purpose: str) -> Iterator[np.random.Generator]:
-    """The generator of each key for a purpose, valid until the next call. One generator is reset for each key,
-    which takes a quarter of the time of making one."""
+    """For each key, its generator for a purpose, valid until the next one is requested. A single generator is reset for
+    each key, which takes a quarter of the time of making a new one."""
     bits = np.random.Philox(key=0)
     generator, fresh = np.random.Generator(bits), bits.state
     for key in keys:

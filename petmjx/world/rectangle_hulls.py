@@ -1,4 +1,4 @@
-"""Convex hulls of rectangles along x and y."""
+"""Convex hulls of rectangles whose sides are parallel to x and y."""
 
 from __future__ import annotations
 
@@ -16,19 +16,19 @@ from petmjx.common.units import FloatArray
 IntArray = NDArray[np.intp]
 
 Edge = tuple[float, float, float]
-"""A hull's edge: its normal along x and y, which points inwards, and the normal's product with points of the edge."""
+"""An edge of a hull: the x and y components of its inward normal, and the normal's product with points of the edge."""
 
 LEAST_EDGE_M: Final = 1e-9
-"""Shortest edge, m. Shorter edges are left out: their direction is rounding."""
+"""Shortest edge, m. Shorter edges are left out, since rounding determines their direction."""
 
 _STRAIGHT_M: Final = 1e-12
-"""A corner that lies outside a line by less than this lies on it: rounding."""
+"""A corner that is outside a line by less than this counts as on the line, m: the difference is rounding."""
 
 _Point = Sequence[float]
 
 
 def hull_edges(low: Sequence[_Point], high: Sequence[_Point]) -> list[Edge]:
-    """The edges of the hull of rectangles, by their lowest and highest corners (x, y), m."""
+    """The edges of the hull of rectangles. Each rectangle is given by its lowest and highest corner (x, y), m."""
     sides = zip(low, high, strict=True)
     hull = convex_hull((x, y) for (x0, y0), (x1, y1) in sides for x in (x0, x1) for y in (y0, y1))
     edges = []
@@ -41,24 +41,24 @@ def hull_edges(low: Sequence[_Point], high: Sequence[_Point]) -> list[Edge]:
 
 
 class HullTable(NamedTuple):
-    """The edges of many hulls, each padded to e with edges that are infinitely far.
+    """The edges of many hulls. Each hull is padded to e edges with edges that are infinitely far away.
 
     Attributes:
-        normal: (s, e, 2) pointing inwards.
-        offset: (s, e) product of the normal with points of the edge.
+        normal: (s, e, 2) inward normals.
+        offset: (s, e) products of the normals with points of their edges.
     """
 
     normal: FloatArray
     offset: FloatArray
 
     def inside_m(self, hull: IntArray, point: FloatArray) -> FloatArray:
-        """(p,) how far (p, 2) points are inside the nearest edge of their hulls, m. ``hull``: (p,) number of the hull
-        of each point."""
+        """(p,) distance of (p, 2) points from the nearest edge of their hulls, inwards, m. ``hull``: (p,) number of
+        each point's hull."""
         nearest: FloatArray = self.distances_m(hull, point).min(axis=1, initial=np.inf)
         return nearest
 
     def distances_m(self, hull: IntArray, point: FloatArray) -> FloatArray:
-        """(p, e) how far (p, 2) points are inside each edge of their hulls, m."""
+        """(p, e) distance of (p, 2) points from each edge of their hulls, inwards, m."""
         normal = self.normal.take(hull, axis=0)
         inside: FloatArray = normal[..., 0] * point[:, :1] + normal[..., 1] * point[:, 1:]
         inside -= self.offset.take(hull, axis=0)
@@ -66,10 +66,10 @@ class HullTable(NamedTuple):
 
 
 def hull_table(low: FloatArray, high: FloatArray, count: IntArray) -> HullTable:
-    """The hulls of many sets of rectangles at once, with the edges of ``hull_edges``.
+    """The hulls of many sets of rectangles together, with the same edges as from ``hull_edges``.
 
-    An edge of the hull lies along an axis, or joins the same corner of two rectangles; all other rectangles are inside
-    of it.
+    Each edge of a hull is parallel to an axis, or joins the same corner (such as the lower left) of two rectangles. All
+    other rectangles are on the inner side of the edge.
 
     Args:
         low, high: (c, 2) corners of the rectangles, set after set.
@@ -95,12 +95,12 @@ def _stacked_hulls(low: FloatArray, high: FloatArray) -> tuple[FloatArray, Float
     normals = [np.broadcast_to(np.array([[1.0, 0.0], [-1.0, 0.0], [0.0, 1.0], [0.0, -1.0]]), (len(low), 4, 2))]
     offsets = [along]
     one, other = np.triu_indices(low.shape[1], 1)
-    # signs of a normal: the low corner of a rectangle counts where the normal is positive
+    # signs of a normal: if a component is positive, the low corner of a rectangle counts
     for sign_x, sign_y in ((1, 1), (1, -1), (-1, 1), (-1, -1)):
         x, y = (low if sign_x > 0 else high)[..., 0], (low if sign_y > 0 else high)[..., 1]
         step_x, step_y = x[:, other] - x[:, one], y[:, other] - y[:, one]
         length = np.hypot(step_x, step_y)
-        # anticlockwise, with the hull on the left
+        # edges run anticlockwise, with the hull on the left
         slanted = (step_x * step_y * sign_x * sign_y < 0) & (length > LEAST_EDGE_M)
         turn = np.where(step_x * sign_y > 0, 1.0, -1.0)
         length = np.where(slanted, length, 1.0) * turn

@@ -1,14 +1,14 @@
-"""Release places of boxes: at rest on their supports, and free of one another.
+"""Release places of boxes: at rest on their supports, without overlaps.
 
-Contacts are soft. A pile has come down by up to some tenths of a millimetre under its loads so far, and a box's own
-contacts are a tenth of a millimetre deep once they carry it. A box released at its planned place would fall by both
-lengths, land with centimetres a second, and might rock over an edge on which it stands. So a box is released as deep in
-its support as its weight will press it, and lower by the descent of the support.
+Contacts are soft. Under its present loads, a pile has sunk by up to some tenths of a millimetre. A box's own contacts
+are a tenth of a millimetre deep once they carry the box. A box released at its planned place would fall by both
+lengths, land at centimetres per second, and might rock on an edge below it. So a box is released as deep in its support
+as its weight will press it, and lower by the distance that the support has sunk.
 
-If places and sizes have errors, boxes may overlap where they appear. Contacts of overlapping boxes would throw them
-apart, the faster the stiffer the contacts and the shorter the timestep. Whether the pallet stands would then depend on
-numbers that are no property of boxes. So overlapping boxes are first moved apart horizontally, by the least
-translations.
+If places and sizes have errors, boxes may overlap when they appear. Contacts of overlapping boxes would throw them
+apart, and faster the stiffer the contacts and the shorter the timestep. Whether the pallet stands would then depend on
+numbers that are not properties of boxes. So overlapping boxes are first moved apart horizontally, by the smallest
+possible translations.
 """
 
 from __future__ import annotations
@@ -31,19 +31,21 @@ from petmjx.world.stackable_scenes import stacked_values
 from petmjx.world.supports import TOUCH_M
 
 NOTHING: Final = -2
-"""Value instead of a support: the box hangs in the air, or falls into its place."""
+"""Value that replaces a support: the box hangs in the air or falls into its place."""
 
 MOST_FOLLOWED_M: Final = 0.002
-"""How far a box follows its support at most, m: a pile that has moved by more no longer bears it as planned."""
+"""Largest distance by which a box follows its support, m. A pile that has moved farther no longer carries the box as
+planned."""
 
 
 class Release(NamedTuple):
-    """How n boxes are released. For several stackable scenes every array has a leading axis of the scenes.
+    """How n boxes are released. For several stackable scenes, every array has a leading axis, one entry per scene.
 
     Attributes:
-        support: (n,) the support that each box follows, with which it shares most area; or ``CARRIER`` or ``NOTHING``.
-        pos: (n, 3) centres of boxes whose support is at its planned place, m.
-        most_followed_m: how far a box follows its support at most, m: further if supports are compliant.
+        support: (n,) the support that each box follows, that is, the body with which it shares the largest area; or
+            ``CARRIER`` or ``NOTHING``.
+        pos: (n, 3) centres of the released boxes if each support is at its planned place, m.
+        most_followed_m: largest distance by which a box follows its support, m; it is larger if supports are compliant.
     """
 
     support: NDArray[np.intp]
@@ -51,10 +53,10 @@ class Release(NamedTuple):
     most_followed_m: float = MOST_FOLLOWED_M
 
     def place_of(self, box: int, scene: Scene, boxes_z: FloatArray, carrier_z: float) -> FloatArray:
-        """(3,) middle of a box that is released now, m.
+        """(3,) middle of a box if it is released now, m.
 
         Args:
-            boxes_z, carrier_z: heights of the centres of earlier boxes, and of the carrier's centre, m.
+            boxes_z, carrier_z: current heights of the centres of earlier boxes, and of the carrier's centre, m.
         """
         place: FloatArray = self.pos[box].copy()
         support = self.support[box]
@@ -66,7 +68,8 @@ class Release(NamedTuple):
 
 
 def release_of(scene: Scene, sim: Simulation) -> Release:
-    """The releases of the boxes of a scene, one by one. In a static check all stand at their planned places."""
+    """The releases of a scene's boxes, which are placed one by one. In a static check all stand at their planned
+    places."""
     if sim.physics.falls_into_place or sim.check is Check.STATIC or not scene.n_boxes:
         return Release(np.full(scene.n_boxes, NOTHING), scene.start_pos)
     support = _supports(scene.target, scene.half_size)
@@ -86,8 +89,8 @@ def release_of(scene: Scene, sim: Simulation) -> Release:
 
 
 def releases_of(scenes: Sequence[Scene], sim: Simulation) -> Release:
-    """The releases of stackable scenes (petmjx.world.stackable_scenes), identical to the last bit with ``release_of``
-    of each scene."""
+    """The releases of stackable scenes (petmjx.world.stackable_scenes), bit-identical to the result of ``release_of``
+    for each scene."""
     start = stacked_values(scenes, "start_pos")
     m, n = start.shape[:2]
     if sim.physics.falls_into_place or sim.check is Check.STATIC or not n:
@@ -110,7 +113,7 @@ def releases_of(scenes: Sequence[Scene], sim: Simulation) -> Release:
 
 
 def release_of_next(before: Stacks, boxes: NextBoxes, sim: Simulation) -> Release:
-    """Releases of one more box in each of m worlds: to the last bit the last row of ``release_of``."""
+    """The release of one more box in each of m worlds, bit-identical to the last row of ``release_of``."""
     nothing = np.full(len(boxes), NOTHING)
     if sim.physics.falls_into_place or sim.check is Check.STATIC:
         return Release(nothing, boxes.target)
@@ -122,7 +125,7 @@ def release_of_next(before: Stacks, boxes: NextBoxes, sim: Simulation) -> Releas
     box_below = np.where(area.any(axis=1), area.argmax(axis=1), nothing) if area.shape[1] else nothing
     support = np.where(low[:, 2] <= TOUCH_M, CARRIER, box_below)
     on_carrier, rows = support == CARRIER, np.arange(len(boxes))
-    # if nothing bears a box, its own mass and friction are filled in; these values have no effect
+    # a box on nothing gets its own mass and friction as fillers; they have no effect
     masses = np.column_stack([before.mass, boxes.mass])
     below = np.where(support >= 0, support, masses.shape[1] - 1)
     share = 1.0 + boxes.mass / np.where(on_carrier, before.carrier_mass, masses[rows, below])
@@ -135,7 +138,7 @@ def release_of_next(before: Stacks, boxes: NextBoxes, sim: Simulation) -> Releas
 
 
 def _supports(target: FloatArray, half_size: FloatArray) -> NDArray[np.intp]:
-    """(…, n) the support of each box by the planned places: the body under most of its base."""
+    """(…, n) the support of each box, from planned places: the body under the largest part of its base."""
     low, high = target - half_size, target + half_size
     length, width = (np.maximum(shared_length(low[..., axis], high[..., axis]), 0.0) for axis in range(2))
     area = length * width * np.triu(meets(low[..., 2], high[..., 2], TOUCH_M), k=1)
@@ -144,15 +147,14 @@ def _supports(target: FloatArray, half_size: FloatArray) -> NDArray[np.intp]:
 
 
 CLEAR_M: Final = 0.0002
-"""Distance to which overlapping boxes are moved apart: contacts of edges begin up to 0.14 mm before they touch, 0.7
-times the skins of two boxes (docs/rules.md, section 1)."""
+"""Distance to which overlapping boxes are moved apart, m. Contacts of edges begin up to 0.14 mm before the edges touch:
+0.7 times the skins of two boxes (docs/rules.md, section 1)."""
 
 _KNOWN_TO_M: Final = 1e-6
 """Tolerance of that distance, m: a hundredth of the depth of contacts at rest."""
 
 _MOST_ROUNDS: Final = 500
-"""Largest number of rounds. A row of 12 boxes needs 200 rounds. An overlap that then remains is left to the
-contacts."""
+"""Largest number of rounds. A row of 12 boxes needs 200 rounds. Any overlap that remains is left to the contacts."""
 
 
 def make_room(
@@ -165,23 +167,23 @@ def make_room(
     movable: NDArray[np.bool_],
     reach_m: float,
 ) -> FloatArray:
-    """(m, n, 2) horizontal places of m worlds, nearest to the original places, at which no box overlaps a box beside
-    it, m.
+    """(m, n, 2) the horizontal places nearest to the original ones at which no box overlaps a box beside it, m, for m
+    worlds.
 
-    Nearest means the least sum of the squares of all translations. Two boxes are kept apart along an axis of one of the
-    two: the axis of their least overlap. The distance is ``CLEAR_M``, or as in the plan where planned boxes are nearer
-    or overlap. So each pair bounds the translations by one linear inequality. Hildreth's method (Hildreth 1957, "A
-    quadratic programming procedure", Naval Research Logistics Quarterly 4, 79-85) finds the least translations, pair by
-    pair. The places of a world do not depend on other worlds.
+    Nearest means that the sum of the squares of all translations is smallest. Two boxes are kept apart along an axis of
+    one of the two: the axis with the smallest overlap. They are kept ``CLEAR_M`` apart, or as in the plan if the plan
+    has them nearer or overlapping. So each pair gives one linear inequality for the translations. Hildreth's method
+    (Hildreth 1957, "A quadratic programming procedure", Naval Research Logistics Quarterly 4, 79-85) finds the smallest
+    translations, pair by pair. The places in a world do not depend on other worlds.
 
     Args:
         place: (m, n, 2) horizontal places of the boxes' middles, m.
         half_size: (m or 1, n, 3) half extents, m.
-        yaw: (m or 1, n), rad.
-        planned, planned_half: (n, 2) places and (n, 3) half extents of the plan, whose boxes are not turned, m.
-        beside: (n, n) symmetric: pairs of boxes of which neither is above the other.
-        movable: (n,) boxes that may be moved.
-        reach_m: pairs that are further apart in the plan are ignored.
+        yaw: (m or 1, n) rotation about the vertical, rad.
+        planned, planned_half: (n, 2) planned places and (n, 3) planned half extents, m. Planned boxes are not rotated.
+        beside: (n, n) symmetric: whether two boxes are beside one another, neither above the other.
+        movable: (n,) whether each box may be moved.
+        reach_m: pairs that are farther apart than this in the plan are ignored, m.
     """
     apart = _separation(planned, planned_half)
     first, second = np.nonzero(np.triu(beside & (apart < reach_m) & (movable[:, None] | movable), k=1))
@@ -222,7 +224,7 @@ def make_room(
 
 
 def _separation(place: FloatArray, half_size: FloatArray) -> FloatArray:
-    """(n, n) gaps between boxes that are not turned, m: the larger one of the gaps along x and y; negative: overlap."""
+    """(n, n) gaps between unrotated boxes, m: the larger one of the gaps along x and y; negative: they overlap."""
     along = [
         np.abs(place[:, None, axis] - place[:, axis]) - (half_size[:, None, axis] + half_size[:, axis])
         for axis in range(2)
@@ -233,8 +235,8 @@ def _separation(place: FloatArray, half_size: FloatArray) -> FloatArray:
 def _widest(
     place: FloatArray, half_size: FloatArray, yaw: FloatArray, first: NDArray[np.intp], second: NDArray[np.intp]
 ) -> tuple[FloatArray, FloatArray]:
-    """(m, p, 2) the axis along which the boxes of each pair are furthest apart, from the first box to the second, and
-    (m, p) the gap along it, m. Two rectangles are apart if one of their four axes separates them."""
+    """(m, p, 2) the axis along which the boxes of each pair are farthest apart, from the first box to the second, and
+    (m, p) the gap along this axis, m. Two rectangles are apart if one of their four axes separates them."""
     cos, sin = np.cos(yaw), np.sin(yaw)
     between = place[:, second] - place[:, first]
     widest = np.full(between.shape[:2], -np.inf)
@@ -256,7 +258,7 @@ def _widest(
 
 
 def _independent(first: NDArray[np.intp], second: NDArray[np.intp]) -> list[NDArray[np.intp]]:
-    """Groups of pairs. No box occurs twice in a group, so that all pairs of a group can be computed at once."""
+    """Groups of pairs. No box occurs twice in a group, so all pairs of a group can be computed together."""
     groups: list[list[int]] = []
     boxes: list[set[int]] = []
     for pair, pair_boxes in enumerate(zip(first.tolist(), second.tolist(), strict=True)):

@@ -1,4 +1,4 @@
-"""Boxes that are turned: rotation matrices of quaternions, turned vectors, and corners."""
+"""Rotated boxes: rotation matrices of quaternions, rotated vectors, and corners of boxes."""
 
 from __future__ import annotations
 
@@ -8,8 +8,8 @@ from petmjx.common.units import FloatArray
 
 
 def rotations(quat: FloatArray) -> FloatArray:
-    """(k, 3, 3) rotation matrices of (k, 4) quaternions (w, x, y, z), which need not have length 1. The columns are the
-    axes of the boxes."""
+    """(k, 3, 3) rotation matrices of (k, 4) quaternions (w, x, y, z), whose length need not be 1. The columns are the
+    axes of the rotated boxes."""
     w, x, y, z = quat.T / np.linalg.norm(quat, axis=1)
     rows = (
         (1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)),
@@ -20,7 +20,7 @@ def rotations(quat: FloatArray) -> FloatArray:
 
 
 def rotated_vectors(quat: FloatArray, vector: FloatArray) -> FloatArray:
-    """(…, 3) vectors turned by (…, 4) quaternions (w, x, y, z) of any length but zero."""
+    """(…, 3) vectors rotated by (…, 4) quaternions (w, x, y, z) of any non-zero length."""
     axis, w = quat[..., 1:], quat[..., :1]
     twice = 2 * np.cross(axis, vector) / (quat**2).sum(axis=-1, keepdims=True)
     turned_vector: FloatArray = vector + w * twice + np.cross(axis, twice)
@@ -28,7 +28,7 @@ def rotated_vectors(quat: FloatArray, vector: FloatArray) -> FloatArray:
 
 
 def corners(pos: FloatArray, turns: FloatArray, half_size: FloatArray) -> FloatArray:
-    """(k, 8, 3) corners of boxes, m, from (k, 3) centres, (k, 3, 3) rotations and (k, 3) half sizes. Corners are sorted
-    by the signs of the half sizes, −1 before 1, x slowest."""
+    """(k, 8, 3) corners of boxes, m, from (k, 3) centres, (k, 3, 3) rotations and (k, 3) half sizes. Corners are
+    ordered by the signs of the half sizes: −1 before 1, and x varies slowest."""
     signs = np.stack(np.meshgrid([-1.0, 1.0], [-1.0, 1.0], [-1.0, 1.0], indexing="ij"), axis=-1).reshape(8, 3)
     return np.asarray(pos[:, None] + np.einsum("kij,kcj->kci", turns, signs * half_size[:, None]))

@@ -1,7 +1,7 @@
-"""Scenes: the physical description of one world in SI units, with its bodies, their shapes and their places.
+"""Scenes. A scene describes one world physically, in SI units: its bodies, their shapes and their places.
 
-A scene is made from a plan (and, in sweeps, changed by a variant). Engines see scenes, never plans. Only the scene
-numbers shapes and bodies: all other code takes indices from it.
+A scene is made from a plan; in sweeps, a variant changes it. Engines see scenes, never plans. Only the scene numbers
+shapes and bodies: all other code uses its indices.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ IDENTITY_QUAT = (1.0, 0.0, 0.0, 0.0)
 UNWRAPPED: Final = Wrap()
 
 AT_A_TIME: Final = 512
-"""Plans whose scenes share arrays, and stay in memory together."""
+"""Number of plans whose scenes share arrays. These scenes stay in memory together."""
 
 OF_BOXES: Final = (
     "half_size",
@@ -52,42 +52,43 @@ OF_BOXES: Final = (
     "stiffness",
     "soft",
 )
-"""Fields of a scene that have a row for each box, or are None."""
+"""Fields of a scene that have one row per box, or are None."""
 
 
 @dataclass(frozen=True, eq=False)
 class Scene:
-    """The world of one plan and one variant. Arrays are float64; rows are boxes in packing order.
+    """The world of one plan and one variant. Arrays are float64, with one row per box, in packing order.
 
-    The place of a box is the place of its middle, wherever its centre of mass is.
+    The place of a box is the place of its middle, even if its centre of mass is elsewhere.
 
     Attributes:
         half_size: (n, 3) half extents, m.
-        mass: (n,) kg.
-        target: (n, 3) planned places, m, from which shifts are measured.
-        start_pos: (n, 3) release places, m; the same as ``target`` in the nominal variant.
+        mass: (n,) masses, kg.
+        target: (n, 3) planned places, m. Shifts are measured from them.
+        start_pos: (n, 3) release places, m; equal to ``target`` in the nominal variant.
         start_quat: (n, 4) orientations (w, x, y, z) at release.
         friction: (n, 3) sliding, torsional and rolling coefficients.
         carrier: the carrier before the soft start; its top is at z = 0.
         floor_friction: sliding, torsional and rolling coefficients of the floor.
         floor_z: height of the floor, m.
-        mass_center: (n, 3) centres of mass, seen from the middles along the boxes' axes, m; None: in the middles.
+        mass_center: (n, 3) centres of mass relative to the middles, along the boxes' axes, m; None: in the middles.
         inertia_box: (n, 3) as in ``Body``; None: the boxes are solid.
-        surface: (n,) the boxes' surfaces; None: all 0.
+        surface: (n,) surface number of each box; None: all 0.
         pair_friction: (k, k) sliding coefficient between surfaces, or ``petmjx.world.friction_pairs.LARGER``; None: the
-            larger coefficient of two shapes everywhere.
+            larger coefficient of the two shapes counts everywhere.
         pair_landing: (k, k, 2) restitution and time, s, of landings between surfaces, or
-            ``petmjx.world.friction_pairs.USUAL``; None: the physics' values for all.
+            ``petmjx.world.friction_pairs.USUAL``; None: the values of the physics count everywhere.
         pair_kinetic: (k, k) friction of sliding surfaces as a share of friction at rest, or
-            ``petmjx.world.friction_pairs.USUAL``; None: the value of the physics everywhere.
-        placing: the way of placing.
-        approach: (n, 2) horizontal directions of the approaches, of length 1. 0, or None for all: the direction follows
+            ``petmjx.world.friction_pairs.USUAL``; None: the value of the physics counts everywhere.
+        placing: how boxes are placed.
+        approach: (n, 2) horizontal directions from which boxes approach, of length 1. A row of 0, or None for all rows:
+            the direction follows from the neighbours.
             from the neighbours.
-        stiffness: (n,) force on a box's top per compression, N/m; inf: a rigid box. None: all boxes are rigid.
-        soft: (n,) whether each box is a flex body (petmjx/world/soft_boxes.py); None: no box is.
+        stiffness: (n,) force on a box's top per compression, N/m; inf: the box is rigid. None: all boxes are rigid.
+        soft: (n,) whether each box is a flex body (petmjx/world/soft_boxes.py); None: no box is soft.
         wrap: film around the pallet when it is shaken (petmjx/world/film.py).
         pieces: pieces of interlayer sheets, which bear only above other bodies (petmjx/world/sheets.py), and boards of
-            pallets among the boxes (petmjx/world/load_units.py).
+            pallets that are among the boxes (petmjx/world/load_units.py).
     """
 
     half_size: NDArray[np.float64]
@@ -117,13 +118,13 @@ class Scene:
         return len(self.mass)
 
     def first(self, count: int) -> Scene:
-        """The scene with its first boxes alone."""
+        """The scene with only its first ``count`` boxes."""
         cut = {name: values[:count] for name in OF_BOXES if (values := getattr(self, name)) is not None}
         return replace(self, **cut, pieces=tuple(piece for piece in self.pieces if piece.box < count))
 
     def with_open_walls(self, sides: Collection[Side]) -> Scene:
-        """The scene with these walls of the carrier open, like doors. Everything else stays, also the frame and the
-        mass of the carrier. So states of this scene and of the result can be exchanged.
+        """The scene with these walls of the carrier open, like doors. Nothing else changes, not even the carrier's
+        frame and mass. So this scene and the result can use each other's states.
 
         Raises:
             ValueError: the carrier has no wall on one of the sides.
@@ -132,35 +133,35 @@ class Scene:
 
     @property
     def all_soft(self) -> Scene:
-        """The scene with all its boxes as flex bodies. Sheets stay rigid."""
+        """The scene in which all boxes are flex bodies. Sheets stay rigid."""
         soft = np.ones(self.n_boxes, bool)
         soft[[piece.box for piece in self.pieces]] = False
         return replace(self, soft=soft)
 
     @cached_property
     def total_mass(self) -> float:
-        """Mass of boxes and carrier, kg; the unit of force profiles."""
+        """Mass of boxes and carrier, kg. Force profiles use it as their unit."""
         return float(self.mass.sum() + self.carrier.mass)
 
     @cached_property
     def middle(self) -> NDArray[np.float64]:
-        """(n, 3) the boxes' middles in their frames, whose origins are the centres of mass, m."""
+        """(n, 3) middles of the boxes in the boxes' frames, whose origins are the centres of mass, m."""
         return np.zeros_like(self.half_size) if self.mass_center is None else -self.mass_center
 
     def middles(self, frame: NDArray[np.float64], quat: NDArray[np.float64]) -> NDArray[np.float64]:
-        """(…, k, 3) middles of the first k boxes for these origins of their frames, m."""
+        """(…, k, 3) middles of the first k boxes, given the origins of their frames, m."""
         if self.mass_center is None:
             return frame
         return frame + rotated_vectors(quat, self.middle[: frame.shape[-2]])
 
     def frames(self, middle: NDArray[np.float64], quat: NDArray[np.float64]) -> NDArray[np.float64]:
-        """(…, k, 3) origins of the frames of the first k boxes for these middles, m."""
+        """(…, k, 3) origins of the frames of the first k boxes, given their middles, m."""
         if self.mass_center is None:
             return middle
         return middle - rotated_vectors(quat, self.middle[: middle.shape[-2]])
 
     def frame(self, box: int, middle: NDArray[np.float64], quat: NDArray[np.float64]) -> NDArray[np.float64]:
-        """(3,) origin of a box's frame if its middle is at ``middle`` and its orientation is ``quat``, m."""
+        """(3,) origin of a box's frame, given the box's middle and orientation, m."""
         if self.mass_center is None:
             return middle
         origin: NDArray[np.float64] = middle - rotated_vectors(quat, self.middle[box])
@@ -168,7 +169,7 @@ class Scene:
 
     @cached_property
     def shapes(self) -> Shapes:
-        """The shapes of all bodies: a box has one, a sheet one for each piece."""
+        """The shapes of all bodies. A box has one shape, a sheet has one per piece."""
         carrier = self.carrier
         counts = np.ones(self.n_boxes, np.intp)
         for piece in self.pieces:
@@ -193,7 +194,7 @@ class Scene:
 
     @cached_property
     def inertia_boxes(self) -> NDArray[np.float64]:
-        """(n + 1, 3) equivalent inertia boxes of the carrier and the boxes (``Body``), m."""
+        """(n + 1, 3) equivalent inertia boxes (see ``Body``) of the carrier and of the boxes, m."""
         boxes = self.half_size if self.inertia_box is None else self.inertia_box
         return np.concatenate([self.carrier.inertia_box[None], boxes])
 
@@ -201,9 +202,9 @@ class Scene:
 def build_scene(plan: Plan, sim: Simulation) -> Scene:
     """The nominal scene of a plan.
 
-    Length and width are reduced by ``sim.size_reduction_mm``, and the height if boxes fall into their places; the
-    front-left-bottom corner stays. Half sizes and centres are rounded half up to 1 µm, as the reference implementation
-    writes them.
+    Length and width are reduced by ``sim.size_reduction_mm``. The height is reduced, too, if boxes fall into their
+    places. The front-left-bottom corner stays where it is. Half sizes and centres are rounded half up to 1 µm, as the
+    reference implementation writes them.
     """
     stiffness = _stiffness(plan) if sim.physics.has_own_friction else None
     carrier, surfaces = carrier_of(plan, sim), find_surfaces(plan, sim)
@@ -229,7 +230,7 @@ def build_scene(plan: Plan, sim: Simulation) -> Scene:
 
 
 def carrier_of(plan: Plan, sim: Simulation) -> Body:
-    """The carrier of a plan with its walls, without surfaces."""
+    """The carrier of a plan, with its walls but without surfaces."""
     boards = pallet(sim.carrier)
     if boards is not None:
         return with_walls(body_of(boards, sim.physics), sim)
@@ -237,8 +238,8 @@ def carrier_of(plan: Plan, sim: Simulation) -> Body:
 
 
 def build_scenes(plans: Iterable[Plan], sim: Simulation) -> Iterator[Scene]:
-    """The nominal scenes of plans, in order. The arrays of many plans are computed at once, identical to the last bit
-    with those of ``build_scene``."""
+    """The nominal scenes of plans, in order. The arrays of many plans are computed together, with results
+    bit-identical to those of ``build_scene``."""
     slabs, source = pallet(sim.carrier) is None and not has_walls(sim), iter(plans)
     while batch := list(islice(source, AT_A_TIME)):
         alike = [plan for plan in batch if slabs and _is_plain(plan)]
@@ -267,7 +268,7 @@ def _stacked_scenes(plans: Sequence[Plan], sim: Simulation) -> Iterator[Scene]:
 def _of_boxes(
     size_mm: NDArray[np.float64], corner_mm: NDArray[np.float64], mass_kg: NDArray[np.float64], sim: Simulation
 ) -> dict[str, Any]:
-    """Fields of scenes with a row for each box, of one plan or of several."""
+    """Fields of scenes that have one row per box, for one or several plans."""
     half_size, target = half_size_and_target(size_mm, corner_mm, sim)
     return {
         "half_size": half_size,
@@ -280,7 +281,7 @@ def _of_boxes(
 
 
 def _of_all(sim: Simulation) -> dict[str, Any]:
-    """Fields that are the same for every plan."""
+    """Fields that are the same for all plans."""
     return {
         "floor_friction": sim.physics.floor_friction,
         "floor_z": floor_z_m(sim),
@@ -292,8 +293,8 @@ def _of_all(sim: Simulation) -> dict[str, Any]:
 def _slabs(
     corner_mm: NDArray[np.float64], size_mm: NDArray[np.float64], begins: NDArray[np.intp], sim: Simulation
 ) -> Iterator[Body]:
-    """The slabs that carry the plans whose boxes begin at the rows ``begins``. A slab is one box, as large as the
-    plan's bounding box or of a fixed size, with its front-left corner at the origin."""
+    """The slabs that carry plans. The boxes of each plan begin at a row in ``begins``. A slab is one box: as large as
+    the plan's bounding box, or of a fixed size with its front-left corner at the origin."""
     extent, physics, n = extent_m(sim.carrier), sim.physics, len(begins)
     if extent is None:
         low_mm = np.minimum.reduceat(corner_mm[:, :2], begins)
@@ -310,20 +311,20 @@ def _slabs(
 def half_size_and_target(
     size_mm: NDArray[np.float64], corner_mm: NDArray[np.float64], sim: Simulation
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """(n, 3) half extents and (n, 3) planned middles, m, of boxes of (n, 3) extents at (n, 3) corners."""
+    """(n, 3) half extents and (n, 3) planned middles of boxes, m, from (n, 3) extents and (n, 3) corners, mm."""
     size = size_mm - sim.size_reduction_mm * np.array([1.0, 1.0, float(sim.physics.falls_into_place)])
     return round_to_micrometre(mm_to_m(size / 2)), round_to_micrometre(mm_to_m(corner_mm + size / 2))
 
 
 def _stiffness(plan: Plan) -> NDArray[np.float64] | None:
-    """(n,) stiffness of boxes, N/m."""
+    """(n,) stiffness of each box, N/m; inf if the plan gives none for it."""
     if plan.stiffness_n_mm is None:
         return None
     return np.where(np.isnan(plan.stiffness_n_mm), np.inf, plan.stiffness_n_mm * MM_PER_M)
 
 
 def _directions(plan: Plan) -> NDArray[np.float64] | None:
-    """(n, 2) approaches that a plan gives."""
+    """(n, 2) directions of approach that the plan gives; None if it gives none."""
     if plan.approach_deg is None:
         return None
     angle = np.radians(plan.approach_deg)

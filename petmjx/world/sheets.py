@@ -1,10 +1,10 @@
-"""Interlayer sheets: thin items that bridge no gaps.
+"""Interlayer sheets: thin items that do not bridge gaps.
 
 A sheet of cardboard or paper between two layers is an item of its own. A rigid plate would carry a box over a hole in
-the layer below, which no sheet does. So a sheet bears only above bodies that lie under it by the plan. The body of a
-sheet has one shape for each area on a box or a board, or up to a centimetre above one, and no shape over gaps. The body
-holds these pieces together: the sheet ties the boxes of a layer by friction, as sheets do, and does not sag or tear. A
-sheet that lies on nothing is not divided.
+the layer below, which no sheet does. So a sheet bears only above the bodies that lie under it in the plan. The body of
+a sheet has one shape for each area that lies on a box or a board, or up to a centimetre above one. It has no shape over
+gaps. The body holds these pieces together: like a real sheet, it ties the boxes of a layer by friction. Unlike a real
+sheet, it does not sag or tear. A sheet that lies on nothing is not divided.
 """
 
 from __future__ import annotations
@@ -21,7 +21,8 @@ from petmjx.world.body_shapes import Body, Pieces
 _TOUCH_M = DEFAULT_TOLERANCE_MM / MM_PER_M
 
 FOLLOWED_M: Final = 0.01
-"""Largest distance of a sheet above a top on which it lies, m: layers of cartons are not level to a millimetre."""
+"""Largest distance of a sheet above a top on which it counts as lying, m: layers of cartons are not level to a
+millimetre."""
 
 _LEAST_OVERLAP_M = 1e-6
 
@@ -29,12 +30,12 @@ _LEAST_OVERLAP_M = 1e-6
 def pieces_of(
     sheets: NDArray[np.bool_], target: FloatArray, half_size: FloatArray, carrier: Body
 ) -> tuple[Pieces, ...]:
-    """The pieces of sheets.
+    """The pieces into which sheets are divided.
 
     Args:
-        sheets: (n,) which boxes are sheets.
+        sheets: (n,) whether each box is a sheet.
         target, half_size: (n, 3) planned middles and half extents of all boxes, m.
-        carrier: the carrier. Boards of the carrier with tops at z = 0 bear, too.
+        carrier: the carrier. Its boards with tops at z = 0 bear sheets, too.
     """
     pieces = []
     board, half = (carrier.pos + carrier.shape_pos)[: carrier.n_boards], carrier.half_size[: carrier.n_boards]

@@ -1,6 +1,6 @@
 """Stackable scenes: groups of scenes whose arrays can be stacked.
 
-Stacked worlds are computed at once, identical to the last bit with each world alone.
+Stacked worlds are computed together. The result is bit-identical to that of each world alone.
 """
 
 from __future__ import annotations
@@ -15,12 +15,12 @@ from numpy.typing import NDArray
 from petmjx.world.scene import Scene
 
 AT_A_TIME: Final = 64
-"""Largest number of scenes of a group: arrays of all pairs of 43 boxes then take 1 MB."""
+"""Largest number of scenes in a group. With 43 boxes, arrays of all pairs then take 1 MB."""
 
 
 def stackable_groups(scenes: Sequence[Scene]) -> Iterator[tuple[list[int], bool]]:
-    """Groups of scenes that can be stacked, by their numbers, and whether each group is plain (``is_plain``). A scene
-    that is not plain is a group by itself. Plain worlds of one plan can be stacked."""
+    """Groups of scenes that can be stacked: their numbers, and whether the group is plain (``is_plain``). A scene that
+    is not plain forms its own group. Plain worlds of one plan can be stacked."""
     numbers_by_key: dict[Any, list[int]] = {}
     for number, scene in enumerate(scenes):
         if not is_plain(scene):
@@ -36,7 +36,7 @@ def stackable_groups(scenes: Sequence[Scene]) -> Iterator[tuple[list[int], bool]
 
 
 def is_plain(scene: Scene) -> bool:
-    """Whether a scene's boxes differ only in places, sizes, masses and friction."""
+    """Whether the scene's boxes have no values of their own except places, sizes, masses and friction."""
     optional_fields = (
         scene.mass_center,
         scene.inertia_box,
@@ -49,5 +49,5 @@ def is_plain(scene: Scene) -> bool:
 
 
 def stacked_values(scenes: Sequence[Scene], name: str) -> NDArray[Any]:
-    """(m, …) one field of each scene, by the field's name, such as ``carrier.mass``."""
+    """(m, …) the values of one field of all scenes. ``name`` is the name of the field, such as ``carrier.mass``."""
     return np.array([*map(attrgetter(name), scenes)])

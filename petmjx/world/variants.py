@@ -1,11 +1,11 @@
-"""Variants: the differences of a world from its plan's nominal world.
+"""Variants: how a world differs from its plan's nominal world.
 
-A variant has two halves. Changes before or while boxes are placed (friction, mass, sizes, placement errors) are its
-*placement*. The drive that shakes the finished pallet (profile, strength, direction) is its *drive*. Worlds of a plan
-with equal ``placement_key`` share one placement, whose settled state is forked.
+A variant has two halves. Its *placement* is the changes before or while boxes are placed (friction, mass, sizes,
+placement errors). Its *drive* shakes the finished pallet (profile, strength, direction). Worlds of a plan with the same
+``placement_key`` share one placement: each starts from its settled state.
 
-The scenes of many variants of a plan are made at once (``apply_all``). A world then takes a twentieth of a millisecond;
-one by one it takes ten times as long, which is as long as a GPU simulates a small world.
+The scenes of many variants of a plan are made together (``apply_all``). A scene then takes a twentieth of a
+millisecond. Made one by one, a scene takes ten times as long: as long as a GPU needs to simulate a small world.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ from petmjx.world.scene import Scene
 
 
 class DistributionShape(StrEnum):
-    """Family of a distribution."""
+    """Family of distributions."""
 
     FIXED = "fixed"
     NORMAL = "normal"
@@ -60,7 +60,7 @@ class Distribution:
         return self.centre == 0 and not self.random
 
     def draw(self, rngs: Iterable[np.random.Generator], shape: tuple[int, ...]) -> FloatArray:
-        """(m, …) samples of m generators; (1, …) without taking a generator if nothing is random.
+        """(m, …) one sample from each of m generators. If nothing is random: (1, …), and no generator is used.
 
         Standard numbers are drawn and then scaled. So with the same generator, twice the spread gives each box twice
         the error, and levels of a sweep can be compared pair by pair.
@@ -72,7 +72,7 @@ class Distribution:
         return np.full((1, *shape), self.centre)
 
     def label(self) -> str:
-        """The distribution's text in the results, if the axis has distributions of several shapes."""
+        """The distribution as text in the results, for axes with distributions of several shapes."""
         if self.zero:
             return "0"
         if self.shape is DistributionShape.FIXED:
@@ -87,23 +87,23 @@ ZERO = Distribution()
 
 @dataclass(frozen=True)
 class PlacementChange:
-    """The changes of a variant while boxes are placed. Factors multiply; errors are drawn for each box.
+    """The changes that a variant makes while boxes are placed. Factors multiply; errors are drawn for each box.
 
     Attributes:
-        box_friction_factor, carrier_friction_factor: on all three friction coefficients. MuJoCo takes the
-            larger coefficient of two touching geoms, so a lower value on one side alone changes little.
-        mass_factor: on the mass of every box; the carrier's mass does not change.
-        friction_rel: relative change of the friction of boxes and carrier, on top of the factors (0.1 = 10 % more). One
-            error is drawn for the whole world: all cartons are of one board, on a day of one humidity.
-        mass_rel: relative change of each box's mass, on top of the factor.
-        size_mm: added to each dimension of each box, mm.
+        box_friction_factor, carrier_friction_factor: factors on all three friction coefficients. MuJoCo uses the larger
+            coefficient of two touching geoms, so a lower value on only one side changes little.
+        mass_factor: factor on the mass of every box; the carrier's mass does not change.
+        friction_rel: relative change of the friction of boxes and carrier, after the factors (0.1 = 10 % more). One
+            error is drawn for the whole world: all cartons are of the same board, on a day of the same humidity.
+        mass_rel: relative change of each box's mass, after the factor.
+        size_mm: change of each dimension of each box, mm.
         size_rel: relative change of each dimension (0.01 = 1 % larger).
         x_mm, y_mm, yaw_deg: placement error of each box.
         drop_height_mm: height of a box's release above its place; negative draws count as 0.
-        placing_name: how boxes are placed, a value of ``petmjx.options.placing.Way``; None: that of the options.
-        placing_height_mm, placing_side_mm, placing_speed_m_s, placing_force_n, tines_height_mm: replace the fields
-            of ``petmjx.options.placing.Placing``; None: those of the options.
-        wrap_turns: turns of film instead of those of ``petmjx.options.wrap.Wrap``; None: those of the options.
+        placing_name: how boxes are placed, a value of ``petmjx.options.placing.Way``; None: as in the options.
+        placing_height_mm, placing_side_mm, placing_speed_m_s, placing_force_n, tines_height_mm: replace the fields of
+            ``petmjx.options.placing.Placing``; None: as in the options.
+        wrap_turns: replaces the turns of film of ``petmjx.options.wrap.Wrap``; None: as in the options.
         shifts_from_release: True: shifts are measured from the place of release instead of from the plan.
     """
 
@@ -128,7 +128,8 @@ class PlacementChange:
     shifts_from_release: bool = False
 
     def placing(self, placing: Placing, *, errors: bool) -> Placing:
-        """The way of placing after this change of ``placing``; ``errors``: places or sizes of boxes have errors."""
+        """How boxes are placed if this change is applied to ``placing``. ``errors``: whether places or sizes have
+        errors."""
         other = {
             "name": Way(self.placing_name) if self.placing_name is not None else None,
             "height_mm": self.placing_height_mm,
@@ -143,7 +144,7 @@ class PlacementChange:
 
     @cached_property
     def random(self) -> bool:
-        """Whether two replicates differ."""
+        """Whether two replicates would differ."""
         values = (getattr(self, entry.name) for entry in fields(self))
         return any(isinstance(value, Distribution) and value.random for value in values)
 
@@ -158,8 +159,8 @@ class DriveSpec:
     """The drive of the finished pallet: the name of a profile, its scale or level, and its direction.
 
     Attributes:
-        scale_to: the scale is drawn evenly between ``scale`` and this value, once for each world; None: the scale is
-            ``scale``.
+        scale_to: for each world, one scale is drawn uniformly between ``scale`` and this value; None: the scale is
+            always ``scale``.
     """
 
     profile: str
@@ -170,13 +171,13 @@ class DriveSpec:
 
 @dataclass(frozen=True)
 class LegSpec:
-    """A leg of a chain: the drives that shake the pallet on a part of its way.
+    """A leg of a chain: the drives that shake the pallet on a part of its journey.
 
     Attributes:
-        drives: drives in order, with a pause of ``pause_s`` between two. Without drives the pallet rests for
+        drives: drives in order, with a pause of ``pause_s`` between two drives. Without drives, the pallet rests for
             ``pause_s``.
-        wrap_turns: turns of film around the pallet meanwhile; None: those of the options.
-        open_walls: walls of the carrier that are open during the leg, in addition to those of the options.
+        wrap_turns: turns of film around the pallet during the leg; None: as in the options.
+        open_walls: walls of the carrier that are open during the leg, in addition to those open by the options.
     """
 
     name: str
@@ -191,11 +192,11 @@ class Variant:
     """One set of changes to a plan's nominal world.
 
     Attributes:
-        index: ``variant`` in the results; 0 is the nominal world.
-        placement, drive: the two halves. Without a drive the world ends when the placement is at rest.
-        replicate: number of the repetition; random numbers depend on (seed, plan id, replicate) alone.
+        index: column ``variant`` in the results; 0 is the nominal world.
+        placement, drive: the two halves. A world without a drive ends when the placement is at rest.
+        replicate: number of the repetition; random numbers depend only on (seed, plan id, replicate).
         parameters: result column → value.
-        legs: legs of a chain, instead of a drive; each leg begins with the boxes where the leg before has left them.
+        legs: legs of a chain, instead of a drive. Each leg begins with the boxes where the previous leg left them.
     """
 
     index: int
@@ -207,53 +208,54 @@ class Variant:
 
     @property
     def placement_key(self) -> PlacementKey:
-        """Equal for variants of one plan that share a placement. Replicates share a placement, unless random values act
-        while boxes are placed."""
+        """Equal for variants of one plan that share a placement. Replicates share a placement unless something random
+        happens while boxes are placed."""
         return (self.placement, self.replicate if self.placement.random else 0)
 
 
 MIN_SIZE_FRACTION = 0.1
-"""Smallest size that can be drawn, as a fraction of the planned size: a box must keep a positive extent."""
+"""Smallest size that can be drawn, as a share of the planned size: every extent of a box must stay positive."""
 
 LARGEST_SIZE_M = 7.0
-"""Largest size that can be drawn, m: boxes that are not placed yet hang 8 m apart."""
+"""Largest size that can be drawn, m: boxes that are not yet placed hang 8 m apart."""
 
 MIN_MASS_FRACTION = 0.1
-"""Smallest mass that can be drawn, as a fraction of the nominal one: MuJoCo refuses bodies without mass."""
+"""Smallest mass that can be drawn, as a share of the nominal mass: MuJoCo refuses bodies without mass."""
 
 MIN_FRICTION_FRACTION = 0.1
-"""Smallest friction that can be drawn, as a fraction of the nominal one: it must stay positive."""
+"""Smallest friction that can be drawn, as a share of the nominal friction: it must stay positive."""
 
 STEP_TOLERANCE_M = 0.01
-"""A lower box carries an upper one that overlaps it horizontally if its planned top is at most this far above the
-planned bottom of the upper box. The upper box is then set down on the lower one. A higher box counts as a wall beside
-it."""
+"""A lower box carries an upper box that overlaps it horizontally if the planned top of the lower box is at most this
+far above the planned bottom of the upper one, m. The upper box is then set down on the lower one. If the top is higher,
+the lower box counts as a wall beside the upper one."""
 
 MOST_SPREADS: Final = 5.0
-"""Largest error that is assumed, in standard deviations from the mean: one of 2 million normal errors exceeds it."""
+"""Largest error that is assumed, in standard deviations from the mean. One normal error in 2 million exceeds it."""
 
 _SAME_HEIGHT_M = 1e-9
 
 AT_A_TIME: Final = 256
-"""Number of worlds that are made together: with 43 boxes each the largest arrays take 8 MB."""
+"""Number of worlds that are made together. With 43 boxes per world, the largest arrays take 8 MB."""
 
 
 def apply(scene: Scene, plan_id: str, variant: Variant, seed: int, *, standing: int = 0) -> Scene:
-    """The scene of a plan under a variant's placement change; its drive is not used here.
+    """The scene of a plan after a variant's placement change. The variant's drive is not used.
 
     When sizes change, boxes keep their horizontal centres, so neighbours that became larger overlap sideways. A hand
-    then takes each box to a place with room. Boxes of the way ``exact`` appear at the nearest places without overlaps
-    (petmjx.world.release_places). Boxes are set down on the actual tops of the boxes below. Placement errors in x, y
-    and yaw change ``start_pos`` and ``start_quat``; a box that is moved over a slightly higher neighbour is released
-    above it. No box starts inside another one vertically. ``target``, from which shifts are measured, stays at the
-    planned x and y; its z is the height at which the box really stands, so that a tolerance in height is no shift. With
-    errors of places or sizes the way of placing is ``Placing.for_errors``.
+    then moves each box to a place with room. If boxes are placed ``exact``, they appear at the nearest places without
+    overlaps (petmjx.world.release_places). Boxes are set down on the actual tops of the boxes below.
+
+    Placement errors in x, y and yaw change ``start_pos`` and ``start_quat``. A box that is moved over a slightly higher
+    neighbour is released above it. No box starts inside another one vertically. Shifts are measured from ``target``,
+    which keeps the planned x and y. Its z is the height at which the box really stands, so that a tolerance in height
+    does not count as a shift. If places or sizes have errors, boxes are placed as ``Placing.for_errors`` states.
 
     Args:
-        standing: this many first boxes stand already and keep their sizes, places and masses.
+        standing: number of boxes, from the first on, that already stand. They keep their sizes, places and masses.
 
     Returns:
-        The same object if nothing changes.
+        ``scene`` itself if nothing changes.
     """
     return next(apply_all(scene, plan_id, (variant,), seed, standing=standing))
 
@@ -261,7 +263,7 @@ def apply(scene: Scene, plan_id: str, variant: Variant, seed: int, *, standing: 
 def apply_all(
     scene: Scene, plan_id: str, variants: Iterable[Variant], seed: int, *, standing: int = 0
 ) -> Iterator[Scene]:
-    """The scene of each variant, identical to the last bit with that of :func:`apply`, whatever the other variants."""
+    """The scene of each variant, bit-identical to the result of :func:`apply`, whatever the other variants are."""
     for change, group in itertools.groupby(variants, key=lambda variant: variant.placement):
         for batch in _variant_batches(group):
             if change == UNCHANGED:
@@ -278,8 +280,8 @@ def _variant_batches(variants: Iterable[Variant]) -> Iterator[tuple[Variant, ...
 
 
 def _changed_scenes(scene: Scene, change: PlacementChange, keys: Sequence[WorldKey], standing: int) -> Iterator[Scene]:
-    """The scenes of worlds that differ only in their random numbers. Arrays have one row for each world, or one for
-    all."""
+    """The scenes of worlds that differ only in their random numbers. Each array has one row per world, or one row for
+    all worlds."""
     n = scene.n_boxes
 
     def drawn(error: Distribution, purpose: str, *shape: int) -> FloatArray:
@@ -323,7 +325,7 @@ def _changed_scenes(scene: Scene, change: PlacementChange, keys: Sequence[WorldK
     wrap = scene.wrap if change.wrap_turns is None else scene.wrap.changed(turns=change.wrap_turns)
     slippery = [_with_friction(scene, change, float(factor)) for factor in friction]
     fields = (slippery, half_size, mass, target, start_pos, start_quat)
-    # one shared object if worlds do not differ: pickles and tables then have it once
+    # if worlds do not differ, they share one object, which pickles and tables then hold once
     columns = (values if len(values) > 1 else itertools.repeat(values[0]) for values in fields)
     for _, base, half, kg, planned, place, turn in zip(keys, *columns, strict=False):
         yield replace(
@@ -339,7 +341,7 @@ def _changed_scenes(scene: Scene, change: PlacementChange, keys: Sequence[WorldK
 
 
 def _with_friction(scene: Scene, change: PlacementChange, factor: float) -> Scene:
-    """The scene with its friction changed by ``change`` and multiplied by this factor."""
+    """The scene with the friction changed by ``change`` and then multiplied by ``factor``."""
     of_boxes, of_carrier = change.box_friction_factor * factor, change.carrier_friction_factor * factor
     if of_boxes == 1 and of_carrier == 1:
         return scene
@@ -359,21 +361,21 @@ def _changed_half_size(scene: Scene, relative: FloatArray, more_mm: FloatArray) 
 
 
 def _yawed_orientations(quat: FloatArray, yaw: FloatArray) -> FloatArray:
-    """(m, n, 4) orientations (w, x, y, z) turned about the world's z axis, which is the product q_z(yaw) · q."""
+    """(m, n, 4) orientations (w, x, y, z), rotated about the world's z axis: the product q_z(yaw) · q."""
     cos, sin = np.cos(yaw / 2), np.sin(yaw / 2)
     w, x, y, z = quat.T
     return np.stack([cos * w - sin * z, cos * x - sin * y, cos * y + sin * x, cos * z + sin * w], axis=-1)
 
 
 def _footprint_half(half_size: FloatArray, yaw: FloatArray) -> FloatArray:
-    """(m, n, 2) half extents of the axis-aligned rectangle around each turned footprint."""
+    """(m, n, 2) half extents of the axis-aligned rectangle around each rotated footprint."""
     cos, sin = np.abs(np.cos(yaw)), np.abs(np.sin(yaw))
     x, y = half_size[..., 0], half_size[..., 1]
     return np.stack([cos * x + sin * y, sin * x + cos * y], axis=-1)
 
 
 def _overlap_mask(centre: FloatArray, half: FloatArray) -> NDArray[np.bool_]:
-    """(…, n, n) which footprints overlap."""
+    """(…, n, n) whether the footprints of two boxes overlap."""
 
     along: list[NDArray[np.bool_]] = []
     for axis in range(2):
@@ -407,7 +409,7 @@ def _with_walls(
     movable: NDArray[np.bool_],
     reach_m: float,
 ) -> FloatArray:
-    """``make_room`` with the carrier's walls as further boxes that do not move."""
+    """``make_room``, with the carrier's walls as additional boxes that do not move."""
     walls, n, sides = slice(carrier.n_boards, None), len(target), carrier.walls
     middle, half = (carrier.pos + carrier.shape_pos)[walls], carrier.half_size[walls]
     gap = carrier.room.gaps(target, planned[1], 0.0)
@@ -433,7 +435,7 @@ def _with_walls(
 
 
 def _farthest_m(scene: Scene, change: PlacementChange) -> float:
-    """Largest planned distance of two boxes that may meet because of their errors, m."""
+    """Largest planned distance at which two boxes may still touch because of their errors, m."""
     x, y, size, share, yaw = (
         abs(error.centre) + MOST_SPREADS * error.spread
         for error in (change.x_mm, change.y_mm, change.size_mm, change.size_rel, change.yaw_deg)
@@ -452,19 +454,19 @@ def _lower(scene: Scene) -> NDArray[np.bool_]:
 
 
 def _set_down(scene: Scene, half_size: FloatArray, start_pos: FloatArray, yaw: FloatArray) -> FloatArray:
-    """(m, n) heights of centres of boxes that are set down on the actual tops of the boxes below.
+    """(m, n) heights of the centres of boxes after they are set down on the actual tops of the boxes below, m.
 
-    Boxes are taken from the bottom up. A box is below another one if its planned top is not above the other's planned
-    bottom (with a tolerance of `STEP_TOLERANCE_M`) and their footprints overlap, as planned or as placed. The planned
-    gap to the highest box below stays (0.1 mm from the size reduction; more for a box that floats in the plan). A
-    planned penetration does not stay.
+    Boxes are processed from the bottom up. A box is below another one if two conditions hold: its planned top is not
+    above the other's planned bottom (with a tolerance of `STEP_TOLERANCE_M`), and their footprints overlap, as planned
+    or as placed. The planned gap to the highest box below is kept (0.1 mm from the size reduction; more for a box that
+    floats in the plan). A planned penetration is not kept.
     """
     planned_bottom = scene.target[:, 2] - scene.half_size[:, 2]
     planned_top = scene.target[:, 2] + scene.half_size[:, 2]
     lower = _lower(scene)
     supports = lower & _overlap_mask(scene.target[:, :2], scene.half_size[:, :2])
     below = supports | (lower & _overlap_mask(start_pos[..., :2], _footprint_half(half_size, yaw)))
-    # A box that overlaps no other in the plan stands on the carrier, or floats above it.
+    # A box that overlaps no other box in the plan stands on the carrier or floats above it.
     support_top = np.where(supports, planned_top, -math.inf).max(axis=1, initial=-math.inf)
     stands = supports.any(axis=1)
     gap = np.where(stands, np.maximum(planned_bottom - support_top, 0.0), 0.0)

@@ -30,7 +30,14 @@ TABLE = pd.DataFrame(
 )
 """Of the first order the second box has no place: it is left out."""
 
-OPTIONS: dict[str, Any] = {"orders": TABLE, "action_cell_mm": 200, "cell_mm": 100, "mask": "geometry", "look_ahead": 2}
+OPTIONS: dict[str, Any] = {
+    "orders": TABLE,
+    "action_cell_mm": 200,
+    "cell_mm": 100,
+    "mask": "geometry",
+    "look_ahead": 2,
+    "gap_mm": 5,
+}
 TERMS = dict.fromkeys(("placed", "utilisation", "fall", "margin", "load", "height", "illegal"), 1.0)
 
 

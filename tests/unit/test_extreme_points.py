@@ -9,6 +9,7 @@ from petmjx.loop import candidate_places
 from petmjx.loop.box_tables import BoxTable
 from petmjx.loop.candidate_places import Places, free_places
 from petmjx.loop.placements import Placements
+from petmjx.packers.candidate_points import Candidates
 
 EXTENT_MM = (1200.0, 800.0)
 
@@ -105,3 +106,34 @@ def test_what_bears_a_box() -> None:
     assert spots.centred.tolist() == [True, True, True, True]
     high = found_for(stock, boxes(np.array([[600.0, 600.0, 1400.0]]), one), highest_mm=1500.0)
     assert high.corner_mm.tolist() == []  # too high on the boxes, and too long behind them
+
+
+@pytest.mark.parametrize("gap_mm", [0.0, 6.0])
+def test_places_with_free_space_are_those_of_the_packers(gap_mm: float) -> None:
+    """The table of the packer ``balanced`` has the free space in its bases and its target."""
+    rng, size = np.random.default_rng(3), np.array([[380.0, 290.0, 200.0], [290.0, 380.0, 200.0]])
+    table = Candidates(size[:, :2] + gap_mm, size[:, 2], (1200.0 + gap_mm, 800.0 + gap_mm), 12)
+    stock = BoxTable(1)
+    for _ in range(12):
+        places = free_places(stock, boxes(size, np.zeros(2, int)), EXTENT_MM, 9000.0, gap_mm=gap_mm)
+        ours = {(row, *corner) for row, corner in zip(places.row.tolist(), places.corner_mm.tolist(), strict=True)}
+        point, shape = np.nonzero(table._inside)
+        theirs = np.column_stack([shape, table.points[point], table.z[point, shape]])
+        assert ours == set(map(tuple, theirs.tolist()))
+        at = int(rng.integers(len(point)))
+        chosen = boxes(size[shape[at : at + 1]], np.zeros(1, int), theirs[at : at + 1, 1:])
+        table.place(int(point[at]), int(shape[at]))
+        stock.add(chosen)
+
+
+def test_free_space_bears_nothing() -> None:
+    """A box on two others, 6 mm apart, is borne but for these 6 mm; one over the gap's edge, by one box alone."""
+    stock, one = BoxTable(1), np.zeros(1, int)
+    for x in (0.0, 306.0):
+        stock.add(boxes(np.array([[300.0, 400.0, 200.0]]), one, np.array([[x, 0.0, 0.0]])))
+    grid = np.array([[0.0, 0.0], [303.0, 0.0]])
+    places = free_places(stock, boxes(np.array([[500.0, 400.0, 100.0]]), one), EXTENT_MM, 9000.0, grid, gap_mm=6.0)
+    np.testing.assert_allclose(places.support, [1 - 6 / 500, 300 / 500])
+    assert places.corner_mm[:, 2].tolist() == [200.0, 200.0]
+    assert places.centred is not None
+    assert places.centred.tolist() == [True, True]

@@ -258,7 +258,8 @@ def test_unusable_orders_are_no_shard_s(tmp_path: Path) -> None:
 
 def test_shards_of_other_orders_are_not_merged_before_they_have_the_same(orders: Path, tmp_path: Path) -> None:
     one, two = shards_of(tmp_path, orders, None)
-    with pytest.raises(petmjx.InputError, match=f"^{two}: compared with other orders than {one}; use resume=True"):
+    line = f"^{two}: was checked against other orders than {one}; resume one of the two runs with resume=True and"
+    with pytest.raises(petmjx.InputError, match=line):
         petmjx.merge_runs([one, two], tmp_path / "merged")
     assert not (tmp_path / "merged").exists()
     score(out=two, shard="2/2", orders=orders, resume=True, engine=Idle(threads=1))

@@ -294,7 +294,7 @@ def test_a_search_asks_for_the_same_worlds_again() -> None:
         first = next(steps)
         asked.append([first, steps.send(question.trials(first))])
     assert [len(part) for part in asked[0]] == [len(part) for part in asked[1]]
-    for (one, judged), (other, _) in zip(asked[0][1], asked[1][1], strict=True):
+    for (one, judged, _), (other, _, _) in zip(asked[0][1], asked[1][1], strict=True):
         assert judged
         assert one.order == other.order
         assert np.array_equal(one.corner_mm, other.corner_mm)
@@ -305,8 +305,8 @@ def test_a_draft_is_judged_as_it_is_scored() -> None:
     but for the counterweight, whose support tilts by 5° first."""
     question = Question({"engine": "mujoco", "threads": 1}, RepairOptions(worlds=0))
     drafts = [Draft.of(make_plan(boxes=boxes)) for boxes in (COUNTERWEIGHT, TOWER, LATE_SUPPORT, stack(2))]
-    judged = question.trials([(draft, True) for draft in drafts])
-    scored = question.trials([(draft, False) for draft in drafts])
+    judged = question.trials([Asked(draft, True) for draft in drafts])
+    scored = question.trials([Asked(draft, False) for draft in drafts])
     assert [trial.stands for trial in judged] == [trial.stands for trial in scored] == [False, False, False, True]
     assert [t.culprit for t in judged[1:]] == [t.culprit for t in scored[1:]]
     assert (judged[0].culprit, scored[0].culprit) == (1, 2)
@@ -320,7 +320,7 @@ def answered(steps: Generator[list[Asked], list[Trial], Any], stands: Callable[[
         asked = next(steps)
         while True:
             count += len(asked)
-            good = [stands(draft) for draft, _ in asked]
+            good = [stands(draft) for draft, *_ in asked]
             asked = steps.send([Trial("stable" if g else "unstable", "", None, (), 1, 1, 0.0) for g in good])
     except StopIteration as end:
         return end.value, count
@@ -343,6 +343,27 @@ def test_only_changes_that_are_needed_are_left() -> None:
     assert count < 50, "one by one it is up to 16 + 15 + … + 3 = 133"
 
 
+def test_of_repairs_with_as_many_changes_the_one_that_stands_with_errors_is_first() -> None:
+    """The upper box of a stack can be moved to the edge of balance, or well inside, where it stands with errors."""
+    plan = make_plan(boxes=stack(2, 230.0))
+    search = Search(plan, Simulation(), RepairOptions(worlds=4))
+    question = Question({"engine": "mujoco", "threads": 1}, RepairOptions(worlds=4))
+    moves = [Move(1, -float(length), 0.0) for length in (32, 150)]
+    drafts = [draft for move in moves if (draft := move.applied(Draft.of(plan))) is not None]
+    trials = question.trials([Asked(draft, is_judged=False) for draft in drafts])
+    assert [trial.stands for trial in trials] == [True, True]
+    states = [State(draft, (move,), trial) for draft, move, trial in zip(drafts, moves, trials, strict=True)]
+    steps = search._compared(states, states[:1])
+    asked = next(steps)
+    assert sorted({one.world for one in asked}) == [1, 2, 3, 4]
+    assert len(asked) == 8
+    with pytest.raises(StopIteration) as end:
+        steps.send(question.trials(asked))
+    best, worst = end.value.value
+    assert (best.changes, worst.changes) == ((moves[1],), (moves[0],))
+    assert best.n_good == 4 > worst.n_good
+
+
 TWO_FAULTS: Sequence[Box] = (*stack(3, 230.0), *stack(2, 230.0, at_mm=(0.0, 600.0)))
 """Two stacks, each with a box that has more than half beyond the one below; on the first one's lies a third."""
 
@@ -352,12 +373,12 @@ def test_faults_are_counted_by_taking_off_what_falls() -> None:
     question = Question({"engine": "mujoco", "threads": 1}, RepairOptions(worlds=0))
     moves = (), (Move(1, -60.0, 0.0),), (Move(1, -60.0, 0.0), Move(4, -60.0, 0.0))
     drafts = [draft for changes in moves if (draft := applied(Draft.of(search.plan), changes)) is not None]
-    trials = question.trials([(draft, True) for draft in drafts])
+    trials = question.trials([Asked(draft, True) for draft in drafts])
     steps = search._faults([State(draft, (), trial) for draft, trial in zip(drafts, trials, strict=True)], 9.0)
     asked = next(steps)
-    assert [draft.order for draft, _ in asked] == [(0, 3, 4), (0, 1, 2, 3)], "with the box on it, which loses its hold"
+    assert [draft.order for draft, *_ in asked] == [(0, 3, 4), (0, 1, 2, 3)], "with the box on it, which loses its hold"
     second = steps.send(question.trials(asked))
-    assert [draft.order for draft, _ in second] == [(0, 3)]
+    assert [draft.order for draft, *_ in second] == [(0, 3)]
     with pytest.raises(StopIteration) as end:
         steps.send(question.trials(second))
     assert end.value.value == [2, 1, 0]
@@ -403,7 +424,7 @@ def test_searches_in_several_processes_end_as_in_one() -> None:
     ]
 
     def ask(asked: list[Asked]) -> list[Trial]:
-        good = [bool((draft.corner_mm[1, :2] > draft.plan.size_mm[0, 2] - 100).all()) for draft, _ in asked]
+        good = [bool((draft.corner_mm[1, :2] > draft.plan.size_mm[0, 2] - 100).all()) for draft, *_ in asked]
         return [Trial("stable" if g else "unstable", "", None if g else 1, () if g else (1,), 2, 1, 0.0) for g in good]
 
     ends = []
@@ -416,11 +437,11 @@ def test_searches_in_several_processes_end_as_in_one() -> None:
     searches = [Search(plan, Simulation(), RepairOptions(worlds=0)) for plan in plans]
 
     def ask_until_stopped(asked: list[Asked]) -> list[Trial]:
-        if any(is_judged and draft.plan.plan_id == "2" for draft, is_judged in asked):
+        if any(is_judged and draft.plan.plan_id == "2" for draft, is_judged, _ in asked):
             raise KeyboardInterrupt  # plan 0, which is in the same process, had its answer before
         trials = zip(asked, ask(asked), strict=True)
         return [
-            trial._replace(verdict="stable") if draft.plan.plan_id == "0" else trial for (draft, _), trial in trials
+            trial._replace(verdict="stable") if draft.plan.plan_id == "0" else trial for (draft, *_), trial in trials
         ]
 
     with pytest.raises(KeyboardInterrupt):

@@ -5,13 +5,13 @@ Array shapes are annotations, which tests check at every call. The axes:
 * ``world``: worlds that are simulated together, padded to a power of two;
 * ``box``: boxes of a world, padded to the same number in all worlds of a table;
 * ``body``: the carrier, then the boxes; ``body_end`` is one longer; MuJoCo's bodies begin with the world's body;
-* ``shape``: shapes of the bodies, in the order of bodies; the floor and then these shapes are MuJoCo's geoms;
+* ``shape``: shapes of the bodies, in the order of bodies; MuJoCo's geoms are the floor and then these shapes;
 * ``surface``: surfaces of shapes; friction is given for pairs of surfaces;
-* ``coordinate`` and ``velocity``: generalized positions and velocities of one world;
-* ``constraint``: rows of MuJoCo's constraints; ``contact`` and ``geom``: its contacts and its shapes;
+* ``coordinate`` and ``velocity``: generalised positions and velocities of one world;
+* ``constraint``: rows of MuJoCo's constraints; ``contact`` and ``geom``: MuJoCo's contacts and shapes;
 * ``profile`` and ``step``: rows of the table of profiles, and steps of a profile or of the clock;
 * ``n_boxes``: one entry for each number of boxes, from 0 on;
 * ``row`` and ``word``: rows that are read back from a table, and the numbers in each row;
-* ``queue``: queues, each of worlds of one size that wait for a thread block;
+* ``queue``: queues of worlds that wait for a thread block; all worlds in a queue have the same size;
 * ``batch`` and ``k``: any axis of the caller; the function treats all entries alike.
 """

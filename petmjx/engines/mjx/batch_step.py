@@ -1,4 +1,4 @@
-"""One padded MJX model for all worlds of a batch, and one step of all of them."""
+"""One padded MJX model for all worlds of a batch, and one step of all these worlds."""
 
 from __future__ import annotations
 
@@ -20,9 +20,9 @@ from petmjx.options.simulation import Simulation
 from petmjx.world.mujoco_model import CARRIER_NAME, geom_bodies
 
 LINE_SEARCH_ITERATIONS = 30
-"""Line search iterations. Under ``vmap`` all branches are computed, also unneeded ones. With 10 iterations, a force on
-a box differed by more than 50 N from the force in C MuJoCo in 2.2 % of the steps of small piles: the solver had given
-up while boxes landed. With 30 iterations this happens in 0.2 %."""
+"""Number of line search iterations. Under ``vmap``, all branches are computed, also unneeded ones. With 10
+iterations, the force on a box differed from that in C MuJoCo by more than 50 N in 2.2 % of the steps of small piles:
+the solver had given up while boxes landed. With 30 iterations, this happens in 0.2 % of the steps."""
 
 
 class StepResult(NamedTuple):
@@ -44,16 +44,15 @@ class StepResult(NamedTuple):
 class PaddedModel:
     """Steps worlds of up to ``capacity`` boxes with the parts of ``mjx.step`` under ``vmap``.
 
-    Model fields that differ between worlds are given with each step. Contacts have fixed slots, so nothing can
-    overflow.
+    Model fields that differ between worlds are passed to each step. Contacts have fixed slots, so nothing can overflow.
 
     Attributes:
-        carrier, bodies: the index of the carrier's body, and the number of bodies.
+        carrier, bodies: index of the carrier's body, and number of bodies.
 
     Args:
-        capacity: most boxes of a world.
-        boards: shapes of each carrier, by their number.
-        held: the carrier stands where its world's data say (acceleration profiles).
+        capacity: largest number of boxes of a world.
+        boards: number of shapes of each carrier.
+        held: whether the carrier is held at the pose in its world's data (acceleration profiles).
     """
 
     def __init__(self, capacity: int, boards: int, sim: Simulation, *, held: bool) -> None:
@@ -80,7 +79,7 @@ class PaddedModel:
         self._beds: Beds | None = None
 
     def lay_beds(self) -> None:
-        """Allow compliant boxes from now on. Call it outside of compiled programs."""
+        """Allow compliant boxes from now on. Call this outside of compiled programs."""
         self._beds = Beds(self.model, self._data, self._physics)
 
     def _model_of(self, fields: dict[str, jax.Array]) -> Any:
@@ -88,7 +87,7 @@ class PaddedModel:
         return self.model.tree_replace(fields)
 
     def no_forces(self, worlds: int) -> Float[Array, "world constraint"]:
-        """Constraint forces before the first step: zeros."""
+        """Constraint forces before the first step: all zero."""
         return jnp.zeros((worlds, *self._data._impl.efc_force.shape))
 
     def step(
@@ -99,20 +98,20 @@ class PaddedModel:
         faces: Faces | None = None,
         landing: Landing | None = None,
     ) -> StepResult:
-        """One step of all worlds.
+        """Simulate one step of all worlds.
 
         Args:
-            fields: fields of the model that differ between worlds.
+            fields: model fields that differ between worlds.
             inputs: fields of the data: qpos, qvel, qacc_warmstart, xfrc_applied, and the place of a held carrier.
-            forces: constraint forces of the step before.
-            faces: for compliant boxes (``lay_beds``).
-            landing: the landing boxes, if they follow a law of their own.
+            forces: constraint forces of the previous step.
+            faces: needed for compliant boxes (``lay_beds``).
+            landing: the landing boxes, if a law of landing is in use.
         """
 
         def ready(
             fields: dict[str, jax.Array], inputs: dict[str, jax.Array], faces: Faces | None, landing: Landing | None
         ) -> tuple[Any, Landing | None]:
-            # mjx.forward up to the solver
+            # mjx.forward, up to the solver
             model, data = self._model_of(fields), self._data.replace(**inputs)
             if self._beds is None or faces is None:
                 data = mjx.fwd_position(model, data)
@@ -124,8 +123,8 @@ class PaddedModel:
             return mjx.fwd_acceleration(model, data), landing
 
         def ended(fields: dict[str, jax.Array], data: Any, forces: jax.Array) -> Any:
-            # Between stiff contacts the solver's matrix may become NaN in float32. Then the accelerations from which
-            # the solver started are used, and the forces of the last step.
+            # Between stiff contacts, the solver's matrix may become NaN in float32. Then use the accelerations from
+            # which the solver started, and the forces of the previous step.
             lost = ~jnp.isfinite(data.qacc).all()
             qacc = jnp.where(lost, data.qacc_warmstart, data.qacc)
             forces = jnp.where(lost, forces, data._impl.efc_force)
@@ -142,11 +141,11 @@ class PaddedModel:
         return StepResult(data.qpos, data.qvel, data.qacc, start, forces, self._top_force(data), landing)
 
     def _top_force(self, data: Any) -> Float[Array, "world box"]:
-        """Force pressing on each box's top in the step, N."""
+        """Force that presses on each box's top in the step, N."""
         contact = data._impl.contact
         rows_per_contact = 4 if self.pyramidal else 3
         geom = contact.geom[0]
-        # A contact has the same rows in every world; inactive contacts have no force.
+        # A contact has the same rows in every world. Inactive contacts have no force.
         row = jnp.asarray(contact.efc_address)[:, None] + jnp.arange(rows_per_contact)
         rows = data._impl.efc_force[:, row]
         rows = jnp.pad(rows, ((0, 0), (0, 0), (0, 4 - rows_per_contact)))

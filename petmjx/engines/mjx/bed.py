@@ -1,4 +1,4 @@
-"""Contacts of compliant boxes in MJX's data: where the faces of two boxes press on one another.
+"""Contacts of compliant boxes in MJX's data: the area in which the faces of two boxes press on one another.
 
 Twin of petmjx/engines/mujoco/bed.py, without shared arithmetic. The face of one box is clipped along the sides of the
 other face, and then to the area in which the faces press.
@@ -21,21 +21,21 @@ from petmjx.options.physics import Physics
 from petmjx.world.compliance import EDGE_SHARE, FACE_COSINE, LEAST_SHARE, OUTWARD, POINTS_PER_BED
 
 LEAST_MOMENT_M2: Final = 1e-9
-"""Second moment below which an area counts as a line."""
+"""Smallest second moment per area, m². If the moment is smaller, the area counts as a line."""
 
 LEAST_STEEP: Final = 1e-14
-"""Square of the slope below which the depth counts as the same everywhere."""
+"""Smallest square of the slope of the depth. If it is smaller, the depth counts as uniform."""
 
 _SIGNS: Final = np.array([(-1.0, -1.0), (-1.0, 1.0), (1.0, -1.0), (1.0, 1.0)])
 
 
 class Faces(NamedTuple):
-    """Geoms of a world with the values for beds; the floor comes first.
+    """The geoms of a world, with their values for beds. The floor comes first.
 
     Attributes:
-        give: area divided by half the stiffness, m³/N.
+        give: area divided by twice the stiffness, m³/N.
         half: half extents without skin, m.
-        inverse_mass: 1/kg; 0 for bodies that do not move.
+        inverse_mass: inverse mass of the geom's body, 1/kg; 0 for bodies that do not move.
     """
 
     give: Float[Array, "... geom"]
@@ -44,7 +44,7 @@ class Faces(NamedTuple):
 
     @classmethod
     def of(cls, worlds: Worlds, inverse_mass: Float[Array, "world body"]) -> Faces:
-        """The faces of all worlds. The floor is rigid."""
+        """The faces in all worlds. The floor is rigid."""
         inverse = jnp.take_along_axis(inverse_mass, worlds.shape_body, axis=1)
         return cls(
             give=jnp.pad(worlds.shape_give, ((0, 0), (1, 0))),
@@ -54,13 +54,13 @@ class Faces(NamedTuple):
 
 
 class FacePressure(NamedTuple):
-    """Where the faces of two boxes press on one another.
+    """How the faces of two boxes press on one another.
 
     Attributes:
-        flat: whether faces meet.
-        normal: from the first box to the second.
+        flat: whether two faces meet.
+        normal: unit normal from the first box to the second.
         points, depth: contact points and their depths, m.
-        area: the pressed area, m².
+        area: pressed area, m².
         least: smallest area that counts for the stiffness, m².
     """
 
@@ -73,11 +73,11 @@ class FacePressure(NamedTuple):
 
 
 class Beds:
-    """Moves contacts of two faces, at least one of them compliant, so that they have the force and moments of a bed."""
+    """Replaces contacts of two faces, at least one of them compliant, by points that have a bed's force and moments."""
 
     def __init__(self, model: Any, data: Any, physics: Physics) -> None:
         self._physics = physics
-        # a contact's geoms are the same in all steps; the compiler finds them without a collision
+        # a contact's geoms are the same in all steps; only they are returned, so the collision is not computed
         geom = np.asarray(jax.jit(lambda model, data: mjx.collision(model, data)._impl.contact.geom)(model, data))
         boxes = np.flatnonzero((np.asarray(model.geom_type)[geom] == mujoco.mjtGeom.mjGEOM_BOX).all(axis=1))
         self._rows = boxes.reshape(-1, POINTS_PER_BED)  # rows of the contacts of each pair
@@ -85,7 +85,7 @@ class Beds:
         assert (geom[self._rows] == self._geom[:, None]).all()
 
     def pressed(self, data: Any, faces: Faces) -> Any:
-        """The data after a collision, with the contacts of beds in place of the collider's."""
+        """The data after a collision, in which the contacts of beds replace those of the collider."""
         contact, rows = data._impl.contact, self._rows
         one, two = self._geom.T
         place, turn = data.geom_xpos, data.geom_xmat.reshape(-1, 3, 3)
@@ -117,7 +117,7 @@ class Beds:
         return data.tree_replace({"_impl.contact": contact})
 
     def fwd_position(self, model: Any, data: Any, faces: Faces) -> Any:
-        """As ``mjx.fwd_position``, with beds."""
+        """``mjx.fwd_position``, with beds."""
         for part in (mjx.kinematics, mjx.com_pos, mjx.crb, mjx.factor_m, mjx.collision):
             data = part(model, data)
         data = self.pressed(data, faces)
@@ -125,7 +125,7 @@ class Beds:
 
 
 def _frame_of(normal: Float[Array, 3]) -> Float[Array, "3 3"]:
-    """The frame of a contact, one axis a row, as in MuJoCo."""
+    """The frame of a contact, one axis per row, as in MuJoCo."""
     other = jnp.where(jnp.abs(normal[1]) < 0.5, jnp.array([0.0, 1.0, 0.0]), jnp.array([0.0, 0.0, 1.0]))
     one = other - normal * (normal @ other)
     one /= jnp.linalg.norm(one)
@@ -141,7 +141,7 @@ def bed_of(
     half_b: Float[Array, 3],
     toward: Float[Array, 3],
 ) -> FacePressure:
-    """Where the faces of two boxes press on one another.
+    """How the faces of two boxes press on one another.
 
     Args:
         toward: the collider's normal, from the first box to the second.
@@ -153,7 +153,7 @@ def bed_of(
     x = edges_a[0] - (edges_a[0] @ normal) * normal
     x /= jnp.linalg.norm(x)
     axes = jnp.stack([x, jnp.cross(normal, x)])
-    # origin: the middle of the second box's face
+    # the origin is the middle of the second box's face
     apart = pos_a - pos_b + reach_a * out_a - reach_b * out_b
     at, sides_a, sides_b = axes @ apart, edges_a @ axes.T, edges_b @ axes.T
     around = jnp.array([(1.0, 1.0), (-1.0, 1.0), (-1.0, -1.0), (1.0, -1.0)])
@@ -184,7 +184,7 @@ def bed_of(
 def _face(
     turn: Float[Array, "3 3"], half: Float[Array, 3], toward: Float[Array, 3]
 ) -> tuple[Float[Array, 3], Float[Array, ""], Float[Array, "2 3"]]:
-    """Outward normal, distance from the centre and half edges of the face whose normal is nearest to this direction."""
+    """Outward normal, distance from the centre, and half edges of the face whose normal is nearest to ``toward``."""
     along = toward @ turn
     axis = jnp.argmax(jnp.abs(along))
     sides = (turn * half).T
@@ -199,8 +199,8 @@ def _area(edges: Float[Array, "2 3"]) -> Float[Array, ""]:
 def _cut(
     corners: Float[Array, "k 2"], kept: Bool[Array, " k"], across: Float[Array, 2], offset: Float[Array, ""]
 ) -> tuple[Float[Array, "k+1 2"], Bool[Array, " k+1"]]:
-    """The part of a polygon in which across · x + offset is positive. ``kept`` marks its valid rows, which stand
-    first."""
+    """The part of a polygon in which across · x + offset is positive. ``kept`` marks the valid rows of the polygon,
+    which come first."""
     k = len(corners)
     count = kept.sum()
     following = jnp.where(jnp.arange(k) + 1 < count, jnp.arange(k) + 1, 0)
@@ -218,7 +218,7 @@ def _cut(
 def _moments(
     corners: Float[Array, "k 2"], kept: Bool[Array, " k"]
 ) -> tuple[Float[Array, ""], Float[Array, 2], Float[Array, "2 2"]]:
-    """Area, centroid and root of the second moments of a polygon."""
+    """Area, centroid, and root of the second moments of a polygon."""
     p, q = corners[1:-1] - corners[0], corners[2:] - corners[0]
     part = jnp.where(kept[2:], 0.5 * jnp.abs(p[:, 0] * q[:, 1] - p[:, 1] * q[:, 0]), 0.0)
     area = part.sum()

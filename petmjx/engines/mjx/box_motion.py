@@ -15,8 +15,8 @@ def shift(
     floor_m: float,
     sinks_m: Float[Array, "world box"] | None = None,
 ) -> Float[Array, "world box 3"]:
-    """Displacement from the planned centre, m. Components under ``floor_m`` count as 0. The expected descent of a
-    compliant stack (``sinks_m``) does not count."""
+    """Displacement from the planned centre, m. Components smaller than ``floor_m`` count as 0. The expected descent of
+    a compliant stack (``sinks_m``) does not count as displacement."""
     delta = pos - target
     if sinks_m is not None:
         down = jnp.where(delta[..., 2] < 0, jnp.minimum(delta[..., 2] + sinks_m, 0.0), delta[..., 2])
@@ -25,7 +25,7 @@ def shift(
 
 
 def middles(pose: Float[Array, "world box 7"], middle: Float[Array, "world box 3"]) -> Float[Array, "world box 3"]:
-    """Centres of boxes, m, from the poses of their frames; ``middle`` is the centre in the box's frame."""
+    """Centres of boxes, m, from the poses of their frames. ``middle``: the centre in the box's frame."""
     w, axis = pose[..., 3:4], pose[..., 4:]
     twice = 2 * jnp.cross(axis, middle) / (pose[..., 3:] ** 2).sum(-1, keepdims=True)
     return pose[..., :3] + (middle + w * twice + jnp.cross(axis, twice))
@@ -34,8 +34,8 @@ def middles(pose: Float[Array, "world box 7"], middle: Float[Array, "world box 3
 def tilt_deg(quat: Float[Array, "world box 4"]) -> Float[Array, "world box"]:
     """Angle between a box's z axis and the world's, degrees.
 
-    From the half angle: sin²(θ/2) = x² + y² of the unit quaternion. arccos of the rotated axis' z component cannot
-    resolve angles below 0.02° in float32.
+    It is computed from half the angle: sin²(θ/2) = x² + y² of the unit quaternion. In float32, arccos of the rotated
+    axis' z component could not resolve angles below 0.02°.
     """
     sine = jnp.sqrt(quat[..., 1] ** 2 + quat[..., 2] ** 2)
     cosine = jnp.sqrt(quat[..., 0] ** 2 + quat[..., 3] ** 2)
@@ -45,7 +45,7 @@ def tilt_deg(quat: Float[Array, "world box 4"]) -> Float[Array, "world box"]:
 def lowest_z(
     pos: Float[Array, "world box 3"], quat: Float[Array, "world box 4"], half: Float[Array, "world box 3"]
 ) -> Float[Array, "world box"]:
-    """z of the lowest point of each turned box, m: centre − |R[2, :]| · half extents."""
+    """z of the lowest point of each rotated box, m: centre − |R[2, :]| · half extents."""
     w, x, y, z = (quat[..., i] for i in range(4))
     row = jnp.stack([2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)], axis=-1)
     return pos[..., 2] - (jnp.abs(row) * half).sum(-1)
@@ -57,7 +57,7 @@ def has_dropped(
     half: Float[Array, "world box 3"],
     thresholds: Thresholds,
 ) -> Bool[Array, "world box"]:
-    """Centre below the carrier's top, or lowest point below ``drop_hull_z_m``."""
+    """Whether a box's centre is below the carrier's top, or its lowest point is below ``drop_hull_z_m``."""
     return (pos[..., 2] < 0) | (lowest_z(pos, quat, half) < thresholds.drop_hull_z_m)
 
 
@@ -69,7 +69,7 @@ def excess(
 ) -> Float[Array, "world box"]:
     """Excess of each box: the larger of shift / its threshold and tilt / its threshold.
 
-    A value above 1 is a sign of failure. A dropped box has at least the next float32 after 1.
+    A value above 1 is a sign of failure. The excess of a dropped box is at least the smallest float32 above 1.
     """
     worst = jnp.maximum(jnp.abs(shift_m).max(-1) / thresholds.shift_m, tilt / thresholds.tilt_deg)
     just_over = jnp.nextafter(jnp.float32(1), jnp.float32(2))
@@ -82,7 +82,7 @@ def radius(half: Float[Array, "world box 3"]) -> Float[Array, "world box"]:
 
 
 def speed(vel: Float[Array, "world box 6"], half: Float[Array, "world box 3"]) -> Float[Array, "world box"]:
-    """Speed of a box's fastest point, m/s: an upper bound, the centre's speed and radius × angular speed."""
+    """Upper bound of the speed of a box's fastest point, m/s: the centre's speed + radius × angular speed."""
     linear, angular = (jnp.sqrt((part**2).sum(-1)) for part in (vel[..., :3], vel[..., 3:]))
     return linear + radius(half) * angular
 
@@ -90,7 +90,7 @@ def speed(vel: Float[Array, "world box 6"], half: Float[Array, "world box 3"]) -
 def moved(
     before: Float[Array, "world box 7"], after: Float[Array, "world box 7"], half: Float[Array, "world box 3"]
 ) -> Float[Array, "world box"]:
-    """Upper bound of how far a point of a box has moved, m. The angle is twice the chord between two quaternions, if it
-    is small."""
+    """Upper bound of the distance by which any point of a box has moved, m. For small angles, the angle is twice the
+    chord between the two quaternions."""
     change = (after - before) ** 2
     return jnp.sqrt(change[..., :3].sum(-1)) + 2 * radius(half) * jnp.sqrt(change[..., 3:].sum(-1))

@@ -18,16 +18,16 @@ from petmjx.world.supports import TOUCH_M
 def laws(
     worlds: Worlds, model: Any, inverse_mass: Float[Array, "world body"], physics: Physics
 ) -> dict[str, Float[Array, "world ..."]]:
-    """Fields of the model: solref and solimp of all declared pairs.
+    """Model fields: solref and solimp of all declared pairs.
 
     Args:
-        inverse_mass: 1/kg; 0 for a held carrier.
+        inverse_mass: inverse masses, 1/kg; 0 for a held carrier.
     """
     one, two = model.pair_geom1, model.pair_geom2
     n, shapes = worlds.shape_give.shape
     boards = shapes - worlds.half.shape[1]
     planned = jnp.concatenate([worlds.carrier_pos[:, None] + worlds.shape_pos[:, :boards], worlds.target], axis=1)
-    # the floor comes first, larger than all bodies and below them
+    # the floor comes first; it is larger than all bodies and below them
     middle = jnp.concatenate([jnp.full((n, 1, 3), -1e3), planned], axis=1)
     half = jnp.concatenate([jnp.full((n, 1, 3), 1e2), worlds.shape_half], axis=1)
     give = jnp.pad(worlds.shape_give, ((0, 0), (1, 0)))
@@ -55,7 +55,7 @@ def laws(
 def spring_laws(
     physics: Physics, spring_n_m: Float[Array, ...], inverse_mass: Float[Array, ...]
 ) -> tuple[Float[Array, "... 2"], Float[Array, ...]]:
-    """solref and impedance with which contacts at rest are springs of the given stiffnesses."""
+    """solref and impedance with which contacts at rest act as springs of these stiffnesses."""
     time, damping = physics.solref
     time = time if time < 0 else max(time, 2 * physics.timestep_s)
     stiffness = -time if time < 0 else 1 / (time * damping) ** 2

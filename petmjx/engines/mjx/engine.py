@@ -31,23 +31,23 @@ from petmjx.world.free_bodies import FreeBodies
 from petmjx.world.job import ACCELERATION, Job
 
 MOST_WORLDS = 256
-"""Most worlds of a batch if the user gives no number of ``lanes``."""
+"""Largest number of worlds in a batch if the user does not set ``lanes``."""
 
 FEWEST_WORLDS = 8
-"""Smallest number of rows of a batch. Each number of rows needs a program of its own, which compiles for a minute."""
+"""Smallest number of rows of a batch. Each number of rows needs its own program, which compiles for a minute."""
 
 
 @dataclass(frozen=True)
 class ProgramKey:
-    """Values on which a compiled program depends.
+    """The values on which a compiled program depends.
 
     Attributes:
-        capacity, worlds: room for boxes and worlds.
+        capacity, worlds: number of boxes and worlds for which there is room.
         boards: number of shapes of each carrier.
-        drive: kind of the excitation; None: placement.
+        drive: kind of the excitation; None: the program is for the placement.
         profiles: shape of the table of profiles.
-        carries: whether some boxes do not appear at their places.
-        gives: whether some boxes are compliant.
+        carries: whether there are boxes that do not just appear at their places.
+        gives: whether there are compliant boxes.
         wraps: whether film holds boxes.
     """
 
@@ -64,7 +64,7 @@ class ProgramKey:
 
 @dataclass(frozen=True)
 class Program:
-    """``BatchRollout.chunk``, compiled, with the model that it steps."""
+    """``BatchRollout.chunk`` as compiled program, with the model that it steps."""
 
     model: PaddedModel
     chunk: Any
@@ -74,20 +74,20 @@ MOST_KEPT = 16
 """Number of programs that a process keeps for later engines."""
 
 _kept: dict[tuple[type, ProgramKey], Program] = {}
-"""Class of an engine and key → program, the latest last. Engines of several threads may share a program."""
+"""(Class of an engine, key) → program; the newest program is last. Engines of several threads may share a program."""
 
 
 class MjxJaxEngine(Engine):
-    """Simulates worlds of similar size in batches. A batch takes each step for all its worlds until the last one ends.
+    """Simulates worlds of similar size in batches. All worlds of a batch are stepped together until the last one ends.
 
-    Boxes that are not placed yet hang in the air. So a batch keeps one model from its first step to its last.
+    Boxes that are not yet placed hang in the air. So a batch keeps one model from its first step to its last.
 
     Boxes have no skin. MJX's collider always prefers a face to an edge that is almost parallel to it, and it measures
     depths along the face's normal (3.17: ``collision_convex.py``). With a skin, contacts of edges and corners would be
-    deeper than they are.
+    deeper than they should be.
 
     Args:
-        lanes: most worlds of a batch; fewer if there are fewer worlds, or if memory runs out.
+        lanes: largest number of worlds in a batch. A batch has fewer if there are fewer worlds, or if memory runs out.
     """
 
     name = "mjx-jax"
@@ -96,7 +96,7 @@ class MjxJaxEngine(Engine):
         set_up_jax()
         self.lanes = lanes or MOST_WORLDS
         self.programs: dict[ProgramKey, Program] = {}
-        """The programs of this engine's runs."""
+        """The programs that runs of this engine have used."""
         self._running = RunLock(self.name)
 
     def make_model(self, capacity: int, boards: int, sim: Simulation, *, held: bool) -> PaddedModel:
@@ -113,7 +113,7 @@ class MjxJaxEngine(Engine):
         """Simulate each job once. The outcomes of a batch are yielded together. If memory runs out, batches are halved.
 
         Raises:
-            RuntimeError: an earlier run of the same thread has not ended. (Runs of other threads are waited for.)
+            RuntimeError: an earlier run of the same thread has not ended. (This run waits for runs of other threads.)
         """
         if not jobs:
             return
@@ -124,7 +124,7 @@ class MjxJaxEngine(Engine):
             for alike in stackable_jobs(jobs):
                 capacity = round_up(max(jobs[index].scene.n_boxes for index in alike))
                 while alike:
-                    # batches of equal size, so that one program serves all
+                    # batches of equal size, so that all can use one program
                     batch_jobs = alike[: math.ceil(len(alike) / math.ceil(len(alike) / most))]
                     room = min(max(padded_rows(len(batch_jobs)), FEWEST_WORLDS), most)
                     rows, batch = np.arange(len(batch_jobs)), _load(jobs, batch_jobs, room, capacity, sim)
@@ -143,10 +143,10 @@ class MjxJaxEngine(Engine):
                     alike = alike[len(batch_jobs) :]
 
     def _simulate(self, batch: Batch, sim: Simulation, progress: Progress) -> bool:
-        """Run a batch of stackable worlds to its end: the placement, then the drive.
+        """Run a batch of stackable worlds to its end: first the placement, then the drive.
 
         Returns:
-            Whether device memory was enough. If not, compiled programs are dropped.
+            Whether device memory was sufficient. If not, compiled programs are dropped.
         """
         job = batch.jobs[0]
         try:
@@ -164,7 +164,7 @@ class MjxJaxEngine(Engine):
 
     def _go_on(self, batch: Batch, sim: Simulation, drive: str | None, progress: Progress) -> None:
         """Step the batch until no world is left in the placement or, with a drive, in the drive."""
-        # the placement needs no profiles; with a table of profiles it would compile again for each shape of the table
+        # the placement needs no profiles; with their table, it would compile again for each shape of the table
         profiles = jnp.zeros((1, 1, 3)) if drive is None else batch.profiles
         program = self._program(batch, sim, drive, profiles, progress)
         worlds, capacity, _ = batch.worlds.half.shape
@@ -208,16 +208,16 @@ class MjxJaxEngine(Engine):
 
 
 def without_skin(sim: Simulation) -> Simulation:
-    """The same options with boxes that have no skin."""
+    """The same options, with boxes that have no skin."""
     return sim.changed(physics=sim.physics.changed(skin_m=0.0))
 
 
 def stackable_jobs(jobs: Sequence[Job]) -> list[list[int]]:
     """Groups of jobs that may share a batch, as indices. Groups with the largest plans come first.
 
-    Jobs of a group have the same kind of drive. All start from their beginning, or all from a settled state. Carriers
-    of a group have the same number of boards. Appearing boxes, compliant boxes and film occur in all worlds of a group,
-    or in none. Plans of a group are of similar size: 1 to 4 boxes, 5 to 8, 9 to 16, ….
+    All jobs of a group have the same kind of drive, and carriers with the same number of boards. Either all start from
+    their beginning, or all from a settled state. Appearing boxes, compliant boxes and film each occur in all worlds of
+    a group or in none. Plans of a group are of similar size: 1 to 4 boxes, 5 to 8, 9 to 16, ….
     """
     indices_by_key: dict[tuple[int, int, str | None, bool, bool, bool, bool], list[int]] = {}
     for index, job in enumerate(jobs):
@@ -231,7 +231,7 @@ def stackable_jobs(jobs: Sequence[Job]) -> list[list[int]]:
 
 
 def _load(jobs: Sequence[Job], some: list[int], room: int, capacity: int, sim: Simulation) -> Batch:
-    """A batch of the jobs ``some``, with ``room`` rows and ``capacity`` boxes. Padding rows have ended already."""
+    """A batch of the jobs ``some``, with ``room`` rows and ``capacity`` boxes. Padding rows have already ended."""
     timetable = build_timetable(sim, capacity)
     batch = load([jobs[index] for index in some], room, capacity, sim, timetable)
     status = np.array(batch.table.status)

@@ -1,4 +1,4 @@
-"""Frames of recorded worlds as they come from the device, and the histories made from these frames."""
+"""Frames of recorded worlds, as they come from the device, and the histories made from these frames."""
 
 from __future__ import annotations
 
@@ -18,9 +18,9 @@ from petmjx.world.job import Job
 
 
 class Trail(NamedTuple):
-    """The steps of a chunk, world by world. Values are taken after a step and its rules.
+    """The steps of a chunk, for each world. Values are taken after a step and its rules.
 
-    ``ran``: whether the step was taken; ``fresh``: whether a box has just been placed.
+    ``ran``: whether the step was taken; ``fresh``: whether a box was just placed.
     """
 
     ran: Bool[Array, "step world"]
@@ -34,7 +34,7 @@ class Trail(NamedTuple):
 
 
 class Frames(NamedTuple):
-    """Frames of one world of n boxes, as NumPy arrays. The fields are arguments of ``history_of``."""
+    """Frames of one world with n boxes, as NumPy arrays. The fields are arguments of ``history_of``."""
 
     step: NDArray[np.int32]
     placed: NDArray[np.int32]
@@ -44,14 +44,14 @@ class Frames(NamedTuple):
 
 
 class Recorder:
-    """Collects the frames of worlds whose jobs ask for a history.
+    """Collects the frames of worlds whose jobs request a history.
 
     Args:
         jobs: jobs that are simulated together; job i has row i.
-        sim: the run's options.
+        sim: the options of the run.
 
     Attributes:
-        every: (job,) steps between two frames of a world; 0: no recording.
+        every: (job,) number of steps between two frames of a world; 0: the world is not recorded.
     """
 
     def __init__(self, jobs: Sequence[Job], sim: Simulation) -> None:
@@ -68,8 +68,8 @@ class Recorder:
         return not self._recorded
 
     def add(self, row: int, frames: Frames) -> None:
-        """Append frames of a world. The new frames are later than the world's earlier frames, and may have columns for
-        more boxes."""
+        """Append frames of a world. They must be later than the world's earlier frames. They may have columns for more
+        boxes than the world has."""
         n = self._jobs[row].scene.n_boxes
         self._recorded[row].append(frames._replace(pose=frames.pose[:, :n], top_force=frames.top_force[:, :n]))
 
@@ -88,18 +88,18 @@ class Recorder:
 
     @staticmethod
     def _frames(steps: Any) -> Frames:
-        """Frames from steps of one world: a ``Trail`` on the host without the axis of worlds. A box that was just
+        """Frames from steps of one world: a ``Trail`` on the host, without the axis of worlds. A box that was just
         placed has no force on its top yet."""
         (fresh,) = np.nonzero(steps.fresh)
         steps.top_force[fresh, steps.placed[fresh] - 1] = 0.0
         return Frames(steps.number, steps.placed, steps.pose, steps.top_force, steps.carrier_pose)
 
     def history(self, row: int, world: State, time_s: Callable[[int], float]) -> History | None:
-        """The history of a world that has ended; None if it was not recorded. The frames of the world are dropped.
+        """The history of a world that has ended; None if it was not recorded. The world's frames are then dropped.
 
         Args:
-            world: the world's last state: one row, on the host.
-            time_s: gives the time after a step.
+            world: the last state of the world: one row, on the host.
+            time_s: returns the time after a step, s.
         """
         frames = self._recorded.pop(row, None)
         if frames is None:
@@ -109,13 +109,13 @@ class Recorder:
             frames.insert(0, _of_state(job, job.start))
         last = _of_state(job, world)
         if not frames or frames[-1].step[-1] != last.step[0]:
-            frames.append(last)  # the host has ended the world
+            frames.append(last)  # the host ended the world
         parts: dict[str, Any] = {
             name: np.concatenate([getattr(part, name) for part in frames]) for name in Frames._fields
         }
         driven_from = None if world.driven_from == NEVER else int(world.driven_from)
         pose = parts["pose"].astype(np.float64)
-        with np.errstate(invalid="ignore"):  # boxes that are not placed yet
+        with np.errstate(invalid="ignore"):  # NaN for boxes that are not yet placed
             pose[..., :3] = job.scene.middles(pose[..., :3], pose[..., 3:])
         return history_of(
             job,
@@ -130,7 +130,7 @@ class Recorder:
 
 
 def _of_state(job: Job, state: State) -> Frames:
-    """The frame of a state; the forces on tops are not known."""
+    """The frame of a state; its forces on tops are unknown."""
     n = job.scene.n_boxes
     pose = np.array(state.qpos, np.float32)[None, :n]
     return Frames(

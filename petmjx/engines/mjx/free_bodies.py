@@ -24,7 +24,7 @@ from petmjx.world.free_bodies import FreeBodies
 
 
 def paths(bodies: FreeBodies, sim: Simulation, most: int) -> FloatArray:
-    """As ``petmjx.engines.protocol.Engine.paths``, for ``most`` worlds at a time."""
+    """See ``petmjx.engines.protocol.Engine.paths``. ``most``: largest number of worlds simulated at a time."""
     begins = range(0, len(bodies.scenes), most)
     return np.concatenate([_paths_of_batch(bodies.part(slice(begin, begin + most)), sim) for begin in begins])
 
@@ -51,22 +51,22 @@ def _paths_of_batch(bodies: FreeBodies, sim: Simulation) -> FloatArray:
 
 
 def _without_carrier(worlds: Worlds, boards: int) -> Worlds:
-    """The worlds without the shapes of their carriers. MJX would check each shape in each step, even if no box is
-    near."""
+    """The worlds without the shapes of their carriers. Otherwise, MJX would check each shape in each step, even if no
+    box is near."""
     axes = {name: getattr(kind, "dim_str", "").split() for name, kind in get_type_hints(Worlds).items()}
     of_shapes = [name for name, axes_of in axes.items() if axes_of[1:2] == ["shape"]]
     return worlds._replace(**{name: getattr(worlds, name)[:, boards:] for name in of_shapes})
 
 
 class _NoRules(Rules):
-    """Rules for ``BatchRollout`` under which boxes only move."""
+    """Rules for ``BatchRollout`` that let boxes only move."""
 
     def park(self, state: State) -> State:
-        """No box waits in the air."""
+        """Do nothing, since no box waits in the air."""
         return state
 
     def after_step(self, state: State, *args: Any, **named: Any) -> State:
-        """Leave worlds and states as they are."""
+        """Leave worlds and their states unchanged."""
         return state
 
 

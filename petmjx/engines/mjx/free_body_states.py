@@ -1,4 +1,4 @@
-"""Device tables of released boxes, for mjx-jax and mjx-warp."""
+"""Device tables for released boxes, used by mjx-jax and mjx-warp."""
 
 from __future__ import annotations
 
@@ -14,16 +14,16 @@ from petmjx.world.free_bodies import FreeBodies
 from petmjx.world.job import ACCELERATION, Drive, Excitation, Job
 
 _HELD: Final = Drive(Excitation("held", ACCELERATION, np.zeros((0, 3))), scale=0.0, rest_s=0.0)
-"""A drive without excitation. It only holds the carrier, as all drives of its kind do."""
+"""A drive without excitation. It only holds the carrier, as all drives of this kind do."""
 
 
 def let_go(bodies: FreeBodies, sim: Simulation, rows: int, width: int) -> tuple[Worlds, State]:
-    """Worlds in which all boxes are released, and their states. Nothing drives them. The worlds end after the last
+    """Worlds in which all boxes are released, and their states. Nothing shakes them. The worlds end after the last
     requested step.
 
     Args:
-        rows: rows of the tables, at least one a world; spare rows have ended.
-        width: box columns.
+        rows: number of rows of the tables, at least one per world; spare rows have already ended.
+        width: number of box columns.
     """
     n, k = bodies.velocity.shape[:2]
     jobs = [Job(scene, _HELD) for scene in bodies.scenes]

@@ -1,7 +1,7 @@
 """Hands that carry boxes to their places, for all worlds of a batch (docs/rules.md, section 4).
 
-Pure functions of states. Twin of petmjx/engines/mujoco/hand.py. The carried box of a world is always the last placed
-box.
+These are pure functions of states. Twin of petmjx/engines/mujoco/hand.py. The carried box of a world is always the box
+that was placed last.
 """
 
 from __future__ import annotations
@@ -32,13 +32,13 @@ Vector = Float[Array, "world 3"]
 
 
 def carried_worlds(state: State) -> Bool[Array, " world"]:
-    """Worlds whose last box is in a hand."""
+    """Whether the last box of each world is in a hand."""
     return state.carried_from != NEVER
 
 
 def take_up(state: State, worlds: Worlds, where: Bool[Array, " world"], timestep_s: float) -> State:
-    """Move the last box from its release pose to the place where its way begins. If its way takes steps, a hand carries
-    it."""
+    """Move the last box from its release pose to the start of its path. If the path takes steps, a hand carries the
+    box."""
     box = jnp.maximum(state.placed - 1, 0)
     where = where & ~worlds.appears
     pose, offset, steps = (_values_of_box(values, box) for values in (state.qpos, worlds.way_offset, worlds.way_steps))
@@ -68,8 +68,8 @@ def take_up(state: State, worlds: Worlds, where: Bool[Array, " world"], timestep
 
 
 def carry_on(state: State, worlds: Worlds, where: Bool[Array, " world"], sim: Simulation) -> State:
-    """After a step in which boxes were carried: carry them further, or release them. A box that has arrived and rests
-    is set down first, unless it is meant to fall from its release pose."""
+    """After a step in which boxes were carried: carry them farther, or release them. A box that has arrived and is at
+    rest is set down first, unless it is meant to fall from its release pose."""
     box = jnp.maximum(state.placed - 1, 0)
     patience = stuck_steps(sim.physics.timestep_s)
     slow = _values_of_box(motion.speed(state.qvel, worlds.half), box) < sim.quiet.quiet_m_s
@@ -95,7 +95,7 @@ def carry_on(state: State, worlds: Worlds, where: Bool[Array, " world"], sim: Si
 
 
 def wrenches(state: State, worlds: Worlds, sim: Simulation) -> Float[Array, "world box 6"]:
-    """Force, N, and moment, N·m, of hands on boxes during the coming step, in world axes."""
+    """Forces, N, and moments, N·m, of hands on boxes during the next step, in world axes."""
     timestep, gravity = sim.physics.timestep_s, sim.physics.gravity_m_s2
     box = jnp.maximum(state.placed - 1, 0)
     pose, vel, half, held = (
@@ -133,8 +133,8 @@ def _free_begin(
     stands: Bool[Array, "world box"],
     most_aside: Float[Array, "world 2 2"],
 ) -> Vector:
-    """Places where boxes may begin without overlapping a standing box, m: the original place, else the nearest free
-    place beside it, else a place above."""
+    """Where boxes start so that they overlap no standing box, m: at the original place if it is free, else at the
+    nearest free place beside it, else above it."""
 
     def overlap(place: Vector) -> tuple[Float[Array, "world box 3"], Bool[Array, "world box"]]:
         shared = reaches + reach[:, None] - jnp.abs(middles - place[:, None])
@@ -186,12 +186,12 @@ def _rotations(quat: Float[Array, "*batch 4"]) -> Float[Array, "*batch 3 3"]:
 
 
 def _reaches(pose: Float[Array, "world box 7"], half: Float[Array, "world box 3"]) -> Float[Array, "world box 3"]:
-    """Half extents of the axis-aligned bounding boxes of turned boxes, m."""
+    """Half extents of the axis-aligned bounding boxes of rotated boxes, m."""
     return jnp.einsum("wbij,wbj->wbi", jnp.abs(_rotations(pose[..., 3:])), half)
 
 
 def _progress(step: Int[Array, " world"], steps: Int[Array, " world"]) -> Float[Array, " world"]:
-    """Share of a way of ``steps`` steps that is covered after ``step`` steps."""
+    """Share of a path of ``steps`` steps covered by step ``step``, with a smooth start and stop."""
     share = jnp.clip(step / steps, 0.0, 1.0)
     return share * share * (3.0 - 2.0 * share)
 
@@ -201,13 +201,13 @@ def _length(vector: Vector) -> Float[Array, " world"]:
 
 
 def _limited(vector: Vector, most: Float[Array, "world 1"]) -> Vector:
-    """Vectors, shortened to this length if longer."""
+    """The vectors, shortened to the length ``most`` if they are longer."""
     length = _length(vector)[:, None]
     return jnp.where(length <= most, vector, vector * (most / jnp.maximum(length, 1e-30)))
 
 
 def _rotation_vectors(quat: Float[Array, "world 4"], target_quat: Float[Array, "world 4"]) -> Vector:
-    """Rotation vectors from one orientation to another, in the axes of the first, rad; for small angles."""
+    """Rotations from ``quat`` to ``target_quat``, as vectors in the axes of the former, rad; for small angles."""
     w, u, v = quat[:, :1], quat[:, 1:], target_quat[:, 1:]
     real = w * target_quat[:, :1] + (u * v).sum(-1, keepdims=True)
     imaginary = w * v - target_quat[:, :1] * u - jnp.cross(u, v)

@@ -1,4 +1,4 @@
-"""Loads jobs into tables on the device, for worlds that are simulated together."""
+"""Loads jobs into tables on the device. The worlds of these jobs are simulated together."""
 
 from __future__ import annotations
 
@@ -20,11 +20,11 @@ from petmjx.options.simulation import Check, Schedule, Simulation
 from petmjx.world.job import Job
 
 GRANULE = 4
-"""Box columns of a table are a multiple of this, so that runs with different plans use the same programs."""
+"""The number of box columns of a table is a multiple of this, so that runs with different plans can share programs."""
 
 PROFILE_GRANULE = 512
-"""Steps of a table of profiles are a multiple of this, so that the legs of a chain use the same programs, although they
-differ in length."""
+"""The number of steps of a table of profiles is a multiple of this, so that the legs of a chain can share programs,
+although they differ in length."""
 
 
 @dataclass
@@ -32,8 +32,8 @@ class Batch:
     """Worlds that are simulated together. Job i has row i; the remaining rows are padding.
 
     Attributes:
-        table: the states, replaced after each step or slice.
-        profiles: (profile, step, 3) the samples of all excitations.
+        table: the states of the worlds; replaced after each step or slice.
+        profiles: (profile, step, 3) samples of all excitations.
         profile_rows: ``id`` of an excitation → its row in ``profiles``.
     """
 
@@ -46,11 +46,11 @@ class Batch:
 
     @property
     def boards(self) -> int:
-        """Shapes of a carrier for which the tables have room."""
+        """Number of shapes of a carrier for which the tables have room."""
         return int(self.worlds.shape_half.shape[1] - self.worlds.half.shape[1])
 
     def give_up(self, rows: NDArray[np.int64], flag: Flag) -> None:
-        """End worlds that cannot be simulated on this device."""
+        """End worlds that cannot be simulated on this device, with this flag."""
         flags = self.table.flags.at[rows].set(self.table.flags[rows] | int(flag))
         self.table = self.table._replace(flags=flags, status=self.table.status.at[rows].set(Status.FINISHED))
 
@@ -63,12 +63,12 @@ def load(
     timetable: Timetable,
     profile_room: tuple[int, int] = (0, 0),
 ) -> Batch:
-    """The tables of some jobs.
+    """Make the tables for some jobs.
 
     Args:
-        rows: rows of the tables, at least one a job.
-        width: box columns, at least as many as the largest plan has boxes.
-        profile_room: least number of rows for profiles, and their least steps.
+        rows: number of rows of the tables, at least one per job.
+        width: number of box columns, at least the number of boxes of the largest plan.
+        profile_room: smallest number of rows for profiles, and smallest number of their steps.
     """
     excitations = {id(job.drive.excitation): job.drive.excitation for job in jobs if job.drive}
     least_rows, least_steps = profile_room
@@ -90,7 +90,7 @@ def tables(
     timetable: Timetable,
     boards: int = 1,
 ) -> tuple[Worlds, State]:
-    """Constants and first states of jobs. ``boards`` as in ``upload_worlds``."""
+    """The constants and first states of jobs. ``boards``: see ``upload_worlds``."""
     worlds = upload_worlds(jobs, rows, width, profile_rows, sim, boards)
     static = sim.check is Check.STATIC
     ends = np.full(rows, NEVER, np.int32)
@@ -100,24 +100,24 @@ def tables(
                 ends[row] = timetable.static_end if static else timetable.one_by_one_end[job.scene.n_boxes]
     fresh = partial(fresh_state, all_placed=static, rest_steps=timetable.rest_steps)
     if all(isinstance(job.start, State) for job in jobs):
-        # no job needs a fresh state, so the program of fresh states need not be compiled
+        # no job needs a fresh state, so the program for fresh states need not be compiled
         return worlds, started_states(jobs, jax.eval_shape(fresh, worlds, ends=ends))
     return worlds, started_states(jobs, fresh(worlds, ends=device_array(ends)))
 
 
 def round_up(n: int, granule: int = GRANULE) -> int:
-    """The least multiple of ``granule`` that holds n boxes."""
+    """The smallest multiple of ``granule`` that is at least n."""
     return -(-n // granule) * granule
 
 
 def padded_rows(count: int) -> int:
-    """Rows for ``count`` worlds: a power of two, so that few programs are compiled."""
+    """Number of rows for ``count`` worlds: a power of two, so that few programs are compiled."""
     return 1 << (count - 1).bit_length()
 
 
 def is_out_of_memory(error: Exception) -> bool:
-    """Whether an error of JAX, XLA or Warp says that device memory ran out, or an error of Python says so of the host's
-    memory."""
+    """Whether an error of JAX, XLA or Warp reports that device memory ran out, or an error of Python that the host's
+    memory did."""
     text = str(error).lower()
     return isinstance(error, MemoryError) or any(
         words in text for words in ("resource_exhausted", "out of memory", "failed to allocate")

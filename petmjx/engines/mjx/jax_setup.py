@@ -1,7 +1,7 @@
-"""Sets up JAX for petmjx: device memory is shared with Warp, and compiled programs are kept in JAX's own cache.
+"""Sets up JAX for petmjx: it shares device memory with Warp, and keeps compiled programs in JAX's own cache.
 
-The folder of this cache is a setting of the process. The first engine sets it. The setting stays, and also applies to
-the caller's own JAX programs. A folder that the caller has set before is not changed. For Warp:
+The folder of this cache is a setting of the whole process. The first engine sets it. The setting remains, and also
+applies to the caller's own JAX programs. A folder that the caller has already set is not changed. For Warp, see
 petmjx/common/warp_setup.py.
 """
 
@@ -17,22 +17,22 @@ from petmjx.common.compile_caches import VARIABLES, cache_folder, why_not_writte
 from petmjx.common.machine import jax_devices
 
 MIN_COMPILE_S = 0.0
-"""Programs that compile faster than this are not kept. A run has about a hundred small programs, which together take
-some seconds."""
+"""Programs that compile faster than this are not kept, s. A run has about a hundred small programs, which together take
+some seconds to compile."""
 
 CPU_COMPILER_OPTIONS = {
-    # with the scheduler that is optimised for concurrency, programs of mjx-jax hang in XLA's thread pool
-    # (jaxlib 0.10.2, two cores: 7 runs of 7; without it 0 of 4)
+    # With the scheduler that is optimised for concurrency, programs of mjx-jax hang in XLA's thread pool
+    # (jaxlib 0.10.2, two cores: 7 of 7 runs hung; without it, 0 of 4).
     "xla_cpu_enable_concurrency_optimized_scheduler": False,
-    # with the newer emitters of fused loops the programs of 12 plans compile for 91 s of CPU time, without these
-    # emitters for 59 s (jaxlib 0.10.2); the programs run equally fast
+    # With the newer emitters of fused loops, compiling the programs of 12 plans takes 91 s of CPU time. Without
+    # them, it takes 59 s (jaxlib 0.10.2). The programs run equally fast.
     "xla_cpu_use_fusion_emitters": False,
 }
-"""XLA's options for large programs on a CPU. Each is left out if a jaxlib does not have it."""
+"""XLA's options for large programs on a CPU. An option is left out if the installed jaxlib does not have it."""
 
 
 def set_up_jax() -> None:
-    """Start JAX's devices and turn on its persistent compilation cache, unless the user has set one."""
+    """Start JAX's devices, and turn on its persistent compilation cache unless the user has set one."""
     jax_devices()
     config: Any = jax.config
     if config.jax_compilation_cache_dir is None or (VARIABLES["jax"] in os.environ and why_not_written("jax")):
@@ -44,8 +44,8 @@ def set_up_jax() -> None:
 def compiler_options() -> dict[str, bool]:
     """The ``compiler_options`` of ``jax.jit`` for large programs on this backend.
 
-    The options are passed with each program and not in ``XLA_FLAGS``. XLA reads those flags once, perhaps before petmjx
-    is imported, and ends the process if one of the flags is unknown.
+    The options are passed with each program and not in ``XLA_FLAGS``. XLA reads those flags only once, perhaps before
+    petmjx is imported, and ends the process if a flag is unknown.
     """
     if jax.default_backend() != "cpu":
         return {}
@@ -53,7 +53,7 @@ def compiler_options() -> dict[str, bool]:
 
 
 def _has_option(option: str, value: bool) -> bool:
-    """Whether this jaxlib has a compiler option."""
+    """Whether the installed jaxlib has a compiler option."""
     try:
         jax.jit(lambda x: x + 1).lower(0.0).compile(compiler_options={option: value})
     except jax.errors.JaxRuntimeError:

@@ -1,4 +1,5 @@
-"""Which boxes tremble (docs/rules.md, section 5), for all worlds of a batch. Twin: petmjx/engines/mujoco/jitter.py."""
+"""Finds trembling boxes (docs/rules.md, section 5), for all worlds of a batch. Twin:
+petmjx/engines/mujoco/jitter.py."""
 
 from __future__ import annotations
 
@@ -12,14 +13,14 @@ from petmjx.options.simulation import Simulation
 
 
 def jitter_mask(state: State, sim: Simulation) -> Bool[Array, "world box"]:
-    """Which boxes tremble. Right after another placement, trembling boxes are not known."""
+    """Whether each box trembles. Right after another placement, it is not known of any box."""
     return (state.trembles == 1) & (state.tremble_looks > 2 * sim.quiet.tremble_looks)[:, None]
 
 
 def after_look(
     state: State, worlds: Worlds, looks: Bool[Array, " world"], speed: Float[Array, "world box"], sim: Simulation
 ) -> State:
-    """States after a look for trembling in the worlds marked by ``looks``. ``speed``: speeds of the boxes' fastest
+    """The states after a look for trembling in the worlds marked by ``looks``. ``speed``: speeds of the boxes' fastest
     points, m/s."""
     rule = sim.quiet
     period, look_s = rule.tremble_looks, rule.poll_steps * sim.physics.timestep_s

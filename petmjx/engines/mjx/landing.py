@@ -1,6 +1,6 @@
 """Contact law of landing boxes, for all worlds of a batch.
 
-Twin of petmjx/world/contact_laws.py and petmjx/engines/mujoco/landing.py, which explain the law. It shares no
+Twin of petmjx/world/contact_laws.py and petmjx/engines/mujoco/landing.py, which explain the law. This module shares no
 arithmetic with them.
 """
 
@@ -19,8 +19,8 @@ from petmjx.world.friction_pairs import USUAL
 
 
 class Landing(NamedTuple):
-    """Boxes that land (``landing_left`` and ``landing_qvel`` of ``State``), the surfaces of geoms, and landing laws by
-    pair of surfaces."""
+    """Landing boxes (``landing_left`` and ``landing_qvel`` of ``State``), the surfaces of geoms, and the landing laws
+    by pair of surfaces."""
 
     left: Int[Array, "*world box"]
     before: Float[Array, "*world box 6"]
@@ -29,19 +29,19 @@ class Landing(NamedTuple):
 
     @classmethod
     def of(cls, state: State, worlds: Worlds) -> Landing:
-        """The landings of all worlds. Geom 0 is the floor, which has surface 0."""
+        """The landings in all worlds. Geom 0 is the floor, which has surface 0."""
         surface = jnp.pad(worlds.shape_surface, ((0, 0), (1, 0)))
         return cls(state.landing_left, state.landing_qvel, surface, worlds.pair_landing)
 
 
 def act(data: Any, boxes: Int[Array, "contact 2"], landing: Landing, sim: Simulation) -> tuple[Any, Landing]:
-    """Replace the contacts of landing boxes in one world's MJX data, between collision and solver.
+    """Change the contacts of landing boxes in one world's MJX data. Called between collision and solver.
 
     Args:
-        boxes: the box of each contact's geoms; negative: no box.
+        boxes: the box to which each geom of a contact belongs; negative: no box.
 
     Returns:
-        The data, and the landings afterwards.
+        The changed data and landings.
     """
     physics = sim.physics
     rows, contact = data._impl, data._impl.contact

@@ -1,4 +1,4 @@
-"""MJX's solver for elliptic cones, with a line search that rounding does not stop."""
+"""MJX's solver for elliptic cones, with a line search that does not stop because of rounding."""
 
 from __future__ import annotations
 
@@ -13,17 +13,17 @@ import numpy as np
 from petmjx.engines.mjx.mjx_import import mjx
 
 _ROUNDED: Final = 8 * float(np.finfo(np.float32).eps)
-"""Relative accuracy of a square in float32, as a share of its terms."""
+"""Relative accuracy of a sum of squares in float32, as a share of its terms."""
 
 
 def solve(model: Any, data: Any) -> Any:
-    """As ``mjx.solve``.
+    """``mjx.solve`` with this line search.
 
-    Along a search direction v from u the square of a contact's tangential force is u² + α·(2·u·v + α·v²). MJX (3.17:
-    mujoco/mjx/_src/solver.py, ``_LSPoint``) takes its root. Where friction is to vanish, as under a box that lands
-    flat, a Newton step has v = −u, and in float32 the square is slightly negative at its end. Then cost and slope are
-    NaN, the search finds no better point, and the solver stops with an arbitrary force. So u² is raised here until the
-    square is not negative. The change is smaller than float32's rounding.
+    Along a search direction v from u, the square of a contact's tangential force is u² + α·(2·u·v + α·v²). MJX (3.17:
+    mujoco/mjx/_src/solver.py, ``_LSPoint``) computes its root. If friction should vanish, as under a box that lands
+    flat, a Newton step has v = −u, and in float32 the square is slightly negative at the end of the step. Then cost and
+    slope are NaN, the search finds no better point, and the solver stops with an arbitrary force. So u² is raised here
+    until the square is not negative. The change is smaller than float32's rounding error.
 
     Args:
         model: the MJX model of one world.
@@ -35,7 +35,7 @@ def solve(model: Any, data: Any) -> Any:
 
 @contextmanager
 def _real_roots() -> Iterator[None]:
-    """While a program is traced inside this context, the roots in the line search's points are real."""
+    """In programs that are traced inside this context, the roots in the points of the line search are real numbers."""
     point = _point_class()
     original, descriptor = point.create, vars(point)["create"]
 

@@ -1,7 +1,7 @@
 """``mujoco.mjx``, imported without its message.
 
 If Warp is not installed, MJX prints a message to standard output (3.17: in ``mujoco/mjx/warp/__init__.py``). The engine
-mjx-jax does not need Warp, and standard output may be JSON that a program reads.
+mjx-jax does not need Warp, and a program may read standard output as JSON.
 """
 
 from __future__ import annotations
@@ -28,10 +28,10 @@ class _SilentLoader(SourceFileLoader):
 
 
 class _SilentFinder(MetaPathFinder):
-    """Finds only the module that prints."""
+    """Finds only the module that prints the message."""
 
     def find_spec(self, fullname: str, path: Any, target: ModuleType | None = None) -> ModuleSpec | None:
-        # ``path`` is a list of folders, or an iterable that importlib makes
+        # ``path`` is a list of folders, or an iterable made by importlib
         spec = PathFinder.find_spec(fullname, path) if fullname == _PRINTS else None
         if spec is None or not isinstance(spec.loader, SourceFileLoader):
             return None

@@ -29,10 +29,10 @@ def outcomes(
     sim: Simulation,
     recorder: Recorder,
 ) -> Iterator[Outcome]:
-    """Outcomes, with histories, of the rows that ``read_back`` has read back.
+    """The outcomes, with histories, of the rows that ``read_back`` has fetched.
 
     Args:
-        jobs, stream_numbers: row → job, and its ``Outcome.job``.
+        jobs, stream_numbers: row → job, and row → the job's ``Outcome.job``.
     """
     clock = Clock(sim.physics.timestep_s)
     for batch in picked:
@@ -81,7 +81,7 @@ def _outcomes(
             boxes=boxes,
             n_at_sign=int(m.sign_placed[i]) if has_culprit else 0,
             solver=sim.solver.value,
-            # only the world's own columns: a world that starts from this state may be in a narrower table
+            # only the world's own columns, since a world that starts from this state may be in a narrower table
             state=jax.tree.map(lambda a, i=i: np.array(a[i]), narrow(host, n)) if job.keep_state else None,
             history=recorder.history(int(row), jax.tree.map(lambda a, i=i: a[i], host), seconds)
             if job.record
@@ -90,7 +90,7 @@ def _outcomes(
 
 
 def _put_at_rest(jobs: Sequence[Job], host: State) -> None:
-    """Put the boxes of jobs with ``poses`` at these poses, at rest, in states on the host."""
+    """In states on the host, put the boxes of jobs that have ``poses`` at these poses, at rest."""
     for row, job in enumerate(jobs):
         if job.poses is None:
             continue
@@ -101,15 +101,15 @@ def _put_at_rest(jobs: Sequence[Job], host: State) -> None:
 
 
 def started_states(jobs: Sequence[Job], fresh: State) -> State:
-    """First states of jobs: the stored state for jobs with a start, else a fresh state.
+    """First states of jobs: the kept state for jobs with a start, else a fresh state.
 
-    Kept states are on the host, and are forked there (see ``upload_worlds``). Fresh states are fetched from the device
-    only if a job needs them. Padding rows never run, and may have any state.
+    Kept states are on the host, and are copied there (see ``upload_worlds``). Fresh states are fetched from the device
+    only if a job needs them. Padding rows never run, so they may have any state.
 
     Args:
-        fresh: fresh states; if all jobs start from kept states, shapes and types without values are enough.
+        fresh: fresh states. If all jobs start from kept states, shapes and types without values are enough.
     """
-    # a drive that follows a placement at once begins on the device, where boxes cannot be put elsewhere
+    # a drive right after a placement begins on the device, where boxes cannot be moved to other poses
     assert all(job.poses is None or isinstance(job.start, State) for job in jobs)
     starts = list({id(job.start): job.start for job in jobs if isinstance(job.start, State)}.values())
     if not starts:

@@ -1,7 +1,7 @@
-"""The padded template of a capacity: one compiled MuJoCo model for all plans of up to ``capacity`` boxes.
+"""The padded template for a capacity: one compiled MuJoCo model for all plans of up to ``capacity`` boxes.
 
-Sizes, masses, frictions and gravity differ from world to world. Values that differ between worlds are not in the
-template, but in per-world overrides of model fields. Only ``override_fields`` computes these.
+Sizes, masses, frictions and gravity differ from world to world. Such values are not in the template, but in overrides
+of model fields for each world. Only ``override_fields`` computes these overrides.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ FLOOR_GEOM = 0
 CARRIER_BODY, FIRST_BOX_BODY = 1, 2
 
 FLOAT32_TOLERANCE = 1e-6
-"""Smallest relative solver tolerance. Float32 cannot reach MuJoCo's tolerance of 1e-8, which would only cost
+"""Smallest relative solver tolerance. Float32 cannot reach MuJoCo's tolerance of 1e-8; trying would only cost
 iterations."""
 
 MAX_ITERATIONS = 100
@@ -37,8 +37,8 @@ LINE_SEARCH_ITERATIONS = 50
 
 PARKING_HEIGHT_M = 50.0
 PARKING_PITCH_M = 8.0
-"""Distance of boxes that are not placed yet, which hang in a row at ``PARKING_HEIGHT_M``. No two bounding spheres meet
-(the largest BED-BPP item is under 1 m), and float32 still resolves positions to 0.05 mm."""
+"""Distance between boxes that are not yet placed. They hang in a row at ``PARKING_HEIGHT_M``. At this distance no two
+bounding spheres meet (the largest BED-BPP item is under 1 m), and float32 still resolves positions to 0.05 mm."""
 
 
 def padded_template(
@@ -52,13 +52,13 @@ def padded_template(
     iterations: int,
     line_search_iterations: int,
 ) -> mujoco.MjModel:
-    """Compile the template: floor, a carrier of ``boards`` shapes, ``capacity`` boxes. Sizes are nominal, and overrides
+    """Compile the template: floor, a carrier of ``boards`` shapes, ``capacity`` boxes. Its sizes are nominal; overrides
     replace them.
 
     Args:
-        boards: with 0 nothing touches the carrier.
-        held: the carrier has no joint instead of a free one (prescribed-acceleration profiles). A held carrier stands
-            where its world's data say.
+        boards: with 0, nothing touches the carrier.
+        held: whether the carrier has no joint instead of a free one (for profiles with a prescribed acceleration). A
+            held carrier has the pose in its world's data.
     """
     scene = _nominal_scene(capacity, boards, physics)
     at = HeldCarrier(scene.carrier.pos, np.array(IDENTITY_QUAT), mocap=True) if held else None
@@ -94,13 +94,13 @@ def _nominal_scene(capacity: int, boards: int, physics: Physics) -> Scene:
 
 
 def parked_positions(capacity: int) -> Float[Array, "box 3"]:
-    """Places at which boxes of a world wait until they are placed, m."""
+    """Places at which the boxes of a world wait until they are placed, m."""
     x = PARKING_PITCH_M * jnp.arange(1, capacity + 1)
     return jnp.stack([x, jnp.zeros(capacity), jnp.full(capacity, PARKING_HEIGHT_M)], axis=-1)
 
 
 def _box_inertia(half: Float[Array, "world body 3"], mass: Float[Array, "world body"]) -> Float[Array, "world body 3"]:
-    """Principal moments of solid boxes in box order: m/3 · (b² + c²) for half extents a, b, c."""
+    """Principal moments of solid boxes, in the order of their axes: m/3 · (b² + c²) for half extents a, b, c."""
     squares = half**2
     return mass[..., None] / 3 * (squares.sum(-1, keepdims=True) - squares)
 
@@ -108,14 +108,14 @@ def _box_inertia(half: Float[Array, "world body 3"], mass: Float[Array, "world b
 def override_fields(
     worlds: Worlds, model: Any, *, held: bool, physics: Physics, gives: bool = False
 ) -> dict[str, Float[Array, "world ..."]]:
-    """Per-world model fields, keyed as ``Model.tree_replace`` takes them.
+    """Model fields for each world, under the names that ``Model.tree_replace`` takes.
 
-    ``physics`` has the skin by which geoms are larger than boxes. ``model`` is the template's MJX model; its values
-    stay for the world body and the floor, which no world changes. With ``gives``, contacts of compliant boxes have laws
-    of their own.
+    ``physics`` has the skin by which geoms are larger than boxes. ``model`` is the template's MJX model. Its values are
+    kept for the world body and the floor, which are the same in all worlds. With ``gives``, contacts of compliant boxes
+    get their own laws.
 
-    Derived fields follow MuJoCo's compiler. ``body_invweight0`` and ``dof_invweight0`` of a free body are 1/m and the
-    mean of 1/I. ``geom_rbound`` is the half diagonal. Tests check all of them against the compiler.
+    Derived fields are computed as in MuJoCo's compiler. ``body_invweight0`` and ``dof_invweight0`` of a free body are
+    1/m and the mean of 1/I. ``geom_rbound`` is the half diagonal. Tests check all of them against the compiler.
     """
     n_worlds, shapes = worlds.shape_half.shape[:2]
     boards = shapes - worlds.half.shape[1]

@@ -1,4 +1,4 @@
-"""Readback of ended worlds from the device to the host."""
+"""Reads ended worlds back from the device to the host."""
 
 from __future__ import annotations
 
@@ -18,17 +18,17 @@ from petmjx.engines.mjx.world_state import State, take_rows
 from petmjx.options.simulation import Simulation
 
 READ_BACK_ROWS: Final = 256
-"""Rows that are read back at a time; a smaller table has fewer. XLA compiles a program for each number of rows."""
+"""Number of rows that are read back at a time; a smaller table has fewer. Each number of rows needs its own program."""
 
 
 class Readback(NamedTuple):
-    """States and metrics of rows of a table, as bits of one array. The host waits for each array that it fetches from a
-    GPU, so a single array is best.
+    """States and metrics of some rows of a table, as the bits of one array. The host waits for each array that it
+    fetches from a GPU, so a single array is fastest.
 
     Attributes:
-        rows: rows of the table; ``bits`` may have more rows, as padding.
+        rows: numbers of the rows; ``bits`` may have more rows, as padding.
         bits: the values of all arrays.
-        kinds: a ``State`` and ``RunMetrics`` that hold shape and type in place of each array.
+        kinds: a ``State`` and ``RunMetrics`` that hold the shape and type of each array instead of the array.
     """
 
     rows: NDArray[np.int64]
@@ -36,7 +36,7 @@ class Readback(NamedTuple):
     kinds: Any
 
     def on_host(self) -> tuple[State, RunMetrics]:
-        """The arrays on the host. Waits for the device."""
+        """The arrays, on the host. Waits for the device."""
         bits, first = np.asarray(self.bits), 0
 
         def next_of(kind: Any) -> NDArray[Any]:
@@ -52,7 +52,7 @@ class Readback(NamedTuple):
 
 @partial(jax.jit, static_argnames="sim")
 def reduce_metrics(state: State, worlds: Worlds, sim: Simulation) -> RunMetrics:
-    """Metrics that need the whole run, for every world of a table, on the device."""
+    """The metrics that need the whole run, for every world of a table, on the device."""
     placed = jnp.arange(worlds.half.shape[1])[None] < state.placed[:, None]
     return run_metrics(state.metrics, state.qpos, worlds, placed, state.step >= state.end, sim.thresholds)
 
@@ -66,7 +66,7 @@ def _readback_words(table: State, worlds: Worlds, rows: Int[Array, " row"], sim:
 
 
 def prepare_readback(table: State, worlds: Worlds, sim: Simulation) -> None:
-    """Compile the programs of ``read_back`` while the device is busy, so that later readbacks need no compilation."""
+    """Compile the programs of ``read_back`` while the device is busy, so that later calls need no compilation."""
     read_back(np.zeros(1, np.int64), table, worlds, sim)
 
 

@@ -1,4 +1,4 @@
-"""Repeated rows of tables, as for many drives that start from one placement."""
+"""Gathers rows of tables that are repeated, as for many drives that start from one placement."""
 
 from __future__ import annotations
 
@@ -12,12 +12,12 @@ from numpy.typing import NDArray
 from petmjx.common.processes import on_threads
 
 MANY: Final = 1_000
-"""Number of rows from which several threads are worthwhile. NumPy releases the interpreter's lock."""
+"""Number of rows from which on several threads are worthwhile. NumPy releases the interpreter's lock meanwhile."""
 
 MOST_THREADS: Final = 8
 
 
 def gather_rows(arrays: Iterable[NDArray[Any]], source: NDArray[np.int64]) -> list[NDArray[Any]]:
-    """The rows with numbers ``source`` of each array. Many of these rows are equal."""
+    """The rows with the numbers ``source`` of each array. Many of these numbers are equal."""
     threads = MOST_THREADS if len(source) >= MANY else 1
     return on_threads(partial(np.take, indices=source, axis=0), [*arrays], threads)

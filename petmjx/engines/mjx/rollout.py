@@ -1,4 +1,4 @@
-"""The rollout of a batch: all worlds take a step, then the rules are applied. A program takes many steps."""
+"""The rollout of a batch: all worlds take a step, and then the rules are applied. A program takes many steps."""
 
 from __future__ import annotations
 
@@ -23,14 +23,14 @@ from petmjx.engines.mjx.world_state import State
 from petmjx.options.simulation import SOFT_START_STEPS
 
 CHUNK_STEPS = 25
-"""Steps of one call of a program. Between two calls the host checks whether any world still runs."""
+"""Number of steps in one call of a program. Between two calls, the host checks whether any world still runs."""
 
 
 class BatchRollout:
     """Runs chunks of steps of a batch, in placements or in drives (``rules.driven``).
 
-    Worlds that have ended stay as they are until all have ended. ``gives``: some boxes are compliant; ``wraps``: film
-    holds boxes in drives.
+    Worlds that have ended do not change until all worlds have ended. ``gives``: whether there are compliant boxes;
+    ``wraps``: whether film holds boxes in drives.
     """
 
     def __init__(self, rules: Rules, model: PaddedModel, gives: bool = False, wraps: bool = False) -> None:
@@ -56,8 +56,8 @@ class BatchRollout:
         worlds: Worlds,
         profiles: Float[Array, "profile step 3"],
     ) -> tuple[State, Float[Array, "world constraint"], Trail]:
-        """States and constraint forces after a chunk, and its ``Trail``. The trail is always kept: with and without a
-        recorder the program must be the same, since another program might round differently."""
+        """The states and constraint forces after a chunk, and its ``Trail``. The trail is always kept: the program must
+        be the same with and without a recorder, since another program might round differently."""
         held, physics = self.model.held, self.rules.sim.physics
         fields = override_fields(worlds, self.model.model, held=held, physics=physics, gives=self.gives)
         faces = Faces.of(worlds, fields["body_invweight0"][:, 1:, 0]) if self.gives else None
@@ -93,14 +93,14 @@ class BatchRollout:
         profiles: Float[Array, "profile step 3"],
         faces: Faces | None,
     ) -> tuple[State, Float[Array, "world constraint"], Float[Array, "world box"]]:
-        """One step of every world, and the rules after it. Returns states, constraint forces, and the forces on tops in
-        the step."""
+        """Take one step in every world, and apply the rules. Returns states, constraint forces, and the forces on tops
+        in the step."""
         rules, held = self.rules, self.model.held
         gravity, push = self._excitation(state, worlds, profiles)
         shown = rules.park(state)
         # Boxes in the air fall freely during the step. If the solver starts from free fall, it has nothing to solve for
-        # waiting boxes. From zero acceleration, each of these boxes would add ½·m·g² to the cost, and float32 would
-        # lose the contacts in that sum.
+        # waiting boxes. If it started from zero acceleration, each of these boxes would add ½·m·g² to the cost, and
+        # float32 would lose the contacts in that sum.
         standing = rules.standing(state)[..., None]
         start = shown.qacc.at[..., :3].set(jnp.where(standing, shown.qacc[..., :3], gravity[:, None]))
         inputs = {
@@ -134,7 +134,7 @@ class BatchRollout:
         def moved(
             row: Float[Array, "world coordinate"], carrier: Float[Array, "world k"], boxes: Float[Array, "world box k"]
         ) -> tuple[Float[Array, "world k"], Float[Array, "world box k"]]:
-            """Changes of a step, for running worlds and boxes in play. All other values stay."""
+            """The values after a step, for running worlds and boxes in play. All other values stay the same."""
             new_carrier, new_boxes = self._split(row, carrier)
             return jnp.where(running, new_carrier, carrier), jnp.where(standing, new_boxes, boxes)
 
@@ -159,9 +159,9 @@ class BatchRollout:
         return after, stepped.forces, stepped.top_force
 
     def _presses(self, before: State, worlds: Worlds, rising: Float[Array, " world"]) -> Bool[Array, " world"]:
-        """Whether the forces of the step after ``before`` count although no sample is due. While a drive acts, forces
-        always count. Otherwise a box must be fast, and a box must rise or a look for quiet must be due. ``rising``: the
-        largest upward acceleration, m/s²."""
+        """Whether forces count in the step after ``before`` although no sample is due. While a drive acts, forces
+        always count. Otherwise, two conditions must hold: a box is fast, and a box rises or a look for quiet is due.
+        ``rising``: the largest upward acceleration, m/s²."""
         rules, step = self.rules, before.step + 1
         if not rules.sim.waits_for_rest:
             return jnp.zeros_like(before.running)
@@ -173,7 +173,7 @@ class BatchRollout:
     def _excitation(
         self, state: State, worlds: Worlds, profiles: Float[Array, "profile step 3"]
     ) -> tuple[Float[Array, "world 3"], Float[Array, "world 3"]]:
-        """Gravity (m/s²) and the force on the carrier (N) for the coming step."""
+        """Gravity (m/s²), and the force on the carrier (N), for the next step."""
         ramp = jnp.clip((state.step + SOFT_START_STEPS) / SOFT_START_STEPS, 0.0, 1.0)
         gravity = ramp[:, None] * jnp.array([[0.0, 0.0, -self.rules.sim.physics.gravity_m_s2]])
         if not self.rules.driven:
@@ -189,14 +189,14 @@ class BatchRollout:
     def _join(
         self, carrier: Float[Array, "world k"], boxes: Float[Array, "world box k"]
     ) -> Float[Array, "world coordinate"]:
-        """Generalized coordinates: those of the carrier, unless it is held, then those of the boxes."""
+        """Generalised coordinates: those of the carrier, unless it is held, and then those of the boxes."""
         flat = boxes.reshape(len(boxes), -1)
         return flat if self.model.held else jnp.concatenate([carrier, flat], axis=-1)
 
     def _split(
         self, row: Float[Array, "world coordinate"], carrier: Float[Array, "world k"]
     ) -> tuple[Float[Array, "world k"], Float[Array, "world box k"]]:
-        """The reverse of ``_join``. A held carrier keeps its coordinates."""
+        """The inverse of ``_join``. A held carrier keeps its coordinates."""
         width = carrier.shape[-1]
         if not self.model.held:
             carrier, row = row[:, :width], row[:, width:]

@@ -1,7 +1,7 @@
 """The rules of a run, applied after each step of all worlds: sampling, placing, resting, ending (docs/rules.md).
 
-Pure functions of states. This module does not depend on how a step is taken. The C engine has its own implementation of
-the same rules.
+They are pure functions of states. This module does not depend on how a step is computed. The engine ``mujoco`` has its
+own implementation of the same rules.
 """
 
 from __future__ import annotations
@@ -27,11 +27,11 @@ from petmjx.world.release_places import NOTHING
 from petmjx.world.scene import IDENTITY_QUAT
 
 UNBELIEVABLE = 1e10
-"""MuJoCo calls positions and velocities beyond this bad (mjMAXVAL)."""
+"""MuJoCo considers positions and velocities beyond this value bad (mjMAXVAL)."""
 
 
 class _SampleInputs(NamedTuple):
-    """Values at the beginning of a step, for samples. Shapes and units as in ``Rules.after_step``."""
+    """Values at the beginning of a step, for samples. Shapes and units are those of ``Rules.after_step``."""
 
     qpos: Float[Array, "world box 7"]
     qacc: Float[Array, "world box 6"]
@@ -40,7 +40,7 @@ class _SampleInputs(NamedTuple):
 
 
 def _drive_end(state: State, worlds: Worlds) -> Int[Array, " world"]:
-    """Last step of each drive if its world does not rest earlier."""
+    """Last step of each drive, unless its world comes to rest earlier."""
     return state.driven_from + worlds.drive_steps
 
 
@@ -48,8 +48,8 @@ def _drive_end(state: State, worlds: Worlds) -> Int[Array, " world"]:
 class Rules:
     """The rules and their constants, for worlds with room for ``capacity`` boxes.
 
-    ``driven``: settled worlds are shaken, and no boxes are placed. ``carries``: in some worlds boxes do not appear at
-    their places.
+    ``driven``: settled worlds are shaken, and no boxes are placed. ``carries``: in some worlds, boxes do not just
+    appear at their places.
     """
 
     sim: Simulation
@@ -64,14 +64,14 @@ class Rules:
         return jnp.concatenate([parked_positions(self.capacity), quat], axis=-1)
 
     def standing(self, state: State) -> Bool[Array, "world box"]:
-        """Boxes in play: placed, and in a running world."""
+        """Whether each box is in play, that is, placed and in a running world."""
         return self._placed(state) & state.running[:, None]
 
     def _placed(self, state: State) -> Bool[Array, "world box"]:
         return jnp.arange(self.capacity)[None] < state.placed[:, None]
 
     def judged(self, state: State) -> Bool[Array, "world box"]:
-        """Boxes in play that no hand carries."""
+        """Whether each box is in play and no hand carries it."""
         standing = self.standing(state)
         if not self.carries:
             return standing
@@ -80,7 +80,7 @@ class Rules:
 
     def park(self, state: State) -> State:
         """Move boxes that are not in play to their waiting places, at rest. Carriers of ended worlds are lifted into
-        the air, too: without contacts the solver has nothing to solve."""
+        the air, too, since without contacts the solver has nothing to solve."""
         standing, ended = self.standing(state)[..., None], ~state.running[:, None]
         aloft = jnp.array([[0.0, 0.0, PARKING_HEIGHT_M, *IDENTITY_QUAT]])
         return state._replace(
@@ -93,7 +93,7 @@ class Rules:
         )
 
     def place_next(self, state: State, worlds: Worlds, where: Bool[Array, " world"]) -> State:
-        """Release the next box at rest: at its release pose, or where its fall or its way begins."""
+        """Release the next box: at rest at its release pose, or at the start of its fall or path."""
         chosen = ((jnp.arange(self.capacity)[None] == state.placed[:, None]) & where[:, None])[..., None]
         release = worlds.start.at[..., 2].add(self._come_down(state, worlds))
         placed = state._replace(
@@ -129,7 +129,7 @@ class Rules:
         """Begin the drives of worlds whose placement has settled."""
         begins = (state.status == Status.SETTLED) & worlds.driven
         end = _drive_end(state, worlds)
-        # signs from the placement (for example, of a hard landing) are dropped where no box is over a threshold now
+        # signs from the placement (such as a hard landing) are dropped if no box is beyond a threshold now
         metrics = state.metrics.without_sign(begins & ~self._is_over(state, worlds)).without_rest(begins)
         middles = motion.middles(state.qpos, worlds.middle)
         anchor = jnp.where(begins[:, None, None], middles[..., :2], metrics.sway_anchor)
@@ -145,7 +145,7 @@ class Rules:
         )
 
     def _is_over(self, state: State, worlds: Worlds) -> Bool[Array, " world"]:
-        """Whether a box is over a threshold now, or has dropped."""
+        """Whether a box is beyond a threshold now, or has dropped."""
         limits = self.sim.thresholds
         middles = motion.middles(state.qpos, worlds.middle)
         shift = motion.shift(middles, worlds.target, limits.shift_floor_m, worlds.sinks)
@@ -154,8 +154,8 @@ class Rules:
         return (self._placed(state) & (excess > 1)).any(-1)
 
     def _is_lost(self, state: State, worlds: Worlds) -> Bool[Array, " world"]:
-        """Whether a box has dropped, or is tilted too far now. In a drive, a tilted box counts only if it has also
-        swayed as far as its drive allows."""
+        """Whether a box has dropped, or is tilted too far at the moment. In a drive, a tilted box counts only if it has
+        also swayed as far as its drive allows."""
         tilted = motion.tilt_deg(state.qpos[..., 3:]) > self.sim.thresholds.tilt_deg
         if self.driven:
             tilted &= state.metrics.sway(motion.middles(state.qpos, worlds.middle)) >= worlds.allowed_sway[:, None]
@@ -174,10 +174,10 @@ class Rules:
 
         Args:
             state: poses, velocities and step counters after the step.
-            seen_qpos: poses at the beginning of the step, to which the step's contacts and accelerations belong.
-            qacc: linear (m/s²) and angular (rad/s²) accelerations of each box in that step.
+            seen_qpos: poses at the beginning of the step, to which the contacts and accelerations of the step belong.
+            qacc: linear (m/s²) and angular (rad/s²) accelerations of each box in the step.
             top_force: force on each box's top, N.
-            presses: worlds whose ``top_force`` counts, also in a step without a sample.
+            presses: whether the ``top_force`` of each world counts even in a step without a sample.
         """
         before, in_hand = state.running, hand.carried_worlds(state)
         moving = (state.qpos, state.qvel, state.carrier_qpos, state.carrier_qvel)
@@ -221,9 +221,9 @@ class Rules:
         lin = jnp.sqrt((seen.qacc[..., :3] ** 2).sum(-1))
         ang = jnp.sqrt((seen.qacc[..., 3:] ** 2).sum(-1))
         violent = (sampled & ((lin > limits.lin_acc_m_s2) | (ang > limits.ang_acc_rad_s2))).any(-1) & (culprit < 0)
-        # Light boxes that land, and tipping boxes that hit, reach up to 240 rad/s² for a few steps. So samples right
-        # after a placement do not count. A violent sample is an explosion only if the following samples are violent,
-        # too.
+        # Light boxes that land, and tipping boxes that hit something, reach up to 240 rad/s² for a few steps. So
+        # samples right after a placement do not count. A violent sample is an explosion only if the following samples
+        # are violent, too.
         landing = self.sim.quiet.landing_steps
         counts = sample & (state.step - state.last_placed_at >= landing)
         if self.carries:
@@ -255,7 +255,7 @@ class Rules:
         tilted = looked & (tilt > limits.tilt_deg)
         lost = dropped | (tilted & worlds.ends_when_lost[:, None])
         if looks:
-            first = jnp.arange(self.capacity)[None] == m.culprit[:, None]  # the culprit of an earlier look
+            first = jnp.arange(self.capacity)[None] == m.culprit[:, None]  # the culprit found at an earlier look
             lost |= tilted & first & (m.sway(pos) >= worlds.allowed_sway[:, None])
         stopped = lost.any(-1) & self.sim.early_stop & ~last
         flags = jnp.where(exploded, int(Flag.EXPLOSION), 0) | jnp.where(stopped, int(Flag.EARLY_STOP), 0)
@@ -272,11 +272,11 @@ class Rules:
         """In worlds with ``poll``, count the steps for which all boxes were quiet. The count starts again if a box
         creeps.
 
-        A pallet is quiet after ``quiet.steps`` steps if no box creeps. Trembling boxes are ignored; the count restarts
-        at 0 when boxes are found to tremble. Looks for trembling are made in worlds whose waits adapt.
+        A pallet is quiet after ``quiet.steps`` steps if no box creeps. Trembling boxes are ignored, but the count
+        restarts at 0 when boxes are found to tremble. Trembling is looked for in worlds whose waits adapt.
 
         Returns:
-            The states, and which pallets are quiet.
+            The states, and whether each pallet is quiet.
         """
         quiet = self.sim.quiet
         speed = jnp.where(self.standing(state), motion.speed(state.qvel, worlds.half), 0.0)
@@ -303,7 +303,7 @@ class Rules:
         return counted, enough & ~anew
 
     def _proceed(self, state: State, worlds: Worlds) -> State:
-        """Place the next box, let the world settle, or let it come to rest."""
+        """In each world whose wait is over: place the next box, let it settle, or begin its rest window."""
         quiet, table = self.sim.quiet, self.timetable
         has_more = (state.placed < worlds.n_boxes) & (not self.driven)
         in_drive = self._rests_in_drive(state)
@@ -317,7 +317,7 @@ class Rules:
         enough = self.sim.waits_for_rest | (state.step - state.waits_since >= quiet.landing_steps)
         past_deadline = ~in_drive & (state.step >= self._deadline(state, worlds, has_more, adapts))
         go = waits & (past_deadline | (still & adapts & enough))
-        # a drive follows, without a check whether the pallet rests
+        # these worlds begin their drive at once, without a check that the pallet rests
         settles = go & ~has_more & worlds.settles & (not self.driven and not self._rests_first)
         rests = go & ~has_more & ~settles
         moves = (settles | (go & has_more)) & ~failed & (state.quiet_steps < quiet.steps)
@@ -332,8 +332,8 @@ class Rules:
         return self.place_next(state, worlds, go & has_more)
 
     def rest_from(self, state: State) -> Int[Array, " world"]:
-        """The step after which the rest window of a quiet world begins. By then the world's last box has landed. In a
-        drive it has landed already."""
+        """The step after which the rest window of a quiet world begins. The world's last box must have landed by then;
+        in a drive, it has already landed."""
         if self.driven:
             return state.step
         return jnp.maximum(state.step, state.last_placed_at + self.sim.quiet.landing_steps)
@@ -344,12 +344,12 @@ class Rules:
 
     @property
     def _rests_first(self) -> bool:
-        """Whether a drive follows a rest window and a check at the window's end."""
+        """Whether a rest window, with a check at its end, comes before a drive."""
         return self._adaptive and self.sim.waits_for_rest
 
     def _rests_in_drive(self, state: State) -> Bool[Array, " world"]:
-        """Which drives end early if the pallet is quiet: a rest window that begins now must be over when the last one
-        would begin."""
+        """Whether each drive can end early if its pallet is quiet. A rest window that begins now must be over when the
+        last possible one would begin."""
         early = (state.end != NEVER) & (state.step <= state.end - 2 * self.timetable.rest_steps)
         return early & (self.driven and self._rests_first)
 
@@ -357,8 +357,8 @@ class Rules:
         self, state: State, worlds: Worlds, more: Bool[Array, " world"], adapts: Bool[Array, " world"]
     ) -> Int[Array, " world"]:
         """The latest step for the next event. A long wait becomes a short one once a box has failed; the short wait
-        counts from the first sign. It also becomes a short one before a further box if an earlier wait ended with a
-        moving world."""
+        counts from the first sign. A wait for a further box is also short if an earlier wait ended with a moving
+        world."""
         sim, table = self.sim, self.timetable
         hopeful = ~state.metrics.has_failed(sim.thresholds)
         plain_static = ~worlds.settles if sim.check == "static" and not self.driven else jnp.zeros_like(more)
@@ -376,14 +376,14 @@ class Rules:
         return jnp.where(patient & hopeful & ~restless, self._longest_wait(state, worlds), due)
 
     def _longest_wait(self, state: State, worlds: Worlds) -> Int[Array, " world"]:
-        """The step until which the rules wait for a moving world, after its last placement or the end of its drive."""
+        """The last step of the wait for a moving world, counted from its last placement or the end of its drive."""
         if self.driven:
             return _drive_end(state, worlds) + self.timetable.longest_steps
         return jnp.asarray(self.timetable.longest)[state.last_placed_at]
 
     def _look_at_the_end(self, state: State, worlds: Worlds) -> State:
-        """Decide at the last step. The rules wait for a moving world if no box is lost or its drive may go on. A world
-        at rest may begin its drive."""
+        """Decide what follows the last step. A moving world gets more time if no box is lost, or if its drive may
+        continue. A world at rest may begin its drive."""
         sim, table = self.sim, self.timetable
         ends = state.running & (state.step > 0) & (state.step >= state.end)
         moved = motion.moved(state.still_qpos, state.qpos, worlds.half)

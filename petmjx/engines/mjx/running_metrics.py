@@ -1,6 +1,6 @@
-"""Running metrics of boxes for all worlds at a time: statistics of samples, and the final metrics of a run.
+"""Running metrics of boxes, for all worlds together: statistics of samples, and the final metrics of a run.
 
-Twin of petmjx/engines/mujoco/running_metrics.py and of petmjx/engines/warp/kernels/samples.py, which works on the same
+Twin of petmjx/engines/mujoco/running_metrics.py, and of petmjx/engines/warp/kernels/samples.py, which uses the same
 fields. Definitions: docs/metrics.md. The rules decide which boxes and steps count (petmjx/engines/mjx/rules.py).
 """
 
@@ -23,11 +23,11 @@ class Sample(NamedTuple):
     tops, N.
 
     Attributes:
-        sampled: boxes with a sample in this step.
-        presses: boxes whose forces count.
-        tilts: boxes whose tilts count, also at a look in a drive.
-        looked: boxes that are checked: also in worlds at their end.
-        rested: boxes in a rest window; ``rests`` marks the worlds whose steps are counted.
+        sampled: whether the box has a sample in this step.
+        presses: whether the force on the box's top counts.
+        tilts: whether the box's tilt counts; it also does at a look in a drive.
+        looked: whether the box is checked; it also is at the end of its world.
+        rested: whether the box is in a rest window; ``rests`` marks the worlds whose steps are counted.
     """
 
     step: Int[Array, " world"]
@@ -46,8 +46,8 @@ class Sample(NamedTuple):
 
 
 class Metrics(NamedTuple):
-    """Running statistics of boxes over the samples since a box was placed, and the first sign of failure. Tilt and sway
-    also cover looks in a drive."""
+    """Running statistics of boxes over all samples since each box was placed, and the first sign of failure. Tilt and
+    sway also include looks in a drive."""
 
     max_tilt: Float[Array, "world box"]
     max_lin_acc: Float[Array, "world box"]
@@ -63,7 +63,7 @@ class Metrics(NamedTuple):
     sign_placed: Int[Array, " world"]
 
     def with_sample(self, sample: Sample, worlds: Worlds, *, driven: bool) -> Metrics:
-        """The metrics with one more sample. ``driven``: worlds are shaken. The first sign stays."""
+        """The metrics after one more sample. ``driven``: whether worlds are shaken. The first sign is not changed."""
 
         def largest(old: Array, new: Array, where: Array) -> Array:
             return jnp.where(where, jnp.maximum(old, new), old)
@@ -83,17 +83,17 @@ class Metrics(NamedTuple):
         )
 
     def sway(self, pos: Float[Array, "world box 3"]) -> Float[Array, "world box"]:
-        """Horizontal distance of boxes from where they were when their drive began, m."""
+        """Horizontal distance of boxes from their positions at the start of their drive, m."""
         return jnp.sqrt(((pos[..., :2] - self.sway_anchor) ** 2).sum(-1))
 
     def has_failed(self, thresholds: Thresholds) -> Bool[Array, " world"]:
-        """Whether a box has failed for good: it has dropped, or was tilted too far at a look. A shift is no failure for
-        good. Shifts are judged at rest, and may go back until then."""
+        """Whether a box has failed irreversibly: it has dropped, or was tilted too far at a look. A shift is not
+        irreversible: it is judged at rest, and may decrease until then."""
         failed = (self.drop_step >= 0) | (self.max_tilt > thresholds.tilt_deg)
         return (self.culprit >= 0) & failed.any(-1)
 
     def without_rest(self, where: Bool[Array, " world"]) -> Metrics:
-        """The metrics at the beginning of a new rest window."""
+        """The metrics at the start of a new rest window."""
         return self._replace(
             rest_force_sum=jnp.where(where[:, None], 0.0, self.rest_force_sum),
             rest_samples=jnp.where(where, 0, self.rest_samples),
@@ -108,7 +108,7 @@ class Metrics(NamedTuple):
 
 
 def no_metrics(n_worlds: int, n_boxes: int) -> Metrics:
-    """Metrics of worlds before any sample."""
+    """The metrics of worlds before their first sample."""
     zeros, ints = jnp.zeros((n_worlds, n_boxes)), jnp.zeros(n_worlds, jnp.int32)
     return Metrics(
         max_tilt=zeros,
@@ -143,8 +143,8 @@ def run_metrics(
     ended: Bool[Array, " world"],
     thresholds: Thresholds,
 ) -> RunMetrics:
-    """Metrics that need the whole run, for placed boxes, from their last poses. Only worlds that reached their end have
-    forces at rest."""
+    """The metrics that need the whole run, for placed boxes, from their last poses. Only worlds that reached their end
+    have forces at rest."""
     m = metrics
     shift = motion.shift(motion.middles(qpos, worlds.middle), worlds.target, thresholds.shift_floor_m, worlds.sinks)
     rested = (m.rest_samples > 0) & ended
@@ -160,7 +160,7 @@ def run_metrics(
 
 def of_boxes(metrics: Metrics, measured: RunMetrics, row: int, n: int, driven: bool) -> dict[str, FloatArray]:
     """Fields of ``petmjx.engines.metrics.BoxMetrics`` for the n boxes of the world in this row, from records on the
-    host. Poses and times are missing, since they need the scene and the clock."""
+    host. Poses and times are missing, since they require the scene and the clock."""
 
     def doubles(values: Any) -> FloatArray:
         return np.asarray(values[row, :n], np.float64)

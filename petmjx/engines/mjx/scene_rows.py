@@ -1,5 +1,5 @@
-"""Rows of tables from scenes. Similar scenes are filled in together: one by one, filling took longer than a GPU's
-simulation of small worlds."""
+"""Makes rows of tables from scenes. Similar scenes are filled in together: filled in one by one, they would take longer
+than a GPU's simulation of small worlds."""
 
 from __future__ import annotations
 
@@ -22,16 +22,16 @@ from petmjx.world.scene import IDENTITY_QUAT, Scene
 from petmjx.world.stackable_scenes import stackable_groups, stacked_values
 
 Rows = dict[str, NDArray[Any]]
-"""Name of a field of ``world_constants.Worlds`` → its rows, one for each scene."""
+"""Name of a field of ``world_constants.Worlds`` → its rows, one per scene."""
 
 
 def rows_of(scenes: Sequence[Scene], width: int, sim: Simulation, boards: int = 1, spare: int = 0) -> Rows:
-    """Rows of scenes: the fields of ``world_constants.Worlds`` that do not depend on the job.
+    """The rows of scenes: all fields of ``world_constants.Worlds`` that do not depend on the job.
 
     Args:
-        scenes: a scene that is repeated is filled in once.
-        width: box columns.
-        boards: columns for the shapes of a carrier; more if a scene's carrier has more.
+        scenes: a scene that occurs several times is filled in only once.
+        width: number of box columns.
+        boards: number of columns for the shapes of a carrier; increased if a carrier has more shapes.
         spare: number of additional rows, which repeat the first scene's row.
     """
     distinct = list({id(scene): scene for scene in scenes}.values())
@@ -77,7 +77,7 @@ def _n_shapes(scene: Scene) -> int:
 
 
 def _empty(n: int, width: int, boards: int) -> Rows:
-    """Rows without boxes."""
+    """Rows with no boxes in them."""
     start = np.zeros((n, width, 7), np.float32)
     start[:, :, 3:] = IDENTITY_QUAT
     shapes = boards + width
@@ -109,7 +109,7 @@ def _empty(n: int, width: int, boards: int) -> Rows:
 
 
 def _scene_values(scenes: Sequence[Scene]) -> Rows:
-    """Fields with one value for each scene."""
+    """The fields with one value per scene."""
     return {
         "n_boxes": stacked_values(scenes, "n_boxes").astype(np.int32),
         "carrier_pos": stacked_values(scenes, "carrier.pos").astype(np.float32),
@@ -126,7 +126,7 @@ def _scene_values(scenes: Sequence[Scene]) -> Rows:
 def _put_plain(
     rows: Rows, at: NDArray[np.intp], scenes: Sequence[Scene], release: Release, path: ApproachPath | None
 ) -> None:
-    """Fill in plain scenes that are stackable."""
+    """Fill in plain scenes, which must be stackable."""
     k, s = scenes[0].n_boxes, len(scenes[0].carrier.half_size)
     half = stacked_values(scenes, "half_size")
     quat, place = stacked_values(scenes, "start_quat"), release.pos
@@ -156,7 +156,7 @@ def _put_plain(
 
 
 def _put(rows: Rows, row: int, scene: Scene, sim: Simulation) -> None:
-    """Fill in any scene."""
+    """Fill in a scene of any kind."""
     k, release, shapes = scene.n_boxes, release_of(scene, sim), scene.shapes
     rows["half"][row, :k], rows["middle"][row, :k] = scene.half_size, scene.middle
     rows["target"][row, :k] = scene.target

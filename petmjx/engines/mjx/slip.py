@@ -1,4 +1,4 @@
-"""The law of sliding contacts, applied between MJX's contacts and its solver (petmjx/world/contact_laws.py)."""
+"""The law of sliding contacts, applied between MJX's collision and its solver (petmjx/world/contact_laws.py)."""
 
 from __future__ import annotations
 
@@ -17,10 +17,10 @@ from petmjx.world.contact_laws import ENOUGH_M_S2, MOST_ROUNDS, RELAXATION, STIC
 
 
 class SlipLaw:
-    """The law of sliding contacts, for elliptic cones. Rows of open contacts are zeros, and stay zeros.
+    """The law of sliding contacts, for elliptic cones. Rows of open contacts are zeros and stay zeros.
 
     Args:
-        model_of: gives a world's model for its fields.
+        model_of: returns a world's model, given its fields.
     """
 
     def __init__(self, physics: Physics, model_of: Callable[[Any], Any]) -> None:
@@ -29,12 +29,12 @@ class SlipLaw:
         self._model_of = model_of
 
     def solve(self, fields: Any, data: Any) -> Any:
-        """The data of all worlds with the solver's accelerations and forces. All worlds are solved again while the
-        contacts of any world need another round.
+        """The data of all worlds, with the solver's accelerations and forces. All worlds are solved again as long as
+        contacts in any world need another round.
 
         Args:
-            fields: fields of the model, by world.
-            data: MJX's data, by world, ready for the solver.
+            fields: fields of the model, for each world.
+            data: MJX's data, for each world, ready for the solver.
         """
         data = jax.vmap(self._with_friction)(data)
         excess, slides = jax.vmap(self._begin)(data)
@@ -61,7 +61,7 @@ class SlipLaw:
         excess: Float[Array, " contact"],
         slides: Bool[Array, " contact"],
     ) -> tuple[Float[Array, " velocity"], Float[Array, " constraint"], Float[Array, " contact"], Bool[Array, ""]]:
-        """Accelerations and forces of one world at this excess; the resulting change of the excess, m/s²; and whether
+        """Accelerations and forces of one world for this excess; the resulting change of the excess, m/s²; and whether
         another round is needed."""
         normal, friction, aref = self._normal(data), data._impl.contact.friction[:, 0], data._impl.efc_aref
         lowered = {"_impl.efc_aref": aref.at[normal].add(-friction * excess)}
@@ -73,14 +73,14 @@ class SlipLaw:
         return solved.qacc, force, change, (friction * jnp.abs(change)).max() > ENOUGH_M_S2
 
     def _begin(self, data: Any) -> tuple[Float[Array, " contact"], Bool[Array, " contact"]]:
-        """The initial excess of one world's contacts, m/s², and which of them slide."""
+        """The initial excess of one world's contacts, m/s², and whether each of them slides."""
         normal, aref = self._normal(data), data._impl.efc_aref
         most = _tangent(aref, normal) - self._slack
         beyond = _tangent(data._impl.efc_J @ data.qacc_warmstart - aref, normal) - self._slack
         return jnp.clip(beyond, 0.0, jnp.maximum(most, 0.0)), most > 0
 
     def _with_friction(self, data: Any) -> Any:
-        """One world's data with the friction of its sliding contacts."""
+        """One world's data, with the friction of sliding contacts reduced."""
         if self._kinetic == 1:
             return data
         slip = _tangent(data._impl.efc_J @ data.qvel, self._normal(data))
@@ -95,5 +95,5 @@ class SlipLaw:
 
 
 def _tangent(rows: Float[Array, " constraint"], normal: NDArray[np.integer]) -> Float[Array, " contact"]:
-    """Lengths along the tangents."""
+    """Lengths of the tangential parts."""
     return jnp.hypot(rows[normal + 1], rows[normal + 2])

@@ -1,7 +1,7 @@
-"""The timetable of a run in whole steps, the same steps as in the reference implementation.
+"""The timetable of a run in whole steps. The steps are the same as in the reference implementation.
 
 MuJoCo's clock is a float64 running sum of the timestep. An event happens after the first step at which ``time − earlier
-time ≥ interval``. The batched engines count steps in integers. These tables give them the results of the float64
+time ≥ interval``. The batched engines count steps as integers. These tables give them the results of the float64
 comparisons.
 """
 
@@ -19,23 +19,23 @@ from petmjx.options.simulation import Check, Simulation
 from petmjx.world.approach_paths import MOST_STUCK_S, MOST_WAY_S
 
 KEPT: Final = 8
-"""Number of timetables that are kept. Each table has up to 20 bytes a step, 25 MB for 250 boxes."""
+"""Number of timetables that are kept. Each takes up to 20 bytes per step: 25 MB for 250 boxes."""
 
 
 @dataclass(frozen=True, eq=False)
 class Timetable:
-    """Step numbers of a run, and its clock.
+    """The step numbers of a run, and its clock.
 
     Attributes:
         clock: time after each step, s.
-        due: a wait of ``interval_s`` that began after step s ends at step ``due[s]``.
+        due: a wait of ``interval_s`` that begins after step s ends at step ``due[s]``.
         longest: the same for ``longest_wait_s``.
-        settled: the same for ``settle_s``. The end's time on the clock is converted to steps.
+        settled: the same for ``settle_s``. The time of the end on the clock is converted to steps.
         settled_nominally: by number of boxes, the step after which a drive starts with the fixed schedule. The
-            reference counts from the nominal moment of the last placement, while rounding to steps delays the real
-            moment a little.
-        sample_every, rest_steps: steps between two samples, and steps of the rest window.
-        still_steps: steps before a world's end during which boxes must be still.
+            reference counts from the nominal moment of the last placement; rounding to steps delays the real moment a
+            little.
+        sample_every, rest_steps: number of steps between two samples, and in the rest window.
+        still_steps: number of steps before a world's end during which boxes must be still.
         due_steps, longest_steps: as ``due`` and ``longest``, for waits after a drive, which are counted in steps.
         one_by_one_end: last step of the fixed one-by-one check, by number of boxes.
         static_end: last step of the static check.
@@ -57,11 +57,11 @@ class Timetable:
 
 @functools.lru_cache(KEPT)
 def build_timetable(sim: Simulation, max_boxes: int) -> Timetable:
-    """Tables long enough for the placement of ``max_boxes`` boxes, settling included. Timetables are cached: do not
-    change them."""
+    """The timetable, long enough for the placement of ``max_boxes`` boxes, including settling. Timetables are cached,
+    so they must not be changed."""
     dt = sim.physics.timestep_s
     wait_s = max(sim.interval_s, sim.longest_wait_s)
-    # a wait takes whole steps, and the clock's rounding may add one step
+    # a wait takes whole steps, and rounding of the clock may add one step
     waits = 2 if sim.check is Check.STATIC else max_boxes + 2
     if sim.may_carry:
         wait_s += MOST_WAY_S + 2 * MOST_STUCK_S
@@ -89,11 +89,11 @@ def build_timetable(sim: Simulation, max_boxes: int) -> Timetable:
 
 
 def _after(clock: Float64[np.ndarray, " step"], wait_s: float, timestep_s: float) -> Int32[np.ndarray, " step"]:
-    """For each step, the first step that is at least ``wait_s`` later; beyond the end of the tables, the step after the
-    last."""
+    """For each step, the first step that is at least ``wait_s`` later. Beyond the end of the tables: the step after the
+    last one."""
     n = len(clock) - 1
-    # searchsorted compares a time with (earlier time + wait), which rounds differently from the difference of times in
-    # the rule. So the result is corrected with the rule's own comparison.
+    # searchsorted compares a time with (earlier time + wait). This rounds differently from the difference of times in
+    # the rule, so the result is corrected with the rule's own comparison.
     after = np.searchsorted(clock, clock + wait_s - timestep_s / 2).astype(np.int64)
     for _ in range(2):
         inside = np.minimum(after, n)

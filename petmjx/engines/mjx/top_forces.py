@@ -8,7 +8,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, Int
 
 VERTICAL_COSINE = math.cos(math.radians(45.0))
-"""A contact is vertical if its normal is within 45° of z."""
+"""A contact counts as vertical if its normal is within 45° of z."""
 
 
 def contact_force_z(
@@ -18,11 +18,12 @@ def contact_force_z(
     *,
     pyramidal: bool,
 ) -> Float[Array, "*batch"]:
-    """World-z component of the contact force on the second geom, N.
+    """The z component, in world axes, of the contact force on the second geom, N.
 
     ``rows`` are the constraint forces of one contact. Elliptic cones: (normal, tangent 1, tangent 2, unused). Pyramidal
-    cones: the four edges; their sum is the normal force, and their differences × sliding friction are the tangents.
-    Source: MuJoCo's documentation, "Computation", section "Contact". ``frame_z``: z components of normal and tangents.
+    cones: the four edges. Their sum is the normal force, and their differences × sliding friction are the tangential
+    forces. Source: MuJoCo's documentation, "Computation", section "Contact". ``frame_z``: z components of normal and
+    tangents.
     """
     if pyramidal:
         normal = rows.sum(-1)
@@ -38,11 +39,11 @@ def pressed_box(
     geom_z: Float[Array, "*batch 2"],
     normal_z: Float[Array, "*batch"],
 ) -> tuple[Int[Array, "*batch"], Float[Array, "*batch"], Bool[Array, "*batch"]]:
-    """The box that a contact presses on: the partner whose centre is lower. ``body``: boxes, or negative numbers.
+    """The box on which a contact presses: the partner whose centre is lower. ``body``: boxes, or negative numbers.
 
     Returns:
-        Box index (negative for carrier and floor). The sign by which the force on the second geom becomes a downward
-        force on the lower geom. And whether the contact is vertical and its lower partner is a box.
+        The number of the box (negative for carrier and floor); the sign that turns the force on the second geom into a
+        downward force on the lower geom; and whether the contact is vertical and its lower partner is a box.
     """
     first_is_lower = geom_z[..., 0] < geom_z[..., 1]
     box = jnp.where(first_is_lower, body[..., 0], body[..., 1])

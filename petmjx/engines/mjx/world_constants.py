@@ -1,4 +1,4 @@
-"""Constants of worlds on the device: tables made from jobs, with a row a world.
+"""Constants of worlds on the device: tables made from jobs, with one row per world.
 
 Box columns are padded to the same number. Axes are named in ``petmjx.engines.mjx``.
 """
@@ -25,29 +25,28 @@ class Worlds(NamedTuple):
 
     Body 0 is the carrier, and box k is body k + 1.
 
-    Shapes and boxes: the shapes of body b begin at ``first_shape[b]``, in the order of bodies; ``shape_body`` gives the
-    body of each shape. ``half`` and ``middle`` are the boxes' half extents, and their centres in their frames.
-    ``inertia_box`` is as in ``petmjx.world.body_shapes.Body``.
+    Shapes and boxes: the shapes of body b begin at ``first_shape[b]``, in the order of bodies. ``shape_body`` is the
+    body of each shape. ``half`` and ``middle`` are the boxes' half extents, and their centres in their frames. For
+    ``inertia_box``, see ``petmjx.world.body_shapes.Body``.
 
     Contacts: ``floor_friction`` and ``friction`` are sliding, torsional and rolling coefficients. For
-    ``shape_surface``, ``pair_friction``, ``pair_landing`` and ``pair_kinetic`` see petmjx/world/friction_pairs.py. For
+    ``shape_surface``, ``pair_friction``, ``pair_landing`` and ``pair_kinetic``, see petmjx/world/friction_pairs.py. For
     ``shape_give``, m³/N, and ``sinks``, the expected descent of boxes, see petmjx/world/compliance.py.
 
-    Drives: ``driven``: a drive follows; ``held``: it holds the carrier fast. ``drive_yaw`` is (cos, sin).
-    ``profile_steps`` counts the drive's samples; ``drive_steps`` counts the steps to the world's end, unless it rests
-    earlier. ``allowed_sway``, m, is the drive's allowed sway.
+    Drives: ``driven``: a drive follows the placement. ``held``: the drive holds the carrier fixed. ``drive_yaw`` is
+    (cos, sin). ``profile_steps`` is the number of samples of the drive. ``drive_steps`` is the number of steps until
+    the world's end, unless the world rests earlier. ``allowed_sway``, m, is the drive's allowed sway.
 
-    Ends: ``settles``: the placement ends in a settled state, for a drive or to keep. ``ends_when_lost``:
-    ``has_errors`` of ``petmjx.world.job.Job``. ``pauses``: when its boxes rest, the world waits for
-    further boxes (petmjx/engines/open_worlds.py). ``ends_when_gone``: the world is a trial, which ends when a box is
-    gone.
+    Ends: ``settles``: the placement ends in a settled state, for a drive or to keep. ``ends_when_lost``: see
+    ``has_errors`` of ``petmjx.world.job.Job``. ``pauses``: when its boxes are at rest, the world waits for further
+    boxes (petmjx/engines/open_worlds.py). ``ends_when_gone``: the world is a trial, which ends when a box is gone.
 
-    Placing: ``start`` is where a box is released if its ``support`` is where the plan has it. The release follows the
+    Placing: ``start`` is the release pose of a box if its ``support`` is at its planned place. The release follows the
     support by at most ``most_followed``, m (petmjx/world/release_places.py). ``appears``: all boxes begin at ``start``.
-    Carried boxes begin at an offset of ``way_offset`` from it, for a way of ``way_steps``, or 0 if they fall. At the
-    end of the way boxes are set down, unless they are released to fall (petmjx/world/approach_paths.py).
-    ``hand_force``, N, and ``hand_speed``, m/s, are a hand's limits, and ``way_aside``, m, is how far a box may begin
-    aside to the low and the high end of x and y. ``wrap_press`` and ``wrap_hold``, N, are the forces of film
+    Carried boxes begin at an offset of ``way_offset`` from it. Their path has ``way_steps`` steps; 0 if they fall. At
+    the end of the path, boxes are set down, unless they are released to fall (petmjx/world/approach_paths.py).
+    ``hand_force``, N, and ``hand_speed``, m/s, are a hand's limits. ``way_aside``, m, is how far a box may start to the
+    side, towards the low and the high end of x and y. ``wrap_press`` and ``wrap_hold``, N, are the forces of film
     (petmjx/world/film.py).
     """
 
@@ -107,7 +106,7 @@ def device_array(values: NDArray[Any]) -> jax.Array:
 
 
 def device_arrays(arrays: Iterable[NDArray[Any]]) -> list[jax.Array]:
-    """Like ``device_array``, for many arrays in one call. This takes half of the time of a call for each."""
+    """``device_array`` for many arrays in one call. This takes half the time of one call per array."""
     uploads: list[jax.Array] = jax.device_put([*arrays])
     return uploads
 
@@ -120,14 +119,14 @@ def upload_worlds(
     sim: Simulation,
     boards: int = 1,
 ) -> Worlds:
-    """Constants of a group of jobs as device arrays. Everything is made on the host. On a device each operation would
+    """Constants of a group of jobs, as device arrays. They are made on the host: on a device, each operation would
     first have to be compiled for each shape.
 
     Args:
-        rows: rows of the tables, at least one a job; spare rows repeat the first job's scene and never run.
-        width: box columns.
-        profiles: ``id`` of an excitation → its row in the profile table.
-        boards: columns for the shapes of a carrier; more if a scene's carrier has more.
+        rows: number of rows of the tables, at least one per job. Spare rows repeat the first job's scene and never run.
+        width: number of box columns.
+        profiles: ``id`` of an excitation → its row in the table of profiles.
+        boards: number of columns for the shapes of a carrier; increased if a carrier has more shapes.
     """
     spare = rows - len(jobs)
     of_scenes = rows_of([job.scene for job in jobs], width, sim, boards, spare)
@@ -141,7 +140,7 @@ _NO_DRIVE: Final = Drive(Excitation("none", FORCE, np.zeros((0, 3))), scale=0.0,
 
 
 def _rows_of_jobs(jobs: Sequence[Job], profiles: dict[int, int], timestep_s: float) -> Rows:
-    """Fields of the tables that depend on the job and not only on its scene, without the fields of open worlds."""
+    """The fields that depend on the job, not only on its scene. The fields of open worlds are not included."""
     drives = [job.drive or _NO_DRIVE for job in jobs]
     profiles = {id(_NO_DRIVE.excitation): 0, **profiles}
     profile_steps = np.array([len(drive.excitation.samples) for drive in drives], np.int32)

@@ -1,4 +1,4 @@
-"""The states of worlds on the device, from step to step: tables with the rows and columns of
+"""The states of worlds on the device, from step to step: tables with the same rows and box columns as
 ``world_constants.Worlds``."""
 
 from __future__ import annotations
@@ -18,31 +18,31 @@ from petmjx.options.simulation import SOFT_START_STEPS
 from petmjx.world.scene import IDENTITY_QUAT
 
 NEVER = np.iinfo(np.int32).max
-"""A step that is never reached; also stands for an end that is not known yet."""
+"""A step that is never reached. It also stands for an end that is not yet known."""
 
 SOFT_START_BEGIN = -2 * SOFT_START_STEPS
-"""Step counter of a fresh world: the soft start's steps come before step 0."""
+"""Step counter of a fresh world: the steps of the soft start come before step 0."""
 
 
 class Status:
-    """Phases of a world. Plain integers, since they are stored in device arrays."""
+    """The phases of a world. They are plain integers, since device arrays store them."""
 
     RUNNING = 0
     SETTLED = 2
-    """Placement is over, and the pallet has come to rest. A drive may follow."""
+    """The placement is over, and the pallet is at rest. A drive may follow."""
     FINISHED = 3
     OVERFLOWED = 4
     """On mjx-warp: a buffer is too small for the next step."""
     PAUSED = 5
-    """All boxes of an open world are placed and at rest, and more may come."""
+    """All boxes of an open world are placed and at rest. More boxes may follow."""
 
 
 class State(NamedTuple):
-    """The state of worlds between two steps. Steps are counted from the end of the soft start."""
+    """The states of worlds between two steps. Steps are counted from the end of the soft start."""
 
-    # MuJoCo's arrays of free bodies, with boxes and carrier in separate arrays: positions, velocities, accelerations of
-    # the last step, and accelerations from which mjx-warp's solver starts in the next step. Other solvers start from
-    # the accelerations of the last step.
+    # MuJoCo's arrays of free bodies, with boxes and carrier in separate arrays. They are positions, velocities,
+    # accelerations of the last step, and accelerations from which mjx-warp's solver starts in the next step. Other
+    # solvers start from the accelerations of the last step.
     qpos: Float[Array, "world box 7"]
     qvel: Float[Array, "world box 6"]
     qacc: Float[Array, "world box 6"]
@@ -62,53 +62,53 @@ class State(NamedTuple):
     placed: Int[Array, " world"]
     last_placed_at: Int[Array, " world"]
 
-    # Carrying: the steps after which a hand took up the last placed box and began to set it down, or NEVER; the number
-    # of steps of its way, and the way's ends, for the origin of the box's frame.
+    # Carrying: the steps after which a hand took up the box placed last, and began to set it down, or NEVER; the number
+    # of steps of the box's path; and the ends of the path, for the origin of the box's frame.
     carried_from: Int[Array, " world"]
     lowered_from: Int[Array, " world"]
     carried_steps: Int[Array, " world"]
     way_begin: Float[Array, "world 3"]
     way_end: Float[Array, "world 3"]
 
-    # Landing: steps for which a box still counts as landing, and its velocity before it touched.
+    # Landing: the number of steps for which a box still counts as landing, and its velocity before it touched.
     landing_left: Int[Array, "world box"]
     landing_qvel: Float[Array, "world box 6"]
 
-    # Film: where boxes were when it was wound around them, and the anchors at which the film holds them, both relative
-    # to the carrier.
+    # Film: the positions of the boxes when the film was wound around them, and the anchors at which the film holds
+    # them, both relative to the carrier.
     film_home: Float[Array, "world box 3"]
     film_anchor: Float[Array, "world box 3"]
 
-    # For the rules: the step after which the wait for the next event began, the number of steps during which all boxes
-    # have been quiet, the boxes' speeds at the first of these, and the step of the first of consecutive violent
+    # For the rules: the step after which the wait for the next event began; the number of steps for which all boxes
+    # have been quiet; the boxes' speeds at the first of these steps; and the step of the first of consecutive violent
     # samples.
     waits_since: Int[Array, " world"]
     quiet_steps: Int[Array, " world"]
     quiet_speed: Float[Array, "world box"]
     violent_since: Int[Array, " world"]
 
-    # Trembling: the looks since the last placement, and which boxes tremble (1). And, since this was last decided: the
-    # way that each box has gone, its largest distance from its start, m, and its start.
+    # Trembling: the number of looks since the last placement, and whether each box trembles (1). Since this was last
+    # decided: the length of each box's path, its largest distance from its start, m, and its start.
     tremble_looks: Int[Array, " world"]
     trembles: Int[Array, "world box"]
     tremble_path: Float[Array, "world box"]
     tremble_away: Float[Array, "world box"]
     tremble_qpos: Float[Array, "world box 7"]
 
-    # Coming events, as steps or NEVER: the start of the drive, the start of the rest window, and the end of the world.
-    # And the poses shortly before the end; from then on boxes must be still.
+    # Future events, as steps or NEVER: the start of the drive, the start of the rest window, and the end of the world.
+    # Also the poses shortly before the end; from then on, boxes must be still.
     driven_from: Int[Array, " world"]
     rest_from: Int[Array, " world"]
     end: Int[Array, " world"]
     still_qpos: Float[Array, "world box 7"]
     status: Int[Array, " world"]
 
-    # For the outcome: bits of Flag, the steps simulated in this run of jobs, and the metrics.
+    # For the outcome: bits of Flag, the number of steps simulated in this run of jobs, and the metrics.
     flags: Int[Array, " world"]
     steps_done: Int[Array, " world"]
     metrics: Metrics
 
-    # Force on each box's top in the step before the pause of the world, N.
+    # Force on each box's top in the step before the world paused, N.
     top_force: Float[Array, "world box"]
 
     @property
@@ -116,14 +116,14 @@ class State(NamedTuple):
         return self.status == Status.RUNNING
 
     def flat(self) -> dict[str, Array]:
-        """All arrays by name, including those of the metrics, as mjx-warp's kernels take them."""
+        """All arrays by name, including those of the metrics, as the kernels of mjx-warp take them."""
         arrays: dict[str, Array] = self._asdict() | self.metrics._asdict()
         del arrays["metrics"]
         return arrays
 
 
 def of_flat(arrays: Mapping[str, Array]) -> State:
-    """The states from arrays by name, as ``State.flat`` gives them."""
+    """The states from arrays by name, the inverse of ``State.flat``."""
     metrics = Metrics(**{name: arrays[name] for name in Metrics._fields})
     return State(**{name: arrays[name] for name in State._fields if name != "metrics"}, metrics=metrics)
 
@@ -133,13 +133,13 @@ Record = TypeVar("Record", bound=tuple[Any, ...])
 
 @cache
 def per_box(record: type[Any]) -> tuple[str, ...]:
-    """Names of a record's fields whose second axis is ``box``, from their annotations."""
+    """Names of a record's fields whose second axis is ``box``, read from their annotations."""
     shapes = {name: getattr(kind, "dim_str", "") for name, kind in get_type_hints(record).items()}
     return tuple(name for name, shape in shapes.items() if shape.split()[1:2] == ["box"])
 
 
 def narrow(state: State, capacity: int) -> State:
-    """States with columns for the first ``capacity`` boxes."""
+    """The states with columns for only the first ``capacity`` boxes."""
 
     def cut(record: Any) -> dict[str, Any]:
         kind: Any = type(record)
@@ -149,14 +149,14 @@ def narrow(state: State, capacity: int) -> State:
 
 
 def put_rows(table: Record, rows: Int[Array, " row"], values: Record) -> Record:
-    """Write records into rows of a table. Rows beyond its end are dropped."""
+    """Write records into rows of a table. Rows beyond the end of the table are dropped."""
     written: Record = jax.tree.map(lambda old, new: old.at[rows].set(new, mode="drop"), table, values)
     return written
 
 
 def put_resized(table: State, rows: Int[Array, " row"], values: State) -> State:
-    """As ``put_rows``, for states with another number of box columns. Columns that the table does not have are dropped.
-    If the states have fewer, the table's other columns stay as they are."""
+    """``put_rows`` for states with another number of box columns. Columns that the table does not have are dropped. If
+    the states have fewer columns, the other columns of the table are not changed."""
 
     def write(old: Array, new: Array) -> Array:
         columns = tuple(slice(min(sizes)) for sizes in zip(old.shape[1:], new.shape[1:], strict=True))
@@ -167,18 +167,18 @@ def put_resized(table: State, rows: Int[Array, " row"], values: State) -> State:
 
 
 def take_rows(record: Record, rows: Int[Array, " row"]) -> Record:
-    """Rows of a record, in order. An out-of-range row gives some valid row."""
+    """Rows of a record, in the order of ``rows``. For an out-of-range row, the result is some valid row."""
     selected: Record = jax.tree.map(lambda a: jnp.take(a, rows, axis=0, mode="clip"), record)
     return selected
 
 
 @partial(jax.jit, static_argnames=("all_placed", "rest_steps"))
 def fresh_state(worlds: Worlds, *, all_placed: bool, ends: Int[Array, " world"], rest_steps: int) -> State:
-    """States before the soft start.
+    """The states before the soft start.
 
     Args:
-        all_placed: static check; every box stands at its release pose from the start.
-        ends: the last step if known in advance (fixed schedule); else NEVER.
+        all_placed: whether all boxes stand at their release poses from the start (static check).
+        ends: the last step of each world if it is known in advance (fixed schedule); else NEVER.
     """
     n, width = worlds.n_boxes.shape[0], worlds.half.shape[1]
     zeros, ints = jnp.zeros((n, width)), jnp.zeros(n, jnp.int32)

@@ -1,1 +1,1 @@
-"""Engine mujoco: C MuJoCo on CPU threads, exact models, one world per thread. The oracle."""
+"""Engine mujoco: C MuJoCo on CPU threads, with exact models and one world per thread. It is the oracle."""

@@ -1,4 +1,5 @@
-"""Contacts between faces of compliant boxes: beds of springs in MuJoCo's data. The law: petmjx/world/compliance.py."""
+"""Contacts between faces of compliant boxes, as beds of springs in MuJoCo's data. The law:
+petmjx/world/compliance.py."""
 
 from __future__ import annotations
 
@@ -22,16 +23,16 @@ from petmjx.world.compliance import (
 from petmjx.world.scene import Scene
 
 PARALLEL: Final = 1e-6
-"""Sine below which two edges are parallel; their distance is then measured at their middles."""
+"""Two edges are parallel if the sine of their angle is below this; their distance is then measured at their middles."""
 
 _LEVEL: Final = 1e-12
-"""Slope below which the depth counts as the same everywhere."""
+"""Smallest slope of the depth. If the slope is smaller, the depth counts as the same everywhere."""
 
 _FAR_M: Final = 1e3
-"""Distance of the line of depth 0 if depth is the same everywhere."""
+"""Distance of the line of depth 0 if the depth is the same everywhere, m."""
 
 _LEAST_MOMENT_M2: Final = 1e-18
-"""Second moment below which an area counts as a line."""
+"""Smallest second moment per area, m². If the moment is smaller, the area counts as a line."""
 
 _TRUE: Final = np.ones(1, bool)
 _Y: Final = np.array([0.0, 1.0, 0.0])
@@ -40,7 +41,7 @@ _EAST: Final = np.array([1.0, 0.0, 0.0])
 _NEXT: Final = [1, 2, 0]
 _LAST: Final = [2, 0, 1]
 _FACES: Final = np.array([(0, 1, 2), (1, 2, 0), (2, 0, 1)])
-"""For each axis of a box: the normal of a face, and the axes of its edges."""
+"""For each axis of a box as the normal of a face: this axis, and the axes along the face's edges."""
 _SIGNS: Final = np.array([(-1.0, -1.0), (-1.0, 1.0), (1.0, -1.0), (1.0, 1.0)])
 _ASIDE: Final = np.array([1.0, -1.0])
 _WAYS: Final = np.array([-1.0, 1.0])
@@ -66,14 +67,14 @@ _FIELDS: Final = (
     "exclude",
     "efc_address",
 )
-"""Fields of a contact in MuJoCo's data."""
+"""The fields of a contact in MuJoCo's data."""
 
 
 class Beds:
-    """Moves contacts between faces of compliant boxes to points at which they have the force and moments of a bed.
+    """Replaces contacts between faces of compliant boxes by points that together have the force and moments of a bed.
 
     Args:
-        bodies: (ngeom,) body of each geom (``petmjx.world.mujoco_model.geom_bodies``).
+        bodies: (ngeom,) the body of each geom (``petmjx.world.mujoco_model.geom_bodies``).
     """
 
     def __init__(self, scene: Scene, physics: Physics, model: mujoco.MjModel, bodies: NDArray[np.intp]) -> None:
@@ -85,7 +86,7 @@ class Beds:
         self._plane = np.asarray(model.geom_type) == mujoco.mjtGeom.mjGEOM_PLANE
 
     def step1(self, model: mujoco.MjModel, data: mujoco.MjData) -> None:
-        """As ``mj_step1``, identical to the last bit except for the beds."""
+        """``mj_step1``, with the beds; everything else is bit-identical."""
         mujoco.mj_checkPos(model, data)
         mujoco.mj_checkVel(model, data)
         mujoco.mj_kinematics(model, data)
@@ -100,12 +101,12 @@ class Beds:
         mujoco.mj_fwdVelocity(model, data)
 
     def press(self, model: mujoco.MjModel, data: mujoco.MjData) -> None:
-        """Replace the collider's contacts of two faces by the contacts of a bed, if one of the boxes is compliant."""
+        """Replace the collider's contacts between two faces by the contacts of a bed, if a box is compliant."""
         count = data.ncon
         if not count:
             return
         geom = data.contact.geom
-        # the collider lists the contacts of a pair one after the other
+        # the collider lists all contacts of a pair consecutively
         begin = np.flatnonzero(np.concatenate([_TRUE, (geom[1:] != geom[:-1]).any(axis=1)]))
         length = np.diff(begin, append=count)
         one, two = geom[begin].T
@@ -128,7 +129,7 @@ class Beds:
                     repeats[first : first + contacts] = 0
                     repeats[first] = POINTS_PER_BED * has_area
             if not _take(model, data, np.repeat(np.arange(count), repeats)):
-                return  # MuJoCo counts the full buffer as a warning, and the world overflows
+                return  # MuJoCo counts a warning for the full buffer, so the world gets an overflow flag
             begin = (np.cumsum(repeats) - repeats)[begin[beds]]
         rows, contact = begin[:, None] + np.arange(POINTS_PER_BED), data.contact
         contact.pos[rows] = points[beds]
@@ -139,7 +140,7 @@ class Beds:
 
 
 def _take(model: mujoco.MjModel, data: mujoco.MjData, source: NDArray[np.intp]) -> bool:
-    """Keep only the contacts with these numbers; returns whether the buffer has room for them."""
+    """Replace the contacts by copies of the contacts ``source``; returns whether the buffer has room for them."""
     values = {name: np.array(getattr(data.contact, name))[source] for name in _FIELDS}
     for _ in range(len(source) - data.ncon):
         if mujoco.mj_addContact(model, data, mujoco.MjContact()):
@@ -151,7 +152,7 @@ def _take(model: mujoco.MjModel, data: mujoco.MjData, source: NDArray[np.intp]) 
 
 
 def frames(normal: FloatArray) -> FloatArray:
-    """(p, 9) frames of contacts with these (p, 3) unit normals, equal to those of MuJoCo's ``mju_makeFrame``."""
+    """(p, 9) frames of contacts with these (p, 3) unit normals, the same as from MuJoCo's ``mju_makeFrame``."""
     other = np.where(np.abs(normal[:, 1:2]) < 0.5, _Y, _Z)
     one = _unit(other - (other * normal).sum(axis=1, keepdims=True) * normal)
     return np.concatenate([normal, one, _cross(normal, one)], axis=1)
@@ -165,18 +166,18 @@ def face_pressure(
     two: NDArray[np.integer],
     normal: FloatArray,
 ) -> tuple[NDArray[np.bool_], FloatArray, FloatArray, FloatArray, FloatArray, FloatArray]:
-    """The pressure of p pairs of faces on one another, as four contact points each.
+    """The pressure between p pairs of faces, each as four contact points.
 
     Args:
-        pos: (n, 3) middles, m.
-        turn: (n, 9) rotations, row by row.
+        pos: (n, 3) middles of the boxes, m.
+        turn: (n, 9) rotation matrices, row by row.
         half: (n, 3) half sizes, m.
-        one, two: (p,) boxes.
-        normal: (p, 3) normals of the collider, from the first box to the second.
+        one, two: (p,) numbers of the two boxes of each pair.
+        normal: (p, 3) normals from the collider, from the first box to the second.
 
     Returns:
         (p,) whether two faces meet; (p, 3) unit normals; (p, 4, 3) points, m; (p, 4) depths, m; (p,) pressed area, m²;
-        (p,) least area that counts for stiffness, m².
+        (p,) smallest area that counts for the stiffness, m².
     """
     count = len(one)
     boxes, toward = np.concatenate([one, two]), np.concatenate([normal, -normal])
@@ -185,7 +186,7 @@ def face_pressure(
     rows = np.arange(2 * count)[:, None]
     order = _FACES[np.abs(along).argmax(axis=1)]
     reach = half[boxes][rows, order]
-    # half axes, outward and along both edges, of the face whose normal is nearest to this direction
+    # half axes of the face whose normal is nearest to this direction: outward, and along both edges
     directions = columns[rows, order]
     directions[:, 0] *= np.copysign(1.0, along[rows, order[:, :1]])
     axes = directions * reach[:, :, None]
@@ -197,7 +198,7 @@ def face_pressure(
     plane[:, 0] = _unit(edge - (edge * middle).sum(axis=1, keepdims=True) * middle)
     plane[:, 1], plane[:, 2] = _cross(middle, plane[:, 0]), middle
     vectors = np.empty((count, 7, 3))
-    # origin: the middle of the second box's face
+    # the origin is the middle of the second box's face
     vectors[:, 0] = center[:count] - center[count:]
     vectors[:, 1:3], vectors[:, 3:5] = axes[:count, 1:], axes[count:, 1:]
     vectors[:, 5], vectors[:, 6] = out_a, out_b
@@ -236,17 +237,18 @@ def _unit(vectors: FloatArray) -> FloatArray:
 
 
 def _cross(a: FloatArray, b: FloatArray) -> FloatArray:
-    """As ``np.cross``, which takes ten times as long for a few vectors."""
+    """``np.cross`` for few vectors, in a tenth of its time."""
     return np.asarray(a[:, _NEXT] * b[:, _LAST] - a[:, _LAST] * b[:, _NEXT])
 
 
 def _sides(edges: FloatArray, at: FloatArray, lines: FloatArray) -> None:
-    """Fill in the sides of two parallelograms as lines: coefficients of x, y and 1 whose sum is the distance inside.
+    """Fill in the sides of two parallelograms as lines. A line has coefficients of x, y and 1; their sum is the
+    distance of a point inside the line.
 
     Args:
-        edges: (p, 2, 2, 2) half edges: parallelogram, edge, coordinate.
-        at: (p, 2) middle of the first parallelogram; the middle of the second is the origin.
-        lines: (p, 9, 3); the first eight of each nine are filled in.
+        edges: (p, 2, 2, 2) half edges; the axes are parallelogram, edge, coordinate.
+        at: (p, 2) middle of the first parallelogram; the middle of the second one is the origin.
+        lines: (p, 9, 3) lines; the first eight of nine are filled in.
     """
     cross = edges[:, :, :1, 0] * edges[:, :, 1:, 1] - edges[:, :, :1, 1] * edges[:, :, 1:, 0]
     length = np.sqrt((edges * edges).sum(axis=3))
@@ -260,22 +262,22 @@ def _sides(edges: FloatArray, at: FloatArray, lines: FloatArray) -> None:
 
 
 def _moments(lines: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray, FloatArray]:
-    """The region inside all lines: (p,) area, (p,) area without the last line, (p,) how far the region reaches from the
-    last line, (p, 2) centroid and (p, 2, 2) root of the second moments per area.
+    """Values of the region inside all lines: (p,) area, (p,) area without the last line, (p,) largest distance of the
+    region from the last line, (p, 2) centroid, and (p, 2, 2) root of the second moments per area.
 
-    Each edge is a line cut off by all others; area and moments are sums over edges (Green's theorem).
+    Each edge is a line that all other lines cut off; area and moments are sums over edges (Green's theorem).
 
     Args:
-        lines: (p, k, 3) in the form of ``_sides``.
+        lines: (p, k, 3) in the form that ``_sides`` fills in.
     """
     across, offset = lines[:, :, :2], lines[:, :, 2]
     along = across[:, :, ::-1] * _ASIDE
     turned = across.transpose(0, 2, 1)
-    sine, cosine = along @ turned, across @ turned  # [line j, cut by k]
+    sine, cosine = along @ turned, across @ turned  # [line j, cut by line k]
     parallel = np.abs(sine) < PARALLEL
     inside = offset[:, None, :] - offset[:, :, None] * np.where(parallel, np.rint(cosine), cosine)
     cut = -inside / np.where(parallel, 1.0, sine)
-    # if two lines coincide, the first one is an edge
+    # if two lines coincide, only the first one is an edge
     outside = parallel & ((inside < 0) | ((inside == 0) & _LATER))
     low = np.where(sine >= PARALLEL, cut, -_FAR_M)
     high = np.where(sine <= -PARALLEL, cut, np.where(outside, -np.inf, _FAR_M))
@@ -284,7 +286,7 @@ def _moments(lines: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray, Flo
     low, high = low.max(axis=2), high.min(axis=2)
     length = np.maximum(high - low, 0.0)
     is_edge = length > 0
-    share = np.where(is_edge, length * offset, 0.0)  # twice the area of a triangle with the origin
+    share = np.where(is_edge, length * offset, 0.0)  # twice the area of the triangle of edge and origin
     area = 0.5 * share.sum(axis=1)
     share /= np.where(area > 0, area, 1.0)[:, None]
     half_way = np.where(is_edge, 0.5 * (low + high), 0.0)

@@ -1,4 +1,4 @@
-"""Shift, tilt, drop, excess and speed of boxes (NumPy). Twin: petmjx/engines/mjx/box_motion.py, without shared code."""
+"""Shift, tilt, drop, excess and speed of boxes (NumPy). petmjx/engines/mjx/box_motion.py is a separate twin in JAX."""
 
 from __future__ import annotations
 
@@ -10,10 +10,10 @@ from petmjx.options.simulation import Thresholds
 
 
 def shift(pos: FloatArray, target: FloatArray, floor_m: float, sinks_m: FloatArray | None = None) -> FloatArray:
-    """(…, n, 3) displacement from the planned centre, m; components under ``floor_m`` count as 0.
+    """(…, n, 3) displacements from the planned centres, m; components smaller than ``floor_m`` count as 0.
 
     Args:
-        sinks_m: (n,) expected descent of each box, which is no displacement; None: no descent.
+        sinks_m: (n,) expected descent of each box, m. It does not count as displacement. None: no descent is expected.
     """
     delta = pos - target
     if sinks_m is not None:
@@ -25,13 +25,13 @@ def shift(pos: FloatArray, target: FloatArray, floor_m: float, sinks_m: FloatArr
 def tilt_deg(quat: FloatArray) -> FloatArray:
     """(n,) angle between each box's z axis and the world's, degrees."""
     x, y = quat[:, 1], quat[:, 2]
-    # The sine of the half angle is accurate near 0, where the cosine of the full angle is not.
+    # The sine of half the angle is accurate near 0; the cosine of the full angle is not.
     half_sine = np.sqrt(np.minimum((x * x + y * y) / np.einsum("ij,ij->i", quat, quat), 1.0))
     return np.asarray(np.degrees(2.0 * np.arcsin(half_sine)))
 
 
 def lowest_z(pos: FloatArray, quat: FloatArray, half_size: FloatArray) -> FloatArray:
-    """(n,) z of the lowest point of each turned box, m."""
+    """(n,) z of the lowest point of each rotated box, m."""
     w, x, y, z = quat.T
     norm2 = w * w + x * x + y * y + z * z
     row = np.abs(np.stack((2 * (x * z - w * y), 2 * (y * z + w * x), w * w - x * x - y * y + z * z))) / norm2
@@ -39,35 +39,36 @@ def lowest_z(pos: FloatArray, quat: FloatArray, half_size: FloatArray) -> FloatA
 
 
 def has_dropped(pos: FloatArray, quat: FloatArray, half_size: FloatArray, thresholds: Thresholds) -> NDArray[np.bool_]:
-    """(n,) centre below the carrier's top, or lowest point below ``drop_hull_z_m``."""
+    """(n,) whether the box's centre is below the carrier's top, or its lowest point is below ``drop_hull_z_m``."""
     return np.asarray((pos[:, 2] < 0.0) | (lowest_z(pos, quat, half_size) < thresholds.drop_hull_z_m))
 
 
 def excess(shift_m: FloatArray, tilt: FloatArray, dropped: NDArray[np.bool_], thresholds: Thresholds) -> FloatArray:
-    """(n,) excess of each box: the larger of shift / its threshold and tilt / its threshold; at least 1 if it dropped.
+    """(n,) excess of each box: the larger of shift / its threshold and tilt / its threshold; at least 1 for a dropped
+    box.
 
-    A value above 1 is a sign of failure, and so is a dropped box.
+    A value above 1 is a sign of failure, and so is a drop.
     """
     worst = np.maximum(np.abs(shift_m).max(axis=1) / thresholds.shift_m, tilt / thresholds.tilt_deg)
     return np.asarray(np.maximum(worst, dropped))
 
 
 def speed(vel: FloatArray, radius_m: FloatArray) -> FloatArray:
-    """(n,) speed of each box's fastest point, m/s: an upper bound, ‖v‖ + r·‖ω‖.
+    """(n,) speed of each box's fastest point, m/s. It is an upper bound: ‖v‖ + r·‖ω‖.
 
     Args:
         vel: (n, 6) velocities of the centres, m/s, and angular velocities, rad/s.
-        radius_m: (n,) half diagonals.
+        radius_m: (n,) half diagonals of the boxes.
     """
     return np.asarray(np.linalg.norm(vel[:, :3], axis=1) + radius_m * np.linalg.norm(vel[:, 3:], axis=1))
 
 
 def moved(before: FloatArray, after: FloatArray, radius_m: FloatArray) -> FloatArray:
-    """(n,) largest distance by which a point of each box has moved, m: ‖Δc‖ + r·2·‖Δq‖, for small turns.
+    """(n,) largest distance by which any point of each box has moved, m: ‖Δc‖ + r·2·‖Δq‖, for small rotations.
 
     Args:
         before, after: (n, 7) centres, m, and unit quaternions.
-        radius_m: (n,) half diagonals.
+        radius_m: (n,) half diagonals of the boxes.
     """
     change = after - before
     return np.asarray(np.linalg.norm(change[:, :3], axis=1) + 2 * radius_m * np.linalg.norm(change[:, 3:], axis=1))

@@ -1,4 +1,5 @@
-"""Time budget of a world on C MuJoCo: a step may take any time if many boxes overlap, or collapse."""
+"""Time budget of a world on C MuJoCo. A budget is needed since a step may take any time if boxes overlap or
+collapse."""
 
 from __future__ import annotations
 
@@ -11,28 +12,28 @@ from petmjx.options.simulation import Check, Simulation
 from petmjx.world.job import Job
 
 LEAST_S: Final = {Check.STATIC: 30.0, Check.ONE_BY_ONE: 300.0}
-"""CPU time that any world may take, s. Static checks of third-party plans of up to 241 boxes take up to 6 s."""
+"""CPU time that every world may take, s. Static checks of third-party plans of up to 241 boxes take up to 6 s."""
 
 MOST_TIMES: Final = 20.0
-"""Largest time of a world as a multiple of the expected time. The slowest collapsing plans take five
-times the expected time."""
+"""Largest time of a world, as a multiple of its expected time. The slowest collapsing plans take five times their
+expected time."""
 
 LONG_S: Final = 5.0
-"""Wall-clock time after which the progress of a world is shown, s."""
+"""Wall-clock time after which the progress of a single world is shown, s."""
 
 SLOW_S: Final = 0.05
-"""Time between two checks of the budget, s, from which on each step checks it."""
+"""If two checks of the budget are at least this far apart, each step checks it, s."""
 
 
 class Budget:
-    """The time budget of one attempt at a world. The thread that simulates the world makes and checks its budget.
+    """The time budget of one attempt at a world. The thread that simulates the world creates the budget and checks it.
 
     Args:
-        timeout_s: wall-clock time, s; None: the CPU time that ``LEAST_S`` and ``MOST_TIMES`` allow. Worlds with soft
-            boxes then have no limit, since their time is not estimated.
+        timeout_s: wall-clock time limit, s; None: the CPU time that ``LEAST_S`` and ``MOST_TIMES`` allow. In this case
+            worlds with soft boxes have no limit, since their time is not estimated.
 
     Attributes:
-        slow: whether the time between the last two checks was ``SLOW_S`` or more.
+        slow: whether the time between the last two checks was at least ``SLOW_S``.
     """
 
     def __init__(self, job: Job, sim: Simulation, timeout_s: float | None = None) -> None:
@@ -46,13 +47,14 @@ class Budget:
         self.slow = False
 
     def is_spent(self, steps: int, placed: int) -> bool:
-        """Whether the time is up. ``steps``: steps of the world so far; ``placed``: number of placed boxes."""
+        """Whether the time is up. ``steps``: number of steps of the world so far; ``placed``: number of placed
+        boxes."""
         self._steps, self._placed = steps, placed
         now_s = self._clock()
         self.slow, self._last_s = now_s - self._last_s >= SLOW_S, now_s
         if now_s - self._begin_s <= self._most_s:
             return False
-        if not self._is_exact:  # most worlds never get here
+        if not self._is_exact:  # most worlds end before this
             self._is_exact = True
             soft = self._job.scene.soft is not None
             expected_s = float(MEASURED.of_jobs([self._job], self._sim)[0])
@@ -61,7 +63,7 @@ class Budget:
 
     @property
     def so_far(self) -> str:
-        """Progress of a world that takes long, as text for the user; empty before. Any thread may read it."""
+        """Progress of a world that takes long, as text for the user; empty until then. Any thread may read it."""
         seconds = time.monotonic() - self._made_s
         if seconds < LONG_S:
             return ""
@@ -69,7 +71,7 @@ class Budget:
 
     @property
     def words(self) -> str:
-        """One line that says that the budget is spent."""
+        """One line that reports that the budget is spent."""
         kind = "" if self._timeout_s is not None else " of CPU time"
         return f"no verdict within {duration(self._most_s)}{kind}: {self._reach}; world_timeout_s allows more"
 

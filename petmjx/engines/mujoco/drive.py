@@ -1,4 +1,4 @@
-"""The drive of a world on C MuJoCo: rows of force or acceleration, and the steps at which they change."""
+"""The drive of a world on C MuJoCo: rows of force or acceleration, and the steps at which the row changes."""
 
 from __future__ import annotations
 
@@ -17,27 +17,27 @@ class ActingDrive:
 
     Args:
         begin: the step after which the drive begins.
-        gravity: (3,) m/s².
+        gravity: (3,) gravity, m/s².
 
     Attributes:
-        holds_carrier: whether the drive accelerates the carrier, which is then clamped.
+        holds_carrier: whether the drive prescribes the carrier's acceleration; the carrier is then clamped.
     """
 
     def __init__(self, drive: Drive, begin: int, total_mass: float, gravity: FloatArray) -> None:
         self.begin, self._gravity = begin, gravity
         self.holds_carrier = drive.excitation.kind != FORCE
         self._film: ActingFilm | None = None
-        # One row more than the excitation has: nothing acts after its end.
+        # One row more than the excitation has, since nothing acts after its end.
         self._rows: FloatArray = np.vstack((drive.rows(total_mass), np.zeros((1, 3))))
         self._changes = begin + np.flatnonzero((self._rows[1:] != self._rows[:-1]).any(axis=1)) + 1
 
     def wrap(self, scene: Scene, timestep_s: float, live: LiveWorld) -> None:
-        """Put film around the boxes at their present places."""
+        """Put film around the boxes at their current places."""
         if scene.wrap.holds:
             self._film = ActingFilm(scene, timestep_s, live.from_carrier()[0])
 
     def next_change(self, step: int) -> int:
-        """The first step after this one before which another row, or film, begins to act."""
+        """The first step after this one before which another row, or film, has to be set."""
         if self._film is not None:
             return step + 1
         place = int(np.searchsorted(self._changes, step, side="right"))

@@ -1,11 +1,11 @@
 """Elimination order of the boxes of a world in the factorisation of its Hessian.
 
-Newton's method factorises M + JᵀDJ in every iteration, and updates the factor for each contact that slides. Two boxes
-that touch share an entry of the matrix, and eliminating a box joins all its neighbours (fill-in). In packing order
-whole layers are joined. In the order of *minimum degree* (Tinney and Walker, "Direct solutions of sparse network
+Newton's method factorises M + JᵀDJ in every iteration, and updates the factor for each sliding contact. Two boxes that
+touch share an entry of the matrix. Eliminating a box joins all its neighbours (fill-in). In packing order, whole layers
+become joined. The order of *minimum degree* avoids most of this (Tinney and Walker, "Direct solutions of sparse network
 equations by optimally ordered triangular factorization", 1967; George and Liu, "The evolution of the minimum degree
-ordering algorithm", 1989) the factor of a full pallet of 150 boxes has a third of the blocks, and a tenth of the
-operations. The order changes only the last digits of a step.
+ordering algorithm", 1989). For a full pallet of 150 boxes, the factor then has a third of the blocks, and a tenth of
+the operations. The order changes only the last digits of a step.
 """
 
 from __future__ import annotations
@@ -17,19 +17,19 @@ from petmjx.common.units import FloatArray
 from petmjx.world.scene import Scene
 
 NEAR_M = 0.005
-"""Boxes that are nearer than this at their release may come to touch. Neighbours of a plan are a size reduction of
-0.1 mm apart, and a few of them stand on boxes of different heights."""
+"""Boxes that are nearer to one another than this at their release may come to touch, m. Neighbours in a plan are 0.1 mm
+apart because of the size reduction, and a few of them stand on boxes of different heights."""
 
 
 def body_order(scene: Scene, n_boxes: int, contacts: NDArray[np.integer], shaken: bool) -> NDArray[np.intp]:
-    """(n_boxes,) the first boxes in the cheapest order of their bodies.
+    """(n_boxes,) the first boxes, in the cheapest order of their bodies.
 
-    MuJoCo eliminates the last body first. The carrier, which touches a whole layer, is the first body in any case.
+    MuJoCo eliminates the last body first. The carrier, which touches a whole layer, is always the first body.
 
     Args:
-        contacts: (m, 2) pairs of boxes that touch now, carrier and floor left out.
+        contacts: (m, 2) pairs of boxes that touch now, without the carrier and the floor.
         shaken: True: boxes will touch their neighbours at the sides. False: only pairs count in which one box stands on
-            the other. A pallet that stands has few other contacts, and these would cost half as many operations again.
+            the other. A standing pallet has few other contacts, and counting these would add half as many operations.
     """
     joined = _may_touch(scene.start_pos[:n_boxes], scene.half_size[:n_boxes], NEAR_M if shaken else 0.0)
     first, second = contacts.T
@@ -38,11 +38,11 @@ def body_order(scene: Scene, n_boxes: int, contacts: NDArray[np.integer], shaken
 
 
 def _may_touch(centre: FloatArray, half: FloatArray, beside_m: float) -> NDArray[np.bool_]:
-    """(k, k) whether boxes, taken as axis-aligned, are near one another.
+    """(k, k) whether boxes are near one another, as axis-aligned boxes.
 
     Args:
-        centre, half: (k, 3) m.
-        beside_m: largest gap of the two along x and y, m; with 0 they overlap there.
+        centre, half: (k, 3) centres and half extents, m.
+        beside_m: largest gap between the two along x and along y, m; with 0, they must overlap there.
     """
     gap = np.abs(centre[:, None] - centre) - (half[:, None] + half)
     return np.asarray((gap < (beside_m, beside_m, NEAR_M)).all(axis=2))
@@ -50,10 +50,10 @@ def _may_touch(centre: FloatArray, half: FloatArray, beside_m: float) -> NDArray
 
 def minimum_degree(joined: NDArray[np.bool_]) -> list[int]:
     """The nodes of a graph in order of minimum degree: the next node is always the one with the fewest remaining
-    neighbours. Of several such nodes it is the one with the lowest number.
+    neighbours. In a tie, it is the node with the lowest number.
 
     Args:
-        joined: (k, k) symmetric; the diagonal is ignored.
+        joined: (k, k) whether two nodes are joined; symmetric, and the diagonal is ignored.
     """
     neighbours = {node: set(np.flatnonzero(row).tolist()) - {node} for node, row in enumerate(joined)}
     order: list[int] = []

@@ -28,22 +28,22 @@ from petmjx.world.job import Job
 from petmjx.world.scene import Scene
 
 LOOK_S: Final = 0.25
-"""Longest wait for a world, s: a signal that arrives just before the wait is noticed only after it."""
+"""Longest wait for a world, s. A signal that arrives just before a wait is noticed only after it."""
 
 
 class MujocoEngine(Engine):
-    """Simulates each world alone, on its exact model: the oracle, and the fastest engine without a GPU.
+    """Simulates each world alone, on its exact model. It is the oracle, and the fastest engine without a GPU.
 
     ``mj_step`` takes all steps up to the next event without the GIL, so threads scale with cores. A world's outcome
     does not depend on the number of threads.
 
-    A world whose simulation raises (a model that does not compile, no memory, an error of MuJoCo) is invalid; other
-    worlds go on.
+    If the simulation of a world raises an exception, the world is invalid and other worlds continue. Causes are a model
+    that does not compile, a lack of memory, or an error in MuJoCo.
 
     Args:
-        threads: number of worlds simulated at once; None: as many CPU threads as this process may use.
-        world_timeout_s: longest wall-clock time of one attempt at a world, s; None: a limit from its expected time
-            (petmjx/engines/mujoco/cpu_budget.py).
+        threads: number of worlds simulated at once; None: the number of CPU threads that this process may use.
+        world_timeout_s: longest wall-clock time of one attempt at a world, s; None: a limit that follows from the
+            expected time (petmjx/engines/mujoco/cpu_budget.py).
     """
 
     name = "mujoco"
@@ -71,7 +71,7 @@ class MujocoEngine(Engine):
     def run(
         self, jobs: Sequence[Job] | JobStream[Any], sim: Simulation, progress: Progress | None = None
     ) -> Iterator[Outcome]:
-        """Simulate each job once; outcomes come as they finish.
+        """Simulate each job once. Outcomes are yielded as worlds finish.
 
         If the generator is closed, or an exception such as KeyboardInterrupt is raised, the threads stop within a few
         dozen steps. At most two jobs per thread are submitted at a time, so memory does not grow with the number of
@@ -110,17 +110,17 @@ class MujocoEngine(Engine):
 
 
 def _oldest(running: Mapping[int, Budget]) -> str:
-    """Progress of the world that began first, if it takes long; else empty."""
+    """Progress of the running world that began first, if it takes long; else empty."""
     with suppress(ValueError, KeyError, RuntimeError):  # worlds begin and end meanwhile
         return running[min(running)].so_far
     return ""
 
 
 def _say(progress: Progress, last_line: str, words: str) -> str:
-    """Show the progress of a world, unless another message is shown. Returns the line that is shown.
+    """Show the progress of a world unless another message is shown. Returns the line that was last shown here.
 
     Args:
-        last_line: the line that was shown before.
+        last_line: the line that was last shown here.
         words: the line to show now.
     """
     if progress.message != last_line:
@@ -137,8 +137,8 @@ def _simulate(
     timeout_s: float | None,
     running: dict[int, Budget],
 ) -> tuple[Outcome, float]:
-    """A world's outcome, and the CPU time of this thread for it, s. ``running``: budgets of running worlds, by
-    stream number."""
+    """The outcome of a world, and the CPU time that this thread needed for it, s. ``running``: budgets of running
+    worlds, by stream number."""
     begin_s = time.thread_time()
     try:
         running[stream_number] = budget = Budget(job, sim, timeout_s)

@@ -13,10 +13,10 @@ from petmjx.world.scene import Scene
 
 
 class ActingFilm:
-    """Film that holds boxes at the places that they had when it was wound around them.
+    """Film that holds boxes at the places that they had when the film was wound around them.
 
     Args:
-        pos: (n, 3) centres of mass of the boxes relative to the carrier's, m.
+        pos: (n, 3) centres of mass of the boxes, relative to the carrier's centre of mass, m.
     """
 
     def __init__(self, scene: Scene, timestep_s: float, pos: FloatArray) -> None:
@@ -25,10 +25,10 @@ class ActingFilm:
         self._home, self._anchor = pos.copy(), pos.copy()
 
     def forces(self, pos: FloatArray, vel: FloatArray) -> FloatArray:
-        """(n, 3) forces on boxes during the next step, N. If the film slips on a box, the box's anchor moves along.
+        """(n, 3) forces on boxes during the next step, N. If the film slips on a box, the box's anchor moves with it.
 
         Args:
-            pos, vel: (n, 3) positions and velocities of centres of mass relative to the carrier's, m and m/s.
+            pos, vel: (n, 3) positions and velocities of centres of mass, relative to the carrier's, m and m/s.
         """
         rate, hold = self._rate_1_s, self._film.hold[:, None]
         spring = self._mass * rate**2 * (self._anchor - pos)

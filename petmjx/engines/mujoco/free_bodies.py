@@ -1,4 +1,4 @@
-"""Released boxes on C MuJoCo: one world per thread, with the steps of ``LiveWorld``."""
+"""Released boxes on C MuJoCo: one world per thread, stepped by ``LiveWorld``."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from petmjx.world.free_bodies import FreeBodies
 
 
 def paths(bodies: FreeBodies, sim: Simulation, threads: int) -> FloatArray:
-    """As ``petmjx.engines.protocol.Engine.paths``."""
+    """See ``petmjx.engines.protocol.Engine.paths``."""
 
     def path(world: int) -> FloatArray:
         return _path(bodies, world, sim)
@@ -25,7 +25,7 @@ def paths(bodies: FreeBodies, sim: Simulation, threads: int) -> FloatArray:
 
 
 def _path(bodies: FreeBodies, world: int, sim: Simulation) -> FloatArray:
-    """(s, k, 7) poses of one world."""
+    """(s, k, 7) poses of the boxes of one world after each of ``bodies.steps``."""
     poses = np.full((len(bodies.steps), bodies.n_boxes, 7), np.nan)
     live = LiveWorld.let_go(bodies.scenes[world], sim, bodies.velocity[world])
     last_step = 0

@@ -26,16 +26,16 @@ from petmjx.world.scene import Scene
 
 @dataclass(eq=False)
 class Hand:
-    """One box on its way.
+    """One box that a hand carries along its path.
 
     Attributes:
-        begin, end: (3,) origins of its frame at the way's ends, m.
+        begin, end: (3,) origins of the box's frame at the ends of the path, m.
         quat: (4,) orientation in which the hand holds the box.
-        steps: number of steps of the way.
-        taken: steps since the way began.
-        falls: whether the box is released at the end of the way, and falls.
+        steps: number of steps of the path.
+        taken: number of steps since the path began.
+        falls: whether the box is released at the end of the path, and then falls.
         lowered_from: value of ``taken`` at which the hand begins to set the box down.
-        short_m: distance of the box from the end of the way after the last step, m.
+        short_m: distance of the box from the end of the path after the last step, m.
     """
 
     scene: Scene
@@ -57,8 +57,8 @@ class Hand:
         return self.short_m > MISSED_M
 
     def has_let_go(self, pose: FloatArray, slow: bool) -> bool:
-        """Whether the hand releases the box after this step: it does once the box has arrived and rests.
-        Unless the box is meant to fall, it is set down first.
+        """Whether the hand releases the box after this step. It does once the box has arrived and is at rest. Unless
+        the box is meant to fall, it is set down first.
 
         Args:
             pose: (7,) pose of the box's frame, m and quaternion.
@@ -78,16 +78,16 @@ class Hand:
         return False
 
     def wrench(self, pose: FloatArray, velocity: FloatArray) -> FloatArray:
-        """(6,) force, N, and moment, N·m, in world axes, of the hand during the next step.
+        """(6,) force, N, and moment, N·m, of the hand during the next step, in world axes.
 
-        The spring and the damper are between the box and the point that it should follow. A third force moves a free
-        box along with that point to the last digit. The sum of these forces is limited, and so is the moment. The
-        weight of the box is added to the limited sum. A box that is being set down has only a damper, which may also
-        bear its weight.
+        A spring and a damper connect the box to the point that it should follow. A third force makes a free box move
+        with that point to the last digit. The sum of these forces is limited, and so is the moment. The weight of the
+        box is added to the limited sum. A box that is being set down is held only by a damper, which may also carry its
+        weight.
 
         Args:
             pose: (7,) pose of the box's frame, m and quaternion.
-            velocity: (6,) velocity of the frame, m/s, and in the box's axes rad/s.
+            velocity: (6,) velocity of the frame, m/s, and angular velocity in the box's axes, rad/s.
         """
         mass, half_size = float(self.scene.mass[self.box]), self.scene.half_size[self.box]
         most_n, weight_n = self.scene.placing.force_n, mass * self.gravity_m_s2
@@ -118,7 +118,7 @@ def _limited(vector: FloatArray, most: float) -> FloatArray:
 
 
 def _rotation_vector(quat: FloatArray, target_quat: FloatArray) -> FloatArray:
-    """(3,) rotation from one orientation to another, in the axes of the first, rad; for small angles."""
+    """(3,) rotation from ``quat`` to ``target_quat``, in the axes of the former, rad; for small angles."""
     w, u = quat[0], quat[1:]
     real = w * target_quat[0] + u @ target_quat[1:]
     imaginary = w * target_quat[1:] - target_quat[0] * u - np.cross(u, target_quat[1:])

@@ -1,4 +1,4 @@
-"""Finds trembling boxes (docs/rules.md, section 5) in a world of the C engine. Twin: petmjx/engines/mjx/jitter.py."""
+"""Finds trembling boxes (docs/rules.md, section 5) in a world on C MuJoCo. Twin: petmjx/engines/mjx/jitter.py."""
 
 from __future__ import annotations
 
@@ -19,13 +19,14 @@ def _no_boxes() -> NDArray[np.bool_]:
 
 @dataclass(frozen=True)
 class Jitter:
-    """State of the search for trembling boxes after a look; each look makes a new one.
+    """State of the search for trembling boxes after a look. Each look makes a new state.
 
     Attributes:
-        boxes: (n,) whether each box trembles; n boxes were seen at the looks since the last placement.
-        looks: number of looks at this number of boxes.
+        boxes: (n,) whether each box trembles, for the n boxes that were placed at the looks since the last placement.
+        looks: number of looks with this number of boxes.
         home: (n, 7) poses at the beginning of the measured period.
-        path_m, away_m: (n,) length of each box's way since the first look, and its largest distance from ``home``, m.
+        path_m, away_m: (n,) length of each box's path since the first look of the period, and its largest distance from
+            ``home``, m.
     """
 
     boxes: NDArray[np.bool_] = field(default_factory=_no_boxes)
@@ -35,14 +36,14 @@ class Jitter:
     away_m: FloatArray | float = 0.0
 
     def which(self, n: int) -> NDArray[np.bool_]:
-        """(n,) which of the n placed boxes tremble. After another placement, trembling boxes are not known."""
+        """(n,) whether each of the n placed boxes trembles. After another placement, it is not known of any box."""
         return self.boxes if len(self.boxes) == n else np.zeros(n, bool)
 
     def after_look(self, sim: Simulation, pose: FloatArray, speed_m_s: FloatArray, radius_m: FloatArray) -> Self:
         """The state after another look at the boxes during a wait.
 
         Args:
-            pose: (n, 7); speed_m_s, radius_m: (n,), of their fastest points, and half diagonals.
+            pose: (n, 7) poses; speed_m_s, radius_m: (n,) speeds of the boxes' fastest points, and half diagonals.
         """
         rule = sim.quiet
         period, look_s = rule.tremble_looks, rule.poll_steps * sim.physics.timestep_s

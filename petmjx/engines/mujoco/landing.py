@@ -1,4 +1,4 @@
-"""Contact law of landing boxes on C MuJoCo, which stops boxes that arrive fast or lets them bounce. The law:
+"""Contact law of landing boxes on C MuJoCo. It stops boxes that arrive fast, or lets them bounce. The law:
 petmjx/world/contact_laws.py."""
 
 from __future__ import annotations
@@ -17,8 +17,8 @@ from petmjx.world.mujoco_model import geom_surfaces
 from petmjx.world.scene import Scene
 
 CALM_M_S2 = 0.5
-"""Largest root of the sum of squares of all accelerations, m/s² and rad/s², up to which many steps are taken at a time:
-in five steps a box becomes faster by at most 5 mm/s."""
+"""Largest root of the sum of squares of all accelerations, m/s² and rad/s², at which many steps are taken together. In
+five steps, a box then becomes faster by at most 5 mm/s."""
 
 
 class MovingWorld(Protocol):
@@ -38,11 +38,11 @@ class MovingWorld(Protocol):
 
 
 class Landings:
-    """The landing boxes of a world, and their velocities before the landing.
+    """The landing boxes of a world, and their velocities before they landed.
 
     Attributes:
-        left: (n,) remaining steps for which each box counts as landing; 0: no landing.
-        before: (n, 6) velocities of landing boxes, before they touched.
+        left: (n,) number of further steps for which each box counts as landing; 0: it is not landing.
+        before: (n, 6) velocities of landing boxes before they touched.
     """
 
     def __init__(self, scene: Scene, sim: Simulation) -> None:
@@ -67,17 +67,18 @@ class Landings:
         return twin
 
     def over(self, live: MovingWorld) -> bool:
-        """Whether no box lands, and no box will land in the next few steps."""
+        """Whether no box is landing, and no box will land in the next few steps."""
         data = live.data
         placed, self._placed = self._placed, live.n_placed
-        # a box that has just been placed has no acceleration yet, and may begin to fall
+        # a box that was just placed has no acceleration yet, and may begin to fall
         if placed != live.n_placed or self.left.any():
             return False
         acceleration = data.qacc
         return _is_slow(data.qvel) and bool(acceleration.dot(acceleration) < CALM_M_S2**2)
 
     def act(self, live: MovingWorld) -> None:
-        """Between collision and solver: find boxes that begin to land, and change the contacts while any box lands."""
+        """Find boxes that begin to land, and change the contacts while any box lands. Called between collision and
+        solver."""
         data, left = live.data, self.left
         landing = bool(left.any())
         if landing:
@@ -122,5 +123,5 @@ class Landings:
 
 
 def _is_slow(velocity: FloatArray) -> bool:
-    """Whether no contact closes fast enough to be a landing. ``velocity``: (nv,) of all bodies."""
+    """Whether no contact can close fast enough for a landing. ``velocity``: (nv,) velocities of all bodies."""
     return bool(velocity.dot(velocity) < (0.5 * FAST_M_S) ** 2)

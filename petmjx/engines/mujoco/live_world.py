@@ -1,4 +1,4 @@
-"""Live worlds: a MuJoCo world that grows while boxes are placed, with model, data and array views for the rules."""
+"""Live worlds: MuJoCo worlds that grow while boxes are placed, with model, data, and views of arrays for the rules."""
 
 from __future__ import annotations
 
@@ -28,13 +28,14 @@ from petmjx.world.release_places import Release, release_of
 from petmjx.world.scene import IDENTITY_QUAT, Scene
 
 GROWTH_BLOCK = 8
-"""Boxes added to the model at once. A box that waits in the model costs 0.5 µs per step, a new compilation about 1 ms.
-With 40 boxes and the schedule adaptive, blocks of 1 and blocks of 40 both take 5 % longer than blocks of 8."""
+"""Number of boxes that are added to the model at once. A box that waits in the model costs 0.5 µs per step; a new
+compilation costs about 1 ms. With 40 boxes and the adaptive schedule, blocks of 1 and blocks of 40 both take 5 % longer
+than blocks of 8."""
 
 ORDERED_FROM = 64
-"""Boxes of the smallest plan whose bodies are in elimination order. This makes third-party plans of 76 boxes and more
-1.3 to 4.6 times as fast. Third-party plans of 45 and 66 boxes and generated plans gain no more than 2 %, which it
-takes to make whole models."""
+"""Smallest number of boxes of a plan whose bodies are in elimination order. The order makes third-party plans of 76 or
+more boxes 1.3 to 4.6 times as fast. Third-party plans of 45 and 66 boxes, and generated plans, gain at most 2 %. It
+takes as much to make whole models."""
 
 _PARKING_M = 100.0
 _PARKING_PITCH_M = 10.0
@@ -44,7 +45,7 @@ _NO_CONTACTS = np.zeros((0, 2), dtype=np.intp)
 
 @dataclass(frozen=True, eq=False)
 class BodyState:
-    """qpos (7), qvel (6) and solver warm start (6) of carrier and boxes; rows: carrier, box 0, …"""
+    """qpos (7), qvel (6) and solver warm start (6) of carrier and boxes. The rows are carrier, box 0, box 1, …"""
 
     pose: FloatArray
     velocity: FloatArray
@@ -52,24 +53,24 @@ class BodyState:
 
 
 class LiveWorld:
-    """Model and data of one world in which the first ``n_placed`` boxes are placed.
+    """Model and data of one world, in which the first ``n_placed`` boxes are placed.
 
-    Boxes that are in the model but not placed yet hang far apart in the air, each held by a force equal to its weight.
-    Boxes that wait touch nothing, so they do not influence the pallet.
+    Boxes that are in the model but not yet placed hang far apart in the air. Each is held by a force equal to its
+    weight. Waiting boxes touch nothing, so they do not influence the pallet.
 
-    With pyramidal cones another body represents waiting boxes (``petmjx.engines.mujoco.waiting_boxes``).
+    With pyramidal cones, an additional body represents waiting boxes (``petmjx.engines.mujoco.waiting_boxes``).
 
-    The bodies of a large plan are in elimination order (``petmjx.engines.mujoco.elimination_order``). The bodies of
-    smaller plans are in packing order. With pyramidal cones all bodies are in packing order, as in the reference
-    implementation, to the last bit. All arrays that this class takes and returns have rows in packing order.
+    The bodies of a large plan are in elimination order (``petmjx.engines.mujoco.elimination_order``); those of smaller
+    plans are in packing order. With pyramidal cones all bodies are in packing order, so that results are bit-identical
+    to the reference implementation. All arrays that this class takes and returns have rows in packing order.
 
     Args:
-        templates: for open worlds, whose models are filled in instead of compiled.
-        held: pose at which the carrier is clamped from the beginning; None: it is free.
+        templates: for open worlds: models that are filled in instead of compiled.
+        held: pose in which the carrier is clamped from the beginning; None: it is free.
 
     Attributes:
-        order: (capacity,) boxes in the order of their bodies.
-        hand: the hand that carries the last placed box; None: all boxes are released.
+        order: (capacity,) the boxes in the order of their bodies.
+        hand: the hand that carries the box placed last; None: all boxes are released.
         geom_bodies: (ngeom,) the body to which each geom belongs: a box, ``CARRIER`` or ``FLOOR``.
         pyramidal: whether friction cones are pyramidal.
     """
@@ -94,7 +95,7 @@ class LiveWorld:
         self.hand: Hand | None = None
         self._has_waiting = n_boxes < scene.n_boxes and self.pyramidal
         self._slip = SlipLaw(sim.physics)
-        self._slides, self._looked = False, 0  # whether bodies slid at the last look; steps since then
+        self._slides, self._looked = False, 0  # whether bodies slid at the last look; number of steps since then
         lands = sim.physics.has_landings and scene.soft is None
         self._landings = Landings(scene, sim) if lands else None
         self._build(n_boxes)
@@ -104,7 +105,7 @@ class LiveWorld:
         return not self.pyramidal and self.scene.n_boxes >= ORDERED_FROM
 
     def _build(self, capacity: int, contacts: NDArray[np.integer] = _NO_CONTACTS) -> None:
-        """Make model and data. ``contacts``: (m, 2) pairs of boxes that touch now."""
+        """Make model and data. ``contacts``: (m, 2) pairs of boxes that touch at the moment."""
         self.order = body_order(self.scene, capacity, contacts, self._shaken) if self._ordered else np.arange(capacity)
         if self._templates is not None and self._templates.fits(self.scene):
             self._take(self._templates.filled(self.scene, self.order))
@@ -135,7 +136,7 @@ class LiveWorld:
         self._look_into_data()
 
     def _look_into_data(self) -> None:
-        """Views of the boxes' rows in MuJoCo's data."""
+        """Make views of the boxes' rows in MuJoCo's data."""
         capacity = self.capacity
         self._warnings: NDArray[np.int32] = self.data.warning.number
         self._carrier, self._first_body = self.model.body(CARRIER_NAME).id, self.model.nbody - capacity
@@ -147,7 +148,7 @@ class LiveWorld:
 
     @cached_property
     def release(self) -> Release:
-        """The release places of boxes; worlds that start from a settled state release none."""
+        """The release places of boxes. Worlds that start from a settled state release no boxes."""
         return release_of(self.scene, self._sim)
 
     @cached_property
@@ -157,7 +158,7 @@ class LiveWorld:
 
     @property
     def n_free(self) -> int:
-        """Number of released boxes: all placed boxes except one that is still carried."""
+        """Number of released boxes: all placed boxes, except a box that is still carried."""
         return self.n_placed - (self.hand is not None)
 
     @property
@@ -199,19 +200,19 @@ class LiveWorld:
             self._forces(box)[2] = self.scene.mass[box] * self._sim.physics.gravity_m_s2
 
     def extend(self, scene: Scene) -> None:
-        """Replace the scene by one with more boxes behind its earlier ones."""
+        """Replace the scene by one that has more boxes after the existing ones."""
         self.scene = scene
         if self._landings is not None:
             self._landings = self._landings.extended(scene)
-        for name in ("release", "approach_path"):  # these are computed anew
+        for name in ("release", "approach_path"):  # both are computed again when needed
             vars(self).pop(name, None)
 
     def fork(self, *, grows: bool = False) -> LiveWorld:
-        """An independent world in the same state, to the last bit.
+        """An independent world in the same state, bit for bit.
 
         Args:
-            grows: True: the next change of the new world is another box. If this makes a new model, the data of the old
-                one are only read and not copied.
+            grows: True: the next change of the new world will be another box. If this requires a new model, the data of
+                the old model are only read and need not be copied.
         """
         twin = copy.copy(self)
         twin._landings = self._landings and self._landings.fork()
@@ -219,17 +220,17 @@ class LiveWorld:
             twin._spec, twin.model = self._spec.copy(), copy.copy(self.model)
         elif grows and self.n_placed == self.capacity:
             return twin
-        twin.data = copy.copy(self.data)  # a filled model does not change any more, and is shared
+        twin.data = copy.copy(self.data)  # a filled model no longer changes, so it is shared
         twin._look_into_data()
         return twin
 
     def give_back(self) -> None:
-        """Return the model and its data to the templates, for other worlds. The old world must not be used any more."""
+        """Return the model and its data to the templates, for other worlds. This world must not be used afterwards."""
         if self._templates is not None and self._templates.fits(self.scene):
             self._templates.give_back(ModelInstance(self.model, self.data), self.scene, self.capacity)
 
     def _contacts(self) -> NDArray[np.integer]:
-        """(m, 2) pairs of boxes that touched in the last step."""
+        """(m, 2) pairs of boxes that touch in the last step."""
         bodies = self.geom_bodies[np.reshape(self.data.contact.geom, (-1, 2))]
         return bodies[(bodies >= 0).all(axis=1)]
 
@@ -238,7 +239,7 @@ class LiveWorld:
         return row
 
     def place_next(self) -> None:
-        """Place the next box: at rest at its release place, or at the beginning of its fall or of its approach path."""
+        """Place the next box: at rest at its release place, or at the start of its fall or of its approach path."""
         if self.n_placed == self.capacity:
             self._grow()
         box = self.n_placed
@@ -259,10 +260,10 @@ class LiveWorld:
             press_waiting(self.model, self.data, waiting_kg, self._sim.physics.gravity_m_s2)
 
     def _take_up(self, path: ApproachPath, box: int, rest: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """(3,) the place at which a box begins, m, and (4,) its orientation. A carried box then has a hand.
+        """(3,) the place at which a box starts, m, and (4,) its orientation. A carried box also gets a hand.
 
         Args:
-            rest: (3,) the box's place if it were at rest, m.
+            rest: (3,) the place of the box if it were at rest, m.
         """
         scene, physics = self.scene, self._sim.physics
         end, quat = rest + path.lift[box], path.quat[box]
@@ -297,10 +298,10 @@ class LiveWorld:
             self._forces(self.hand.box)[:] = self.hand.wrench(self._poses[row], self._velocities[row])
 
     def step(self, count: int) -> None:
-        """Advance by ``count`` steps in C, with the GIL released; one step at a time if boxes are compliant, land, or
-        may slide.
+        """Advance by ``count`` steps in C, without the GIL. Steps are taken one at a time if boxes are compliant, land,
+        or may slide.
 
-        Motion is checked after every few steps of the world, however many steps a call takes.
+        Whether boxes move is checked after every few steps of the world, however many steps one call takes.
         """
         while count > 0:
             if self._looked == 0:
@@ -325,24 +326,24 @@ class LiveWorld:
             self._slip.step2(self.model, self.data)
 
     def set_gravity(self, gravity: FloatArray) -> None:
-        """(3,) m/s²."""
+        """Set the gravity, (3,) m/s²."""
         self.model.opt.gravity[:] = gravity
 
     def set_carrier_force(self, force_n: FloatArray) -> None:
-        """(3,) N on the carrier's centre of mass, from the next step on."""
+        """Set the force on the carrier's centre of mass, (3,) N, from the next step on."""
         self.data.xfrc_applied[self._carrier, :3] = force_n
 
     def from_carrier(self) -> tuple[FloatArray, FloatArray]:
-        """(capacity, 3) centres of mass of the boxes, m, and their velocities, m/s, relative to the carrier's."""
+        """(capacity, 3) centres of mass of the boxes, m, and their velocities, m/s, both relative to the carrier."""
         speed = np.zeros(3) if self._held is not None else self.data.qvel[:3]
         return self._poses[self._row, :3] - self.carrier_pose[:3], self.velocity[:, :3] - speed
 
     def set_box_forces(self, force_n: FloatArray) -> None:
-        """(capacity, 3) N on the centres of mass of the boxes, from the next step on."""
+        """Set the forces on the centres of mass of the boxes, (capacity, 3) N, from the next step on."""
         self.data.xfrc_applied[self._first_body + self._row, :3] = force_n
 
     def with_velocities(self, boxes: NDArray[np.bool_], velocity: FloatArray) -> FloatArray:
-        """(nv,) velocities of the model, with those of some boxes replaced by rows of ``velocity``."""
+        """(nv,) velocities of the model, with those of the given boxes replaced by rows of ``velocity``."""
         speeds: FloatArray = self.data.qvel.copy()
         chosen = np.flatnonzero(boxes[: self.capacity])
         speeds[self._first_v :].reshape(-1, 6)[self._row[chosen]] = velocity[chosen]
@@ -363,7 +364,7 @@ class LiveWorld:
 
     def accelerations(self) -> tuple[FloatArray, FloatArray]:
         """(k, 3) linear (m/s²) and (k, 3) angular accelerations (rad/s²) of the placed boxes in the last step, in world
-        axes. MuJoCo has the angular velocity of a free body in the body's own axes."""
+        axes. MuJoCo itself stores angular values of a free body in the body's own axes."""
         acceleration = self.qacc[: self.n_placed]
         rows = self._first_body + self._row[: self.n_placed]
         turn = self.data.xmat[rows].reshape(-1, 3, 3)
@@ -382,23 +383,23 @@ class LiveWorld:
         return np.array(self.data.qpos[:7])
 
     def put_at_rest(self, poses: FloatArray) -> None:
-        """Put all boxes to rest with their middles and orientations at (n, 7) ``poses``, m."""
+        """Put all boxes at rest, with their middles and orientations at the (n, 7) ``poses``, m."""
         self._poses[self._row, :3] = self.scene.frames(poses[:, :3], poses[:, 3:])
         self._poses[self._row, 3:] = poses[:, 3:]
         self._velocities[self._row] = self._warmstarts[self._row] = 0.0
 
     def hold_carrier(self) -> None:
-        """Clamp the carrier at its present pose. The boxes keep their poses and velocities."""
+        """Clamp the carrier at its current pose. The boxes keep their poses and velocities."""
         state, time_s = self.body_state(), self.data.time
         self._held = HeldCarrier(pos=state.pose[0, :3], quat=state.pose[0, 3:])
         self._has_waiting = False
         self._shaken = True
-        self._templates = None  # the place of a clamped carrier differs from world to world
+        self._templates = None  # clamped carriers have a different place in each world
         self._build(self.capacity)
         self._restore(state, time_s)
 
     def body_state(self) -> BodyState:
-        """A copy of the state of a world with a free carrier."""
+        """A copy of the state of the bodies, for a world whose carrier is free."""
         data = self.data
         return BodyState(
             pose=np.vstack((data.qpos[:7], self._poses[self._row])),
@@ -408,14 +409,14 @@ class LiveWorld:
 
     @classmethod
     def resume(cls, scene: Scene, sim: Simulation, state: BodyState, time_s: float) -> LiveWorld:
-        """A world with all its boxes, in the state that another world has reached, for a drive."""
+        """A world with all its boxes, in a state that another world has reached. Used for drives."""
         live = cls(scene, sim, n_boxes=len(state.pose) - 1, shaken=True)
         live._restore(state, time_s)
         return live
 
     @classmethod
     def let_go(cls, scene: Scene, sim: Simulation, velocity: FloatArray) -> LiveWorld:
-        """A world with a clamped carrier, whose boxes are at their start with these (n, 6) velocities."""
+        """A world with a clamped carrier. Its boxes are at their release places and have these (n, 6) velocities."""
         held = HeldCarrier(scene.carrier.pos, np.array(IDENTITY_QUAT))
         live = cls(scene, sim, n_boxes=scene.n_boxes, held=held)
         live._velocities[live._row] = velocity
@@ -432,7 +433,7 @@ class LiveWorld:
         self.data.time = time_s
 
     def trouble(self) -> Flag:
-        """Flags of errors in this world, from MuJoCo's warnings and from its numbers."""
+        """Flags for errors in this world, from MuJoCo's warnings and from numbers that are not finite."""
         flags = Flag.NONE
         count = self._warnings
         if count.any():

@@ -1,4 +1,4 @@
-"""MuJoCo's messages, kept off the terminal and out of files."""
+"""Keeps MuJoCo's messages off the terminal and out of files."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ class QuietMujoco:
     """Stops MuJoCo from printing, and from writing MUJOCO_LOG.TXT into the current folder, while a run is active.
 
     MuJoCo's messages (bad numbers, full buffers) are read from its data instead, and become flags in the results. The
-    setting belongs to the process: the first run changes it, and the last one restores it.
+    setting applies to the whole process: the first run changes it, and the last one restores it.
     """
 
     def __init__(self) -> None:

@@ -1,7 +1,7 @@
-"""Model templates of open worlds: compiled once for each number of boxes, then filled in with boxes.
+"""Model templates of open worlds: each is compiled once for a number of boxes, and then filled in with boxes.
 
-Compiling a model of 30 boxes takes 2 ms, as long as ten steps, and a candidate takes only a few dozen steps. A filled
-model equals the one that MuJoCo would compile, in every number on which a step depends.
+Compiling a model of 30 boxes takes 2 ms, as long as ten steps, while a candidate takes only a few dozen steps. In every
+number on which a step depends, a filled model equals the model that MuJoCo would compile.
 """
 
 from __future__ import annotations
@@ -24,16 +24,15 @@ from petmjx.world.scene import Scene
 _SOLVER = {Solver.NEWTON: mujoco.mjtSolver.mjSOL_NEWTON, Solver.CG: mujoco.mjtSolver.mjSOL_CG}
 
 MOST_KEPT: Final = 64
-"""Number of cached templates, the most recently used ones. A template of 31 boxes takes 0.2 MB, and each of its spare
-worlds 0.7 MB in use."""
+"""Number of cached templates; the most recently used ones are kept. A template of 31 boxes takes 0.2 MB, and each of
+its spare worlds takes 0.7 MB while in use."""
 
 MOST_SPARE: Final = 16
-"""Number of models with data that a template keeps for the next worlds: at least one for each thread of most
-machines."""
+"""Number of models with data that a template keeps for the next worlds: enough for one per thread on most machines."""
 
 
 class ModelInstance(NamedTuple):
-    """The model of a world, and its data."""
+    """The model of a world, with its data."""
 
     model: mujoco.MjModel
     data: mujoco.MjData
@@ -46,16 +45,17 @@ def set_options(model: mujoco.MjModel, sim: Simulation) -> None:
         model.opt.iterations = sim.solver_iterations
     if sim.solver_tolerance is not None:
         model.opt.tolerance = sim.solver_tolerance
-    # MuJoCo would silently reset a world that diverges; petmjx must see it.
+    # MuJoCo would silently reset a world that diverges, but petmjx must notice it.
     model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_AUTORESET
     if sim.physics.cone is Cone.ELLIPTIC:
-        # A pallet is one island, and the search for islands would take 10 % of the time. With pyramidal cones islands
-        # are searched: the solver's tolerance is relative to the island, and the reference's creep depends on it.
+        # A pallet is one island, and searching for islands would take 10 % of the time. With pyramidal cones, MuJoCo
+        # does search for islands: the solver's tolerance is relative to the island, and the reference's creep depends
+        # on it.
         model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_ISLAND
 
 
 class Templates:
-    """Models by their numbers of boxes and their carriers. Several threads may use them."""
+    """Model templates by number of boxes and carrier. Several threads may use them."""
 
     def __init__(self, sim: Simulation) -> None:
         self._sim = sim
@@ -64,20 +64,20 @@ class Templates:
 
     @classmethod
     def of(cls, sim: Simulation) -> Templates | None:
-        """The templates for these options; None if models must be compiled: MuJoCo computes the inertia of boxes
-        without a skin, and with pyramidal cones waiting boxes are in the model."""
+        """The templates for these options; None if models must be compiled. That is so for boxes without a skin, since
+        MuJoCo computes their inertia. It is also so with pyramidal cones, since waiting boxes are in the model."""
         physics = sim.physics
         return cls(sim) if physics.has_own_friction and physics.skin_m > 0 else None
 
     def fits(self, scene: Scene) -> bool:
-        """Whether each box of a scene has one shape and is rigid: other boxes have contacts of their own."""
+        """Whether each box of the scene has one shape and is rigid. Other boxes have their own contact laws."""
         return scene.stiffness is None and not scene.pieces
 
     def filled(self, scene: Scene, order: NDArray[np.intp]) -> ModelInstance:
-        """A model of the first boxes of a scene, and data at its beginning.
+        """A model with the first boxes of a scene, and data in its initial state.
 
         Args:
-            order: these boxes in the order of their bodies.
+            order: these boxes, in the order of their bodies.
         """
         key = _key(scene, len(order))
         with self._lock:
@@ -93,7 +93,7 @@ class Templates:
         return template.filled(scene, order)
 
     def give_back(self, filled: ModelInstance, scene: Scene, count: int) -> None:
-        """Take back model and data that no world uses any more, for the next world."""
+        """Take back a model and data that no world uses any more, for the next world."""
         with self._lock:
             template = self._by_key.get(_key(scene, count))
         if template is not None:
@@ -101,14 +101,14 @@ class Templates:
 
 
 def _key(scene: Scene, count: int) -> tuple[object, ...]:
-    """The key of a template: properties that all its models share."""
+    """The key of a template: the properties that are the same for all its models."""
     carrier = scene.carrier
     arrays = (carrier.pos, carrier.half_size, carrier.shape_pos, carrier.inertia_box)
     return (count, carrier.mass, scene.floor_z, *(values.tobytes() for values in arrays))
 
 
 class _Template:
-    """A compiled model, and its unused copies."""
+    """A compiled model, with its unused copies."""
 
     def __init__(self, scene: Scene, sim: Simulation, count: int) -> None:
         self._physics: Physics = sim.physics
@@ -129,7 +129,7 @@ class _Template:
             data = mujoco.MjData(model)
         self._fill(model, scene, order)
         mujoco.mj_setConst(model, data)
-        # summed in order, like MuJoCo's compiler does: the solver's tolerance is relative to this sum
+        # summed in the same order as in MuJoCo's compiler: the solver's tolerance is relative to this sum
         model.stat.meaninertia = sum(model.dof_M0.tolist()) / model.nv
         mujoco.mj_resetData(model, data)
         return ModelInstance(model, data)
@@ -138,7 +138,7 @@ class _Template:
         self._spare.append(filled)
 
     def _fill(self, model: mujoco.MjModel, scene: Scene, order: NDArray[np.intp]) -> None:
-        """Write all values that depend on boxes and friction. MuJoCo computes the dependent values."""
+        """Write all values that depend on boxes and friction. MuJoCo then computes the values that follow from them."""
         physics, body, geom = self._physics, self._first_body, self._first_geom
         model.opt.gravity[:] = (0.0, 0.0, -physics.gravity_m_s2)
         half = scene.half_size[order] + physics.skin_m
@@ -158,8 +158,8 @@ class _Template:
         self._fill_friction(model, scene, order)
 
     def _fill_friction(self, model: mujoco.MjModel, scene: Scene, order: NDArray[np.intp]) -> None:
-        """Write the friction of pairs as ``petmjx.world.mujoco_model`` declares it: the larger friction of two geoms,
-        or that of their surfaces."""
+        """Write the friction of pairs as ``petmjx.world.mujoco_model`` declares it: the larger friction of the two
+        geoms, or the entry for their surfaces."""
         boards = len(scene.carrier.half_size)
         shapes = scene.shapes
         geoms = np.concatenate([np.arange(boards), boards + order])

@@ -1,6 +1,6 @@
 """Open worlds on C MuJoCo: boxes are added one by one, and worlds can be forked.
 
-``OpenWorld`` is one world; ``MujocoWorlds`` has many worlds on CPU threads.
+``OpenWorld`` is one world; ``MujocoWorlds`` simulates many worlds on CPU threads.
 """
 
 from __future__ import annotations
@@ -28,11 +28,11 @@ from petmjx.world.scene import Scene
 class OpenWorld(WorldRun):
     """A world that pauses when all its boxes are placed and have come to rest.
 
-    The world begins after its soft start. No box is placed yet; in a static check all are.
+    The world starts after its soft start. No box is placed yet; in a static check, all boxes are.
 
     Attributes:
         paused: whether boxes can be put into the world.
-        ended: whether the world has failed, and stays as it is.
+        ended: whether the world has failed and no longer changes.
     """
 
     def __init__(
@@ -44,7 +44,7 @@ class OpenWorld(WorldRun):
         self.ended = not self._start()
 
     def go_on(self) -> None:
-        """Place the boxes that are not placed yet, and wait until they rest, by the rules of the placement.
+        """Place the boxes that are not yet placed, and wait until they are at rest, by the rules of the placement.
 
         Raises:
             WorldCancelled: the run was interrupted.
@@ -56,7 +56,7 @@ class OpenWorld(WorldRun):
         """Put boxes into a world that has not ended.
 
         Args:
-            scene: the world's scene with more boxes behind its own.
+            scene: the world's scene with further boxes after the existing ones.
         """
         self._scene, self._job = scene, replace(self._job, scene=scene)
         self._live.extend(scene)
@@ -66,10 +66,10 @@ class OpenWorld(WorldRun):
         self._leave_pause()
 
     def fork(self, *, grows: bool = False) -> Self:
-        """A copy in the same state, which goes on independently.
+        """A copy in the same state. From then on, the two are independent.
 
         Args:
-            grows: True: a box is put into it first.
+            grows: True: the next change of the copy will be another box.
         """
         twin = copy.copy(self)
         twin._live, twin._metrics = self._live.fork(grows=grows), self._metrics.fork()
@@ -79,8 +79,8 @@ class OpenWorld(WorldRun):
         return twin
 
     def tried(self, scene: Scene, *, until_lost: bool = False) -> Reading:
-        """Put the additional boxes of this scene into a fork. Returns the fork's reading when they rest or, with
-        ``until_lost``, when a box is tilted too far at a sample, or gone at a look for quiet."""
+        """Put the additional boxes of this scene into a fork, and return the fork's reading once they are at rest. With
+        ``until_lost``, return it once a box is tilted too far at a sample, or gone at a look for quiet."""
         twin = self.fork(grows=self.paused)
         twin._job, twin._until_gone = replace(twin._job, has_errors=until_lost), until_lost
         twin.put(scene)
@@ -101,9 +101,9 @@ class OpenWorld(WorldRun):
         return True
 
     def finish(self, index: int, drive: Drive | None = None) -> Outcome:
-        """Simulate a world with boxes to its end: the rest window and, if there is one, the drive.
+        """Simulate a world with boxes to its end, that is, the rest window and the drive, if there is one.
 
-        The world is then no longer open.
+        Afterwards, the world is no longer open.
 
         Raises:
             WorldCancelled: the run was interrupted.
@@ -120,7 +120,7 @@ class OpenWorld(WorldRun):
         return self._outcome(came_to_end=not self.ended and self._loop())
 
     def _lingers(self) -> bool:
-        """Whether a world paused because its time was up, and still moves: its last wait may be longer."""
+        """Whether the world paused because its time was up, and still moves. Then its last wait may be longer."""
         return not (self._quiet.holds or self._metrics.has_failed) and self._waits.lasts_longer(self._step)
 
     def _leave_pause(self) -> None:
@@ -130,8 +130,8 @@ class OpenWorld(WorldRun):
             self._keep_still_pose()
 
     def read(self) -> Reading:
-        """The reading of the world. It has ``Flag.MOVING`` if the world paused because its time was up, and not because
-        it rests."""
+        """The reading of the world. It has ``Flag.MOVING`` if the world paused because its time was up, although it was
+        not at rest."""
         live, k = self._live, self._live.n_placed
         pose = live.pose[:k]
         moves = self.paused and not (self._quiet.holds or self._metrics.has_failed)
@@ -157,8 +157,8 @@ class MujocoWorlds(OpenWorlds):
     """Open worlds on CPU threads.
 
     Args:
-        scenes: the scenes of the worlds, which begin at once.
-        threads: number of worlds simulated at the same time.
+        scenes: the scenes of the worlds, which start at once.
+        threads: number of worlds that are simulated at the same time.
     """
 
     def __init__(self, scenes: Sequence[Scene], sim: Simulation, threads: int) -> None:
@@ -220,8 +220,8 @@ class MujocoWorlds(OpenWorlds):
         return OpenWorld(scene, self._sim, self._stop.is_set, self._templates)
 
     def _map(self, work: Callable[[Item], Result], of: Iterable[Item]) -> list[Result]:
-        """The results of ``work`` for each item, on threads. An interruption stops worlds within a few dozen steps;
-        later calls continue them."""
+        """The results of ``work`` for all items, computed on threads. An interruption stops worlds within a few dozen
+        steps; later calls continue them."""
         try:
             with QUIET_MUJOCO, ThreadPoolExecutor(self._threads, thread_name_prefix="petmjx-world") as pool:
                 try:

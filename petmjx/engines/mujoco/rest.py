@@ -1,4 +1,4 @@
-"""The rules for quiet, rest and explosions of one world of the C engine (docs/rules.md, sections 5 and 7).
+"""The rules for quiet, rest and explosions in one world on C MuJoCo (docs/rules.md, sections 5 and 7).
 
 Twin: ``Rules`` in petmjx/engines/mjx/rules.py.
 """
@@ -16,9 +16,9 @@ from petmjx.world.scene import Scene
 
 
 class QuietRule:
-    """Decides at each look whether a pallet is quiet. Its numbers: ``petmjx.options.simulation.Quiet``.
+    """Decides at each look whether the pallet is quiet. The numbers are in ``petmjx.options.simulation.Quiet``.
 
-    The caller looks every ``poll_steps``.
+    The caller looks every ``poll_steps`` steps.
     """
 
     def __init__(self, sim: Simulation, scene: Scene) -> None:
@@ -30,11 +30,11 @@ class QuietRule:
         self.extend(scene)
 
     def extend(self, scene: Scene) -> None:
-        """The world's scene has more boxes."""
+        """Adopt the world's scene after boxes were added."""
         self._radius_m = np.linalg.norm(scene.half_size, axis=1)
 
     def restart(self) -> None:
-        """Begin another wait: the count starts again."""
+        """Start the count of quiet steps again, for another wait."""
         self._steps = 0
 
     @property
@@ -43,13 +43,13 @@ class QuietRule:
         return self._steps >= self._rule.steps
 
     def look(self, pose: FloatArray, velocity: FloatArray, has_failed: bool, adapts: bool = True) -> bool:
-        """Take one look; returns whether the pallet is quiet, except for boxes that tremble.
+        """Take one look. Returns whether the pallet is quiet, apart from boxes that tremble.
 
         Args:
-            pose: (k, 7) poses of the placed boxes, in m and unit quaternions.
+            pose: (k, 7) poses of the placed boxes, in m and as unit quaternions.
             velocity: (k, 6) velocities, linear in m/s and angular in rad/s.
-            has_failed: whether a box has dropped or tilted too far; then the rule does not wait for creep.
-            adapts: whether the wait ends as soon as the pallet is quiet: then trembling boxes are searched for.
+            has_failed: whether a box has dropped or tilted too far. If so, the rule does not wait for creep.
+            adapts: whether the wait ends as soon as the pallet is quiet. If so, trembling boxes are searched for.
         """
         rule, radius = self._rule, self._radius_m[: len(velocity)]
         speed = box_motion.speed(velocity, radius)
@@ -72,21 +72,21 @@ class QuietRule:
                 self._steps, self._first = rule.poll_steps, speed
                 return False
         if trembles.any():
-            self._steps = 0  # the wait is over, but the pallet is not quiet
+            self._steps = 0  # the wait is over, although the pallet is not quiet
         return True
 
     def is_slow(self, velocity: FloatArray, boxes: slice) -> bool:
-        """Whether these boxes are as slow as boxes of a quiet pallet."""
+        """Whether these boxes are as slow as the boxes of a quiet pallet."""
         return bool((box_motion.speed(velocity, self._radius_m[boxes]) < self._rule.quiet_m_s).all())
 
     def motion(self, before: FloatArray, after: FloatArray, velocity: FloatArray, seconds: float) -> tuple[bool, bool]:
-        """Whether a point of a box moved faster than ``still_m_s``, or does so now; and whether the world has to wait
-        for such boxes. The world does not wait for trembling boxes slower than ``slow_m_s``.
+        """Two answers: whether any point of a box moved, or moves now, faster than ``still_m_s``; and whether the world
+        has to wait because of such boxes. It does not wait for trembling boxes slower than ``slow_m_s``.
 
         Args:
-            before, after: (k, 7) poses, ``seconds`` apart. A rocking box that turned between them has hardly moved on
+            before, after: (k, 7) poses, ``seconds`` apart. A rocking box that reversed between them has hardly moved on
                 average.
-            velocity: (k, 6) velocities now.
+            velocity: (k, 6) current velocities.
         """
         rule, radius = self._rule, self._radius_m[: len(after)]
         moved = box_motion.moved(before, after, radius)
@@ -97,25 +97,25 @@ class QuietRule:
 
 
 class Explosion:
-    """Finds simulations that cannot be right: large accelerations that last, without a failed box as their cause.
+    """Finds simulations that cannot be right: accelerations are large for some time, and no failed box causes them.
 
-    When light boxes land, or tipping boxes hit something, they reach 240 rad/s² for a few steps; one such sample is not
-    an explosion. So samples right after a placement do not count. And one violent sample is not enough: the following
-    samples, over at least as many steps as a box needs to land, must be violent, too.
+    When light boxes land, or tipping boxes hit something, accelerations reach 240 rad/s² for a few steps. A single such
+    sample is not an explosion. So samples right after a placement do not count. After one violent sample, the following
+    samples must be violent, too, over at least the number of steps that a box needs to land.
 
     Args:
-        landing: steps that a box needs to land.
+        landing: number of steps that a box needs to land.
     """
 
     def __init__(self, landing: int) -> None:
         self._landing, self._fast_since = landing, NEVER
 
     def seen(self, step: int, placed_at: int, too_fast: bool) -> bool:
-        """Whether the world explodes, by the sample after a step.
+        """Whether the world explodes, judged after the sample of a step.
 
         Args:
             placed_at: the step after which the last box was placed; the current step while a box is carried.
-            too_fast: whether an acceleration is beyond its threshold and no sign has been seen.
+            too_fast: whether an acceleration is above its threshold although no sign of failure has been seen.
         """
         if step - placed_at < self._landing:
             return False

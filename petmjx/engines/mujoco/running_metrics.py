@@ -1,4 +1,4 @@
-"""Running metrics of one world in NumPy, for the oracle. The oracle shares no arithmetic with the JAX side.
+"""Running metrics of one world in NumPy, for the oracle. The oracle shares no arithmetic with the JAX implementation.
 
 Definitions: docs/metrics.md. Arrays have one row per box, in packing order.
 """
@@ -20,11 +20,11 @@ from petmjx.world.job import Drive, Job
 from petmjx.world.scene import Scene
 
 _STEPS_TOGETHER = 64
-"""Number of steps whose forces are computed together. A larger number gains nothing."""
+"""Number of steps whose forces are computed together. A larger number would not be faster."""
 
 
 class OracleMetrics:
-    """Running maxima, first sign and resting force of one world."""
+    """Running maxima, first sign and forces at rest of one world."""
 
     def __init__(self, scene: Scene, thresholds: Thresholds, gravity_m_s2: float = STANDARD_GRAVITY) -> None:
         n = scene.n_boxes
@@ -55,7 +55,7 @@ class OracleMetrics:
         return twin
 
     def extend(self, scene: Scene) -> None:
-        """Add the further boxes of a scene, without values yet."""
+        """Add the further boxes of a scene; they have no values yet."""
         self._work_off()
         larger = OracleMetrics(scene, self._thresholds, self._gravity_m_s2)
         for name, value in vars(larger).items():
@@ -66,7 +66,7 @@ class OracleMetrics:
 
     @property
     def max_top_force_n(self) -> FloatArray:
-        """(n,) largest force on top of each box so far, N."""
+        """(n,) largest force on top of each box so far, N, including buffered steps."""
         self._work_off()
         return self._max_top_force_n
 
@@ -77,13 +77,13 @@ class OracleMetrics:
             self.add_forces(largest_top_forces(steps, len(self._max_top_force_n)))
 
     def add_step(self, pressed: TopForceInputs) -> None:
-        """Take in a step's forces on tops. Samples are buffered, and many steps are computed together."""
+        """Add a step's forces on tops. Steps are buffered, so that many are computed together."""
         if self._pressed and (len(self._pressed) >= _STEPS_TOGETHER or self._pressed[0].bodies is not pressed.bodies):
             self._work_off()
         self._pressed.append(pressed)
 
     def add_forces(self, top_force_n: FloatArray) -> None:
-        """Take in forces on the tops of the first k boxes, N. NaN does not count."""
+        """Add forces on the tops of the first k boxes, N. NaN is ignored."""
         largest = self._max_top_force_n[: len(top_force_n)]
         np.fmax(largest, np.where(np.isfinite(top_force_n), top_force_n, 0.0), out=largest)
 
@@ -93,17 +93,17 @@ class OracleMetrics:
 
     @property
     def has_failed(self) -> bool:
-        """Whether a box has crossed a threshold for good: it has dropped, or was tilted too far at a look. A shift is
-        judged at rest, and may go back until then."""
+        """Whether a box has irreversibly crossed a threshold: it has dropped, or was tilted too far at a look. A shift
+        is judged at rest, and may still decrease until then."""
         tilted = self.max_tilt_deg > self._thresholds.tilt_deg
         return self.culprit >= 0 and (self.any_dropped or bool(tilted.any()))
 
     def tells_all(self, job: Job, pos: FloatArray, quat: FloatArray, culprit: int) -> bool:
-        """Whether the pallet certainly falls, so that its world can end: a box has dropped; with errors, one of the k
-        placed boxes is lost in these poses; in a drive, the culprit is lost.
+        """Whether it is certain that the pallet falls, so that its world can end. That is so if a box has dropped; in
+        worlds with errors, if one of the k placed boxes is lost in these poses; in a drive, if the culprit is lost.
 
         Args:
-            culprit: the culprit of an earlier look; -1: no culprit, or none that ends a drive.
+            culprit: the culprit found at an earlier look; -1: there is none, or it does not end a drive.
         """
         if self.any_dropped:
             return True
@@ -116,7 +116,7 @@ class OracleMetrics:
         return bool(lost[culprit] and sway[culprit] >= job.drive.allowed_sway_m)
 
     def any_gone(self, pos: FloatArray, quat: FloatArray) -> bool:
-        """Whether one of the k placed boxes is so far away in these poses that the pallet of a trial will not stand."""
+        """Whether one of the k placed boxes is gone in these poses, so that the pallet of a trial will not stand."""
         k = len(pos)
         descent = self._scene.target[:k, 2] - pos[:, 2] - (0.0 if self._sinks_m is None else self._sinks_m[:k])
         limits = self._thresholds
@@ -127,12 +127,12 @@ class OracleMetrics:
     def add_sample(
         self, time_s: float, pos: FloatArray, quat: FloatArray, acc: FloatArray, top_force_n: FloatArray
     ) -> bool:
-        """Add one sample: the k placed boxes' poses, (k, 6) accelerations and forces on their tops.
+        """Add one sample of the k placed boxes: their poses, (k, 6) accelerations, and forces on their tops.
 
-        All belong to the start of a step, where MuJoCo evaluates contacts and accelerations.
+        All values belong to the beginning of a step, when MuJoCo evaluates contacts and accelerations.
 
         Returns:
-            Whether an acceleration is above its threshold and no sign has been seen yet.
+            Whether an acceleration is above its threshold although no sign of failure has been seen yet.
         """
         k = len(pos)
         lin = np.linalg.norm(acc[:, :3], axis=1)
@@ -147,12 +147,12 @@ class OracleMetrics:
         return too_fast and self.culprit < 0
 
     def add_look(self, time_s: float, pos: FloatArray, quat: FloatArray) -> None:
-        """Add the poses of a sample, or of a look during a drive: their tilts, and the checks of ``add_pose``."""
+        """Add the poses at a sample, or at a look during a drive: record tilts, and check as ``add_pose`` does."""
         tilt, k = self.add_pose(time_s, pos, quat), len(pos)
         np.maximum(self.max_tilt_deg[:k], tilt, out=self.max_tilt_deg[:k])
 
     def add_pose(self, time_s: float, pos: FloatArray, quat: FloatArray) -> FloatArray:
-        """Check the poses of a look, or of the final state, for drops, sway and the first sign. Returns (k,) tilts."""
+        """Check the poses at a look, or at the end, for drops, sway and the first sign. Returns (k,) tilts, °."""
         k = len(pos)
         tilt = tilt_deg(quat)
         dropped = has_dropped(pos, quat, self._scene.half_size[:k], self._thresholds)
@@ -169,21 +169,21 @@ class OracleMetrics:
 
     @staticmethod
     def _sway(pos: FloatArray, origin: FloatArray) -> FloatArray:
-        """(k,) horizontal distance of boxes from their places at the beginning of the drive, m."""
+        """(k,) horizontal distance of boxes from their places at the start of the drive, m."""
         return np.asarray(np.hypot(*(pos - origin)[:, :2].T))
 
     def add_rest(self, top_force_n: FloatArray) -> None:
-        """Add one step of the rest window."""
+        """Add the forces of one step of the rest window."""
         self._rest_sum_n[: len(top_force_n)] += top_force_n
         self._rest_steps += 1
 
     def restart_rest(self) -> None:
-        """Begin a new rest window, since the last one did not end the world."""
+        """Start a new rest window, since the last one did not end the world."""
         self._rest_sum_n[:] = 0.0
         self._rest_steps = 0
 
     def is_over(self, pos: FloatArray, quat: FloatArray) -> bool:
-        """Whether a box is over a threshold in these poses, or has dropped."""
+        """Whether any box is beyond a threshold in these poses, or has dropped."""
         _, crossed = self._excess(pos, tilt_deg(quat), np.isfinite(self.drop_s[: len(pos)]))
         return bool(crossed.any())
 
@@ -195,10 +195,11 @@ class OracleMetrics:
         return self.any_dropped or bool(lost.any())
 
     def begin_drive(self, pos: FloatArray, quat: FloatArray) -> None:
-        """Begin a profile, with the k boxes in these poses. Sway is measured from here, and rest from its end.
+        """Start a profile, with the k boxes in these poses. Sway is measured from these poses, and rest at the end of
+        the profile.
 
-        If no box is over a threshold now, signs from the placement (a hard landing) are forgotten: the first sign is
-        then the first one during the profile.
+        If no box is beyond a threshold now, signs from the placement (such as a hard landing) are forgotten. The first
+        sign is then the first one during the profile.
         """
         k = len(pos)
         self._sway_origin = pos.copy()
@@ -211,11 +212,12 @@ class OracleMetrics:
     def finish(self, pos: FloatArray, quat: FloatArray, n_placed: int, came_to_end: bool) -> BoxMetrics:
         """The metrics of all boxes, with the final (n, 3) centres and (n, 4) orientations.
 
-        The final pose of placed boxes counts for the largest tilt, and the mean force at rest for the largest force.
+        The largest tilt includes the tilt of the final pose of placed boxes. The largest force includes the mean force
+        at rest.
         """
         n = self._scene.n_boxes
         placed = slice(n_placed)
-        with np.errstate(invalid="ignore"):  # the poses of a world with bad numbers
+        with np.errstate(invalid="ignore"):  # poses of a world with NaN
             np.fmax(self.max_tilt_deg[placed], tilt_deg(quat[placed]), out=self.max_tilt_deg[placed])
         rest_force_n = self._rest_sum_n / self._rest_steps if came_to_end and self._rest_steps else np.full(n, np.nan)
         return BoxMetrics.measured(
@@ -242,7 +244,7 @@ class OracleMetrics:
     def _excess(
         self, pos: FloatArray, tilt: FloatArray, dropped: NDArray[np.bool_]
     ) -> tuple[FloatArray, NDArray[np.bool_]]:
-        """(k,) excess of each box, and (k,) whether it is over a threshold or has dropped."""
+        """(k,) excess of each box, and (k,) whether each box is beyond a threshold or has dropped."""
         limits = self._thresholds
         k = len(pos)
         sinks = None if self._sinks_m is None else self._sinks_m[:k]

@@ -1,6 +1,6 @@
 """Sliding contacts on C MuJoCo. The law: petmjx/world/contact_laws.py.
 
-MuJoCo's step has two halves. Between them contacts have their reference accelerations, and the solver has not begun.
+MuJoCo's step has two halves. Between them, reference accelerations are known, and the solver has not started.
 """
 
 from __future__ import annotations
@@ -27,20 +27,20 @@ from petmjx.world.friction_pairs import USUAL
 
 LOOK_STEPS = 5
 """Number of steps between two checks for motion. A pallet at rest takes many steps in one call of C, without the
-interpreter's lock. A body that begins to slip between two checks has at most 0.1 m/s at the second check, which lifts
-no contact out of its soft onset."""
+interpreter's lock. A body that begins to slip between two checks has a speed of at most 0.1 m/s at the second one. This
+does not lift a contact out of its soft onset."""
 
 SLOW_M_S = STICKS_M_S / 4
-"""Norm of all velocities up to which no contact slides: a point of a body less than 1.7 m from its centre is then
+"""Largest norm of all velocities at which no contact slides. All points of a body within 1.7 m of its centre are then
 slower than half of ``STICKS_M_S``."""
 
 
 class SlipLaw:
-    """The law of sliding contacts, for worlds with these physics.
+    """The law of sliding contacts for worlds with these physics.
 
     Args:
-        pair_kinetic: as in ``petmjx.world.scene.Scene``.
-        surfaces: (ngeom,) surfaces of the model's geoms, for ``pair_kinetic``.
+        pair_kinetic: see ``petmjx.world.scene.Scene``.
+        surfaces: (ngeom,) surfaces of the model's geoms, needed for ``pair_kinetic``.
     """
 
     def __init__(
@@ -66,8 +66,8 @@ class SlipLaw:
         self.step2(model, data)
 
     def step2(self, model: mujoco.MjModel, data: mujoco.MjData) -> None:
-        """As ``mj_step2``, with Euler's integrator. All contacts have three rows (``condim`` 3), behind the rows of
-        other constraints."""
+        """``mj_step2`` with Euler's integrator and this law. All contacts must have three rows (``condim`` 3), after
+        the rows of other constraints."""
         first = data.ne + data.nf + data.nl
         if not self.acts or data.nefc == first:
             mujoco.mj_step2(model, data)
@@ -92,7 +92,7 @@ class SlipLaw:
         mujoco.mj_Euler(model, data)
 
     def _kinetic(self, data: mujoco.MjData, active: NDArray[np.integer]) -> FloatArray | float:
-        """The kinetic share of friction; (k,) for these contacts if pairs have shares of their own."""
+        """The kinetic share of friction; (k,) for these contacts if pairs have their own shares."""
         if self._of_pairs is None or self._surfaces is None:
             return self._share
         of_pair: FloatArray = self._of_pairs[tuple(self._surfaces[np.asarray(data.contact.geom)[active]].T)]
@@ -101,11 +101,11 @@ class SlipLaw:
     def _solve(
         self, model: mujoco.MjModel, data: mujoco.MjData, normal: NDArray[np.integer], reference: FloatArray
     ) -> None:
-        """Find accelerations and forces with the excess of sliding contacts.
+        """Find the accelerations and forces that fit the excess of sliding contacts.
 
         Args:
-            normal: (k,) rows of these contacts' normals; the tangents' rows follow.
-            reference: (k,) their tangential reference accelerations, m/s².
+            normal: (k,) rows of the normals of these contacts; the rows of the tangents follow.
+            reference: (k,) tangential reference accelerations of these contacts, m/s².
         """
         one, two = normal + 1, normal + 2
         aref, along = data.efc_aref, np.zeros(data.nefc)
@@ -114,7 +114,7 @@ class SlipLaw:
         before, aref_one, aref_two = aref[normal], aref[one], aref[two]
 
         def excess_at(qacc: FloatArray, dragged: FloatArray | float) -> FloatArray:
-            """(k,) m/s² at these accelerations, for each contact. ``dragged``: R_t · |f_t|, m/s²."""
+            """(k,) excess of each contact at these accelerations, m/s². ``dragged``: R_t · |f_t|, m/s²."""
             mujoco.mj_mulJacVec(model, data, along, qacc)
             beyond = np.hypot(along[one] - aref_one, along[two] - aref_two)
             excess: FloatArray = np.maximum(beyond - dragged - self._slack, 0.0)

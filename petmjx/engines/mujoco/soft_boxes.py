@@ -1,8 +1,8 @@
 """A MuJoCo world with soft boxes (petmjx/world/soft_boxes.py), for the rules of ``WorldRun``.
 
-The rules measure the rigid box that fits the points of a soft box best: their centre of mass, the rotation with the
-least squares (Kabsch, "A solution for the best rotation to relate two sets of vectors", 1976), and their momentum and
-angular momentum.
+The rules measure the rigid box that best fits the points of a soft box. It has their centre of mass, the rotation with
+the least squares (Kabsch, "A solution for the best rotation to relate two sets of vectors", 1976), and their momentum
+and angular momentum.
 """
 
 from __future__ import annotations
@@ -39,9 +39,9 @@ class SoftState:
 
 
 class SoftWorld(LiveWorld):
-    """A ``LiveWorld`` with soft boxes, which do not fit into its rows of bodies.
+    """A ``LiveWorld`` with soft boxes, which do not fit into its one row per body.
 
-    A box is in the model from its placement on. Boxes are placed exactly.
+    A box is in the model only once it is placed. Boxes are placed exactly.
     """
 
     def _build(self, capacity: int, contacts: NDArray[np.integer] | None = None) -> None:
@@ -84,18 +84,18 @@ class SoftWorld(LiveWorld):
     # ------------------------------------------------------------------ measurements
 
     def _now(self) -> FloatArray:
-        """(s, 27, 3) points of the soft boxes after the last step, m."""
+        """(s, 27, 3) positions of the points of the soft boxes after the last step, m."""
         points: FloatArray = self._home + self.data.qpos[self._q_of].reshape(-1, COUNT, 3)
         return points
 
     def _joined(self, soft: FloatArray, rigid: FloatArray) -> FloatArray:
-        """(capacity, k) rows of all boxes."""
+        """(capacity, k) rows of all boxes, from those of soft and of rigid boxes."""
         rows = np.empty((self.capacity, rigid.shape[-1]))
         rows[self._soft], rows[self._rigid] = soft, rigid
         return rows
 
     def _fit(self, points: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """(s, 3) centres of the soft boxes with these points, m, and (s, 3, 3) their rotations."""
+        """(s, 3) centres of the soft boxes with these points, m, and (s, 3, 3) rotations."""
         middle = (self._weight * points).sum(axis=1)
         spread = np.einsum("spi,spj->sij", self._weight * self._points, points - middle[:, None])
         left, _, right = np.linalg.svd(spread)
@@ -103,7 +103,7 @@ class SoftWorld(LiveWorld):
         return middle, np.swapaxes(left @ right, 1, 2)
 
     def _poses_of(self, points: FloatArray) -> FloatArray:
-        """(s, 7) poses of the soft boxes with these points; NaN if the points are not finite."""
+        """(s, 7) poses of the soft boxes with these points; NaN if any point is not finite."""
         poses = np.full((len(points), 7), np.nan)
         sound = np.isfinite(points).all(axis=(1, 2))
         if not sound.all():
@@ -132,7 +132,7 @@ class SoftWorld(LiveWorld):
         return poses[:, :3], poses[:, 3:]
 
     def _turning(self, points: FloatArray, rate: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """(s, 3) linear and (s, 3) angular part of the points' (s, 27, 3) rates, in world axes."""
+        """(s, 3) linear and (s, 3) angular part of the (s, 27, 3) rates of the points, in world axes."""
         linear = (self._weight * rate).sum(axis=1)
         arm = points - (self._weight * points).sum(axis=1)[:, None]
         moment = (self._weight * np.cross(arm, rate)).sum(axis=1)
@@ -143,7 +143,7 @@ class SoftWorld(LiveWorld):
         return linear, np.linalg.solve(inertia, moment[..., None])[..., 0]
 
     def _rates(self, values: FloatArray, points: FloatArray) -> FloatArray:
-        """(capacity, 6) rates of all boxes: of soft boxes in world axes, of rigid boxes in MuJoCo's axes."""
+        """(capacity, 6) rates of all boxes: in world axes for soft boxes, in MuJoCo's axes for rigid boxes."""
         soft = np.hstack(self._turning(points, values[self._v_of].reshape(-1, COUNT, 3)))
         return self._joined(soft, values[self._rigid_v])
 
@@ -174,7 +174,7 @@ class SoftWorld(LiveWorld):
         index, force = contact_normal_and_tangents(data, self.pyramidal)
         frame = np.asarray(data.contact.frame)[index].reshape(-1, 3, 3)
         bodies = self.contact_bodies()[index]
-        # heights of boxes, followed by those of carrier and floor, whose numbers are negative
+        # heights of the boxes, and after them those of carrier and floor, whose numbers are negative
         centre_z = np.zeros(self.capacity + 2)
         centre_z[FLOOR], centre_z[CARRIER] = -np.inf, data.xpos[self._carrier, 2]
         centre_z[self._soft] = (self._weight[..., 0] * data.xpos[self._point_bodies][..., 2]).sum(axis=1)
@@ -202,8 +202,8 @@ class SoftWorld(LiveWorld):
         self.n_placed += 1
 
     def _top_of_supports(self, box: int) -> float:
-        """How much higher than planned the top below a box is now, m: the highest of its supports within the shared
-        area."""
+        """How much higher than planned the surface below a box is at the moment, m. The highest point of its supports
+        within the shared areas counts."""
         scene = self.scene
         low, high = scene.target - scene.half_size, scene.target + scene.half_size
         if self._sim.physics.falls_into_place:
@@ -241,8 +241,8 @@ class SoftWorld(LiveWorld):
         return SoftState(self.data.qpos.copy(), self.data.qvel.copy(), self.data.qacc_warmstart.copy())
 
     def _put(self, state: SoftState, skip_q: int = 0, skip_v: int = 0) -> None:
-        """Take over the state of a world with the same boxes, or fewer. ``skip_q``, ``skip_v``: numbers of
-        its carrier, to leave them out."""
+        """Adopt the state of a world with the same boxes, or fewer. ``skip_q``, ``skip_v``: how many numbers of its
+        carrier to leave out."""
         data = self.data
         data.qpos[: len(state.pos) - skip_q] = state.pos[skip_q:]
         data.qvel[: len(state.velocity) - skip_v] = state.velocity[skip_v:]
@@ -255,7 +255,7 @@ class SoftWorld(LiveWorld):
         self._put(state, skip_q=7, skip_v=6)
         self.data.time = time_s
 
-    def body_state(self) -> SoftState:  # type: ignore[override]  # WorldRun gives it back to ``resume`` alone
+    def body_state(self) -> SoftState:  # type: ignore[override]  # WorldRun passes it only to ``resume``
         return self._state()
 
     @classmethod

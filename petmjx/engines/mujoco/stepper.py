@@ -1,4 +1,4 @@
-"""Takes the steps of a world on C MuJoCo: many at a time, or one at a time if the forces of each step count."""
+"""Takes the steps of a world on C MuJoCo: many at a time, or one by one if the forces of each step are needed."""
 
 from __future__ import annotations
 
@@ -15,16 +15,16 @@ from petmjx.engines.mujoco.top_forces import top_force_inputs
 from petmjx.options.simulation import Simulation
 
 _RESTLESS_SQUARE = 0.5 * RESTLESS_M_S**2
-"""Sum of squares of all speeds, m/s and rad/s. Below this sum no point within 1 m of its box's centre is faster than
+"""Largest sum of squares of all speeds, m/s and rad/s, at which no point within 1 m of its box's centre is faster than
 ``RESTLESS_M_S``."""
 
 
 class Stepper:
-    """Takes the steps of a world, within its time budget.
+    """Takes the steps of a world, as long as its time budget lasts.
 
     Args:
-        sim: options, among them the looks for quiet. Forces in the steps of these looks count, too.
-        budget: the world's time; None: as much as it needs.
+        sim: the options, which determine the looks for quiet. Forces in the steps of these looks count, too.
+        budget: the world's time budget; None: it has no limit.
     """
 
     def __init__(self, sim: Simulation, budget: Budget | None) -> None:
@@ -40,12 +40,12 @@ class Stepper:
     def take(
         self, live: LiveWorld | SoftWorld, first: int, count: int, metrics: OracleMetrics | None, acts: bool
     ) -> int:
-        """Take steps; returns their number: fewer if the time is up before.
+        """Take steps; returns their number, which is smaller than ``count`` if the time is up.
 
         Args:
             first: number of the first step.
             metrics: records the forces of steps; None: forces are not needed.
-            acts: True: a drive acts, so that any step may have the largest forces.
+            acts: True: a drive acts, so any step may have the largest forces.
         """
         number, end, budget = first, first + count, self._budget
         while number < end:
@@ -53,7 +53,7 @@ class Stepper:
                 return number - first
             placed, self._placed = self._placed, live.n_placed
             if placed != live.n_placed or (number - 1) % self._poll_steps == 0:
-                # independent of the steps per call: a recorded world stops at frames, and must be equal
+                # independent of the steps per call, since a recorded world stops at frames and must be equal
                 self._restless = placed != live.n_placed or not _is_calm(live)
             last = min(end, number + self._poll_steps - (number - 1) % self._poll_steps)
             counts = metrics if self._looks and live.n_placed and (acts or self._restless) else None
@@ -74,7 +74,7 @@ class Stepper:
     def _look(
         self, live: LiveWorld | SoftWorld, number: int, rising: FloatArray, acts: bool, metrics: OracleMetrics
     ) -> None:
-        """Add the forces of a step, if they count. ``rising``: accelerations upwards, m/s²."""
+        """Add the forces of a step if they count. ``rising``: upward accelerations, m/s²."""
         if isinstance(live, SoftWorld):
             metrics.add_forces(live.top_forces()[: live.n_free])
         elif acts or number % self._poll_steps == 0 or np.maximum.reduce(rising) > RISING_M_S2:
@@ -82,6 +82,6 @@ class Stepper:
 
 
 def _is_calm(live: LiveWorld | SoftWorld) -> bool:
-    """Whether no box is fast, and no box becomes fast before the next look for quiet."""
+    """Whether no box is fast, and no box can become fast before the next look for quiet."""
     speed, acceleration = live.data.qvel, live.data.qacc
     return bool(speed.dot(speed) <= _RESTLESS_SQUARE and acceleration.dot(acceleration) <= CALM_M_S2**2)

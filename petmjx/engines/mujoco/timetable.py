@@ -10,17 +10,17 @@ from petmjx.engines.step_clock import Clock
 from petmjx.options.simulation import Check, Schedule, Simulation
 
 NEVER = 2**62
-"""A step that never comes."""
+"""A step that is never reached."""
 
 
 class Waits:
     """The wait for the next placement, for the drive, or for the rest window.
 
     Attributes:
-        settles: a drive follows the placement, or the settled state is saved.
+        settles: whether a drive follows the placement, or the settled state is kept.
         since: the step after which the wait begins.
         last_placement: the step after which the last box was placed.
-        drive_end: the last step of the drive, if the world does not rest earlier; None before the drive begins.
+        drive_end: the last step of the drive, unless the world rests earlier; None before the drive begins.
     """
 
     def __init__(self, sim: Simulation, clock: Clock, settles: bool) -> None:
@@ -35,27 +35,28 @@ class Waits:
 
     @property
     def adapts(self) -> bool:
-        """Whether the next event comes as soon as the pallet is quiet. With the fixed schedule this holds only for a
-        world that has moved at its end."""
+        """Whether the next event comes as soon as the pallet is quiet. With the fixed schedule, this holds only for a
+        world that was still moving at its end."""
         return self._adaptive or self.since > self.last_placement
 
     @property
     def rests_first(self) -> bool:
-        """Whether a drive follows a rest window with a look at its end."""
+        """Whether a rest window, with a look at its end, comes before a drive."""
         return self._adaptive and self._sim.waits_for_rest
 
     @property
     def _is_plain_static(self) -> bool:
-        """Whether this is a static check without a drive, whose length is the option ``duration_s``."""
+        """Whether this is a static check without a drive. Its length is the option ``duration_s``."""
         return self._static and not self.settles
 
     def begin(self, step: int, n_boxes: int, all_placed: bool, restless: bool) -> None:
-        """Begin to wait.
+        """Start to wait.
 
         Args:
             n_boxes: number of boxes of the plan.
             all_placed: whether all boxes are placed.
-            restless: whether an earlier wait ended with a moving world, and this is not the last wait, which is long.
+            restless: whether an earlier wait ended with a moving world, and this is not the last wait. The last wait
+                is always long.
         """
         self.since, self._boxes, self._all_placed = step, n_boxes, all_placed
         self._patient = self._sim.waits_for_rest and self.adapts and not self._is_plain_static
@@ -63,12 +64,12 @@ class Waits:
         self._latest = self.longest_wait if self._patient and not restless else self._latest_after(step)
 
     def lasts_longer(self, step: int) -> bool:
-        """Whether a short wait goes on after this step if it is the last one, and an earlier wait
-        ended with a moving world."""
+        """Whether a short wait would continue after this step if it were the last one. Waits are short if an earlier
+        wait ended with a moving world."""
         return self._patient and step < self.longest_wait
 
     def deadline(self, sign_step: int | None) -> int:
-        """The latest step for the next event. Once a box has failed, a long wait gains nothing. It becomes a short
+        """The latest step for the next event. Once a box has failed, a long wait is of no use, so it becomes a short
         one, counted from the first sign.
 
         Args:
@@ -83,9 +84,9 @@ class Waits:
         return self._latest_if_failed
 
     def _latest_after(self, since: int) -> int:
-        """The latest step for the next event after a wait since a step, without patience.
+        """The latest step for the next event after a short wait that began after the step ``since``.
 
-        With the fixed schedule a drive starts at the time of the reference implementation, counted from the nominal
+        With the fixed schedule, a drive starts at the time of the reference implementation, counted from the nominal
         time of the last placement. (The real placement is a few steps later, since times are rounded to steps.)
         """
         sim = self._sim
@@ -99,16 +100,16 @@ class Waits:
 
     @property
     def in_drive(self) -> bool:
-        """Whether this is the wait for quiet after a profile's last sample; it ends before ``drive_end``."""
+        """Whether this is the wait for quiet after a profile's last sample. It ends before ``drive_end``."""
         return self.drive_end is not None and self.since < self.drive_end
 
     def last_end(self, step: int) -> int:
-        """The last step of a world that does not rest after this step; ``NEVER`` if unknown."""
+        """The last step of a world that is not at rest after this step; ``NEVER`` if unknown."""
         return self.drive_end if self.drive_end is not None and step < self.drive_end else NEVER
 
     @property
     def longest_wait(self) -> int:
-        """The step up to which a moving world may go on, after its last placement or the end of its drive."""
+        """The last step of a world that keeps moving, counted from its last placement or the end of its drive."""
         return self._later(self.last_placement if self.drive_end is None else self.drive_end, self._sim.longest_wait_s)
 
     def may_go_on(self, step: int) -> bool:
@@ -118,7 +119,7 @@ class Waits:
         return step < (self.static_end if self._is_plain_static else self.longest_wait)
 
     def _later(self, since: int, wait_s: float) -> int:
-        """The step at which a wait is over. After a drive waits are counted in steps, like the end of the drive."""
+        """The step at which a wait is over. After a drive, waits are counted in steps, like the end of the drive."""
         if self.drive_end is not None:
             return since + seconds_to_steps(wait_s, self._dt)
         return self._clock.first_after(since, wait_s)
@@ -129,7 +130,7 @@ class Waits:
         return seconds_to_steps(self._sim.duration_s, self._dt)
 
     def end_of_fixed(self, n_boxes: int) -> int:
-        """The last step with the fixed schedule and without a drive; ``NEVER`` if not known in advance."""
+        """The last step for the fixed schedule without a drive; ``NEVER`` if it is not known in advance."""
         if self._adaptive or self.settles:
             return NEVER
         if self._static:

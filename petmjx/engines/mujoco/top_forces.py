@@ -1,6 +1,6 @@
 """The force on top of each box, from C MuJoCo's contacts (NumPy). Twin: petmjx/engines/mjx/top_forces.py.
 
-The forces of many steps are computed together, from copies of each step's inputs.
+The forces of many steps are computed together, from copies of the inputs of each step.
 """
 
 from __future__ import annotations
@@ -16,19 +16,19 @@ from numpy.typing import NDArray
 from petmjx.common.units import FloatArray
 
 VERTICAL_COSINE = math.cos(math.radians(45.0))
-"""A contact is vertical if its normal is within 45° of z."""
+"""A contact counts as vertical if its normal is within 45° of z."""
 
 
 def contact_normal_and_tangents(data: mujoco.MjData, pyramidal: bool) -> tuple[NDArray[np.intp], FloatArray]:
     """Forces of the contacts that have constraint rows.
 
-    Pyramidal rows are forces along the four edges of the cone: the normal part is their sum, each tangent is the
-    difference of its two edges × friction. Elliptic rows are the force itself. All contacts have condim 3. Source: as
-    in ``petmjx.engines.mjx.top_forces.contact_force_z``.
+    Pyramidal rows are forces along the four edges of the cone. The normal part is their sum, and each tangential part
+    is the difference of its two edges × friction. Elliptic rows are the force itself. All contacts have condim 3.
+    Source: as in ``petmjx.engines.mjx.top_forces.contact_force_z``.
 
     Returns:
-        (k,) indices of these contacts and (k, 3) forces in the contact frame (normal, tangents), N, from geom 1 on geom
-        2.
+        (k,) indices of these contacts, and (k, 3) forces of geom 1 on geom 2 in the contact frame (normal, tangents),
+        N.
     """
     address = np.asarray(data.contact.efc_address)
     index = np.flatnonzero(address >= 0)
@@ -44,10 +44,10 @@ def contact_normal_and_tangents(data: mujoco.MjData, pyramidal: bool) -> tuple[N
 
 
 def contact_force_z(force: FloatArray, frame_z: FloatArray) -> FloatArray:
-    """(k,) world-z component of contact forces on their second geoms, N.
+    """(k,) z component, in world axes, of the contact forces on their second geoms, N.
 
     Args:
-        force: (k, 3) along normal and tangents, N.
+        force: (k, 3) forces along normal and tangents, N.
         frame_z: (k, 3) z components of normal and tangents.
     """
     return np.asarray(np.einsum("kr,kr->k", force, frame_z))
@@ -56,16 +56,16 @@ def contact_force_z(force: FloatArray, frame_z: FloatArray) -> FloatArray:
 def pressed_box(
     body: NDArray[np.integer], geom_z: FloatArray, normal_z: FloatArray
 ) -> tuple[NDArray[np.integer], FloatArray, NDArray[np.bool_]]:
-    """Which box a contact presses on: the partner whose centre is lower.
+    """The box on which each contact presses: the partner whose centre is lower.
 
     Args:
         body: (k, 2) partners: boxes, or negative numbers.
         geom_z: (k, 2) z of the centres of the shapes that touch, m.
-        normal_z: (k,) z component of the unit normal.
+        normal_z: (k,) z components of the unit normals.
 
     Returns:
-        (k,) box index (negative for carrier and floor), (k,) sign by which the force on the second geom becomes a
-        downward force on the lower geom, (k,) whether the contact is vertical and its lower partner is a box.
+        (k,) number of the box (negative for carrier and floor); (k,) sign that turns the force on the second geom into
+        a downward force on the lower geom; (k,) whether the contact is vertical and its lower partner is a box.
     """
     first_is_lower = geom_z[:, 0] < geom_z[:, 1]
     box = np.where(first_is_lower, body[:, 0], body[:, 1])
@@ -76,8 +76,8 @@ def pressed_box(
 def top_forces(data: mujoco.MjData, bodies: NDArray[np.integer], n_boxes: int, pyramidal: bool) -> FloatArray:
     """(n_boxes,) force on top of each box, N (docs/metrics.md, "The force on a box's top").
 
-    Sums the world-z part of contact forces whose normal is within 45° of z, for the partner whose centre is lower. The
-    floor is lower than everything; floor and carrier are no boxes.
+    The z components of contact forces are summed for the partner whose centre is lower, if the contact's normal is
+    within 45° of z. The floor is lower than everything; floor and carrier are not boxes.
 
     Args:
         bodies: (ngeom,) body of each geom (``petmjx.world.mujoco_model.geom_bodies``).
@@ -97,16 +97,16 @@ def top_forces(data: mujoco.MjData, bodies: NDArray[np.integer], n_boxes: int, p
 
 
 class TopForceInputs(NamedTuple):
-    """Inputs of a step's forces on tops, copied from MuJoCo's data.
+    """Inputs for a step's forces on tops, copied from MuJoCo's data.
 
     Attributes:
-        address: (ncon,) first constraint row of each contact; negative: no row.
-        geom: (ncon, 2) partners.
+        address: (ncon,) first constraint row of each contact; negative: it has no row.
+        geom: (ncon, 2) geoms that touch.
         frame: (ncon, 9) normal and tangents.
         force: (nefc,) forces of all constraint rows, N.
         place: (ngeom, 3) centres of the geoms, m.
-        bodies: (ngeom,) bodies of the geoms, as in ``petmjx.world.mujoco_model.geom_bodies``.
-        n_boxes: number of boxes that count: the first ones.
+        bodies: (ngeom,) bodies of the geoms, see ``petmjx.world.mujoco_model.geom_bodies``.
+        n_boxes: number of boxes that count, from the first one on.
     """
 
     address: NDArray[np.integer]
@@ -119,21 +119,21 @@ class TopForceInputs(NamedTuple):
 
 
 def top_force_inputs(data: mujoco.MjData, bodies: NDArray[np.integer], n_boxes: int) -> TopForceInputs:
-    """Copies of the inputs of the last step. Copying takes a fifth of the time of ``top_forces``."""
+    """Copy the inputs of the last step. Copying takes a fifth of the time of ``top_forces``."""
     contact = data.contact
     address, geom, frame = contact.efc_address.copy(), contact.geom.copy(), contact.frame.copy()
     return TopForceInputs(address, geom, frame, data.efc_force.copy(), data.geom_xpos.copy(), bodies, n_boxes)
 
 
 def largest_top_forces(steps: Sequence[TopForceInputs], n_boxes: int) -> FloatArray:
-    """(n_boxes,) the largest of ``top_forces`` over steps of a model with elliptic cones, N. Many steps together take a
-    fraction of the time of single steps. All steps must have the same ``bodies``."""
+    """(n_boxes,) the largest of ``top_forces`` over the steps of a model with elliptic cones, N. Computing many steps
+    together takes a fraction of the time. All steps must have the same ``bodies``."""
     address, geoms, frame, force, place = (np.concatenate(parts) for parts in list(zip(*steps, strict=True))[:5])
     contacts = [len(step.address) for step in steps]
     number = np.repeat(np.arange(len(steps)), contacts)
     first_row = np.cumsum([0, *(len(step.force) for step in steps[:-1])])
     normal_z = frame[:, 2]
-    # most contacts stand upright or are between neighbours, without effect on tops
+    # most contacts are between neighbours or have level normals, and have no effect on tops
     pressing = np.flatnonzero((address >= 0) & (np.abs(normal_z) >= VERTICAL_COSINE))
     number, geom, frame_z = number.take(pressing), geoms.take(pressing, axis=0), frame.take(pressing, axis=0)[:, 2::3]
     row = address.take(pressing) + first_row.take(number)

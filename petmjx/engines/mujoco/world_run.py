@@ -1,4 +1,4 @@
-"""One world from soft start to verdict on C MuJoCo, from event to event. The rules: docs/rules.md."""
+"""Simulates one world on C MuJoCo, from soft start to verdict, event by event. The rules: docs/rules.md."""
 
 from __future__ import annotations
 
@@ -29,11 +29,11 @@ _FATAL = Flag.NONFINITE | Flag.CONTACT_OVERFLOW | Flag.CONSTRAINT_OVERFLOW
 
 
 class WorldCancelled(Exception):
-    """The run was interrupted; the world has no outcome."""
+    """The run was interrupted, so the world has no outcome."""
 
 
 class WorldRun:
-    """Simulates one job: call :meth:`run` once."""
+    """Simulates one job. Call :meth:`run` once."""
 
     def __init__(
         self,
@@ -73,7 +73,7 @@ class WorldRun:
     # ------------------------------------------------------------------ life of a world
 
     def run(self) -> Outcome:
-        """Simulate to the end.
+        """Simulate the world to its end.
 
         Raises:
             WorldCancelled: the run was interrupted.
@@ -89,7 +89,7 @@ class WorldRun:
         return self._outcome(came_to_end=begun and self._loop())
 
     def _start(self) -> bool:
-        """Take the world through the soft start. Returns False if its time is up before."""
+        """Take the world through the soft start. Returns False if its time is up before the end of the soft start."""
         kind = LiveWorld if self._scene.soft is None else SoftWorld
         self._live = kind(self._scene, self._sim, self._scene.n_boxes * self._static, templates=self._templates)
         self._metrics = OracleMetrics(self._scene, self._sim.thresholds, self._sim.physics.gravity_m_s2)
@@ -144,7 +144,7 @@ class WorldRun:
         return not self._flags & _FATAL
 
     def _go_to(self, target: int) -> None:
-        """Step to the next event, and take the frames on the way; less far if the world's time is up."""
+        """Step to the next event and take the frames that are due before it. Stop earlier if the world's time is up."""
         recorder = self._recorder
         while recorder is not None and (frame := recorder.next_after(self._step)) < target:
             count = frame - self._step
@@ -155,7 +155,7 @@ class WorldRun:
         self._step += self._take_steps(target - self._step)
 
     def _take_steps(self, count: int) -> int:
-        """Take steps; returns their number: fewer if the world's time is up before."""
+        """Take steps; returns their number, which is smaller than ``count`` if the world's time is up."""
         acts = self._drive is not None and self._drive.acts(self._step)
         n_steps = self._stepper.take(self._live, self._step + 1, count, self._metrics if self._begun else None, acts)
         if n_steps < count:
@@ -170,7 +170,7 @@ class WorldRun:
 
     @property
     def _settles(self) -> bool:
-        """Whether the world settles after the placement, for a drive or to keep the settled state."""
+        """Whether the world settles after the placement: for a drive, or to keep the settled state."""
         return self._job.settles
 
     def _next_event(self) -> int:
@@ -190,8 +190,8 @@ class WorldRun:
         return min(target, step + 1 if step >= window else window)
 
     def _observe(self) -> bool:
-        """After a step, if due: take a sample and the resting force, or look at poses; returns whether the world goes
-        on."""
+        """After a step, take what is due: a sample, the force at rest, or a look at poses. Returns whether the world
+        continues."""
         step, live = self._step, self._live
         sampled = step % self._sample_steps == 0
         polled = step % self._sim.quiet.poll_steps == 0
@@ -225,7 +225,7 @@ class WorldRun:
         return True
 
     def _transition(self) -> None:
-        """After a step, if due: place the next box, or begin the phase after the placement."""
+        """After a step, if due: place the next box, or start the phase after the placement."""
         if self._live.hand is not None:
             self._carry_on(self._live.hand)
         elif self._waiting:
@@ -236,14 +236,14 @@ class WorldRun:
         quiet = self._look_for_quiet() and self._waits.adapts
         enough = self._sim.waits_for_rest or self._step - self._waits.since >= self._sim.quiet.landing_steps
         if self._waits.in_drive and self._step > self._end - 2 * self._rest_steps:
-            self._waiting = False  # a rest window from here on would not be over when the last one begins
+            self._waiting = False  # a rest window that starts later would not be over when the last one starts
         elif (quiet and enough) or self._step >= self._waits.deadline(self._sign):
             self.paused = self._pauses and self._live.n_placed == self._scene.n_boxes
             if not self.paused:
                 self._proceed()
 
     def _proceed(self) -> None:
-        """The wait is over: place the next box, settle, or begin the rest window."""
+        """The wait is over: place the next box, settle, or start the rest window."""
         live = self._live
         places = live.n_placed < self._scene.n_boxes
         settles = self._settles and not self._driving and not self._waits.rests_first
@@ -265,15 +265,15 @@ class WorldRun:
                 self._set_end(max(self._step, landed) + self._rest_steps)
 
     def _carry_on(self, hand: Hand) -> None:
-        """After a step with a carried box: carry it further, or release it."""
+        """After a step with a carried box: carry it farther, or release it."""
         box = slice(hand.box, hand.box + 1)
         if self._live.carry_on(self._quiet.is_slow(self._live.velocity[box], box)):
             self._flags |= Flag.NOT_PLACED if hand.missed and self._metrics.culprit < 0 else Flag.NONE
             self._has_placed()
 
     def _has_placed(self) -> None:
-        """The last box stands, or falls, or is in the hand: begin to wait. For a carried box the wait begins again
-        after the release."""
+        """The last box stands, falls, or is in the hand: start to wait. For a carried box, the wait starts again after
+        the release."""
         self._still_pose[self._live.n_placed - 1] = self._live.pose[self._live.n_placed - 1]
         self._waits.last_placement = self._step
         self._wait(self._step)
@@ -288,7 +288,7 @@ class WorldRun:
 
     @property
     def _sign(self) -> int | None:
-        """The step of the first sign, if a box has failed since."""
+        """The step of the first sign, if a box has failed; else None."""
         return self._sign_step if self._metrics.has_failed else None
 
     def _set_end(self, step: int) -> None:
@@ -303,7 +303,7 @@ class WorldRun:
             self._still_pose[:k] = self._live.pose[:k]
 
     def _look_at_the_end(self) -> None:
-        """At the last step: give a moving world more time, unless a box is lost before the drive; or begin the
+        """At the last step: give a moving world more time, unless a box was lost before the drive; or start the
         drive."""
         self._flags |= self._live.trouble()
         if self._flags & _FATAL:
@@ -327,7 +327,7 @@ class WorldRun:
             self._settle()
 
     def _look_for_quiet(self) -> bool:
-        """Look at the pallet if due; returns whether it is quiet at this look."""
+        """Look at the pallet if a look is due. Returns whether this look finds the pallet quiet."""
         if self._step % self._sim.quiet.poll_steps or self._step <= self._waits.since:
             return False
         live, k = self._live, self._live.n_placed

@@ -1,2 +1,2 @@
-"""Runs the jobs of an engine in worker processes on one machine or many, with Ray. No other package of petmjx imports
+"""Runs the jobs of an engine in worker processes with Ray, on one machine or many. No other package of petmjx imports
 Ray."""

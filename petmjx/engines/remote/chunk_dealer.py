@@ -1,4 +1,4 @@
-"""Deals chunks of jobs to workers, and deals the jobs of dead workers again. Independent of Ray."""
+"""Deals chunks of jobs to workers, and deals the jobs of dead workers again. It does not depend on Ray."""
 
 from __future__ import annotations
 
@@ -12,22 +12,22 @@ import numpy as np
 from petmjx.common.units import FloatArray
 
 PIECES = 4
-"""A chunk is one ``PIECES``-th of a slot's share of the remaining cost, so that slots end together although costs are
-estimates."""
+"""A chunk is one ``PIECES``-th of a slot's share of the remaining cost, so that all slots end at about the same time,
+although costs are estimates."""
 
 MOST_JOBS = 64
-"""Most jobs of a chunk, so that little work is lost when a worker dies."""
+"""Largest number of jobs of a chunk, so that little work is lost if a worker dies."""
 
 PLENTY = 4
-"""Slots hold chunks in reserve while at least this many jobs per slot are waiting. Later a job might wait behind a long
-one while another slot is idle."""
+"""Slots hold chunks in reserve while at least this number of jobs per slot are waiting. After that, a job in reserve
+might wait behind a long one while another slot is idle."""
 
 
 @dataclass(frozen=True)
 class Chunk:
     """Jobs that one worker simulates, longest first.
 
-    ``alone``: the worker gets no other job meanwhile, since a job of this chunk may kill workers.
+    ``alone``: the worker gets no other job meanwhile, since a job of this chunk may make workers die.
     """
 
     jobs: tuple[int, ...]
@@ -37,19 +37,20 @@ class Chunk:
 class Deal:
     """Hands out jobs, longest first, until each job is answered or given up.
 
-    For engines that simulate job after job, chunks shrink towards the end, down to single jobs. For engines that
-    simulate worlds side by side, all chunks have equal size and a similar mix. There are as few chunks as busy workers
-    allow, since the device is nearly idle at the end of each chunk.
+    For engines that simulate job after job, chunks get smaller towards the end, down to single jobs. For engines that
+    simulate worlds side by side, all chunks have equal size and a similar mix of jobs. There are no more chunks than
+    are needed to keep all workers busy, since the device is nearly idle at the end of each chunk.
 
-    A first death may have an outside cause, so the jobs of the dead worker are dealt again like other jobs. After a
-    second death its jobs wait until no other jobs are left. After a worker's death its jobs run in small pieces of √n
-    jobs, and after another death one by one. A job that was alone in a worker when the worker died is given up.
+    The first death of a worker may have an outside cause, so its jobs are dealt again like other jobs. Jobs whose
+    worker has died twice wait until no other jobs are left. Then they run in small pieces of √n jobs, and after another
+    death one by one. A job that was alone in a worker when the worker died is given up.
 
     Args:
         costs: (n,) expected time of each job, in any unit.
-        slots: chunks that are simulated at the same time, over all workers.
-        group: most jobs of a chunk, for an engine that simulates worlds side by side; None: it simulates job after job.
-        least: with ``group``, fewer jobs than this are not divided among workers.
+        slots: number of chunks that are simulated at the same time, over all workers.
+        group: largest number of jobs of a chunk, for an engine that simulates worlds side by side; None: the engine
+            simulates job after job.
+        least: with ``group``: fewer jobs than this are not divided among workers.
         deadly: jobs that were alone in a worker that died.
     """
 
@@ -69,11 +70,11 @@ class Deal:
 
     @property
     def plenty(self) -> bool:
-        """Whether slots may hold chunks in reserve."""
+        """Whether there are enough jobs for slots to hold chunks in reserve."""
         return self._group is None and len(self._pending) > PLENTY * self._slots
 
     def take(self, idle: bool) -> Chunk | None:
-        """The next chunk for a worker; None if no chunk is due for the worker.
+        """The next chunk for a worker; None if it gets no chunk now.
 
         Args:
             idle: whether the worker holds no other chunk.
@@ -103,13 +104,13 @@ class Deal:
         """Record that a job has its outcome.
 
         Raises:
-            KeyError: the job has an outcome already, or does not exist.
+            KeyError: the job already has an outcome, or does not exist.
         """
         self.unanswered.remove(job)
 
     def died(self, held: Iterable[Chunk]) -> list[int]:
-        """Record that a worker has died with these chunks. The unanswered jobs of the chunks wait again; given-up jobs
-        are returned."""
+        """Record that a worker died with these chunks. Their unanswered jobs wait again, except for the jobs that are
+        given up; these are returned."""
         given_up = []
         requeued: list[int] = []
         twice: list[int] = []
@@ -130,7 +131,7 @@ class Deal:
         return given_up
 
     def put_back(self, held: Iterable[Chunk]) -> None:
-        """Record that a worker has died before the start of these chunks. The jobs of these chunks wait again."""
+        """Record that a worker died before it started these chunks. The jobs of these chunks wait again."""
         for chunk in held:
             left = self._left(chunk)
             if chunk.alone:
@@ -139,7 +140,7 @@ class Deal:
                 self._wait_again(left)
 
     def _left(self, chunk: Chunk) -> list[int]:
-        """Unanswered jobs of a chunk."""
+        """The unanswered jobs of a chunk."""
         return [job for job in chunk.jobs if job in self.unanswered]
 
     def _wait_again(self, jobs: list[int]) -> None:

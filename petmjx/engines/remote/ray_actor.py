@@ -1,5 +1,4 @@
-"""The code of a worker's process: it runs chunks on an engine and reports their outcomes. The dealer also works without
-Ray."""
+"""The code of a worker's process: it runs chunks on an engine and reports their outcomes. It also works without Ray."""
 
 from __future__ import annotations
 
@@ -33,7 +32,7 @@ REPORT_S = 0.2
 
 @dataclass(frozen=True)
 class WorkerReady:
-    """A worker's first answer, when it is ready. ``error``: the reason why the worker's engine cannot be built."""
+    """A worker's first message, sent when it is ready. ``error``: the reason why its engine cannot be built."""
 
     pid: int
     host: str
@@ -44,7 +43,8 @@ class WorkerReady:
 
 @dataclass
 class Report:
-    """News of a chunk: new outcomes, the progress since its beginning, and the exception that ended it."""
+    """A report about a chunk: new outcomes, the progress since its beginning, and the exception that ended it, if
+    any."""
 
     outcomes: list[Outcome]
     progress: Progress
@@ -60,15 +60,15 @@ class Recipe:
 
 
 class Worker:
-    """Builds an engine once and runs chunks of jobs on it. Several chunks may run in threads side by side.
+    """Builds an engine once, and runs chunks of jobs on it. Several chunks may run side by side, in threads.
 
     Args:
-        threads: threads of its engine; None: the engine's default.
-            check_pool: processes that check the outcomes of large chunks; one large chunk runs at a time.
-            thorough: whether the worker is ready only when its engine is built. Otherwise, for ``mjx-warp`` alone, a
+        threads: number of threads of the engine; None: the engine's default.
+            check_pool: number of processes that check the outcomes of large chunks; one large chunk runs at a time.
+            thorough: whether the worker is ready only once its engine is built. Otherwise (for ``mjx-warp`` only), a
                 thread builds the engine, which takes seconds, while the first jobs are made and sent.
 
-        All data are pickled bytes. Objects from Ray's object store would be read-only, and would hold the store's
+        All data are pickled bytes. Objects from Ray's object store would be read-only, and would occupy the store's
         memory.
     """
 
@@ -84,7 +84,7 @@ class Worker:
         self._built: Future[Engine] = Future()
 
     def hello(self) -> bytes:
-        """Build the engine, or begin to build it, unless something prevents it."""
+        """Build the engine, or start to build it, unless something prevents this."""
         error: BaseException | None = None
         device = ""
         try:
@@ -101,7 +101,7 @@ class Worker:
         return pickle.dumps(WorkerReady(os.getpid(), platform.node(), device, package_versions(), error))
 
     def _build(self) -> None:
-        """Build the engine, and the other parts of a start on a GPU. No fallback takes over if this fails."""
+        """Build the engine, and start the other libraries for a GPU. If this fails, no fallback is used."""
         name = self._recipe.name
         try:
             if name == "mjx-warp":
@@ -113,8 +113,8 @@ class Worker:
             self._built.set_exception(EngineUnavailable(f"engine {name} cannot run here: {one_line(error)}"))
 
     def simulate(self, chunk: bytes) -> Iterator[bytes]:
-        """Run pickled (jobs, sim), and yield pickled reports. Outcomes are checked here, and their jobs count from
-        0."""
+        """Run pickled (jobs, sim), and yield pickled reports. Outcomes are checked in this process. ``Outcome.job``
+        counts the jobs from 0."""
         jobs, sim = pickle.loads(chunk)
         check_pool = self._lookers_for(jobs)
         news: queue.SimpleQueue[Outcome | None] = queue.SimpleQueue()
@@ -134,8 +134,8 @@ class Worker:
         runner.join()
 
     def _lookers_for(self, jobs: Sequence[Job]) -> CheckPool[None]:
-        """The check pool for a chunk. A large chunk gets processes, which stay as long as the worker. Without processes
-        the worker checks outcomes itself."""
+        """The check pool for a chunk. A large chunk gets processes, which are kept as long as the worker lives. Without
+        processes, the worker checks outcomes itself."""
         if self._most_lookers == 0 or len(jobs) < LARGE:
             return CheckPool(0)
         self._check_pool = self._check_pool or CheckPool(self._most_lookers)
@@ -176,7 +176,7 @@ def _gather(news: queue.SimpleQueue[Outcome | None]) -> tuple[list[Outcome], boo
 def _checked_outcomes(
     outcomes: Sequence[Outcome], jobs: Sequence[Job], sim: Simulation, check_pool: CheckPool[None], *, wait: bool
 ) -> list[Outcome]:
-    """Hand outcomes to the check pool, some at a time, and take checked outcomes.
+    """Hand outcomes to the check pool, in groups, and return the checked outcomes that are ready.
 
     Args:
         wait: whether to wait for all outcomes.
@@ -193,7 +193,7 @@ def _checked_outcomes(
 
 
 def _sendable(error: BaseException) -> BaseException:
-    """The exception, or one with its text if it cannot be pickled."""
+    """The exception itself, or if it cannot be pickled, an exception with its text."""
     try:
         pickle.loads(pickle.dumps(error))
     except Exception:

@@ -1,4 +1,4 @@
-"""Starts Ray on this machine or joins a cluster, and restores the process's settings afterwards."""
+"""Starts Ray on this machine or joins a cluster, and restores the settings of this process afterwards."""
 
 from __future__ import annotations
 
@@ -28,35 +28,35 @@ from petmjx.engines.remote.worker_resources import Node
 from petmjx.options.run_options import AUTO
 
 LONGEST_TEMPORARY = 24
-"""Longest path of a folder for temporary files, bytes. Ray makes sockets in this folder, and a socket's path may have
-107 bytes."""
+"""Largest length of the path of a folder for temporary files, bytes. Ray makes sockets in this folder, and a socket's
+path may have at most 107 bytes."""
 
 REACH_S = 10.0
 """Longest time to reach the head of a cluster, s."""
 
 END_S = 5.0
-"""Longest time that the end of this process waits for the end of Ray, s. Ray takes a minute if a signal has ended its
-processes while they started."""
+"""Longest time that the end of this process waits for the end of Ray, s. Ray takes a minute to end if a signal has
+ended its processes while they were starting."""
 
 _OF_RAY = ("RAY_", "PYTHONBREAKPOINT")
-"""Environment variables that Ray sets while it starts."""
+"""Prefixes of the environment variables that Ray sets while it starts."""
 
 _HTTP2_SETTINGS = b"\x00\x00\x00\x04"
-"""The beginning of a frame of settings: three bytes of length and its type."""
+"""The beginning of an HTTP/2 settings frame: three bytes of length, and the type."""
 
 _HTTP2_HELLO = b"PRI * HTTP/2.0\r\n\r\nSM\r\n\r\n" + _HTTP2_SETTINGS + bytes(5)
-"""A client's first bytes, with an empty frame of settings."""
+"""The first bytes that an HTTP/2 client sends, with an empty settings frame."""
 
 _SIGACTION_BYTES = 1024
-"""At least the size of C's ``struct sigaction`` on any system."""
+"""At least the size of C's ``struct sigaction`` on any system, in bytes."""
 
 _SKIPPED_LINES = "RAY_DEDUP_LOGS_SKIP_REGEX"
-"""Ray's environment variable that silences its lines. Ray reads it when the package is imported."""
+"""Ray's environment variable that suppresses its log lines. Ray reads it when the package is imported."""
 
 
 def import_ray() -> Any:
-    """The package Ray. On a first import here, Ray reports no dead workers on standard output, which is only for
-    results.
+    """Import the package Ray. If it was not imported before, Ray will not report dead workers on standard output, which
+    is only for results.
 
     Raises:
         EngineUnavailable: Ray is not installed, or cannot be imported.
@@ -73,7 +73,7 @@ def import_ray() -> Any:
 
 @contextmanager
 def _restored_process() -> Iterator[None]:
-    """Restores what Ray changes in this process: environment variables, ``sys.excepthook``, the level of its logger."""
+    """Restores what Ray changes in this process: environment variables, ``sys.excepthook``, and its logger's level."""
     environment = {name: value for name, value in os.environ.items() if name.startswith(_OF_RAY)}
     hook, logger = sys.excepthook, logging.getLogger("ray")
     level = logger.level
@@ -89,8 +89,8 @@ def _restored_process() -> Iterator[None]:
 
 @contextmanager
 def _restored_sigterm() -> Iterator[None]:
-    """Restores the handling of SIGTERM. Ray's native handler ends the process with a list of addresses, or, once Ray
-    has ended, silently. Python itself can set handlers only in the main thread, which may be busy reading plans."""
+    """Restores the handling of SIGTERM. Ray's native handler ends the process with a list of addresses, or silently
+    once Ray has ended. Python itself can set handlers only in the main thread, which may be busy reading plans."""
     libc, saved_action = ctypes.CDLL(None), ctypes.create_string_buffer(_SIGACTION_BYTES)
     libc.sigaction(int(signal.SIGTERM), None, saved_action)
     try:
@@ -102,29 +102,29 @@ def _restored_sigterm() -> Iterator[None]:
 class _LocalRay:
     """A Ray that this process starts or joins, and the thread that starts and ends it.
 
-    In the main thread Ray would take over SIGTERM, and turn exceptions of signal handlers into a bare
+    In the main thread, Ray would replace the handler of SIGTERM, and turn exceptions of signal handlers into a bare
     KeyboardInterrupt. The thread lives as long as Ray, since Ray's processes die with it.
 
     Args:
-        address: address of a cluster's head; None: a new Ray on this machine alone.
+        address: address of a cluster's head; None: start a new Ray that uses only this machine.
     """
 
     def __init__(self, ray: Any, address: str | None) -> None:
         self.address, self.users = address, 0
         self._ray = ray
         self._folder: Path | None = None
-        """Folder of Ray's temporary files, if it runs on this machine alone."""
+        """Folder for Ray's temporary files, if Ray uses only this machine."""
         self._started: Future[None] = Future()
         self._enough = threading.Event()
         self._thread = threading.Thread(target=self._live, name="petmjx-ray", daemon=True)
         self._thread.start()
 
     def wait_until_started(self) -> None:
-        """Wait until Ray has started. If the wait is interrupted, Ray ends as soon as it has started.
+        """Wait until Ray has started. If the wait is interrupted, Ray ends once it has started.
 
         Raises:
             InputError: there is no cluster at the address.
-            EngineUnavailable: Ray does not start.
+            EngineUnavailable: Ray cannot start.
         """
         try:
             self._started.result()
@@ -141,7 +141,7 @@ class _LocalRay:
         self._thread.join()
 
     def _live(self) -> None:
-        # A process that ends meanwhile must wait. Ray's own exit function was registered earlier, so it runs later.
+        # A process that ends meanwhile must wait. Ray registered its own exit function earlier, so it runs later.
         atexit.register(self._end_with_process)
         try:
             self._start()
@@ -164,8 +164,8 @@ class _LocalRay:
         self.end()
         with suppress(KeyboardInterrupt):
             self._thread.join(END_S)
-        if self._thread.is_alive():  # Ray's processes die with this one
-            atexit.unregister(self._ray.shutdown)  # a wait here would block, too
+        if self._thread.is_alive():  # Ray's processes will die with this process
+            atexit.unregister(self._ray.shutdown)  # this would also wait for Ray
             self._remove_folder()
 
     def _start(self) -> None:
@@ -180,7 +180,7 @@ class _LocalRay:
             _check_reachable(self.address)
             init_options |= {"address": self.address}
         with _restored_process(), _restored_sigterm(), warnings.catch_warnings():
-            # once started, JAX warns of every fork; Ray's forks are harmless, since an exec follows
+            # once started, JAX warns about every fork; Ray's forks are harmless, since an exec follows them
             warnings.filterwarnings("ignore", r"os\.fork\(\) was called", RuntimeWarning)
             os.environ["RAY_USAGE_STATS_ENABLED"] = "0"
             logging.getLogger("ray").setLevel(logging.CRITICAL)
@@ -196,15 +196,15 @@ class _LocalRay:
 
 
 def _end_monitor() -> None:
-    """Kill Ray's monitor, which adds machines to a cluster, if this process has started it. Ray would ask the thread to
-    end, get no reaction, and wait for a second."""
+    """Kill Ray's monitor, which adds machines to a cluster, if this process has started it. Ray itself would ask the
+    monitor to end, get no reaction, and wait for a second."""
     with suppress(Exception):  # not Ray's documented interface; on failure the end takes a second longer
         importlib.import_module("ray._private.worker")._global_node.kill_monitor(check_alive=False)
 
 
 def _check_reachable(address: str) -> None:
-    """Raises InputError if no head listens at the address. Ray itself would retry for ever, and no signal would stop
-    it. A head speaks HTTP/2 (RFC 9113): such a server answers an empty frame of settings with its own settings."""
+    """Raise InputError if no head listens at the address. Ray itself would retry for ever, and no signal would stop
+    it. A head speaks HTTP/2 (RFC 9113): such a server answers an empty settings frame with its own settings."""
     host, _, port = address.rpartition(":")
     if address == AUTO:
         return
@@ -223,22 +223,22 @@ def _check_reachable(address: str) -> None:
 
 
 class Cluster:
-    """One user of this process's cluster. Ray allows one cluster a process. The last user to close it ends it.
+    """One user of this process's cluster. Ray allows one cluster per process. It ends when its last user closes it.
 
-    Where the caller's own program has started Ray, that cluster is used and stays.
+    If the caller's own program has already started Ray, that cluster is used, and is not ended.
 
     Args:
-        address: address of the cluster's head (HOST:PORT, or ``auto`` for the one on this machine); None: a new cluster
-            of this machine alone.
+        address: address of the cluster's head (HOST:PORT, or ``auto`` for a cluster on this machine); None: a new
+            cluster that uses only this machine.
 
     Raises:
-        EngineUnavailable: Ray is not installed or does not start.
-        InputError: there is no cluster, or this process uses another cluster.
+        EngineUnavailable: Ray is not installed or cannot start.
+        InputError: there is no cluster at the address, or this process uses another cluster.
     """
 
     _lock = threading.Lock()
     _latest: _LocalRay | None = None
-    """The Ray that this process has started or joined last. A cluster without users is ending."""
+    """The Ray that this process started or joined last. If it has no users, it is ending."""
 
     def __init__(self, address: str | None = None) -> None:
         cls = Cluster
@@ -246,8 +246,8 @@ class Cluster:
             if cls._latest is not None and not cls._latest.users:
                 cls._latest.wait_until_ended()
                 cls._latest = None
-            # one thread at a time: otherwise the settings of another thread's import would be restored as the process's
-            # own
+            # one thread at a time: otherwise, the settings during another thread's import would later be restored as
+            # the settings of the process
             self.ray = import_ray()
             if not self.ray.is_initialized():
                 cls._latest = _LocalRay(self.ray, address)
@@ -265,8 +265,8 @@ class Cluster:
         return [Node(int(resource.get("CPU", 0)), int(resource.get("GPU", 0))) for resource in resources]
 
     def check(self) -> None:
-        """Raises PetmjxError if the Ray that this process has started is dead, since nothing restarts it. Machines of a
-        cluster may return."""
+        """Raise PetmjxError if the Ray that this process has started is dead, since nothing would restart it. In a
+        joined cluster, machines may return."""
         if self._uses and self._ours is not None and self._ours.address is None and not self.nodes:
             raise PetmjxError(
                 "Ray died on this machine (out of memory?); finished work is kept, continue with "
@@ -274,7 +274,8 @@ class Cluster:
             )
 
     def leave(self) -> None:
-        """Stop using the cluster. Returns at once; after the last user the cluster takes a second or two to end."""
+        """Stop using the cluster. Returns at once. If this was the last user, the cluster takes a second or two to
+        end."""
         with Cluster._lock:
             uses, self._uses = self._uses, False
             if uses and self._ours is not None:
@@ -283,7 +284,7 @@ class Cluster:
                     self._ours.end()
 
     def close(self) -> None:
-        """Stop using the cluster, and wait for its end if this was the last user."""
+        """Stop using the cluster. If this was the last user, wait until the cluster has ended."""
         self.leave()
         if self._ours is not None and not self._ours.users:
             self._ours.wait_until_ended()

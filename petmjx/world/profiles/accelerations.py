@@ -1,7 +1,7 @@
 """Acceleration profiles of the carrier, simulated as gravity − a with the carrier clamped.
 
-Kinds: ramps, tilts, shocks, and random vibration with a power spectral density (PSD) from the user, in g²/Hz over Hz.
-Direction 0 means that the carrier accelerates along +x, so that the load is thrown towards −x.
+Kinds: ramps, tilts, shocks, and random vibration with a power spectral density (PSD) given by the user, in g²/Hz over
+Hz. Direction 0 means that the carrier accelerates along +x, so that the load is thrown towards −x.
 """
 
 from __future__ import annotations
@@ -20,9 +20,9 @@ from petmjx.world.profiles.profile import Profile, Strength, step_averages, step
 from petmjx.world.random_streams import WorldKey
 
 EUMOS_RAMP_S = 0.05
-"""EUMOS 40509: the acceleration level is reached within 50 ms."""
+"""EUMOS 40509: the time within which the acceleration level must be reached is 50 ms."""
 EUMOS_HOLD_S = 0.3
-"""EUMOS 40509: the level is then held for at least 0.3 s."""
+"""EUMOS 40509: the level must then be held for at least 0.3 s."""
 EUMOS_SOURCE = "EUMOS 40509:2020, test method for load unit rigidity (ramp at most 50 ms, hold at least 0.3 s)"
 
 EN_12195_FORWARD_G = 0.8
@@ -32,7 +32,7 @@ EN_12195_SOURCE = "EN 12195-1:2010, coefficients for road transport (0.8 forward
 
 
 def _horizontal_unit(yaw_deg: float) -> FloatArray:
-    """(3,) unit vector, with exact zeros and ones along the axes."""
+    """(3,) horizontal unit vector; along the axes, its components are exactly zero and one."""
     yaw = math.radians(yaw_deg)
     return np.round(np.array([math.cos(yaw), math.sin(yaw), 0.0]), 15)
 
@@ -42,8 +42,8 @@ class Trapezoid:
     """Horizontal acceleration that ramps up linearly, holds, and ramps down.
 
     Attributes:
-        level_g: height of the plateau, g.
-        ramp_s, hold_s: length of each ramp and of the plateau, s.
+        level_g: acceleration of the plateau, g.
+        ramp_s, hold_s: duration of each ramp and of the plateau, s.
         yaw_deg: direction in which the carrier accelerates, degrees from +x towards +y.
     """
 
@@ -74,21 +74,21 @@ class Trapezoid:
 
 
 def eumos_40509() -> Trapezoid:
-    """One acceleration test of EUMOS 40509:2020 at 1 g; the factor of a drive is then the level in g (0.5 is usual).
+    """One acceleration test of EUMOS 40509:2020, at 1 g. So the factor of a drive is the level in g (0.5 is usual).
 
-    The standard asks for a level that is reached within 50 ms and held for at least 0.3 s, and for a gradual end. Here
-    both ramps take 50 ms, and the level is held for 0.3 s.
+    The standard requires a level that is reached within 50 ms and held for at least 0.3 s, and a gradual end. Here both
+    ramps take 50 ms, and the level is held for 0.3 s.
     """
     return Trapezoid("eumos-40509", EUMOS_SOURCE, 1.0, EUMOS_RAMP_S, EUMOS_HOLD_S)
 
 
 def en_12195_1() -> tuple[Trapezoid, ...]:
-    """The four load cases of EN 12195-1:2010 for road transport, vehicle's front along +x.
+    """The four load cases of EN 12195-1:2010 for road transport. The vehicle's front is along +x.
 
     The standard gives quasi-static coefficients, but no curve over time. petmjx takes 0.5 s to reach them, holds them
-    for 1 s, and takes 0.5 s back. When the vehicle brakes, the load is thrown forward, so the carrier accelerates
-    backward. The vertical coefficient is always 1.0. For goods that may tip the standard asks for 0.6 g sideways: a
-    scale of 1.2.
+    for 1 s, and takes 0.5 s to return. When the vehicle brakes, the load is thrown forward: the carrier accelerates
+    backward. The vertical coefficient is always 1.0. For goods that may tip, the standard requires 0.6 g sideways,
+    which is a scale of 1.2.
     """
     cases = (
         ("en-12195-1-forward", EN_12195_FORWARD_G, 180.0),
@@ -104,15 +104,16 @@ def en_12195_1() -> tuple[Trapezoid, ...]:
 
 @dataclass(frozen=True)
 class Tilt:
-    """The carrier is tilted slowly about a horizontal axis: seen from the carrier, gravity turns.
+    """The carrier is slowly tilted about a horizontal axis. Seen from the carrier, gravity turns.
 
-    Direction 0 pulls the load towards −x, as an acceleration along +x does. The angle grows by ``rate_deg_s`` to
-    ``max_deg``, stays there for ``hold_s`` and returns within ``return_s``, slowly enough that a pallet that survived
-    does not fall on the way back. Centrifugal and Euler forces are left out: at 5°/s they are below 0.1 % of gravity.
+    Direction 0 pulls the load towards −x, as an acceleration along +x does. The angle grows at ``rate_deg_s`` to
+    ``max_deg``, stays there for ``hold_s`` and returns to 0 within ``return_s``. The return is slow enough that a
+    pallet that survived does not fall during it. Centrifugal and Euler forces are neglected: at 5°/s they are below
+    0.1 % of gravity.
 
-    Source: definition. The test can be checked in closed form: a rigid box begins to slide at atan μ and to topple at
-    atan(width / height). A first sign comes later, since a box takes its time to slide as far as the threshold, or to
-    tip: docs/profiles.md has the delays.
+    Source: definition. The test can be checked in closed form: a rigid box begins to slide at atan μ, and to topple at
+    atan(width / height). The first sign comes later, since a box needs time to slide as far as the threshold, or to
+    tip. docs/profiles.md has the delays.
     """
 
     name: str = "tilt"
@@ -138,7 +139,8 @@ class Tilt:
         return np.interp(time_s, corners_s, [0.0, self.max_deg, self.max_deg, 0.0])
 
     def excitation(self, timestep_s: float, start_s: float = 0.0, world: WorldKey | None = None) -> Excitation:
-        """a = g − g_tilted with its vertical part, so that gravity − a has the length 9.81 at every angle."""
+        """The samples are a = g − g_tilted. They include the vertical part, so that gravity − a has the length 9.81 at
+        every angle."""
         ends_s: FloatArray = np.arange(1, self.n_steps(timestep_s) + 1, dtype=np.float64) * timestep_s
         angle = np.radians(self._angles_deg(ends_s))
         samples = np.stack([np.sin(angle), np.zeros_like(angle), np.cos(angle) - 1.0], axis=1)
@@ -147,13 +149,13 @@ class Tilt:
 
 @dataclass(frozen=True)
 class HalfSine:
-    """A shock: half a period of a sine, peak 1 g × level, along ``axis``.
+    """A shock: half a period of a sine, with a peak of 1 g × level, along ``axis``.
 
     Source: pulse shape of IEC 60068-2-27; 11 ms is one of its standard durations.
 
     Attributes:
-        duration_ms: length of the pulse, ms.
-        axis: (3,) direction of the carrier's acceleration; any length.
+        duration_ms: duration of the pulse, ms.
+        axis: (3,) direction of the carrier's acceleration, as a vector of any length.
     """
 
     name: str = "half-sine"
@@ -168,7 +170,8 @@ class HalfSine:
         return steps_to_cover(self.duration_ms / 1000, timestep_s)
 
     def excitation(self, timestep_s: float, start_s: float = 0.0, world: WorldKey | None = None) -> Excitation:
-        """Means of the pulse over steps: its change of velocity, 2/π × peak × duration, is exact for any timestep."""
+        """The samples are means of the pulse over steps. So its change of velocity, 2/π × peak × duration, is exact for
+        any timestep."""
         duration_s = self.duration_ms / 1000
         edges_s = np.minimum(np.arange(self.n_steps(timestep_s) + 1) * timestep_s, duration_s)
         covered = duration_s / math.pi * (1.0 - np.cos(math.pi * edges_s / duration_s))
@@ -177,7 +180,7 @@ class HalfSine:
 
 
 def _unit(axis: tuple[float, float, float]) -> FloatArray:
-    """(3,) the direction of an axis of any length; the square of a very long or short one does not fit a float64."""
+    """(3,) unit vector along an axis of any length. The axis is scaled first if its square would not fit a float64."""
     vector: FloatArray = np.asarray(axis, dtype=np.float64)
     longest = float(np.abs(vector).max())
     if not 0 < longest < math.inf:
@@ -189,11 +192,12 @@ def _unit(axis: tuple[float, float, float]) -> FloatArray:
 
 
 QUASI_STATIC_DEG_S: Final = 0.5
-"""Boxes fail 0.4 to 0.6° late at this rate, measured (docs/profiles.md), and 2.5 to 2.7° late at 5°/s."""
+"""Rate of the quasi-static tilt, °/s. Measured at this rate, boxes fail 0.4 to 0.6° late (docs/profiles.md); at 5°/s
+they fail 2.5 to 2.7° late."""
 
 
 def quasi_static_tilt() -> Tilt:
-    """The tilt test at ``QUASI_STATIC_DEG_S``: ten times as many steps."""
+    """The tilt test at the rate ``QUASI_STATIC_DEG_S``. It takes ten times as many steps as ``Tilt``."""
     return Tilt("tilt-quasi-static", rate_deg_s=QUASI_STATIC_DEG_S, source="definition: quasi-static tilt test")
 
 
@@ -208,20 +212,20 @@ BUILT_IN_ACCELERATIONS: tuple[Profile, ...] = (
 
 
 PsdTable = tuple[tuple[float, float], ...]
-"""Rows of (Hz, g²/Hz), with rising frequencies."""
+"""Rows of (Hz, g²/Hz); frequencies rise."""
 
 
 def psd_integral(table: PsdTable, up_to_hz: FloatArray) -> FloatArray:
-    """(n,) integral of the PSD from its first frequency up to each of these frequencies, g².
+    """(n,) integral of the PSD from its first frequency to each of these frequencies, g².
 
-    Between rows the PSD is a straight line in log–log, as test standards draw it: G = G₁ (f/f₁)^m, with the
-    closed-form integral of that power law in each segment. Outside the table the PSD is 0.
+    Between rows the PSD is a straight line in log–log, as in test standards: G = G₁ (f/f₁)^m. The integral of this
+    power law is computed in closed form for each segment. Outside the table the PSD is 0.
     """
     total = np.zeros_like(up_to_hz)
     for (f1, g1), (f2, g2) in itertools.pairwise(table):
         slope = math.log(g2 / g1) / math.log(f2 / f1)
         ratio = np.clip(up_to_hz, f1, f2) / f1
-        # At a slope of −1 the power formula is 0/0; its limit is the logarithm.
+        # For a slope of −1 the power formula is 0/0; its limit is the logarithm.
         power = np.log(ratio) if abs(slope + 1) < 1e-9 else (ratio ** (slope + 1) - 1) / (slope + 1)
         total = total + g1 * f1 * power
     return total
@@ -234,16 +238,16 @@ def psd_rms_g(table: PsdTable) -> float:
 
 @dataclass(frozen=True)
 class RandomVibration:
-    """Nearly Gaussian vibration: a sum of sine waves with the PSD's power and random phases.
+    """Nearly Gaussian vibration: a sum of sine waves with the power of a PSD and with random phases.
 
-    The sine waves have a spacing of 1 / duration, and each has exactly the power of the PSD in its band. So the RMS
-    over the duration equals the square root of the PSD's integral for any phases. Only the phases are random. Source:
-    the user's PSD; method: spectral representation (Shinozuka and Deodatis, 1991).
+    The frequencies of the sine waves are 1 / duration apart, and each wave has exactly the power of the PSD in its
+    band. So the RMS over the duration equals the square root of the PSD's integral, whatever the phases. Only the
+    phases are random. Source: the user's PSD; method: spectral representation (Shinozuka and Deodatis, 1991).
 
     Attributes:
         psd: rows of (Hz, g²/Hz).
-        duration_s: length, s; also the period of the signal.
-        axes: the axes among "x", "y", "z" that vibrate, each with phases of its own.
+        duration_s: duration, s; also the period of the signal.
+        axes: the axes that vibrate, among "x", "y" and "z". Each has its own phases.
     """
 
     name: str
@@ -272,7 +276,7 @@ class RandomVibration:
                              f"shows less than {nyquist_hz:g} Hz")  # fmt: skip
         band_edges_hz: FloatArray = (np.arange(n_steps // 2 + 2, dtype=np.float64) - 0.5) * spacing_hz
         power_g2 = np.diff(psd_integral(self.psd, band_edges_hz))
-        # No sine wave that fits the duration has power below the first line, so this power would be missing.
+        # Below the first line, no sine wave fits into the duration, so power in that range would be missing.
         if power_g2[0] > 0:
             raise InputError(f"profile {self.name}: PSD begins at {self.psd[0][0]:g} Hz, which needs a duration "
                              f"of at least {0.5 / self.psd[0][0]:g} s, got {self.duration_s:g} s")  # fmt: skip

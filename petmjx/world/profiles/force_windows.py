@@ -1,6 +1,6 @@
-"""Force profiles as lists of windows: a vector that acts from one time to another on the carrier.
+"""Force profiles made of windows. In each window, a constant force vector acts on the carrier for a time.
 
-Vectors are in units of scale × total mass × 9.81 m/s² (``petmjx.world.job.Drive.unit``): a vector of length 1 is the
+Vectors are in units of scale × total mass × 9.81 m/s² (``petmjx.world.job.Drive.unit``). So a vector of length 1 is the
 force that accelerates carrier and boxes together by 1 g.
 """
 
@@ -27,9 +27,9 @@ PET_PHYSICS = "PET-Physics, the reference implementation"
 class Window:
     """One push: ``vector`` acts from ``start_s`` for ``duration_s``.
 
-    ``offset_s`` is where in a chain the window's profile begins. The duration is a field beside ``start_s``, because
-    the reference implementation adds profile start and offset first, and the window's start last. Another order can
-    change the last digit, and so the step to which a time is truncated.
+    ``offset_s`` is the time in a chain at which the window's profile begins. The window stores a duration instead of an
+    end, because the reference implementation adds the profile's start and the offset first, and the window's start
+    last. Another order can change the last digit, and so the step to which a time is truncated.
     """
 
     start_s: float
@@ -38,7 +38,7 @@ class Window:
     offset_s: float = 0.0
 
     def absolute_s(self, profile_start_s: float) -> tuple[float, float]:
-        """Beginning and end in absolute time, s."""
+        """(begin, end) of the window in absolute time, s."""
         begin_s = (profile_start_s + self.offset_s) + self.start_s
         return begin_s, begin_s + self.duration_s
 
@@ -47,9 +47,10 @@ class Window:
 class WindowProfile:
     """A force profile.
 
-    ``replaces``: False: windows that overlap add up. True: as in the reference implementation, the beginning of a
-    window ends the window before, and the first end of any window sets the force to zero. Of windows that begin on the
-    same step only the last one acts. The chain of the reference's demo needs this.
+    ``replaces`` states what happens when windows overlap. False: their forces add up. True: as in the reference
+    implementation, the beginning of a window ends the previous window, and the first end of any window sets the force
+    to zero. Of windows that begin in the same step, only the last one acts. The chain of the reference's demo needs
+    this.
     """
 
     name: str
@@ -69,9 +70,9 @@ class WindowProfile:
         return max(seconds_to_steps(self.end_s, timestep_s), 1)
 
     def excitation(self, timestep_s: float, start_s: float = 0.0, world: WorldKey | None = None) -> Excitation:
-        """Windows act from step int(begin/dt) to step int(end/dt) of absolute time.
+        """Each window acts from step int(begin/dt) to step int(end/dt) of absolute time.
 
-        Row 0 belongs to the step after int(start_s/dt); a window shorter than a step may vanish.
+        Row 0 belongs to the step after int(start_s/dt). A window shorter than a step may vanish.
         """
         first_step = seconds_to_steps(start_s, timestep_s)
         spans = []
@@ -89,10 +90,10 @@ class WindowProfile:
 
 
 def _one_at_a_time(spans: Sequence[tuple[int, int, Vector]]) -> list[tuple[int, int, Vector]]:
-    """How the reference implementation treats overlapping windows: as spans that do not overlap.
+    """Overlapping windows as the reference implementation treats them: the returned spans do not overlap.
 
-    The force changes once at every beginning and every end, in order of time. At each change the old force is removed
-    first, and then the force of the next window is set, if that window has begun.
+    The force changes once at every beginning and at every end, in order of time. At each change, the old force is
+    removed first. Then the force of the next window is set, if that window has begun.
     """
     waiting = deque(sorted(spans, key=lambda span: span[0]))
     looks = sorted(step for begin, end, _ in spans for step in (begin, end))
@@ -106,11 +107,11 @@ def _one_at_a_time(spans: Sequence[tuple[int, int, Vector]]) -> list[tuple[int, 
 def chain(
     name: str, links: Sequence[tuple[WindowProfile, float, float]], source: str, replaces: bool = False
 ) -> WindowProfile:
-    """Several force profiles one after the other (or over each other).
+    """A profile made of several force profiles, one after another or overlapping.
 
     Args:
-        links: (profile, offset in s, scale) of each profile.
-        replaces: as in ``WindowProfile``.
+        links: (profile, offset in s, scale) for each profile.
+        replaces: see ``WindowProfile``.
     """
     windows = [
         replace(
@@ -125,7 +126,7 @@ def chain(
 
 
 def _pushes(duration_s: float, *pushes: tuple[float, Vector]) -> tuple[Window, ...]:
-    """Windows of one length. A push: its beginning (s) and its vector."""
+    """Windows of equal duration. Each push is given as (beginning in s, vector)."""
     return tuple(Window(start_s, duration_s, vector) for start_s, vector in pushes)
 
 
@@ -166,7 +167,7 @@ JOLTS = WindowProfile(
     ),
     f"{PET_PHYSICS}, profile 'dummy'",
 )
-"""Nine long jolts mainly along x; the last throws the pallet up. Source: PET-Physics (its "dummy" profile)."""
+"""Nine long jolts, mainly along x; the last one throws the pallet up. Source: PET-Physics (its "dummy" profile)."""
 
 SINE = WindowProfile(
     "sine",
@@ -184,10 +185,10 @@ RADIAL_CHAIN = chain(
     f"{PET_PHYSICS}, dynamic stability demo",
     replaces=True,
 )
-"""Seven radial profiles of growing strength: the dynamic check of PET-Physics' demo. In the reference the chain begins
+"""Seven radial profiles of growing strength: the dynamic check of PET-Physics' demo. In the reference, the chain begins
 2 s (``settle_s``) after the nominal end of placement, n × interval, and its first push comes 2 s later. From the third
-profile on, the last two pushes of each profile act at the same time as two of the next (first at 10.1 and 10.4 s). The
-reference implementation then applies only one push, and so does this profile."""
+profile on, the last two pushes of each profile act at the same time as two pushes of the next profile (first at 10.1
+and 10.4 s). The reference implementation then applies only one of them, and so does this profile."""
 
 BUILT_IN_FORCES: tuple[Profile, ...] = (RADIAL, JOLTS, SINE, RADIAL_CHAIN)
 """To add a built-in force profile: define it above, list it here, and describe it in docs/profiles.md."""

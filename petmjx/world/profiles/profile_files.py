@@ -21,20 +21,20 @@ from petmjx.world.profiles.profile import MAX_PROFILE_S
 
 MAX_WINDOWS = 100_000
 MAX_FORCE = 10_000.0
-"""Largest component of a force, in units of total mass × 9.81 m/s². A larger one is a typing error."""
+"""Largest component of a force, in units of total mass × 9.81 m/s². A larger one must be a typing error."""
 MIN_DENSITY = 1e-30
-"""Smallest PSD, g²/Hz: ratios of densities must not overflow."""
+"""Smallest PSD, g²/Hz. With this limit, ratios of densities do not overflow."""
 MAX_RMS_G = 1000.0
-"""Largest RMS of a random vibration, g."""
+"""Largest RMS acceleration of a random vibration, g."""
 MIN_HZ, MAX_HZ = 0.0001, 1e6
 MAX_DENSITY = 1e6
 MAX_PSD_ROWS = 1000
-"""Test standards have up to 30 breakpoints; each costs time at every step of the vibration."""
+"""Largest number of rows of a PSD. Test standards have up to 30 breakpoints; each adds work to every step."""
 MAX_CSV_BYTES = 1 << 20
 MAX_PARQUET_BYTES = 64 << 20
 
 MAX_PUSH_S = 100 * MAX_PROFILE_S
-"""Longest time of all windows of a profile together, s: each window is added to the samples separately."""
+"""Largest total duration of all windows of a profile, s: each window is added to the samples separately."""
 
 Seconds = Annotated[StrictFloat, Field(ge=0), within(0, MAX_PROFILE_S)]
 LongerThanNothing = Annotated[StrictFloat, Field(gt=0), within(0, MAX_PROFILE_S)]
@@ -44,7 +44,7 @@ Density = Annotated[StrictFloat, Field(gt=0), within(0, MAX_DENSITY)]
 
 
 class WindowRow(CheckedRecord):
-    """One push; in sweep files also the list of its five numbers."""
+    """One push. Sweep files may also write it as the list of its five numbers."""
 
     start_s: Seconds = Field(description="when it begins, s after the profile's beginning")
     duration_s: LongerThanNothing = Field(description="how long it acts, s")
@@ -81,13 +81,13 @@ class _WindowFile(CheckedRecord):
 
 
 def read_windows(path: Path) -> tuple[WindowRow, ...]:
-    """Force windows of a file.
+    """The force windows in a file.
 
     Parquet: the columns start_s, duration_s, x, y, z; other columns are ignored. TOML: an array of tables
     ``[[window]]`` with these five keys.
 
     Raises:
-        InputError: one line with file, row and field: "push.toml: window[3].duration_s must be > 0, got 0".
+        InputError: one line with file, row and field, such as "push.toml: window[3].duration_s must be > 0, got 0".
     """
     content = read_toml(path) if path.suffix == ".toml" else {"window": _parquet_rows(path)}
     try:
@@ -97,13 +97,13 @@ def read_windows(path: Path) -> tuple[WindowRow, ...]:
 
 
 def _parquet_rows(path: Path) -> list[dict[str, Any]]:
-    # Imported here, because the import is slow and only windows in Parquet need it.
+    # Imported here, because the import is slow and only Parquet files of windows need it.
     import pyarrow
     import pyarrow.parquet
 
     name = printable(str(path))
     try:
-        # limits: the footer of a damaged file may claim millions of columns or gigabytes of names
+        # with limits, since the footer of a damaged file may claim millions of columns or gigabytes of names
         file = pyarrow.parquet.ParquetFile(
             pyarrow.BufferReader(bytes(read_regular(path, MAX_PARQUET_BYTES))),
             thrift_string_size_limit=MAX_PARQUET_BYTES,
@@ -142,7 +142,7 @@ def _is_psd(rows: PsdTable) -> PsdTable:
     lowest = min(density for _, density in rows)
     if lowest < MIN_DENSITY:
         raise ValueError(f"must have densities of at least {MIN_DENSITY:g} g²/Hz, got {lowest:g}")
-    with np.errstate(all="ignore"):  # an overflow is refused
+    with np.errstate(all="ignore"):  # an overflow is refused below
         rms_g = psd_rms_g(rows)
     if not rms_g <= MAX_RMS_G:
         raise ValueError(f"must have an RMS of at most {MAX_RMS_G:g} g, got {rms_g:g} g")
@@ -152,7 +152,7 @@ def _is_psd(rows: PsdTable) -> PsdTable:
 PsdRows = Annotated[
     tuple[tuple[Hertz, Density], ...], Field(min_length=2, max_length=MAX_PSD_ROWS), AfterValidator(_is_psd)
 ]
-"""Rows of [Hz, g²/Hz]."""
+"""Rows of [Hz, g²/Hz], checked."""
 
 
 class _PsdFile(CheckedRecord):
@@ -160,10 +160,10 @@ class _PsdFile(CheckedRecord):
 
 
 def read_psd(path: Path) -> PsdTable:
-    """A PSD from a CSV file: two columns, Hz and g²/Hz, with or without a header line; # begins a comment.
+    """The PSD in a CSV file with two columns, Hz and g²/Hz. A header line is allowed; # begins a comment.
 
     Raises:
-        InputError: one line with file and row (from 0, without header and comments):
+        InputError: one line with file and row (counted from 0, without header and comments), such as
             "truck.csv: row[3][1] must be > 0, got -1.0".
     """
     try:

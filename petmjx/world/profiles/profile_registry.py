@@ -1,4 +1,4 @@
-"""Registry of profiles by name. docs/profiles.md describes them."""
+"""The registry of profiles, by name. docs/profiles.md describes the profiles."""
 
 from __future__ import annotations
 
@@ -14,17 +14,17 @@ BUILT_IN: dict[str, Profile] = {profile.name: profile for profile in (*BUILT_IN_
 """Profiles that need no parameters, by name."""
 
 FAMILIES: dict[str, tuple[str, ...]] = {"en-12195-1": tuple(profile.name for profile in en_12195_1())}
-"""Names that stand for several profiles each."""
+"""Names that each stand for several profiles."""
 
 
 def resolve(name: str, defined: Mapping[str, Profile] | None = None) -> tuple[Profile, ...]:
-    """The profiles of a name: one, or all of a family such as ``en-12195-1``.
+    """The profiles with this name: one profile, or all profiles of a family such as ``en-12195-1``.
 
     Args:
         defined: profiles that a sweep file defines, in addition to the built-in ones.
 
     Raises:
-        InputError: unknown name; the line suggests a similar one, or lists the known names.
+        InputError: the name is unknown; the message suggests a similar name or lists the known names.
     """
     profiles = {**BUILT_IN, **(defined or {})}
     if name in profiles:

@@ -1,4 +1,4 @@
-"""The ``[profiles.NAME]`` tables of sweep files: the fields of each kind, and the profile made of them."""
+"""The ``[profiles.NAME]`` tables of sweep files: the fields of each kind, and the profile that a table makes."""
 
 from __future__ import annotations
 
@@ -34,30 +34,30 @@ _HALF_SINE: Final = HalfSine()
 _TRAPEZOID: Final = eumos_40509()
 
 MAX_NAME: Final = 100
-"""Characters of a profile's name."""
+"""Largest number of characters of a profile's name."""
 Name = Annotated[str, Field(max_length=MAX_NAME)]
 FileName = Annotated[str, Field(max_length=4096)]
 
 
 class _Table(CheckedRecord):
-    """A table that makes a profile."""
+    """A table that defines a profile."""
 
     @abstractmethod
     def profile(self, name: str, folder: Path, known: Mapping[str, Profile]) -> Profile:
-        """The profile.
+        """Make the profile.
 
         Args:
             folder: folder of the sweep file; file names are relative to it.
-            known: profiles defined earlier in the file, which a chain may use.
+            known: profiles defined earlier in the file. A chain may use them.
 
         Raises:
-            ValidationError: about a field; its path begins with ``name``.
-            InputError: a file that cannot be used.
+            ValidationError: a field is wrong; the path of the field begins with ``name``.
+            InputError: a file cannot be used.
         """
 
 
 class WindowsTable(_Table):
-    """Force windows, in the table or in a file."""
+    """Force windows, given in the table or in a file."""
 
     kind: Literal["windows"]
     windows: Rows | None = Field(None, description="rows of [start_s, duration_s, x, y, z]")
@@ -84,7 +84,7 @@ class Link(CheckedRecord):
 
 
 class ChainTable(_Table):
-    """Several force profiles, each with an offset in time."""
+    """A chain of force profiles, each with an offset in time."""
 
     kind: Literal["chain"]
     of: Annotated[tuple[Link, ...], Field(min_length=1, max_length=MAX_WINDOWS)] = Field(
@@ -103,7 +103,7 @@ class ChainTable(_Table):
                 text = f": only force profiles can be chained, {link.profile!r} is none"
                 raise complaint(text, name, "of", number, "profile")
             links.append((member, link.offset_s, link.scale))
-        # chains of chains grow fast: count the windows before making them
+        # chains of chains grow fast, so their windows are counted before they are made
         if sum(len(member.windows) for member, _, _ in links) > MAX_WINDOWS:
             raise complaint(f"has more than {MAX_WINDOWS:,} windows", name, "of")
         chained = chain(name, links, _USERS, replaces=self.overlap == "replace")
@@ -119,7 +119,7 @@ class ChainTable(_Table):
 
 
 class HalfSineTable(_Table):
-    """A shock along any axis; its strength is a level in g."""
+    """A shock along any axis. Its strength is a level in g."""
 
     kind: Literal["half-sine"]
     duration_ms: Annotated[StrictFloat, Field(gt=0), within(0, 10_000)] = Field(
@@ -140,7 +140,7 @@ class HalfSineTable(_Table):
 
 
 class TiltTable(_Table):
-    """Gravity that turns slowly up to an angle."""
+    """Gravity that turns slowly, up to an angle."""
 
     kind: Literal["tilt"]
     max_deg: Annotated[StrictFloat, within(0, 90)] = Field(_TILT.max_deg, gt=0, description="largest angle, degrees")
@@ -161,7 +161,7 @@ class TiltTable(_Table):
 
 
 class TrapezoidTable(_Table):
-    """A horizontal acceleration like EUMOS 40509's; its strength is a level in g."""
+    """A horizontal acceleration like that of EUMOS 40509. Its strength is a level in g."""
 
     kind: Literal["trapezoid"]
     ramp_s: LongerThanNothing = Field(_TRAPEZOID.ramp_s, description="length of each ramp, s")
@@ -178,7 +178,7 @@ def _some_axes(axes: str) -> str:
 
 
 class RandomTable(_Table):
-    """Random vibration; its strength is a scale."""
+    """Random vibration. Its strength is a scale."""
 
     kind: Literal["random"]
     psd: Annotated[Annotated[PsdRows, Tag(LIST)] | Annotated[FileName, Tag(VALUE)], Discriminator(shape)] = Field(
@@ -207,7 +207,7 @@ ProfileTable = Annotated[
     | Annotated[TrapezoidTable, Tag("<trapezoid>")],
     by_entry("kind"),
 ]
-"""A table of any kind; its entry ``kind`` says which."""
+"""A table of any kind. Its entry ``kind`` names the kind."""
 
 _TABLES: Final = TypeAdapter(dict[Name, ProfileTable])
 
@@ -217,11 +217,11 @@ def define_profiles(tables: Any, folder: Path) -> dict[str, Profile]:
 
     Args:
         tables: the file's table ``profiles``.
-        folder: of the sweep file; file names are relative to it.
+        folder: folder of the sweep file; file names are relative to it.
 
     Raises:
-        ValidationError: says which field of which table is wrong, and what it should be.
-        InputError: the same about a file that a table names.
+        ValidationError: a field of a table is wrong; the message states which one, and what it should be.
+        InputError: a file that a table names is wrong; the message is of the same form.
     """
     profiles: dict[str, Profile] = {}
     for name, table in _TABLES.validate_python(tables).items():
