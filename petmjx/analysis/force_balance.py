@@ -104,7 +104,7 @@ def largest_slack(forces: Entries, share: FloatArray, row_sums: FloatArray, limi
         limits: (q, f); None: no limits.
 
     Returns:
-        The slack; −inf if no s is small enough.
+        The slack; −inf if there is no such s, however small.
 
     Raises:
         PetmjxError: HiGHS found no answer.

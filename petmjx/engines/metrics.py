@@ -99,9 +99,9 @@ class BoxMetric:
         definition: the formula, for docs/metrics.md.
         dtype: float32 for measured values (exact to 1 µm at 8 m; the MJX engines use it, too), float64 for times, bool
             for yes or no.
-        of_world: the column of ``worlds`` that is computed from it, if any.
-        driven_only: whether only runs with profiles have it.
-        legs_only: whether only chains of several legs have it.
+        of_world: the column of ``worlds`` that is computed from this metric, if any.
+        driven_only: whether only runs with profiles have this metric.
+        legs_only: whether only chains of several legs have this metric.
         compared, relative: as in :class:`Column`. Values of yes or no are compared only as the number of boxes with yes
             in a world.
     """

@@ -80,7 +80,7 @@ class UserEngine(Engine):
 def engine_warmup(options: RunOptions, plans: object, sim: Simulation) -> Iterator[WorkerStartup | None]:
     """Prepares the engine while plans are read. If ``mjx-warp`` will be the engine of this process, this starts JAX and
     Warp on the GPU and compiles kernels. If workers are requested, it starts them and yields them for
-    ``resolve_engine``. Most of these starts is waiting, so plans are read meanwhile."""
+    ``resolve_engine``. These starts consist mostly of waiting, so plans are read meanwhile."""
     if options.asked_workers is not None and isinstance(options.engine, str):
         from petmjx.engines.remote.worker_choice import WorkerStartup  # most runs have no workers
 

@@ -108,7 +108,7 @@ class Queues:
         boxes, table = self._boxes[row], self._next[row]
         behind = min(
             int(self._behind[row]), int(self.counts[row])
-        )  # fewer, if some were left out with all in the table
+        )  # fewer if some were left out although the table had all boxes
         n_items, first = int(self.counts[row]) - behind, int(self._first[row])
         table[:n_items] = table[first : first + n_items].copy()
         new_rows = slice(len(boxes) - behind, len(boxes) - behind + len(table) - n_items)

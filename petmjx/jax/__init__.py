@@ -4,9 +4,9 @@
     state, told = petmjx.jax.place(state, size_mm, corner_mm, mass_kg)
     told = petmjx.jax.try_all(state, size_mm, corner_mm, mass_kg, pallet)
 
-With ``mjx-warp`` the kernel runs inside the jitted program, and states never leave the device. With ``mujoco`` C MuJoCo
-runs behind a callback. Lengths are millimetres and masses kilograms, as in ``petmjx.Pallets``. ``Palletizing`` is an
-environment of pure functions. More in docs/loop.md.
+With ``mjx-warp``, the kernel runs inside the jitted program, and states never leave the device. With ``mujoco``, C
+MuJoCo runs behind a callback. Lengths are in millimetres and masses in kilograms, as in ``petmjx.Pallets``.
+``Palletizing`` is an environment made of pure functions. See docs/loop.md.
 """
 
 import warnings

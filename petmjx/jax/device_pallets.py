@@ -1,4 +1,4 @@
-"""Pallets on ``mjx-warp`` for jitted programs. The pytree is their state on the device, and the kernel runs inside the
+"""Pallets on ``mjx-warp``, for jitted programs. The pytree is their state on the device, and the kernel runs inside the
 program."""
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ _EPSILON: Final = float(np.finfo(np.float32).eps)
 
 
 class Device:
-    """The constant part of a state: the kernel, and the numbers of boxes and contacts."""
+    """The constant part of a state: the kernel, and the number of boxes and boards for which it has room."""
 
     def __init__(self, sim: Simulation, simulator: Simulator, boards: int, width: int) -> None:
         self.sim, self.simulator, self.boards, self.width = sim, simulator, boards, width
@@ -54,7 +54,7 @@ class Device:
         self._pulls = jnp.asarray(pulls_m_s2(physics.solref, physics.solimp, physics.timestep_s), jnp.float32)
 
     def new_box(self, open_: OpenState, size_mm: jax.Array, corner_mm: jax.Array, mass: jax.Array) -> NewBox:
-        """As ``petmjx.engines.warp.next_boxes.new_box``, in single precision."""
+        """``petmjx.engines.warp.next_boxes.new_box``, in single precision."""
         sim, worlds = self.sim, open_.worlds
         m = len(mass)
         falls = float(sim.physics.falls_into_place)
@@ -92,9 +92,9 @@ class Device:
         return support, target[:, 2] - jnp.where(support != NOTHING, depth, 0.0)
 
     def placed(self, open_: OpenState, box: NewBox, gets: jax.Array) -> OpenState:
-        """Worlds with one more box each, at rest. Rows without ``gets`` stay unchanged.
+        """The worlds after each has got one more box and is at rest. Rows without ``gets`` do not change.
 
-        Under ``jax.vmap`` the worlds of all states are simulated side by side.
+        Under ``jax.vmap``, the worlds of all states are simulated side by side.
         """
 
         @jax.custom_batching.custom_vmap
@@ -117,7 +117,7 @@ class Device:
         return after
 
     def results(self, open_: OpenState, known: jax.Array) -> PlacementArrays:
-        """The results of worlds. Worlds without ``known`` have the reason ``ended``, and no numbers."""
+        """The results of worlds. Worlds that are not ``known`` have the reason ``ended`` and no numbers."""
         state, worlds, limits = open_.state, open_.worlds, self.sim.thresholds
         here = jnp.arange(self.width) < state.placed[:, None]
         middle, quat = motion.middles(state.qpos, worlds.middle), state.qpos[..., 3:]
@@ -135,7 +135,7 @@ class Device:
             *((why, (state.flags & int(bits)) != 0) for bits, why in reversed(INVALID_FLAGS)),
             (Reason.OVERFLOW, full),
         )
-        for why, is_so in failed:  # the last true one decides
+        for why, is_so in failed:  # the last one that is true decides
             reason = jnp.where(is_so, REASONS.index(str(why)), reason)
         invalid = full | jnp.any(jnp.array([(state.flags & int(bits)) != 0 for bits, _ in INVALID_FLAGS]), axis=0)
         stable = reason == 0
@@ -161,7 +161,7 @@ class Device:
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True)
 class DeviceState:
-    """n pallets: their worlds on the device."""
+    """n pallets, as worlds on the device."""
 
     open: OpenState
     device: Device = field(metadata={"static": True})
@@ -169,7 +169,7 @@ class DeviceState:
 
     @property
     def n(self) -> int:
-        """Pallets."""
+        """Number of pallets."""
         return int(self.open.worlds.n_boxes.shape[0])
 
     def place(
@@ -190,7 +190,7 @@ class DeviceState:
         return self.device.results(after, gets)
 
     def _can(self, open_: OpenState) -> jax.Array:
-        """(n,) whether a pallet may get a box."""
+        """(n,) whether each pallet may get another box."""
         return (open_.state.status == Status.PAUSED) & (open_.worlds.n_boxes < self.most_boxes)
 
 
@@ -198,7 +198,7 @@ def empty_device(n: int, sim: Simulation, engine: Engine, most_boxes: int) -> De
     """n empty pallets.
 
     Raises:
-        InputError: boxes do not appear at their places.
+        InputError: the options say that boxes do not just appear at their places.
     """
     blank = EmptyCarrier(sim)
     if not blank.scene.placing.appears:
@@ -215,5 +215,5 @@ def empty_device(n: int, sim: Simulation, engine: Engine, most_boxes: int) -> De
 
 
 def _rounded(metres: jax.Array) -> jax.Array:
-    """As ``petmjx.common.units.round_to_micrometre``."""
+    """The same as ``petmjx.common.units.round_to_micrometre``."""
     return jnp.floor(jnp.round(metres * MICROMETRES_PER_M, 2) + 0.5) / MICROMETRES_PER_M

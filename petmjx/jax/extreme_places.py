@@ -1,8 +1,10 @@
-"""Candidates for a box at the extreme points of a pile, seen from all four corners of the carrier, as an array program.
+"""Candidates for a box at the extreme points of a pile, as seen from all four corners of the carrier, as an array
+program.
 
 The points are those of ``petmjx.packers.learned_candidates``: Crainic, Perboli, Tadei (2008), "Extreme point-based
-heuristics for three-dimensional bin packing", INFORMS Journal on Computing 20(3), 368–384, in the pile and its three
-mirror images. With points of one corner alone a pile leaves its free space in slivers along the opposite edges.
+heuristics for three-dimensional bin packing", INFORMS Journal on Computing 20(3), 368–384, in the pile and in its three
+mirror images. With the points of only one corner, the free space of a pile would end up as slivers along the opposite
+edges.
 """
 
 from __future__ import annotations
@@ -19,19 +21,19 @@ from petmjx.jax.pile_statics import Statics, contacts_of, hull_planes, least_m, 
 from petmjx.packers.learned_candidates import MIRRORS, OVERHANG_MM
 
 FEATURES: Final = ("turned", "x", "y", "z", "length_x", "length_y", "height", "mass", "support", "inside", "below")
-"""Features of a candidate: whether it is turned by 90°, its corner and extents, mm, its mass, kg, the supported share
-of its base, how far its weight acts inside the hull of its contacts, and the least such distance of the loads of all
-boxes below, mm, at most 200 (negative: outside)."""
+"""Features of a candidate: whether the box is turned by 90°; its corner and extents, mm; its mass, kg; the supported
+share of its base; how far its weight acts inside the hull of its contacts, mm; and the smallest such distance of the
+loads of all boxes below, mm. The distances are at most 200 mm, and negative outside."""
 
 _PER_ASIDE: Final = 0.01
-"""Cost of a millimetre of distance to the nearest edges, mm of height: of equally low places the outer one comes first
-(``cost_mm`` of petmjx/packers/learned_candidates.py)."""
+"""Cost of a millimetre of distance from the nearest edges, as mm of height. Of equally low places, the outer one comes
+first (``cost_mm`` of petmjx/packers/learned_candidates.py)."""
 
 LOOKED_AT: Final = 3
-"""Places of least cost that are looked at, for each candidate: some of them are borne too little."""
+"""Number of cheapest places that are examined per candidate, since some of them have too little support."""
 
 _FAR: Final = 1e9
-"""A cost of no place, and a coordinate beyond every carrier, mm."""
+"""Cost of a place that does not exist. It also serves as a coordinate beyond every carrier, mm."""
 
 
 class Points(NamedTuple):
@@ -42,7 +44,7 @@ class Points(NamedTuple):
 
 
 class View(NamedTuple):
-    """What is the same for all boxes that may be next: the points, the pile, and its balance."""
+    """The values that do not depend on which box is next: the points, the pile, and its balance."""
 
     points: Points
     pile: Pile
@@ -50,16 +52,16 @@ class View(NamedTuple):
 
 
 class Candidates:
-    """The n places of least cost for a box: low, well supported, and near the carrier's edges.
+    """The n places of lowest cost for a box: low, well supported, and near the carrier's edges.
 
     Args:
         extent_mm: extent of the carrier; ``gap_mm``: free space between a box and its neighbours along x and y.
-        least_support: smallest supported share of a base; None: any.
+        least_support: smallest share of a base that must be supported; None: any share.
         inside_mm: how far the load of each box must act inside the hull of its contacts, or a fifth of the shorter side
             of its base if that is less; 0: anywhere.
 
     Attributes:
-        count: number of actions; ``features``: names of their features.
+        count: number of actions; ``features``: names of the features of an action.
     """
 
     features = FEATURES
@@ -75,17 +77,17 @@ class Candidates:
     ) -> None:
         self.count, self._highest, self._least = count, max_height_mm, least_support or 0.0
         self._gap = jnp.array([[gap_mm, gap_mm, 0.0]], jnp.float32)
-        self._extent = jnp.asarray([extent_mm], jnp.float32) + gap_mm  # larger by the free space of the last box
+        self._extent = jnp.asarray([extent_mm], jnp.float32) + gap_mm  # larger by the gap that follows the last box
         self._inside = inside_mm
 
     def no_boxes(self, most: int) -> Statics:
-        """The balance of an empty pile of at most this number of boxes."""
+        """The balance of an empty pile, with room for this number of boxes."""
         return no_boxes(most)
 
     def put(
         self, statics: Statics, row: Array, size_mm: Array, corner_mm: Array, mass_kg: Array, pile: Pile
     ) -> Statics:
-        """The balance with one more box in a row; a row beyond the end is dropped. ``pile``: without the box."""
+        """The balance after one more box in this row; a row beyond the end is dropped. ``pile``: without the box."""
         contacts = contacts_of(size_mm[None], corner_mm[None], pile)
         return with_box(statics, row, contacts, mass_kg, least_m(size_mm[None], self._inside)[0])
 
@@ -94,7 +96,7 @@ class Candidates:
         return View(self._points(pile), pile, statics)
 
     def _points(self, pile: Pile) -> Points:
-        """The points of a pile: those of each box, with the boxes before it in the way."""
+        """The points of a pile: those of each box, for which only earlier boxes are obstacles."""
         k = len(pile.present)
         low, high = pile.corner_mm, pile.corner_mm + pile.size_mm + self._gap
         earlier = (jnp.arange(k)[None] < jnp.arange(k)[:, None]) & pile.present[None]
@@ -111,7 +113,7 @@ class Candidates:
         return Points(at.reshape(-1, 2), jnp.broadcast_to(mirrors[:, None], at.shape).reshape(-1, 2))
 
     def ways(self, view: View, size_mm: Float[Array, " 3"], mass_kg: Float[Array, ""]) -> Ways:
-        """The actions for a box of this size; none if the size is 0."""
+        """The actions for a box of this size; there are none if the size is 0."""
         points, pile, statics = view
         sizes = jnp.stack([size_mm, size_mm[jnp.array([1, 0, 2])]])
         bases = (sizes + self._gap)[:, None, :2]
@@ -141,7 +143,7 @@ class Candidates:
     def _costs(
         self, corner: Float[Array, "place 2"], base: Float[Array, "place 2"], pile: Pile
     ) -> tuple[Float[Array, " place"], Float[Array, " place"]]:
-        """(p,) costs of places, and the heights of their bottoms, mm. Boxes have their free space here."""
+        """(p,) costs of places, and (p,) heights of their bottoms, mm. Sizes of boxes include their free space here."""
         lows, highs = pile.corner_mm, pile.corner_mm + pile.size_mm + self._gap
         end = corner + base
         area = jnp.broadcast_to(jnp.where(pile.present[None], 1.0, 0.0), (len(corner), len(lows)))
@@ -160,8 +162,8 @@ class Candidates:
     def _cheapest(
         self, cost: Float[Array, " place"], corner: Float[Array, "place 2"], z: Float[Array, " place"], turned: Array
     ) -> tuple[Array, Bool[Array, " action"]]:
-        """(q,) the places of least cost, each once, and whether there is such a place. Several points may be one place;
-        so the places are taken one by one, which is also faster on a GPU than sorting them all."""
+        """(q,) the places of lowest cost, each only once, and whether there is such a place. Several points may be the
+        same place, so the places are taken one by one. On a GPU, this is also faster than sorting all of them."""
 
         def take(cost: jax.Array, _: None) -> tuple[jax.Array, tuple[jax.Array, jax.Array]]:
             best = cost.argmin()
@@ -178,14 +180,14 @@ def _corner_points(
     top: Float[Array, " box"],
     earlier: Bool[Array, "box box"],
 ) -> Float[Array, "7 box 2"]:
-    """As ``petmjx.packers.candidate_points.corner_points``, for all boxes of one pile.
+    """``petmjx.packers.candidate_points.corner_points`` for all boxes of one pile.
 
     Args:
-        start, end: corners of boxes along x and y; ``bottom``, ``top``: their heights.
-        earlier: row i: the boxes that may be in the way of the points of box i.
+        start, end: corners of boxes along x and y; ``bottom``, ``top``: heights of boxes.
+        earlier: in row i, the boxes that may be obstacles for the points of box i.
     """
     (x, y), (x_end, y_end) = start.T, end.T
-    # from the box's end in x along −y, and from its end in y along −x; on the box: from (x, y) along both
+    # from the box's end in x towards −y, and from its end in y towards −x; on the box: from (x, y) towards both
     axes, levels = jnp.array([1, 0, 0, 1]), jnp.stack([bottom, bottom, top, top])[..., None]
     begins, across = jnp.stack([y, x, x, y])[..., None], jnp.stack([x_end, y_end, y, x])[..., None]
     lows, highs, ends = start.T[1 - axes][:, None], end.T[1 - axes][:, None], end.T[axes][:, None]

@@ -1,4 +1,4 @@
-"""Free cells of a carrier for a box, as an array program in single precision, like all of ``petmjx.jax``."""
+"""Free cells of a carrier for a box, as an array program in single precision, as in all of ``petmjx.jax``."""
 
 from __future__ import annotations
 
@@ -9,14 +9,15 @@ import numpy as np
 from jaxtyping import Array, Bool, Float
 
 TOUCH_MM: Final = 0.01
-"""Tops closer than this count as equally high. Heights of 10 m in single precision are exact to 0.001 mm."""
+"""Tops whose heights differ by less than this count as equally high. In single precision, heights of 10 m are exact to
+0.001 mm."""
 
 TURNS: Final = 2
-"""Number of orientations of a box: along x, and turned by 90°."""
+"""Number of orientations of a box: along x, or turned by 90°."""
 
 
 class Pile(NamedTuple):
-    """The boxes on a pallet, where ``present``: sizes, and front-left-bottom corners, mm."""
+    """The boxes on a pallet, in rows that are ``present``: sizes, and front-left-bottom corners, mm."""
 
     size_mm: Float[Array, "box 3"]
     corner_mm: Float[Array, "box 3"]
@@ -27,9 +28,9 @@ class Ways(NamedTuple):
     """The actions for a box.
 
     Attributes:
-        legal: (a,) mask of legal actions.
-        size_mm, corner_mm: (a, 3) extents and corner of the box if placed.
-        features: (a, f) features of the actions; 0 for an illegal action.
+        legal: (a,) whether each action is legal.
+        size_mm, corner_mm: (a, 3) extents and corner of the box after the action.
+        features: (a, f) features of the actions; 0 for illegal actions.
     """
 
     legal: Bool[Array, " action"]
@@ -39,14 +40,14 @@ class Ways(NamedTuple):
 
 
 class Cells:
-    """The cells of a carrier: for each orientation all cells, along x, then along y.
+    """The cells of a carrier: for each orientation all cells, along x and then along y.
 
     Args:
-        side_mm: side of a cell; ``least_support``: smallest supported share of a base; None: any.
+        side_mm: side of a cell; ``least_support``: smallest share of a base that must be supported; None: any share.
         gap_mm: free space between a box and its neighbours along x and y.
 
     Attributes:
-        count: number of actions; ``features``: names of their features.
+        count: number of actions; ``features``: names of the features of an action.
     """
 
     features: Final[tuple[str, ...]] = ()
@@ -68,23 +69,23 @@ class Cells:
         self.count = TURNS * len(corners)
 
     def no_boxes(self, most: int) -> None:
-        """Cells need no more than the boxes of a pile."""
+        """Nothing: cells need only the boxes of a pile."""
 
     def put(self, statics: None, row: Array, size_mm: Array, corner_mm: Array, mass_kg: Array, pile: Pile) -> None:
-        """The same with one more box."""
+        """Nothing, also after one more box."""
 
     def view(self, pile: Pile, statics: None) -> Pile:
         """The part of ``ways`` that does not depend on the next box."""
         return pile
 
     def ways(self, pile: Pile, size_mm: Float[Array, " 3"], mass_kg: Float[Array, ""]) -> Ways:
-        """The actions for a box of this size; none if the size is 0."""
+        """The actions for a box of this size; there are none if the size is 0."""
         size = jnp.where(self._turned[:, None], size_mm[jnp.array([1, 0, 2])][None], size_mm[None])
         low, high = self._corners, self._corners + size[:, :2]
         ends = pile.corner_mm + pile.size_mm
         start = jnp.maximum(low[:, None], pile.corner_mm[None, :, :2])
         side = jnp.minimum(high[:, None], ends[None, :, :2]) - start
-        # boxes and their free space end further on by the gap
+        # a box with its free space extends farther by the gap
         under = (side + self._gap > TOUCH_MM).all(axis=2) & pile.present[None]
         tops = jnp.broadcast_to(ends[None, :, 2], under.shape)
         z = jnp.where(under, tops, 0.0).max(axis=1)

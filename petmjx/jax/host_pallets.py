@@ -1,7 +1,7 @@
-"""Pallets on C MuJoCo for jitted programs. The pytree holds the boxes, and settled worlds are behind a callback.
+"""Pallets on C MuJoCo, for jitted programs. The pytree holds the boxes; the settled worlds are behind a callback.
 
-The state of a pallet depends only on its boxes, so its boxes identify the state. The most recently used settled worlds
-are cached by their boxes. A world that is no longer cached is built again, to the last bit.
+The state of a pallet depends only on its boxes, so the boxes identify the state. The most recently used settled worlds
+are cached by their boxes. A world that is no longer cached is built again, bit-identical.
 """
 
 from __future__ import annotations
@@ -28,15 +28,16 @@ KEPT_PER_PALLET: Final = 4
 
 
 MOST_ASKED: Final = 64
-"""Number of further cached worlds, for candidates of pallets other than those of the last states."""
+"""Number of additional cached worlds, for candidates on pallets other than those of the last states."""
 
 
 _BEYOND: Final = (2, 2, 1, 0, 1, 1, 0, 0, 0)
-"""Number of axes after the axis of pallets, in the arrays of boxes, counts, new boxes, and the two masks."""
+"""Number of axes after the axis of pallets, for each argument: the arrays of boxes, their counts, the new boxes, and
+the two masks."""
 
 
 class Host:
-    """A cache of settled pallets by their boxes. Called by one thread at a time."""
+    """A cache of settled pallets, whose keys are their boxes. A lock admits one thread at a time."""
 
     def __init__(self, n: int, sim: Simulation, engine: Engine, most_boxes: int) -> None:
         self.most_boxes = most_boxes
@@ -46,22 +47,22 @@ class Host:
         self._begin(slots)
 
     def _begin(self, slots: int) -> None:
-        """Make an empty cache for this number of settled worlds."""
+        """Make an empty cache with room for this number of settled worlds."""
         self._pallets = Pallets(slots, engine=self._engine, most_boxes=self.most_boxes, **dict(self._sim))
         self._slots: OrderedDict[bytes, int] = OrderedDict()
         self._free = list(range(slots))
 
     def place(self, *arguments: Any) -> list[NDArray[Any]]:
-        """The results of pallets that get one box each. Arguments are their earlier boxes and the new ones."""
+        """The results of pallets that get one box each. The arguments are their earlier boxes and the new ones."""
         return self._of_all(arguments, keeps=True)
 
     def try_all(self, *arguments: Any) -> list[NDArray[Any]]:
-        """The same, without keeping the new worlds."""
+        """The same as ``place``, but the new worlds are not kept."""
         return self._of_all(arguments, keeps=False)
 
     def _of_all(self, arguments: tuple[Any, ...], *, keeps: bool) -> list[NDArray[Any]]:
-        """All rows are placed in one call. Under ``jax.vmap`` arrays have leading axes, of length 1 if all entries are
-        the same."""
+        """Place all rows in one call. Under ``jax.vmap``, arrays have leading axes; such an axis has length 1 if all
+        its entries are the same."""
         arrays = [(np.asarray(argument), beyond) for argument, beyond in zip(arguments, _BEYOND, strict=True)]
         shape = np.broadcast_shapes(*(values.shape[: values.ndim - beyond] for values, beyond in arrays))
         rows = []
@@ -122,12 +123,13 @@ class Host:
                 pinned.add(into[-1])
             if fresh:
                 self._placed(replace(request, pallet=np.array(into)).take(np.array(fresh)), np.array(slots)[fresh])
-            self._slots.update(world_of_key)  # only now, since the pallets have their boxes
+            self._slots.update(world_of_key)  # only now do the pallets have their boxes
             write_results(columns, rows, self._pallets.results(np.array(into)))
         return columns
 
     def _placed(self, request: Placements, bases: NDArray[np.int64]) -> None:
-        """Make free pallets copies of other pallets, with one more box each. A refused request leaves them free."""
+        """Make free pallets copies of other pallets, and add one box to each. If the request is refused, they stay
+        free."""
         try:
             self._pallets.fork(bases, request.pallet)
             self._pallets.place(**vars(request))
@@ -136,7 +138,7 @@ class Host:
             raise
 
     def _slot(self, size: NDArray[Any], corner: NDArray[Any], mass: NDArray[Any], count: int, pinned: set[int]) -> int:
-        """The pallet that has these boxes. The world joins ``pinned``, so that it is not reused."""
+        """The pallet that has these boxes. It is added to ``pinned``, so that it is not reused meanwhile."""
         keys = [_key(size[:k], corner[:k], mass[:k]) for k in range(count + 1)]
         n_cached = next((k for k in range(count, -1, -1) if keys[k] in self._slots), -1)
         slot = self._slots[keys[n_cached]] if n_cached >= 0 else -1
@@ -157,7 +159,7 @@ class Host:
         return slot
 
     def _spare(self, pinned: set[int]) -> int:
-        """A pallet that is not needed now: a free one, or the least recently used one."""
+        """A pallet that is not needed at the moment: a free one, or else the least recently used one."""
         if not self._free:
             oldest = next(key for key, slot in self._slots.items() if slot not in pinned)
             self._free.append(self._slots.pop(oldest))
@@ -171,7 +173,7 @@ def _key(size: NDArray[Any], corner: NDArray[Any], mass: NDArray[Any]) -> bytes:
 @jax.tree_util.register_dataclass
 @dataclass(frozen=True)
 class HostState:
-    """n pallets: their boxes, with room for k, and whether each has fallen."""
+    """n pallets: their boxes, with room for k boxes each, and whether each pallet has fallen."""
 
     size_mm: Float[Array, "pallet box 3"]
     corner_mm: Float[Array, "pallet box 3"]
@@ -182,7 +184,7 @@ class HostState:
 
     @property
     def n(self) -> int:
-        """Pallets."""
+        """Number of pallets."""
         return int(self.count.shape[0])
 
     def place(

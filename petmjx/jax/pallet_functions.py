@@ -32,15 +32,15 @@ def empty(
     most_boxes: int = 40,
     **options: Any,
 ) -> State:
-    """n empty pallets. Do not call it under ``jit``, since it loads the engine.
+    """n empty pallets. Do not call this function under ``jit``, since it loads the engine.
 
     Args:
         engine: ``mujoco``, ``mjx-warp``, ``mjx-warp-cpu``, or ``auto`` as in ``petmjx.Pallets``.
-        most_boxes: most boxes of a pallet.
+        most_boxes: largest number of boxes on a pallet.
         options: fields of ``petmjx.Simulation``.
 
     Raises:
-        InputError: an unusable option.
+        InputError: an option is unusable.
     """
     integer_of(n, "n", 1, MOST_PALLETS)
     sim = Simulation(**{"carrier": carrier, **options})
@@ -62,15 +62,15 @@ def place(
     mass_kg: Float[Array, " pallet"],
     active: Bool[Array, " pallet"] | None = None,
 ) -> tuple[State, PlacementArrays]:
-    """Put a box onto each pallet, and let them rest.
+    """Put one box onto each pallet, and let the pallets come to rest.
 
     Args:
-        size_mm: extents as the boxes stand; ``corner_mm``: front-left-bottom corners.
+        size_mm: extents of the boxes as they stand; ``corner_mm``: front-left-bottom corners.
             active: mask of the pallets that get a box; None: all. Pallets that have fallen or are full never get
                 another box.
 
         Returns:
-            The pallets, and their results. Pallets that had fallen before have only the reason ``ended``.
+            The pallets, and their results. Pallets that had already fallen have only the reason ``ended``.
     """
     n = _pallets(state)
     boxes = _boxes(size_mm, corner_mm, mass_kg, n)
@@ -90,7 +90,7 @@ def try_all(
     mass_kg: Float[Array, " candidate"],
     pallet: Int[Array, " candidate"],
 ) -> PlacementArrays:
-    """The results that each candidate, one more box on a pallet, would have. A pallet may have several candidates.
+    """For each candidate, the results after one more box is put onto a pallet. A pallet may have several candidates.
 
     A candidate for a pallet that has fallen, is full, or does not exist is not stable, and its reason is ``ended``.
     """
@@ -111,7 +111,7 @@ def _pallets(state: State) -> int:
 
 
 def _of_kind(values: Any, name: str, kind: Any, kind_name: str) -> jax.Array:
-    """Raises InputError for arrays of another kind."""
+    """The values as an array. Raises InputError if their type is not of this kind."""
     try:
         array = jnp.asarray(values)
     except (TypeError, ValueError) as error:
@@ -122,7 +122,8 @@ def _of_kind(values: Any, name: str, kind: Any, kind_name: str) -> jax.Array:
 
 
 def _boxes(size_mm: Any, corner_mm: Any, mass_kg: Any, m: int) -> tuple[jax.Array, jax.Array, jax.Array]:
-    """The boxes as arrays. Raises InputError for wrong shapes; under ``jit`` numbers are unknown."""
+    """The boxes as arrays. Raises InputError for wrong shapes. Numbers are not checked: under ``jit`` they are
+    unknown."""
     arrays = []
     for name, values, shape in (
         ("size_mm", size_mm, (m, 3)),
@@ -140,7 +141,8 @@ def _boxes(size_mm: Any, corner_mm: Any, mass_kg: Any, m: int) -> tuple[jax.Arra
 
 
 def _check_numbers(boxes: tuple[jax.Array, ...], requested: jax.Array) -> None:
-    """Raises InputError if a requested box has a number out of range. Under ``jit`` numbers are unknown."""
+    """Raise InputError if a requested box has a number out of range. Under ``jit``, numbers are unknown and not
+    checked."""
     if any(isinstance(array, jax.core.Tracer) for array in (*boxes, requested)):
         return
     for name, values in zip(("size_mm", "corner_mm", "mass_kg"), boxes, strict=True):

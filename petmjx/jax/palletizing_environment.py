@@ -30,7 +30,7 @@ from petmjx.options.simulation import Simulation
 
 GEOMETRY: Final = "geometry"
 MASKS: Final = {GEOMETRY: None, **{f"support_{100 * share:.0f}": share for share in SUPPORT_SHARES}}
-"""Mask → smallest supported share of a base; None: any."""
+"""Name of a mask → smallest share of a base that must be supported; None: any share."""
 
 CELLS: Final = "cells"
 CANDIDATES: Final = "candidates"
@@ -38,10 +38,11 @@ ACTIONS: Final = (CELLS, CANDIDATES)
 MOST_CANDIDATES: Final = 512
 
 _DRAWN: Final = 256
-"""Number of orders instead of endless ones, since a program has arrays of fixed sizes."""
+"""Number of orders that replace endless ones, since a program has arrays of fixed sizes."""
 
 _EDGE: Final = 1e-4
-"""Share of a cell. A box that ends this near to a cell's edge counts as ending there, in single precision."""
+"""Tolerance as a share of a cell, in single precision. A box that ends this close to a cell's edge counts as ending
+there."""
 
 _LARGEST: Final = float(np.finfo(np.float32).max)
 
@@ -51,10 +52,10 @@ class Observation(NamedTuple):
 
     Attributes:
         height_map: highest top over each cell of the carrier, mm; ``load_map``: largest force on a box's top, N.
-        boxes: length, width, height, mm, and mass, kg, of the next boxes; 0 beyond the last box.
+        boxes: length, width and height, mm, and mass, kg, of the next boxes; 0 after the last box.
         left: number of remaining boxes; ``mass``: mass on the pallet, kg.
-        action_mask: (a,) whether an action is legal.
-        candidates: (a, f) features of the candidates, ``Palletizing.features``; 0 for an illegal action.
+        action_mask: (a,) whether each action is legal.
+        candidates: (a, f) features of the candidates, see ``Palletizing.features``; 0 for illegal actions.
     """
 
     height_map: Float[Array, "x y"]
@@ -67,9 +68,9 @@ class Observation(NamedTuple):
 
 
 class State(NamedTuple):
-    """The state of an episode. ``order`` is the number of its order, ``next`` that of the next box. Boxes on the pallet
-    are stored as requested, with 0 after the last box. ``ways`` are the actions for the next box, ``statics`` is the
-    balance of the pile where candidates need it."""
+    """The state of an episode. ``order`` is the number of its order, and ``next`` the number of the next box. Boxes on
+    the pallet are stored as requested, with 0 after the last box. ``ways`` are the actions for the next box.
+    ``statics`` is the balance of the pile, if candidates need it."""
 
     key: jax.Array
     pallet: Pallet
@@ -89,36 +90,37 @@ class State(NamedTuple):
 
     @property
     def mask(self) -> Bool[Array, " action"]:
-        """Whether an action is legal."""
+        """Whether each action is legal."""
         return self.ways.legal
 
 
 class Palletizing:
-    """One pallet, a box a step, as ``petmjx/Palletizing-v0``.
+    """One pallet, one box per step, as in ``petmjx/Palletizing-v0``.
 
-    ``state, timestep = env.reset(key)``; ``state, timestep = env.step(state, action)``. Both are pure. Methods and
-    classes have the names of jumanji's, which need not be installed. Under ``jax.vmap`` all pallets are simulated in
-    one call.
+    ``state, timestep = env.reset(key)``; ``state, timestep = env.step(state, action)``. Both are pure functions.
+    Methods and classes have the same names as in jumanji, which need not be installed. Under ``jax.vmap``, all pallets
+    are simulated in one call.
 
     Args:
         orders: as in ``petmjx/Palletizing-v0``; ``endless``: 256 orders of the generator.
         orders_seed: seed of the generator; ``look_ahead``: number of visible boxes.
         orders_units, orders_columns, orders_density: as in ``petmjx/Palletizing-v0``.
         actions: ``cells``: two orientations × cells of the carrier; ``candidates``: ``n_candidates`` places at extreme
-            points, seen from all four corners of the carrier, with features: low and well supported ones first.
+            points, as seen from all four corners of the carrier, with features; low and well supported places come
+            first.
         mask: ``geometry``, or ``support_50`` … ``support_100``.
-        gap_mm: free space between a box and its neighbours along x and y, which a robot needs.
+        gap_mm: free space that a robot needs between a box and its neighbours along x and y.
         inside_mm: how far the load of each box must act inside the hull of its contacts, or a fifth of the shorter side
-            of its base if that is less, as in the packer ``balanced``, which has 20; 0: anywhere. For candidates only.
+            of its base if that is less; 0: anywhere. For candidates only. The packer ``balanced`` uses 20.
         action_cell_mm, cell_mm: side of the cells of actions, and of maps.
-        rewards: weights of terms.
-        most_illegal: illegal actions after which an episode is truncated; an illegal action changes nothing.
-        most_boxes: most boxes of a pallet.
+        rewards: weights of reward terms.
+        most_illegal: number of illegal actions after which an episode is truncated; an illegal action changes nothing.
+        most_boxes: largest number of boxes on a pallet.
         carrier, engine: as in ``petmjx.jax.empty``.
         options: fields of ``petmjx.Simulation``.
 
     Raises:
-        InputError: an unusable option, or no box of any order fits on the carrier.
+        InputError: an option is unusable, or no box of any order fits on the carrier.
     """
 
     def __init__(
@@ -174,13 +176,13 @@ class Palletizing:
         read.check_sizes(sim.size_reduction_mm)
         of_orders = self._usable(read)
         self._counts = jnp.array([len(boxes) for boxes in of_orders], jnp.int32)
-        longest = int(self._counts.max()) + self._seen  # so that only zeros are visible beyond an order's end
+        longest = int(self._counts.max()) + self._seen  # so that only zeros are visible after an order's end
         rows = [np.column_stack([boxes.size_mm, boxes.mass_kg]) for boxes in of_orders]
-        self._largest = max(float(table.max(initial=0.0)) for table in rows)  # also for specs in a jitted program
+        self._largest = max(float(table.max(initial=0.0)) for table in rows)  # specs in a jitted program need it, too
         self._boxes = jnp.array([np.pad(table, ((0, longest - len(table)), (0, 0))) for table in rows], jnp.float32)
 
     def _usable(self, orders: Orders) -> list[Boxes]:
-        """The orders with at least one box that fits on the empty carrier."""
+        """The orders that have at least one box that fits on the empty carrier."""
         drawn_orders = orders.some(_DRAWN)
         ways = np.sort(self._extent)
 
@@ -193,11 +195,11 @@ class Palletizing:
             raise InputError("orders: no box of any order fits on the empty carrier")
         return usable
 
-    # ------------------------------------------------------------------ what happens
+    # ------------------------------------------------------------------ episodes
 
     def reset(self, key: jax.Array, order: Int[Array, ""] | int | None = None) -> tuple[State, TimeStep[Observation]]:
-        """Begin an episode with an order drawn by ``key``, or with the order of this number, from 0, below
-        ``num_orders``. The same key gives the same episode."""
+        """Start an episode, with an order drawn by ``key``, or with the order of this number (from 0, below
+        ``num_orders``). The same key gives the same episode."""
         key, order_key = jax.random.split(key)
         k, none = self._most_boxes, jnp.int32(0)
         drawn = jax.random.randint(order_key, (), 0, self.num_orders)
@@ -225,8 +227,8 @@ class Palletizing:
         return state, TimeStep(first, jnp.float32(0.0), jnp.float32(1.0), self._observed(state), extras)
 
     def step(self, state: State, action: Int[Array, ""] | int) -> tuple[State, TimeStep[Observation]]:
-        """Put the next box onto the pallet. An action that the mask excludes, or after the end of the episode, changes
-        nothing."""
+        """Put the next box onto the pallet. An action that the mask excludes changes nothing, and neither does any
+        action after the end of the episode."""
         chosen = jnp.asarray(action)
         if chosen.shape != () or not jnp.issubdtype(chosen.dtype, jnp.integer):
             raise InputError(f"action must be a whole number, got {chosen.dtype} of shape {chosen.shape}")
@@ -276,7 +278,7 @@ class Palletizing:
         """The state with the actions for the next box. Boxes without a legal place are left out.
 
         Args:
-            most: most boxes on the pallet, if fewer than ever: the program is smaller then.
+            most: largest number of boxes on the pallet at this moment, if it is known: the program is then smaller.
         """
         statics: Any = state.statics if most is None else self._actions.no_boxes(most)
         view: Any = self._actions.view(self._pile(state, most), statics)
@@ -292,17 +294,17 @@ class Palletizing:
             ways = self._actions.ways(view, box[:3], box[3])
             return state._replace(ways=ways._replace(legal=ways.legal & ~state.over)), jnp.array(False)
 
-        small = state._replace(pallet=None, statics=None)  # what the loop does not change
+        small = state._replace(pallet=None, statics=None)  # the loop does not change these two
         looked, _ = jax.lax.while_loop(goes_on, look, (small, jnp.array(True)))
         return looked._replace(pallet=state.pallet, statics=state.statics)
 
     def _pile(self, state: State, most: int | None = None) -> Pile:
-        """The boxes on the pallet, of at most ``most``."""
+        """The boxes on the pallet, in the first ``most`` rows."""
         present = jnp.arange(self._most_boxes) < state.placed
         return Pile(*(values[:most] for values in (state.size_mm, state.corner_mm, present)))
 
     def _terms(self, before: State, after: State, outcome: PlacementArrays, legal: jax.Array) -> dict[str, jax.Array]:
-        """The terms of the reward, not weighted, as in ``petmjx.loop.rewards.TERMS``."""
+        """The reward terms, without their weights, as in ``petmjx.loop.rewards.TERMS``."""
         stands = legal & outcome.stable
         tops = [(state.corner_mm + state.size_mm)[:, 2].max() for state in (before, after)]
         terms = {
@@ -318,7 +320,7 @@ class Palletizing:
         }
         return {name: terms[name] for name in self._weights}
 
-    # ------------------------------------------------------------------ what is seen
+    # ------------------------------------------------------------------ observations
 
     def _observed(self, state: State) -> Observation:
         covers = self._covers(state)
@@ -335,7 +337,7 @@ class Palletizing:
         )
 
     def _covers(self, state: State) -> Bool[Array, "box x y"]:
-        """The cells that each box covers by more than the edge."""
+        """Whether each box covers more than the edge of each cell."""
         low = jnp.floor(state.corner_mm / self._side + _EDGE)
         high = jnp.ceil((state.corner_mm + state.size_mm) / self._side - _EDGE)
         along = []
@@ -371,12 +373,12 @@ class Palletizing:
 
     @property
     def features(self) -> tuple[str, ...]:
-        """The names of the features of candidates; none of cells."""
+        """The names of the features of candidates; empty for cells."""
         return self._actions.features
 
     @property
     def action_spec(self) -> Spec:
-        """A whole number: of a candidate; or of a cell, (orientation × cells along x + x) × cells along y + y."""
+        """A whole number: that of a candidate, or of a cell, (orientation × cells along x + x) × cells along y + y."""
         return Spec("action", (), jnp.int32, 0, self.num_actions - 1, self.num_actions)
 
     @property
@@ -396,10 +398,10 @@ class Palletizing:
 
     @property
     def reward_spec(self) -> Spec:
-        """Any number."""
+        """The specification of a reward: any number."""
         return Spec("reward", (), jnp.float32, -_LARGEST, _LARGEST)
 
     @property
     def discount_spec(self) -> Spec:
-        """0 or 1."""
+        """The specification of a discount: 0 or 1."""
         return Spec("discount", (), jnp.float32, 0.0, 1.0)

@@ -1,7 +1,8 @@
-"""Static balance of a pile as an array program: ``petmjx.packers.pile_balance`` in single precision, with its sources.
+"""Static balance of a pile, as an array program: ``petmjx.packers.pile_balance`` in single precision. Sources: there.
 
-A load is a vector (F, F·x, F·y), in kg and metres. A box passes its load to the boxes below it as a plane of pressures,
-which is linear in the load: a 3 × 3 matrix for each pair of boxes. So a further box needs one product of matrices.
+A load is a vector (F, F·x, F·y), in kg and metres. A box passes its load to the boxes below it as a plane of pressures.
+This plane is linear in the load, so there is a 3 × 3 matrix for each pair of boxes. One more box therefore needs only
+one product of matrices.
 """
 
 from __future__ import annotations
@@ -18,25 +19,25 @@ from petmjx.jax.free_cells import TOUCH_MM, Pile
 from petmjx.packers.pile_balance import FAR_M, MARGIN_SHARE
 
 _ANGLES: Final = np.arange(32) * (2 * np.pi / 32)
-"""Directions in which the corners of a hull are looked for. A corner that reaches farthest in none of them is missed,
-so that a hull is too small rather than too large."""
+"""Directions in which the corners of a hull are searched for. A corner that reaches farthest in none of them is missed.
+So a computed hull may be too small, but never too large."""
 
 _NO_EDGE: Final = -1e3
-"""Offset of the plane of no edge: every load is far inside, m."""
+"""Offset of the plane of a missing edge, m. Every load is far inside this plane."""
 
 _EXACT: Final = jax.lax.Precision.HIGHEST
-"""GPUs round factors of products to 10 bits otherwise."""
+"""Otherwise, GPUs round the factors of products to 10 bits."""
 
 Planes = Float[Array, "*rows 32 3"]
-"""Edges (d, n_x, n_y) of hulls: a point p lies by d + n · p beyond an edge."""
+"""Edges (d, n_x, n_y) of hulls. A point p is beyond an edge by d + n · p."""
 
 
 class Statics(NamedTuple):
     """The balance of a pile of at most k boxes.
 
     Attributes:
-        load: (k, 3) load of each box, its own weight and all loads from above.
-        passed: (k, k, 3, 3) matrix from a load on each box to the load that reaches each box below it.
+        load: (k, 3) load of each box: its own weight, and all loads from above.
+        passed: (k, k, 3, 3) matrices from a load on each box to the load that reaches each box below it.
         planes: (k, 32, 3) edges of the hull of each box's contacts.
         least: (k,) how far inside its hull the load of each box must act, m.
     """
@@ -48,11 +49,11 @@ class Statics(NamedTuple):
 
 
 class Contacts(NamedTuple):
-    """The contacts of q boxes with a pile. Lengths are in metres, coordinates as seen from the middle of each base.
+    """The contacts of q boxes with a pile. Lengths are in metres; coordinates are relative to the middle of each base.
 
     Attributes:
         middle: (q, 2) the middle of the base.
-        start, end: (q, k, 2) the rectangle that a box has in common with each box of the pile, where it ``bears``.
+        start, end: (q, k, 2) the rectangle that a box shares with each box of the pile that ``bears`` it.
         on_carrier: (q,) whether the box stands on the carrier.
         support: (q,) supported share of the base.
     """
@@ -72,7 +73,7 @@ def no_boxes(most: int) -> Statics:
 
 
 def contacts_of(size_mm: Float[Array, "placement 3"], corner_mm: Float[Array, "placement 3"], pile: Pile) -> Contacts:
-    """The contacts of boxes that are put onto a pile one at a time."""
+    """The contacts of boxes with a pile. Each box is considered alone, as the only box that is put onto the pile."""
     low, high = corner_mm[:, None, :2], (corner_mm + size_mm)[:, None, :2]
     ends = pile.corner_mm + pile.size_mm
     start = jnp.maximum(low, pile.corner_mm[None, :, :2])
@@ -88,7 +89,8 @@ def contacts_of(size_mm: Float[Array, "placement 3"], corner_mm: Float[Array, "p
 
 
 def hull_planes(contacts: Contacts) -> Planes:
-    """(q, 32, 3) the edges of the hulls of contacts, seen from the middles of the bases. None on the carrier."""
+    """(q, 32, 3) the edges of the hulls of contacts, relative to the middles of the bases. On the carrier, there are no
+    edges."""
     x, y = (jnp.asarray(values, jnp.float32)[None, None] for values in (np.cos(_ANGLES), np.sin(_ANGLES)))
     # (q, k, 32): the corner of each contact that reaches farthest in each direction
     at_x = jnp.where(x > 0, contacts.end[..., :1], contacts.start[..., :1])
@@ -97,7 +99,7 @@ def hull_planes(contacts: Contacts) -> Planes:
     farthest = reach.argmax(axis=1, keepdims=True)
     at_x, at_y = (jnp.take_along_axis(values, farthest, axis=1)[:, 0] for values in (at_x, at_y))
     along_x, along_y = jnp.roll(at_x, -1, axis=1) - at_x, jnp.roll(at_y, -1, axis=1) - at_y
-    length = jnp.hypot(along_x, along_y)  # the corners come anticlockwise, so that the outside is on the right
+    length = jnp.hypot(along_x, along_y)  # the corners are in anticlockwise order, so the outside is on the right
     is_edge = (length > TOUCH_MM / MM_PER_M) & contacts.bears.any(axis=1)[:, None] & ~contacts.on_carrier[:, None]
     along_x, along_y = (jnp.where(is_edge, along / jnp.maximum(length, 1e-9), 0.0) for along in (along_x, along_y))
     offset = jnp.where(is_edge, -along_y * at_x + along_x * at_y, _NO_EDGE)
@@ -107,12 +109,12 @@ def hull_planes(contacts: Contacts) -> Planes:
 def margins_m(
     statics: Statics, contacts: Contacts, planes: Planes, mass_kg: Float[Array, ""]
 ) -> tuple[Float[Array, " placement"], Float[Array, " placement"], Bool[Array, " placement"]]:
-    """How far the load of each box would act inside its hull, the least such distance of the boxes below, m, at most
-    ``FAR_M``, and whether all of these act far enough inside."""
+    """Three values for each box: how far its load would act inside its hull, m; the smallest such distance of the boxes
+    below, m; and whether all of these loads act far enough inside. Distances are at most ``FAR_M``."""
     floats = ~contacts.bears.any(axis=1) & ~contacts.on_carrier
     inside = jnp.where(floats, -FAR_M, -planes[..., 0].max(axis=1))
     moments, inverse = _moments(contacts)
-    # (q, k, 3): the load that each contact takes, as seen from the middle of the base, then from the origin
+    # (q, k, 3): the load on each contact, first relative to the middle of the base, then relative to the origin
     share = jnp.einsum("qkxy,qy->qkx", moments, inverse[:, :, 0] * mass_kg, precision=_EXACT)
     share = jnp.concatenate([share[..., :1], share[..., 1:] + share[..., :1] * contacts.middle[:, None]], axis=-1)
     after = statics.load[None] + jnp.einsum("jbxy,qjy->qbx", statics.passed, share, precision=_EXACT)
@@ -125,8 +127,8 @@ def margins_m(
 
 
 def least_m(size_mm: Float[Array, "placement 3"], least_mm: float) -> Float[Array, " placement"]:
-    """(q,) how far inside its hull the load of each box must act, as in the packer ``balanced``: a distance, or a share
-    of the shorter side of its base if that is less, m."""
+    """(q,) how far inside its hull the load of each box must act, m, as in the packer ``balanced``: ``least_mm``, or a
+    share of the shorter side of its base if that is less."""
     return jnp.minimum(least_mm, MARGIN_SHARE * size_mm[:, :2].min(axis=1)) / MM_PER_M
 
 
@@ -137,7 +139,7 @@ def with_box(
     mass_kg: Float[Array, ""],
     least: Float[Array, ""],
 ) -> Statics:
-    """The pile with one more box, whose contacts these are, in a row; a row beyond the end is dropped."""
+    """The balance after one more box with these contacts, in this row; a row beyond the end is dropped."""
     (x, y), on_carrier = contacts.middle[0], contacts.on_carrier[0]
     moments, inverse = _moments(contacts)
     seen_there = jnp.eye(3).at[1, 0].set(-x).at[2, 0].set(-y)  # from the origin to the middle of the base
@@ -148,7 +150,7 @@ def with_box(
     load = mass_kg * jnp.stack([jnp.float32(1.0), x, y])
     loads = statics.load + jnp.einsum("bxy,y->bx", passed, load, precision=_EXACT)
     planes = hull_planes(contacts)[0]
-    offset = planes[:, 0] - planes[:, 1] * x - planes[:, 2] * y  # as seen from the origin
+    offset = planes[:, 0] - planes[:, 1] * x - planes[:, 2] * y  # relative to the origin
     is_edge = planes[:, 0] > _NO_EDGE
     planes = jnp.stack([jnp.where(is_edge, offset, _NO_EDGE), planes[:, 1], planes[:, 2]], axis=1)
     is_in = row < len(statics.load)
@@ -161,8 +163,8 @@ def with_box(
 
 
 def _moments(contacts: Contacts) -> tuple[Float[Array, "placement box 3 3"], Float[Array, "placement 3 3"]]:
-    """∫ (1, x, y)ᵀ (1, x, y) dA over each contact, and the inverse of their sum. Seen from the middle of the base,
-    whose moments are small, the inverse is exact enough in single precision."""
+    """∫ (1, x, y)ᵀ (1, x, y) dA over each contact, and the inverse of their sum. They are relative to the middle of the
+    base: there, moments are small, so the inverse is exact enough in single precision."""
     middle, side = (contacts.start + contacts.end) / 2, contacts.end - contacts.start
     area = jnp.where(contacts.bears, side.prod(axis=-1), 0.0)
     x, y = middle[..., 0], middle[..., 1]

@@ -1,4 +1,4 @@
-"""The results of physics for placements, as a pytree."""
+"""The physical results of placements, as a pytree."""
 
 from __future__ import annotations
 
@@ -13,14 +13,14 @@ from petmjx.loop.placement_results import PlacementResults as HostResults
 
 ENDED: Final = "ended"
 REASONS: Final = (*(str(reason) for reason in Reason), ENDED)
-"""Meanings of the numbers in ``PlacementArrays.reason``; 0: the pallet stands. "ended": nothing was placed."""
+"""The meanings of the numbers in ``PlacementArrays.reason``; 0: the pallet stands. "ended": nothing was placed."""
 
 
 class PlacementArrays(NamedTuple):
-    """The results of m placements, on pallets of at most k boxes. Beyond a pallet's own boxes numbers are 0.
+    """The results of m placements on pallets of at most k boxes. After a pallet's last box, numbers are 0.
 
-    Attributes as in ``petmjx.PlacementResults``; ``reason`` is an index into ``REASONS``, ``margin`` is -1 where
-    invalid.
+    Attributes: as in ``petmjx.PlacementResults``, except that ``reason`` is an index into ``REASONS``, and ``margin``
+    is -1 for invalid worlds.
     """
 
     stable: Bool[Array, " placement"]
@@ -36,7 +36,7 @@ class PlacementArrays(NamedTuple):
 
 
 def shapes(m: int, k: int) -> list[tuple[tuple[int, ...], type[Any]]]:
-    """Shape and type of each field."""
+    """The shape and type of each field."""
     one = [((m,), kind) for kind in (bool, np.int32, np.int32, *(np.float32,) * 3, np.int32, bool)]
     return [*one, ((m, k), np.float32), ((m, k, 3), np.float32)]
 
@@ -49,7 +49,7 @@ def empty_results(m: int, k: int) -> list[NDArray[Any]]:
 
 
 def write_results(into: list[NDArray[Any]], rows: NDArray[np.int64], results: HostResults) -> None:
-    """Write results into these rows."""
+    """Write results into these rows of the columns ``into``."""
     k = results.top_force_n.shape[1]
     reasons = np.array([REASONS.index(reason) for reason in results.reason], np.int32)
     margin = np.nan_to_num(results.margin, nan=-1.0)

@@ -1,4 +1,4 @@
-"""The timesteps and specs of the environment for jitted programs, with the class names of dm_env and jumanji."""
+"""Timesteps and specs of the environment for jitted programs. The class names are those of dm_env and jumanji."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ ObservationT = TypeVar("ObservationT")
 
 
 class StepType:
-    """Position of a step in its episode."""
+    """The position of a step in its episode."""
 
     FIRST: Final = 0
     MID: Final = 1
@@ -26,7 +26,7 @@ class TimeStep(NamedTuple, Generic[ObservationT]):
     Attributes:
         step_type: a value of ``StepType``.
         reward: reward of this step; 0 for the first step.
-        discount: 0 if the episode has terminated, else 1, also if truncated.
+        discount: 0 if the episode has terminated, else 1; also 1 if it was truncated.
         observation: the observation after the step.
         extras: further values by name.
     """
@@ -38,11 +38,11 @@ class TimeStep(NamedTuple, Generic[ObservationT]):
     extras: dict[str, jax.Array]
 
     def first(self) -> Bool[Array, ""]:
-        """Whether the step is the first one of an episode."""
+        """Whether this is the first step of an episode."""
         return self.step_type == StepType.FIRST
 
     def mid(self) -> Bool[Array, ""]:
-        """Whether the step is neither the first nor the last."""
+        """Whether this is neither the first nor the last step."""
         return self.step_type == StepType.MID
 
     def last(self) -> Bool[Array, ""]:
@@ -62,5 +62,5 @@ class Spec:
     num_values: int | None = None
 
     def generate_value(self) -> jax.Array:
-        """An array that fits the specification."""
+        """An array that satisfies the specification."""
         return jnp.full(self.shape, self.minimum, self.dtype)

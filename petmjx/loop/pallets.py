@@ -255,7 +255,7 @@ class Pallets(Closable):
 
     def take_back(self, pallet: Any = None) -> None:
         """Remove the last box from some pallets; None: from all that have boxes. The pallets return to their state
-        before this box, to the last bit. Pallets that have fallen stand again. If a further box is removed from a
+        before this box, bit for bit. Pallets that have fallen stand again. If a further box is removed from a
         pallet, the pallet is built again, with the errors with which its boxes were placed.
 
         Raises:

@@ -425,7 +425,7 @@ class _Rests:
         sign = np.sign(towards.sum(axis=1))[:, None]
 
         def along(values: FloatArray) -> FloatArray:
-            """x or y, whichever the box turns along, measured from the edge."""
+            """Coordinate along the direction in which the box turns (x or y), measured from the edge."""
             return np.asarray(np.where(on_x, values[..., :1], values[..., 1:2])[..., 0] * sign - edge[:, None])
 
         def across(values: FloatArray) -> FloatArray:

@@ -21,7 +21,7 @@ MAX_HEIGHT_MM = 2000.0
 
 @dataclass(frozen=True)
 class PackRules:
-    """The rules for a placement, and the choices that differ from plan to plan.
+    """The rules for placements, and parameters that may differ between plans.
 
     Attributes:
         min_support: smallest share of a box's base that must rest on the carrier or on tops (0 to 1).

@@ -143,7 +143,7 @@ def _search(
 
 
 def _step(ways: Sequence[_SearchNode], width: int, branch: int, stride: int, fills: Fills) -> list[_SearchNode]:
-    """The best packings with ``stride`` more boxes, the best first; empty if no more box can be placed."""
+    """The best packings with ``stride`` further boxes, best first; empty if no further box can be placed."""
     best: list[_SearchBranch] = []
     seen_packings: set[frozenset[PlacedBox]] = set()
     for way in ways:
@@ -172,7 +172,7 @@ def _step(ways: Sequence[_SearchNode], width: int, branch: int, stride: int, fil
 
 
 def _worst(best: Sequence[_SearchBranch], width: int, n_items: int) -> float:
-    """The height that another packing must not exceed to be among the best, mm."""
+    """The height that a further packing must not exceed if it is to be among the best, mm."""
     if len(best) < width or len(best[-1].filled.placed) < n_items:  # packings with more boxes may have any height
         return inf
     return best[-1].filled.height_mm

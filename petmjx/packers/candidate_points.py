@@ -1,4 +1,4 @@
-"""Candidate places for the next box (``Candidates``): a table of every corner point of a pile with every shape.
+"""Candidate places for the next box (``Candidates``): a table of all corner points of a pile combined with all shapes.
 
 The points are the extreme points of Crainic, Perboli, Tadei (2008), as in :mod:`petmjx.packers.baseline_packer`. When a
 box is placed, the table is updated instead of being computed anew: only the new box is compared with all candidates,
@@ -20,7 +20,7 @@ from petmjx.packers.pile_balance import TOUCH_MM
 
 _SLIDING = np.array([1, 0, 0, 1])
 _OTHER = 1 - _SLIDING
-"""For each of four slides: the axis along which the point slides, and the other axis."""
+"""For each of the four sliding points: the axis along which it slides, and the other axis."""
 
 
 class Candidates:
@@ -33,7 +33,8 @@ class Candidates:
         height: (s,) heights of the shapes, mm.
         z: (p, s) height of the shape's bottom at rest, mm.
         carried: (p, s) supported area of the base at this place, mm².
-        open: (p, s) whether the shape is inside the carrier and no box was placed under it since its last refusal.
+        open: (p, s) whether the shape is inside the carrier, and has not been refused since a box was last placed under
+            it.
     """
 
     def __init__(self, base: FloatArray, height: FloatArray, extent_mm: tuple[float, float], most_boxes: int) -> None:
@@ -91,7 +92,7 @@ class Candidates:
         self._add_points([(x, y) for x, y in points[:, 0].tolist()])
 
     def _cover(self, corner: tuple[float, float], ends: tuple[float, float, float]) -> None:
-        """Update the candidates above the newest box, if it is the highest box under them."""
+        """Update the candidates for which the newest box is now the highest one under them."""
         area = overlap(self.points, self.base, np.array([corner]), np.array([ends[:2]]))[:, :, 0]
         hit, top = area > 0, ends[2]
         higher = hit & (top > self.z + TOUCH_MM)
@@ -101,7 +102,7 @@ class Candidates:
         self.open |= (higher | level) & self._inside
 
     def _add_points(self, corners: Sequence[tuple[float, float]]) -> None:
-        """Add the points that are new, if a shape at the point is inside the carrier."""
+        """Add new points, if at least one shape at the point is inside the carrier."""
         fresh = [point for point in dict.fromkeys(corners) if point not in self._known]
         self._known.update(fresh)
         points = np.array(fresh, dtype=np.float64).reshape(-1, 2)

@@ -64,7 +64,7 @@ class MirroredCandidates(Candidates):
         return twin
 
     def candidates(self, shapes: NDArray[np.intp]) -> tuple[NDArray[np.intp], FloatArray, FloatArray, FloatArray]:
-        """The c candidates of some shapes.
+        """The c candidates for some shapes.
 
         Returns:
             (c,) shapes; (c, 2) corners, mm; (c,) heights of the bottom, mm; (c,) supported shares of the base.
@@ -138,7 +138,7 @@ class FourSidedStream(ItemStream):
         The balance is not checked here, but by ``keeps_balance``.
 
         Args:
-            least_support: least supported share of a base.
+            least_support: smallest allowed share of a base that is supported.
         """
         table, kinds = self._table, set(self.seen)
         visible_columns = np.array(
@@ -172,7 +172,7 @@ class FourSidedStream(ItemStream):
         return NextCandidate(point, shape, (x, y, z), rest)
 
     def still_open(self, places: Places) -> NDArray[np.bool_]:
-        """(c,) whether a candidate has not been refused for its balance."""
+        """(c,) False for candidates that were refused because of their balance, else True."""
         return np.array([point not in self._refused for point in places.point.tolist()], dtype=bool)
 
     def put(self, chosen: NextCandidate) -> None:

@@ -54,10 +54,10 @@ SCORE_DECIMALS: Final = 6
 
 
 class ChosenCandidate(NamedTuple):
-    """The candidate that is taken.
+    """The candidate that the packer has chosen.
 
     Attributes:
-        row: its row in the places.
+        row: row of the candidate in ``Places``.
         next: the candidate itself.
         chance: predicted chance that the box stands when a robot places it inexactly.
     """
@@ -92,7 +92,7 @@ class Policy:
         return replace(self, taste=replace(self.taste, linear=weights))
 
     def seen(self, stream: FourSidedStream) -> tuple[Places, FloatArray] | None:
-        """The candidates to rate, with their features; None: there are none."""
+        """The candidates that are rated, with their features; None if there are none."""
         places = lowest(stream, stream.places())
         return (places, features(stream, places)) if len(places) else None
 
@@ -150,7 +150,7 @@ class Policy:
 
 
 def placing_of(stream: FourSidedStream, places: Places, row: int, rest: Rest | None = None) -> PlacementState:
-    """The placement of a candidate, without the free space around boxes."""
+    """The state in which a candidate is placed, without the free space around boxes."""
     low, high = stream.bare_boxes
     corner, size = places.corner_mm[row], places.size_mm[row] - stream.clearance
     return placement_state(stream.pile, low, high, stream.masses, corner, size, float(places.mass_kg[row]), rest)

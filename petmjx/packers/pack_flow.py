@@ -19,7 +19,7 @@ from petmjx.plans.order_generator import Order
 
 
 class Orders(NamedTuple):
-    """Limits on the orders and worlds that are simulated at a time.
+    """Limits on the numbers of orders and worlds that are simulated at the same time.
 
     Attributes:
         few: number of searched orders for which an idle engine waits.
@@ -153,7 +153,7 @@ class Flow:
         return self._searched.ended and self._unanswered < self._at_a_time.worlds
 
     def _go_on(self, order: _OpenOrder) -> None:
-        """Request an order's next worlds. An order without missing worlds is packed."""
+        """Request the next worlds of an order. If none is missing, the order is complete and its packing is chosen."""
         try:
             requests = next(order.asking)
         except StopIteration as end:

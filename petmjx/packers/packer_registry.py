@@ -1,4 +1,4 @@
-"""Registry of packers by name (``PACKERS``). A packer takes the items of an order and returns them in packing order."""
+"""Registry of packers by name (``PACKERS``). Packers receive the items of an order and return them in packing order."""
 
 from __future__ import annotations
 

@@ -121,7 +121,7 @@ class Packing:
 
     @property
     def n_shapes(self) -> int:
-        """The number of shapes, that is of remaining kinds of boxes in each orientation."""
+        """The number of shapes. Each remaining kind of box has one shape per orientation."""
         return len(self._kind_of)
 
     @property
@@ -198,7 +198,7 @@ class Packing:
         return False
 
     def filled(self, first: NextCandidate | None = None, highest_mm: float = inf) -> FullPacking | None:
-        """The full packing that follows from this packing; this one stays unchanged. None: a top would be too high.
+        """Fill up a copy of this packing. Returns the full packing; None if a top would be too high.
 
         Args:
             first: candidate of the last call of ``next`` that is placed first; None: the best candidate.

@@ -58,7 +58,7 @@ class Rest(NamedTuple):
 
     Attributes:
         load: (3,) the box's own weight as a load.
-        passed: (n, 3, 3) matrices from a load on the box to the load that reaches each of the n boxes placed before;
+        passed: (n, 3, 3) matrices that turn a load on the box into the load that reaches each of the n earlier boxes;
             None: the box stands on the carrier.
         planes: (k, 3) edges of the box's hull, moved inward. The product of an edge with a load is ≤ 0 if the load acts
             inside.
@@ -132,7 +132,7 @@ class Balance:
             return let_down
         if let_down is None or tips(let_down.planes, let_down.load):
             return None
-        # all hulls of the pile at once: the load of each plane's owner against the plane
+        # checks all hulls of the pile at once: each plane is compared with the load of its owner
         if len(self._planes) and self._over_planes(let_down).max() > SLACK_KG_M:
             return None
         return let_down
@@ -173,7 +173,7 @@ class Balance:
     def _let_down(
         self, corner_mm: tuple[float, float, float], base_mm: tuple[float, float], mass_kg: float
     ) -> Rest | None:
-        """The effect of one more box, whether the pile keeps its balance or not; None: the box has no support."""
+        """The effect of one more box, even if the pile loses its balance; None if the box has no support."""
         n = self.n
         corner = np.array(corner_mm[:2]) / MM_PER_M
         base = np.array(base_mm) / MM_PER_M

@@ -99,7 +99,8 @@ def generate(
         on_left_out: function that is called with the items that a plan leaves out, just before the plan is yielded.
 
     Raises:
-        InputError: ``n`` outside 1…``MOST_SAMPLES``, a negative seed, a share outside 0…1, or an unknown packer.
+        InputError: ``n`` is outside 1…``MOST_SAMPLES``, the seed is negative, the share is outside 0…1, or the packer
+            is unknown.
     """
     integer_of(n, "n", 1, MOST_SAMPLES)
     integer_of(seed, "seed", 0)

@@ -261,7 +261,7 @@ def _item(raw: object, where: str) -> Item:
 def _optional(
     raw: dict[str, Any], field: str, fault_of: Callable[[str, Any, float], str | None], size: float, where: str
 ) -> float | None:
-    """A number that an item may lack."""
+    """A number of an item; None if the item lacks it."""
     value = raw.get(field)
     if value is None:
         return None

@@ -1,7 +1,7 @@
-"""Raw tables (``RawTable``): rows of text and sheets with the names of their columns, before anything is understood.
+"""Raw tables (``RawTable``): rows of text files and sheets with their column names, before anything is interpreted.
 
-Text may be UTF-8, UTF-16, Windows-1252 or Windows-1250, with any usual separator and decimal sign, Excel's ``sep=;``,
-titles above the header, a line of units below it, and totals at the end.
+Text may be UTF-8, UTF-16, Windows-1252 or Windows-1250. It may have any usual separator and decimal sign, Excel's
+``sep=;``, titles above the header, a line of units below it, and totals at the end.
 """
 
 from __future__ import annotations
@@ -23,32 +23,33 @@ from petmjx.plans.file_formats import NoBoxes
 from petmjx.plans.raw_cells import cell_number, cell_text, decimal_of
 
 MOST_ROWS: Final = 1_000_000
-"""Largest number of rows of a table, those of a sheet. A table of a million boxes takes a gigabyte as Python values."""
+"""Largest number of rows of a table, which is that of a sheet. A table of a million boxes takes a gigabyte as Python
+values."""
 MOST_COLUMNS: Final = 1_000
 _SEARCHED_ROWS: Final = 60
-"""Rows at the beginning of a table among which the header is searched."""
+"""Number of rows at the beginning of a table in which the header is searched for."""
 _LEAST_KNOWN: Final = 2
-"""Least number of known names in a header."""
+"""Smallest number of known names in a header."""
 _DELIMITERS: Final = (",", ";", "\t", "|")
 _SPACES: Final = " "
-"""Stands for any white space between fields, as in printed tables."""
+"""A separator that stands for any white space between fields, as in printed tables."""
 
 
 @dataclass(frozen=True, eq=False)
 class RawTable:
-    """A table as a file has it.
+    """A table as it is in a file.
 
     Attributes:
-        header: names of the columns; of a table without a header "column 1", "column 2" …
-        rows: rows of cells, each as long as the header. A cell is text, a number or None (empty).
-        places: where each row is, for messages: "row 5", "boxes[4]".
-        decimal: decimal sign of numbers that are text; "": unknown.
+        header: names of the columns. A table without a header has "column 1", "column 2" …
+        rows: rows of cells, each as long as the header. A cell is text, a number, or None if it is empty.
+        places: for each row, its place in the file, for messages: "row 5", "boxes[4]".
+        decimal: decimal sign of numbers stored as text; "": unknown.
         title: name of the sheet, or the path of the list in JSON.
         above: lines above the header.
-        lost: place and fault of rows that cannot be read, and are not in ``rows``.
-        notes: how the table was read, where that is not obvious ("Windows-1252", "the header is row 4").
-        has_header: whether the file has the names.
-        part: name of the plan, if each table of a file is a plan; "": the table may hold several plans.
+        lost: (place, fault) of each row that cannot be read, and so is missing in ``rows``.
+        notes: how the table was read, if that is not obvious ("Windows-1252", "the header is row 4").
+        has_header: whether the names of the columns are in the file.
+        part: name of the plan, if each table in a file is one plan; "": the table may contain several plans.
     """
 
     header: tuple[str, ...]
@@ -78,10 +79,10 @@ class RawTable:
 
 
 def decoded_text(data: bytes | bytearray) -> tuple[str, str]:
-    """The text of bytes, and a note about its encoding ("": UTF-8).
+    """Decode bytes to text. Also returns a note about the encoding ("" for UTF-8).
 
-    UTF-8 and UTF-16 are certain. All other bytes are Windows-1252, or Windows-1250 if more words of headers are known
-    in it.
+    UTF-8 and UTF-16 are recognised with certainty. Any other bytes are read as Windows-1252, or as Windows-1250 if more
+    words of headers are then known.
     """
     raw = bytes(data)
     if raw.startswith(b"\xef\xbb\xbf"):
@@ -99,23 +100,23 @@ def decoded_text(data: bytes | bytearray) -> tuple[str, str]:
     texts = {
         name: raw.decode(code, "replace") for name, code in (("Windows-1252", "cp1252"), ("Windows-1250", "cp1250"))
     }
-    best = max(texts, key=lambda name: _known_in_lines(texts[name]))  # the first of equals
+    best = max(texts, key=lambda name: _known_in_lines(texts[name]))  # the first if several are equal
     return texts[best], best
 
 
 def _known_in_lines(text: str) -> int:
-    """Largest number of known names in one of the first lines."""
+    """The largest number of known names in any of the first lines."""
     lines = text[:20_000].splitlines()[:_SEARCHED_ROWS]
     return max((_n_known(re.split(r"[,;\t|]", line)) for line in lines), default=0)
 
 
 def tables_of_text(data: bytes | bytearray) -> list[RawTable]:
-    """The tables of a text with separators: CSV of any locale, or columns between white space.
+    """The tables in a text with separators: CSV of any locale, or columns separated by white space.
 
-    A table begins with its header; titles between tables become names of their parts.
+    A table begins with its header. Titles between tables become names of the tables' parts.
 
     Raises:
-        InputError: the text holds no table. The error does not name the file.
+        InputError: the text contains no table. The error does not name the file.
     """
     text, encoding = decoded_text(data)
     notes = [encoding] if encoding else []
@@ -147,7 +148,8 @@ def tables_of_text(data: bytes | bytearray) -> list[RawTable]:
 
 
 def _without_unclosed(text: str, lost: list[tuple[str, str]], begin: int) -> str:
-    """The text with lines emptied that have an unclosed quotation mark; these lines are added to ``lost``."""
+    """The text in which lines with an unclosed quotation mark are replaced by empty lines. These lines are added to
+    ``lost``."""
     lines = text.split("\n")
     for index, line in enumerate(lines):
         if line.count('"') % 2:
@@ -160,7 +162,7 @@ def _fields(text: str, delimiter: str) -> Iterator[list[str]]:
     if delimiter == _SPACES:
         yield from _spaced_fields(text.splitlines())
         return
-    if delimiter == "|":  # Markdown's line below a header
+    if delimiter == "|":  # Markdown has such a line below a header
         text = "\n".join("" if _RULE.match(line) else line for line in text.split("\n"))
     try:
         yield from csv.reader(io.StringIO(text, newline=""), delimiter=delimiter)
@@ -169,12 +171,12 @@ def _fields(text: str, delimiter: str) -> Iterator[list[str]]:
 
 
 _RULE: Final = re.compile(r"^[\s|+:]*[-=]{2,}(?:[\s|+:]+[-=]{2,})+[\s|+:]*$")
-"""A line of dashes below a header, as printed tables have it."""
+"""A line of dashes below a header, as in printed tables."""
 
 
 def _spaced_fields(lines: Sequence[str]) -> Iterator[list[str]]:
-    """Fields between white space. Under a line of dashes the dashes say where columns are, so that a cell may be empty;
-    otherwise fields stand between two or more spaces, or between any spaces, whichever makes more rows alike.
+    """Fields separated by white space. If there is a line of dashes, the dashes show where columns are, so a cell may
+    be empty. Otherwise fields are separated by two or more spaces, or by any spaces, whichever makes more rows alike.
     """
     rule = next((index for index, line in enumerate(lines) if _RULE.match(line)), None)
     if rule is not None:
@@ -197,11 +199,11 @@ def _spaced_fields(lines: Sequence[str]) -> Iterator[list[str]]:
         counts = Counter(len(row) for row in rows if len(row) > 1)
         return max(counts.values(), default=0)
 
-    yield from max(ways, key=alike)  # the first of equals
+    yield from max(ways, key=alike)  # the first if several are equal
 
 
 def _delimiter_of(text: str) -> str:
-    """The separator of a text: with it most names of a header are known, and rows are most alike."""
+    """The separator of a text: the one with which most names of a header are known, and rows are most alike."""
     sample = text[:200_000]
     if len(text) > len(sample):
         sample = sample[: sample.rfind("\n") + 1] or sample
@@ -226,7 +228,7 @@ _NUMERIC: Final = re.compile(r"\s*[+-]?[.,]?\d")
 
 
 def _n_known(cells: Sequence[Any]) -> int:
-    """Number of cells of a row that are known names of columns."""
+    """The number of cells in a row that are known column names."""
     names = [cell if isinstance(cell, str) and len(cell) < 100 and not _NUMERIC.match(cell) else "" for cell in cells]
     if sum(map(bool, names)) < _LEAST_KNOWN or len(names) > MOST_COLUMNS:
         return 0
@@ -234,18 +236,18 @@ def _n_known(cells: Sequence[Any]) -> int:
     return len({(meaning.kind, meaning.axis) for meaning in meanings if meaning is not None})
 
 
-# Rows of any source.
+# Rows from any source.
 
 
 def tables_of_rows(
     rows: Sequence[Sequence[Any]], begin: int = 1, title: str = "", lost: Sequence[tuple[str, str]] = ()
 ) -> list[RawTable]:
-    """The tables in rows of cells. The header of each table is searched; rows of numbers alone have none.
+    """The tables in rows of cells. The header of each table is searched for. Rows that are only numbers have no header.
 
     Args:
         begin: number of the first row.
         title: name of the sheet.
-        lost: rows that were lost before.
+        lost: rows that were already lost earlier.
 
     Raises:
         InputError: there is no table.
@@ -287,7 +289,7 @@ def _line(row: Sequence[Any]) -> str:
 
 
 def _header_rows(rows: Sequence[tuple[Any, ...]]) -> list[int]:
-    """Indices of the rows that are headers: the first row with the most known names, and its repetitions."""
+    """Indices of the rows that are headers: the first row that has the most known names, and its repetitions."""
     counts = [_n_known(row) for row in rows[:_SEARCHED_ROWS]]
     most = max(counts, default=0)
     if most < _LEAST_KNOWN:
@@ -299,7 +301,8 @@ def _header_rows(rows: Sequence[tuple[Any, ...]]) -> list[int]:
 
 
 def _heads_numbers(rows: Sequence[tuple[Any, ...]], head: int) -> bool:
-    """Whether a row has unknown names: text alone, above rows with enough numbers for boxes."""
+    """Whether a row is a header with unknown names: it is only text, and the rows below have enough numbers for
+    boxes."""
     names = rows[head]
     texts = [cell for cell in names if isinstance(cell, str) and not _NUMERIC.match(cell)]
     below = [row for row in rows[head + 1 : head + 20] if any(cell is not None for cell in row)]
@@ -308,7 +311,7 @@ def _heads_numbers(rows: Sequence[tuple[Any, ...]], head: int) -> bool:
 
 
 def are_numbers(rows: Sequence[Sequence[Any]], least: int) -> bool:
-    """Whether most of the first rows have at least this many numbers."""
+    """Whether most of the first rows have at least this number of numbers."""
     first = rows[:20]
     counts = [sum(cell_number(cell) is not None or cell_number(cell, ",") is not None for cell in row) for row in first]
     return sum(count >= least for count in counts) * 2 > len(first)
@@ -317,7 +320,7 @@ def are_numbers(rows: Sequence[Sequence[Any]], least: int) -> bool:
 def _table_below(
     rows: Sequence[tuple[Any, ...]], head: int, end: int, begin: int, title: str, above: tuple[str, ...], more: bool
 ) -> tuple[list[RawTable], list[str]]:
-    """The tables below a header, one for each named section, and the remaining lines, from the next header on."""
+    """The tables below a header, one for each named section; and the lines that remain, from the next header on."""
     names = [cell_text(cell) for cell in rows[head]]
     while names and not names[-1]:
         names.pop()
@@ -360,13 +363,13 @@ def _table_below(
 
 
 _Section = tuple[str, list[tuple[tuple[Any, ...], str]]]
-"""A line between rows with the name of the next section ("": no name), and the section's rows with their places."""
+"""The name of a section ("" if it has none), from the line before it; and the section's rows with their places."""
 
 
 def _sections(
     rows: Sequence[tuple[Any, ...]], first: int, end: int, begin: int, header: Sequence[str], notes: list[str]
 ) -> tuple[list[_Section], tuple[tuple[str, str], ...], list[str]]:
-    """The rows of a table by sections, the rows that are lost, and the lines after the last row."""
+    """The rows of a table by section, the rows that are lost, and the lines after the last row."""
     width, geometric = len(header), _geometric(header)
     sections: list[_Section] = [("", [])]
     lost: list[tuple[str, str]] = []
@@ -396,7 +399,7 @@ def _sections(
 
 
 def _geometric(header: Sequence[str]) -> list[int]:
-    """Indices of the columns with sizes and places."""
+    """Indices of the columns that have sizes or places."""
     return [
         index
         for index, meaning in enumerate(column_meanings(header))
@@ -405,8 +408,8 @@ def _geometric(header: Sequence[str]) -> list[int]:
 
 
 def _is_total(row: Sequence[Any], geometric: Sequence[int]) -> bool:
-    """Whether a row is a total or a mean: its first text is such a word, or begins with one and the row lacks a size or
-    a place. A box may be called "Total fruit"."""
+    """Whether a row is a total or a mean. Its first text must be a word for one; or begin with such a word, while the
+    row lacks a size or a place. (A box may be called "Total fruit".)"""
     text = next(
         (
             cell
@@ -424,15 +427,15 @@ def _is_total(row: Sequence[Any], geometric: Sequence[int]) -> bool:
 
 
 def computed_row(table: RawTable, rows: Sequence[int]) -> str:
-    """Relation of a last row to the rows above it: "the total", "the sums", "the means"; "": the row is a box.
+    """How the last row relates to the rows above it: "the total", "the sums" or "the means"; "" if the row is a box.
 
     Args:
         rows: indices of the rows of one plan.
 
-    Sizes, places and weights of the last row must all be sums, or all means, and two of them must be clear. A box on
-    two smaller boxes may have the sum of their lengths, and a box in the middle of a layer of equal boxes has their
-    mean place. Items under petmjx's own names, without places, have no row of means: a box of middle size
-    is likelier there.
+    The sizes, places and weights of the last row must all be sums, or all be means, and at least two of them must be
+    clearly so. The reason is that a box on two smaller boxes may have the sum of their lengths, and that a box in the
+    middle of a layer of equal boxes has their mean place. In a table with petmjx's own column names and no places, a
+    last row is never taken as means: it is more likely a medium-sized box.
     """
     if len(rows) > 1 and _is_total(table.rows[rows[-1]], _geometric(table.header)):
         return "the total"
@@ -459,7 +462,7 @@ def computed_row(table: RawTable, rows: Sequence[int]) -> str:
         if len(values) < len(rows) - 1 or not np.isfinite(values).all():
             return ""
         total, mean = float(values.sum()), float(values.mean())
-        if kind not in ("sequence", "number"):  # in these columns a line of sums may have any value
+        if kind not in ("sequence", "number"):  # in these columns, a row of sums may have any value
             sums &= _as_written(number.value, total)
             n_sums += total != 0.0
         means &= _as_written(number.value, mean)
@@ -473,11 +476,11 @@ def computed_row(table: RawTable, rows: Sequence[int]) -> str:
 
 _PLACES: Final = ("position", "low", "high")
 _COMPUTED: Final = ("size", "weight", "volume", "sequence", "number", *_PLACES)
-"""Kinds of columns whose sums and means show that a row is no box."""
+"""Kinds of columns whose sums and means show that a row is not a box."""
 
 
 def _as_written(value: float, exact: float) -> bool:
-    """Whether the number of a cell equals another number, rounded to the cell's decimals."""
+    """Whether the number in a cell equals an exact number that is rounded to the cell's decimals."""
     decimals = next((count for count in range(7) if round(value, count) == value), 6)
     return abs(value - exact) <= 0.5000001 * 10.0**-decimals + 1e-9 * abs(exact)
 
@@ -488,7 +491,7 @@ def _has_places(names: Sequence[str]) -> bool:
 
 
 def _with_groups(names: list[str], group: Sequence[Any]) -> list[str]:
-    """Names below a line of merged headings: "Position" above X, Y, Z gives "Position X"."""
+    """Names that include merged headings in the line above: "Position" above X, Y, Z gives "Position X"."""
     heading, joined = "", []
     for index, name in enumerate(names):
         cell = group[index] if index < len(group) else None
@@ -508,7 +511,7 @@ def _names_unit(name: str) -> bool:
 
 
 def distinct_names(names: Sequence[str]) -> list[str]:
-    """Names without repetitions; a name that is empty is "column 3".
+    """Names without repetitions. An empty name becomes, for example, "column 3".
 
     Raises:
         InputError: a known name occurs twice.
@@ -539,16 +542,16 @@ _TOTAL: Final = re.compile(
 _ONLY_TOTAL: Final = re.compile(
     _TOTAL.pattern + r"[\s:=.]*(?:\(.*\)|\[.*\]|[\d.,]+\s*\w{0,5})?[\s:=.]*$", re.IGNORECASE
 )
-"""The same without another word behind it: "Summe:", "Total (26)", "Total 12 kg"."""
+"""The same words with no other word after them: "Summe:", "Total (26)", "Total 12 kg"."""
 
 
 def _without_header(
     rows: Sequence[tuple[Any, ...]], begin: int, title: str, lost: tuple[tuple[str, str], ...]
 ) -> RawTable:
-    """A table of rows of numbers, without names of columns.
+    """Make a table from rows of numbers that have no column names.
 
     Raises:
-        InputError: the rows are no such table.
+        InputError: the rows do not make such a table.
     """
     used = [(index, row) for index, row in enumerate(rows) if any(cell is not None for cell in row)]
     widths = Counter(len(row) for _, row in used)

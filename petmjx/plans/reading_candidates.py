@@ -1,4 +1,4 @@
-"""Candidates of readings: all ways to read numbers that names of columns, the form and the caller allow."""
+"""Candidates for a reading: all readings of the numbers that column names, the form and the caller allow."""
 
 from __future__ import annotations
 
@@ -17,17 +17,18 @@ from petmjx.plans.plausibility import Layout
 from petmjx.plans.readings import Wishes
 
 _SIX: Final = np.array([(0, 1, 2), (1, 0, 2), (1, 2, 0), (2, 1, 0), (2, 0, 1), (0, 2, 1)])
-"""py3dbp's ``rotation_type`` → which of width, height, depth lies along the three axes (its ``get_dimension``)."""
+"""py3dbp's ``rotation_type`` → which of width, height and depth lies along each of the three axes (as in its function
+``get_dimension``)."""
 
 _ANCHOR_PRIOR: Final = {"corner": 0.0, "centre": 1.0, "base-centre": 1.8, "far-corner": 2.5}
 _FIRM: Final = 3.0
-"""Cost of a contradiction to known facts about a form."""
+"""Cost of contradicting a known fact about a form."""
 _WORDS: Final = ("length", "width", "height", "depth")
 
 
 @dataclass(frozen=True, eq=False)
 class Candidate:
-    """One way to read a geometry, without units."""
+    """One possible reading of a geometry, without units."""
 
     geometry: Geometry
     pair: tuple[int, int, int]
@@ -36,7 +37,7 @@ class Candidate:
     rule: str
     prior: float
     scale: float = 1.0
-    """Unit of sizes divided by the unit of coordinates."""
+    """The unit of sizes divided by the unit of coordinates."""
 
     @property
     def along(self) -> tuple[str, str, str]:
@@ -47,7 +48,7 @@ class Candidate:
 
 
 def turned_sizes(columns: BoxColumns, candidate: Candidate) -> FloatArray:
-    """(n, 3) sizes along the file's axes, as placed."""
+    """(n, 3) sizes of boxes as placed, along the file's axes."""
     geometry = candidate.geometry
     if geometry.turn is not None:
         paired = geometry.size[:, candidate.pair]
@@ -81,7 +82,7 @@ def layout_of(columns: BoxColumns, candidate: Candidate, container: Mapping[str,
 
 
 def _container_along(candidate: Candidate, container: Mapping[str, float], order: Sequence[int]) -> FloatArray:
-    """Sizes of a container along the plan's axes; NaN where unknown."""
+    """Sizes of a container along the plan's axes; NaN if unknown."""
     axes = candidate.geometry.axes
     if all(axis in container for axis in axes):
         along = np.array([container[axis] for axis in axes], float)[list(candidate.pair)]
@@ -101,7 +102,7 @@ def _container_along(candidate: Candidate, container: Mapping[str, float], order
 
 
 def candidates(columns: BoxColumns, wishes: Wishes) -> Iterator[Candidate]:
-    """All readings that names, the form and the caller allow, with their priors."""
+    """Yield all readings that names, the form and the caller allow, with their priors."""
     form = columns.source.form
     for geometry in columns.geometries:
         for up, up_prior in _ups(geometry, columns, wishes):
@@ -129,7 +130,7 @@ def _ups(geometry: Geometry, columns: BoxColumns, wishes: Wishes) -> list[tuple[
 def _pairs(
     geometry: Geometry, up: str, columns: BoxColumns, wishes: Wishes
 ) -> list[tuple[tuple[int, int, int], float]]:
-    """(which size lies along the file's first, second and third axis, prior)."""
+    """Yield (which size lies along the file's first, second and third axis, prior)."""
     axes = geometry.axes
     if len(wishes.along) == 3:
         names = [role_of(axis) for axis in axes]
@@ -153,7 +154,7 @@ def _pairs(
                 usual_level = ["length", "depth"]
             swapped = level != usual_level
             prior = 2.0 if swapped else 0.0
-        elif pair == (0, 1, 2):  # sizes in the order of the axes, whatever their names say
+        elif pair == (0, 1, 2):  # sizes are in the order of the axes, whatever their names
             listed = _order_in_file(columns, axes) == axes
             prior = 0.0 if columns.source.form.rule == "py3dbp" else 0.6 if "depth" in axes and listed else 3.0
         else:
@@ -165,7 +166,8 @@ def _pairs(
 
 
 def _order_in_file(columns: BoxColumns, axes: Sequence[str]) -> tuple[str, ...]:
-    """The words of the sizes in the order of their columns: width, height, depth is the order of axes in py3dbp."""
+    """The words for the sizes in the order of their columns. In py3dbp, width, height, depth is the order of the
+    axes."""
     header = columns.source.boxes.table.header
     column_names = {axis: columns.geometries[0].columns.get(role_of(axis), "") for axis in axes}
     return tuple(sorted(axes, key=lambda axis: header.index(column_names[axis]) if column_names[axis] in header else 0))
@@ -198,7 +200,8 @@ def _rules(geometry: Geometry, columns: BoxColumns, wishes: Wishes) -> list[tupl
 
 
 def _sizes_by_article(columns: BoxColumns, geometry: Geometry) -> str:
-    """Whether sizes are as placed or of the item, by boxes of one article in different turns; "": unknown."""
+    """Whether sizes are those as placed or those of the item, if boxes of one article in different orientations show
+    it; "" if this is unknown."""
     turns, names = columns.turns, columns.article
     if turns is None or names is None:
         return ""

@@ -1,4 +1,4 @@
-"""The choice of a reading (``choose_reading``): candidates are judged; the most plausible wins, a tie is refused."""
+"""Chooses a reading (``choose_reading``): candidates get costs, the most plausible one wins, and a tie is refused."""
 
 from __future__ import annotations
 
@@ -28,20 +28,23 @@ from petmjx.plans.reading_candidates import Candidate, candidates, layout_of
 from petmjx.plans.readings import AmbiguousFile, Evidence, Reading, Wishes, tie_text
 
 TIE: Final = 1.5
-"""Readings whose costs differ by less are a tie. Costs are like negative log likelihoods: 1.5 is odds of 4 to 1."""
+"""Readings whose costs differ by less than this are a tie. Costs behave like negative log likelihoods: a difference of
+1.5 corresponds to odds of 4 to 1."""
 _FEW_BOXES, _FEW_MORE = 6, 0.8
-"""The range of a tie is wider by this in files of few boxes: a wrong reading of three boxes is often as plausible by
-chance."""
+"""In files with few boxes, the range of a tie is wider by this value, because a wrong reading of three boxes is often
+as plausible as the right one by chance."""
 WEAK: Final = 5.0
-"""Cost of a layout above which a reading is weak: a fifth of the boxes overlap, or a quarter float."""
+"""A reading is weak if the cost of its layout exceeds this. This is so if a fifth of the boxes overlap, or a quarter
+float."""
 WEAK_LEAD: Final = 3.0
-"""Least lead of a weak reading over all others. A plan that really has odd boxes is odder in every other reading."""
+"""A weak reading wins only with at least this lead over all others. If a plan really has odd boxes, it is odder still
+in every other reading."""
 _MOST_BOXES: Final = 400
 _MOST_PLANS: Final = 12
-"""Boxes and plans by which readings are judged. All other boxes are read in the same way."""
+"""Largest numbers of boxes and of plans from which readings are judged. All other boxes are read in the same manner."""
 
 _LOWEST_UNIT_COST: Final = -2.5
-"""Least cost of units: boxes of usual sizes and densities on a usual carrier."""
+"""Smallest possible cost of units. It belongs to boxes of usual sizes and densities on a usual carrier."""
 
 _UNIT_PRIOR: Final = {"mm": 0.0, "cm": 0.0, "m": 0.0, "in": 0.7, "tick": 1.0, "ft": 3.0}
 _MASS_PRIOR: Final = {"kg": 0.0, "g": 0.0, "lb": 0.7, "t": 3.0}
@@ -57,9 +60,9 @@ class _Judged:
     evidence: Evidence
     layouts: tuple[Layout, ...]
     rows: NDArray[np.int64]
-    """The rows of the boxes of all layouts."""
+    """The rows of the boxes in all layouts."""
     unit_cost: float = 0.0
-    """Cost of the most plausible units, which depends on the sides that lie on the deck."""
+    """Cost of the most plausible units. It depends on which sides of the load lie on the deck."""
 
     @property
     def cost(self) -> float:
@@ -68,14 +71,14 @@ class _Judged:
 
 @dataclass(frozen=True, eq=False)
 class _Sample:
-    """The plans by which readings are judged: rows of each, and its container."""
+    """The plans from which readings are judged: for each of them, its rows and its container."""
 
     rows: tuple[NDArray[np.int64], ...]
     containers: tuple[Mapping[str, float], ...]
 
 
 def _sample_of(columns: BoxColumns, plans: Mapping[str, NDArray[np.int64]], damaged: Collection[str] = ()) -> _Sample:
-    """The first plans without faults; without such plans, the rows without faults of the first plans.
+    """The first plans that have no faults. If there are none, the rows without faults of the first plans.
 
     Args:
         damaged: names of plans that lack rows.
@@ -102,7 +105,7 @@ def _sample_of(columns: BoxColumns, plans: Mapping[str, NDArray[np.int64]], dama
 
 
 def container_of(containers: Mapping[str, Mapping[str, float]], name: str) -> Mapping[str, float]:
-    """The container of a plan: its own, that of the file, or None."""
+    """The container of a plan: its own, else that of the file, else None."""
     return (
         containers.get(name) or containers.get("") or (next(iter(containers.values())) if len(containers) == 1 else {})
     )
@@ -129,9 +132,10 @@ def _judge(columns: BoxColumns, candidate: Candidate, sample: _Sample) -> _Judge
 
 
 def _unit_costs(judged: _Judged, columns: BoxColumns, wishes: Wishes) -> list[tuple[float, str, str, float, float]]:
-    """(cost, unit of lengths, of masses, median density kg/m³, mean side mm) of each pair of units, cheapest first.
+    """For each pair of units, cheapest first: cost, unit of lengths, unit of masses, median density in kg/m³, mean side
+    in mm.
 
-    Lengths are those of coordinates.
+    The unit of lengths is that of coordinates.
     """
     form, geometry = columns.source.form, judged.candidate.geometry
     size = np.concatenate([layout.size for layout in judged.layouts])
@@ -172,7 +176,8 @@ def _unit_costs(judged: _Judged, columns: BoxColumns, wishes: Wishes) -> list[tu
 
 
 def _deck_of(judged: _Judged, wishes: Wishes) -> tuple[FloatArray, bool]:
-    """x–y size of the container if known, else of the load, in the file's unit; and whether the container is known."""
+    """Extents of the container along x and y in the file's unit, or those of the load if it is unknown; and whether it
+    is known."""
     layout = judged.layouts[0]
     if not np.isnan(layout.container[:2]).any():
         return layout.container[:2], True
@@ -184,15 +189,15 @@ def _deck_of(judged: _Judged, wishes: Wishes) -> tuple[FloatArray, bool]:
 def choose_reading(
     columns: BoxColumns, plans: Mapping[str, NDArray[np.int64]], wishes: Wishes, damaged: Collection[str] = ()
 ) -> tuple[Reading, Candidate]:
-    """The most plausible reading, and the candidate for :func:`layout_of`.
+    """Choose the most plausible reading. Also returns the candidate for :func:`layout_of`.
 
     Args:
         plans: name of a plan → its rows.
         damaged: names of plans that lack rows.
 
     Raises:
-        AmbiguousFile: two readings are about as plausible, or no reading is plausible.
-        InputError: no row can be used.
+        AmbiguousFile: two readings are almost equally plausible, or no reading is plausible.
+        InputError: no row is usable.
     """
     sample = _sample_of(columns, plans, damaged)
     if not sample.rows:
@@ -229,7 +234,7 @@ def choose_reading(
 
 
 def _judged_candidates(columns: BoxColumns, wishes: Wishes, sample: _Sample) -> list[_Judged]:
-    """Candidates with their costs, cheapest first. Candidates that cannot win by their priors are left out."""
+    """Candidates with their costs, cheapest first. Candidates that cannot win because of their priors are left out."""
     ranked = sorted(candidates(columns, wishes), key=lambda candidate: candidate.prior)
     judged: list[_Judged] = []
     lowest = math.inf
@@ -249,15 +254,16 @@ def _judged_candidates(columns: BoxColumns, wishes: Wishes, sample: _Sample) -> 
 
 
 def _with_units(judged: _Judged, columns: BoxColumns, wishes: Wishes) -> _Judged:
-    """A judged candidate with the cost of its most plausible units."""
+    """A judged candidate, with the cost of its most plausible units added."""
     return replace(judged, unit_cost=_unit_costs(judged, columns, wishes)[0][0])
 
 
 def _units_of(best: _Judged, columns: BoxColumns, wishes: Wishes) -> list[tuple[float, str, str, float, float]]:
-    """The units of a reading; two units of a tie.
+    """The units of a reading. If two are a tie, both.
 
-    Lengths are a tie if boxes and load fit a carrier equally well in two units, whatever the masses; or if costs are
-    about equal. With inches, pounds and kilograms are a tie. Other masses change no verdict, and are no tie.
+    Units of lengths are a tie if boxes and load fit a carrier equally well in both, whatever the masses, or if their
+    costs are almost equal. If lengths are in inches, pounds and kilograms are a tie. Other units of masses do not
+    change verdicts, so they are no tie.
     """
     costs = _unit_costs(best, columns, wishes)
     first = costs[0]
@@ -273,7 +279,7 @@ def _units_of(best: _Judged, columns: BoxColumns, wishes: Wishes) -> list[tuple[
             other_units = [cheapest[unit] for unit in equal if unit != first[1]]
             rivals = other_units if not _are_converted(best, first[1], [entry[1] for entry in other_units]) else []
         elif most > 1:
-            rivals = []  # only in this unit the load fills a pallet
+            rivals = []  # the load fills a pallet in this unit only
     if not rivals and LENGTH_UNITS[first[1]] == LENGTH_UNITS["in"]:
         rivals = [entry for entry in costs[1:] if entry[1] == first[1] and {first[2], entry[2]} == {"kg", "lb"}]
         rivals = [entry for entry in rivals if _THIN < entry[3] < _DENSE]
@@ -281,15 +287,16 @@ def _units_of(best: _Judged, columns: BoxColumns, wishes: Wishes) -> list[tuple[
 
 
 _TRIED: Final = ("mm", "cm", "m", "in")
-"""Units of lengths that are a tie if boxes and load fit in two of them."""
+"""Units of lengths that are tried. They are a tie if boxes and load fit in two of them."""
 _THIN, _DENSE = 20.0, 2000.0
-"""Densities between which a unit of masses is plausible, kg/m³: crisps, and bricks."""
+"""A unit of masses is plausible if the density, in kg/m³, is between these values: crisps and bricks."""
 _CONVERTED, _NOT_CONVERTED = 0.95, 0.6
-"""Least share of lengths in whole millimetres for a conversion from this unit, and largest share in another unit."""
+"""Lengths were converted to a unit if at least the first share of them are whole millimetres in it, and at most the
+second share are in any other unit."""
 
 
 def _fit(best: _Judged, unit: str, wishes: Wishes) -> int:
-    """How well boxes and load fit a carrier, in a unit of coordinates (``load_fit``)."""
+    """How well boxes and load fit a carrier in a certain unit of coordinates (as from ``load_fit``)."""
     factor = LENGTH_UNITS[unit]
     size = np.concatenate([layout.size for layout in best.layouts])
     load = np.max([(one.low + one.size).max(axis=0) - one.low.min(axis=0) for one in best.layouts], axis=0)
@@ -299,9 +306,9 @@ def _fit(best: _Judged, unit: str, wishes: Wishes) -> int:
 
 
 def _are_converted(best: _Judged, unit: str, others: Collection[str]) -> bool:
-    """Whether sizes are whole millimetres in inches alone: such sizes were converted to inches.
+    """Whether sizes are whole millimetres only if their unit is inches. Such sizes were converted to inches.
 
-    Whole centimetres are whole millimetres, too, and no evidence: boxes have whole inches as well.
+    Whole centimetres are no evidence, although they are whole millimetres, because boxes may also have whole inches.
     """
     if unit != "in":
         return False
@@ -312,9 +319,9 @@ def _are_converted(best: _Judged, unit: str, others: Collection[str]) -> bool:
 
 
 def _other_mass(best: _Judged, columns: BoxColumns, wishes: Wishes) -> str | None:
-    """Another unit of masses that is plausible and that no name excludes; None: no other unit.
+    """Another unit of masses that is plausible and that no name excludes; None if there is none.
 
-    The other unit is only mentioned: a verdict hardly depends on a factor of all masses.
+    This unit is only mentioned, because a factor on all masses hardly affects a verdict.
     """
     costs = _unit_costs(best, columns, wishes)
     first = costs[0]
@@ -324,7 +331,7 @@ def _other_mass(best: _Judged, columns: BoxColumns, wishes: Wishes) -> str | Non
 
 
 def _unit_text(best: _Judged, columns: BoxColumns, places: str) -> str:
-    """Units of sizes and coordinates as ``Reading`` has them."""
+    """The units of sizes and coordinates, in the form that ``Reading`` uses."""
     scale = best.candidate.scale
     if scale == 1.0:
         return places

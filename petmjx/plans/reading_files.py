@@ -1,4 +1,4 @@
-"""Readings that are written down (``--as FILE.toml``), and options of reading."""
+"""Files with readings (``--as FILE.toml``), and options for reading."""
 
 from __future__ import annotations
 
@@ -26,12 +26,12 @@ _TEXTS: Final = {
     "origin": ORIGINS,
     "masses": tuple(MASS_UNITS),
 }
-"""Field of a written reading → its values."""
+"""Field of a written reading → its possible values."""
 _FIELDS: Final = ("form", "units", "along", "density", "columns", *_TEXTS)
 
 
 def wishes_of_reading(reading: Reading) -> Wishes:
-    """A reading as the options of a caller: nothing is left open."""
+    """Turn a reading into options of a caller that leave nothing open."""
     return Wishes(
         columns=_choosable(reading.columns),
         exact=dict(reading.columns),
@@ -48,7 +48,7 @@ def wishes_of_reading(reading: Reading) -> Wishes:
 
 
 def reading_toml(reading: Reading, source: str) -> str:
-    """A reading as text for :func:`read_reading`.
+    """A reading as the text of a file for :func:`read_reading`.
 
     Args:
         source: name of the file, for a comment.
@@ -72,10 +72,10 @@ def _quoted(text: str) -> str:
 
 
 def read_reading(path: Path) -> Wishes:
-    """Content of a written reading.
+    """Read a file with a reading.
 
     Raises:
-        InputError: the file cannot be read, or has an unknown field or value; the line names file and field.
+        InputError: the file cannot be read, or has an unknown field or value. The message names the file and the field.
     """
     name = printable(str(path))
     try:
@@ -112,11 +112,11 @@ def _choosable(columns: Mapping[str, str]) -> dict[str, str]:
 def wishes_of(
     options: RunOptions, deck_mm: tuple[float, float] | None = None, reading: Reading | None = None
 ) -> Wishes:
-    """Options about files of other tools. Single options change a written reading.
+    """The options for reading files of other tools. Single options take precedence over a written reading.
 
     Args:
-        deck_mm: x–y size of the carrier; None: unknown.
-        reading: instead of the written reading of the options.
+        deck_mm: extents of the carrier along x and y; None: unknown.
+        reading: a reading to be used instead of the written reading in the options.
 
     Raises:
         InputError: the written reading cannot be read.
@@ -140,7 +140,7 @@ def wishes_of(
 
 
 def named_units(units: str | None) -> tuple[str, str]:
-    """The unit of lengths and the unit of masses in a text such as "cm" or "cm,g"; "": no unit in the text."""
+    """The unit of lengths and the unit of masses in a text such as "cm" or "cm,g". A unit that the text lacks is ""."""
     if not units:
         return "", ""
     plan_units(units)

@@ -1,9 +1,9 @@
-"""Readings of other tools' numbers (``Reading``): their units, axes, anchor, turns and origin.
+"""Readings of other tools' numbers (``Reading``): their units, axes, anchor, rotations and origin.
 
-Names of columns leave several readings open. All possible readings are tried, and the most plausible wins: boxes do not
-overlap or float, stand on boxes, touch their neighbours, and fit the carrier; they have sizes and densities of cartons.
-Two readings that are about as plausible, and differ in more than a shift or a mirror image, are a tie: the user is
-asked or the file is refused, never is a tie decided in silence.
+Column names leave several readings open. All possible readings are tried, and the most plausible one wins. In a
+plausible reading, boxes do not overlap or float, lie on other boxes, touch their neighbours and fit the carrier, and
+they have the sizes and densities of cartons. If two readings are almost equally plausible, and differ in more than a
+shift or a mirror image, they are a tie. Then the user is asked or the file is refused. A tie is never decided silently.
 """
 
 from __future__ import annotations
@@ -26,9 +26,9 @@ ROTATION_RULES: Final = {
     "py3dbp from 1": "1 WHD, 2 HWD, 3 HDW, 4 DHW, 5 DWH, 6 WDH",
     "pose": "the matrix or quaternion turns the box",
 }
-"""Rule of turning → in words."""
+"""Rule of rotation → its description."""
 ORIGINS: Final = ("given", "middle", "floor")
-"""The place of the file's origin: a corner of the deck, the middle of the deck, or below it; see ``Reading``."""
+"""Where the origin of the file is: at a corner of the deck, in the middle of the deck, or below it; see ``Reading``."""
 
 
 @dataclass(frozen=True)
@@ -36,11 +36,11 @@ class Evidence:
     """Evidence for or against a reading.
 
     Attributes:
-        n_boxes: boxes that were looked at.
-        n_overlapping, n_floating, n_outside: numbers of boxes that overlap another box, that have no support, that
+        n_boxes: number of boxes that were examined.
+        n_overlapping, n_floating, n_outside: numbers of boxes that overlap another box, that have no support, and that
             reach beyond the carrier.
-        supported: mean share of the boxes' bases that lies on something.
-        density_kg_m3: median density; NaN: no weights
+        supported: mean over boxes of the supported share of the base.
+        density_kg_m3: median density; NaN if there are no weights.
         side_mm: geometric mean of the boxes' sides.
     """
 
@@ -53,7 +53,7 @@ class Evidence:
     side_mm: float = math.nan
 
     def of_units(self) -> str:
-        """The boxes in the units of a reading."""
+        """A description of the boxes in the units of a reading."""
         density = "" if math.isnan(self.density_kg_m3) else f", {three_digits(self.density_kg_m3)} kg/m³"
         return f"boxes with sides of about {three_digits(self.side_mm)} mm{density}"
 
@@ -69,27 +69,28 @@ class Evidence:
 
 @dataclass(frozen=True)
 class Reading:
-    """How a file's numbers are read.
+    """How the numbers of a file are read.
 
     Attributes:
         form: name of the file's form, in words.
         columns: role → name of its column.
-        units: unit of lengths; masses: of masses. If sizes and coordinates have two units, "cm/mm".
-        anchor: point of a box to which coordinates refer.
+        units: unit of lengths; masses: unit of masses. If sizes and coordinates have different units, "cm/mm".
+        anchor: the point of a box that coordinates describe.
         up: the file's vertical axis, "y" or "z".
-        along: names of the sizes that lie along the plan's x, y and z before boxes are turned.
-        sizes: "placed", or "item": before turning.
+        along: names of the sizes that lie along the plan's x, y and z, before boxes are turned.
+        sizes: "placed": sizes of boxes as placed; "item": sizes before boxes are turned.
         rule: how boxes are turned (``ROTATION_RULES``).
-        origin: "given": coordinates stay; "middle": half the carrier is added to x and y; "floor": heights are counted
-            from the lowest box.
-        order: "sequence": by a column; "rows": of the rows; "height": rows from the ground up.
-        density_kg_m3: density of boxes without a weight; None: all boxes have weights.
-        notes: lines about values that were filled in or left out.
-        unused: names of columns that are not used.
-        odd: lines about values that are hardly right in any reading.
-        cost: cost of the reading (an implausible one is expensive); layout_cost: cost without names and units.
-        evidence: grounds of the judgement.
-        alternatives: other readings that were close, most plausible first.
+        origin: "given": coordinates are unchanged; "middle": half the carrier is added to x and y; "floor": heights are
+            measured from the lowest box.
+        order: where the packing order comes from: "sequence": a column; "rows": the order of the rows; "height": the
+            rows, sorted from the ground up.
+        density_kg_m3: density of boxes that have no weight; None: all boxes have weights.
+        notes: lines about values that were added or left out.
+        unused: names of the columns that are not used.
+        odd: lines about values that are unlikely to be right in any reading.
+        cost: cost of the reading, which is high if it is implausible; layout_cost: the cost without names and units.
+        evidence: what the cost is based on.
+        alternatives: other readings with a similar cost, most plausible first.
     """
 
     form: str = ""
@@ -114,12 +115,12 @@ class Reading:
 
     @property
     def length_units(self) -> tuple[str, str]:
-        """Units of sizes and of coordinates."""
+        """The units of sizes and of coordinates."""
         sizes, _, places = self.units.partition("/")
         return sizes, places or sizes
 
     def line(self) -> str:
-        """The reading in one line."""
+        """The reading as one line of text."""
         sizes, places = self.length_units
         lengths = sizes if sizes == places else f"sizes in {sizes}, coordinates in {places}"
         turned = {"placed": "sizes as placed", "item": f"sizes before turning ({ROTATION_RULES[self.rule]})"}[
@@ -150,16 +151,17 @@ _ANCHOR_WORDS: Final = {
 
 @dataclass(frozen=True)
 class Wishes:
-    """Options of a caller about a file. Empty values are chosen by plausibility.
+    """Options of a caller about a file. Options that are empty are chosen by plausibility.
 
     Attributes:
         columns: role → name of the column, for roles that can be chosen.
-        exact: all columns of a written reading; empty: none was written.
-        units: unit of lengths; masses: of masses.
+        exact: all columns, if they come from a written reading; else empty.
+        units: unit of lengths; masses: unit of masses.
         anchor, up, sizes, origin: as in ``Reading``.
-        along: names of the sizes along x, y and z; rule: how boxes are turned; both only from a written reading.
-        density_kg_m3: density of boxes without a weight.
-        deck_mm: x–y size of the carrier.
+        along: names of the sizes along x, y and z; rule: how boxes are turned. Both can only come from a written
+            reading.
+        density_kg_m3: density of boxes that have no weight.
+        deck_mm: extents of the carrier along x and y.
     """
 
     columns: Mapping[str, str] = field(default_factory=dict)
@@ -177,10 +179,10 @@ class Wishes:
 
 
 class AmbiguousFile(InputError):
-    """A file can be read in two ways. The line names both, and the option that decides.
+    """A file can be read in two ways. The message names both, and the option that decides between them.
 
     Attributes:
-        readings: the ways, most plausible first.
+        readings: the possible readings, most plausible first.
     """
 
     def __init__(self, message: str, readings: Sequence[Reading]) -> None:
@@ -212,16 +214,16 @@ _DIFFERENCES: Final = (
     (("anchor",), "--anchor", lambda reading: f"coordinates of {_ANCHOR_WORDS[reading.anchor]}"),
     (("sizes", "rule"), "--sizes", _size_words),
 )
-"""Fields of readings, the option that decides between their values, and the values in words."""
+"""Fields of readings, with the option that decides between their values, and descriptions of the values."""
 _OF_COLUMNS: Final = (
     (("along",), "--columns", lambda reading: f"{', '.join(reading.along)} along x, y, z"),
     (("columns",), "--columns", _column_words),
 )
-"""The fields about columns: a difference in these follows from a difference in the other fields, if any."""
+"""The fields about columns. If other fields differ, a difference in these is only a consequence."""
 
 
 def tie_text(readings: Sequence[Reading], weak: bool) -> str:
-    """The line about a tie: the two readings, their differences, and the options that decide."""
+    """The line about a tie: the two readings, how they differ, and the options that decide."""
     one, two = readings[0], readings[1]
 
     def parts_of(differences: Sequence[Any]) -> list[tuple[str, str, str]]:
@@ -242,5 +244,5 @@ def tie_text(readings: Sequence[Reading], weak: bool) -> str:
 
 
 CHOOSER: ContextVar[Callable[[str, AmbiguousFile], Reading | None] | None] = ContextVar("CHOOSER", default=None)
-"""Asks which reading of a file is right: name of the file, its readings → the right reading (None: unknown). None: the
-file is refused without a question."""
+"""Function that asks which reading of a file is right, from the name of the file and its readings. It returns the right
+reading, or None if the user does not know. None instead of a function: the file is refused without a question."""

@@ -1,4 +1,4 @@
-"""Reader of tables of placements, within bounds: CSV files, Parquet files and data frames."""
+"""Reads tables of placements from CSV files, Parquet files and data frames, within limits."""
 
 from __future__ import annotations
 
@@ -24,20 +24,20 @@ _FIRST_LINE: Final = re.compile(rb"[^\r\n]*+")
 _LINE_ENDS: Final = (b"\n", b"\r")
 _DELIMITERS: Final = ",;\t"
 _BLOCK_BYTES: Final = 1 << 22
-"""Block of CSV that is parsed at a time. No row may be longer."""
+"""Size of the blocks in which CSV is parsed, bytes. No row may be longer than a block."""
 _MOST_LOST: Final = 100_000
 """Largest number of unreadable rows that are listed one by one."""
 
 
 def parse_csv(data: bytearray, cut_off: bool = False) -> Table:
-    """The table of a CSV text with a header. The separator is the most frequent of comma, semicolon and tab in the
-    text.
+    """Read the table in a CSV text with a header. The separator is whichever of comma, semicolon and tab is most
+    frequent in the text.
 
-    With semicolons, numbers may have a decimal comma. If one has, no number may have a point.
+    If the separator is the semicolon, numbers may have a decimal comma. If one number has, no number may have a point.
 
     Args:
         data: UTF-8 text.
-        cut_off: whether the text ends too early.
+        cut_off: whether the text is known to end prematurely.
 
     Raises:
         TableError: the text is empty, has no usable header, or lacks a column. The error does not name the file.
@@ -56,7 +56,7 @@ def parse_csv(data: bytearray, cut_off: bool = False) -> Table:
         where, unread = sorted_columns(names)
     except TableError as error:
         for number, name in enumerate(names, start=1):
-            if not is_text(name):  # this may be the missing column
+            if not is_text(name):  # it may be the missing column
                 raise TableError(f"row 1, column {number}: the name is not UTF-8 text{other_encoding(name)}") from error
         raise
     if not data[len(header) :].strip():
@@ -68,13 +68,13 @@ def parse_csv(data: bytearray, cut_off: bool = False) -> Table:
     lost = reader.lost
     last = max(numbers[-1:].tolist(), default=1)
     if lost and lost[-1].number > last and not data.endswith(_LINE_ENDS):
-        # the text ends within a row, and the row's plan id may be cut too
+        # the text ends within a row, so the row's plan id may be incomplete as well
         lost, cut_off = lost[:-1], True
     return Table(columns, unread, numbers, lost, cut_off)
 
 
 def _has_decimal_commas(rows: pa.Table, where: Mapping[str, int]) -> bool:
-    """Whether a number of a table has a decimal comma."""
+    """Whether a table has a number with a decimal comma."""
     columns = (rows.column(index) for name, index in where.items() if name not in NAMES)
     return any(pc.any(pc.match_substring_regex(column, COMMA_NUMBER)).as_py() for column in columns)
 
@@ -89,12 +89,12 @@ class _CsvReader:
     def __init__(self, delimiter: str, names: list[str], plan_column: int) -> None:
         self.lost: list[LostRow] = []
         self._lost_numbers: list[int] = []
-        """Numbers of the rows that Arrow could not use, counted in the text for Arrow."""
+        """Numbers of the rows that Arrow could not use. They count the rows of the text that Arrow received."""
         self._plans_with_lost: set[str | None] = set()
         self._delimiter, self._names, self._plan_column = delimiter, names, plan_column
 
     def read(self, data: bytearray) -> tuple[pa.Table, np.ndarray[Any, np.dtype[np.int64]]]:
-        """All columns as text, and the row numbers. The header is row 1.
+        """Read all columns as text. Also returns the row numbers; the header is row 1.
 
         Raises:
             TableError: Arrow cannot read the text.
@@ -109,7 +109,7 @@ class _CsvReader:
             raise TableError(f"not CSV: {reason(error)}") from error
         lost = np.array(self._lost_numbers, dtype=np.int64)
         numbers = np.setdiff1d(np.arange(2, rows.num_rows + len(lost) + 2), lost, assume_unique=True)
-        if len(damaged):  # row numbers also count the removed lines
+        if len(damaged):  # row numbers also count the lines that were removed
             row_numbers = np.setdiff1d(np.arange(1, rows.num_rows + len(lost) + len(damaged) + 2), damaged)
             numbers = row_numbers[numbers - 1]
             self.lost[before:] = [row._replace(number=int(row_numbers[row.number - 1])) for row in self.lost[before:]]
@@ -117,7 +117,7 @@ class _CsvReader:
 
     def _parse(self, data: bytearray) -> pa.Table:
         kinds = {str(index): pa.string() for index in range(len(self._names))}
-        # Without quotation marks no value has a line break. With threads Arrow would not number the rows.
+        # without quotation marks, no value has a line break; with threads, Arrow would not number the rows
         return pa_csv.read_csv(
             pa.BufferReader(pa.py_buffer(data)),
             read_options=pa_csv.ReadOptions(
@@ -136,17 +136,17 @@ class _CsvReader:
         return "skip"
 
     def _add_lost(self, number: int, text: str, fault: str) -> None:
-        """List a lost row. Beyond ``_MOST_LOST`` rows only one row of each plan is listed."""
+        """Add a row to ``lost``. Beyond ``_MOST_LOST`` rows, only one row of each plan is added."""
         plan_id = self._plan_of(text)
         if len(self.lost) < _MOST_LOST or plan_id not in self._plans_with_lost:
             self.lost.append(LostRow(number, plan_id, fault))
             self._plans_with_lost.add(plan_id)
 
     def _without_damaged_lines(self, data: bytearray) -> tuple[bytearray, np.ndarray[Any, np.dtype[np.int64]]]:
-        """The text without its damaged lines, and their numbers.
+        """The text without its damaged lines, and the numbers of these lines.
 
-        Damaged lines are not UTF-8, or have a quotation mark that is not closed in the line. The lost rows are added to
-        ``lost``.
+        A line is damaged if it is not UTF-8, or if it has a quotation mark that is not closed in the same line. These
+        lines are added to ``lost``.
         """
         good_lines, damaged = [], []
         for number, line in enumerate(data.split(b"\n"), start=1):
@@ -159,7 +159,7 @@ class _CsvReader:
         return bytearray(b"\n").join(good_lines), np.array(damaged, dtype=np.int64)
 
     def _line_fault(self, line: bytearray) -> str | None:
-        """The reason why a line cannot be a whole row; None: it can be one."""
+        """Why a line cannot be a complete row; None if it can be one."""
         if not _is_utf8(line):
             text = line.decode("utf-8", "surrogateescape")
             try:
@@ -173,7 +173,7 @@ class _CsvReader:
         return "has an unclosed quotation mark" if line.count(b'"') % 2 else None
 
     def _plan_of(self, line: str) -> str | None:
-        """The plan id in a row that cannot be read; None if the row has too few fields."""
+        """The plan id in a row that otherwise cannot be read; None if the row has too few fields."""
         try:
             fields = next(csv.reader([line.partition("\n")[0]], delimiter=self._delimiter), [])
         except csv.Error:
@@ -190,10 +190,10 @@ def _is_utf8(data: bytearray) -> bool:
 
 
 def read_parquet(path: Path) -> Table:
-    """The table of a Parquet file. Rows count from 0, as in pandas.
+    """Read the table in a Parquet file. Rows are numbered from 0, as in pandas.
 
     Raises:
-        TableError: the file lacks a column, is damaged or too large. The error does not name the file.
+        TableError: the file lacks a column, is damaged, or is too large. The error does not name the file.
         OSError: the file cannot be read.
     """
     with open_for_arrow(path) as stream:
@@ -212,7 +212,7 @@ def read_parquet(path: Path) -> Table:
 
 
 def parquet_frame(path: Path) -> pa.Table:
-    """All columns of a Parquet file.
+    """Read all columns of a Parquet file.
 
     Raises:
         TableError: the file is damaged or too large. The error does not name the file.
@@ -230,10 +230,10 @@ def parquet_frame(path: Path) -> pa.Table:
 
 
 def frame_table(frame: Any) -> Table:
-    """The table of a pandas data frame, or of any object with Arrow's stream interface. Rows count from 0.
+    """The table in a pandas data frame, or in any object with Arrow's stream interface. Rows are numbered from 0.
 
     Raises:
-        TableError: the frame is no table or lacks a column. The error does not name the frame.
+        TableError: the frame is not a table, or lacks a column. The error does not name the frame.
     """
     if hasattr(frame, "iloc") and hasattr(frame, "columns"):
         # pandas: column by column, since a column may have values of several types
@@ -243,7 +243,7 @@ def frame_table(frame: Any) -> Table:
         return Table(columns, unread, np.arange(len(frame)))
     try:
         rows = pa.table(frame)
-    except (pa.ArrowException, TypeError, ValueError) as error:  # a single column
+    except (pa.ArrowException, TypeError, ValueError) as error:  # the object is a single column
         raise TableError(f"is no table: {reason(error)}") from error
     where, unread = sorted_columns(rows.column_names)
     columns = {name: as_column(rows.column(index)) for name, index in where.items()}

@@ -1,4 +1,4 @@
-"""Workbooks (.xlsx, .ods) and tables of any file (``read_raw_tables``): bytes become raw tables."""
+"""Reads workbooks (.xlsx, .ods) and tables of any other file (``read_raw_tables``): bytes become raw tables."""
 
 from __future__ import annotations
 
@@ -16,12 +16,13 @@ from petmjx.plans.raw_tables import MOST_COLUMNS, MOST_ROWS, RawTable, tables_of
 
 
 def tables_of_xlsx(data: bytes | bytearray) -> list[RawTable]:
-    """The tables of a workbook (.xlsx), one or more a sheet. Formulas count with the values stored in the file.
+    """The tables of a workbook (.xlsx), at least one per sheet with content. Formulas have the values stored in the
+    file.
 
     Raises:
-        InputError: the file is damaged or too large, or holds no table. The error does not name the file.
+        InputError: the file is damaged or too large, or contains no table. The error does not name the file.
     """
-    from openpyxl import load_workbook  # a third of a second
+    from openpyxl import load_workbook  # loading it takes a third of a second
 
     check_archive(data)
     try:
@@ -30,7 +31,7 @@ def tables_of_xlsx(data: bytes | bytearray) -> list[RawTable]:
         book.close()
     except InputError:
         raise
-    except Exception as error:  # whatever a damaged workbook raises inside openpyxl
+    except Exception as error:  # openpyxl may raise anything for a damaged workbook
         raise InputError(f"is not a whole workbook (.xlsx): {type(error).__name__}") from error
     return _tables_of_sheets(sheets)
 
@@ -48,10 +49,10 @@ _TEXT: Final = "{urn:oasis:names:tc:opendocument:xmlns:text:1.0}"
 
 
 def tables_of_ods(data: bytes | bytearray) -> list[RawTable]:
-    """The tables of a workbook of LibreOffice (.ods), one or more a sheet.
+    """The tables of a LibreOffice workbook (.ods), at least one per sheet with content.
 
     Raises:
-        InputError: as :func:`tables_of_xlsx`.
+        InputError: as for :func:`tables_of_xlsx`.
     """
     check_archive(data)
     try:
@@ -101,7 +102,7 @@ def _ods_value(cell: ElementTree.Element) -> Any:
 
 
 def check_archive(data: bytes | bytearray) -> None:
-    """Refuse ZIP archives that unpack to too much.
+    """Refuse a ZIP archive whose unpacked size is too large.
 
     Raises:
         InputError: the archive is damaged or too large.
@@ -131,10 +132,10 @@ def _tables_of_sheets(sheets: dict[str, list[list[Any]]]) -> list[RawTable]:
 
 @dataclass(frozen=True, eq=False)
 class RawFile:
-    """The raw tables of one workbook.
+    """The raw tables of one file.
 
     Attributes:
-        tables: tables with headers stand first.
+        tables: the tables; those with headers come first.
         kind: kind of the file, in words: "a table as text", "a workbook (.xlsx)".
     """
 
@@ -143,10 +144,10 @@ class RawFile:
 
 
 def read_raw_tables(data: bytes | bytearray) -> RawFile:
-    """The tables of a file's bytes: workbooks by their content, all else as text.
+    """Read the tables in a file's bytes. Workbooks are recognised by their content; all other files are read as text.
 
     Raises:
-        InputError: the file holds no table. The error does not name the file.
+        InputError: the file contains no table. The error does not name the file.
     """
     if bytes(data[:4]) == b"PK\x03\x04":
         begin = bytes(data[: 1 << 16])

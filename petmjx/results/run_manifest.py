@@ -204,8 +204,8 @@ _NOTHING: Final = object()
 
 
 def _settings_of_command(settings: Mapping[str, Any]) -> Mapping[str, Any]:
-    """Settings with the names that the command uses. The sweep of a score is written as its number of worlds and its
-    errors. An entry that is only written if its option is on counts as false if missing."""
+    """Rename settings to the names that the command uses. The sweep of a score becomes its number of worlds and its
+    errors. An entry that is written only if its option is on counts as false if it is missing."""
     settings = {"force_intervals": False, "keep": ALL, **settings}
     if isinstance(simulation := settings.get("simulation"), Mapping):
         settings["simulation"] = _with_later_fields(simulation)

@@ -113,7 +113,7 @@ class Parts:
         return Parts(self.folder, remaining, set(self._checked))
 
     def without_numbers(self, numbers: Collection[int]) -> Parts:
-        """These files except the parts of worlds with these numbers."""
+        """These files, except the parts of worlds that have the given numbers."""
         removed_names = {part_name(number) for number in numbers}
         remaining = {
             table: {

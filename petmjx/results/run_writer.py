@@ -111,7 +111,7 @@ class RunWriter(RunInfo):
         counts: counts of the written worlds.
         out_dir: the run's folder.
 
-    Raises InputError if the folder already has a run (with ``resume``: another run), or cannot be written.
+    Raises InputError if the folder is not writable or already has a run (with ``resume``: another run).
     """
 
     def __init__(
@@ -223,7 +223,7 @@ class RunWriter(RunInfo):
         """Write all added worlds, so that they can be read before the run ends.
 
         Raises:
-            PetmjxError: they cannot be written.
+            PetmjxError: the worlds cannot be written.
         """
         self._ask(lambda: self._write_waiting(last=True))
 
@@ -463,7 +463,7 @@ class RunWriter(RunInfo):
         self.earlier_s = dict(info["timings"])
         self.head |= {"started": info["started"], "resumed": [*info["resumed"], now()]}
         self._tables = Tables(self.out_dir, parts.without("summary"))
-        self._write_info()  # before listed files are deleted; and after a kill the run must not look finished
+        self._write_info()  # before listed files are deleted, and so that a killed run does not look finished
         self._tables.drop_others()
         ranked = is_ranked(parts, list(self._manifest.plans if self._manifest else ()))
         self._write_plans()

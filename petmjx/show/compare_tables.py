@@ -16,7 +16,7 @@ from petmjx.show.table_layout import FittedTable, TableColumn, line, number
 
 
 def comparison_tables(comparison: Comparison, max_rows: int = 40) -> Iterator[RenderableType]:
-    """All tables and lines. At most ``max_rows`` worlds are listed as flipped, or as present in one run only."""
+    """All tables and lines. At most ``max_rows`` worlds are listed whose verdict differs, or that only one run has."""
     yield line(f"a  {comparison.a}")
     yield line(f"b  {comparison.b}")
     for note in comparison.notes:
@@ -60,7 +60,7 @@ def _confusion_table(comparison: Comparison) -> FittedTable:
 
 
 def _flips_table(flips: pd.DataFrame, max_rows: int) -> FittedTable:
-    """Two rows per world, a above b, since one row would need more than 80 columns."""
+    """A table with two rows per world, a above b, since a single row would need more than 80 columns."""
     title = f"flipped verdicts ({len(flips):,}), with margins to the thresholds: + is over"
     if len(flips) > max_rows:
         title += f"; the first {max_rows}"
@@ -92,7 +92,7 @@ def _flips_table(flips: pd.DataFrame, max_rows: int) -> FittedTable:
 
 
 def _differences_tables(table_name: str, differences: pd.DataFrame) -> Iterator[FittedTable]:
-    """One table for each group that has worlds."""
+    """One table for each group that has any worlds."""
     key = [column for column in BOX_KEY if column in differences]
     for group, rows in differences[differences["n"] > 0].groupby("group", sort=False):
         table = FittedTable(
@@ -119,7 +119,8 @@ def _differences_tables(table_name: str, differences: pd.DataFrame) -> Iterator[
 
 
 def _name_and_factor(row: dict[str, Any]) -> tuple[str, float]:
-    """A metric's name with its unit, and the factor to this unit: per cent for relative differences."""
+    """The name of a metric with its unit, and the factor that converts to this unit; for relative differences, per
+    cent."""
     metric, unit = row["metric"], row["unit"]
     if metric.endswith(" relative"):
         return metric.removesuffix("relative") + "%", 100.0

@@ -15,14 +15,14 @@ from petmjx.engines.metrics import DIMENSIONLESS
 from petmjx.show.table_layout import FittedTable, TableColumn, line, number, percent
 
 SHOWN_SKIPPED = 10
-"""Largest number of skipped plans shown; ``criteria.json`` has all of them."""
+"""Largest number of skipped plans that are shown. ``criteria.json`` lists all of them."""
 
 
 def criteria_tables(results: CriteriaResults, out: str | None = None) -> Iterator[RenderableType]:
-    """All tables and lines: the answers of the criteria, and with a run their comparison with physics.
+    """All tables and lines: the answers of the criteria and, with a run, their comparison with physics.
 
     Args:
-        out: the folder with the tables, if written.
+        out: the folder of the tables, if they were written.
     """
     skipped = results.info["skipped"]
     for message in skipped[:SHOWN_SKIPPED]:
@@ -45,7 +45,7 @@ def criteria_tables(results: CriteriaResults, out: str | None = None) -> Iterato
 
 
 def _says_table(results: CriteriaResults) -> FittedTable:
-    """How many plans and boxes each criterion accepts, and the plan with the least slack."""
+    """How many plans and boxes each criterion accepts, and the plan with the smallest slack."""
     table = FittedTable(
         TableColumn("criterion", "left"),
         TableColumn("plans\naccepted"),
@@ -135,7 +135,7 @@ def _thresholds_table(thresholds: pd.DataFrame) -> FittedTable:
 
 
 def _with_interval(row: dict[str, Any], score: str) -> str:
-    """A score with its interval: "0.95 (0.91 … 0.99)"."""
+    """A score with its interval, such as "0.95 (0.91 … 0.99)"."""
     if pd.isna(row[score]):
         return "-"
     return f"{row[score]:.2f} ({row[f'{score}_low']:.2f} … {row[f'{score}_high']:.2f})"

@@ -1,4 +1,5 @@
-"""The report of ``petmjx doctor``: versions, devices, engines that work here (or why not), and cache folders."""
+"""The report of ``petmjx doctor``: versions, devices, which engines work on this machine and why others do not, and
+cache folders."""
 
 from __future__ import annotations
 
@@ -26,7 +27,7 @@ from petmjx.world.scene import build_scene
 
 @dataclass(frozen=True)
 class EngineReport:
-    """Whether an engine works here, and one line: its device, or why it does not work."""
+    """Whether an engine works on this machine, and a line with its device or with the reason why it does not work."""
 
     name: str
     works: bool
@@ -35,13 +36,13 @@ class EngineReport:
 
 @dataclass(frozen=True)
 class Report:
-    """The findings of ``petmjx doctor``.
+    """What ``petmjx doctor`` has found.
 
     Attributes:
-        versions: package → version, of Python, petmjx and its dependencies.
+        versions: package → version, for Python, petmjx and its dependencies.
         devices: CPU and GPUs, one line each.
         engines: one report per engine.
-        caches: content of a cache → its folder, with the reason if it is not the requested folder.
+        caches: what a cache contains → its folder, with the reason if it is not the requested folder.
     """
 
     versions: dict[str, str]
@@ -51,7 +52,8 @@ class Report:
 
 
 def examine() -> Report:
-    """Examine this machine. The engine ``mujoco`` scores a plan of one box, which takes milliseconds."""
+    """Examine this machine. For ``mujoco``, this includes the simulation of a plan with one box, which takes
+    milliseconds."""
     return Report(
         versions={"python": f"{platform.python_version()} ({sys.platform}, {platform.machine()})"} | package_versions(),
         devices=(f"CPU: {cpu_name()}, {count_text(cpu_threads(), 'thread')}", *(f"GPU: {n}" for n in cuda_devices())),
@@ -107,7 +109,7 @@ _CHECKS: dict[str, Callable[[], str]] = {
     "mjx-warp": _check_mjx_warp,
     "mjx-warp-cpu": _check_mjx_warp_cpu,
 }
-"""Engine → check that runs it. For other engines the doctor only checks whether they can be built."""
+"""Engine → check that runs the engine. For other engines, the doctor only checks whether they can be built."""
 
 
 def _one_box() -> Plan:
@@ -129,7 +131,7 @@ def _caches() -> dict[str, str]:
 
 
 def _cache(kind: Kind) -> str:
-    """The folder of a cache, with the reason if another folder was requested."""
+    """The folder of a cache, and the reason if another folder was requested."""
     if fault := why_no_folder(kind):
         return fault
     fault = why_not_written(kind)
@@ -137,10 +139,10 @@ def _cache(kind: Kind) -> str:
 
 
 def doctor_table(report: Report, why_no_pictures: str) -> Table:
-    """A table of two columns. Long lines of the second one are wrapped.
+    """A table with two columns. Long lines in the second column are wrapped.
 
     Args:
-        why_no_pictures: why nothing can be drawn here; "" if pictures and films can be drawn.
+        why_no_pictures: why nothing can be drawn on this machine; "" if pictures and films can be drawn.
     """
     table = Table(show_header=False)
     table.add_column(style="bold", no_wrap=True)

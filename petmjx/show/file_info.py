@@ -1,4 +1,5 @@
-"""The kind of files of packing plans, their reading and their oddities: records and lines of ``petmjx info``."""
+"""What kind of files files of packing plans are, how they are read, and what is odd: records and lines of ``petmjx
+info``."""
 
 from __future__ import annotations
 
@@ -19,14 +20,14 @@ from petmjx.plans.plan_set import PlanSet
 from petmjx.plans.readings import Reading
 
 _MOST_LINES: Final = 5
-"""Most lines of a kind that are shown of a file."""
+"""Largest number of lines of one kind that are shown for a file."""
 _MOST_NAMES: Final = 12
-"""Most names of columns in a line."""
+"""Largest number of column names in a line."""
 _WIDTH: Final = 11
 
 
 def file_infos(paths: Sequence[Path], options: Mapping[str, Any]) -> tuple[list[dict[str, Any]], PlanSet]:
-    """A record for each file, and the plans with the readings of files of other tools.
+    """A record for each file; and the plans, with the readings of files of other tools.
 
     Args:
         options: options of ``petmjx.load_plans``.
@@ -35,7 +36,7 @@ def file_infos(paths: Sequence[Path], options: Mapping[str, Any]) -> tuple[list[
         InputError: a path does not exist, or an option is invalid.
     """
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore", PlanWarning)  # the lines are shown here
+        warnings.simplefilter("ignore", PlanWarning)  # returned, so not issued again
         plan_set = load_plans(list(paths), **options)
     sources = dict.fromkeys(
         [*(plan.source for plan in plan_set), *(skipped.source for skipped in plan_set.skipped), *plan_set.readings]
@@ -50,10 +51,11 @@ def file_infos(paths: Sequence[Path], options: Mapping[str, Any]) -> tuple[list[
 
 
 def _orders_line(path: Path, options: Mapping[str, Any]) -> tuple[str, str]:
-    """The reading of a file without plans as orders, or its two possible readings ("": no orders); and the fault of its
-    first order if it has no usable one.
+    """How a file without plans would be read as orders, or both possible readings ("" if it has no orders). Also the
+    fault of its first order if no order is usable.
 
-    A file with columns of places has plans that cannot be read, and its reading as orders would hide why.
+    A file with columns of places is meant to have plans. If they cannot be read, a reading as orders would hide the
+    reason, so there is none.
     """
     errors: list[InputError] = []
     try:
@@ -117,8 +119,7 @@ def _info(plan_set: PlanSet, source: str) -> dict[str, Any]:
 
 
 def _why_worse(reading: Reading, other: Reading) -> str:
-    """The reason why another reading is less plausible than the chosen one: its larger costs of names, units or
-    boxes."""
+    """Why another reading is less plausible than the chosen one: it has a larger cost of names, units or boxes."""
     extra_cost, of_layout = other.cost - reading.cost, other.layout_cost - reading.layout_cost
     cause = "by its boxes" if of_layout > extra_cost / 2 else "by names, units and usual values"
     return (
@@ -129,7 +130,7 @@ def _why_worse(reading: Reading, other: Reading) -> str:
 
 
 def info_lines(infos: Sequence[Mapping[str, Any]]) -> Iterator[str]:
-    """Lines about files, for a terminal."""
+    """The lines about files that a terminal shows."""
     for number, record in enumerate(infos):
         if number:
             yield ""

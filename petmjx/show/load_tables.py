@@ -16,7 +16,7 @@ from petmjx.show.table_layout import FittedTable, TableColumn, line, number, per
 
 
 def load_tables(loads: Loads, out: str | None = None) -> Iterator[RenderableType]:
-    """The worlds with the largest ratios of load to strength of a box, and a line with the counts.
+    """The worlds with the largest load of a box relative to its strength, and a line with counts.
 
     Args:
         out: folder of the files, if any were written.
@@ -47,7 +47,7 @@ def load_tables(loads: Loads, out: str | None = None) -> Iterator[RenderableType
 
 
 def _ways_table(ways: pd.DataFrame) -> FittedTable:
-    """How likely pallets arrive at the end of a chain, and with whole boxes."""
+    """How likely pallets are to arrive at the end of a chain, and to arrive without crushed boxes."""
     remedies = ways["remedy"].nunique() > 1
     table = FittedTable(
         TableColumn("plan", "left", least=12, middle=True),
@@ -106,7 +106,7 @@ def _table(loads: Loads) -> FittedTable:
 
 
 def _overload_text(row: Mapping[str, Any]) -> str:
-    """Whether a world is overloaded, and, if the run has intervals, whether that is certain."""
+    """Whether a world is overloaded and, if the run has intervals of forces, whether this is certain."""
     overloaded: Any = row["overloaded"]
     answer = "-" if pd.isna(overloaded) else "yes" if overloaded else "no"
     if row.get("surely_overloaded") is True:

@@ -17,14 +17,14 @@ from petmjx.show.table_layout import FittedTable, TableColumn, line, number, per
 
 
 def packer_tables(comparison: PackerComparison, max_rows: int = 40) -> Iterator[RenderableType]:
-    """All tables and lines. For each pair of packers at most ``max_rows`` orders are named as won or lost."""
+    """All tables and lines. For each pair of packers, at most ``max_rows`` orders are named as won or lost."""
     for name, folder in comparison.runs.items():
         yield line(f"{printable_name(name)}  {folder}")
     for note in comparison.notes:
         yield line(f"note: {note}", style="yellow")
     yield from _not_compared(comparison)
     if not comparison.packers["n"].any():
-        return  # a note has the reason
+        return  # a note gives the reason
     yield ""
     yield _packers_table(comparison)
     if KPIS[0] in comparison.packers:
@@ -36,7 +36,7 @@ def packer_tables(comparison: PackerComparison, max_rows: int = 40) -> Iterator[
         yield ""
         yield from _arrival_tables(comparison)
     yield ""
-    # the padding wraps between words; the terminal would break words
+    # padding wraps between words, whereas the terminal would break words
     yield from (Padding(line(sentence), 0, expand=False) for sentence in comparison.sentences)
     sized = comparison.packers[(comparison.packers["size"] != ALL_SIZES) & (comparison.packers["n"] > 0)]
     if sized["size"].nunique() > 1:
@@ -130,7 +130,7 @@ def _pairs_table(comparison: PackerComparison) -> FittedTable:
 
 
 def _arrival_tables(comparison: PackerComparison) -> Iterator[RenderableType]:
-    """The chance of plans in a chain to arrive: by packer, and differences of pairs."""
+    """The chance of plans in a chain to arrive, for each packer, and its differences between packers."""
     table = FittedTable(
         TableColumn("packer", "left", least=8, middle=True),
         TableColumn("P"),
@@ -197,7 +197,7 @@ def _decided_lines(decided: pd.DataFrame, max_rows: int) -> Iterator[RenderableT
 
 
 def _left_out(comparison: PackerComparison) -> list[TableColumn]:
-    """The column of boxes left out, if a run was compared with orders."""
+    """The column with the boxes left out, if a run was compared with orders."""
     return [TableColumn("left\nout", spare=3)] if comparison.packers["left_out"].notna().any() else []
 
 
@@ -206,7 +206,7 @@ def _interval_header(comparison: PackerComparison) -> str:
 
 
 def _interval(row: dict[str, Any], form: str) -> str:
-    """ "57.1 to 79.4", in per cent or percentage points."""
+    """ "57.1 to 79.4", in per cent or in percentage points."""
     return f"{number(row['low'], form, factor=100.0)} to {number(row['high'], form, factor=100.0)}"
 
 

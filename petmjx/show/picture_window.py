@@ -1,4 +1,4 @@
-"""A window that shows one picture after another, by Matplotlib (extra ``show``)."""
+"""A window that shows one picture after another, with Matplotlib (extra ``show``)."""
 
 from __future__ import annotations
 
@@ -11,13 +11,13 @@ from petmjx.common.errors import InputError
 
 
 class PictureWindow:
-    """A window, which opens with the first picture.
+    """A window that opens when the first picture is shown.
 
     Args:
-        title: its title; ``pause_s``: least time for which a picture is seen, s.
+        title: title of the window; ``pause_s``: shortest time for which a picture is visible, s.
 
     Raises:
-        InputError: Matplotlib is missing, or draws into files alone, as without a display.
+        InputError: Matplotlib is missing, or can only draw into files, for example because there is no display.
     """
 
     def __init__(self, title: str, pause_s: float) -> None:
@@ -29,7 +29,7 @@ class PictureWindow:
         from matplotlib.backends.registry import BackendFilter, backend_registry
 
         backend = matplotlib.get_backend()
-        registry: Any = backend_registry  # has no types
+        registry: Any = backend_registry  # it has no type annotations
         if backend.lower() not in registry.list_builtin(BackendFilter.INTERACTIVE):
             raise InputError(f"render_mode: human needs a window, and Matplotlib's backend {backend} has none here")
         self._pyplot: Any = pyplot

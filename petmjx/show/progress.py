@@ -22,28 +22,28 @@ from petmjx.runs.simulate import RunStart
 from petmjx.runs.study import FinishedWorld
 
 REFRESH_S: Final = 0.5
-"""Without finished worlds, the bar is drawn again after this time, s, since its message may have changed."""
+"""The bar is redrawn after this time even without finished worlds, s, since its message may have changed."""
 
 LINE_S: Final = 10.0
-"""Time between two lines if there is no terminal, s."""
+"""Time between two lines when there is no terminal, s."""
 
 
 class ProgressSink(Protocol):
     """The object that :func:`progress` yields."""
 
     def update(self, done: int, message: str = "", share: float | None = None) -> None:
-        """Show that ``done`` worlds are finished, and a message (compiling, repeating invalid worlds). ``share``: as of
-        ``Throughput.update``."""
+        """Show that ``done`` worlds are finished, and a message (compiling, repeating invalid worlds). ``share`` is as
+        in ``Throughput.update``."""
 
 
 @contextmanager
 def progress(total: int | None, what: str = "plan", console: Console | None = None) -> Iterator[ProgressSink]:
-    """Shows the number of finished worlds, worlds per second, the time left and a message.
+    """Show the number of finished worlds, worlds per second, the time left and a message.
 
     Args:
-        total: number of worlds; None if unknown.
+        total: number of worlds; None if it is unknown.
         what: the noun for a world in messages: ``plan``, or ``world`` in sweeps.
-        console: the console to write to; by default standard error, so that standard output only has results.
+        console: the console to write to. The default is standard error, so that standard output contains only results.
     """
     console = console or Console(stderr=True, force_interactive=None if _is_terminal() else False)
     if console.is_interactive:
@@ -62,12 +62,12 @@ def _is_terminal() -> bool:
 
 
 def _wrapped_line(text: str) -> str:
-    """A line, wrapped between words if the terminal is too narrow."""
+    """A line that is wrapped between words if the terminal is too narrow."""
     return textwrap.fill(text, shutil.get_terminal_size().columns) if _is_terminal() else text
 
 
 class ProgressLines:
-    """Writes a line every ``LINE_S`` seconds, and a last line. If lines cannot be written, the run continues."""
+    """Writes a line every ``LINE_S`` seconds, and a line at the end. If lines cannot be written, the run continues."""
 
     def __init__(
         self, total: int | None, what: str, write: Callable[[str], object], clock: Callable[[], float] = time.monotonic
@@ -95,7 +95,7 @@ class ProgressLines:
 
 
 class _Words(ProgressColumn):
-    """A column with a text."""
+    """A column that shows a text."""
 
     def __init__(self, words: Callable[[], str]) -> None:
         super().__init__()
@@ -106,10 +106,10 @@ class _Words(ProgressColumn):
 
 
 class _Bar(RichProgress):
-    """A bar, with its message in the line below."""
+    """A progress bar, with a message in the line below."""
 
     def __init__(self, total: int | None, what: str, console: Console) -> None:
-        self._message = ""  # read as soon as the bar exists
+        self._message = ""  # already read when the bar is created
         pace = self._pace = Throughput(total, what)
         count, rate, left = _Words(lambda: pace.count), _Words(lambda: pace.rate), _Words(lambda: pace.left)
         super().__init__(count, BarColumn(), rate, left, console=console)
@@ -130,11 +130,11 @@ class _Bar(RichProgress):
 
 
 class BarWatcher(AbstractContextManager["BarWatcher"]):
-    """Prints to standard error the work of a run, and shows its progress.
+    """Prints what a run does to standard error, and shows its progress.
 
     Attributes:
         what: the noun for a world in messages: "plan", or "world" in sweeps.
-        total: number of worlds; None before the run begins, and if unknown.
+        total: number of worlds; None before the run begins, or if it is unknown.
     """
 
     def __init__(self) -> None:

@@ -1,4 +1,4 @@
-"""Repairs in a terminal: the changes of each plan, and its share of standing worlds before and after."""
+"""Repairs in the terminal: the changes to each plan, and its share of standing worlds before and after."""
 
 from __future__ import annotations
 
@@ -13,11 +13,11 @@ from petmjx.repairs.trials import Share
 from petmjx.show.table_layout import line
 
 MOST_STANDING: Final = 20
-"""Largest number of plans that stand unchanged and get a line each."""
+"""Largest number of plans that stood already and get a line each."""
 
 
 def repair_tables(repairs: Repairs) -> Iterator[RenderableType]:
-    """A block of lines for each plan that did not stand, a line about all, and notes."""
+    """A block of lines for each plan that did not stand, a line about all plans, and notes."""
     standing = [repaired for repaired in repairs.each if repaired.trial_before.stands]
     for repaired in repairs.each:
         if not repaired.trial_before.stands:
@@ -43,7 +43,7 @@ def _plan_lines(repaired: Repaired) -> Iterator[RenderableType]:
 
 
 def _shares(repaired: Repaired) -> str:
-    """The shares with errors before and after, as text."""
+    """The shares of worlds with errors in which the plan stands, before and after, as text."""
     if repaired.share_before is None or repaired.share_after is None:
         return ""
     before, after = share_text(repaired.share_before), share_text(repaired.share_after)
@@ -51,5 +51,5 @@ def _shares(repaired: Repaired) -> str:
 
 
 def share_text(share: Share) -> str:
-    """A share as "7 of 8"."""
+    """A share as text, such as "7 of 8"."""
     return f"{share.n_standing} of {share.n_worlds}"

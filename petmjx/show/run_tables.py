@@ -23,17 +23,17 @@ from petmjx.show.sweep_tables import FEW_ROWS, confidence_table, sweep_tables
 from petmjx.show.table_layout import FittedTable, TableColumn, line, number, percent
 
 SHOWN_PLANS: Final = 10
-"""Most plans that a line names."""
+"""Largest number of plans that a line names."""
 
 SHOWN_SKIPPED: Final = 10
-"""Largest number of skipped plans shown; ``run.json`` has all of them."""
+"""Largest number of skipped plans that are shown. ``run.json`` lists all of them."""
 
 _STYLES: Final = {Verdict.STABLE.value: "green", Verdict.UNSTABLE.value: "red", Verdict.INVALID.value: "yellow"}
 
 
 def run_tables(results: RunResults) -> Iterator[RenderableType]:
-    """All tables and lines: the answers of a sweep or of a score with confidence, or the worlds if these are few; then
-    skipped plans and the counts."""
+    """All tables and lines: the answers of a sweep or of a score with confidence, or the worlds if there are few; then
+    the skipped plans and the counts."""
     config = results.info["config"]
     sweep = config["command"] == "sweep"
     if results.summary is not None and "coin_toss" in results.summary:
@@ -60,16 +60,16 @@ def run_tables(results: RunResults) -> Iterator[RenderableType]:
 
 
 def _nominal(results: RunResults) -> FittedTable | None:
-    """The table of the worlds without errors; None if the run has none."""
+    """The table of the worlds without errors; None if the run has no such worlds."""
     worlds, boxes = (table[table["variant"] == 0] for table in (results.worlds, results.boxes_if_kept))
     orders = results.plans if results.info.get("orders") else None
     return worlds_table(worlds.sort_values("plan_id"), boxes, orders) if len(worlds) else None
 
 
 def _confidence_tables(results: RunResults, summary: pd.DataFrame) -> Iterator[RenderableType]:
-    """The tables of a score with confidence: the nominal worlds, the shares, and the names of plans that need
+    """The tables of a score with confidence: the nominal worlds, the shares, and the names of the plans that need
     attention."""
-    since = {name: 0 for name in ("n_not_placed", "n_fell") if name not in summary}  # runs of earlier versions
+    since = {name: 0 for name in ("n_not_placed", "n_fell") if name not in summary}  # earlier versions lack these
     summary = summary.assign(**since)
     if len(summary) <= FEW_ROWS:
         if (nominal := _nominal(results)) is not None:
@@ -88,7 +88,8 @@ def _confidence_tables(results: RunResults, summary: pd.DataFrame) -> Iterator[R
 
 
 def _why_they_fail(summary: pd.DataFrame) -> Iterator[RenderableType]:
-    """Lines on worlds in which a box could not be placed, and on plans whose share depends on the way of placing."""
+    """Lines about worlds in which a box could not be placed, and about plans whose share depends on how boxes are
+    placed."""
     missed = summary["n_not_placed"] > summary["n_fell"]
     if missed.any():
         plan_names = _plan_id_list(summary.loc[missed, "plan_id"].tolist())
@@ -104,14 +105,14 @@ def _why_they_fail(summary: pd.DataFrame) -> Iterator[RenderableType]:
 
 
 def _plan_id_list(plan_ids: list[str]) -> str:
-    """The first ``SHOWN_PLANS`` plans, and the number of further plans."""
+    """The first ``SHOWN_PLANS`` plans, and how many more there are."""
     more_text = f" and {len(plan_ids) - SHOWN_PLANS:,} more, in summary" if len(plan_ids) > SHOWN_PLANS else ""
     return ", ".join(map(printable_name, plan_ids[:SHOWN_PLANS])) + more_text
 
 
 def notes(info: Mapping[str, Any]) -> Iterator[RenderableType]:
-    """Lines on the first ``SHOWN_SKIPPED`` skipped plans, on the number of plans with warnings, on other warnings, and
-    on orders."""
+    """Lines about the first ``SHOWN_SKIPPED`` skipped plans, about the number of plans with warnings, about other
+    warnings, and about orders."""
     skipped = info["skipped"]
     warnings, odd = split_warnings(info)
     for entry in skipped[:SHOWN_SKIPPED]:
@@ -131,7 +132,7 @@ def summary_table(info: Mapping[str, Any], what: str = "plans") -> Table:
     """The table of counts.
 
     Args:
-        info: ``run.json``, or ``RunWriter.info``.
+        info: the entries of ``run.json``, or ``RunWriter.info``.
         what: the noun for worlds in messages: ``plans``, or ``worlds`` in sweeps.
     """
     counts = info.get("counts", {})
@@ -156,10 +157,11 @@ def summary_table(info: Mapping[str, Any], what: str = "plans") -> Table:
 
 
 def search_table(info: Mapping[str, Any], summary: pd.DataFrame) -> Table:
-    """The short table of a search. Answers are counted, since verdicts of tests only show the path of the search.
+    """The short table of a search. It counts answers, because the verdicts of single tests only show the path of the
+    search.
 
     Args:
-        info: ``run.json``.
+        info: the entries of ``run.json``.
         summary: one row per search.
     """
     placements = summary.drop_duplicates(["plan_id", "placement"])
@@ -184,10 +186,10 @@ def search_table(info: Mapping[str, Any], summary: pd.DataFrame) -> Table:
 
 
 def confidence_counts(info: Mapping[str, Any], summary: pd.DataFrame) -> Table:
-    """The short table of a score with confidence: numbers of plans by share, and the number of worlds.
+    """The short table of a score with confidence: numbers of plans by their share, and the number of worlds.
 
     Args:
-        info: ``run.json``.
+        info: the entries of ``run.json``.
         summary: one row per plan.
     """
     plans, worlds = len(summary), int(info.get("counts", {}).get("worlds", 0))
@@ -215,7 +217,7 @@ def _counts_table() -> Table:
 
 
 def _add(table: Table, label: str, count: int, of: int, style: str = "") -> None:
-    """A row with a count and its share."""
+    """Add a row with a count and its share."""
     table.add_row(label, f"{count:,}", percent(count / of) if of else "", style=style if count else "dim")
 
 
@@ -233,12 +235,12 @@ def _add_end(table: Table, info: Mapping[str, Any], what: str, done: int) -> Non
 
 
 def _edge_cells(row: Mapping[Any, Any], of_boxes: pd.DataFrame | None) -> tuple[str, str]:
-    """The distance of a load from an edge, mm, and its box: for the load that set the flag ``knife-edge``; without the
-    flag, of the load with the smallest distance.
+    """How far a load is from an edge, mm, and on which box it is. The load is the one that set the flag ``knife-edge``;
+    if the flag is not set, the one with the smallest distance.
 
     Args:
-        row: the world.
-        of_boxes: its rows of ``boxes``; None: no such table.
+        row: the row of the world.
+        of_boxes: the world's rows of ``boxes``; None if the run has no such table.
     """
     flagged = bool(int(row["flags"]) & Flag.KNIFE_EDGE)
     plan_edge_m, rest_edge_m = (
@@ -258,12 +260,12 @@ def _edge_cells(row: Mapping[Any, Any], of_boxes: pd.DataFrame | None) -> tuple[
 
 
 def worlds_table(worlds: pd.DataFrame, boxes: pd.DataFrame, orders: pd.DataFrame | None = None) -> FittedTable:
-    """One row per plan of a score: its verdict, the first box to fail and its time, and its largest metrics. If a world
-    is on a knife's edge, the table also has distances of loads from edges, and their boxes.
+    """A table with one row per plan of a score: its verdict, the first box to fail and when, and its largest metrics.
+    If a world is on a knife's edge, there are also columns with how far loads are from edges, and on which boxes.
 
     Args:
-        worlds, boxes: tables of the run. Without boxes the article of the first box to fail is unknown.
-        orders: its table ``plans``, if that has the number of boxes left out, which becomes another column.
+        worlds, boxes: tables of the run. If there are no boxes, the article of the first box to fail is unknown.
+        orders: the run's table ``plans``, if it has the number of boxes left out, which then becomes a column.
     """
     on_edge = any(int(flags) & Flag.KNIFE_EDGE for flags in worlds["flags"])
     edges = (TableColumn("edge\nmm", spare=6), TableColumn("of\nbox", spare=6)) if on_edge else ()

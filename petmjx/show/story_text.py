@@ -1,4 +1,4 @@
-"""The story of one plan as text: its events, the first box to fail, and the most pressed boxes."""
+"""The story of one plan as text: its events, the first box to fail, and the boxes with the largest forces on top."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from petmjx.engines.verdict import Verdict
 from petmjx.show.table_layout import FittedTable, TableColumn, line, number
 
 MOST_PRESSED: Final = 5
-"""Number of the most pressed boxes that are shown."""
+"""Number of boxes with the largest forces on top that are shown."""
 
 _STYLES: Final = {Verdict.STABLE: "bold green", Verdict.UNSTABLE: "bold red", Verdict.INVALID: "bold yellow"}
 
@@ -51,7 +51,7 @@ def _events_table(story: Story) -> Table:
 
 
 def _boxes_table(story: Story) -> FittedTable:
-    """The first box to fail and the most pressed ones, with their numbers."""
+    """A table of the first box to fail and the boxes with the largest forces on top, with their numbers."""
     boxes, plan = story.outcome.boxes, story.plan
     table = FittedTable(
         TableColumn("box"),
@@ -83,5 +83,5 @@ def _boxes_table(story: Story) -> FittedTable:
 
 
 def how_to_draw() -> Text:
-    """The options that draw a story."""
+    """A text about the options that draw a story."""
     return line("to see it: --html, --png, --pdf, --svg, --gif, --mp4 or --rrd FILE, or --viewer", style="dim")

@@ -19,10 +19,10 @@ from petmjx.runs.sweep_axes import AXIS_KINDS
 from petmjx.show.table_layout import FittedTable, TableColumn, number, percent
 
 FEW_ROWS: Final = 40
-"""Largest number of worlds or searches for a table with one row each."""
+"""Largest number of worlds or searches for which a table has one row each."""
 
 MAX_VALUES: Final = 50
-"""Largest number of axis values shown; ``summary`` has all of them."""
+"""Largest number of values of an axis that are shown. ``summary`` has all of them."""
 
 _QUANTILES: Final = {"min": 0.0, "25 %": 0.25, "median": 0.5, "75 %": 0.75, "max": 1.0}
 
@@ -30,20 +30,20 @@ _DOUBTS: Final = {
     "monotone": "* a level above the smallest that failed was survived",
     "moving": "~ boxes still moved there when the longest wait was over",
 }
-"""Columns of a search's summary that make an answer doubtful, with the footnotes of tables. A footnote begins with its
+"""Columns in the summary of a search that make an answer doubtful → the footnote in tables. A footnote begins with its
 mark."""
 
 _STANDARD_AXES: Final = ("profile", "direction_deg", "level_g", "scale")
-"""Columns of axes that the tables always have, and the searched quantities."""
+"""Columns with axes that the tables always have, and the searched quantities."""
 
 _PROFILE: Final = TableColumn("profile", "left", least=11, middle=True)
 
 
 def sweep_tables(summary: pd.DataFrame) -> Iterator[FittedTable]:
-    """The tables for a run's ``summary``: of shares, or of largest levels survived.
+    """The tables for the ``summary`` of a run: tables of shares, or of the largest levels survived.
 
     Args:
-        summary: as :attr:`petmjx.results.run_reader.RunResults.summary` reads it.
+        summary: in the form of :attr:`petmjx.results.run_reader.RunResults.summary`.
     """
     if "axis" in summary:
         yield shares_table(summary)
@@ -65,7 +65,7 @@ def sweep_tables(summary: pd.DataFrame) -> Iterator[FittedTable]:
 
 
 def _varied_columns(summary: pd.DataFrame) -> list[str]:
-    """The columns of placement axes, such as turns of film, that have several values in a search."""
+    """The columns with axes of the placement, such as turns of film, that have several values in a search."""
     axis_columns = (kind.column for kind in AXIS_KINDS.values())
     return [
         name for name in axis_columns if name in summary and name not in _STANDARD_AXES and summary[name].nunique() > 1
@@ -77,9 +77,10 @@ def _headers(names: Sequence[str]) -> list[TableColumn]:
 
 
 def shares_table(summary: pd.DataFrame) -> FittedTable:
-    """The share that stands, for each value of each axis with several values, over all plans.
+    """The share that stands over all plans, for each value of each axis that has several values.
 
-    A share refers to the worlds in the column before it: worlds with a verdict, or worlds checked by EUMOS's limits.
+    A share refers to the worlds that the column before it counts: worlds with a verdict, or worlds that EUMOS's limits
+    were applied to.
     """
     overall = summary[summary["scope"] == ALL_PLANS]
     several = overall.groupby("axis")["value"].transform("size") > 1
@@ -115,8 +116,9 @@ def shares_table(summary: pd.DataFrame) -> FittedTable:
 
 
 def confidence_table(summary: pd.DataFrame) -> FittedTable:
-    """One row per plan of a score with confidence: its nominal verdict, and the share that stands with errors. If boxes
-    could not be placed, also the number of such worlds, and of other worlds in which boxes fell."""
+    """One row per plan of a score with confidence: its nominal verdict, and the share of worlds with errors in which it
+    stands. If boxes could not be placed, the table also has the number of such worlds, and of other worlds in which
+    boxes fell."""
     tosses = bool(summary["coin_toss"].any())
     fails, has_exact = bool(summary[["n_not_placed", "n_fell"]].any(axis=None)), "share_exact" in summary
     table = FittedTable(
@@ -152,8 +154,8 @@ def confidence_table(summary: pd.DataFrame) -> FittedTable:
 
 
 def chain_tables(summary: pd.DataFrame) -> Iterator[FittedTable]:
-    """The tables of a chain: a row for each plan, if these are few; then all plans leg by leg, and the gains by
-    remedies."""
+    """The tables of a chain: one with a row per plan if there are few plans, one about all plans leg by leg, and one
+    with the gains from remedies."""
     of_plans = arrivals(summary)
     if len(of_plans) <= FEW_ROWS:
         yield arrivals_table(summary, of_plans)
@@ -166,8 +168,8 @@ def chain_tables(summary: pd.DataFrame) -> Iterator[FittedTable]:
 
 
 def arrivals_table(summary: pd.DataFrame, of_plans: pd.DataFrame) -> FittedTable:
-    """One row per plan: its chance to arrive, the share that stands after each leg among the worlds that reached it,
-    and the leg of most failures."""
+    """One row per plan: its chance to arrive; for each leg the share that stands after it, among the worlds that
+    reached it; and the leg with the most failures."""
     shares = shares_by_leg(summary)
     drawn = bool(of_plans["low"].notna().any())
     table = FittedTable(
@@ -215,7 +217,7 @@ def legs_table(legs: pd.DataFrame) -> FittedTable:
 
 
 def remedies_table(remedies: pd.DataFrame) -> FittedTable:
-    """One row per remedy over all plans, the largest gain first."""
+    """One row per remedy, over all plans, with the largest gain first."""
     table = FittedTable(
         TableColumn("remedy", "left", least=16),
         TableColumn("P"),
@@ -239,10 +241,11 @@ def remedies_table(remedies: pd.DataFrame) -> FittedTable:
 
 
 def levels_table(summary: pd.DataFrame) -> FittedTable:
-    """Quantiles of the largest levels survived, for each profile and direction, over searches whose placement stands.
+    """Quantiles of the largest levels survived, for each profile and direction, over the searches whose placement
+    stands.
 
-    "survive none" counts the searches that survive no level above 0. A quantile below the lowest level is shown as
-    "none".
+    "survive none" counts the searches in which no level above 0 is survived. A quantile below the lowest level is shown
+    as "none".
     """
     column, name = _largest(summary)
     varied = _varied_columns(summary)
@@ -275,7 +278,7 @@ def _cell(value: object) -> str:
 
 
 def _quantile(levels: FloatArray, q: float) -> str:
-    """A quantile of rising levels. NaN levels stand first and count as below all other levels."""
+    """A quantile of levels in ascending order. NaN levels come first, and count as lower than all others."""
     if not len(levels):
         return "-"
     place = q * (len(levels) - 1)
@@ -284,7 +287,7 @@ def _quantile(levels: FloatArray, q: float) -> str:
 
 
 def answers_table(summary: pd.DataFrame) -> FittedTable:
-    """One row per search: the largest level survived, and the box that fails first above it."""
+    """One row per search: the largest level survived, and the box that fails first at higher levels."""
     column, name = _largest(summary)
     varied = _varied_columns(summary)
     table = FittedTable(
@@ -312,7 +315,7 @@ def answers_table(summary: pd.DataFrame) -> FittedTable:
 
 
 def laboratory_table(summary: pd.DataFrame) -> FittedTable:
-    """One row per search with EUMOS's test: the values that a laboratory reports at the largest level survived."""
+    """One row per search with EUMOS's test: the values that a laboratory reports, at the largest level survived."""
     varied = _varied_columns(summary)
     table = FittedTable(
         TableColumn("plan", "left", least=20, middle=True),
@@ -338,12 +341,13 @@ def laboratory_table(summary: pd.DataFrame) -> FittedTable:
 
 
 def levels_passed_table(levels: pd.DataFrame) -> FittedTable:
-    """What a laboratory reports of each level of a grid with EUMOS's test: the worst of its worlds, such as directions.
+    """For each level of a grid with EUMOS's test, the values that a laboratory reports: the worst over all worlds of
+    the level, for example over directions.
 
-    Of a grid that has levels of laboratories only these are shown.
+    If the grid has levels at which laboratories test, only these are shown.
 
     Args:
-        levels: rows of the summary, one for each plan and level, with ``level_g``.
+        levels: rows of the summary with ``level_g``, one for each plan and level.
     """
     usual = np.isclose(levels["level_g"].to_numpy()[:, None], LABORATORY_LEVELS_G).any(axis=1)
     shown = levels[usual] if usual.any() else levels
@@ -371,7 +375,7 @@ def levels_passed_table(levels: pd.DataFrame) -> FittedTable:
 
 
 def _deformations(row: Mapping[Any, Any]) -> Iterator[str]:
-    """Cells with elastic and permanent deformation, as shares, and that of the foot, cm."""
+    """Yield cells with elastic and permanent deformation, as shares, and the deformation of the foot, cm."""
     yield percent(row["eumos_elastic_share"])
     yield percent(row["eumos_permanent_share"])
     yield number(row["eumos_foot_permanent_m"], ".1f", factor=100.0)
@@ -382,8 +386,8 @@ LABORATORY_LEVELS_G: Final = (0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8)
 
 
 def turns_table(summary: pd.DataFrame) -> FittedTable:
-    """The turns of film that each plan needs: the smallest tested number with which it survives a level in every
-    direction. "none": the plan survives with no tested number."""
+    """The number of turns of film that each plan needs: the smallest tested number with which it survives a level in
+    every direction. "none" means that it survives with none of the tested numbers."""
     least = summary.fillna({"largest_level_g": 0.0}).groupby(["plan_id", "wrap_turns"], sort=False)["largest_level_g"]
     survived = least.min().unstack("wrap_turns")
     tested = np.fmax(summary["largest_level_g"].max(), summary["first_failed_level_g"].max())
@@ -401,17 +405,18 @@ def turns_table(summary: pd.DataFrame) -> FittedTable:
 
 
 _SAME_LEVEL_G: Final = 1e-9
-"""Levels that differ by less are the same: 0.1 + 0.2 is not 0.3."""
+"""Levels that differ by less than this are the same, since 0.1 + 0.2 is not exactly 0.3."""
 
 
 def _doubts(summary: pd.DataFrame, column: str) -> pd.Series[bool]:
-    """(n,) the answers that a column of ``_DOUBTS`` makes doubtful; none if an older run lacks the column."""
+    """(n,) whether a column of ``_DOUBTS`` makes each answer doubtful. False for all if an older run lacks the
+    column."""
     if column not in summary:
         return pd.Series(False, index=summary.index)
     return summary[column].astype(bool) != (column == "monotone")
 
 
 def _largest(summary: pd.DataFrame) -> tuple[str, str]:
-    """The column with the largest level or scale, and its heading."""
+    """The column with the largest level or the largest scale, and its heading."""
     names = {"largest_level_g": "level, g", "largest_scale": "scale"}
     return next((column, name) for column, name in names.items() if column in summary)

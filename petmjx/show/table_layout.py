@@ -1,4 +1,4 @@
-"""Tables that fit into the terminal, and the format of their values."""
+"""Tables that fit into the terminal, and how their values are formatted."""
 
 from __future__ import annotations
 
@@ -23,10 +23,10 @@ class TableColumn:
     Attributes:
         header: heading, which may have several lines.
         justify: alignment of its cells.
-        least: shortest length of cut texts, in characters; None: cells are never cut.
-        middle: whether texts are cut in the middle, for names that differ at the end. Otherwise they are cut at the
-            end.
-        spare: 0: the column always stays. Otherwise it may be left out; columns with the largest value go first.
+        least: shortest length to which texts are cut, in characters; None: texts are never cut.
+        middle: whether texts are cut in the middle, which suits names that differ at their ends. Otherwise they are cut
+            at the end.
+        spare: 0: the column is never left out. Otherwise it may be; columns with the largest value are left out first.
     """
 
     header: str
@@ -37,10 +37,10 @@ class TableColumn:
 
 
 class FittedTable:
-    """A table without lines that is never wider than the terminal.
+    """A table without rules between its cells that is never wider than the terminal.
 
-    If the terminal is too narrow, texts are cut first. If cells are still too wide, spare columns are left out, and a
-    line below the table names them. Numbers are cut only if even the remaining columns do not fit.
+    If the terminal is too narrow, texts are cut first. If that does not suffice, spare columns are left out, and a line
+    below the table names them. Numbers are cut only if even the remaining columns do not fit.
     """
 
     def __init__(self, *columns: TableColumn, title: str = "", caption: str = "") -> None:
@@ -50,7 +50,7 @@ class FittedTable:
         self._rows: list[Sequence[str | Text]] = []
 
     def add(self, *cells: str | Text) -> None:
-        """Add a row. Strings are made printable; a ``Text`` keeps its style."""
+        """Add a row. Strings are made printable. A ``Text`` keeps its style."""
         self._rows.append([cell if isinstance(cell, Text) else printable(cell) for cell in cells])
 
     def __rich_console__(self, console: Console, options: ConsoleOptions) -> RenderResult:
@@ -75,13 +75,13 @@ class FittedTable:
             yield line(self.caption, style="dim")
 
     def _natural(self, number: int) -> int:
-        """The width that a column needs to show all its cells."""
+        """The width in which a column can show all its cells uncut."""
         texts = [*self.columns[number].header.split("\n"), *(str(row[number]) for row in self._rows)]
         return max(cell_len(text) for text in texts)
 
 
 def _column_widths(columns: Sequence[TableColumn], natural: Sequence[int], width: int) -> dict[int, int]:
-    """Index of each shown column → its width. Remaining space goes to the narrowest cut columns."""
+    """Index of each shown column → its width. Remaining space goes to the narrowest columns that are cut."""
     least = [min(n, n if column.least is None else column.least) for column, n in zip(columns, natural, strict=True)]
     shown_columns = list(range(len(columns)))
 
@@ -112,27 +112,29 @@ def _shortened_cell(cell: str | Text, width: int, column: TableColumn) -> Text:
 
 
 def _fits(text: Iterable[str], width: int) -> int:
-    """Number of leading characters that fit into a width. Chinese characters are two columns wide."""
+    """Number of characters at the beginning of a text that fit into a width. Chinese characters are two columns
+    wide."""
     return sum(used <= width for used in accumulate(map(cell_len, text)))
 
 
 def line(text: str, style: str = "") -> Text:
-    """A line, or a long text in a cell. The line is wrapped if too long."""
+    """A line of text, or a long text in a cell. It is wrapped if it is too long."""
     return Text(printable(text), style=style, overflow="fold")
 
 
 def print_renderables(renderables: Iterable[RenderableType], console: Console) -> None:
-    """Print tables and lines. The terminal wraps long lines itself, so a path can be copied as a whole."""
+    """Print tables and lines. Long lines are wrapped by the terminal itself, so that a path can be copied as a
+    whole."""
     for renderable in renderables:
         console.print(renderable, soft_wrap=isinstance(renderable, Text))
 
 
 def number(value: Any, form: str | None = None, unit: str = "", factor: float = 1.0, sign: bool = False) -> str:
-    """A number × ``factor`` with its unit; "-" if there is no number.
+    """A number multiplied by ``factor``, with its unit; "-" if there is no number.
 
     Args:
-        form: format specification; None: ``three_digits``.
-        sign: without ``form``: whether positive numbers get a sign too.
+        form: format specification; None: as with ``three_digits``.
+        sign: whether positive numbers also get a sign. Only if ``form`` is None.
     """
     if pd.isna(value):
         return "-"
@@ -141,5 +143,5 @@ def number(value: Any, form: str | None = None, unit: str = "", factor: float = 
 
 
 def percent(share: Any) -> str:
-    """A share as "12.3 %"; "-" if there is none."""
+    """A share as text, such as "12.3 %"; "-" if there is none."""
     return number(share, ".1f", " %", 100.0)

@@ -214,7 +214,7 @@ def most_aside_m(placing: Placing) -> float:
 
 def stuck_steps(timestep_s: float) -> int:
     """Largest number of steps for which a hand holds a box after the end of its path. Also the largest number of steps
-    of setting it down."""
+    for which it sets the box down."""
     return int(MOST_STUCK_S / timestep_s)
 
 

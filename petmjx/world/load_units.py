@@ -1,8 +1,8 @@
 """Load units: pallets among the boxes of a plan, with boxes on them.
 
-A pallet that stands on a trailer's floor, on a rack or on another load is an item of its own. Its kind is that of a
-carrier. The body of such an item has one shape per board, so that it slides, tips and carries load as the real pallet
-does. The mass is that of the item, shared among the boards by volume.
+A pallet that stands on a trailer's floor, on a rack or on another load is an item of its own. Its kind is the name of a
+pallet, as for a carrier. The body of such an item has one shape per board, so that it slides, tips and carries load as
+the real pallet does. The mass is that of the item, shared among the boards by volume.
 """
 
 from __future__ import annotations

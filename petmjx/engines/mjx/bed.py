@@ -21,10 +21,10 @@ from petmjx.options.physics import Physics
 from petmjx.world.compliance import EDGE_SHARE, FACE_COSINE, LEAST_SHARE, OUTWARD, POINTS_PER_BED
 
 LEAST_MOMENT_M2: Final = 1e-9
-"""Smallest second moment. If it is smaller, the area counts as a line, m²."""
+"""Smallest second moment per area, m². If the moment is smaller, the area counts as a line."""
 
 LEAST_STEEP: Final = 1e-14
-"""Smallest square of the slope. If it is smaller, the depth counts as the same everywhere."""
+"""Smallest square of the slope of the depth. If it is smaller, the depth counts as uniform."""
 
 _SIGNS: Final = np.array([(-1.0, -1.0), (-1.0, 1.0), (1.0, -1.0), (1.0, 1.0)])
 

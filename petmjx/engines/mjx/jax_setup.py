@@ -24,8 +24,8 @@ CPU_COMPILER_OPTIONS = {
     # With the scheduler that is optimised for concurrency, programs of mjx-jax hang in XLA's thread pool
     # (jaxlib 0.10.2, two cores: 7 of 7 runs hung; without it, 0 of 4).
     "xla_cpu_enable_concurrency_optimized_scheduler": False,
-    # With the newer emitters of fused loops, the programs of 12 plans compile for 91 s of CPU time; without them, for
-    # 59 s (jaxlib 0.10.2). The programs run equally fast.
+    # With the newer emitters of fused loops, compiling the programs of 12 plans takes 91 s of CPU time. Without
+    # them, it takes 59 s (jaxlib 0.10.2). The programs run equally fast.
     "xla_cpu_use_fusion_emitters": False,
 }
 """XLA's options for large programs on a CPU. An option is left out if the installed jaxlib does not have it."""

@@ -317,7 +317,7 @@ class Rules:
         enough = self.sim.waits_for_rest | (state.step - state.waits_since >= quiet.landing_steps)
         past_deadline = ~in_drive & (state.step >= self._deadline(state, worlds, has_more, adapts))
         go = waits & (past_deadline | (still & adapts & enough))
-        # these go straight on to a drive, without a check that the pallet rests
+        # these worlds begin their drive at once, without a check that the pallet rests
         settles = go & ~has_more & worlds.settles & (not self.driven and not self._rests_first)
         rests = go & ~has_more & ~settles
         moves = (settles | (go & has_more)) & ~failed & (state.quiet_steps < quiet.steps)

@@ -32,7 +32,7 @@ _FAR_M: Final = 1e3
 """Distance of the line of depth 0 if the depth is the same everywhere, m."""
 
 _LEAST_MOMENT_M2: Final = 1e-18
-"""Smallest second moment. If it is smaller, the area counts as a line, m²."""
+"""Smallest second moment per area, m². If the moment is smaller, the area counts as a line."""
 
 _TRUE: Final = np.ones(1, bool)
 _Y: Final = np.array([0.0, 1.0, 0.0])

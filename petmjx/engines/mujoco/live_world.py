@@ -208,7 +208,7 @@ class LiveWorld:
             vars(self).pop(name, None)
 
     def fork(self, *, grows: bool = False) -> LiveWorld:
-        """An independent world in the same state, to the last bit.
+        """An independent world in the same state, bit for bit.
 
         Args:
             grows: True: the next change of the new world will be another box. If this requires a new model, the data of

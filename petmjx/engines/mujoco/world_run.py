@@ -327,7 +327,7 @@ class WorldRun:
             self._settle()
 
     def _look_for_quiet(self) -> bool:
-        """Look at the pallet if a look is due; returns whether the pallet is quiet at this look."""
+        """Look at the pallet if a look is due. Returns whether this look finds the pallet quiet."""
         if self._step % self._sim.quiet.poll_steps or self._step <= self._waits.since:
             return False
         live, k = self._live, self._live.n_placed

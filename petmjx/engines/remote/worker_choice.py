@@ -1,5 +1,5 @@
-"""Chooses and starts the workers of a run: joins the cluster, chooses the engine, and starts the pool, if possible
-while plans are read."""
+"""Chooses and starts the workers of a run: it joins the cluster, chooses the engine, and starts the pool. If possible,
+this happens while plans are read."""
 
 from __future__ import annotations
 
@@ -23,10 +23,10 @@ Begun = tuple[Cluster, WorkerPool | None]
 
 
 class WorkerStartup:
-    """Starts workers in a thread while plans are read: the cluster, and the pool of workers if their engine is known
-    early.
+    """Starts workers in a thread while plans are read: the cluster, and also the pool of workers if their engine is
+    known early.
 
-    The caller either takes the workers or gives them up.
+    The caller must either take the workers or give them up.
 
     Args:
         worth_gpus: whether ``auto`` will use the GPUs of a cluster.
@@ -41,10 +41,10 @@ class WorkerStartup:
         self._thread.start()
 
     def take(self) -> Begun:
-        """The started cluster and pool. The caller closes them.
+        """The started cluster and pool. The caller must close them.
 
         Raises:
-            InputError, EngineUnavailable: as ``resolve_workers``.
+            InputError, EngineUnavailable: see ``resolve_workers``.
         """
         try:
             begun = self._begun.result()
@@ -67,11 +67,11 @@ class WorkerStartup:
         atexit.unregister(self._end_with_process)
 
     def _settle(self) -> None:
-        """Wait until the workers are taken or given up."""
+        """Wait until the workers are taken or given up. If they are given up, close them."""
         self._decided.wait()
         if not self._taken:
             cluster, pool = self._begun.result()
-            with suppress(Exception):  # nobody would get the error
+            with suppress(Exception):  # there is nobody to report the error to
                 (pool or cluster).close()
 
     def _end_with_process(self) -> None:
@@ -81,7 +81,7 @@ class WorkerStartup:
 
     def _begin(self) -> Begun:
         cluster = _run_cluster(self._options)
-        # if the process ends now, this thread stops using Ray before Ray ends
+        # if the process ends now, this thread must stop using Ray before Ray ends
         atexit.register(self._end_with_process)
         try:
             name = None if self._decided.is_set() else self._engine(cluster.nodes)
@@ -91,7 +91,7 @@ class WorkerStartup:
             raise
 
     def _engine(self, nodes: list[Node]) -> str | None:
-        """The engine of the run, if known before the plans."""
+        """The engine of the run, if it is known before the plans are; else None."""
         if self._options.engine != AUTO:
             return str(self._options.engine)
         return "mjx-warp" if self._worth_gpus and _why_no_gpu(self._options, nodes) is None else None
@@ -100,14 +100,15 @@ class WorkerStartup:
 def resolve_workers(
     options: RunOptions, work: Work, costs: Costs, ahead: WorkerStartup | None = None
 ) -> tuple[WorkerPool, Choice]:
-    """The pool of a run with workers, and the reason for the choice of its engine: ``auto`` counts the CPUs and GPUs of
-    the cluster.
+    """The pool for a run with workers, and the reason for choosing its engine. ``auto`` takes the CPUs and GPUs of the
+    cluster into account.
 
     Args:
-        ahead: the start of workers that has begun for these options.
+        ahead: workers that have already been started for these options.
 
     Raises:
-        InputError: unusable options, no cluster at the address, or more workers than the cluster has room for.
+        InputError: options are unusable, there is no cluster at the address, or the cluster has no room for this number
+            of workers.
         EngineUnavailable: Ray is not installed, or the engine cannot run in a worker.
     """
     cluster, pool = ahead.take() if ahead is not None else (_run_cluster(options), None)
@@ -125,7 +126,7 @@ def resolve_workers(
 
 
 def _run_cluster(options: RunOptions) -> Cluster:
-    """The cluster of a run whose options are usable."""
+    """The cluster of a run. Raises InputError if the options are unusable."""
     engine = str(options.engine)
     if engine != AUTO:
         check_options(engine, **options_of(engine, options))
@@ -133,21 +134,21 @@ def _run_cluster(options: RunOptions) -> Cluster:
 
 
 def _pool_choice(options: RunOptions, nodes: list[Node], work: Work, costs: Costs) -> tuple[str, str, float | None]:
-    """The engine's name, the reason for it, and the expected time, s."""
+    """The name of the engine, the reason for choosing it, and the expected time, s."""
     workers, engine = options.asked_workers, str(options.engine)
     assert workers is not None
     threads = sum(node.cpus for node in nodes)
     if options.threads is not None and workers != AUTO:
         threads = options.threads * int(workers)
     gpus = sum(node.gpus for node in nodes)
-    used = gpus if workers == AUTO else min(gpus, int(workers))  # workers that share a GPU count as one thread
+    used = gpus if workers == AUTO else min(gpus, int(workers))  # workers that share a GPU count only once
     seconds = costs.seconds(work, max(threads, 1), max(used, 1))
 
     def why_no_gpu() -> str | None:
         return _why_no_gpu(options, nodes)
 
     def why_no_kernel() -> str | None:
-        return "not chosen for workers"  # each would compile the kernels
+        return "not chosen for workers"  # each worker would have to compile the kernels
 
     name, reason = engine, "as asked for"
     if engine == AUTO:
@@ -156,13 +157,13 @@ def _pool_choice(options: RunOptions, nodes: list[Node], work: Work, costs: Cost
 
 
 def _why_no_gpu(options: RunOptions, nodes: list[Node]) -> str | None:
-    """The reason why ``auto`` cannot give each worker a GPU or a share of a GPU; None if it can."""
+    """The reason why ``auto`` cannot give each worker a GPU, or a share of a GPU; None if it can."""
     assert options.asked_workers is not None
     return why_no_gpus(nodes, options.asked_workers)
 
 
 def _pool(name: str, options: RunOptions, cluster: Cluster) -> WorkerPool:
-    """A pool whose workers begin to start at once."""
+    """A pool whose workers start at once."""
     assert options.asked_workers is not None
     limits = options_of(name, options)
     worker_places = places(name, cluster.nodes, options.asked_workers, limits.pop("threads", None))
@@ -170,6 +171,6 @@ def _pool(name: str, options: RunOptions, cluster: Cluster) -> WorkerPool:
         limits["threads"] = 1  # a worker runs as many chunks side by side as it has threads
     elif name == "mjx-warp-cpu":
         limits["threads"] = min(place.cpus for place in worker_places)
-    # on CPUs all threads simulate, and none checks outcomes
+    # on CPUs, all threads simulate, so none checks outcomes
     threads = threads_beside(cluster.nodes, len(worker_places)) if name == "mjx-warp" else 0
     return WorkerPool(Recipe(name, limits), worker_places, cluster, max_check_processes(threads))

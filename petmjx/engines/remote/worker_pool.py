@@ -1,5 +1,5 @@
-"""An engine whose jobs run in the workers of a cluster: it deals chunks, gathers outcomes, and replaces dead
-workers."""
+"""An engine whose jobs run in the workers of a cluster. It deals chunks to workers, collects outcomes, and replaces
+dead workers."""
 
 from __future__ import annotations
 
@@ -28,26 +28,26 @@ from petmjx.world.job import Job
 from petmjx.world.scene import Scene
 
 LOOK_S = 0.25
-"""Longest wait for news, s. After each wait signals are noticed and progress is updated."""
+"""Longest wait for messages from workers, s. After each wait, signals are noticed and progress is updated."""
 
 START_S = 30.0
-"""Longest wait for the first worker while the engine is made, s. So an engine that cannot run here is known before a
-run begins. A busy cluster may need longer; then the run begins, and waits."""
+"""Longest wait for the first worker while the engine is made, s. So it is known before a run begins if an engine cannot
+run here. A busy cluster may need longer; the run then begins anyway, and waits."""
 
 FALSE_STARTS = 3
-"""After this many failed starts of workers in a row the run ends, or no more workers replace dead ones."""
+"""After this number of failed starts of workers in a row, the run ends, or dead workers are no longer replaced."""
 
 LEAST = {"mjx-warp": 512, "mjx-jax": 16}
-"""With fewer jobs than this, the workers of these engines do not divide them. A device takes as long for a few worlds
-as for many."""
+"""With fewer jobs than this, the workers of these engines do not share them. A device takes as long for a few worlds as
+for many."""
 
 _HIGHEST = (" lanes", " contacts")
-"""Suffixes of the names in ``Progress.extra`` whose values are not sums."""
+"""Suffixes of names in ``Progress.extra`` whose values are combined as maxima, not as sums."""
 
 
 @dataclass(eq=False)
 class _Stream:
-    """A chunk in a worker, and the part of its progress that is already counted."""
+    """A chunk in a worker, and the part of its progress that has already been counted."""
 
     chunk: Chunk
     counted: Progress = field(default_factory=Progress)
@@ -55,13 +55,13 @@ class _Stream:
 
 @dataclass(eq=False)
 class _Hand:
-    """A worker.
+    """A worker, as the pool sees it.
 
     Attributes:
-        hello: Ray's reference of the worker's first answer; None after its arrival.
-        working: whether the worker's engine exists: it was built before the first answer, or has reported.
-        streams: Ray's streams of reports, one for each of the worker's chunks.
-        said: its last progress message.
+        hello: Ray's reference to the worker's first message; None once it has arrived.
+        working: whether the worker's engine surely exists: it was built before the first message, or has reported.
+        streams: Ray's streams of reports, one per chunk of the worker.
+        said: the worker's last progress message.
     """
 
     place: Place
@@ -85,15 +85,15 @@ class _Hand:
 
 
 class WorkerPool(Engine):
-    """The engine ``recipe.name`` in many processes. Outcomes are those of the engine itself.
+    """The engine ``recipe.name`` in many processes. Outcomes are the same as from the engine itself.
 
-    A worker that dies is replaced, and its unanswered jobs are dealt again (``Deal``). Workers stay between runs, until
-    :meth:`close`.
+    A worker that dies is replaced, and its unanswered jobs are dealt again (``Deal``). Workers are kept between runs,
+    until :meth:`close`.
 
     Args:
-        places: the places of the workers, which begin to start at once.
-        cluster: used until :meth:`close`, which closes it.
-        check_pool: check processes beside each worker (petmjx/engines/subprocess/check_pool.py).
+        places: the resources of the workers, which start at once.
+        cluster: the cluster, used until :meth:`close`, which closes it.
+        check_pool: number of check processes beside each worker (petmjx/engines/subprocess/check_pool.py).
     """
 
     def __init__(self, recipe: Recipe, places: Sequence[Place], cluster: Cluster, check_pool: int = 0) -> None:
@@ -123,7 +123,7 @@ class WorkerPool(Engine):
 
     @property
     def capabilities(self) -> Capability:
-        """The physics of the engine in the workers, which check their outcomes."""
+        """The physics of the engine in the workers. Workers check their outcomes themselves."""
         return super().capabilities | Capability.CHECKS
 
     @property
@@ -133,30 +133,30 @@ class WorkerPool(Engine):
 
     @property
     def device(self) -> str:
-        """The number of workers, and the names of the devices that workers have reported."""
+        """The number of workers, and the names of the devices that they have reported."""
         return ": ".join(filter(None, (count_text(self.size, "worker"), ", ".join(self._devices))))
 
     @property
     def pids(self) -> list[int]:
-        """Process ids of the ready workers, on their machines."""
+        """Process ids of the workers that are ready. Each is valid on the worker's machine."""
         return [hand.pid for hand in self._hands if hand.ready]
 
     def dismiss(self) -> None:
-        """End the workers, and leave the cluster to its other users."""
+        """End the workers. The cluster is left to its other users."""
         hands, self._hands = self._hands, []
         for hand in hands:
             self._kill(hand)
 
     def retire(self) -> None:
-        """Begin to end the workers, and the cluster if started for them."""
+        """Start to end the workers, and the cluster if it was started for them."""
         try:
             self.dismiss()
         finally:
-            self._thread.shutdown()  # an interrupted thread may still wait for news, and would hang when Ray ends
+            self._thread.shutdown()  # an interrupted thread may still be waiting, and would hang when Ray ends
             self._cluster.leave()
 
     def close(self) -> None:
-        """End the workers, and the cluster if started for them."""
+        """End the workers, and the cluster if it was started for them."""
         try:
             self.retire()
         finally:
@@ -164,13 +164,13 @@ class WorkerPool(Engine):
 
     @says_at_hand
     def run(self, jobs: Sequence[Job], sim: Simulation, progress: Progress | None = None) -> Iterator[Outcome]:
-        """Simulate each job once; outcomes are yielded as from the engine itself.
+        """Simulate each job once. Outcomes are yielded as from the engine itself.
 
         Raises:
-            EngineUnavailable: workers die as they start, a worker has other versions than this process, or cannot build
-                its engine.
+            EngineUnavailable: workers die while they start, or a worker has other versions of packages than this
+                process, or cannot build its engine.
             PetmjxError: Ray has died.
-            Exception: an error of the engine in a worker.
+            Exception: the engine in a worker raised this exception.
         """
         if not jobs:
             return
@@ -200,13 +200,13 @@ class WorkerPool(Engine):
                 progress.message = self._message(seconds) or before
                 progress.at_hand = 0
                 if progress.pauses:
-                    yield None  # type: ignore[misc]  # who asked for pauses takes it
+                    yield None  # type: ignore[misc]  # callers that set ``pauses`` expect it
                 for hand, ref in self._news():
                     if not hand.ready:
                         self._greet(hand, ref)
                         continue
                     if ref not in hand.streams:
-                        continue  # lost a moment ago, with another chunk of its worker
+                        continue  # lost a moment ago, together with another chunk of the same worker
                     report = self._next_report(ref)
                     if isinstance(report, Report):
                         hand.working = True
@@ -220,7 +220,7 @@ class WorkerPool(Engine):
                         yield from self._bury(hand, deal, jobs, sim, progress)
             progress.message = before
         finally:
-            for hand in [hand for hand in self._hands if hand.streams]:  # their remaining chunks are not needed
+            for hand in [hand for hand in self._hands if hand.streams]:  # their remaining chunks are no longer needed
                 self._hands.remove(hand)
                 self._kill(hand)
 
@@ -240,7 +240,7 @@ class WorkerPool(Engine):
         self._ray.kill(hand.actor)
 
     def _news(self) -> list[tuple[_Hand, Any]]:
-        """Workers with news, and the source of each news: the first answer, or the stream of a chunk."""
+        """Workers that have sent something, each with the source: the first message, or the stream of a chunk."""
         owner = {ref: hand for hand in self._hands for ref in (hand.hello, *hand.streams) if ref is not None}
 
         def wait() -> list[Any]:
@@ -250,7 +250,7 @@ class WorkerPool(Engine):
         return [(owner[ref], ref) for ref in self._thread.submit(wait).result()]
 
     def _greet(self, hand: _Hand, ref: Any) -> None:
-        """Handle a worker's first answer, or its death before that."""
+        """Handle a worker's first message, or its death before that message."""
         try:
             hello: WorkerReady = pickle.loads(self._thread.submit(self._ray.get, ref).result())
         except self._ray.exceptions.RayError as death:
@@ -271,11 +271,11 @@ class WorkerPool(Engine):
         self._devices[hello.device] = None
 
     def _start_again(self, hand: _Hand, error: BaseException, most: int) -> None:
-        """Handle a worker that failed to start. To replace a dead worker, whose device may be broken, three workers are
-        tried; if they fail, the run goes on with the remaining workers.
+        """Handle a worker that failed to start. If it was to replace a dead worker, whose device may be broken, three
+        starts are tried; if all fail, the run continues with the remaining workers.
 
         Args:
-            error: raised after ``most`` tries if no other workers are left, or if no worker has died.
+            error: raised after ``most`` tries if no other worker is left, or if no worker has died.
         """
         self._false_starts += 1
         spare = self._deaths > 0 and any(hand.ready for hand in self._hands)
@@ -292,8 +292,8 @@ class WorkerPool(Engine):
     def _bury(
         self, hand: _Hand, deal: Deal, jobs: Sequence[Job], sim: Simulation, progress: Progress
     ) -> Iterator[Outcome]:
-        """Replace a dead worker. Yields outcomes of the given-up jobs; no outcomes if the worker's engine did not exist
-        yet."""
+        """Replace a dead worker. Yields outcomes for jobs that are given up. There are none if the worker's engine did
+        not exist yet."""
         held = [stream.chunk for stream in hand.streams.values()]
         self._deaths += 1
         self._kill(hand)
@@ -311,7 +311,7 @@ class WorkerPool(Engine):
     # Chunks.
 
     def _hand_out(self, deal: Deal, jobs: Sequence[Job], sim: Simulation) -> None:
-        """Give chunks to workers, one each in turn, while chunks and room are left."""
+        """Give chunks to workers in turn, one at a time, while there are chunks and workers with room."""
         waiting = deque(sorted(self._hands, key=lambda hand: len(hand.streams)))
         while waiting:
             hand = waiting.popleft()
@@ -322,7 +322,7 @@ class WorkerPool(Engine):
                 waiting.append(hand)
 
     def _next_report(self, ref: Any) -> Report | Exception | None:
-        """The next report of a chunk; None at the chunk's end; the error if the worker is lost."""
+        """The next report of a chunk; None after the last one; the error if the worker is lost."""
         try:
             item = self._thread.submit(lambda: self._ray.get(ref_of) if (ref_of := next(ref, None)) else None).result()
             report: Report | None = pickle.loads(item) if item is not None else None
@@ -332,7 +332,7 @@ class WorkerPool(Engine):
                 raise
             if isinstance(error, self._ray.exceptions.RayTaskError):
                 raise RuntimeError(f"a worker failed: {one_line(error)}") from error
-            lost: Exception = error  # mypy does not know Ray's classes and takes them for Any
+            lost: Exception = error  # mypy does not know Ray's classes and treats them as Any
             return lost
 
     def _take(self, hand: _Hand, stream: _Stream, report: Report, deal: Deal, progress: Progress) -> Iterator[Outcome]:
@@ -359,7 +359,7 @@ class WorkerPool(Engine):
             raise report.error
 
     def _message(self, seconds: float) -> str:
-        """A line on the work of the workers."""
+        """A line about the state of the workers."""
         waiting = [hand for hand in self._hands if not hand.ready]
         parts = [f"{count_text(self._deaths, 'worker')} died"] if self._deaths else []
         if waiting:

@@ -1,4 +1,4 @@
-"""The number of workers on a cluster, and the CPUs and GPUs of each. Independent of Ray."""
+"""The number of workers on a cluster, and the CPUs and GPUs of each worker. Independent of Ray."""
 
 from __future__ import annotations
 
@@ -10,8 +10,8 @@ from petmjx.common.text import count_text
 from petmjx.options.run_options import AUTO
 
 MOST_SHARING = 4
-"""Most workers that share a GPU. Each worker has a context, tables and buffers of its own in the GPU's memory. In
-sweeps of small worlds four processes kept a GPU hardly busier than two (benchmarks/notebook/performance.md)."""
+"""Largest number of workers that share a GPU. Each worker has its own context, tables and buffers in the GPU's memory.
+In sweeps of small worlds, four processes kept a GPU hardly busier than two (benchmarks/notebook/performance.md)."""
 
 PARTS = 10_000
 """Number of parts into which Ray divides a GPU."""
@@ -30,9 +30,10 @@ class Place:
     """The resources of one worker.
 
     Attributes:
-        cpus: CPUs of a worker, all on one node.
-        gpus: GPUs of the same node, or the share of a GPU.
-        slots: chunks that the worker simulates side by side: the number of threads on ``mujoco``, one on MJX engines.
+        cpus: number of CPUs of the worker, all on one node.
+        gpus: number of GPUs of the same node, or the share of a GPU.
+        slots: number of chunks that the worker simulates side by side: its number of threads on ``mujoco``, one on MJX
+            engines.
     """
 
     cpus: int
@@ -41,15 +42,15 @@ class Place:
 
 
 def places(engine: str, nodes: Sequence[Node], workers: int | str, threads: int | None = None) -> list[Place]:
-    """The places of all workers.
+    """The resources of all workers.
 
     Args:
-        workers: number of workers; ``auto``: one for each GPU, or else one for each node, with all its CPUs. If there
-            are more workers than GPUs, each GPU is shared by the same number of workers.
+        workers: number of workers; ``auto``: one per GPU, or if there is none, one per node, with all its CPUs. If
+            there are more workers than GPUs, each GPU is shared by the same number of workers.
             threads: threads of each worker of ``mujoco``; None: the worker's share of the CPUs.
 
         Raises:
-            InputError: the cluster has no room for the workers, or cannot place equally many on each GPU.
+            InputError: the cluster has no room for the workers, or cannot place the same number on each GPU.
             EngineUnavailable: the engine needs a GPU, and the cluster has none.
     """
     gpus = sum(node.gpus for node in nodes)
@@ -59,8 +60,8 @@ def places(engine: str, nodes: Sequence[Node], workers: int | str, threads: int 
         if fault := why_no_gpus(nodes, workers):
             raise InputError(f"workers: {fault}")
         number = gpus if workers == AUTO else int(workers)
-        # In whole parts, rounded down: then exactly this number of workers fits into a GPU. All GPUs get full,
-        # whichever Ray takes first.
+        # Shares are whole parts, rounded down, so that exactly this number of workers fits on a GPU. All GPUs become
+        # full, whichever one Ray fills first.
         share = PARTS // _sharing(gpus, number) / PARTS
         return [Place(cpus=1, gpus=share)] * number
     if workers == AUTO:
@@ -80,8 +81,8 @@ def places(engine: str, nodes: Sequence[Node], workers: int | str, threads: int 
 def why_no_gpus(nodes: Sequence[Node], workers: int | str) -> str | None:
     """The reason why the GPUs cannot be divided among this number of workers, in a few words; None if they can.
 
-    A worker takes a whole GPU, or the same share as all other workers. With shares of two sizes Ray might leave no room
-    for the last worker. If GPUs did not get full, Ray would fill one GPU instead of using them all.
+    A worker gets a whole GPU, or the same share as all other workers. With shares of two sizes, Ray might leave no room
+    for the last worker. If shares did not fill a GPU, Ray might put too many workers on one GPU and leave another idle.
     """
     gpus = sum(node.gpus for node in nodes)
     if not gpus:
@@ -100,18 +101,18 @@ def why_no_gpus(nodes: Sequence[Node], workers: int | str) -> str | None:
 
 
 def threads_beside(nodes: Sequence[Node], workers: int) -> int:
-    """The fewest CPU threads of a worker, if each machine has the largest number of workers for its GPUs."""
+    """The smallest number of CPU threads per worker if each machine has as many workers as its GPUs allow."""
     per_gpu = _sharing(sum(node.gpus for node in nodes), workers)
     return min(node.cpus // min(per_gpu * node.gpus, workers) for node in nodes if node.gpus)
 
 
 def _sharing(gpus: int, workers: int) -> int:
-    """The largest number of workers that share a GPU."""
+    """The largest number of workers on one GPU."""
     return -(-workers // gpus)
 
 
 def _share(nodes: Sequence[Node], workers: int) -> int:
-    """The largest number of CPUs per worker with room for this number of workers, each on one node; at least 1."""
+    """The largest number of CPUs per worker for which this number of workers fits, each on one node; at least 1."""
     most = max(sum(node.cpus for node in nodes) // workers, 1)
     return next((share for share in range(most, 1, -1) if sum(node.cpus // share for node in nodes) >= workers), 1)
 

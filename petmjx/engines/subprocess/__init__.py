@@ -1,2 +1,2 @@
-"""Processes beside a run: further attempts at single worlds on CPU threads while a GPU goes on, and checks of
+"""Processes beside a run: for further attempts at single worlds on CPU threads while a GPU continues, and for checks of
 outcomes."""

@@ -1,4 +1,4 @@
-"""The run's side of the attempt process: it sends tasks and receives answers."""
+"""The run's side of an attempt process: it sends tasks and receives answers."""
 
 from __future__ import annotations
 
@@ -14,20 +14,20 @@ from petmjx.engines.subprocess.attempt_process import READY, Answer, Task
 from petmjx.engines.subprocess.task_pipe import Child
 
 LOOK_S: Final = 0.25
-"""Longest wait for an answer, s. After each wait signals are noticed."""
+"""Longest wait for an answer, s. After each wait, signals are noticed."""
 
 
 class SideSimulator(Protocol):
     """Simulates worlds beside the caller."""
 
     def begin(self, task: Task) -> None:
-        """Simulate a world. Returns at once."""
+        """Start to simulate a world. Returns at once."""
 
     def ended(self, *, wait: bool) -> Iterator[Answer]:
         """The answers that have arrived since the last call.
 
         Args:
-            wait: whether to wait for at least one answer, if a task is unanswered.
+            wait: whether to wait for at least one answer if any task is unanswered.
         """
         ...
 
@@ -36,10 +36,10 @@ class SideSimulator(Protocol):
 
 
 class SubprocessSimulator:
-    """Simulates worlds in a separate process, which starts with the first task.
+    """Simulates worlds in a separate process, which is started for the first task.
 
-    If the process dies, its unanswered tasks are answered without an outcome, and the next task starts a new process.
-    Idle processes are kept for the next user, since a new one has to load JAX, Warp and the kernel.
+    If the process dies, its unanswered tasks get answers without an outcome, and the next task starts a new process.
+    Idle processes are kept for the next user, since a new process has to load JAX, Warp and the kernel.
     """
 
     def __init__(self) -> None:
@@ -89,12 +89,12 @@ class SubprocessSimulator:
 
 
 _IDLE: Final[dict[int, list[Child]]] = {}
-"""Idle processes, by the id of the process that has started them. A fork of the process with the threads must not use
-them."""
+"""Idle processes, by the id of the process that started them. A fork of that process must not use them, since it has
+none of the threads."""
 
 
 def _idle_child() -> Child:
-    """An idle process, or a new process."""
+    """An idle process, or if there is none, a new process."""
     idle = _IDLE.get(os.getpid(), [])
     while idle:
         process = idle.pop()

@@ -1,7 +1,7 @@
-"""The code of the attempt process beside a run: it takes tasks from a pipe and runs them on engines of one thread each.
+"""The code of the attempt process beside a run. It takes tasks from a pipe and runs them on engines of one thread each.
 
 The process has no GPU. So JAX and Warp use the CPU here, even if they use a GPU in the run's process. The process ends
-when the pipe ends, and so with the process that started it.
+when the pipe ends, and thus also when the process that started it ends.
 """
 
 from __future__ import annotations
@@ -25,22 +25,23 @@ from petmjx.options.simulation import Simulation
 from petmjx.world.job import Job
 
 NICE = 5
-"""Niceness of its threads, below the run's threads, which keep a GPU busy."""
+"""Niceness of the process's threads. They have a lower priority than the run's threads, which keep a GPU busy."""
 
 GRANULE = 96
-"""Box columns of tables are a multiple of this, so that single worlds of nearly all sizes use the same programs."""
+"""The number of box columns of tables is a multiple of this, so that single worlds of nearly all sizes use the same
+programs."""
 
 _BUILDING = threading.Lock()
-"""Held while an engine is built, since the first engine starts JAX and Warp."""
+"""Held while an engine is being built, since the first engine starts JAX and Warp."""
 
 
 READY = -1
-"""Number of a task whose answer is not needed. This task only makes an engine compile its programs."""
+"""Number of a task whose answer is not needed. Its only purpose is that an engine compiles its programs."""
 
 
 @dataclass(frozen=True)
 class Task:
-    """A world to simulate on the engine of this name. ``sim`` and ``job`` are arguments of ``Engine.run``."""
+    """A world to simulate on the engine with this name. ``sim`` and ``job`` are arguments of ``Engine.run``."""
 
     number: int
     engine: str
@@ -50,7 +51,7 @@ class Task:
 
 @dataclass(frozen=True)
 class Answer:
-    """The outcome of a task, or None and the reason in one line."""
+    """The outcome of a task; or None, and the reason in one line."""
 
     number: int
     outcome: Outcome | None
@@ -75,18 +76,18 @@ def main() -> None:
     pool = ThreadPoolExecutor(max(cpu_threads() - 1, 1), thread_name_prefix="petmjx-beside")
     while (task := next_of(tasks)) is not None:
         pool.submit(answer, task)
-    os._exit(0)  # running tasks are not needed any more
+    os._exit(0)  # running tasks are no longer needed
 
 
 def answer_to(
     task: Task, engines: dict[str, Engine], stops: Callable[[], bool] = lambda: False, granule: int | None = None
 ) -> Answer:
-    """Simulate a world.
+    """Simulate the world of a task.
 
     Args:
-        engines: name → engine of this thread; a missing engine is added.
-        stops: whether the outcome is no longer needed.
-        granule: box columns of tables are a multiple of this; None: the usual number.
+        engines: name → engine of this thread; a missing engine is built and added.
+        stops: returns whether the outcome is no longer needed.
+        granule: the number of box columns of tables is a multiple of this; None: the engine's usual granule.
     """
     outcome, progress = None, Progress(pauses=True)
     try:

@@ -1,5 +1,5 @@
-"""Checks outcomes in processes beside a run. For many small worlds a run that checks them itself would be slower than a
-GPU."""
+"""Checks outcomes in processes beside a run. If a run with many small worlds checked them itself, it would be slower
+than a GPU."""
 
 from __future__ import annotations
 
@@ -22,50 +22,50 @@ from petmjx.options.simulation import Simulation
 from petmjx.world.job import ACCELERATION, Drive, Excitation, Job
 
 LARGE: Final = 1000
-"""Number of worlds from which check processes are worthwhile."""
+"""Number of worlds from which on check processes are worthwhile."""
 
 MOST: Final = 3
-"""Most processes. With three processes, the run's own process is busier than each of them."""
+"""Largest number of check processes. With three, the run's own process is busier than each of them."""
 
 THREADS_EACH: Final = 4
-"""CPU threads of a machine for each check process."""
+"""Number of CPU threads of a machine for each check process."""
 
 MOST_WAITING: Final = 8
-"""Most unanswered checks of a process: with 256 outcomes each they take 20 MB."""
+"""Largest number of unanswered checks of a process. With 256 outcomes each, they take 20 MB."""
 
 LOOK_S: Final = 0.005
-"""Longest wait for an answer, s. After each wait signals and other work are noticed."""
+"""Longest wait for an answer, s. After each wait, signals and other work are noticed."""
 
 INTERRUPTED_S: Final = 2.0
 """Longest wait for all processes together after Ctrl-C, s. The remaining checks are then made in this process."""
 
 HANGS_S: Final = 60.0
-"""A process hangs if a wait for its answer takes this long, s. A process starts in a few seconds, and a check takes
-less than a second."""
+"""A process counts as hanging if an answer takes longer than this, s. A process starts within a few seconds, and a
+check takes less than a second."""
 
 _ANY_DRIVE: Final = Drive(Excitation("any", ACCELERATION, np.zeros((0, 3))))
-"""What a check process gets instead of a drive: checks ask whether there is one."""
+"""Replaces the drives of jobs that are sent to a check process: checks need to know only whether there is a drive."""
 
 Key = TypeVar("Key")
 
 
 def max_check_processes(threads: int) -> int:
-    """Number of check processes for a run with this number of CPU threads."""
+    """Number of check processes for a run on a machine with this number of CPU threads."""
     return min(threads // THREADS_EACH, MOST)
 
 
 @dataclass(eq=False)
 class _CheckProcess(Generic[Key]):
-    """A process and its unanswered checks, with a key for each outcome. The process answers checks in order."""
+    """A process, and its unanswered checks with a key for each outcome. The process answers checks in order."""
 
     child: Child = field(default_factory=lambda: Child("petmjx.engines.subprocess.check_process"))
     unanswered: deque[tuple[list[Key], Look]] = field(default_factory=deque)
 
 
 class CheckPool(Generic[Key]):
-    """Processes that check outcomes (``outcome_checks``). Outcomes without an answer are checked in this process.
+    """Processes that check outcomes (``outcome_checks``). Outcomes that get no answer are checked in this process.
 
-    Each outcome has a key, by which the run recognises the outcome.
+    Each outcome has a key, by which the run identifies it.
     """
 
     def __init__(self, processes: int) -> None:
@@ -75,21 +75,21 @@ class CheckPool(Generic[Key]):
 
     @classmethod
     def here(cls) -> CheckPool[Key]:
-        """A pool with as many processes as this machine's CPU threads allow."""
+        """A pool with the number of processes that suits this machine's CPU threads."""
         return cls(max_check_processes(cpu_threads()))
 
     def hurry(self) -> None:
-        """Wait only a moment from now on, since the run is about to end."""
+        """From now on, wait only a moment, since the run is about to end."""
         if self._until_s is None:
             self._until_s = time.monotonic() + INTERRUPTED_S
 
     def _hangs(self, waits: int) -> bool:
-        """Whether a process hangs, after this number of waits for it."""
+        """Whether a process hangs, after this number of waits for its answer."""
         return waits * LOOK_S >= HANGS_S if self._until_s is None else time.monotonic() >= self._until_s
 
     @property
     def has_unanswered(self) -> bool:
-        """Whether checks are under way."""
+        """Whether any check is still unanswered."""
         return any(looker.unanswered for looker in self._check_pool)
 
     def exchanged(
@@ -101,12 +101,12 @@ class CheckPool(Generic[Key]):
         wait: bool,
         until: Callable[[], bool] = lambda: False,
     ) -> list[tuple[Key, Outcome]]:
-        """Hand in outcomes to be checked, and take checked outcomes. Outcomes must not be changed meanwhile.
+        """Hand in outcomes to be checked, and return checked outcomes. Outcomes must not be changed meanwhile.
 
         Args:
             jobs: the job of each outcome.
             wait: whether to wait for all outcomes.
-            until: returns whether other work is due. Outcomes that are not checked by then follow in later calls.
+            until: returns whether other work is due. Outcomes not checked by then are returned by later calls.
         """
         if keyed_outcomes:
             self._begin([key for key, _ in keyed_outcomes], ([outcome for _, outcome in keyed_outcomes], jobs, sim))
@@ -118,9 +118,9 @@ class CheckPool(Generic[Key]):
         return finished
 
     def _begin(self, keys: list[Key], look: Look) -> None:
-        """Begin a check. Waits if too many checks are unanswered."""
+        """Start a check. Waits if too many checks are unanswered."""
         outcomes, jobs, sim = look
-        # checks need no histories, no samples of drives, and no states, for which a process would have to import JAX
+        # checks need no histories, no samples of drives, and no states; for states, a process would have to import JAX
         light = [replace(outcome, state=None, history=None) for outcome in outcomes]
         sent = [replace(job, start=None, drive=_ANY_DRIVE if job.drive is not None else None) for job in jobs]
         while self._check_pool:
@@ -142,8 +142,8 @@ class CheckPool(Generic[Key]):
 
     def _take(self, looker: _CheckProcess[Key], *, wait: bool, until: Callable[[], bool] = lambda: False) -> None:
         """Take the answers of a process. With ``wait``, wait for at least one, unless other work is due (``until``). A
-        process that died or hangs is dropped."""
-        waits = 0  # not the time: while this process itself is stopped (Ctrl-Z), no answer is late
+        process that has died or hangs is dropped."""
+        waits = 0  # not seconds: while this process itself is stopped (Ctrl-Z), no answer is late
         while looker.unanswered:
             try:
                 answer = looker.child.answers.get(timeout=LOOK_S) if wait else looker.child.answers.get_nowait()
@@ -162,7 +162,7 @@ class CheckPool(Generic[Key]):
                     self._look(*looker.unanswered.popleft())
                 return
             keys, look = looker.unanswered.popleft()
-            if isinstance(answer, str):  # the text of an error, which is raised here
+            if isinstance(answer, str):  # the text of an error, which the check in this process will raise
                 self._look(keys, look)
                 continue
             outcomes, edges = answer

@@ -21,11 +21,12 @@ Look = tuple[Sequence[Outcome], Sequence[Job], Simulation]
 """The arguments of ``outcome_checks``."""
 
 Answer = tuple[Sequence[Outcome], Sequence[tuple[FloatArray, FloatArray]]]
-"""Outcomes without their boxes, and the results for boxes: their edges by the plan and at rest, m."""
+"""Outcomes without their boxes, and for each outcome the results for its boxes: distances from edges, by the plan and
+at rest, m."""
 
 
 def main() -> None:
-    """Answer each check in turn, or give the line of an error."""
+    """Answer the checks in turn. The answer is a line of text if a check raises an error."""
     looks, answers = own_pipes(NICE)
     while (look := next_of(looks)) is not None:
         answer: Answer | str
@@ -33,7 +34,7 @@ def main() -> None:
             outcomes = outcome_checks(*look)
             edges = [(outcome.boxes.plan_edge_m, outcome.boxes.rest_edge_m) for outcome in outcomes]
             for outcome in outcomes:
-                del outcome.boxes  # the run has the boxes; reading them would take most of its time for an answer
+                del outcome.boxes  # the run has the boxes; unpickling them would take most of its time
             answer = outcomes, edges
         except Exception as error:
             answer = one_line(error)

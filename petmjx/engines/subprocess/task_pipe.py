@@ -19,14 +19,14 @@ _NO_GPU: Final = {"JAX_PLATFORMS": "cpu", "CUDA_VISIBLE_DEVICES": ""}
 
 
 class Child:
-    """The run's side of the pipes: threads write tasks and read answers.
+    """The run's side of the pipes. Threads write tasks and read answers.
 
     Args:
-        module: module whose ``main`` the process runs.
+        module: the module whose ``main`` the process runs.
 
     Attributes:
         tasks: queue of pickled tasks; None ends it.
-        answers: queue of answers; None is the last one.
+        answers: queue of answers; None is the last entry.
     """
 
     def __init__(self, module: str) -> None:
@@ -43,7 +43,7 @@ class Child:
             )
             for target in (self._write, self._read):
                 threading.Thread(target=target, args=(self._popen,), name="petmjx-beside", daemon=True).start()
-        except (OSError, RuntimeError):  # no memory for the process or a thread, or an embedded interpreter
+        except (OSError, RuntimeError):  # no memory for the process or a thread, or the interpreter is embedded
             self.answers.put(None)
 
     @property
@@ -77,8 +77,8 @@ class Child:
 
 
 def own_pipes(nice: int) -> tuple[IO[bytes], IO[bytes]]:
-    """The process's side of the pipes: tasks and answers. Called at its start. The threads get a niceness, so that the
-    run's threads come first. Ctrl-C is ignored: the run handles it, and ends this process."""
+    """The process's side of the pipes: tasks and answers. Called when the process starts. Its threads get a niceness,
+    so that the run's threads have priority. Ctrl-C is ignored, since the run handles it and ends this process."""
     collect_rarely()
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     if hasattr(os, "nice"):
@@ -89,8 +89,8 @@ def own_pipes(nice: int) -> tuple[IO[bytes], IO[bytes]]:
 
 
 def next_of(pipe: IO[bytes]) -> Any:
-    """The next object of a pipe. None at the end of the pipe, or if the object cannot be read: the pipe ends within the
-    object, memory is short, or the object's class cannot be imported."""
+    """The next object from a pipe. None at the end of the pipe, or if the object cannot be read: because the pipe ends
+    within it, memory is short, or its class cannot be imported."""
     try:
         return pickle.load(pipe)
     except Exception:  # if this thread ended silently, the run would wait for ever

@@ -1,1 +1,1 @@
-"""Engine mjx-warp: batches of worlds on CUDA devices, with a step and a contact solver of petmjx's own."""
+"""Engine mjx-warp: batches of worlds on CUDA devices, with petmjx's own step and contact solver."""

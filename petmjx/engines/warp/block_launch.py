@@ -1,16 +1,16 @@
 """Launches of mjx-warp's thread blocks: block sizes, their kernels, and kernels that run side by side.
 
-On a GPU, the hardware's scheduler runs the blocks. On a CPU, each block runs in a thread of its own.
+On a GPU, the hardware's scheduler runs the blocks. On a CPU, each block runs in its own thread.
 
-The size of a world decides which blocks it has. A step of forty boxes is mostly latency, so another world should share
-the multiprocessor. A step of two hundred boxes is work for many threads. So there are blocks of two sizes, each with a
-kernel of its own.
+The size of a world determines its blocks. A step of forty boxes is mostly latency, so another world should share the
+multiprocessor. A step of two hundred boxes is work for many threads. So there are blocks of two sizes, each with its
+own kernel.
 
-A step of few boxes is latency alone, so many worlds must be stepped together. A third kernel has sixteen worlds in a
-block, a warp each. Pallets of all sizes begin in these blocks. A run ends with its longest worlds. A world is faster
-with a multiprocessor to itself, so the last worlds have a fourth kernel.
+A step of few boxes is only latency, so many worlds must be stepped together. A third kernel has sixteen worlds in a
+block, one per warp. Pallets of all sizes begin in these blocks. A run ends with its longest worlds. A world is faster
+if it has a multiprocessor to itself, so there is a fourth kernel for the last worlds.
 
-All kernels sum in the same order. So a world may move to another kernel after any step, with the same bits.
+All kernels sum in the same order. So a world may move to another kernel after any step, with bit-identical results.
 """
 
 from __future__ import annotations
@@ -45,11 +45,11 @@ from petmjx.engines.warp.world_arrays import (
 
 @dataclass(frozen=True)
 class Call:
-    """A kernel and the blocks that it is launched with.
+    """A kernel, and the blocks with which it is launched.
 
     Attributes:
-        threads: threads of a block.
-        arguments: gives the kernel's arguments for the number of the first block.
+        threads: number of threads of a block.
+        arguments: returns the kernel's arguments, given the number of the first block.
     """
 
     kernel: Any
@@ -58,17 +58,18 @@ class Call:
     arguments: Callable[[int], Sequence[Any]]
 
     def launch(self, first: int, blocks: int, **options: Any) -> None:
-        """Launch some of the blocks, from ``first`` on."""
+        """Launch this number of blocks, starting at ``first``."""
         dim, inputs = (blocks, self.threads), list(self.arguments(first))
         wp.launch(self.kernel, dim=dim, inputs=inputs, block_dim=self.threads, **options)
 
 
 @contextmanager
 def others_may_call() -> Iterator[None]:
-    """Within a call from JAX to Python, let other threads have such calls at the same time.
+    """Within a call from JAX to Python, allows other threads to make such calls at the same time.
 
-    Warp (1.18) holds a lock during a call from JAX. So engines in several threads of a CPU would take turns, one slice
-    each. The data that the lock guards are read before Warp calls our function. Other versions may not have this lock.
+    Warp (1.18) holds a lock during a call from JAX. So engines in several threads of a CPU would run in turn, one slice
+    at a time. The data that the lock protects are read before Warp calls our function, so the lock can be released
+    here. Other versions may not have this lock.
     """
     lock = getattr(sys.modules[wp.jax_callable.__module__], "_FFI_CALLBACK_LOCK", None)
     if lock is None or not lock.locked():
@@ -82,11 +83,11 @@ def others_may_call() -> Iterator[None]:
 
 
 def launch_all(calls: Sequence[Call], clock: Any, slice_ns: int) -> None:
-    """Launch all blocks of some calls on Warp's current device. JAX calls this function.
+    """Launch all blocks of these calls on Warp's current device. JAX calls this function.
 
     Args:
-        clock: (1,) a number that tells blocks on a CPU when the time slice is over.
-        slice_ns: the time slice, ns.
+        clock: (1,) a number that signals the end of the time slice to blocks on a CPU.
+        slice_ns: length of the time slice, ns.
     """
     device = wp.get_device()
     if device.is_cuda:
@@ -106,8 +107,8 @@ def launch_all(calls: Sequence[Call], clock: Any, slice_ns: int) -> None:
             for block in range(max(call.blocks for call in calls)):
                 running.append(_threads().submit(run, block))
             wait(running, timeout=min(slice_ns / 1e9, threading.TIMEOUT_MAX))
-        finally:  # also after an error, since the memory of all blocks is freed then
-            clock.numpy()[0] = 1  # the kernels' own memory
+        finally:  # also after an error, since the memory of all blocks is then freed
+            clock.numpy()[0] = 1  # this memory is the one that the kernels read
             wait(running)
         for future in running:
             future.result()
@@ -118,21 +119,21 @@ MOST_THREADS: Final = 1024
 
 @functools.cache
 def _threads() -> ThreadPoolExecutor:
-    """Threads for the blocks of all engines, as many as are needed at once. They are kept, since every slice needs
-    them."""
+    """Threads for the blocks of all engines. As many are started as are needed at once, and they are kept, since every
+    slice needs them."""
     return ThreadPoolExecutor(MOST_THREADS, thread_name_prefix="mjx-warp")
 
 
 def load_kernels(launches: Sequence[Launch]) -> None:
-    """Compile in parallel the kernels of launches that run side by side, or take them from Warp's cache."""
+    """Compile, in parallel, the kernels of launches that run side by side, or load them from Warp's cache."""
     kernels = [kernel(launch) for launch in launches] + own_kernels(len(launches))
     modules = list(dict.fromkeys(kernel.module for kernel in kernels))
     wp.force_load(wp.get_device(), modules, max_workers=len(modules))
 
 
 HEAD_START_NS = 50_000
-"""Delay of each kernel after the one before, ns. A GPU assigns thread blocks to its multiprocessors in the order of
-their launch, and runs them to their end. So blocks of the first kernel find the room that they need."""
+"""Delay between the starts of two kernels, ns. A GPU assigns thread blocks to its multiprocessors in the order of their
+launch, and runs them to their end. With this delay, blocks of the first kernel find the room that they need."""
 
 
 @functools.cache
@@ -141,14 +142,14 @@ def _more_streams(device: str, count: int) -> list[wp.Stream]:
 
 
 def own_kernels(count: int) -> list[wp.Kernel]:
-    """The kernels that ``side_by_side`` itself launches."""
+    """The kernels that ``side_by_side`` launches itself."""
     return [pause] if count > 1 and wp.get_device().is_cuda else []
 
 
 @contextmanager
 def side_by_side(count: int) -> Iterator[list[wp.Stream]]:
-    """Streams for kernels that run at the same time. They start after earlier work on the current stream; later work on
-    it waits for them.
+    """Streams for kernels that run at the same time. They start after earlier work on the current stream, and later
+    work on it waits for them.
 
     Launch the kernels in the order of the streams.
     """
@@ -166,7 +167,7 @@ def side_by_side(count: int) -> Iterator[list[wp.Stream]]:
 
 
 TILE_BYTES = 4
-"""Shared memory, in bytes, that Warp takes for each thread of a block with tiles."""
+"""Shared memory that Warp uses for each thread of a block with tiles, bytes."""
 
 
 @dataclass(frozen=True)
@@ -174,15 +175,16 @@ class Size:
     """Thread blocks for worlds of one size.
 
     Attributes:
-        most_boxes: most boxes of a world.
-        threads: threads of a block, from 64 to 512. The threads of a world are a power of two, from 32 to 256 (ORDER in
-            block.cuh).
-        per_sm: blocks that a multiprocessor of a GPU runs at the same time; it limits the registers of a thread.
-        shared_bytes: shared memory for rows of a block's factor and for its Hessian, if they fit. A multiprocessor has
-            256 kB for all its blocks; the rest is cache.
-        worlds: worlds of a block: one for all its threads, or one for each warp.
-        pause_after: iterations after which the solver of a world pauses, so that the other worlds of its block need not
-            wait for its end; 0: it never pauses.
+        most_boxes: largest number of boxes of a world.
+        threads: number of threads of a block, from 64 to 512. The number of threads of a world is a power of two, from
+            32 to 256 (ORDER in block.cuh).
+        per_sm: number of blocks that a multiprocessor of a GPU runs at the same time; it limits the registers of a
+            thread.
+        shared_bytes: shared memory for the rows of a block's factor, and for its Hessian, if they fit. A multiprocessor
+            has 256 kB for all its blocks; the rest is cache.
+        worlds: number of worlds of a block: one for all its threads, or one for each warp.
+        pause_after: number of iterations after which the solver of a world pauses, so that the other worlds of its
+            block need not wait for it; 0: it never pauses.
     """
 
     most_boxes: int
@@ -194,14 +196,14 @@ class Size:
 
 
 SIZES = (Size(96, 128, 2, 80 << 10), Size(MAX_BOXES, 256, 1, 64 << 10))
-"""All sizes, ascending. ``most_boxes`` is a multiple of ``petmjx.engines.mjx.host_to_device.GRANULE``, as the box
-columns of tables are. Measurements: benchmarks/notebook/performance.md."""
+"""All sizes, ascending. Like the number of box columns of tables, ``most_boxes`` is a multiple of
+``petmjx.engines.mjx.host_to_device.GRANULE``. Measurements: benchmarks/notebook/performance.md."""
 
 FEW_BOXES = Size(15, 512, 1, 96 << 10, worlds=16, pause_after=4)
-"""Blocks for worlds with at most 15 boxes so far. With a moving carrier these fill six panels."""
+"""Blocks for worlds that have at most 15 boxes so far. With a moving carrier, 15 boxes fill six panels."""
 
 LAST = Size(SIZES[0].most_boxes, 256, 1, 144 << 10)
-"""Blocks for a run's last worlds of the smaller size. One of them fills a multiprocessor."""
+"""Blocks for the last worlds of a run, if they are of the smaller size. Each block fills a multiprocessor."""
 
 
 USUAL: Final = (SIZES[0], FEW_BOXES, LAST)
@@ -209,23 +211,23 @@ USUAL: Final = (SIZES[0], FEW_BOXES, LAST)
 
 
 def size_for(n_boxes: int) -> Size:
-    """The size of the block for a world."""
+    """The block size for a world with this number of boxes."""
     return next(size for size in SIZES if n_boxes <= size.most_boxes)
 
 
 @dataclass(frozen=True)
 class Launch:
-    """The execution configuration of a launch, and the sizes and features that its kernel is compiled for.
+    """The execution configuration of a launch, and the sizes and features for which its kernel is compiled.
 
     Attributes:
-        blocks: blocks at the same time.
+        blocks: number of blocks that run at the same time.
         threads, per_sm, worlds, pause_after: as in ``Size``.
-        shared_words: shared memory for rows of a world's factor and its Hessian, in numbers of four bytes.
-        panels: panels of the largest system.
-        hands: whether a hand may carry boxes. Without this a kernel spills fewer registers.
-        gives, wraps: whether boxes may be compliant, and whether film may hold them. Without these a kernel
+        shared_words: shared memory for the rows of a world's factor and its Hessian, in units of four bytes.
+        panels: number of panels of the largest system.
+        hands: whether a hand may carry boxes. A kernel without this feature spills fewer registers.
+        gives, wraps: whether boxes may be compliant, and whether film may hold them. A kernel without these features
             spills fewer registers, too.
-        lands: whether landing boxes follow a law of their own.
+        lands: whether the law of landing boxes is in use.
     """
 
     blocks: int
@@ -242,17 +244,17 @@ class Launch:
 
     @property
     def lanes(self) -> int:
-        """Worlds at the same time."""
+        """Number of worlds that run at the same time."""
         return self.blocks * self.worlds
 
     @property
     def traits(self) -> tuple[bool, bool, bool, bool]:
-        """The features of the kernel, as arguments of :meth:`of`."""
+        """The features of the kernel, in the order of the arguments of :meth:`of`."""
         return self.hands, self.gives, self.wraps, self.lands
 
     @property
     def tile_words(self) -> int:
-        """Size of the tile in a block's shared memory, in numbers of four bytes; 0: no tile."""
+        """Size of the tile in a block's shared memory, in units of four bytes; 0: there is no tile."""
         newton_words = newton.own_bytes(self.panels, self.worlds) // 4 if self.worlds > 1 else 0
         return self.worlds * (self.shared_words + newton_words)
 
@@ -260,7 +262,7 @@ class Launch:
     def here(
         cls, n_boxes: int, hands: bool = False, gives: bool = False, wraps: bool = False, lands: bool = False
     ) -> Launch:
-        """The launch for worlds of up to ``n_boxes`` boxes on Warp's current device. On a CPU a block is one thread,
+        """The launch for worlds of up to ``n_boxes`` boxes on Warp's current device. On a CPU, a block is one thread,
         and one kernel serves all sizes."""
         return cls.of(size_for(n_boxes), hands, gives, wraps, lands)
 
@@ -268,7 +270,7 @@ class Launch:
     def of(
         cls, size: Size, hands: bool = False, gives: bool = False, wraps: bool = False, lands: bool = False
     ) -> Launch:
-        """The launch for blocks of this size. Blocks have fewer worlds if a GPU's shared memory is too small."""
+        """The launch for blocks of this size. If a GPU's shared memory is too small, blocks have fewer worlds."""
         device = wp.get_device()
         if not device.is_cuda:
             return cls(1, 1, 1, 0, most_panels(MAX_BOXES), hands, gives, wraps, lands=lands)

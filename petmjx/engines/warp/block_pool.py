@@ -1,4 +1,4 @@
-"""Block pools: the thread blocks for the worlds of a table, and the size of their buffers."""
+"""Block pools: the thread blocks for the worlds of a table, and the sizes of their buffers."""
 
 from __future__ import annotations
 
@@ -16,9 +16,10 @@ from petmjx.world.contact_laws import is_stiff
 
 
 def most_room(size: int) -> int:
-    """Limit on the buffers for a world of this size: the number of boxes whose contacts and pairs they may hold.
+    """Limit of the buffers for a world of this size: the number of boxes for whose contacts and pairs there may be
+    room.
 
-    The limit is the same in all runs. So the largest plan of a run does not affect which worlds are given up."""
+    The limit is the same in all runs. So a run's largest plan does not affect which worlds are given up."""
     return MAX_GROWTH * (size + MORE_BOXES)
 
 
@@ -26,14 +27,14 @@ class BlockPools:
     """Makes the block pools of an engine's tables, and enlarges buffers that overflow. Enlarged buffers stay large.
 
     Args:
-        lanes: most worlds of a size at the same time; None: as many as the device has room for.
-        blocks: gives the number of blocks of a launch.
+        lanes: largest number of worlds of a size at the same time; None: the number for which the device has room.
+        blocks: returns the number of blocks of a launch.
     """
 
     def __init__(self, lanes: int | None, blocks: Callable[[Launch], int]) -> None:
         self._lanes, self._blocks = lanes, blocks
         self._growth: dict[tuple[Cone, int], int] = {}
-        """Factor by which buffers must be larger than usual, by size of worlds."""
+        """(Cone, size of worlds) → factor by which buffers must be larger than usual."""
 
     def of(self, table: WorldTable) -> tuple[BlockPool, ...]:
         """The block pools of a table. The pools for the last worlds and for small worlds come first, if they are
@@ -42,9 +43,9 @@ class BlockPools:
         run = table.run
         pools = tuple(self._of_size(run, size, table.boards) for size in run.needs.sizes)
         usual = self._growth_of(run, run.needs.sizes[-1]) == 1
-        # No pool for small worlds with enlarged buffers, since each of its many lanes would have them. Also none with
-        # stiff contacts: a step then takes five times as many iterations, and in some worlds many more. The other
-        # worlds of a block would wait for such a world.
+        # There is no pool for small worlds if buffers are enlarged, since each of its many lanes would need such
+        # buffers. Nor is there one with stiff contacts: a step then takes five times as many iterations, and in some
+        # worlds many more. The other worlds of a block would wait for such a world.
         if usual and not is_stiff(run.sim.physics):
             worlds = int((np.asarray(table.table.placed)[: len(table.jobs)] <= FEW_BOXES.most_boxes).sum())
             few = small_world_pool(pools[-1], worlds, self._lanes)
@@ -53,8 +54,8 @@ class BlockPools:
         return (last, *pools) if last else pools
 
     def grow(self, run: Run, size: int) -> int | None:
-        """Double the buffers for worlds of a size. Returns the new factor over the usual size, or None if they have
-        their largest size already."""
+        """Double the buffers for worlds of a size. Returns the new factor over the usual size, or None if the buffers
+        already have their largest size."""
         if self._boxes_of_room(run, size) == most_room(size):
             return None
         growth = 2 * self._growth_of(run, size)
@@ -65,11 +66,11 @@ class BlockPools:
         return self._growth.get((run.sim.physics.cone, size), 1)
 
     def _boxes_of_room(self, run: Run, size: int) -> int:
-        """Number of boxes whose contacts and pairs the buffers of a world of this size can hold now."""
+        """Number of boxes for whose contacts and pairs the current buffers of a world of this size have room."""
         return min(self._growth_of(run, size) * (run.needs.widths[size] + MORE_BOXES), most_room(size))
 
     def _of_size(self, run: Run, size: int, boards: int) -> BlockPool:
-        """The largest block pool for worlds of a size whose carriers have ``boards`` shapes."""
+        """The block pool for worlds of a size, at its largest. The carriers have ``boards`` shapes."""
         n_boxes = run.needs.widths[size]
         needs = run.needs
         launch = Launch.here(n_boxes, needs.hands, needs.gives, needs.wraps, run.sim.physics.has_landings)

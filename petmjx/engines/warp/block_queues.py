@@ -1,4 +1,4 @@
-"""Queues of worlds, one for each size, from which thread blocks take them."""
+"""Queues of worlds, one for each size. Thread blocks take worlds from them."""
 
 from __future__ import annotations
 
@@ -19,12 +19,12 @@ class Queues:
     """A queue for each size of worlds. The longest worlds come first, so that the last worlds to end are short.
 
     Worlds that have a leg of a chain behind them come before all others, the latest first. So worlds arrive all the
-    time, and the host makes their rows meanwhile; by length the short last legs of all worlds would come at the end.
+    time, and the host makes their rows meanwhile. By length, the short last legs of all worlds would come at the end.
 
     Args:
-        sizes: most boxes of a world of each size, in the order of the queues.
-        size_of: gives the size of a job's world.
-        rows: rows of the table.
+        sizes: largest number of boxes of each size, in the order of the queues.
+        size_of: returns the size of a job's world.
+        rows: number of rows of the table.
         depth_first: whether all worlds that start from a state come first.
     """
 
@@ -34,16 +34,16 @@ class Queues:
         self._sizes, self._size_of, self._depth_first = sizes, size_of, depth_first
         self._size, self._cost = np.zeros(rows, np.int64), np.zeros(rows)
         self._turn = np.zeros(rows, np.int64)
-        """0, and less for worlds that come before all with 0."""
+        """0, or a negative number for worlds that come before all worlds with 0; smaller numbers come first."""
         self._n_added = 0
         self.order: Int[jax.Array, "queue world"]
 
     def add(self, jobs: Sequence[Job], rows: NDArray[np.intp], live: NDArray[np.bool_], sim: Simulation) -> None:
-        """Queue jobs, and take ended worlds out.
+        """Queue jobs, and remove ended worlds from the queues.
 
         Args:
             rows: the row of each job.
-            live: (row,) whether its world has not ended.
+            live: (row,) whether the row's world has not ended.
         """
         self._size[rows] = [self._sizes.index(self._size_of(job)) for job in jobs]
         self._cost[rows] = MEASURED.of_jobs_on_device(jobs, sim)

@@ -1,4 +1,4 @@
-"""Engine ``mjx-warp-cpu``: the kernels of ``mjx-warp`` on CPU threads. The fastest engine without a GPU."""
+"""Engine ``mjx-warp-cpu``: the kernels of ``mjx-warp`` on CPU threads. It is the fastest engine without a GPU."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from petmjx.options.simulation import Simulation
 from petmjx.world.scene import Scene
 
 CPU_ROWS = 4096
-"""Worlds whose states are in memory at the same time."""
+"""Number of worlds whose states are in memory at the same time."""
 
 
 class MjxWarpCpuEngine(MjxWarpEngine):
@@ -27,15 +27,16 @@ class MjxWarpCpuEngine(MjxWarpEngine):
     A world's outcome does not depend on the number of threads.
 
     Args:
-        threads: worlds simulated at once; None: as many as CPU threads this process may use.
+        threads: number of worlds simulated at once; None: the number of CPU threads that this process may use.
 
     Raises:
-        EngineUnavailable: Warp is not installed, or JAX uses a GPU in this process; the message says which.
+        EngineUnavailable: Warp is not installed, or JAX uses a GPU in this process; the message states which.
     """
 
     name = "mjx-warp-cpu"
     depth_first = True
-    """Few worlds run at once, so the last ones leave few threads idle; an interrupted run keeps more worlds."""
+    """Since few worlds run at once, the last ones leave only few threads idle. So finishing worlds early is better: an
+    interrupted run then keeps more worlds."""
 
     def __init__(self, threads: int | None = None) -> None:
         if threads is not None and threads < 1:

@@ -16,29 +16,29 @@ from petmjx.engines.warp.world_arrays import FrameBuffer
 from petmjx.engines.warp.world_table import WorldTable
 
 MOST_BYTES: Final = 64 << 20
-"""Largest frame buffer, in bytes: 40,000 frames if the run's largest plan has 45 boxes. For worlds of that size an H200
-has 264 blocks, which take some 10,000 frames in a slice of 250 ms if all worlds are recorded. Blocks that find no room
-wait for the next slice."""
+"""Largest frame buffer, in bytes. It has room for 40,000 frames if the run's largest plan has 45 boxes. For worlds of
+that size, an H200 has 264 blocks. If all worlds are recorded, these take about 10,000 frames in a slice of 250 ms.
+Blocks that find no room wait for the next slice."""
 
 FRAMES_PER_WORLD: Final = 512
-"""Room for each recorded world, in frames: more than the fastest worlds take in a slice."""
+"""Room for each recorded world, in frames. The fastest worlds take fewer frames in a slice."""
 
 FRAMES_PER_BLOCK: Final = 4
-"""Least room for each block, in frames: each block may be about to write a frame when room is checked."""
+"""Smallest room for each block, in frames. Each block may be about to write a frame when room is checked."""
 
 FEWEST: Final = 1024
-"""Fewest frames that are read back together. If a slice has more, eight times as many are read, and so on: a program is
-compiled for each of these numbers."""
+"""Smallest number of frames that are read back together. If a slice has more, eight times as many are read, and so on:
+a program is compiled for each of these numbers."""
 
 _KINDS: Final = {name: wp.dtype_to_numpy(kind.dtype) for name, kind in world_arrays.array_types(FrameBuffer).items()}
 
 
 PickedFrames = tuple[dict[str, jax.Array], int]
-"""Frames of a slice on the device, and how many of them count."""
+"""Frames of a slice, on the device, and the number of them that count."""
 
 
 def room_for(table: WorldTable, lanes: int) -> dict[str, jax.Array]:
-    """Empty frame buffers. They have room for one frame if no world of the table is recorded."""
+    """Empty frame buffers. If no world of the table is recorded, they have room for only one frame."""
     n_worlds, n_boxes = table.table.qpos.shape[:2]
     words = sum(math.prod(shape) for shape in _shapes(1, n_boxes, 0).values())
     n_recorded = int(np.count_nonzero(table.recorder.every))
@@ -52,7 +52,7 @@ def room_for(table: WorldTable, lanes: int) -> dict[str, jax.Array]:
 
 def pick_frames(frames: dict[str, jax.Array]) -> PickedFrames:
     """The frames of an ended slice, still on the device, and their number. Call this before the next slice begins;
-    otherwise the device would finish that slice first."""
+    otherwise, the device would finish that slice first."""
     used, room = int(np.asarray(frames["used"])[0]), len(frames["of"])
     some = FEWEST
     while some < used:
@@ -61,7 +61,7 @@ def pick_frames(frames: dict[str, jax.Array]) -> PickedFrames:
 
 
 def hand_over(picked: PickedFrames, recorder: Recorder) -> None:
-    """Give the frames of a slice to a recorder, world by world, in the order of steps."""
+    """Pass the frames of a slice to a recorder, world by world, in the order of steps."""
     firsts, used = picked
     if used == 0:
         return

@@ -1,5 +1,5 @@
-"""Free motion of released boxes on the kernels of mjx-warp. Steps are the usual ones, but no rule ends a world or acts
-on it."""
+"""Free motion of released boxes on the kernels of mjx-warp. The steps are the usual ones, but no rule ends a world or
+changes it."""
 
 from __future__ import annotations
 
@@ -40,18 +40,18 @@ _NO_RULES: Final[dict[str, Any]] = {
     "early_stop": 0,
     "sample_every": NEVER,
 }
-"""Constants of the kernels with which a driven world goes on to its last step, whatever its boxes do."""
+"""Constants of the kernels with which a driven world continues to its last step, whatever its boxes do."""
 
 
 def paths(
     bodies: FreeBodies, sim: Simulation, blocks: Callable[[Launch], int], slice_ns: int, most_rows: int
 ) -> FloatArray:
-    """As ``petmjx.engines.protocol.Engine.paths``.
+    """See ``petmjx.engines.protocol.Engine.paths``.
 
     Args:
-        blocks: gives the number of thread blocks of a launch.
-        slice_ns: time of a call, ns.
-        most_rows: worlds whose states are on the device at the same time.
+        blocks: returns the number of thread blocks of a launch.
+        slice_ns: duration of a call, ns.
+        most_rows: largest number of worlds whose states are on the device at the same time.
     """
     n = len(bodies.scenes)
     parts = [
@@ -98,7 +98,7 @@ class _Program:
 
     def __init__(self, sim: Simulation, pool: BlockPool, slice_ns: int) -> None:
         timetable = build_timetable(sim, pool.n_boxes)
-        # as many iterations as the solver needs, also for sliding boxes
+        # a drive may take as many iterations as a placement, since boxes slide for long
         known = constants(sim, timetable)
         known |= {**_NO_RULES, "driven_iterations": known["iterations"]}
         self.launcher = KernelLauncher(known, [pool], slice_ns)
@@ -126,12 +126,12 @@ def _program(sim: Simulation, pool: BlockPool, slice_ns: int) -> _Program:
 def _block_pool(
     sim: Simulation, blocks: Callable[[Launch], int], width: int, k: int, boards: int, worlds: int, growth: int
 ) -> BlockPool:
-    """The block pool for worlds of k boxes. If there are enough worlds, a block has many of them, a warp each."""
+    """The block pool for worlds of k boxes. If there are enough worlds, each block has many of them, one per warp."""
     launch = Launch.here(width, lands=sim.physics.has_landings)
     shapes = growth * (width + MORE_BOXES) + boards - 1
     pool = BlockPool(launch, blocks(launch), width, boards, PAIRS_PER_BOX * shapes, CONTACTS_PER_BOX * shapes)
     few = small_world_pool(pool, worlds) if k <= FEW_BOXES.most_boxes else None
-    return pool if few is None else replace(few, least=0)  # until the end, however few worlds are left
+    return pool if few is None else replace(few, least=0)  # used until the end, however few worlds are left
 
 
 def _room(every: NDArray[np.int32], width: int, lanes: int) -> dict[str, jax.Array]:
@@ -148,7 +148,7 @@ def _room(every: NDArray[np.int32], width: int, lanes: int) -> dict[str, jax.Arr
 
 
 def _collect(frames: dict[str, jax.Array], steps: NDArray[np.int32], poses: FloatArray) -> None:
-    """Copy the requested frames of a slice into (n, s, k, 7) poses."""
+    """Copy the requested frames of a slice into the array ``poses``, which has the shape (n, s, k, 7)."""
     firsts, used = pick_frames(frames)
     world, step, pose = (np.asarray(firsts[name])[:used] for name in ("of", "step", "pose"))
     pose = pose[:, : poses.shape[2]]

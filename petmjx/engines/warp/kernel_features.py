@@ -13,7 +13,7 @@ from petmjx.world.job import Job
 
 
 def wants_hands(job: Job) -> bool:
-    """Whether a job's boxes do not just appear at their places."""
+    """Whether a job's boxes are carried or dropped, rather than appear at their places."""
     return not job.scene.placing.appears
 
 
@@ -23,23 +23,25 @@ def has_compliance(job: Job) -> bool:
 
 
 def is_wrapped(job: Job) -> bool:
-    """Whether a job has a drive with film around its boxes."""
+    """Whether a job has a drive in which film holds its boxes."""
     return job.drive is not None and job.scene.wrap.holds
 
 
 def size_of(job: Job) -> int:
-    """The size of a job's world: the most boxes of one that its thread block may have."""
+    """The size of a job's world, given by the largest number of boxes that a thread block of this size has room for."""
     return size_for(job.scene.n_boxes).most_boxes
 
 
 @dataclass(frozen=True)
 class KernelFeatures:
-    """Features and sizes that jobs need.
+    """Features and block sizes that jobs need.
 
     Attributes:
-        widths: most boxes of a size (``block_launch.Size``) → boxes for which blocks of that size have room.
-        hands: whether kernels need hands that carry or drop boxes.
-        gives, wraps: whether kernels need compliant boxes, and film that holds boxes.
+        widths: for each block size, by its largest number of boxes (``block_launch.Size``): the number of boxes for
+            which its blocks have room.
+        hands: whether the kernels need hands, which carry or drop boxes.
+        gives: whether the kernels need compliant boxes.
+        wraps: whether the kernels need film that holds boxes.
     """
 
     widths: Mapping[int, int]
@@ -49,7 +51,7 @@ class KernelFeatures:
 
     @classmethod
     def of(cls, jobs: Sequence[Job], granule: int) -> KernelFeatures:
-        """The features of some jobs.
+        """The features and block sizes that some jobs need.
 
         Args:
             granule: widths are multiples of this.
@@ -62,16 +64,16 @@ class KernelFeatures:
 
     @property
     def sizes(self) -> list[int]:
-        """The sizes of worlds, the largest first."""
+        """The block sizes, the largest first."""
         return sorted(self.widths, reverse=True)
 
     @property
     def most_boxes(self) -> int:
-        """Most boxes for which a world has room."""
+        """Largest number of boxes for which a world has room."""
         return max(self.widths.values())
 
     def __or__(self, other: KernelFeatures) -> KernelFeatures:
-        """The features and sizes of both."""
+        """The features and block sizes that either of the two needs."""
         widest = {
             size: max(needs.widths.get(size, 0) for needs in (self, other)) for size in {*self.widths, *other.widths}
         }
@@ -79,13 +81,13 @@ class KernelFeatures:
         return KernelFeatures(widest, *kinds)
 
     def know(self, job: Job) -> bool:
-        """Whether kernels with these features know those of a job. Room for its boxes is not checked."""
+        """Whether kernels with these features support all features of a job. Room for its boxes is not checked."""
         traits = ((self.hands, wants_hands), (self.gives, has_compliance), (self.wraps, is_wrapped))
         return all(known or not has(job) for known, has in traits)
 
 
 def _box_counts(jobs: Sequence[Job]) -> set[int]:
-    """The box counts of the jobs' scenes. Drives from one placement share a scene, which is counted once."""
+    """The box counts of the jobs' scenes. Drives from the same placement share a scene, which is counted once."""
     return {scene.n_boxes for scene in {job.scene for job in jobs}}
 
 
@@ -93,7 +95,7 @@ def widths_of(box_counts: Collection[int], granule: int) -> dict[int, int]:
     """``KernelFeatures.widths`` for worlds with these numbers of boxes.
 
     Raises:
-        InputError: more boxes than any block has room for.
+        InputError: one has more boxes than any block has room for.
     """
     largest = max(box_counts, default=0)
     if largest > MAX_BOXES:

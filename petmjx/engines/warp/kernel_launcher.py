@@ -1,11 +1,11 @@
 """Launcher of mjx-warp's kernels: a JAX call in which each world advances at its own pace.
 
-Thread blocks for worlds of one size form a block pool, with a kernel of its own (petmjx/engines/warp/block_launch.py).
-All pools work at the same time on the same tables. A block takes a world from its pool's queue and steps it until the
-world ends, its drive begins, or the time slice is over. Then it takes the next world. No world waits
-for another: a world costs only its own boxes, and a step takes as long as its own solver needs. States are in the
-tables of petmjx/engines/mjx/world_state.py, and a world that was interrupted goes on in the next call. So results do
-not depend on blocks, on the order of worlds, or on time.
+Thread blocks for worlds of one size form a block pool, which has its own kernel (petmjx/engines/warp/block_launch.py).
+All pools run at the same time on the same tables. A block takes a world from its pool's queue. It steps this world
+until the world ends, its drive begins, or the time slice is over. Then it takes the next world. No world waits for
+another: a world costs only the work on its own boxes, and a step takes only as long as the world's own solver needs.
+States are in the tables of petmjx/engines/mjx/world_state.py, and an interrupted world continues in the next call. So
+results do not depend on the blocks, on the order of worlds, or on the duration of a slice.
 """
 
 from __future__ import annotations
@@ -37,17 +37,17 @@ from petmjx.engines.warp.world_arrays import (
 )
 
 SLICE_NS = 250_000_000
-"""Time slice of a call, ns: short enough for a progress bar and for an interruption."""
+"""Duration of a call, ns: short enough for a progress bar and for an interruption."""
 
 PAIRS_PER_BOX = 10
-"""Pairs of near geoms reserved per box, and per board of a carrier."""
+"""Pairs of near geoms for which memory is reserved, per box and per board of a carrier."""
 
 CONTACTS_PER_BOX = 8
-"""Contacts reserved per box. Full real pallets have 4.5. The largest number in 2,000 sample plans was 6.4, in a
-collapse."""
+"""Contacts for which memory is reserved, per box. Full real pallets have 4.5 contacts per box. The largest number in
+2,000 sample plans was 6.4 per box, in a collapse."""
 
 MORE_BOXES = 2
-"""Additional boxes for which buffers have room: one for the carrier, and one that small plans need."""
+"""Further boxes for which buffers have room: one for the carrier, and one that small plans need."""
 
 
 @dataclass(frozen=True)
@@ -57,9 +57,11 @@ class BlockPool:
     Attributes:
         launch: how the device runs the blocks.
         blocks: number of blocks.
-        n_boxes, boards: most placed boxes of a world, and most shapes of a carrier.
-        npairmax, nconmax: most pairs of near geoms, and most contacts of a world.
-        least: with fewer worlds the pool is not worthwhile; 0: it always is (small_world_blocks.py).
+        n_boxes: largest number of placed boxes of a world.
+        boards: largest number of shapes of a carrier.
+        npairmax: largest number of pairs of near geoms of a world.
+        nconmax: largest number of contacts of a world.
+        least: smallest number of worlds for which the pool is worthwhile. 0: it always is (small_world_blocks.py).
         last: whether the pool is for the last worlds of a run (tail_blocks.py).
     """
 
@@ -74,7 +76,7 @@ class BlockPool:
 
     @property
     def is_extra(self) -> bool:
-        """Whether another pool has room for its worlds, too."""
+        """Whether another pool also has room for the worlds of this pool."""
         return self.last or self.least > 0
 
     @property
@@ -84,7 +86,7 @@ class BlockPool:
 
     @property
     def lanes(self) -> int:
-        """Worlds at the same time."""
+        """Number of worlds that run at the same time."""
         return self.blocks * self.launch.worlds
 
     @property
@@ -98,9 +100,9 @@ class KernelLauncher:
 
     Args:
         constants: fields of ``world_arrays.Model`` except those of a block pool.
-        pools: block pools, in the order of the queues from which they take worlds. The first pools get the device's
-            room first.
-        slice_ns: time slice of a call, ns; with 0 each block takes one step.
+        pools: block pools, in the order of the queues from which they take worlds. The device places the blocks of the
+            first pools first.
+        slice_ns: duration of a call, ns. With 0, each block takes one step.
     """
 
     def __init__(self, constants: Mapping[str, Any], pools: Sequence[BlockPool], slice_ns: int = SLICE_NS) -> None:
@@ -119,7 +121,7 @@ class KernelLauncher:
             )
             for queue, pool in enumerate(pools)
         ]
-        # without extra pools: the worlds of an extra pool have room in another pool, too
+        # extra pools do not count, since another pool also has room for their worlds
         self.blocks = sum(pool.blocks for pool in pools if not pool.is_extra)
         self.lanes = sum(pool.lanes for pool in pools)
         self.slice_ns = slice_ns
@@ -127,12 +129,12 @@ class KernelLauncher:
         _LAUNCHERS[self.id] = self
 
     def workspace(self) -> jax.Array:
-        """The workspace of all blocks, an argument of each call."""
+        """The workspace of all blocks, which is an argument of each call."""
         rows = sum(world_arrays.buffer_rows(pool.sizes) for pool in self.pools)
         return jnp.zeros((rows, world_arrays.BUFFER_WORDS), jnp.float32)
 
     def load(self) -> None:
-        """Compile the kernels in parallel, or take them from Warp's cache."""
+        """Compile the kernels in parallel, or load them from Warp's cache."""
         load_kernels([pool.launch for pool in self.pools])
 
     def __call__(
@@ -142,8 +144,8 @@ class KernelLauncher:
         workspace: jax.Array,
         frames: Mapping[str, jax.Array],
     ) -> tuple[dict[str, jax.Array], jax.Array, dict[str, jax.Array], dict[str, jax.Array]]:
-        """States after a time slice, the workspace, frames, and ``Counts``. Fields of a state that no kernel
-        knows stay as they are."""
+        """Advance the worlds by a time slice. Returns their states, the workspace, the frames, and ``Counts``. Fields
+        of a state that no kernel uses keep their values."""
         kinds, shapes = array_types(Counts), world_arrays.array_shapes(Counts, {"queue": len(self.pools)})
         counts = {name: jnp.zeros(shapes[name], wp.dtype_to_numpy(kind.dtype)) for name, kind in kinds.items()}
         arrays = {**worlds, **state, **counts, "workspace": workspace}
@@ -161,7 +163,7 @@ class KernelLauncher:
         return after, outputs["workspace"], kept, {name: outputs[name] for name in counts}
 
     def launch(self, arrays: dict[str, Any]) -> None:
-        """Launch the kernels on Warp arrays, given by the names in ``_INPUTS`` and ``_CHANGED``."""
+        """Launch the kernels on Warp arrays, whose names are those in ``_INPUTS`` and ``_CHANGED``."""
         worlds, state, counts = (filled_record(kind, arrays) for kind in (Worlds, State, Counts))
         frames = filled_record(FrameBuffer, {name: arrays[_of_frames(name)] for name in array_types(FrameBuffer)})
         row, calls = 0, []
@@ -175,13 +177,13 @@ class KernelLauncher:
 
 
 def _with_block(before: tuple[Any, ...], after: tuple[Any, ...], first_block: int) -> tuple[Any, ...]:
-    """The arguments of a kernel, with the number of its first block."""
+    """The arguments of a kernel, including the number of its first block."""
     return *before, first_block, *after
 
 
 def _of_frames(name: str) -> str:
-    """The name of an array of ``FrameBuffer`` among all arrays that JAX sees. A prefix is needed, since some names are
-    also in ``State``."""
+    """The name of an array of ``FrameBuffer`` among all arrays that JAX passes. A prefix is needed, since ``State``
+    also uses some of these names."""
     return f"frame_{name}"
 
 
@@ -192,12 +194,12 @@ _CHANGED = (
     | {"workspace": wp.array2d[float]}
     | {_of_frames(name): kind for name, kind in array_types(FrameBuffer).items()}
 )
-"""Name → type of the arrays that JAX sees."""
+"""Name → type of the arrays that JAX passes."""
 
 _IDS = itertools.count()
 _LAUNCHERS: weakref.WeakValueDictionary[int, KernelLauncher] = weakref.WeakValueDictionary()
-"""Number → launcher. JAX never frees a function that it calls. So ``_launch`` gets a launcher's number: otherwise it
-would keep the memory of a run."""
+"""Number → launcher. JAX never frees a function that it calls. If ``_launch`` were bound to a launcher, the memory of
+the run would never be freed. So ``_launch`` is given the launcher's number."""
 
 
 def _launch(launcher: int, *arrays: Any) -> None:

@@ -1,4 +1,4 @@
-"""Arrays of the next boxes of many open worlds, and the readings of these worlds. No scene is built for a candidate."""
+"""Arrays of the next boxes of many open worlds, and the readings of these worlds. No scene is built per candidate."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ from petmjx.world.scene import IDENTITY_QUAT
 
 
 class NewBox(NamedTuple):
-    """The constants of one box for each world: fields of ``Worlds`` without the axis of boxes."""
+    """The constants of one box per world. The fields are those of ``Worlds``, without the axis of boxes."""
 
     half: Float[Array, "world 3"]
     target: Float[Array, "world 3"]
@@ -35,10 +35,10 @@ class NewBox(NamedTuple):
 
 
 def new_box(before: Stacks, boxes: NextBoxes, blank: EmptyCarrier, sim: Simulation, rows: int) -> NewBox:
-    """The constants of boxes that appear at their places, one for each of these stacks.
+    """The constants of boxes that appear at their places, one box on each of these stacks.
 
     Args:
-        rows: rows of the arrays, at least one a box; spare rows repeat the first box, and are not used.
+        rows: number of rows of the arrays, at least one per box. Spare rows repeat the first box, and are not used.
     """
     release = release_of_next(before, boxes, sim)
     start = np.hstack([release.pos, np.tile(IDENTITY_QUAT, (len(boxes), 1))])
@@ -59,9 +59,9 @@ def new_box(before: Stacks, boxes: NextBoxes, blank: EmptyCarrier, sim: Simulati
 
 
 def with_new_box(worlds: Worlds, box: NewBox) -> Worlds:
-    """The constants of worlds with one more box each. They equal those of ``upload_worlds`` to the last bit.
+    """The constants of worlds with one further box each, bit-identical to those of ``upload_worlds``.
 
-    Worlds without a free column stay as they are.
+    Worlds without a free column keep their constants.
     """
     k, row = worlds.n_boxes, jnp.arange(len(worlds.n_boxes))
     shape = worlds.first_shape[row, jnp.minimum(k + 1, worlds.first_shape.shape[1] - 1)]
@@ -83,7 +83,7 @@ def with_new_box(worlds: Worlds, box: NewBox) -> Worlds:
 
 
 class ReadingInputs(NamedTuple):
-    """The fields of ``State`` and ``Metrics`` from which ``Readings`` are made."""
+    """The fields of ``State`` and ``Metrics`` from which ``Readings`` are computed."""
 
     placed: Int[Array, " world"]
     step: Int[Array, " world"]
@@ -103,8 +103,8 @@ class ReadingInputs(NamedTuple):
         return cls(**{name: getattr(state if name in State._fields else state.metrics, name) for name in cls._fields})
 
     def flags_now(self, sim: Simulation) -> NDArray[np.int64]:
-        """(m,) bits of ``Flag``, on the host. A world that has paused because its time was up, and not because it
-        rests, gets ``MOVING``."""
+        """(m,) bits of ``Flag``, on the host. A world that has paused because its time was over, and not because it is
+        at rest, gets ``MOVING``."""
         tilted = np.asarray(self.max_tilt) > sim.thresholds.tilt_deg
         failed = (np.asarray(self.culprit) >= 0) & (tilted | (np.asarray(self.drop_step) >= 0)).any(axis=1)
         moves = (np.asarray(self.status) == Status.PAUSED) & (np.asarray(self.quiet_steps) < sim.quiet.steps) & ~failed
@@ -113,15 +113,15 @@ class ReadingInputs(NamedTuple):
 
 @jax.jit
 def reading_inputs(state: State, rows: Int[Array, " row"]) -> ReadingInputs:
-    """The fields of some worlds. A row beyond the table gives the fields of an arbitrary world."""
+    """The fields of some worlds. A row beyond the table returns the fields of an arbitrary world."""
     return take_rows(ReadingInputs.of(state), rows)
 
 
 def readings_of(report: ReadingInputs, half_size: FloatArray, target: FloatArray, sim: Simulation) -> Readings:
-    """The readings of the first m worlds of a report.
+    """The readings of the first m worlds of a report, where m is the length of ``half_size``.
 
     Args:
-        half_size, target: (m, k, 3) half extents and planned centres of the boxes, m.
+        half_size, target: (m, k, 3) half extents and planned centres of the boxes, in metres.
     """
     state: ReadingInputs = jax.tree.map(lambda values: values[: len(half_size)], jax.device_get(report))
     width = half_size.shape[1]

@@ -1,4 +1,4 @@
-"""Open worlds as a pytree, and the pure functions that change them. Jitted programs can call these functions."""
+"""Open worlds as a pytree, with the pure functions that change them. Jitted programs can call these functions."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ from petmjx.world.scene import Scene
 
 
 class Traits(NamedTuple):
-    """Features of worlds that a kernel must be compiled for, as in ``Launch``."""
+    """Features of worlds for which a kernel must be compiled, as in ``Launch``."""
 
     hands: bool
     gives: bool
@@ -39,11 +39,11 @@ class Traits(NamedTuple):
 
     @classmethod
     def of(cls, scene: Scene) -> Traits:
-        """The features of a world with this scene, with a drive or without."""
+        """The features of a world with this scene, whether it has a drive or not."""
         return cls(not scene.placing.appears, scene.stiffness is not None, scene.wrap.holds)
 
     def __or__(self, other: tuple[object, ...]) -> Traits:
-        """The features of both."""
+        """The features that either of the two has."""
         return Traits(*(bool(mine or its) for mine, its in zip(self, other, strict=True)))
 
 
@@ -51,7 +51,7 @@ ALL_TRAITS: Final = Traits(True, True, True)
 
 
 class OpenState(NamedTuple):
-    """Open worlds: their constants, which change only when boxes are put in, and their states."""
+    """Open worlds: their states, and their constants, which change only when worlds get boxes or start again."""
 
     worlds: Worlds
     state: State
@@ -61,11 +61,11 @@ class Simulator:
     """The pure functions of open worlds.
 
     Args:
-        most_boxes: most boxes of a world.
-        boards: most shapes of a carrier.
+        most_boxes: largest number of boxes of a world.
+        boards: largest number of shapes of a carrier.
         room: factor by which buffers are larger than usual.
-        threads: threads of a CPU; None: one.
-        traits: features that the kernel is compiled for. A kernel with fewer features spills fewer registers.
+        threads: number of CPU threads; None: one.
+        traits: features for which the kernel is compiled. A kernel with fewer features spills fewer registers.
     """
 
     def __init__(
@@ -88,7 +88,7 @@ class Simulator:
         self._driving = Rules(sim, timetable, most_boxes, driven=True)
 
     def load(self) -> None:
-        """Compile the kernel, or take it from Warp's cache."""
+        """Compile the kernel, or load it from Warp's cache."""
         self._launcher.load()
 
     def begin(self, worlds: Worlds) -> State:
@@ -99,16 +99,16 @@ class Simulator:
         return fresh
 
     def reset(self, open_: OpenState, rows: Int[Array, " row"], worlds: Worlds) -> OpenState:
-        """Begin worlds anew with these constants. Rows beyond the last world are ignored."""
+        """Start worlds again, with these constants. Rows beyond the last world are ignored."""
         fresh = self.begin(worlds)
         return OpenState(put_rows(open_.worlds, rows, worlds), put_rows(open_.state, rows, fresh))
 
     def put(self, open_: OpenState, rows: Int[Array, " row"], worlds: Worlds) -> OpenState:
-        """Give worlds more boxes. In paused worlds the first new box is placed.
+        """Give worlds more boxes. In each paused world, the first new box is placed.
 
         Args:
-            rows: rows of these worlds; rows beyond the last world are ignored.
-            worlds: the constants of these worlds, with their earlier boxes and the new ones.
+            rows: rows of these worlds. Rows beyond the last world are ignored.
+            worlds: the constants of these worlds, with both their earlier boxes and the new ones.
         """
         after = put_rows(open_.worlds, rows, worlds)
         state = open_.state
@@ -117,13 +117,13 @@ class Simulator:
         return OpenState(after, state._replace(status=jnp.where(goes, Status.RUNNING, state.status)))
 
     def put_next(self, open_: OpenState, rows: Int[Array, " row"], box: NewBox) -> OpenState:
-        """As ``put``, for one box a world, which appears at its place."""
+        """As ``put``, for one box per world, which appears at its place."""
         return self.put(open_, rows, with_new_box(take_rows(open_.worlds, rows), box))
 
     def finish(self, open_: OpenState) -> State:
-        """Let paused worlds begin their rest window or their drive, as their constants say. Some worlds paused
-        because their boxes did not come to rest in time. If they still move, they first wait on, since the last wait of
-        a world may last longer."""
+        """Let each paused world begin its rest window or its drive, according to its constants. Some worlds paused
+        because their boxes did not come to rest in time. If such a world still moves, it first continues to wait, since
+        the last wait of a world may be longer than the earlier ones."""
         state, worlds = open_.state, open_.worlds
         paused = state.status == Status.PAUSED
         goes = paused & ~(self._moves(state) & self._lasts_longer(state))
@@ -139,7 +139,7 @@ class Simulator:
         )
 
     def go_on(self, open_: OpenState, profiles: Float[Array, "profile step 3"]) -> OpenState:
-        """Let worlds go on until each has paused, ended, or overflowed its buffers."""
+        """Let worlds continue until each has paused, ended, or overflowed its buffers."""
 
         def going(open_: OpenState) -> Bool[Array, ""]:
             return self.going(open_)
@@ -151,12 +151,12 @@ class Simulator:
 
     @staticmethod
     def going(open_: OpenState) -> Bool[Array, ""]:
-        """Whether any world goes on."""
+        """Whether any world can continue."""
         state, driven = open_.state, open_.worlds.driven
         return (state.running | ((state.status == Status.SETTLED) & driven)).any()
 
     def time_slice(self, open_: OpenState, profiles: Float[Array, "profile step 3"]) -> OpenState:
-        """Let worlds go on for a time slice."""
+        """Let worlds continue for a time slice."""
         worlds, n = open_.worlds, len(open_.worlds.n_boxes)
         flat_worlds = worlds._asdict() | {"profiles": profiles, "order": jnp.arange(n, dtype=jnp.int32)[None]}
         flat = self._driving.begin_drives(open_.state, worlds)._asdict()
@@ -165,16 +165,16 @@ class Simulator:
         return OpenState(worlds, of_flat(after))
 
     def _noting_motion(self, state: State, goes: Bool[Array, " world"]) -> State:
-        """The states with the flag ``MOVING`` for worlds that go on although they are not at rest."""
+        """The states, in which worlds that continue although they are not at rest get the flag ``MOVING``."""
         moves = goes & self._moves(state)
         return state._replace(flags=state.flags | jnp.where(moves, int(Flag.MOVING), 0))
 
     def _moves(self, state: State) -> Bool[Array, " world"]:
-        """Which paused worlds are neither quiet nor failed."""
+        """Whether each paused world is neither quiet nor failed."""
         return ~state.metrics.has_failed(self._sim.thresholds) & (state.quiet_steps < self._sim.quiet.steps)
 
     def _lasts_longer(self, state: State) -> Bool[Array, " world"]:
-        """Which paused worlds wait longer if this is their last wait."""
+        """Whether each paused world waits longer if this is its last wait."""
         patient = self._sim.waits_for_rest and self._sim.check is Check.ONE_BY_ONE
         return patient & (state.step < jnp.asarray(self._timetable.longest)[state.last_placed_at])
 

@@ -1,7 +1,7 @@
-"""Open worlds on the engine mjx-warp, whose states stay on the device from call to call.
+"""Open worlds on the engine mjx-warp. Their states stay on the device between calls.
 
-The pure functions that change them are in petmjx/engines/warp/open_simulator.py. ``WarpWorlds`` offers the same to the
-host.
+The pure functions that change these worlds are in petmjx/engines/warp/open_simulator.py. ``WarpWorlds`` offers the same
+operations to the host.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ from petmjx.world.job import Drive, Job
 from petmjx.world.scene import Scene
 
 MOST_TRIED: Final = 16_384
-"""Most candidates that are simulated side by side. With 80 boxes each takes 27 kB."""
+"""Largest number of candidates simulated side by side. A candidate of 80 boxes takes 27 kB."""
 
 
 def fork(open_: OpenState, sources: Int[Array, " row"], into: Int[Array, " row"]) -> OpenState:
@@ -50,13 +50,14 @@ class WarpWorlds(OpenWorlds):
 
     Args:
         scenes: the scenes of the worlds.
-        most_boxes: most boxes that a world will ever have.
-        threads: CPU threads on which the worlds run.
+        most_boxes: largest number of boxes that a world will ever have.
+        threads: number of CPU threads on which the worlds run; None: one.
 
     Attributes:
         open: the worlds.
         simulator: the pure functions on these worlds, also for jitted programs.
-        width, boards: boxes for which a world has room, and shapes for which its carrier has room.
+        width: number of boxes for which a world has room.
+        boards: number of shapes for which its carrier has room.
     """
 
     def __init__(self, scenes: Sequence[Scene], sim: Simulation, most_boxes: int, threads: int | None = None) -> None:
@@ -136,7 +137,7 @@ class WarpWorlds(OpenWorlds):
         padded = padded_rows(count)
         batch = load(jobs, padded, self.width, self._sim, self._timetable)
         forks = _take(self.open, self._rows(worlds, padded), count)
-        more = self._constants(scenes, padded)  # without drives: they begin when the boxes rest
+        more = self._constants(scenes, padded)  # without drives, which begin only when the boxes rest
         rows = jnp.where(jnp.arange(padded) < count, jnp.arange(padded), padded)
         settled = self._to_the_end(self._jitted_put(forks, rows, more), jnp.zeros((1, 1, 3)))
         return self._ended_outcomes(settled.state, jobs, batch)
@@ -185,14 +186,14 @@ class WarpWorlds(OpenWorlds):
         return self._ended_outcomes(state, jobs, batch)
 
     def _ended_outcomes(self, state: State, jobs: Sequence[Job], batch: Batch) -> list[Outcome]:
-        """Outcomes of paused worlds that get no further boxes."""
+        """Outcomes of paused worlds that get no more boxes."""
         begun = OpenState(batch.worlds, self._jitted_finish(OpenState(batch.worlds, state)))
         ended = self._to_the_end(begun, batch.profiles)
         picked = read_back(np.arange(len(jobs)), ended.state, ended.worlds, self._sim)
         return list(outcomes(picked, jobs, range(len(jobs)), self._sim, batch.recorder))
 
     def _to_the_end(self, open_: OpenState, profiles: Float[Array, "profile step 3"]) -> OpenState:
-        """Let worlds go on. Worlds that overflow their buffers go on with larger ones."""
+        """Let worlds continue until they pause or end. Worlds that overflow their buffers continue with larger ones."""
         while bool(self.simulator.going(open_)):
             open_ = self._jitted_slice(open_, profiles)
             full = open_.state.status == Status.OVERFLOWED
@@ -225,12 +226,12 @@ class WarpWorlds(OpenWorlds):
         )
 
     def roomier(self, times: int) -> Simulator:
-        """The pure functions, with buffers ``times`` as large as usual. Jitted programs need this, since they cannot
-        enlarge buffers."""
+        """The pure functions, with buffers that are ``times`` as large as usual. Jitted programs need larger buffers
+        from the beginning, since they cannot enlarge them."""
         return Simulator(self._sim, self._timetable, self.width, self.boards, times, self._threads, self._traits)
 
     def _know(self, scenes: Sequence[Scene]) -> None:
-        """Add the features of these scenes to the kernels."""
+        """Recompile the kernels if these scenes have features that the kernels lack."""
         traits = self._traits
         for scene in scenes:
             traits |= Traits.of(scene)
@@ -239,7 +240,7 @@ class WarpWorlds(OpenWorlds):
             self._make_simulator()
 
     def _constants(self, scenes: Sequence[Scene], rows: int) -> Worlds:
-        """Constants of open worlds, in ``rows`` rows."""
+        """Constants of open worlds, in ``rows`` table rows."""
         self._know(scenes)
         most = max(scene.n_boxes for scene in scenes)
         if most > self.width:
@@ -252,11 +253,11 @@ class WarpWorlds(OpenWorlds):
         return worlds._replace(pauses=device_array(np.ones(rows, np.bool_)))
 
     def _rows(self, worlds: Sequence[int], length: int | None = None) -> Int[Array, " row"]:
-        """Rows of these worlds, padded with rows beyond the tables.
+        """Rows of these worlds, padded with row numbers beyond the tables.
 
         Args:
-            length: None: a power of two, and at least the length of the largest call so far. So later calls compile
-                nothing, although their number of pallets changes as pallets end and begin anew.
+            length: number of rows. None: a power of two that is at least as large as in any call so far. So later calls
+                compile nothing, although the number of worlds changes as pallets end and start again.
         """
         if length is None:
             length = self._most_rows = max(self._most_rows, padded_rows(len(worlds)))
@@ -270,7 +271,7 @@ _jitted_fork = jax.jit(fork)
 
 @jax.jit
 def _take(open_: OpenState, rows: Int[Array, " row"], count: Int[Array, ""]) -> OpenState:
-    """Copies of these worlds as separate worlds. Worlds after the first ``count`` do not go on."""
+    """Copies of these worlds as separate worlds. Worlds after the first ``count`` do not continue."""
     state = take_rows(open_.state, rows)
     padding = jnp.arange(len(rows)) >= count
     return OpenState(
@@ -280,11 +281,11 @@ def _take(open_: OpenState, rows: Int[Array, " row"], count: Int[Array, ""]) -> 
 
 
 def _coarsely_padded(count: int) -> int:
-    """Rows for ``count`` candidates: a power of four, so that even fewer programs are compiled."""
+    """Number of rows for ``count`` candidates: a power of four, so that even fewer programs are compiled."""
     return int(4 ** ((count - 1).bit_length() + 1 >> 1)) if count > 1 else 1
 
 
 def _without_padding(state: State, count: int) -> State:
-    """The states of the first ``count`` worlds; the worlds after them do not go on."""
+    """The states, of which only the first ``count`` worlds continue."""
     padding = jnp.arange(len(state.status)) >= count
     return state._replace(status=jnp.where(padding, Status.FINISHED, state.status))

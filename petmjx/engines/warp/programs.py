@@ -1,4 +1,4 @@
-"""The compiled programs of mjx-warp, cached for the process: a later call with the same options compiles nothing."""
+"""The compiled programs of mjx-warp, cached for the process. A later call with the same options compiles nothing."""
 
 from __future__ import annotations
 
@@ -30,23 +30,23 @@ from petmjx.world.contact_laws import MOST_IMPEDANCE, kinetic_share, lasts_steps
 from petmjx.world.film import spring_rate_1_s
 
 TOLERANCE = 1e-8
-"""MuJoCo's default solver tolerance. It can be reached, since forces and residuals are double precision."""
+"""MuJoCo's default solver tolerance. The solver can reach it, since forces and residuals have double precision."""
 
 READ_COUNTS = ("steps", "iterations", "contacts")
-"""The counts that the host reads after each time slice. They follow the statuses of all worlds in one array, since a
-thread waits for the interpreter's lock after each array that it fetches."""
+"""The counts that the host reads after each time slice. A thread waits for the interpreter's lock after each array that
+it fetches. So these counts are in the same array as the statuses of all worlds, after them."""
 
 DRIVEN_ITERATIONS = 7
-"""Most iterations of the solver in a drive. While a whole pallet slides and collapses, the last digits of accelerations
-take 20 iterations and more. Of 1,600 worlds of EUMOS's grid 1,598 have the same verdict as on ``mujoco``, which has no
-such limit. Costs and gains of the limit: benchmarks/notebook/performance.md, "Sliding contacts". The limit is not
-for carriers with walls, which throw piles back: with it, 9 of 240 driven worlds in roll containers with four walls had
-another verdict."""
+"""Largest number of solver iterations per step of a drive. While a whole pallet slides and collapses, the last digits
+of accelerations would take 20 iterations and more. Of 1,600 worlds of EUMOS's grid, 1,598 have the same verdict as on
+``mujoco``, which has no such limit. For the costs and gains of the limit, see benchmarks/notebook/performance.md,
+"Sliding contacts". The limit does not apply to carriers with walls, which throw piles back. With the limit, the verdict
+differed for 9 of 240 driven worlds in roll containers with four walls."""
 
 
 def friction_damping(physics: Physics) -> float:
-    """Damping of friction, 1/s, as in MuJoCo (its documentation, "Modeling", "Solver parameters"); 0 if it equals the
-    damping of contacts."""
+    """Damping of friction, 1/s, as in MuJoCo (its documentation, "Modeling", "Solver parameters"). 0 means that it
+    equals the damping of contacts."""
     if not physics.has_own_friction:
         return 0.0
     time_s, damping = physics.solreffriction
@@ -55,7 +55,7 @@ def friction_damping(physics: Physics) -> float:
 
 
 def constants(sim: Simulation, timetable: Timetable) -> dict[str, Any]:
-    """The kernels' constants of a run: the fields of ``world_arrays.Model`` except those of a block pool."""
+    """The constants of a run for the kernels: the fields of ``world_arrays.Model`` except those of a block pool."""
     physics, limits, quiet = sim.physics, sim.thresholds, sim.quiet
     return {
         "timestep": physics.timestep_s,
@@ -70,7 +70,7 @@ def constants(sim: Simulation, timetable: Timetable) -> dict[str, Any]:
         "kinetic_share": kinetic_share(physics),
         "impratio_invsqrt": physics.impratio**-0.5,
         "tolerance": sim.solver_tolerance or TOLERANCE,
-        "iterations": sim.solver_iterations or MAX_ITERATIONS,  # a world with many iterations holds up no other
+        "iterations": sim.solver_iterations or MAX_ITERATIONS,  # a world with many iterations delays no other world
         "driven_iterations": sim.solver_iterations or (MAX_ITERATIONS if has_walls(sim) else DRIVEN_ITERATIONS),
         "ls_iterations": LINE_SEARCH_ITERATIONS,
         "fixed": int(sim.schedule is Schedule.FIXED),
@@ -114,12 +114,12 @@ def constants(sim: Simulation, timetable: Timetable) -> dict[str, Any]:
 
 
 class Programs:
-    """The XLA programs of a time slice, one for each size of tables. They hold the constants of a run on the device,
-    but no states. So any number of runs and threads can call them at the same time.
+    """The XLA programs of a time slice, one for each size of the tables. They hold the constants of a run on the
+    device, but no states. So any number of runs and threads can call them at the same time.
 
     Args:
-        pools: block pools, as from ``BlockPools.of``.
-        slice_ns: time slice of a call of the kernels, ns.
+        pools: block pools, as returned by ``BlockPools.of``.
+        slice_ns: duration of a call of the kernels, ns.
     """
 
     def __init__(self, sim: Simulation, timetable: Timetable, pools: tuple[BlockPool, ...], slice_ns: int) -> None:
@@ -131,13 +131,13 @@ class Programs:
         self._compiled: dict[tuple[tuple[int, ...], ...], Any] = {}
 
     def compiled(self, arguments: tuple[Any, ...], progress: Progress) -> Any:
-        """The program ``_advance`` for arguments of these sizes. The time of compiling is added to ``progress``."""
+        """The program ``_advance`` for arguments of these sizes. The time to compile it is added to ``progress``."""
         table, _, _, profiles, order, frames = arguments
         sizes = table.qpos.shape, profiles.shape, order.shape, frames["of"].shape
         if sizes in self._compiled:
             return self._compiled[sizes]
         begin, progress.message = time.perf_counter(), "compiling"
-        with _COMPILING:  # another thread may be compiling kernels ahead: wait for it
+        with _COMPILING:  # waits for a thread that compiles kernels ahead of time
             if sizes not in self._compiled:
                 self.launcher.load()
                 self._compiled[sizes] = self._advancing.lower(*arguments).compile()
@@ -153,7 +153,7 @@ class Programs:
         order: Int[Array, "queue world"],
         frames: dict[str, jax.Array],
     ) -> tuple[State, jax.Array, Int[Array, " word"], dict[str, jax.Array], dict[str, jax.Array]]:
-        """A time slice. Returns states, workspace, the array for the host (``READ_COUNTS``), frames, and counts."""
+        """Run a time slice. Returns states, workspace, the array for the host (``READ_COUNTS``), frames, and counts."""
         table = self._rules.begin_drives(table, worlds)
         if self._few:
             order = small_world_queues(self._few, order, table.placed, table.running)
@@ -172,9 +172,8 @@ _COMPILING = Lock()
 
 
 def load_usual_kernels(sim: Simulation) -> None:
-    """Compile the kernels that most runs with these options need, or take them from Warp's cache, before the plans are
-    known. Runs of plans with compliant boxes, film, or many boxes need other kernels. Without a GPU nothing is
-    compiled."""
+    """Compile the kernels that most runs with these options need, or load them from Warp's cache, before the plans are
+    known. Plans with compliant boxes, film, or many boxes need other kernels. Without a GPU, nothing is compiled."""
     if not wp.get_device().is_cuda:
         return
     hands, lands = not sim.placing.appears, sim.physics.has_landings
@@ -183,10 +182,10 @@ def load_usual_kernels(sim: Simulation) -> None:
 
 
 MOST_KEPT = 16
-"""Number of ``Programs`` that are kept. A score with further attempts has up to four. The largest take 16 MB each."""
+"""Number of ``Programs`` that are kept. A score with further attempts needs up to four. The largest takes 16 MB."""
 
 
 @functools.lru_cache(MOST_KEPT)
 def programs(sim: Simulation, timetable: Timetable, pools: tuple[BlockPool, ...], slice_ns: int) -> Programs:
-    """The programs of a run. Timetables are compared by identity, and kept as long as the programs."""
+    """The programs of a run. Timetables are compared by identity, and are kept as long as the programs."""
     return Programs(sim, timetable, pools, slice_ns)

@@ -1,8 +1,8 @@
-"""Thread blocks for small worlds: worlds with few boxes so far.
+"""Thread blocks for small worlds. A small world is one that has few boxes so far.
 
-A block for small worlds has several of them, a warp each (``block_launch.FEW_BOXES``). A small world takes the same
-steps as in a block of its own, to the last bit. It moves to a block of its own when it has more boxes, or when too few
-small worlds are left. So the choice of blocks only affects speed.
+A block for small worlds has several of them, one per warp (``block_launch.FEW_BOXES``). The steps of a small world are
+bit-identical to those in a block of its own. The world moves to a block of its own when it has more boxes, or when too
+few small worlds are left. So the choice of blocks affects only the speed.
 """
 
 from __future__ import annotations
@@ -16,17 +16,18 @@ from petmjx.engines.warp.block_launch import FEW_BOXES, Launch, size_for
 from petmjx.engines.warp.kernel_launcher import BlockPool
 
 ENOUGH_SHARE, LEAST_SHARE = 0.75, 0.25
-"""These blocks are taken into use if there are small worlds for at least the first share of their lanes. They are no
-longer used if small worlds are left for less than the second share. For few worlds, blocks of one world are faster."""
+"""Bounds of the share of lanes that small worlds fill. These blocks come into use if small worlds fill at least the
+first share of their lanes. They are no longer used if small worlds fill less than the second share. For fewer worlds,
+blocks of one world are faster."""
 
 
 def small_world_pool(pool: BlockPool, worlds: int, lanes: int | None = None) -> BlockPool | None:
-    """The block pool for small worlds; None if this device has none, or if there are too few worlds.
+    """The block pool for small worlds. None: this device has no such blocks, or there are too few worlds.
 
     Args:
         pool: the pool from which these worlds come.
         worlds: number of worlds that begin with few boxes.
-        lanes: most worlds in blocks of one kind; None: as many as the device has room for.
+        lanes: largest number of worlds in blocks of one kind. None: the number for which the device has room.
     """
     one = pool.launch
     launch = Launch.of(FEW_BOXES, *one.traits)
@@ -41,14 +42,14 @@ def small_world_pool(pool: BlockPool, worlds: int, lanes: int | None = None) -> 
 def small_world_queues(
     few: BlockPool, order: Int[Array, "queue world"], placed: Int[Array, " world"], running: Bool[Array, " world"]
 ) -> Int[Array, "queue+1 world"]:
-    """The queues, after a new first queue with small worlds. It gets the worlds of the last queue that have few boxes
-    now, if there are enough of them.
+    """The queues, preceded by a new queue of small worlds. The new queue gets the worlds of the last queue that have
+    few boxes now, if there are enough of them.
 
-    Worlds keep their order. For jitted programs.
+    Worlds keep their order. Jitted programs can call this function.
 
     Args:
-        placed: boxes of each world.
-        running: whether each world goes on.
+        placed: number of boxes of each world.
+        running: whether each world continues.
     """
     last = order[-1]
     chosen = (last >= 0) & (running & (placed <= few.n_boxes))[last]

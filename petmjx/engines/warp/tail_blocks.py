@@ -1,9 +1,10 @@
 """Thread blocks for a run's last worlds. Each block has a multiprocessor of the GPU to itself, and more threads.
 
-A run ends with its longest worlds. Two blocks that share a multiprocessor are each slower than alone. So the last world
-of a run loses the time that it spends beside another block. Worlds that are expected to be among the last ones get
-blocks that fill a multiprocessor (``block_launch.LAST``). So do all worlds of the smaller size once there are no more
-worlds than multiprocessors. A world takes the same steps as in other blocks, to the last bit. Only speed is affected.
+A run ends with its longest worlds. Each of two blocks that share a multiprocessor is slower than it would be alone. So
+the last world of a run is delayed while its block shares a multiprocessor. Worlds that are expected to be among the
+last ones therefore get blocks that fill a multiprocessor (``block_launch.LAST``). When no more worlds are left than
+there are multiprocessors, all worlds of the smaller size get such blocks. A world's steps are bit-identical to those in
+other blocks. Only the speed is affected.
 """
 
 from __future__ import annotations
@@ -20,22 +21,22 @@ from petmjx.engines.warp.kernel_launcher import BlockPool
 from petmjx.engines.warp.small_world_blocks import compacted_queue
 
 MOST_EXPECTED: Final = 16
-"""Most worlds that are expected to be the last ones while other worlds still wait. They are the worlds with the most
-steps so far. Each of their blocks takes the room of two usual blocks."""
+"""Largest number of worlds that are expected to be the last ones while other worlds still wait. They are the worlds
+with the most steps so far. Each of their blocks takes the room of two usual blocks."""
 
 LONG: Final = 2.0
-"""A world is long if it has taken LONG times the mean number of steps of finished worlds."""
+"""A world is long if its number of steps is more than LONG times the mean of the finished worlds."""
 
 GOES_ON: Final = 8.0
-"""A long world is expected to go on for at most GOES_ON times the steps that it has taken."""
+"""A long world is expected to take at most GOES_ON times as many further steps as it has taken so far."""
 
 
 def tail_pool(pool: BlockPool, lanes: int | None = None) -> BlockPool | None:
-    """The block pool for the last worlds; None if it would be the same as the usual pool, as on a CPU.
+    """The block pool for the last worlds. None: it would be the same as the usual pool, as on a CPU.
 
     Args:
         pool: the pool from which these worlds come.
-        lanes: most worlds in blocks of one kind; None: as many as the device has room for.
+        lanes: largest number of worlds in blocks of one kind. None: the number for which the device has room.
     """
     one = pool.launch
     if one.per_sm == 1:
@@ -51,11 +52,11 @@ def tail_queues(
     running: Bool[Array, " world"],
     lanes: int,
 ) -> Int[Array, "queue+1 world"]:
-    """The queues, after a new first queue with the last worlds of the run. These worlds leave the last queue. Worlds
-    keep their order. For jitted programs.
+    """The queues, preceded by a new queue of the last worlds of the run. These worlds leave the last of the queues.
+    Worlds keep their order. Jitted programs can call this function.
 
     Args:
-        order: the queues: worlds, then negative numbers.
+        order: the queues. Each row lists worlds, followed by negative numbers.
         steps, running, lanes: as for ``expected_tail``.
     """
     few = ((order >= 0) & running[order]).sum() <= last.lanes  # rows outside the queues may be in any state
@@ -69,20 +70,20 @@ def tail_queues(
 def expected_tail(
     order: Int[Array, "queue world"], steps: Int[Array, " world"], running: Bool[Array, " world"], lanes: int
 ) -> Bool[Array, " world"]:
-    """Which worlds are expected to be the last ones, while other worlds may still wait. For jitted programs.
+    """Whether each world is expected to be among the last ones. Other worlds may still wait. For jitted programs.
 
     Args:
-        order: the queues: worlds, then negative numbers.
-        steps: steps of each world so far; 0 before it is taken from a queue.
-        running: whether each world goes on.
-        lanes: worlds at the same time.
+        order: the queues. Each row lists worlds, followed by negative numbers.
+        steps: number of steps of each world so far; 0 before it is taken from a queue.
+        running: whether each world continues.
+        lanes: number of worlds that run at the same time.
     """
     begun = steps > 0
     ended = begun & ~running
     queued = jnp.zeros_like(running).at[jnp.where(order >= 0, order, len(running))].set(True, mode="drop")
-    # the steps of thousands of worlds may exceed an int32
+    # the sum of the steps of thousands of worlds may exceed an int32
     mean = jnp.where(ended, steps, 0).sum(dtype=jnp.float32) / jnp.maximum(ended.sum(), 1)
-    rest = (queued & running & ~begun).sum() * mean / lanes  # steps of a lane until no world waits
+    rest = (queued & running & ~begun).sum() * mean / lanes  # number of steps of a lane until no world waits
     long = running & ended.any() & (steps > LONG * mean) & (GOES_ON * steps > rest)
     most, rows = jax.lax.top_k(jnp.where(long, steps, 0), min(MOST_EXPECTED, len(steps)))
     return jnp.zeros_like(long).at[rows].set(most > 0)

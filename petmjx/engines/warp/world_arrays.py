@@ -1,14 +1,15 @@
 """The data of mjx-warp's kernels as records: constants, worlds, states, workspace, and results.
 
-The kernels and their C++ take whole records. Each array is declared once, with its element type and axes. ``Worlds``
-and ``State`` have the fields of the tables in petmjx/engines/mjx/world_constants.py, world_state.py and
+The kernels and their C++ functions take whole records. Each array is declared once, with its element type and axes.
+``Worlds`` and ``State`` have the fields of the tables in petmjx/engines/mjx/world_constants.py, world_state.py and
 running_metrics.py. JAX passes these arrays, and the kernels change ``State`` in place. All other arrays are declared
-here. The workspace is one buffer, divided by the shapes given here.
+here. The workspace is one buffer, which is divided into arrays of the shapes declared here.
 
-Axes. ``world``: a row of the tables. ``block``: a thread block, which has one world at a time. ``queue``: worlds of one
-size. ``body``: the carrier, then the boxes in packing order; ``free_body``: a body that moves; ``dof``: a degree
-of freedom, six for each free body. ``geom``: the floor, then the shapes of the bodies. ``pair``: two geoms that are
-near one another; ``contact``: a point in which a pair touches. Units are SI.
+Axes. ``world``: a row of the tables. ``block``: a thread block, which has one world at a time. ``queue``: a queue of
+worlds of one size. ``body``: the carrier, followed by the boxes in packing order. ``free_body``: a body that moves.
+``dof``: a degree of freedom, of which each free body has six. ``geom``: the floor, followed by the shapes of the
+bodies. ``pair``: two geoms that are near each other. ``contact``: a point in which the geoms of a pair touch. Units are
+SI.
 """
 
 from __future__ import annotations
@@ -25,17 +26,18 @@ from jaxtyping import Bool, Float, Int
 from petmjx.engines.mjx import running_metrics, world_constants, world_state
 
 PANEL = 16
-"""Rows of a panel of the Cholesky factorisation. The Hessian is padded to a multiple."""
+"""Number of rows of a panel of the Cholesky factorisation. The Hessian is padded to a multiple of it."""
 
 MAX_BOXES = 512
-"""Boxes of the largest world. The solver's right-hand side must fit in shared memory, which limits this number."""
+"""Number of boxes of the largest world. The solver's right-hand side must fit in shared memory, which sets this
+limit."""
 
 EFC_WORDS = 32
-"""Numbers of a contact: frame (9), moment arms of both bodies (9 + 9), reference accelerations (aref, 3), stiffness of
-a row (D, 1), friction (1)."""
+"""Number of values stored per contact: frame (9), moment arms of both bodies (9 + 9), reference accelerations (aref,
+3), stiffness of a row (D, 1), friction (1)."""
 
 BUFFER_WORDS = 1024
-"""Numbers in a row of the buffer that holds workspaces."""
+"""Number of 32-bit words in a row of the buffer that holds workspaces."""
 
 if TYPE_CHECKING:
     _Record = TypeVar("_Record")
@@ -44,8 +46,9 @@ else:
     Ref = wp.ref
     """Type of a record that is passed to a kernel's function by reference.
 
-    Records have hundreds of fields. If they are passed by value, their copies take half of a compiler's time. A
-    function that is generic in another argument takes records by value, since Warp (1.18) matches no references then.
+    Records have hundreds of fields. If they are passed by value, copying them takes half of the compile time. A
+    function that is generic in another argument takes records by value, since Warp (1.18) cannot match references in
+    this case.
     """
 
 TYPES: Mapping[Any, Any] = {Float: wp.float32, Int: wp.int32, Bool: wp.bool}
@@ -53,7 +56,7 @@ TYPES: Mapping[Any, Any] = {Float: wp.float32, Int: wp.int32, Bool: wp.bool}
 
 
 def record(cls: type, tables: Sequence[type] = (), without: Sequence[str] = ()) -> Any:
-    """A Warp struct whose arrays name their axes: ``Annotated[type, "axis axis"]``. An axis is a name or a number.
+    """A Warp struct whose arrays declare their axes: ``Annotated[type, "axis axis"]``. An axis is a name or a number.
 
     Args:
         tables: records of JAX arrays. The struct also has their fields, except those in ``without``.
@@ -77,33 +80,33 @@ def record(cls: type, tables: Sequence[type] = (), without: Sequence[str] = ()) 
 
 @record
 class Model:
-    """Constants of a run: contacts and solver, then the numbers of the rules (docs/rules.md)."""
+    """Constants of a run: first those of contacts and the solver, then those of the rules (docs/rules.md)."""
 
     timestep: float
     gravity: float
     solref: wp.vec2
     solimp: wp.vec3  # d₀, d_width, width
-    skin: float  # added to boxes for the collider, m
+    skin: float  # margin added to boxes in collision detection, m
     carrier_skin: float  # the same for the carrier
     pyramidal: int  # 1 with pyramidal friction cones
-    friction_damping: float  # damping along a contact's tangents, 1/s; 0: as along its normal
-    slip_slack: float  # reference acceleration of an uncorrected slip, m/s²; inf: no slip is corrected
+    friction_damping: float  # damping along a contact's tangents, 1/s; 0: the same as along its normal
+    slip_slack: float  # reference acceleration up to which a slip is not corrected, m/s²; inf: none is corrected
     kinetic_share: float  # friction of contacts that slide fast, as a share of friction at rest
     impratio_invsqrt: wp.float64  # 1 / √impratio
     tolerance: wp.float64  # of the solver, as in MuJoCo
-    iterations: int  # most iterations of the solver
+    iterations: int  # largest number of solver iterations
     driven_iterations: int  # the same in a drive
-    ls_iterations: int  # most iterations of its line search
+    ls_iterations: int  # largest number of iterations of the solver's line search
 
     queue: int  # the queue from which these blocks take worlds
-    most_idle: int  # most lanes without a world; with more, the other lanes drop their worlds for this call
-    most_placed: int  # most boxes of a world here; with more, a world goes on in other blocks in the next call
-    npairmax: int  # most pairs of near geoms of a world
-    nconmax: int  # most contacts of a world
+    most_idle: int  # largest number of lanes without a world; above it, the others stop for this call
+    most_placed: int  # largest number of boxes; a world with more moves to other blocks in the next call
+    npairmax: int  # largest number of pairs of near geoms of a world
+    nconmax: int  # largest number of contacts of a world
 
     fixed: int  # 1 with the fixed schedule
     waits_for_rest: int
-    extends: int  # 1 if the rules wait for a world that moves at its end
+    extends: int  # 1 if a world that still moves at its planned end gets more time
     early_stop: int
     soft_start: int  # steps
     sample_every: int
@@ -111,7 +114,7 @@ class Model:
     still_steps: int
     due_steps: int
     longest_steps: int
-    static_end: int  # last step of the placement of a static check; NEVER with boxes one by one
+    static_end: int  # last step of the placement of a static check; NEVER if boxes are placed one by one
     shift: float
     shift_floor: float
     tilt: float  # degrees
@@ -129,10 +132,10 @@ class Model:
     poll_steps: int
     hand_rate: float  # rate of the hand's spring, 1/s
     lowering_rate: float  # rate of the damper by which the hand sets boxes down, 1/s
-    stuck_steps: int  # steps for which a hand waits at most
+    stuck_steps: int  # largest number of steps for which a hand waits
     film_rate: float  # rate of a box's spring on its film, 1/s
     landing_time: float  # time in which a landing box is stopped, s
-    landing_lasts: int  # steps for which a box that has touched counts as landing
+    landing_lasts: int  # number of steps for which a box counts as landing after its first touch
     restitution: float
 
     due: wp.array[int]  # by step; as in Timetable
@@ -143,10 +146,10 @@ class Model:
 
 @partial(record, tables=(world_constants.Worlds,), without=("driven",))
 class Worlds:
-    """Constants of worlds: the table ``world_constants.Worlds``, a profile for each excitation, and the queues."""
+    """Constants of worlds: the table ``world_constants.Worlds``, the profiles of the excitations, and the queues."""
 
     profiles: Annotated[wp.array3d[float], "profile step 3"]
-    order: Annotated[wp.array2d[int], "queue world"]  # worlds in the order of their turns, then negative numbers
+    order: Annotated[wp.array2d[int], "queue world"]  # worlds in their order, then negative numbers
 
     if TYPE_CHECKING:
 
@@ -155,7 +158,7 @@ class Worlds:
 
 @partial(record, tables=(world_state.State, running_metrics.Metrics), without=("metrics",))
 class State:
-    """The state of worlds: the table ``world_state.State`` with its metrics."""
+    """The state of worlds: the table ``world_state.State`` and its metrics."""
 
     if TYPE_CHECKING:
 
@@ -164,53 +167,55 @@ class State:
 
 @record
 class Workspace:
-    """Arrays of a thread block, used within a step. Each array begins at a multiple of 16 bytes."""
+    """Arrays of a thread block for use within a step. Each array begins at a multiple of 16 bytes."""
 
     qacc: Annotated[wp.array2d[wp.float64], "block dof"]
     search: Annotated[wp.array2d[wp.float64], "block dof"]
     grad: Annotated[wp.array2d[wp.float64], "block dof"]
     Jaref: Annotated[wp.array3d[wp.float64], "block contact 3"]  # J·qacc − aref
     jv: Annotated[wp.array3d[wp.float64], "block contact 3"]  # J·search
-    contact_force: Annotated[wp.array3d[wp.float64], "block contact 3"]  # in its frame
-    worst: Annotated[wp.array[wp.int64], "block"]  # the largest excess and its box
-    hessian: Annotated[wp.array2d[float], "block entry"]  # its envelope, if it does not fit in shared memory
-    strip: Annotated[wp.array2d[float], "block part"]  # rows of its factor, if they do not fit in shared memory
+    contact_force: Annotated[wp.array3d[wp.float64], "block contact 3"]  # in the contact's frame
+    worst: Annotated[wp.array[wp.int64], "block"]  # the largest excess over thresholds, and its box
+    hessian: Annotated[wp.array2d[float], "block entry"]  # envelope of the Hessian, if not in shared memory
+    strip: Annotated[wp.array2d[float], "block part"]  # rows of the Hessian's factor, if not in shared memory
     efc: Annotated[wp.array3d[float], "block contact efc_word"]  # written by make_constraint; layout: efc.cuh
     curvature: Annotated[wp.array3d[float], "block contact 6"]
     qM: Annotated[wp.array2d[float], "block dof"]  # diagonal of the inertia matrix
     qacc_smooth: Annotated[wp.array2d[float], "block dof"]  # accelerations without contacts
     drag: Annotated[wp.array3d[float], "block contact 2"]  # see contact.cuh
-    excess: Annotated[wp.array2d[float], "block contact"]  # of sliding contacts (contact_laws.py); negative: sticks
+    excess: Annotated[wp.array2d[float], "block contact"]  # of a slip (contact_laws.py); negative: no correction
     geom_xpos: Annotated[wp.array2d[wp.vec3], "block geom"]  # centres
     geom_xmat: Annotated[wp.array2d[wp.mat33], "block geom"]
-    geom_reach: Annotated[wp.array2d[wp.vec3], "block geom"]  # half extents of the box around a geom, along x, y, z
-    listed_xpos: Annotated[wp.array2d[wp.vec3], "block geom"]  # xpos and reach when pairs were listed
+    geom_reach: Annotated[wp.array2d[wp.vec3], "block geom"]  # half extents of a geom's bounding box, along x, y, z
+    listed_xpos: Annotated[wp.array2d[wp.vec3], "block geom"]  # geom_xpos and geom_reach when pairs were listed
     listed_reach: Annotated[wp.array2d[wp.vec3], "block geom"]
     qpos_before: Annotated[wp.array3d[float], "block box 7"]  # poses at the beginning of a step
     top_force: Annotated[wp.array2d[float], "block box"]
-    pair_geom1: Annotated[wp.array2d[int], "block pair"]  # the lower geom of a pair
+    pair_geom1: Annotated[wp.array2d[int], "block pair"]  # the geom with the smaller index
     pair_geom2: Annotated[wp.array2d[int], "block pair"]
     pair_normal: Annotated[wp.array2d[wp.vec3], "block pair"]
-    pair_points: Annotated[wp.array3d[wp.vec4], "block pair 8"]  # a point of contact, and the distance in it
-    pair_spring: Annotated[wp.array2d[float], "block pair"]  # stiffness of its contacts, N/m; 0: both are rigid
-    geom1_pairadr: Annotated[wp.array2d[int], "block geom_end"]  # the first pair of each lower geom
-    geom2_pair: Annotated[wp.array2d[int], "block pair"]  # the pairs of each higher geom
-    geom2_pairadr: Annotated[wp.array2d[int], "block geom_end"]  # where they begin
+    pair_points: Annotated[wp.array3d[wp.vec4], "block pair 8"]  # a contact point, and the distance there
+    pair_spring: Annotated[wp.array2d[float], "block pair"]  # stiffness of its contacts, N/m; 0: both geoms are rigid
+    geom1_pairadr: Annotated[wp.array2d[int], "block geom_end"]  # for each geom: its first pair as pair_geom1
+    geom2_pair: Annotated[wp.array2d[int], "block pair"]  # the pairs, sorted by pair_geom2
+    geom2_pairadr: Annotated[wp.array2d[int], "block geom_end"]  # for each geom: its first entry in geom2_pair
     pair_ncon: Annotated[wp.array2d[int], "block pair"]  # contacts of each pair
     pair_conadr: Annotated[wp.array2d[int], "block pair_end"]  # the first contact of each pair
     contact_pair: Annotated[wp.array2d[int], "block contact"]
-    contact_bodies: Annotated[wp.array3d[int], "block contact 2"]  # free bodies, lower first; negative: does not move
-    body_contact: Annotated[wp.array2d[int], "block link"]  # 2 × contact + side, body after body
+    # the two free bodies, smaller index first; negative: that body does not move
+    contact_bodies: Annotated[wp.array3d[int], "block contact 2"]
+    body_contact: Annotated[wp.array2d[int], "block link"]  # 2 × contact + side, grouped by body
     body_conadr: Annotated[wp.array2d[int], "block free_body_end"]
-    body_level: Annotated[wp.array2d[int], "block body"]  # when bodies are put in order
-    position: Annotated[wp.array2d[int], "block free_body"]  # of a body in the solver's system
-    lowest: Annotated[wp.array2d[int], "block free_body"]  # by position: lowest one that its body touches, or its own
-    bodies_conadr: Annotated[wp.array2d[int], "block contact"]  # first contact of each pair of free bodies, unordered
+    body_level: Annotated[wp.array2d[int], "block body"]  # level of a body while bodies are put in order
+    position: Annotated[wp.array2d[int], "block free_body"]  # position of a body in the solver's system
+    # by position of a body: the lowest position among the body itself and the bodies that it touches
+    lowest: Annotated[wp.array2d[int], "block free_body"]
+    bodies_conadr: Annotated[wp.array2d[int], "block contact"]  # first contact of each pair of free bodies, unsorted
     ncon: Annotated[wp.array[int], "block"]
     nfree: Annotated[wp.array[int], "block"]  # free bodies
     solver_niter: Annotated[wp.array[int], "block"]
-    solver_paused: Annotated[wp.array[int], "block"]  # iterations after which the solver has paused; 0: it has ended
-    world: Annotated[wp.array[int], "block"]  # the world of a block; negative: none
+    solver_paused: Annotated[wp.array[int], "block"]  # iterations before the solver paused; 0: it has ended
+    world: Annotated[wp.array[int], "block"]  # the world of a block; negative: no world
     frame: Annotated[wp.array[int], "block"]  # the frame that a block writes
 
 
@@ -218,7 +223,7 @@ class Workspace:
 class FrameBuffer:
     """Frames of recorded worlds, in the order in which blocks write them. All worlds of a call share this buffer."""
 
-    every: Annotated[wp.array[int], "world"]  # steps between two frames of a world; 0: it is not recorded
+    every: Annotated[wp.array[int], "world"]  # steps between two frames of a world; 0: the world is not recorded
     used: Annotated[wp.array[int], "1"]
     of: Annotated[wp.array[int], "frame"]  # the world of a frame
     step: Annotated[wp.array[int], "frame"]
@@ -232,45 +237,45 @@ class FrameBuffer:
 class Counts:
     """Counters of a call."""
 
-    taken: Annotated[wp.array[int], "queue"]  # worlds that blocks have taken so far
-    idle: Annotated[wp.array[int], "queue"]  # lanes that have found no more worlds
-    clock: Annotated[wp.array[int], "1"]  # when the call began: block.cuh
+    taken: Annotated[wp.array[int], "queue"]  # number of worlds that blocks have taken so far
+    idle: Annotated[wp.array[int], "queue"]  # number of lanes that found no further world
+    clock: Annotated[wp.array[int], "1"]  # when the call began (block.cuh)
     steps: Annotated[wp.array[int], "1"]
     iterations: Annotated[wp.array[int], "1"]
-    contacts: Annotated[wp.array[int], "1"]  # the most that a world had
+    contacts: Annotated[wp.array[int], "1"]  # largest number of contacts of a world
 
 
 @record
 class Thread:
-    """A thread of a block, and the world of this block."""
+    """A thread, its block, and this block's world."""
 
     block: int
     thread: int
     threads: int
     world: int
-    placed: int  # boxes that stand
-    geoms: int  # the floor and the shapes of the carrier and of these boxes
-    held: int  # 1 if the carrier is held fast, and so is no free body
+    placed: int  # number of placed boxes
+    geoms: int  # number of geoms: the floor, and the shapes of the carrier and of these boxes
+    held: int  # 1 if the carrier cannot move, and so is not a free body
     hands: int  # 1 if a hand may carry boxes; if 0, the compiler leaves hands out
     gives: int  # the same for compliant boxes
     wraps: int  # the same for film
     lands: int  # the same for the law of landing boxes
-    carried: int  # 1 if a hand has the last of these boxes
+    carried: int  # 1 if a hand holds the last of these boxes
 
 
 def most_panels(n_boxes: int) -> int:
-    """Panels of the system of a world with ``n_boxes`` boxes and a moving carrier."""
+    """Number of panels of the system of a world with ``n_boxes`` boxes and a moving carrier."""
     return -(-6 * (n_boxes + 1) // PANEL)
 
 
 def axes(blocks: int, n_boxes: int, boards: int, npairmax: int, nconmax: int) -> dict[str, int]:
-    """Sizes of the axes of some blocks' workspace.
+    """Sizes of the axes of the workspace of some blocks.
 
     Args:
-        n_boxes: most boxes of a world.
-        boards: most shapes of a carrier.
-        npairmax: most pairs of near geoms of a world.
-        nconmax: most contacts of a world.
+        n_boxes: largest number of boxes of a world.
+        boards: largest number of shapes of a carrier.
+        npairmax: largest number of pairs of near geoms of a world.
+        nconmax: largest number of contacts of a world.
     """
     panels = most_panels(n_boxes)
     return {
@@ -306,7 +311,7 @@ def array_shapes(kind: Any, sizes: Mapping[str, int]) -> dict[str, tuple[int, ..
 
 
 def filled_record(kind: Any, values: Mapping[str, Any]) -> Any:
-    """A record whose fields come from ``values``. Further entries of ``values`` are not used. Arrays must have
+    """A record whose fields are taken from ``values``. Other entries of ``values`` are not used. Arrays must have
     contiguous rows (arrays.cuh)."""
     instance = kind()
     for name in kind.vars:
@@ -316,7 +321,7 @@ def filled_record(kind: Any, values: Mapping[str, Any]) -> Any:
 
 
 def _parts(sizes: Mapping[str, int]) -> Iterator[tuple[str, Any, tuple[int, ...], int]]:
-    """Name, element type, shape and 32-bit words of the workspace's arrays, in the order of its buffer."""
+    """Name, element type, shape and number of 32-bit words of each workspace array, in the order of the buffer."""
     types = array_types(Workspace)
     for name, shape in array_shapes(Workspace, sizes).items():
         words = wp.types.type_size_in_bytes(types[name].dtype) // 4 * math.prod(shape)
@@ -324,7 +329,8 @@ def _parts(sizes: Mapping[str, int]) -> Iterator[tuple[str, Any, tuple[int, ...]
 
 
 def buffer_rows(sizes: Mapping[str, int]) -> int:
-    """Rows of ``BUFFER_WORDS`` words that hold the workspace of some blocks. Each array holds one block after another.
+    """Number of rows of ``BUFFER_WORDS`` words that hold the workspace of some blocks. Each array holds the blocks one
+    after another.
 
     Args:
         sizes: axis → size.
@@ -333,7 +339,9 @@ def buffer_rows(sizes: Mapping[str, int]) -> int:
 
 
 def in_buffer(buffer: Any, sizes: Mapping[str, int], first_row: int = 0) -> dict[str, Any]:
-    """The workspace's arrays, as views of a buffer of 32-bit words (row, ``BUFFER_WORDS``), from ``first_row`` on."""
+    """The workspace's arrays, as views of a buffer of 32-bit words (row, ``BUFFER_WORDS``). They begin at
+    ``first_row``.
+    """
     views: dict[str, Any] = {}
     pointer = buffer.ptr + 4 * BUFFER_WORDS * first_row
     for name, dtype, shape, words in _parts(sizes):

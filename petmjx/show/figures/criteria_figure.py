@@ -1,4 +1,4 @@
-"""A figure of criteria compared with physics: precision, recall and correlation of each criterion, with intervals."""
+"""A figure that compares criteria with physics: precision, recall and correlation of each criterion, with intervals."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ PANELS: Final = (
     ("recall", "recall"),
     ("mcc", "Matthews' correlation"),
 )
-"""Column of ``judged`` and the label below its panel."""
+"""Column of ``judged``, and the label below its panel."""
 
 
 def draw_criteria(results: CriteriaResults) -> Any:

@@ -21,45 +21,46 @@ from petmjx.show.figures.packer_figure import draw_packers
 from petmjx.show.figures.sweep_figures import draw_answers
 
 KINDS: Final = ("pdf", "svg", "png")
-"""Possible endings of files."""
+"""Possible suffixes of the files."""
 
 
 def figure(results: PackerComparison | CriteriaResults | RunResults, *files: str | PathLike[str]) -> list[Path]:
-    """Draw results as a figure for a paper, as wide as a page's text: ``.pdf``, ``.svg`` or ``.png``.
+    """Draw results as a figure for a paper, as wide as the text of a page: ``.pdf``, ``.svg`` or ``.png``.
 
     ``petmjx.figure(petmjx.compare_packers(["A", "B"]), "packers.pdf")``
 
-    The same results give the same bytes, with the same version of matplotlib.
+    With the same version of matplotlib, the same results give the same bytes.
 
     Args:
-        results: the results. A comparison of packers: shares and differences, with a sentence about each two packers.
-            Criteria with a run: precision, recall and correlation. A search: the share of plans that survive each
-            level. Another sweep: shares along its axes. A score with confidence: the share of each plan that stands.
-        files: paths to write; the ending gives the format. Each file appears whole or not at all, and replaces an
+        results: the results. A comparison of packers is drawn as shares and differences, with a sentence about each
+            pair of packers; criteria with a run as precision, recall and correlation; a search as the share of plans
+            that survive each level; another sweep as shares along its axes; a score with confidence as the share of
+            worlds in which each plan stands.
+        files: paths to write. The suffix determines the format. A file never appears half-written, and replaces an
             existing one.
 
     Returns:
         The paths of the files.
 
     Raises:
-        InputError: results without a figure, an unknown ending, a file that cannot be written, or matplotlib is
-            missing.
+        InputError: there is no figure for these results, a suffix is unknown, a file cannot be written, or matplotlib
+            is missing.
     """
     paths = [path_of(file, "files") for file in files]
     check_figures(paths)
     with paper_style():
         for path in paths:
-            drawn = _drawn_figure(results)  # drawn for each file, because writing changes the figure
+            drawn = _drawn_figure(results)  # drawn again for each file, since writing changes it
             with atomic_write(path) as temporary:
                 write(drawn, temporary, path.suffix.lower().removeprefix("."))
     return paths
 
 
 def check_figures(paths: list[Path]) -> None:
-    """Check that figures can be written, before results are computed.
+    """Check that figures can be written, before the results are computed.
 
     Raises:
-        InputError: an unknown ending, a path that cannot be written, or matplotlib is missing.
+        InputError: a suffix is unknown, a path cannot be written, or matplotlib is missing.
     """
     for path in paths:
         name = printable(str(path))

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any, Final
 
 WIDTH_IN: Final = 6.3
-"""The width of a page's text (A4 with usual margins), inches."""
+"""Width of the text of a page (A4 with usual margins), inches."""
 
 POINTS: Final = 8.0
 """Size of text, points."""
@@ -18,11 +18,11 @@ POINTS: Final = 8.0
 DOTS_PER_INCH: Final = 200
 
 SETTINGS: Final[Any] = {
-    "svg.fonttype": "none",  # text, not outlines
-    "svg.hashsalt": "petmjx",  # the same ids every time
-    "pdf.fonttype": 42,  # TrueType, which journals ask for
-    "font.family": "DejaVu Sans",  # comes with matplotlib
-    "text.parse_math": False,  # a $ in a name is a $, and begins no formula
+    "svg.fonttype": "none",  # text instead of outlines
+    "svg.hashsalt": "petmjx",  # always the same ids
+    "pdf.fonttype": 42,  # TrueType, which journals require
+    "font.family": "DejaVu Sans",  # is part of matplotlib
+    "text.parse_math": False,  # a $ in a name does not begin a formula
     "font.size": POINTS,
     "axes.titlesize": POINTS,
     "axes.labelsize": POINTS,
@@ -38,20 +38,20 @@ _UNDATED: Final[dict[str, dict[str, Any]]] = {"svg": {"Date": None}, "pdf": {"Cr
 
 @contextmanager
 def paper_style() -> Iterator[None]:
-    """Matplotlib's settings for all figures."""
+    """Within the body, set matplotlib's settings for all figures."""
     from matplotlib import rc_context
 
     with rc_context(SETTINGS), warnings.catch_warnings():
-        warnings.filterwarnings("ignore", "Glyph", UserWarning)  # names may have characters that no font has
+        warnings.filterwarnings("ignore", "Glyph", UserWarning)  # names may have characters that no font contains
         yield
 
 
 def write(figure: Any, path: Path, kind: str, dots_per_inch: float = DOTS_PER_INCH) -> None:
-    """Write a figure as ``png``, ``pdf`` or ``svg``; the same figure gives the same bytes."""
+    """Write a figure as ``png``, ``pdf`` or ``svg``. The same figure always gives the same bytes."""
     figure.savefig(path, format=kind, dpi=dots_per_inch, metadata=_UNDATED.get(kind))
 
 
 def wrapped_sentences(sentences: Sequence[str], width_in: float = WIDTH_IN) -> str:
-    """Sentences as lines that fit below a figure; each sentence begins a new line."""
-    letters = int(width_in * 72 / (POINTS * 0.55))  # a letter is about 0.55 of its size wide
+    """Sentences wrapped into lines that fit below a figure. Each sentence begins a new line."""
+    letters = int(width_in * 72 / (POINTS * 0.55))  # the width of a letter is about 0.55 of its size
     return "\n".join(line for sentence in sentences for line in textwrap.wrap(sentence, letters))

@@ -1,4 +1,4 @@
-"""A page to send about each load unit of a chain, as PDF: its four sides, its chance to arrive, and the assumptions.
+"""A PDF page about each load unit of a chain, for sending: its four sides, its chance to arrive, and the assumptions.
 
 ``petmjx report DIR --pdf FILE`` writes it, with matplotlib. docs/chains.md shows an example.
 """
@@ -39,29 +39,31 @@ from petmjx.world.scene import build_scene
 A4_IN: Final = (8.27, 11.69)
 
 MOST_PAGES: Final = 50
-"""Largest number of plans in one file, one page each."""
+"""Largest number of plans in one file. Each has one page."""
 
 LETTERS: Final = 128
-"""Letters of a line of text."""
+"""Number of letters in a line of text."""
 
 FOOTER: Final = 0.045
-"""Height of the line with versions, and the room above it, as a share of the page."""
+"""Height of the line with the versions and of the room above it, as a share of the page."""
 
 SIDES: Final = (("front", 0, 1, 1.0), ("right", 1, 0, -1.0), ("back", 0, 1, -1.0), ("left", 1, 0, 1.0))
-"""Name of a view, the axis across it, the axis into it, and whether that leads away (1) or towards the eye (-1)."""
+"""Name of a view, the axis across the view, the axis into it, and whether that axis points away from (1) or towards
+(-1) the eye."""
 
 MIRRORED: Final = frozenset({"back", "left"})
-"""Views in which the axis across runs to the left."""
+"""Views in which the axis across the view runs to the left."""
 
 
 def write_load_unit_pages(run: RunResults, plans: Mapping[str, Plan], path: Path) -> int:
-    """Write a page for each plan of a chain; returns the number of pages.
+    """Write a page for each plan of a chain. Returns the number of pages.
 
     Args:
         plans: the plans of the run, by id.
 
     Raises:
-        InputError: the run is no chain, is not complete, has too many plans, or none was found.
+        InputError: the run is not that of a chain, is not complete or has too many plans, or none of its plans was
+            found.
     """
     if is_chain(run.info) and run.unfinished:
         n_worlds, expected = run.info["counts"]["worlds"], count_text(run.info["expected_worlds"], "world")
@@ -84,7 +86,7 @@ def write_load_unit_pages(run: RunResults, plans: Mapping[str, Plan], path: Path
 
 
 def sentence(row: Mapping[Any, Any]) -> str:
-    """The answer in one sentence. ``row``: of ``arrivals``."""
+    """The answer as one sentence. ``row`` is a row of ``arrivals``."""
     judged = row["n_worlds"] - row["n_invalid"]
     if not judged:
         return "No world has a verdict."
@@ -112,7 +114,7 @@ def _page(run: RunResults, plan: Plan, row: Mapping[Any, Any]) -> Any:
         for title, lines in texts
     ]
     wrapped = [(title, text) for title, text in wrapped if text]
-    # long chains have many lines, which are made smaller until they fit
+    # long chains have many lines, so lines are made smaller until they fit
     top, title_height, line_height = 0.43, 0.03, 0.0135
     height = sum(title_height + line_height * (text.count("\n") + 1) for _, text in wrapped)
     smaller = min(1.0, (top - FOOTER) / height)
@@ -129,7 +131,7 @@ def _page(run: RunResults, plan: Plan, row: Mapping[Any, Any]) -> Any:
 
 
 def _draw_side(axes: Any, plan: Plan, name: str, across: int, into: int, away: float) -> None:
-    """The load seen from a side, far boxes first."""
+    """Draw the load seen from one side. Boxes farther away are drawn first."""
     from matplotlib.patches import Rectangle
 
     colours = article_colours(plan.articles)
@@ -141,7 +143,7 @@ def _draw_side(axes: Any, plan: Plan, name: str, across: int, into: int, away: f
         axes.add_patch(Rectangle(place, *size, facecolor=colours[box], edgecolor="black", linewidth=0.5))
     left, right, top = low[:, across].min(), high[:, across].max(), high[:, 2].max()
     axes.add_patch(Rectangle((left, -80), right - left, 80, facecolor="0.75", edgecolor="0.4", linewidth=0.5))
-    # all views have the same scale, that of the widest one
+    # all views have the scale of the widest one
     extent = high[:, :2].max(axis=0) - low[:, :2].min(axis=0)
     middle, reach = (left + right) / 2, extent.max() / 2 + 30
     axes.set_xlim((middle + reach, middle - reach) if name in MIRRORED else (middle - reach, middle + reach))
@@ -152,7 +154,7 @@ def _draw_side(axes: Any, plan: Plan, name: str, across: int, into: int, away: f
 
 
 def _rows_of(run: RunResults, plan: Plan) -> pd.DataFrame:
-    """The rows about a plan in the summary of a chain."""
+    """The rows about one plan in the summary of a chain."""
     assert run.summary is not None
     return run.summary[(run.summary["scope"] == ONE_PLAN) & (run.summary["plan_id"] == plan.plan_id)]
 
@@ -192,10 +194,11 @@ def _facts(run: RunResults, plan: Plan) -> Iterator[str]:
 
 
 def _film(run: RunResults, plan: Plan, slides_g: float) -> str:
-    """From which leg on how much film is around the load, and from which acceleration it slides then, by docs/wrap.md.
+    """How much film is around the load and from which leg on; and the acceleration from which the wrapped load slides,
+    according to docs/wrap.md.
 
     Args:
-        slides_g: friction with the carrier, from which it slides without film, g.
+        slides_g: acceleration from which the load slides without film, g, which is its friction with the carrier.
     """
     sim = Simulation.read(run.info["config"]["simulation"])
     legs = [leg for leg in run.info["config"]["sweep"]["legs"] if leg.get("wrap_turns") is not None]
@@ -214,7 +217,7 @@ def _film(run: RunResults, plan: Plan, slides_g: float) -> str:
 
 
 def _most_loaded(run: RunResults, plan: Plan) -> Iterator[str]:
-    """The box with the largest force on its top, in the worlds that arrive."""
+    """The box with the largest force on its top, in the worlds in which the plan arrives."""
     if not run.keeps_boxes:
         return
     worlds = run.worlds[run.worlds["plan_id"] == plan.plan_id]
@@ -244,7 +247,7 @@ def _remedies(run: RunResults, plan: Plan) -> list[str]:
 
 
 def _assumed(run: RunResults) -> list[str]:
-    """The chain in words: errors, legs, and the limits of the model."""
+    """The chain in words: its errors, its legs, and the limits of the model."""
     sweep = run.info["config"]["sweep"]
     errors = ", ".join(f"{name} {_value(value)}" for name, value in sweep["axes"].items())
     lines = [f"Chain {printable_name(str(sweep['name']))}; {PLACING} with {errors or 'no errors'}."]

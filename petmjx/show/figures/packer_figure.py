@@ -1,4 +1,4 @@
-"""A figure of packers: the share of standing plans of each packer, and the differences of pairs, with intervals."""
+"""A figure of packers: each packer's share of standing plans, and the differences of pairs, with intervals."""
 
 from __future__ import annotations
 
@@ -11,20 +11,20 @@ from petmjx.show.figures.figure_style import POINTS, WIDTH_IN, wrapped_sentences
 from petmjx.show.pages.palette import OKABE_ITO
 
 ROW_IN: Final = 0.26
-"""Height of a packer or pair, inches."""
+"""Height of the row of a packer or pair, inches."""
 
 LINE_IN: Final = 0.155
 """Height of a line of text, inches."""
 
 MOST_PAIRS: Final = 15
-"""Largest number of pairs in a figure: the pairs of six packers."""
+"""Largest number of pairs in a figure: that of six packers."""
 
 _COLOUR: Final = OKABE_ITO[4]
 
 
 def draw_packers(comparison: PackerComparison) -> Any:
-    """A matplotlib figure: the shares on the left, the differences on the right, and below a sentence about each pair
-    of packers.
+    """A matplotlib figure with the shares on the left, the differences on the right, and a sentence about each pair of
+    packers below.
 
     Raises:
         InputError: no order is compared, or there are too many packers.
@@ -56,7 +56,7 @@ def draw_packers(comparison: PackerComparison) -> Any:
 
 
 def _intervals(axes: Any, rows: list[tuple[str, float, float, float]]) -> None:
-    """Draw dots with intervals, one below the other, in per cent."""
+    """Draw one dot with its interval per row, in per cent."""
     for place, (_, value, low, high) in enumerate(rows):
         axes.plot([100 * low, 100 * high], [place, place], color=_COLOUR, linewidth=1.4, solid_capstyle="butt")
         axes.plot(100 * value, place, "o", color=_COLOUR, markersize=4)

@@ -1,4 +1,4 @@
-"""Figures of sweeps: survived levels, and shares of standing plans along an axis."""
+"""Figures of sweeps: the levels that plans survive, and shares of standing plans along an axis."""
 
 from __future__ import annotations
 
@@ -39,18 +39,19 @@ _AXES: Final = {
     "yaw_error_deg": "error of yaw, °",
     "drop_height_mm": "height of release, mm",
 }
-"""Columns of summaries in words. Columns that are not here are called by their names."""
+"""Descriptions of columns of summaries. Other columns are shown by their names."""
 
 
 def draw_answers(run: RunResults) -> Any:
     """A matplotlib figure of the table ``summary``.
 
-    For a search: a panel per profile with the share of all plans that survive a level, and a line per direction. For a
-    grid or a sample: the share that stands, with its interval, along each axis with several values. For a score with
-    confidence: the share of each plan that stands; for a chain the share that arrives.
+    For a search, there is a panel per profile, with a line per direction: the share of all plans that survive each
+    level. For a grid or a sample, the share that stands is drawn with its interval, along each axis that has several
+    values. For a score with confidence, the figure shows the share of worlds in which each plan stands; for a chain,
+    the share in which it arrives.
 
     Raises:
-        InputError: the run has no summary, or the summary has nothing that can be drawn.
+        InputError: the run has no summary, or nothing in its summary can be drawn.
     """
     summary = run.summary
     if summary is None:
@@ -65,13 +66,15 @@ def draw_answers(run: RunResults) -> Any:
 
 
 def survival_curve(levels: pd.Series[float]) -> tuple[Any, Any]:
-    """A step curve of the share of plans that survive each level. Plans that survive only level 0 are not counted.
+    """A step curve of the share of plans that survive each level. Plans that survive only level 0 do not count as
+    surviving.
 
     Args:
-        levels: the largest level that each plan survives; null, which counts as 0, without a survived level.
+        levels: the largest level that each plan survives. Null means that it survives none, and counts as 0.
 
     Returns:
-        (m,) levels in rising order from 0, and (m,) the share of plans whose largest level is at least that.
+        (m,) levels in ascending order from 0, and (m,) for each of them the share of plans whose largest level is at
+        least as high.
     """
     survived = np.sort(levels.fillna(0.0).to_numpy(np.float64))
     at = np.unique(np.concatenate(([0.0], survived)))
@@ -88,7 +91,7 @@ def _levels(summary: pd.DataFrame) -> Any:
         for number, direction in enumerate(directions[:MOST_LINES]):
             at, share = survival_curve(rows.loc[rows["direction_deg"] == direction, strength])
             label = "" if pd.isna(direction) else f"{direction:g}°"
-            # the last step falls to 0 where the last plan fails
+            # the last step falls to 0 at the level at which the last plan fails
             axes.step([*at, at[-1]], [*(100 * share), 0.0], where="pre", label=label, **_line(number))
         axes.set_xlabel(f"{'level, g' if strength.endswith('_g') else 'scale'}")
         axes.set_ylabel("plans that survive it, %")
@@ -101,7 +104,7 @@ def _levels(summary: pd.DataFrame) -> Any:
 
 
 def _line(number: int) -> dict[str, Any]:
-    """Colour and dashes of a line, chosen so that two lines on top of each other are both visible."""
+    """Colour and dashes of a line. They are chosen so that both of two coinciding lines are visible."""
     return {"color": category(number), "linestyle": _DASHES[number % len(_DASHES)]}
 
 
@@ -130,7 +133,7 @@ def _shares(summary: pd.DataFrame) -> Any:
 
 
 def _plans(rows: pd.DataFrame) -> Any:
-    """A figure with a row for each plan: the share of its worlds that stand."""
+    """A figure with a row for each plan: the share of its worlds in which it stands."""
     from matplotlib.figure import Figure
 
     if not len(rows) or len(rows) > MOST_PLANS:
@@ -149,7 +152,7 @@ def _plans(rows: pd.DataFrame) -> Any:
 
 
 def _panels(count: int) -> tuple[Any, list[Any]]:
-    """A figure with panels, two in a row."""
+    """A figure with panels, two in each row."""
     from matplotlib.figure import Figure
 
     if count > MOST_PANELS:

@@ -1,4 +1,4 @@
-"""The entries of a leaderboard: runs, or plans that are scored for it."""
+"""The entries of a leaderboard. An entry is a run, or a file of plans that are scored for the board."""
 
 from __future__ import annotations
 
@@ -29,10 +29,10 @@ from petmjx.runs.simulate import Watcher
 from petmjx.show.leaderboard.leaderboard_files import PLANS, RUNS
 
 REPAIRED: Final = "-repaired"
-"""End of the names of entries whose plans were repaired."""
+"""Suffix in the names of entries whose plans were repaired."""
 
 OF_REPAIR: Final = (*OF_RUN, *OF_READING)
-"""Options of runs that are also options of repairs."""
+"""Options of runs that repairs have as well."""
 
 Watch = Callable[[str], AbstractContextManager[Watcher]]
 """Name of a packer → the watcher of its run."""
@@ -45,8 +45,8 @@ class Entry:
     Attributes:
         name: name of the packer.
         run: the run of its plans.
-        plans: the plans by id that were found again.
-        ours: whether the packer belongs to petmjx.
+        plans: those of the plans that could be found again, by id.
+        ours: whether the packer is part of petmjx.
         scored: whether the board itself has just simulated all of its plans.
     """
 
@@ -58,11 +58,11 @@ class Entry:
 
 
 def packer_sources(paths: Mapping[str, Any] | Sequence[Any]) -> dict[str, Path]:
-    """Name of each packer → its run or plans. Without names, packers are named after their folders and files.
+    """Name of each packer → its run or its plans. Without names, packers are named after their folders and files.
 
     Raises:
-        InputError: no path, a path that does not exist, a name that cannot be the name of a folder, or two packers with
-            one name.
+        InputError: there is no path, a path does not exist, a name cannot be the name of a folder, or two packers have
+            the same name.
     """
     if isinstance(paths, Mapping):
         pairs = [(name, path_of(path, f"packers[{name!r}]")) for name, path in paths.items()]
@@ -80,13 +80,13 @@ def packer_sources(paths: Mapping[str, Any] | Sequence[Any]) -> dict[str, Path]:
 
 
 def _name_of(path: Path) -> str:
-    """A folder's name, or a file's without its endings."""
+    """The name of a folder, or the name of a file without its suffixes."""
     path = path.resolve()
     return path.name if path.is_dir() else path.name.partition(".")[0]
 
 
 def pack_ours(orders: Path, folder: Path) -> dict[str, Path]:
-    """Pack orders with each of petmjx's packers. Returns name of the packer → file of its plans.
+    """Pack orders with each of petmjx's packers. Returns the name of each packer → the file with its plans.
 
     Raises:
         InputError: the orders cannot be read, or a file cannot be written.
@@ -99,10 +99,10 @@ def pack_ours(orders: Path, folder: Path) -> dict[str, Path]:
 
 
 def repaired_names(names: Sequence[str], paths: Mapping[str, Path]) -> dict[str, str]:
-    """Name of each entry of repaired plans → the packer whose plans are repaired.
+    """Name of each entry with repaired plans → the packer whose plans are repaired.
 
     Raises:
-        InputError: no such packer, or another entry has this name.
+        InputError: there is no such packer, or another entry has this name.
     """
     entries = {}
     for name in dict.fromkeys(names):
@@ -118,14 +118,14 @@ def repaired_names(names: Sequence[str], paths: Mapping[str, Path]) -> dict[str,
 def repair_entries(
     names: Mapping[str, str], paths: Mapping[str, Path], folder: Path, options: Mapping[str, Any]
 ) -> dict[str, Path]:
-    """Repair the plans of packers. Returns name of the entry → file of its plans.
+    """Repair the plans of packers. Returns the name of each entry → the file with its plans.
 
     Args:
-        names: name of each entry → the packer.
-        options: options of ``petmjx.score``. Options that a repair does not have are left out.
+        names: name of each entry → the packer whose plans are repaired.
+        options: options of ``petmjx.score``. Those that repairs do not have are ignored.
 
     Raises:
-        InputError: unusable plans, or a file cannot be written.
+        InputError: plans are unusable, or a file cannot be written.
     """
     repair_options = {
         name: value for name, value in options.items() if name in Simulation.model_fields or name in OF_REPAIR
@@ -143,13 +143,14 @@ def repair_entries(
 def enter(
     name: str, path: Path, folder: Path, watch: Watch | None, options: Mapping[str, Any], *, ours: bool = False
 ) -> Entry:
-    """Make an entry: take a run unchanged, or score plans into the board's folder. An existing run there is resumed.
+    """Make an entry: use a run unchanged, or score plans into the board's folder. A run that is already there is
+    resumed.
 
     Args:
-        options: options of ``petmjx.score``, for plans.
+        options: options of ``petmjx.score``, for scoring plans.
 
     Raises:
-        InputError: unusable plans or options, or the board's folder has another run.
+        InputError: plans or options are unusable, or the board's folder has another run.
     """
     scored = False
     if (path / RUN_FILE).is_file():
@@ -165,8 +166,8 @@ def enter(
 
 
 def keep_plans(entry: Entry, folder: Path) -> str:
-    """Write an entry's plans into the board's folder, so that the board can be made again from it. Returns the
-    name of the file; "" if the plans were not found."""
+    """Write the plans of an entry into the board's folder, so that the board can be made again from this folder.
+    Returns the name of the file; "" if the plans were not found."""
     if not entry.plans:
         return ""
     file = folder / PLANS / f"{entry.name}.json"

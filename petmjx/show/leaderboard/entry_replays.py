@@ -1,4 +1,4 @@
-"""Checks entries of a leaderboard: simulates some of their plans again, and refuses entries that the replays
+"""Checks the entries of a leaderboard: simulates some of their plans again, and refuses entries that these replays
 contradict."""
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from petmjx.show.leaderboard.entries import Entry
 from petmjx.version import __version__
 
 NEAR_MARGIN: Final = 0.1
-"""Verdicts with a smaller margin, of either sign, may differ between engines and between machines."""
+"""Verdicts whose margin is smaller than this, with either sign, may differ between engines and between machines."""
 
 NEAR_FLAGS: Final = Flag.SINKING | Flag.MOVING | Flag.KNIFE_EDGE | Flag.TIMESTEP
 """Flags of worlds whose verdicts may also differ between engines and between machines."""
@@ -36,9 +36,10 @@ class Replay:
     """A plan of an entry, simulated again.
 
     Attributes:
-        claimed: the verdict in the run of the entry.
+        claimed: the verdict in the entry's run.
         verdict, reason: verdict and reason of the replay.
-        near: whether the verdicts may differ by chance: the replay is near a threshold, or has no valid verdict.
+        near: whether the two verdicts may differ by chance, since the replay is near a threshold or has no valid
+            verdict.
     """
 
     plan_id: str
@@ -61,7 +62,7 @@ class Replay:
 
     @property
     def differs(self) -> bool:
-        """Whether the run has another verdict."""
+        """Whether the run claims another verdict."""
         return self.claimed in _VALID and self.verdict != self.claimed
 
 
@@ -71,9 +72,9 @@ class Sample:
 
     Attributes:
         engine: name of the engine that simulated them.
-        exact: whether it is the run's engine, with the same version of petmjx, so that verdicts only differ by
-            rounding.
-        fault: another fault of the run; "" for none.
+        exact: whether this engine is also the run's, with the same version of petmjx, so that verdicts can differ only
+            because of rounding.
+        fault: another fault of the run; "" if there is none.
     """
 
     packer: str
@@ -83,7 +84,7 @@ class Sample:
     fault: str = ""
 
     def with_replays(self, more: Collection[Replay]) -> Sample:
-        """The sample with further replays. A plan that is already in the sample counts once."""
+        """The sample with further replays added. A plan that is already in the sample is not counted again."""
         replayed_ids = {replay.plan_id for replay in self.replays}
         return replace(
             self, replays=(*self.replays, *(replay for replay in more if replay.plan_id not in replayed_ids))
@@ -93,9 +94,9 @@ class Sample:
     def refusal(self) -> str:
         """Why the entry is not rated, in one line; "" if it is rated.
 
-        One different verdict that is not near a threshold refutes the run if the sample is ``exact``. Otherwise several
-        different verdicts refute it. Several different verdicts near a threshold refute it if more than half of all
-        replays differ.
+        In an ``exact`` sample, a single differing verdict that is not near a threshold refutes the run. In other
+        samples, several of these are needed. Several differing verdicts near a threshold refute the run if more than
+        half of all replays differ.
         """
         differing = [replay for replay in self.replays if replay.differs]
         firm = [replay for replay in differing if not replay.near]
@@ -117,7 +118,7 @@ class Sample:
 
     @property
     def note(self) -> str:
-        """A line on verdicts that differ without refuting the run; "" if there are none."""
+        """A line about verdicts that differ without refuting the run; "" if there are none."""
         differing = [replay.plan_id for replay in self.replays if replay.differs]
         if not differing or self.refusal:
             return ""
@@ -137,15 +138,14 @@ def sample_entry(
 ) -> Sample:
     """Simulate some plans of an entry again.
 
-    The plans are drawn with random numbers of the operating system, so that no entry can predict them. Plans that stand
-    in the run are simulated first, since the rating depends on them.
+    The plans are drawn with random numbers from the operating system, so that no entry can predict them. Plans that
+    stand according to the run are simulated first, since the rating depends on them.
 
-    Args:
-        most: number of plans. The same number of further plans is simulated if a verdict differs on another engine than
-            the run's.
+    most: number of plans. If a verdict differs on an engine other than the run's, the same number of further plans is
+    simulated.
         sim: simulation options of the board.
-        options: run options of the board. If the options name no engine, the run's engine is used if it can run here,
-            else ``mujoco``.
+        options: run options of the board. If they name no engine, the run's engine is used if it can run on this
+            machine, else ``mujoco``.
         wanted: ids of the plans to sample; None: all.
     """
     config = entry.run.info.get("config", {})
@@ -183,14 +183,14 @@ def _replay(plan_id: str, claimed: str, row: pd.Series) -> Replay:
 
 
 def _drawn(claimed: Mapping[str, str]) -> list[str]:
-    """All plans with a valid verdict in random order; plans that stand come first."""
+    """All plans that have a valid verdict, in random order, but with plans that stand first."""
     valid = [name for name, verdict in claimed.items() if verdict in _VALID]
     shuffled = [valid[at] for at in np.random.default_rng().permutation(len(valid))]
     return sorted(shuffled, key=lambda name: claimed[name] != Verdict.STABLE.value)
 
 
 def _simulate(plans: Sequence[Any], sim: Simulation, options: RunOptions, engine: Any) -> Any:
-    """Score plans; on ``mujoco`` if the run's engine cannot run here."""
+    """Score plans. If the run's engine cannot run on this machine, ``mujoco`` is used."""
     engine_name = engine if not isinstance(engine, str) or engine in ENGINES or engine == options.engine else "mujoco"
     for candidate in dict.fromkeys((engine_name, "mujoco")):
         try:

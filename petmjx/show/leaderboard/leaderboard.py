@@ -44,7 +44,7 @@ from petmjx.show.leaderboard.leaderboard_page import Board, StoryEntry, board_pa
 from petmjx.show.pages.story_page import story_page
 
 MOST_STORIES: Final = 100
-"""Largest number of stories of each packer. A story is a page of 0.1 to 1 MB."""
+"""Largest number of stories per packer. A story is a page of 0.1 to 1 MB."""
 
 
 def leaderboard(
@@ -60,38 +60,42 @@ def leaderboard(
     overwrite: bool = False,
     **options: Any,
 ) -> Path:
-    """Rate packers by physics, and write a folder of static pages about them: a site that works offline.
+    """Rate packers by physics, and write a site about them: a folder of static pages that works offline.
 
     ``petmjx.leaderboard({"mine": "mine.json"}, "board", orders="orders.json", baselines=True)``
 
-    The folder has ``index.html``, ``leaderboard.json`` with the same numbers, and the pages of stories. The folder also
-    has everything for making the board again: ``plans/``, ``orders.json``, and the command in the page.
+    The folder contains ``index.html``, ``leaderboard.json`` with the same numbers, and the pages of stories. It also
+    contains all that is needed to make the board again: ``plans/``, ``orders.json``, and the command, which the page
+    shows.
 
-    Plans are scored into ``runs/`` in this folder. Existing runs are used, but ``replays`` of their plans are simulated
-    again. An entry whose run the replays contradict is not rated, and a ``PlanWarning`` says so.
+    Plans are scored into ``runs/`` in this folder. Existing runs are used as they are, but ``replays`` of their plans
+    are simulated again. If the replays contradict the run of an entry, the entry is not rated, and a ``PlanWarning``
+    states this.
 
     Args:
-        packers: name → folder of a run, or plans. Without names, packers are named after their folders and files.
+        packers: name → the folder of a run, or plans. Without names, packers are named after their folders and files.
         out: folder of the site.
-        orders: file of the plans' orders, in any form. The rating is about them, and KPIs are added. Without orders,
-            the rating counts the orders with a plan of any packer, so a packer's rating depends on the other packers.
-        baselines: also pack the orders with each of petmjx's packers.
-        repairs: names of packers whose plans are also repaired (docs/repair.md) and rated, as the entry
+        orders: file with the orders of the plans, in any form. The rating then covers these orders, and KPIs are added.
+            Without orders, the rating covers the orders for which any packer has a plan, so the rating of a packer
+            depends on the other packers.
+        baselines: whether to pack the orders with each of petmjx's packers as well.
+        repairs: names of packers whose plans are also repaired (docs/repair.md), and rated as the entry
             ``NAME-repaired``.
-        stories: number of plans of each packer with a page. Plans that fall while another packer's plan of the order
-            stands come first.
-        replays: number of plans of each entry that are simulated again, unless the board has just scored the entry.
-            The plans are drawn at random. The options are those of the call, or those of all runs.
-        watch: packer → a context manager with the watcher of its run.
-        overwrite: replace an existing leaderboard.
+        stories: number of plans per packer that get a page. Plans that fall while another packer's plan for the same
+            order stands come first.
+        replays: number of plans per entry that are simulated again, unless the board has just scored the entry. The
+            plans are drawn at random. The options are those of the call; without any, those that all runs have in
+            common.
+        watch: function that returns for a packer a context manager with the watcher of its run.
+        overwrite: whether to replace an existing leaderboard.
         options: options of ``petmjx.score``, for plans that are scored.
 
     Returns:
         The path of ``index.html``.
 
     Raises:
-        InputError: fewer than two packers, unusable plans, runs or options, no packer with a run that its replays
-            confirm, or the folder cannot be written or holds something else than a leaderboard.
+        InputError: there are fewer than two packers; plans, runs or options are unusable; no packer has a run that its
+            replays confirm; or the folder is not writable, or contains something other than a leaderboard.
     """
     flag_of(baselines, "baselines")
     integer_of(stories, "stories", 0, MOST_STORIES)
@@ -148,7 +152,7 @@ def leaderboard(
 
 @dataclass(frozen=True, eq=False)
 class _RatedEntries:
-    """The rated entries and their comparison. For other entries the record only has samples.
+    """The rated entries and their comparison. For entries that are not rated, there are only samples.
 
     Attributes:
         options: simulation options of the board.
@@ -165,7 +169,7 @@ class _RatedEntries:
 def _rated_entries(
     entries: Sequence[Entry], folder: Path, orders: Path | None, options: Mapping[str, Any], stories: int, replays: int
 ) -> _RatedEntries:
-    """Compare the entries whose runs are confirmed by the board's own simulations: samples and stories."""
+    """Compare those entries whose runs the board's own simulations confirm, in samples and stories."""
     runs_by_packer({entry.name: entry.run for entry in entries})
     of_simulation, of_run, _ = sorted_options(options, Confidence)
     sim, run_options = _options_of(of_simulation, entries), RunOptions(**of_run)
@@ -198,7 +202,7 @@ def _rated_entries(
 
 
 def _options_of(of_simulation: Mapping[str, Any], entries: Sequence[Entry]) -> Simulation:
-    """The simulation options of the board: those of the call, else those of its runs if all runs agree."""
+    """The simulation options of the board: those of the call, else those of its runs if these all agree."""
     settings = [entry.run.info.get("config", {}).get("simulation") for entry in entries]
     if of_simulation or not isinstance(settings[0], Mapping) or any(setting != settings[0] for setting in settings):
         return Simulation(**of_simulation)
@@ -233,8 +237,8 @@ def _digest(file: Path) -> str:
 def _stories(
     entries: Sequence[Entry], comparison: PackerComparison, folder: Path, most: int
 ) -> tuple[list[StoryEntry], dict[str, list[Replay]]]:
-    """Make stories of some plans of each packer, each simulated again as in its run. Also returns the replays of each
-    packer."""
+    """Make stories of some plans of each packer. Each is simulated again as in its run. Also returns these simulations
+    as replays of each packer."""
     folder.mkdir(exist_ok=True)
     stories: list[StoryEntry] = []
     replays_by_name: dict[str, list[Replay]] = {}
@@ -252,9 +256,9 @@ def _stories(
 
 
 def worth_telling(comparison: PackerComparison, packer: str, plans: Mapping[str, Any]) -> list[str]:
-    """Plans of a packer in the order in which they get stories. First come plans that do not stand while another
-    packer's plan does, then other plans that do not stand, then plans that stand while another packer's plan does not,
-    then all other plans. In each group the largest plans come first."""
+    """The plans of a packer, sorted by how worth telling their stories are. First come plans that do not stand while
+    another packer's plan does, then other plans that do not stand, then plans that stand while another packer's plan
+    does not, then all others. In each group the largest plans come first."""
     mine = comparison.plans[(comparison.plans["packer"] == packer) & comparison.plans["plan_id"].isin(list(plans))]
     lost = set(comparison.decided.loc[comparison.decided["lost_by"] == packer, "plan_id"])
     falls = mine["verdict"] == Verdict.UNSTABLE.value

@@ -1,4 +1,4 @@
-"""The files of a leaderboard: names of files to write, and which existing files are the board's own."""
+"""The files of a leaderboard: which files will be written, and which existing files are the board's own."""
 
 from __future__ import annotations
 
@@ -25,20 +25,20 @@ ORDERS: Final = "orders.json"
 
 FILES: Final = "files"
 UNFINISHED: Final = "unfinished"
-"""Entries of ``leaderboard.json``: the list of the board's own files, and the mark of an unfinished board."""
+"""Keys in ``leaderboard.json``: the list of the board's own files, and the mark of an unfinished board."""
 
 _MOST_BYTES: Final = 1 << 30
 _NO_FILE: Final = ".none"
-"""A name in a run's folder that no file has. The parent is used to check the path to the folder."""
+"""A name that no file in a run's folder has. Its parent is used to check the path to the folder."""
 
 
 def names_of(packers: Collection[str], stories: int, orders: bool) -> list[str]:
-    """The files that a board may have in addition to its runs, as paths relative to its folder.
+    """The files that a board may have besides its runs, as paths relative to its folder.
 
     Args:
         packers: names of the packers.
-        stories: largest number of stories of a packer.
-        orders: whether it keeps a file of orders.
+        stories: largest number of stories per packer.
+        orders: whether the board has a file of orders.
     """
     pages = [f"{STORIES}/{packer}-{story}.html" for packer in range(1, len(packers) + 1) for story in _up_to(stories)]
     return [PAGE, DATA, *([ORDERS] if orders else ()), *(f"{PLANS}/{name}.json" for name in packers), *pages]
@@ -49,21 +49,21 @@ def _up_to(number: int) -> range:
 
 
 class BoardFolder:
-    """The folder of a leaderboard that is being made.
+    """The folder of a leaderboard while it is being made.
 
     Args:
-        folder: made by :meth:`begin`.
+        folder: the folder, which :meth:`begin` creates.
         names: the files that will be written, from :func:`names_of`.
         packers: names of the packers that will be scored into the folder.
         inputs: files and folders that are read.
-        overwrite: replace an existing board. An unfinished board is continued even without this list.
+        overwrite: whether to replace an existing board. An unfinished board is continued even without it.
 
     Attributes:
         board_files: the board's own files, as paths relative to its folder.
 
     Raises:
-        InputError: the folder holds something else than a leaderboard, a foreign file with the name of a board's file,
-            or a board that may not be replaced.
+        InputError: the folder contains something other than a leaderboard, a foreign file with the name of a board's
+            file, or a board that must not be replaced.
     """
 
     def __init__(
@@ -88,7 +88,8 @@ class BoardFolder:
         self.check()
 
     def check(self) -> None:
-        """Check again that no foreign file would be replaced or removed, since the work in between may take hours."""
+        """Check again that no foreign file would be replaced or deleted, since hours may have passed since the first
+        check."""
         check_outputs(
             [self._folder / name for name in dict.fromkeys((*self._names, *self.board_files, *self._runs))],
             overwrite=self._overwrite,
@@ -98,17 +99,17 @@ class BoardFolder:
         )
 
     def begin(self) -> None:
-        """Make the folder, and write the list of the board's own files before the first of them."""
+        """Create the folder, and write the list of the board's own files before the first of these files."""
         self._folder.mkdir(parents=True, exist_ok=True)
         self.board_files |= frozenset(self._names)
         self._write({**self._before, "petmjx": __version__, UNFINISHED: True, FILES: sorted(self.board_files)})
-        self._overwrite = True  # from here on files with these names belong to this board
+        self._overwrite = True  # from now on, files with these names belong to this board
 
     def finish(self, board: Mapping[str, Any], written: Collection[str]) -> None:
-        """Write ``leaderboard.json``, and remove files that an earlier board has left.
+        """Write ``leaderboard.json``, and delete files that an earlier board has left.
 
         Args:
-            written: the files of ``names`` that the board has.
+            written: those of the files ``names`` that the board has.
         """
         self.check()
         for name in self.board_files.difference(written, (DATA,)):
@@ -122,7 +123,7 @@ class BoardFolder:
 
 
 def _board_in(folder: Path) -> Mapping[str, Any] | None:
-    """The content of the ``leaderboard.json`` in a folder; None if there is no board.
+    """The content of ``leaderboard.json`` in a folder; None if there is no board.
 
     Raises:
         InputError: petmjx did not write the file.
@@ -140,7 +141,7 @@ def _board_in(folder: Path) -> Mapping[str, Any] | None:
 
 
 def _own_of(board: Mapping[str, Any]) -> Iterator[str]:
-    """The board's own files, from its list. A board without a list has the files of its packers and stories."""
+    """The board's own files, from its list. If it has no list, they are the files of its packers and stories."""
     if not board:
         return
     listed = board.get(FILES)
@@ -159,8 +160,8 @@ def _tables(value: Any) -> list[dict[str, Any]]:
 
 
 def _is_a_board_file(name: str) -> bool:
-    """Whether a name can be that of a board's file. An edited ``leaderboard.json`` must not lead petmjx to other
-    files."""
+    """Whether a name can be that of a board's file. This check ensures that an edited ``leaderboard.json`` cannot make
+    petmjx delete other files."""
     path = PurePosixPath(name)
     if len(path.parts) == 1:
         return name in (PAGE, DATA, ORDERS)

@@ -25,7 +25,7 @@ from petmjx.show.report.svg_charts import figure
 from petmjx.version import __version__
 
 MOST_ORDERS: Final = 200
-"""Most orders that the page lists. The runs have all orders."""
+"""Largest number of orders that the page lists. The runs contain all of them."""
 
 MOST_SENTENCES: Final = 15
 
@@ -45,12 +45,12 @@ _MEANS: Final = {
     "kpi_5": ("kpi_5", ".3f"),
     "utilisation_2m": ("use below 2 m", ".3f"),
 }
-"""Column of ``PackerComparison.packers``, its heading and its format."""
+"""Column of ``PackerComparison.packers``, with its heading and its format."""
 
 
 @dataclass(frozen=True)
 class StoryEntry:
-    """A story of the board: a plan of a packer, its verdict, and the path of its page relative to the board's
+    """A story on the board: a plan of a packer, its verdict, and the path of its page relative to the board's
     folder."""
 
     packer: str
@@ -61,15 +61,15 @@ class StoryEntry:
 
 @dataclass(frozen=True, eq=False)
 class Board:
-    """The content of the page.
+    """What the page shows.
 
     Attributes:
         rating: a row for each packer, from ``petmjx.analysis.packer_rating.rate``.
-        digests: packer → SHA-256 of the file of its plans in the folder. Packers whose plans were not found have no
-            entry.
+        digests: packer → SHA-256 of the file in the folder that has its plans. Packers whose plans were not found are
+            missing.
         orders: whether the board was made with orders.
         stories: largest number of stories of a packer.
-        options: simulation options to make the board again.
+        options: simulation options for making the board again.
         samples: samples of all entries whose plans were simulated again, including entries that are not rated.
     """
 
@@ -102,7 +102,7 @@ class Board:
 
     @property
     def notes(self) -> list[str]:
-        """Reasons to doubt the board, one line each."""
+        """Lines with reasons to doubt the board."""
         lost = [entry.name for entry in self.entries if entry.name not in self.digests]
         lines = [sample.refusal or sample.note for sample in self.samples if sample.refusal or sample.note]
         lines += self.comparison.notes
@@ -117,7 +117,7 @@ class Board:
 
     @property
     def command(self) -> str:
-        """The command that makes the board again in another folder. The command runs in the board's folder."""
+        """The command that makes the board again in another folder. It must be run in the board's folder."""
         entry_names = [entry.name for entry in self.entries if entry.name in self.digests and not entry.ours]
         words = ["petmjx", "leaderboard", *(f"{name}={PLANS}/{name}.json" for name in entry_names)]
         words += ["--orders", ORDERS] if self.orders else []
@@ -133,7 +133,7 @@ class Board:
 def _changed_options(
     values: Mapping[str, Any], usual: Mapping[str, Any], prefix: str = ""
 ) -> Iterator[tuple[str, Any]]:
-    """Dotted name and value of each option that is not the default."""
+    """Yield the dotted name and the value of each option that does not have its default."""
     for name, value in values.items():
         default = usual.get(name)
         if isinstance(value, Mapping) and isinstance(default, Mapping):
@@ -149,7 +149,7 @@ def _toml(value: Any) -> str:
 
 
 def board_page(board: Board) -> str:
-    """The page as text."""
+    """The text of the page."""
     first = board.rating.iloc[0]
     orders = count_text(int(first["n_orders"]), "order")
     sections: list[tuple[str, Content]] = [
@@ -192,7 +192,7 @@ def _rating(board: Board) -> Markup:
 
 
 def _rerun_text(board: Board) -> Content:
-    """The entries that are runs, and the number of their plans that were simulated again."""
+    """A text about the entries that are runs, and how many of their plans were simulated again."""
     parts = [
         f"{count_text(len(sample.replays), 'plan')} of {printable(sample.packer)}"
         for sample in board.samples

@@ -1,1 +1,1 @@
-"""Pages: each is one HTML file that opens offline in any browser and requests nothing from a server."""
+"""Pages. Each is one HTML file that can be opened offline in any browser and requests nothing from a server."""

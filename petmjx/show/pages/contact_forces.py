@@ -1,4 +1,4 @@
-"""Contact forces for pages and pictures: one force for each pair of bodies."""
+"""Contact forces for pages and pictures, added up to one force for each pair of bodies."""
 
 from __future__ import annotations
 
@@ -12,13 +12,12 @@ from petmjx.world.history import FLOOR, Contacts
 
 
 class Pushes(NamedTuple):
-    """k pushes, sorted by pair of bodies, then by frame.
+    """k pushes, sorted by pair of bodies, then by frame. A push is the total force between two bodies.
 
     Attributes:
         frame: (k,) number of the frame.
-        point: (k, 3) centre of pressure, m: the mean of the contacts' places, weighted by their forces.
-        force: (k, 3) sum of the forces on the lower of the two bodies, N. The z of the force on the lower body is not
-            positive.
+        point: (k, 3) centre of pressure, m: the mean position of the contacts, weighted by their forces.
+        force: (k, 3) sum of the forces on the lower of the two bodies, N. Its z is never positive.
     """
 
     frame: NDArray[np.int32]

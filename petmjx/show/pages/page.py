@@ -1,7 +1,7 @@
-"""Makes one offline HTML page from parts.
+"""Makes one offline HTML page from its parts.
 
-The page contains its styles, scripts and data, and its policy does not allow it to request anything else. Texts from
-plans never become markup: in HTML they go through :func:`escaped_html`, in data through :func:`page`, and scripts write
+The page contains its styles, scripts and data, and its policy forbids it to request anything else. Texts from plans
+never become markup: in HTML they pass through :func:`escaped_html`, in data through :func:`page`, and scripts write
 them as text.
 """
 
@@ -24,13 +24,13 @@ _BLOCK_NAME: Final = re.compile(r"[a-z][a-z0-9-]*")
 
 
 def escaped_html(value: object) -> str:
-    """A value as text within HTML, or within a quoted attribute."""
+    """A value as text for use within HTML, or within a quoted attribute."""
     return html.escape(printable(str(value)))
 
 
 def filled_template(template: str, **parts: str) -> str:
-    """A file of ``petmjx/show/pages/static`` with its ``$names`` replaced. The parts are markup, so escape plain
-    text."""
+    """A file of ``petmjx/show/pages/static`` in which ``$names`` are replaced by ``parts``. The parts are markup, so
+    plain text must be escaped before."""
     return Template(static_text(template)).substitute(parts)
 
 
@@ -43,22 +43,23 @@ def page(
     info: Mapping[str, Any] | None = None,
     blocks: Mapping[str, str] | None = None,
 ) -> str:
-    """A page of one file.
+    """A page as one file.
 
-    The policy allows this script and this style sheet, by their hashes, and images inside the page. So there are no
-    ``style`` attributes and no event handlers in ``body``: use classes, and attributes of SVG.
+    The policy allows only this script and this style sheet, which it knows by their hashes, and images inside the page.
+    So ``body`` must have no ``style`` attributes and no event handlers; use classes and SVG attributes instead.
 
     Args:
-        title: text.
-        body: markup.
-        script: the entry module in ``petmjx/show/pages/static``. The modules that it imports are included. "": no
-            script.
+        title: title of the page, as text.
+        body: content of the page, as markup.
+        script: name of the entry module in ``petmjx/show/pages/static``. The modules that it imports are included. "":
+            no script.
         styles: style sheets in the same folder, added after ``base.css``.
-        info: plain values; the script gets them from ``readInfo()``.
-        blocks: name → :func:`petmjx.show.pages.page_arrays.block`; the script gets them from ``readBlock(name)``.
+        info: plain values, which the script reads with ``readInfo()``.
+        blocks: name → result of :func:`petmjx.show.pages.page_arrays.block`, which the script reads with
+            ``readBlock(name)``.
 
     Raises:
-        ValueError: a block's name is not of lower-case letters, digits and hyphens.
+        ValueError: the name of a block has characters other than lower-case letters, digits and hyphens.
     """
     code, look = joined_modules(script) if script else "", joined_styles(("base.css", *styles))
     policy = (
@@ -76,7 +77,7 @@ def page(
 
 
 def _source(text: str) -> str:
-    """The source of a Content-Security-Policy that allows exactly this text."""
+    """The source for a Content-Security-Policy that allows exactly this text."""
     return f"'sha256-{base64.b64encode(hashlib.sha256(text.encode()).digest()).decode()}'"
 
 

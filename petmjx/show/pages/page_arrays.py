@@ -1,7 +1,8 @@
-"""Compact arrays in a page: base64 of deflated bytes, which ``petmjx/show/pages/static/blocks.js`` reads.
+"""Compact arrays in a page: deflated bytes in base64, which ``petmjx/show/pages/static/blocks.js`` reads.
 
-A *block* consists of the length of the header (4 bytes), the header (JSON, padded with spaces to a multiple of 8), and
-the arrays, each of which starts at a multiple of 8. All is little-endian, deflated (zlib), in base64.
+A *block* consists of the length of the header (4 bytes), the header (JSON, padded with spaces to a multiple of 8
+bytes), and the arrays, each of which starts at a multiple of 8 bytes. All numbers are little-endian. The block is
+deflated (zlib) and stored in base64.
 """
 
 from __future__ import annotations
@@ -18,15 +19,15 @@ from numpy.typing import NDArray
 
 _TYPES: Final = {"int8", "uint8", "int16", "uint16", "int32", "uint32", "float32", "float64"}
 _MISSING: Final = -32768
-"""Stands for NaN among int16."""
+"""The value that represents NaN among int16 numbers."""
 _LARGEST: Final = 32767
 _ALIGNED: Final = 8
 
 
 @dataclass(frozen=True, eq=False)
 class PackedArray:
-    """An array as stored in a block: ``values`` × ``scale`` + ``offset``. With ``steps`` a row of axis 0 holds the
-    differences from the row before, modulo the type's range, which deflate better."""
+    """An array as stored in a block. Its numbers are ``values`` × ``scale`` + ``offset``. With ``steps``, each row of
+    axis 0 holds the differences from the row before, modulo the range of the type; these deflate better."""
 
     values: NDArray[Any]
     scale: float | None = None
@@ -35,11 +36,11 @@ class PackedArray:
 
 
 def quantised_column(values: NDArray[np.floating[Any]], steps: bool = False) -> PackedArray:
-    """Floats as int16: their range is divided into 65,534 equal parts. The error is at most half a part. NaN stays NaN.
+    """Floats as int16: their range is divided into 65,534 equal parts. The error is at most half a part. NaN is kept.
 
     Args:
-        values: any shape; infinities become NaN.
-        steps: store differences along axis 0, for values that change slowly along it.
+        values: floats of any shape. Infinities become NaN.
+        steps: whether to store differences along axis 0, which suits values that change slowly along it.
     """
     finite = np.isfinite(values)
     low, high = (float(values[finite].min()), float(values[finite].max())) if finite.any() else (0.0, 0.0)
@@ -51,10 +52,10 @@ def quantised_column(values: NDArray[np.floating[Any]], steps: bool = False) -> 
 
 
 def integer_column(values: NDArray[np.integer[Any]], steps: bool = False) -> PackedArray:
-    """Whole numbers, in the smallest type that holds them.
+    """Whole numbers in the smallest type that can hold them.
 
     Raises:
-        ValueError: numbers beyond 32 bits.
+        ValueError: a number needs more than 32 bits.
     """
     low, high = (int(values.min()), int(values.max())) if values.size else (0, 0)
     for name in ("uint8", "int8", "uint16", "int16", "uint32", "int32"):
@@ -65,17 +66,17 @@ def integer_column(values: NDArray[np.integer[Any]], steps: bool = False) -> Pac
 
 
 def _differences(values: NDArray[Any]) -> NDArray[Any]:
-    """Differences along axis 0, modulo the type's range. The first row stays."""
+    """Differences along axis 0, modulo the range of the type. The first row is unchanged."""
     out = values.copy()
     out[1:] -= values[:-1]
     return out
 
 
 def block(columns: Mapping[str, NDArray[Any] | PackedArray]) -> str:
-    """Arrays by name as the text of a block. Plain arrays stay unchanged.
+    """The text of a block with these arrays, by name. Plain arrays are stored unchanged.
 
     Raises:
-        ValueError: an array of another type than integers of up to 32 bits and floats.
+        ValueError: an array has a type other than floats and integers of up to 32 bits.
     """
     header: list[dict[str, Any]] = []
     body = bytearray()

@@ -1,7 +1,7 @@
-"""Scripts and styles of pages: files of ``petmjx/show/pages/static``, joined into one text each.
+"""Scripts and styles of pages. Files of ``petmjx/show/pages/static`` are joined into one text each.
 
-Scripts are ES modules, so that editors, linters and Node understand them. Modules in one file cannot import each other.
-So each module becomes a function that is called once and returns the exports of the module.
+Scripts are ES modules, so that editors, linters and Node understand them. Modules inside one file cannot import each
+other. So each module becomes a function that is called once and returns the module's exports.
 """
 
 from __future__ import annotations
@@ -24,13 +24,13 @@ def static_text(name: str) -> str:
 
 
 def joined_modules(entry: str) -> str:
-    """A module and all modules that it imports, as one module. The exports of ``viewer.js`` are in the object
-    ``viewer_js``.
+    """Join a module and all modules that it imports into one module. The exports of ``viewer.js`` are then in the
+    object ``viewer_js``.
 
     Raises:
-        ValueError: modules that import each other; an import or export of another form than
-            ``import {a, b} from "./c.js";``, ``import * as c from "./c.js";`` and
-            ``export function``, ``async function``, ``class`` or ``const``.
+        ValueError: modules import each other; or an import or export has a form other than ``import {a, b} from
+            "./c.js";``, ``import * as c from "./c.js";`` and ``export function``, ``async function``, ``class`` or
+            ``const``.
     """
     texts: dict[str, str] = {}
     _gather(entry.removesuffix(".js"), texts, ())
@@ -38,7 +38,7 @@ def joined_modules(entry: str) -> str:
 
 
 def _gather(name: str, texts: dict[str, str], trail: tuple[str, ...]) -> None:
-    """Add a module to ``texts`` after the modules that it imports."""
+    """Add a module to ``texts``, after the modules that it imports."""
     if name in trail:
         raise ValueError(f"modules import each other: {' → '.join((*trail, name))}")
     if name in texts:
@@ -53,10 +53,10 @@ def _gather(name: str, texts: dict[str, str], trail: tuple[str, ...]) -> None:
 
 
 def _object_import(imported: re.Match[str]) -> str:
-    """An import, as access to the object of its module."""
+    """Replace an import by an access to the object of its module."""
     return f"const {imported[1].removeprefix('* as ')} = {imported[2]}_js;"
 
 
 def joined_styles(names: Sequence[str]) -> str:
-    """Style sheets in order."""
+    """Join style sheets, in order."""
     return "\n".join(static_text(name) for name in names)

@@ -1,4 +1,4 @@
-"""Colours for pages and pictures that colour-blind people can tell apart. All are sRGB, as ``#rrggbb``."""
+"""Colours for pages and pictures that colour-blind people can distinguish. All are sRGB, as ``#rrggbb``."""
 
 from __future__ import annotations
 
@@ -16,19 +16,21 @@ OKABE_ITO: Final = ("#e69f00", "#56b4e9", "#009e73", "#f0e442", "#0072b2", "#d55
 """Okabe and Ito, "Color Universal Design", 2008, without black."""
 
 _TONES: Final = (0.0, 0.45, -0.4)
-"""Tones of the hues, in the order of use: pure, lighter, and darker, once all hues are taken."""
+"""Tones of the hues. Pure tones are used first; once all hues are used, lighter ones follow, and then darker ones."""
 
 RAMP_COLOURS: Final = 64
 
-# A path through OKLab (Ottosson, "A perceptual color space for image processing", 2020) from dark blue over green to
-# yellow: lightness grows evenly, so the order is visible also without hues.
+# A path through OKLab (Ottosson, "A perceptual color space for image processing", 2020) from dark blue through green to
+# yellow. Lightness grows evenly, so the order is visible even without hues.
+# yellow: lightness grows evenly, so the order is visible even without hues.
 _LIGHTNESS: Final = (0.36, 0.93)
 _HUE_DEG: Final = (278.0, 103.0)
 _CHROMA: Final = 0.15
 
 
 def article_colours(articles: Sequence[str]) -> list[str]:
-    """A colour for each box, the same for all boxes of an article. The most frequent articles get the pure colours."""
+    """A colour for each box. All boxes of an article have the same colour. The most frequent articles get pure
+    colours."""
     counts = Counter(articles)
     ranked = sorted(counts, key=lambda article: (-counts[article], articles.index(article)))
     colours = {article: category(number) for number, article in enumerate(ranked)}
@@ -36,7 +38,7 @@ def article_colours(articles: Sequence[str]) -> list[str]:
 
 
 def category(number: int) -> str:
-    """The colour of a category, counted from 0. After 21 categories the colours repeat."""
+    """The colour of a category; categories are numbered from 0. After 21 categories, the colours repeat."""
     hue, tone = OKABE_ITO[number % len(OKABE_ITO)], _TONES[number // len(OKABE_ITO) % len(_TONES)]
     towards = 1.0 if tone > 0 else 0.0
     red, green, blue = (part + abs(tone) * (towards - part) for part in rgb_of(hue))
@@ -44,30 +46,30 @@ def category(number: int) -> str:
 
 
 def ramp() -> list[str]:
-    """``RAMP_COLOURS`` colours from small to large values."""
+    """``RAMP_COLOURS`` colours, for values from small to large."""
     return [_on_path(number / (RAMP_COLOURS - 1)) for number in range(RAMP_COLOURS)]
 
 
 def rgb_of(colour: str) -> Rgb:
-    """``#rrggbb`` as shares from 0 to 1."""
+    """Convert ``#rrggbb`` to shares from 0 to 1."""
     red, green, blue = (int(colour[at : at + 2], 16) / 255 for at in (1, 3, 5))
     return red, green, blue
 
 
 def hex_of(rgb: Rgb) -> str:
-    """Shares from 0 to 1 as ``#rrggbb``."""
+    """Convert shares from 0 to 1 to ``#rrggbb``."""
     return "#" + "".join(f"{round(255 * min(max(part, 0.0), 1.0)):02x}" for part in rgb)
 
 
 def look() -> dict[str, Any]:
-    """The look of boxes, read from ``petmjx/show/pages/static/look.js``."""
+    """How boxes look, read from ``petmjx/show/pages/static/look.js``."""
     _, _, json_text = static_text("look.js").partition("LOOK = ")
     appearance: dict[str, Any] = json.loads(json_text.rstrip().removesuffix(";"))
     return appearance
 
 
 def _on_path(share: float) -> str:
-    """The colour at a share of the path, with the largest chroma that sRGB allows."""
+    """The colour at a position on the path, given as a share, with the largest chroma that sRGB allows."""
     lightness, hue = (low + share * (high - low) for low, high in (_LIGHTNESS, _HUE_DEG))
     chroma = _CHROMA
     while True:
@@ -79,7 +81,7 @@ def _on_path(share: float) -> str:
 
 
 def _linear_of(lightness: float, a: float, b: float) -> Rgb:
-    """OKLab → linear sRGB; matrices from Ottosson's definition."""
+    """Convert OKLab to linear sRGB, with the matrices of Ottosson's definition."""
     long = (lightness + 0.3963377774 * a + 0.2158037573 * b) ** 3
     middle = (lightness - 0.1055613458 * a - 0.0638541728 * b) ** 3
     short = (lightness - 0.0894841775 * a - 1.2914855480 * b) ** 3
@@ -91,5 +93,5 @@ def _linear_of(lightness: float, a: float, b: float) -> Rgb:
 
 
 def _srgb_encoding(linear: float) -> float:
-    """sRGB's transfer function (IEC 61966-2-1)."""
+    """Apply sRGB's transfer function (IEC 61966-2-1)."""
     return 12.92 * linear if linear <= 0.0031308 else 1.055 * linear ** (1 / 2.4) - 0.055

@@ -1,4 +1,4 @@
-"""The page about the reading of files: a picture of a plan, columns, units and axes, and the other readings."""
+"""The page about how files are read: pictures of plans, columns, units and axes, and the other readings."""
 
 from __future__ import annotations
 
@@ -14,11 +14,11 @@ from petmjx.show.pages.still_svg import plan_svg
 from petmjx.version import __version__
 
 _MOST_PICTURES: Final = 4
-"""Most plans of a file that are drawn."""
+"""Largest number of plans of a file that are drawn."""
 _MOST_BOXES: Final = 8
-"""Most boxes whose numbers are shown: enough to compare them with the file."""
+"""Largest number of boxes whose numbers are shown. These suffice to compare them with the file."""
 _MOST_LINES: Final = 20
-"""Most lines about odd and skipped plans."""
+"""Largest number of lines about odd and skipped plans."""
 
 _FACTS: Final = {
     "units": "lengths",
@@ -37,11 +37,11 @@ _WORDS: Final = {
     "origin": {"given": "as in the file", "middle": "the middle of the carrier", "floor": "below the deck"},
     "order": {"sequence": "by its column", "rows": "as the rows", "height": "from the ground up"},
 }
-"""Field of a reading → value → words."""
+"""Field of a reading → value → description."""
 
 
 def reading_page(plan_set: PlanSet, infos: Sequence[Mapping[str, Any]]) -> str:
-    """One offline HTML file that shows the reading of files.
+    """One offline HTML file that shows how files are read.
 
     Args:
         infos: the records of ``petmjx.show.file_info.file_infos``.
@@ -62,7 +62,7 @@ def reading_page(plan_set: PlanSet, infos: Sequence[Mapping[str, Any]]) -> str:
 
 
 def _section(record: Mapping[str, Any], plans: Sequence[Plan]) -> str:
-    """One file."""
+    """The section about one file."""
     counts = f"{count_text(record['plans'], 'plan')}, {count_text(record['boxes'], 'box', 'boxes')}"
     pictures = "".join(_picture(plan) for plan in plans[:_MOST_PICTURES])
     n_more = len(plans) - _MOST_PICTURES
@@ -85,7 +85,7 @@ def _picture(plan: Plan) -> str:
 
 
 def _conventions(reading: Mapping[str, Any]) -> str:
-    """Units, axes and turns."""
+    """The section about units, axes and rotations."""
     facts = [(_FACTS[name], _WORDS.get(name, {}).get(reading[name], reading[name])) for name in _FACTS]
     facts.append(("sizes along x, y, z", ", ".join(reading["along"])))
     facts.append(("evidence", reading["evidence"]))
@@ -93,7 +93,7 @@ def _conventions(reading: Mapping[str, Any]) -> str:
 
 
 def _columns(reading: Mapping[str, Any]) -> str:
-    """The columns, and the readings that were close."""
+    """The section about the columns, and about other readings with a similar cost."""
     html = f"<h3>Columns</h3>{_table(('in petmjx', 'in the file'), reading['columns'].items())}"
     if reading["unused"]:
         html += f"<p>Not used: {escaped_html(', '.join(reading['unused']))}</p>"
@@ -107,7 +107,7 @@ def _columns(reading: Mapping[str, Any]) -> str:
 
 
 def _first_boxes(plan: Plan) -> str:
-    """The numbers of the first boxes, in petmjx's form."""
+    """The numbers of the first boxes in petmjx's form."""
     rows = [
         (box, plan.articles[box], _lengths(plan.size_mm[box]), _lengths(plan.corner_mm[box]), f"{plan.mass_kg[box]:g}")
         for box in range(min(plan.n_boxes, _MOST_BOXES))

@@ -1,4 +1,4 @@
-"""The page of repairs: each plan before and after, side by side, and the changes."""
+"""The page about repairs: each plan before and after its repair, side by side, and the changes."""
 
 from __future__ import annotations
 
@@ -30,9 +30,10 @@ def write_repair_page(repairs: Repairs, path: Path) -> None:
 
 
 def repair_page(repairs: Repairs) -> str:
-    """One offline HTML file: for each plan that did not stand two pictures of its end, and the changes.
+    """One offline HTML file. For each plan that did not stand, it has two pictures of the end of the simulation, and
+    the changes.
 
-    Both plans are simulated once more for the pictures.
+    Both plans are simulated once more to make the pictures.
     """
     fell = [repaired for repaired in repairs.each if not repaired.trial_before.stands]
     standing = len(repairs.each) - len(fell)
@@ -49,7 +50,7 @@ def repair_page(repairs: Repairs) -> str:
 
 
 def _section(repaired: Repaired, how: dict[str, Any]) -> str:
-    """One plan: its pictures and its changes."""
+    """The section about one plan: its pictures and its changes."""
     before = simulated_story(repaired.before, details=False, **how)
     pictures = _picture("before", before, {before.outcome.culprit})
     if repaired.stands:
@@ -77,7 +78,7 @@ def _heading(repaired: Repaired) -> str:
 
 
 def _numbers(repaired: Repaired) -> list[int]:
-    """The number, in the original plan, of each box of the repaired plan; added sheets have the next numbers."""
+    """For each box of the repaired plan, its number in the original plan. Added sheets have the numbers after these."""
     from petmjx.repairs.changes import applied
     from petmjx.repairs.drafts import Draft
 
@@ -96,7 +97,7 @@ def _picture(title: str, story: Story, marked: Collection[int], numbers: list[in
 
 
 def _facts(repaired: Repaired) -> str:
-    """The cost and the shares with errors as a line."""
+    """A line with the cost, and with the shares of worlds with errors in which the plan stands."""
     facts = [("cost", f"{repaired.cost:.2f}")] if repaired.stands else []
     for name, share in (("before", repaired.share_before), ("after", repaired.share_after)):
         if share is not None:

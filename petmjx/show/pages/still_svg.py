@@ -1,6 +1,6 @@
 """A still picture of boxes as SVG, for browsers without WebGL.
 
-The box is seen from the front left, and far boxes are drawn first.
+The boxes are seen from the front left. Boxes farther away are drawn first.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from petmjx.show.pages.story_data import framed_corners
 from petmjx.world.rotation import corners, rotations
 from petmjx.world.scene import IDENTITY_QUAT, build_scene
 
-# The first view of petmjx/show/pages/static/camera.js, without its perspective.
+# The first view of petmjx/show/pages/static/camera.js, but without perspective.
 _LOOK: Final = look()
 _AZIMUTH, _ELEVATION = _LOOK["view"]["azimuth"], _LOOK["view"]["elevation"]
 _TOWARDS: Final = np.array(
@@ -46,8 +46,8 @@ def still_svg(story: Story, marked: Collection[int] | None = None, numbers: Sequ
     """The last frame of a story as SVG.
 
     Args:
-        marked: boxes that are outlined; None: the first one to fail.
-        numbers: numbers of the boxes in the picture; None: their numbers in the plan.
+        marked: boxes that are outlined; None: the first box to fail.
+        numbers: numbers by which the picture names the boxes; None: their numbers in the plan.
     """
     marked = (story.outcome.culprit,) if marked is None else marked
     history, scene = story.history, story.scene
@@ -76,7 +76,7 @@ def still_svg(story: Story, marked: Collection[int] | None = None, numbers: Sequ
 
 
 def plan_svg(plan: Plan) -> str:
-    """An SVG picture of a plan at its planned places, on its carrier. Nothing is simulated."""
+    """An SVG picture of a plan with all boxes at their planned places, on its carrier. Nothing is simulated."""
     scene = build_scene(plan, Simulation(size_reduction_mm=0.0))
     boards = scene.carrier.shapes_at(scene.carrier.pos, np.array(IDENTITY_QUAT))
     axes = np.tile(np.eye(3), (plan.n_boxes, 1, 1))
@@ -100,15 +100,15 @@ def _svg(
     n_walls: int,
     label: str,
 ) -> str:
-    """Boxes of a plan and its carrier's boards as SVG.
+    """The boxes of a plan and the boards of its carrier as SVG.
 
     Args:
-        boxes: centres, axes and half sizes of the shown boxes and then of the boards, as in ``drawing_order``.
-        shown: rows of the plan of the shown boxes.
-        numbers: the numbers of these boxes in the picture.
-        fit: as from ``_picture_fit``.
-        marked: rows of boxes that are outlined.
-        n_walls: number of the last boards, which are walls and drawn as panes.
+        boxes: centres, axes and half sizes as in ``drawing_order``, first of the shown boxes, then of the boards.
+        shown: for each shown box, its row in the plan.
+        numbers: numbers by which the picture names these boxes.
+        fit: the result of ``_picture_fit``.
+        marked: rows of the boxes that are outlined.
+        n_walls: number of walls, which are the last boards, and are drawn as panes.
     """
     n_boards = len(boxes[0]) - len(shown)
     colours = article_colours(plan.articles)
@@ -132,19 +132,19 @@ def _svg(
 
 
 def _projection(points: FloatArray) -> FloatArray:
-    """(…, 2) places in the picture, m to the right and downwards."""
+    """(…, 2) positions in the picture, m to the right and downwards."""
     return np.stack([points @ _RIGHT, points @ _DOWN], axis=-1)
 
 
 def _picture_fit(
     points: FloatArray, framed: tuple[FloatArray, FloatArray] | None = None
 ) -> tuple[FloatArray, float, float]:
-    """Upper left corner (2,), pixels per m and height of a picture.
+    """The upper left corner (2,), the pixels per m, and the height of a picture.
 
     Args:
         points: corners of all boxes.
-        framed: lowest and highest corner of the scene; boxes far from the scene are cut off. None: the picture shows
-            all boxes.
+        framed: lowest and highest corner of the scene. Boxes far away from it are cut off. None: the picture shows all
+            boxes.
     """
     projected = _projection(points).reshape(-1, 2)
     if framed is not None:
@@ -161,7 +161,7 @@ def _picture_fit(
 
 
 def _face(flat: FloatArray, axes: FloatArray, fill: str, number: int) -> str:
-    """One face of a box as a polygon; "" if the face looks away from the eye."""
+    """One face of a box as a polygon; "" if the face is turned away from the eye."""
     normal = axes[:, number // 2] * (1 if number % 2 else -1)
     if normal @ _TOWARDS <= 1e-9:
         return ""
@@ -172,14 +172,14 @@ def _face(flat: FloatArray, axes: FloatArray, fill: str, number: int) -> str:
 
 
 def drawing_order(pos: FloatArray, axes: FloatArray, half: FloatArray) -> list[int]:
-    """The order for drawing boxes, so that near boxes cover far ones.
+    """The order in which boxes must be drawn so that near boxes cover those behind.
 
-    If the plane through a face of one box has the other box on its far side, this plane decides which box is nearer.
-    Pairs that no face separates, and cycles of boxes each behind the next, are ordered by the distance of their
-    centres.
+    If the plane through a face of one box has the other box on its far side, this plane determines which box is nearer.
+    If no face separates two boxes, or if boxes form a cycle in which each is behind the next, they are ordered by the
+    distance of their centres.
 
     Args:
-        pos: (k, 3) centres; axes: (k, 3, 3) columns are their axes; half: (k, 3) half sizes; all in m.
+        pos: (k, 3) centres; axes: (k, 3, 3) the columns are their axes; half: (k, 3) half sizes; all in m.
     """
     before = _before(pos, axes, half)
     depth = pos @ _TOWARDS

@@ -20,16 +20,16 @@ from petmjx.world.job import FORCE
 
 _FAR_M: Final = 0.8
 _FAR_SHARE: Final = 0.5
-"""A box that lies farther beside the pallet than ``_FAR_M`` and this share of the pallet's height is not framed."""
+"""A box is not framed if its distance from the pallet exceeds both ``_FAR_M`` and this share of the pallet's height."""
 _LOST_M: Final = 50.0
-"""Boxes beyond this distance, from simulations that blew up, are not drawn. Otherwise all other places would be stored
-less exactly."""
+"""Boxes farther away than this, in simulations that became unstable numerically, are not drawn. With them, all other
+positions would be stored less precisely."""
 _ARROW_M: Final = 0.45
 """Room to the left of the carrier for the arrow of gravity (petmjx/show/pages/static/arrows.js)."""
 
 
 def story_info(story: Story) -> dict[str, Any]:
-    """The values that the script reads by ``readInfo()``. Lengths are in m unless the name says mm."""
+    """The values that the script reads with ``readInfo()``. Lengths are in m unless their name contains mm."""
     limits, outcome = thresholds_of(story), story.outcome
     first = None
     if outcome.culprit >= 0:
@@ -77,7 +77,8 @@ def placed_s(history: History) -> FloatArray:
 
 
 def _drive(story: Story) -> dict[str, Any] | None:
-    """The drive: its kind, "force" or "acceleration", and the value that equals 1 g; None without a drive."""
+    """The drive: its kind, "force" or "acceleration", and the value that corresponds to 1 g. None if there is no
+    drive."""
     if story.drive is None or not np.any(story.history.drive):
         return None
     kind = story.drive.excitation.kind
@@ -86,7 +87,8 @@ def _drive(story: Story) -> dict[str, Any] | None:
 
 
 def framed_corners(story: Story) -> tuple[FloatArray, FloatArray]:
-    """(3,) lowest and (3,) highest corner of the framed scene: carrier, plan, and boxes that lie near at the end."""
+    """(3,) lowest and (3,) highest corner of what is framed: the carrier, the plan, and boxes that are near it at the
+    end."""
     scene = story.scene
     low = np.vstack([scene.target - scene.half_size, scene.carrier.low]).min(axis=0)
     high = np.vstack([scene.target + scene.half_size, scene.carrier.high]).max(axis=0)
@@ -100,7 +102,7 @@ def framed_corners(story: Story) -> tuple[FloatArray, FloatArray]:
 
 
 def story_blocks(story: Story) -> dict[str, str]:
-    """The blocks that the script reads by ``readBlock``: ``frames``, and ``contacts`` if recorded."""
+    """The blocks that the script reads with ``readBlock``: ``frames``, and ``contacts`` if they were recorded."""
     blocks = {"frames": block(_frames(story, thresholds_of(story)))}
     if story.history.contacts is not None:
         blocks["contacts"] = block(_contacts(story.history.contacts))
@@ -108,9 +110,9 @@ def story_blocks(story: Story) -> dict[str, str]:
 
 
 def _frames(story: Story, limits: Thresholds) -> dict[str, NDArray[Any] | PackedArray]:
-    """The columns of f frames of n boxes. ``shift_mm`` and ``tilt_deg`` are the values that the limits apply to.
+    """The columns for f frames of n boxes. ``shift_mm`` and ``tilt_deg`` are the values to which the limits apply.
 
-    Forces are stored as signed square roots, since impacts are a thousand times the forces at rest.
+    Forces are stored as square roots with their sign, since impacts are a thousand times as large as forces at rest.
     """
     history = story.history
     n_frames, n = history.pos.shape[:2]
@@ -135,8 +137,8 @@ def _frames(story: Story, limits: Thresholds) -> dict[str, NDArray[Any] | Packed
 
 
 def _contacts(contacts: Contacts) -> dict[str, NDArray[Any] | PackedArray]:
-    """One force for each pair of bodies and frame. The rows of a pair are adjacent, so that a row differs little from
-    the row before and deflates well."""
+    """One force for each frame and pair of bodies. The rows of a pair are adjacent, so each row differs little from the
+    row before, and the rows deflate well."""
     forces = pushes(contacts)
     return {
         "frame": integer_column(forces.frame, steps=True),

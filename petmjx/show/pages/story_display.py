@@ -1,4 +1,4 @@
-"""Shows stories in notebooks: the result of ``petmjx.tell`` appears as a page to play and turn."""
+"""Shows stories in notebooks: the result of ``petmjx.tell`` appears as a page that can be played and turned."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ FRAME_HEIGHT_PX = 760
 
 
 def story_as_html(story: Story) -> str:
-    """The story's page in a frame, so that its styles and those of the notebook do not mix."""
+    """The page of a story inside a frame, so that its styles do not mix with those of the notebook."""
     page, title = html.escape(story_page(story)), html.escape(repr(story))
     style = f"width: 100%; height: {FRAME_HEIGHT_PX}px; border: 0"
     return f'<iframe title="{title}" srcdoc="{page}" style="{style}"></iframe>'

@@ -15,7 +15,8 @@ from petmjx.version import __version__
 
 
 def story_page(story: Story) -> str:
-    """One offline HTML file with a story to play, turn and inspect. Without WebGL it shows a still picture and numbers.
+    """One offline HTML file in which a story can be played, turned and inspected. Without WebGL, it shows a still
+    picture and numbers.
 
     Returns:
         The text of the file, to be written as UTF-8.
@@ -74,7 +75,8 @@ _COLUMNS = (
     ("rest_force_n", "force on top at rest, N", "z.1f"),
     ("drop_s", "dropped, s", ".2f"),
 )
-"""Columns of numbers: name in ``story_info``, heading with unit, format. Forces (z) have no "-0.0"."""
+"""The columns of numbers: name in ``story_info``, heading with the unit, and format. In the z of forces, -0.0 is shown
+as 0.0."""
 
 
 def _table(story: Story, boxes: dict[str, Any]) -> str:

@@ -1,4 +1,4 @@
-"""Films of a story, written frame by frame: GIF by Pillow, MP4 (H.264) by the ffmpeg of imageio-ffmpeg."""
+"""Films of a story, written frame by frame: GIF with Pillow, MP4 (H.264) with the ffmpeg of imageio-ffmpeg."""
 
 from __future__ import annotations
 
@@ -29,17 +29,17 @@ HELD_S: Final = 2.0
 """How long a film shows its last frame, s."""
 
 USUAL_LONGEST_S: Final = 20.0
-"""Longest film without a given speed, s. A film is in real time, or faster, so that it is no longer than this."""
+"""Largest length of a film if no speed is given, s. The film then runs in real time, or faster to stay below this."""
 
 MOST_FRAMED: Final = 400
-"""Largest number of frames that the camera of a film is fitted to."""
+"""Largest number of frames to which the camera of a film is fitted."""
 
 GIF_COLOURS: Final = 255
-"""Colours of a GIF. One of 256 is reserved for pixels that do not change."""
+"""Number of colours in a GIF. The last one of 256 is reserved for pixels that do not change."""
 
 
 def film_times(story: Story, speed: float, fps: float) -> list[float]:
-    """The times of a film's frames, s, from the first frame of the story to its last."""
+    """The times of the frames of a film, s, from the first frame of the story to its last."""
     first, last = float(story.history.time_s[0]), float(story.history.time_s[-1])
     count = math.floor((last - first) * fps / speed + 1e-9)
     times = [first + number * speed / fps for number in range(count + 1)]
@@ -47,21 +47,21 @@ def film_times(story: Story, speed: float, fps: float) -> list[float]:
 
 
 def usual_speed(story: Story) -> float:
-    """Real time, or its smallest whole multiple with which the film lasts at most ``USUAL_LONGEST_S``."""
+    """1 for real time, or the smallest whole multiple of it with which the film lasts at most ``USUAL_LONGEST_S``."""
     lasts_s = float(story.history.time_s[-1] - story.history.time_s[0])
     return float(max(1, math.ceil(lasts_s / USUAL_LONGEST_S)))
 
 
 def spread_times(story: Story) -> list[float]:
-    """Some times of a story, s, whose pictures contain all colours of the film: while boxes are placed, and while they
-    fall."""
+    """Some times of a story, s. Their pictures contain all colours of the film, since they are taken while boxes are
+    placed and while they fall."""
     first, last = float(story.history.time_s[0]), float(story.history.time_s[-1])
     signs = [story.outcome.first_sign_s] if math.isfinite(story.outcome.first_sign_s) else []
     return sorted([first + share * (last - first) for share in (0.25, 0.5, 0.75, 1.0)] + signs)
 
 
 def film_frames(story: Story, look: PictureStyle, speed: float, times: list[float]) -> Iterator[Image]:
-    """The pictures of a film at these times, s, by one camera that frames the whole story."""
+    """The pictures of a film at these times, s, from one camera that frames the whole story."""
     count = len(story.history.time_s)
     framed_numbers = {*range(0, count, math.ceil(count / MOST_FRAMED)), count - 1}
     overlay = Overlay(look.colours, look.size, speed, look.arrows)
@@ -73,7 +73,7 @@ def film_frames(story: Story, look: PictureStyle, speed: float, times: list[floa
 
 
 def palette_of(frames: Iterable[Image]) -> Image:
-    """The palette of a GIF, from some of its frames: 255 colours, among them white, and one index for pixels that do
+    """The palette of a GIF, made from some of its frames: 255 colours including white, and one index for pixels that do
     not change."""
     from PIL import Image
 
@@ -91,9 +91,10 @@ def palette_of(frames: Iterable[Image]) -> Image:
 def write_gif(
     frames: Iterator[Image], path: Path, palette: Image, fps: float, progress: Progress | None = None
 ) -> None:
-    """Write a film that repeats. Each frame has only the changed pixels, so that flat colours take little space.
+    """Write a film that repeats. Each frame contains only the pixels that change, so that flat colours take little
+    space.
 
-    GIF measures time in hundredths of a second: the frame times are rounded so that their sum stays right.
+    GIF measures time in hundredths of a second, so the times of frames are rounded such that their sum stays right.
     """
     from PIL import Image
     from PIL.GifImagePlugin import getdata, getheader
@@ -123,10 +124,10 @@ def write_gif(
 def write_mp4(
     frames: Iterator[Image], path: Path, size: tuple[int, int], fps: float, progress: Progress | None = None
 ) -> None:
-    """Write a film in H.264, which all browsers and office programs play. Width and height must be even.
+    """Write a film in H.264, which all browsers and office programs can play. The width and the height must be even.
 
     Raises:
-        InputError: the encoder is missing or gives up.
+        InputError: the encoder is missing or fails.
     """
     try:
         with h264_encoder(path, size, fps) as add:
@@ -140,8 +141,8 @@ def write_mp4(
 
 
 def _colour_indices(frame: Image, palette: Image) -> NDArray[np.uint8]:
-    """(height, width) the index of each pixel's colour. White is set explicitly, because Pillow would take a nearby
-    colour."""
+    """(height, width) the index of the colour of each pixel. White is set explicitly, because Pillow would use a
+    similar colour."""
     from PIL import Image
 
     indices = np.array(frame.quantize(palette=palette, dither=Image.Dither.NONE), dtype=np.uint8)
@@ -151,7 +152,8 @@ def _colour_indices(frame: Image, palette: Image) -> NDArray[np.uint8]:
 
 
 def _changes(before: NDArray[np.uint8], after: NDArray[np.uint8]) -> tuple[Image, tuple[int, int]]:
-    """The smallest part of a picture with all changed pixels (other pixels are transparent), and its place."""
+    """The smallest part of a picture that contains all changed pixels, and its position. Its other pixels are
+    transparent."""
     from PIL import Image
 
     changed = before != after

@@ -15,14 +15,14 @@ from petmjx.common.text import printable_name
 from petmjx.common.units import FloatArray, deg_to_rad
 
 FIELD_OF_VIEW_DEG: Final = 24.0
-"""Vertical angle of view, as of a 56 mm lens on 24 × 36 mm film. Upright edges look nearly parallel."""
+"""Vertical angle of view, as with a 56 mm lens on 24 × 36 mm film. Vertical edges look nearly parallel with it."""
 
 NEAREST_M: Final = 0.3
-"""Least distance from the camera to the framed points, m."""
+"""Smallest distance from the camera to a framed point, m."""
 
 
 class View(NamedTuple):
-    """The direction of a camera, seen from the pallet. ``azimuth_deg`` is 0 in front (at −y) and 90 on the right (at
+    """The direction of a camera as seen from the pallet. ``azimuth_deg`` is 0 in front (at −y) and 90 on the right (at
     +x). ``elevation_deg`` is the angle above the horizontal."""
 
     azimuth_deg: float
@@ -42,10 +42,10 @@ _ANGLES: Final = re.compile(r"\s*([+-]?\d+(?:\.\d*)?)\s*/\s*([+-]?\d+(?:\.\d*)?)
 
 
 def view_of(text: str) -> View:
-    """A view by name, or from "AZIMUTH/ELEVATION" in degrees.
+    """A view, given by its name or as "AZIMUTH/ELEVATION" in degrees.
 
     Raises:
-        InputError: the text is neither, or the elevation is beyond ±90°.
+        InputError: the text is neither, or the elevation is outside ±90°.
     """
     if text in VIEWS:
         return VIEWS[text]
@@ -61,7 +61,7 @@ def view_of(text: str) -> View:
 
 
 class Margins(NamedTuple):
-    """Strips at the edges of a picture that stay free, as shares of its width or height."""
+    """Strips at the edges of a picture that are left free, as shares of its width or height."""
 
     left: float = 0.04
     right: float = 0.04
@@ -77,7 +77,7 @@ class Camera:
         pos: (3,) position, m.
         right, up, forward: (3,) unit vectors.
         width, height: size of the picture, px.
-        depth_m: distances of the nearest and the farthest framed point along ``forward``.
+        depth_m: distances of the nearest and of the farthest framed point, measured along ``forward``.
     """
 
     pos: FloatArray
@@ -98,22 +98,23 @@ class Camera:
         return _half_angle_tangent()
 
     def project(self, points: FloatArray) -> FloatArray:
-        """(k, 3) points in front of the camera → (k, 2) pixels, to the right and downwards from the upper left
-        corner."""
+        """(k, 2) pixels of points (k, 3) that are in front of the camera, to the right and downwards from the upper
+        left corner."""
         x, y, z = _along((self.right, self.up, self.forward), points - self.pos)
         scale = self.height / (2 * self.tangent)
         return np.stack((self.width / 2 + scale * x / z, self.height / 2 - scale * y / z), axis=1)
 
 
 def framing(points: FloatArray, view: View, size: tuple[int, int], margins: Margins | None = None) -> Camera:
-    """The nearest camera that shows all points within the margins of its picture.
+    """The nearest camera with which all points are within the margins of its picture.
 
-    In the camera's axes a point (x, y, z) is left of the right margin if x − cx ≤ r (z − cz), where (cx, cy, cz) is the
-    camera and r the tangent of the angle to that margin. So cx − r cz ≥ A with A = max(x − r z), likewise
-    −cx − l cz ≥ B on the left, and cz ≤ −(A + B) / (r + l); the same upright. The smaller cz fulfils both.
+    In the axes of the camera, a point (x, y, z) is to the left of the right margin if x − cx ≤ r (z − cz). Here (cx,
+    cy, cz) is the camera, and r is the tangent of the angle to this margin. So cx − r cz ≥ A with A = max(x − r z).
+    Likewise, −cx − l cz ≥ B for the left margin, and so cz ≤ −(A + B) / (r + l). The vertical direction gives another
+    limit. The smaller cz fulfils both.
 
     Args:
-        points: (k, 3) m.
+        points: (k, 3) the points, m.
         size: width and height of the picture, px.
     """
     margins = margins or Margins()
@@ -138,7 +139,7 @@ def _half_angle_tangent() -> float:
 
 
 def _axes(view: View) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Right, up and forward of a camera that looks at the pallet."""
+    """The directions right, up and forward of a camera that is directed at the pallet."""
     azimuth, elevation = deg_to_rad(view.azimuth_deg), deg_to_rad(view.elevation_deg)
     flat = math.cos(elevation)
     right = np.array([math.cos(azimuth), math.sin(azimuth), 0.0])
@@ -147,5 +148,5 @@ def _axes(view: View) -> tuple[FloatArray, FloatArray, FloatArray]:
 
 
 def _along(axes: tuple[FloatArray, ...], points: FloatArray) -> tuple[FloatArray, ...]:
-    """Coordinates of (k, 3) points along each axis: a (k,) array per axis."""
+    """The coordinates of points (k, 3) along each axis: one array (k,) per axis."""
     return tuple(np.asarray(points @ axis) for axis in axes)

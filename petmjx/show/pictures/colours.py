@@ -1,4 +1,4 @@
-"""The colours of boxes and their meaning, the same as on pages (``petmjx.show.pages.palette``)."""
+"""The colours of boxes and their meaning. They are the same as on pages (``petmjx.show.pages.palette``)."""
 
 from __future__ import annotations
 
@@ -18,22 +18,22 @@ from petmjx.show.pictures.picture_options import Colour
 from petmjx.show.pictures.story_poses import Poses, shift_mm, tilts_deg
 
 FIRST: Final[Rgb] = (0.80, 0.0, 0.0)
-"""The outline of the first box to fail."""
+"""Colour of the outline of the first box to fail."""
 GHOST: Final[Rgb] = (0.0, 0.28, 0.55)
-"""The edges of boxes as planned."""
+"""Colour of the edges of boxes at their planned places."""
 CARRIER: Final[Rgb] = (0.70, 0.64, 0.56)
 CARTON: Final[Rgb] = (0.86, 0.74, 0.56)
 
 _DARKEST: Final = 0.15
-"""Place on the ramp where scales begin. On darker colours black edges are hardly visible."""
+"""Position on the ramp at which scales begin. Black edges are hardly visible on darker colours."""
 
 MOST_NAMED: Final = 7
-"""Most articles that a legend names."""
+"""Largest number of articles that a legend names."""
 
 
 @dataclass(frozen=True)
 class Scale:
-    """The meaning of colours that stand for values: from ``low`` (dark) to ``high`` (bright). Larger values have the
+    """The meaning of colours that represent values, from ``low`` (dark) to ``high`` (bright). Larger values have the
     last colour."""
 
     label: str
@@ -47,9 +47,9 @@ class Colouring:
     """The colours of a story's boxes.
 
     Attributes:
-        scale: the meaning of colours if they stand for values; else None.
-        names: the meaning of colours if they stand for names.
-        note: one more line of the legend.
+        scale: the meaning of the colours if they represent values; else None.
+        names: the meaning of the colours if they represent names.
+        note: an additional line of the legend.
     """
 
     story: Story
@@ -60,11 +60,11 @@ class Colouring:
 
     @property
     def outlined(self) -> bool:
-        """Whether the colours of names are the colours of edges."""
+        """Whether the colours that represent names are those of edges."""
         return self.colour is Colour.PLANNED
 
     def of(self, poses: Poses) -> NDArray[np.float64]:
-        """(k, 3) red, green and blue of the placed boxes, 0 to 1."""
+        """(k, 3) red, green and blue of the placed boxes, from 0 to 1."""
         if self.colour is Colour.PLANNED:
             return np.tile(np.array(CARTON), (poses.n_placed, 1))
         if self.scale is None:
@@ -83,7 +83,7 @@ class Colouring:
 
 
 def colouring(story: Story, colour: Colour) -> Colouring:
-    """The colours of a story's boxes. Scales are the same for all of its frames."""
+    """The colours of a story's boxes. A scale is the same for all frames of the story."""
     if colour is Colour.ARTICLE:
         colours = article_colours(story.plan.articles)
         shades = {name or UNNAMED: rgb_of(shade) for name, shade in zip(story.plan.articles, colours, strict=True)}
@@ -114,7 +114,7 @@ def _scale(story: Story, colour: Colour) -> Scale:
 
 
 def _usual_force(story: Story) -> float:
-    """The largest force on a box at rest, or in 98 of 100 frames, N. Impacts, which pass within a frame, exceed it."""
+    """The largest force on a box, at rest and in 98 of 100 frames, N. Impacts exceed it, but last less than a frame."""
     forces = story.history.top_force_n[np.isfinite(story.history.top_force_n)]
     rest_force_n = story.outcome.boxes.rest_top_force_n
     usual = float(np.quantile(forces, 0.98)) if len(forces) else 0.0
@@ -122,13 +122,13 @@ def _usual_force(story: Story) -> float:
 
 
 def round_up(value: float, steps: tuple[float, ...] = (1.0, 2.0, 5.0, 10.0)) -> float:
-    """The next step × 10ⁿ of a positive value."""
+    """The smallest step × 10ⁿ that is not below a positive value."""
     power = 10.0 ** math.floor(math.log10(value))
     return next(step * power for step in steps if step * power >= value * (1 - 1e-9))
 
 
 def ramp_colours(shares: FloatArray) -> NDArray[np.float64]:
-    """(k,) values from 0 to 1 → (k, 3) colours, dark to bright. Values beyond the ends get the first or the last
+    """(k, 3) colours, dark to bright, for values (k,) from 0 to 1. Values outside this range get the first or the last
     colour."""
     last = RAMP_COLOURS - 1
     places = _DARKEST + (1 - _DARKEST) * np.clip(np.nan_to_num(shares, nan=1.0), 0.0, 1.0)

@@ -1,4 +1,5 @@
-"""Draws a story at one time: boxes with their edges, carrier, shadows on the floor, planned places, contact forces."""
+"""Draws a story at one time: boxes with edges, the carrier, shadows on the floor, planned places, and contact
+forces."""
 
 from __future__ import annotations
 
@@ -34,38 +35,39 @@ _SUN: Final = (0.26, 0.36, -1.0)
 _FLOOR_HALF_M: Final = 60.0
 
 _TOWARDS_CAMERA: Final = 1.5e-3
-"""Share of the distance by which edges are nearer to the camera than their faces. Edges are scaled down by the same
-share, so that they cover the same pixels, but lie in front."""
+"""Edges are this share of the distance nearer to the camera than their faces. They are scaled down by the same share,
+so that they cover the same pixels but lie in front of the faces."""
 
 _SEE_THROUGH: Final = 0.24
-"""Opacity of boxes if contact forces are drawn."""
+"""Opacity of boxes when contact forces are drawn."""
 
 _AWAY: Final = 0.25
-"""Share of a threshold beyond which a box counts as away from its planned place. The planned place is then drawn."""
+"""A box counts as away from its planned place if it exceeds this share of a threshold. Its planned place is then
+drawn."""
 
 _LEAST_FORCE: Final = 0.02
-"""Share of a usual force below which a contact has no arrow."""
+"""Contacts whose force is below this share of a usual force have no arrow."""
 
 _ARROW_SHARE: Final = 0.4
-"""Length of the arrow of a usual force, as a share of the pallet's largest extent."""
+"""Length of the arrow for a usual force, as a share of the pallet's largest extent."""
 
 LEAST_LEVEL_G: Final = 0.005
-"""Weaker shaking gets no arrow and no text."""
+"""Shaking that is weaker than this has no arrow and no text."""
 
 REACH: Final = 1.25
 LEAST_REACH_M: Final = 1.0
 """A box is not framed if its centre is farther from the planned load than both ``REACH`` times the load's largest
-extent and this length, m. A box that has rolled away would make all other boxes small."""
+extent and this length, m. Framing a box that has rolled away would make all others small."""
 
 
 class Painter:
-    """Draws frames of one story, all of one size. Use it in a ``with`` statement, in one thread.
+    """Draws frames of one story, all of the same size. Use it in a ``with`` statement, in one thread.
 
     Args:
         colours: colours of the boxes.
         size: width and height, px.
         line_px: width of edges, px.
-        newtons_per_m: scale of the arrows for contact forces; boxes are then transparent. None: no arrows.
+        newtons_per_m: scale of the arrows for contact forces. Boxes are then transparent. None: no arrows.
 
     Raises:
         InputError: this machine cannot draw.
@@ -126,8 +128,8 @@ class Painter:
         self.canvas.box(half_size, np.array([0.0, 0.0, self.story.scene.floor_z - 0.012]), np.eye(3), FLOOR)
 
     def _shadow(self, half_size: FloatArray, pos: FloatArray, turned: FloatArray) -> None:
-        """A box, flattened onto the floor along the light. The shadow keeps a little of the box's height, since faces
-        need normals."""
+        """Draw the shadow of a box: the box itself, flattened onto the floor along the light. It keeps a little of its
+        height, since faces need normals."""
         across = np.array(_SUN[:2]) / _SUN[2]
         flatten = np.array([[1.0, 0.0, -across[0]], [0.0, 1.0, -across[1]], [0.0, 0.0, 1e-3]])
         above = pos - np.array([0.0, 0.0, self.story.scene.floor_z])
@@ -139,7 +141,7 @@ class Painter:
         self.canvas.edges((1 - _TOWARDS_CAMERA) * half_size, nearer, turned, rgb)
 
     def _shaking(self, poses: Poses) -> None:
-        """An arrow above the load; its length grows with the strength of the shaking."""
+        """Draw an arrow above the load. Its length grows with the strength of the shaking."""
         level = shaking_g(self.story, poses)
         if np.linalg.norm(level) > LEAST_LEVEL_G:
             start, longest = _above(self.story)
@@ -159,10 +161,10 @@ class Painter:
 
 
 def newtons_per_m(story: Story) -> float:
-    """The scale of arrows: a round number with which arrows are neither dots nor longer than the pallet.
+    """The scale of arrows: a round number for which arrows are neither dots nor longer than the pallet.
 
     Raises:
-        InputError: no contacts were recorded.
+        InputError: contacts were not recorded.
     """
     contacts = story.history.contacts
     if contacts is None:
@@ -177,8 +179,8 @@ def newtons_per_m(story: Story) -> float:
 
 
 def forces_of_pairs(contacts: Contacts, poses: Poses) -> list[tuple[FloatArray, FloatArray]]:
-    """For each pair of bodies that press on each other in a frame: (3,) place, m, and (3,) force on the lower body,
-    N."""
+    """For each pair of bodies that press on each other in a frame, the position (3,), m, and the force (3,) on the
+    lower body, N."""
     is_drawn = np.zeros(int(contacts.frame.max(initial=0)) + 1, dtype=bool)
     is_drawn[poses.frame : poses.frame + 1] = True
     forces = pushes(contacts.of_frames(is_drawn, 0))
@@ -209,7 +211,7 @@ def framed_points(story: Story, frames: Iterable[int]) -> FloatArray:
 
 
 def _above(story: Story) -> tuple[FloatArray, float]:
-    """Middle of the arrow of the shaking, (3,) m, and its length at the strongest shaking, m."""
+    """The middle of the arrow for the shaking, (3,) m, and its length at the strongest shaking, m."""
     scene, longest = story.scene, 0.5 * largest_extent_m(story)
     top = float((scene.target + scene.half_size)[:, 2].max()) + 0.15 * longest
     return np.array([*scene.carrier.pos[:2], top]), longest
@@ -227,7 +229,7 @@ def _most_in_a_frame(contacts: Contacts) -> int:
 
 
 def _far_to_near(poses: Poses, camera: Camera) -> list[int]:
-    """Boxes with known poses, in the order for drawing transparent boxes."""
+    """The boxes with known poses, in the order in which transparent boxes must be drawn."""
     depth = (poses.pos - camera.pos) @ camera.forward
     return [int(box) for box in np.argsort(-depth, kind="stable") if np.isfinite(depth[box])]
 

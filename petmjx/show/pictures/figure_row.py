@@ -1,4 +1,4 @@
-"""A row of pictures as a figure for a paper: PNG, or PDF and SVG, whose labels and outlines are vectors and text."""
+"""A row of pictures as a figure for a paper: PNG; or PDF and SVG, in which labels are text and outlines are vectors."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from petmjx.show.pictures.still_pictures import PictureStyle, draw_frames, frame
 from petmjx.show.pictures.story_poses import Moment, poses_of_frame
 
 PANEL_IN: Final = 2.25
-"""Width of one picture, inches. Three pictures are as wide as a page's text."""
+"""Width of one picture, inches. Three pictures are as wide as the text of a page."""
 
 _MARGINS: Final = Margins(0.03, 0.03, 0.07, 0.03)
 _POINTS: Final = 8.0
@@ -31,10 +31,10 @@ _NAMES: Final = {"start": "start", "before": "before", "first-sign": "first sign
 
 
 def write_figure(story: Story, look: PictureStyle, moments: list[Moment], path: Path, kind: str) -> None:
-    """Write a row with a picture for each moment, all by one camera.
+    """Write a row with one picture for each moment, all from the same camera.
 
     Args:
-        look: style of the pictures; its ``size`` is the size of each picture, px.
+        look: style of the pictures. Its ``size`` is that of each picture, px.
         kind: ``png``, ``pdf`` or ``svg``.
     """
     from matplotlib.figure import Figure
@@ -62,14 +62,14 @@ def _head(figure: Any, story: Story, width: float, height: float) -> None:
     colour = FIRST if story.outcome.culprit >= 0 else "0.35"
     below = figure.text(left, top - 0.17 / height, line, size=_POINTS, color=colour, va="top")
     for text in (name, below):
-        text.set_parse_math(False)  # a $ in an id is a $
+        text.set_parse_math(False)  # a $ in an id is only a $
     room = width - 0.08
     wide = len(line) * _POINTS * 0.55 / 72
     below.set_size(max(4.0, _POINTS * min(1.0, room / wide)))
 
 
 def _panel(axes: Any, pixels: Any, story: Story, moment: Moment, camera: Camera, letter: str) -> None:
-    """Draw one picture, with its title above and the first box to fail outlined."""
+    """Draw one picture, with its title above it and with the first box to fail outlined."""
     poses = poses_of_frame(story.history, moment.frame)
     axes.imshow(pixels, interpolation="none", extent=(0, camera.width, camera.height, 0))
     axes.set_axis_off()
@@ -98,7 +98,7 @@ def _polygon(outline: Any) -> Any:
 
 
 def _foot(figure: Any, look: PictureStyle, width: float, height: float) -> None:
-    """Draw the legend: a colour bar, or names with their colours, and the meaning of arrows."""
+    """Draw the legend: a colour bar, or names with their colours; and the meaning of arrows."""
     colours = look.colours
     row = 0.24 / height
     if colours.scale is not None:

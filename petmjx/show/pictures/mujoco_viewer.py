@@ -21,7 +21,7 @@ from petmjx.show.pictures.story_poses import Poses, poses_at
 from petmjx.world.mujoco_model import build_spec, geom_bodies
 
 _PARKED_M: Final = 100.0
-"""Distance at which boxes wait until they are placed, m. Boxes touch nothing at this distance."""
+"""Distance at which boxes wait until they are placed, m. They touch nothing there."""
 
 _SPACE, _RIGHT, _LEFT, _HOME = 32, 262, 263, 268
 """Key codes of GLFW."""
@@ -31,7 +31,7 @@ _TICK_S: Final = 1 / 60
 
 @dataclass
 class Player:
-    """Controls the time of a story that is shown.
+    """Controls which time of a story is shown.
 
     Attributes:
         time_s: the shown time, s.
@@ -55,7 +55,7 @@ class Player:
         return float(self.story.history.time_s[-1])
 
     def press(self, key: int) -> None:
-        """Handle a key: Space pauses, the arrows step by a frame, Home starts again."""
+        """Handle a key: Space pauses, the arrows step by one frame, Home returns to the beginning."""
         if key == _SPACE:
             self.paused = not self.paused
         elif key == _HOME:
@@ -112,7 +112,7 @@ def check_display() -> None:
 
 
 def viewer_model(story: Story) -> tuple[Any, Any]:
-    """The exact MuJoCo model of a story's world, with light, and its data."""
+    """The exact MuJoCo model of a story's world, with a light added, and the model's data."""
     physics = Simulation(**story.options).physics
     spec = build_spec(story.scene, physics)
     spec.worldbody.add_light(pos=[0.0, 0.0, 6.0], dir=[0.0, 0.0, -1.0])
@@ -125,7 +125,7 @@ def viewer_model(story: Story) -> tuple[Any, Any]:
 
 
 def show(story: Story, time_s: float, model: Any, data: Any) -> None:
-    """Set MuJoCo's data to the world of a story at a time, with the contact forces of that time."""
+    """Set MuJoCo's data to the state of a story's world at a time, including the contact forces at that time."""
     history = story.history
     poses = poses_at(history, time_s)
     data.qpos[:] = _qpos(story, poses)
@@ -143,7 +143,7 @@ def show(story: Story, time_s: float, model: Any, data: Any) -> None:
 
 
 def _qpos(story: Story, poses: Poses) -> FloatArray:
-    """(7 (n + 1),) positions of the carrier and the boxes in the order of the model."""
+    """(7 (n + 1),) positions and orientations of the carrier and the boxes, in the order of the model."""
     waiting = np.arange(story.plan.n_boxes - poses.n_placed)
     parked = np.stack((_PARKED_M + 5.0 * waiting, 0 * waiting, _PARKED_M + 0.0 * waiting), axis=1)
     upright = np.tile([1.0, 0.0, 0.0, 0.0], (len(waiting), 1))

@@ -1,7 +1,8 @@
-"""MuJoCo's renderer without a window: takes geoms and returns pixels.
+"""MuJoCo's renderer without a window: it receives geoms and returns pixels.
 
-``mujoco.Renderer`` uses the OpenGL that was chosen when mujoco was first imported, and engines import it before anybody
-thinks of pictures. Here the context is made on demand, by EGL unless ``MUJOCO_GL`` names another library.
+``mujoco.Renderer`` uses the OpenGL library that was chosen when mujoco was first imported. Engines import mujoco long
+before any picture is drawn. So here the context is made when it is needed, with EGL unless ``MUJOCO_GL`` names another
+library.
 """
 
 from __future__ import annotations
@@ -28,7 +29,7 @@ CONTEXTS: Final = ("egl", "osmesa", "glfw")
 """Possible values of ``MUJOCO_GL`` on Linux."""
 
 SAMPLES: Final = 4
-"""Samples per pixel, against stairs at edges."""
+"""Samples per pixel. Several samples prevent jagged edges."""
 
 _ADVICE: Final = (
     "install EGL and a driver (Debian, Ubuntu: apt-get install libegl1 libgl1-mesa-dri), "
@@ -46,7 +47,7 @@ _LIGHTS: Final = (
 
 
 class Canvas:
-    """A picture of one size, drawn again and again. Use it in a ``with`` statement, in one thread.
+    """A picture of one size that is drawn again and again. Use it in a ``with`` statement, in one thread.
 
     Args:
         size: width and height, px.
@@ -54,7 +55,7 @@ class Canvas:
         most_geoms: largest number of geoms in a picture.
 
     Raises:
-        InputError: this machine has no OpenGL that draws without a display.
+        InputError: this machine has no OpenGL that can draw without a display.
     """
 
     def __init__(self, size: tuple[int, int], line_px: float, most_geoms: int) -> None:
@@ -87,7 +88,7 @@ class Canvas:
         self._gl.free()
 
     def begin(self, camera: Camera) -> None:
-        """Start an empty picture for this camera."""
+        """Begin an empty picture for this camera."""
         self._scene.ngeom = 0
         near, far = camera.depth_m
         for eye in self._scene.camera:
@@ -110,7 +111,7 @@ class Canvas:
         mujoco.mjv_connector(geom, mujoco.mjtGeom.mjGEOM_ARROW, width_m, start, end)
 
     def pixels(self) -> NDArray[np.uint8]:
-        """(height, width, 3) the picture, from the upper left corner."""
+        """(height, width, 3) the picture, from its upper left corner."""
         view = mujoco.MjrRect(0, 0, self.width, self.height)
         picture = np.empty((self.height, self.width, 3), dtype=np.uint8)
         self._gl.make_current()
@@ -132,7 +133,7 @@ class Canvas:
 
 
 def why_no_pictures() -> str:
-    """The reason why this machine cannot draw; "" if it can."""
+    """Why this machine cannot draw; "" if it can."""
     try:
         with Canvas((16, 16), 1.0, 1):
             return ""
@@ -141,23 +142,23 @@ def why_no_pictures() -> str:
 
 
 def _gl_context(size: tuple[int, int]) -> Any:
-    """An OpenGL context, current in this thread."""
+    """An OpenGL context that is current in this thread."""
     name = os.environ.get("MUJOCO_GL", "").strip().lower() or "egl"
     if name not in CONTEXTS:
         raise InputError(f"MUJOCO_GL={name}: pictures are drawn with one of {', '.join(CONTEXTS)}; unset it for egl")
     try:
         with _same_environment("PYOPENGL_PLATFORM"), warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # GLFW warns about problems that raise an error below
+            warnings.simplefilter("ignore")  # GLFW warns of problems that raise an error below
             context = importlib.import_module(f"mujoco.{name}").GLContext(*size)
         context.make_current()
-    except Exception as error:  # PyOpenGL and drivers raise nearly anything
+    except Exception as error:  # PyOpenGL and drivers may raise almost anything
         raise InputError(f"no OpenGL that draws without a display ({name}: {one_line(error)}): {_ADVICE}") from error
     return context
 
 
 @contextmanager
 def _same_environment(name: str) -> Iterator[None]:
-    """Restore an environment variable after the body, which may set it."""
+    """Restore an environment variable after the body, which may change it."""
     before = os.environ.get(name)
     try:
         yield
@@ -169,7 +170,7 @@ def _same_environment(name: str) -> Iterator[None]:
 
 
 def _studio(size: tuple[int, int], line_px: float) -> Any:
-    """A model without bodies. The model has everything that the renderer reads from models: sizes, and a white sky."""
+    """A model without bodies. It has what the renderer reads from models: sizes, and a white sky."""
     spec = mujoco.MjSpec()
     spec.visual.global_.offwidth, spec.visual.global_.offheight = size
     spec.visual.global_.linewidth = line_px
@@ -182,7 +183,7 @@ def _studio(size: tuple[int, int], line_px: float) -> Any:
 
 
 def _shine(light: Any, direction: tuple[float, float, float], ambient: float, diffuse: float) -> None:
-    """Make a light that comes from far away."""
+    """Set up a light that shines from far away."""
     light.type = mujoco.mjtLightType.mjLIGHT_DIRECTIONAL
     light.dir[:] = np.array(direction) / np.linalg.norm(direction)
     light.ambient[:], light.diffuse[:], light.specular[:] = ambient, diffuse, 0.0

@@ -1,4 +1,4 @@
-"""Texts in a picture (the plan and its verdict, the time, the legend) and the outline of the first box to fail."""
+"""Texts in a picture (the plan and its verdict, the time, the legend), and the outline of the first box to fail."""
 
 from __future__ import annotations
 
@@ -28,19 +28,19 @@ INK: Final = (30, 30, 30)
 FAINT: Final = (95, 95, 95)
 
 LINE: Final = 1.6
-"""Height of a line of the legend, as a multiple of its text size."""
+"""Height of a line in the legend, as a multiple of its text size."""
 
 _LEAST_FONT_PX: Final = 10
 
 
 class Overlay:
-    """Writes texts and outlines into pictures of one size.
+    """Draws texts and outlines onto pictures of one size.
 
     Args:
         colours: colours of the boxes, which the legend explains.
         size: width and height, px.
-        speed: speed of a film as a multiple of real time; None: a single picture.
-        arrows: the line that explains arrows; "" without arrows.
+        speed: speed of a film, as a multiple of real time; None: a single picture.
+        arrows: the line that explains arrows; "" if there are none.
     """
 
     def __init__(self, colours: Colouring, size: tuple[int, int], speed: float | None = None, arrows: str = "") -> None:
@@ -81,7 +81,7 @@ class Overlay:
 
     def _outline(self, image: Image, poses: Poses, camera: Camera) -> None:
         """Outline the first box to fail, even if other boxes hide it. The outline is drawn larger and then reduced,
-        because Pillow's lines have stairs."""
+        because lines drawn by Pillow are jagged."""
         from PIL import Image, ImageDraw
 
         outline = first_outline(self.story, poses, camera)
@@ -139,7 +139,7 @@ class Overlay:
                 pen.text((left + 1.4 * em, top), text, fill=INK, font=plain)
 
     def _lines_of_names(self) -> list[list[tuple[str, Rgb, float]]]:
-        """Names of the legend with their colours and left ends, px, wrapped into lines."""
+        """The names in the legend with their colours and left ends, px, wrapped into lines."""
         em, plain = self.text_px, font(self.text_px)
         lines: list[list[tuple[str, Rgb, float]]] = [[]]
         left = float(em)
@@ -166,20 +166,20 @@ def scale_ends(scale: Scale) -> tuple[str, str]:
 
 
 def first_outline(story: Story, poses: Poses, camera: Camera) -> FloatArray | None:
-    """(k, 2) outline of the first box to fail, px; None if no box failed or the box is not placed yet."""
+    """(k, 2) outline of the first box to fail, px; None if no box failed, or if that box is not placed yet."""
     box = story.outcome.culprit
     if not 0 <= box < poses.n_placed:
         return None
     alone = slice(box, box + 1)
     points = corners(poses.pos[alone], rotations(poses.quat[alone]), story.scene.half_size[alone])[0]
-    if not ((points - camera.pos) @ camera.forward > 0).all():  # behind the camera, or NaN
+    if not ((points - camera.pos) @ camera.forward > 0).all():  # a point is behind the camera, or NaN
         return None
     return np.array(convex_hull([(x, y) for x, y in camera.project(points).tolist()]))
 
 
 @functools.cache
 def font(size_px: int, bold: bool = False) -> Any:
-    """The font DejaVu Sans of matplotlib."""
+    """The font DejaVu Sans, which is part of matplotlib."""
     import matplotlib
     from PIL import ImageFont
 
@@ -188,7 +188,7 @@ def font(size_px: int, bold: bool = False) -> Any:
 
 
 def fitted_text(text: str, face: Any, room_px: float) -> str:
-    """The text, cut in the middle if too wide."""
+    """The text, shortened in its middle if it is too wide."""
     if face.getlength(text) <= room_px:
         return text
     for n_characters in range(len(text) - 1, 0, -1):

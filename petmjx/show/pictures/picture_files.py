@@ -1,4 +1,4 @@
-"""Draws one story into files of any kind, chosen by the ending of their names: ``petmjx.draw``."""
+"""Draws one story into files of any kind, which the suffixes of their names determine: ``petmjx.draw``."""
 
 from __future__ import annotations
 
@@ -20,10 +20,10 @@ from petmjx.show.pictures.picture_options import GIF_SIZE, MP4_SIZE, PANEL_SIZE,
 from petmjx.show.pictures.story_poses import moments
 
 Progress = Callable[[int, int], None]
-"""Called with the number of finished frames of a film and the number of all frames."""
+"""Function that is called with the number of finished frames of a film and the number of all frames."""
 
 KINDS: Final = ("png", "pdf", "svg", "gif", "mp4", "html", "rrd")
-"""Endings of files that a story can be drawn into."""
+"""Suffixes of the files into which a story can be drawn."""
 
 _NEEDS: Final = {
     **dict.fromkeys(("png", "pdf", "svg", "gif"), ("show", ("PIL", "matplotlib", "OpenGL"))),
@@ -31,27 +31,27 @@ _NEEDS: Final = {
     "html": ("show", ()),
     "rrd": ("rerun", ("rerun",)),
 }
-"""Kind of file → the extra to install, and the modules that it needs."""
+"""Kind of file → the extra that must be installed, and the modules that it needs."""
 
 
 def draw(story: Story, *files: str | os.PathLike[str], progress: Progress | None = None, **options: Any) -> list[Path]:
     """Draw a story: pictures (``.png``; rows of them also as ``.pdf`` and ``.svg``), films (``.gif``, ``.mp4``), a page
-    (``.html``), a recording for rerun's viewer (``.rrd``). No display is needed.
+    (``.html``), or a recording for rerun's viewer (``.rrd``). No display is needed.
 
     ``petmjx.draw(petmjx.tell("s0-000016"), "collapse.png", "collapse.mp4", colour="shift", view="front")``
 
     Args:
-        files: paths to write; the ending gives the format. Each file appears whole or not at all, and replaces an
+        files: paths to write. The suffix determines the format. A file never appears half-written, and replaces an
             existing one.
-        progress: called while films are drawn.
+        progress: function that is called while films are drawn.
         options: fields of ``PictureOptions``: at, view, size, colour, arrows, speed, fps.
 
     Returns:
         The paths of the files.
 
     Raises:
-        InputError: an unknown ending or option, a moment beyond the story, a file that cannot be written, or a missing
-            library.
+        InputError: a suffix or option is unknown, a moment is outside the story, a file cannot be written, or a library
+            is missing.
     """
     look = PictureOptions(**options)
     paths = [path_of(file, "files") for file in files]
@@ -63,10 +63,10 @@ def draw(story: Story, *files: str | os.PathLike[str], progress: Progress | None
 
 
 def kind_of(path: Path) -> str:
-    """The kind of a file, from its ending.
+    """The kind of a file, which its suffix determines.
 
     Raises:
-        InputError: the ending is none of ``KINDS``.
+        InputError: the suffix is not one of ``KINDS``.
     """
     kind = path.suffix.lower().removeprefix(".")
     if kind not in KINDS:
@@ -80,7 +80,7 @@ def check_files(paths: Sequence[Path]) -> None:
     """Check that files can be drawn and written, before the simulation.
 
     Raises:
-        InputError: a path that cannot be written, or a kind of file whose libraries are missing.
+        InputError: a path cannot be written, or libraries for a kind of file are missing.
     """
     for path in paths:
         if missing := _missing(kind_of(path)):
@@ -91,28 +91,28 @@ def check_files(paths: Sequence[Path]) -> None:
 
 
 def why_nothing_is_drawn() -> str:
-    """The reason why this machine cannot draw pictures and films; "" if it can."""
+    """Why this machine cannot draw pictures and films; "" if it can."""
     if missing := _missing("png"):
         return missing
     try:
         from petmjx.show.pictures.offscreen import why_no_pictures
-    except Exception as error:  # importing mujoco fails if MUJOCO_GL does not work here
+    except Exception as error:  # importing mujoco fails if MUJOCO_GL does not work
         return f"MUJOCO_GL={os.environ.get('MUJOCO_GL', '')} does not work here ({one_line(error)}): unset it"
     return why_no_pictures()
 
 
 def _missing(kind: str) -> str:
-    """A line on the missing modules of a kind of file, and how to install them; empty without a missing module."""
+    """A line about missing modules for a kind of file, and how to install them; empty if none is missing."""
     extra, modules = _NEEDS[kind]
     missing = [name for name in modules if importlib.util.find_spec(name) is None]
     return f"needs {', '.join(missing)}, not installed: pip install 'petmjx[{extra}]'" if missing else ""
 
 
 def check_drawing(paths: Sequence[Path]) -> None:
-    """As ``check_files``, and check that OpenGL works, for pictures and films.
+    """Make the checks of ``check_files`` and, for pictures and films, check that OpenGL works.
 
     Raises:
-        InputError: as ``check_files``, or no OpenGL that draws without a display.
+        InputError: as for ``check_files``, or there is no OpenGL that can draw without a display.
     """
     check_files(paths)
     drawn = [path for path in paths if "OpenGL" in _NEEDS[kind_of(path)][1]]
@@ -121,7 +121,7 @@ def check_drawing(paths: Sequence[Path]) -> None:
 
 
 def _write_pictures(story: Story, path: Path, options: PictureOptions, progress: Progress | None) -> None:
-    """Write a single picture, several pictures in a row, or for PDF and SVG always a figure."""
+    """Write a single picture, or several pictures in a row. PDF and SVG are always written as a figure."""
     from petmjx.show.pictures.figure_row import write_figure
     from petmjx.show.pictures.still_pictures import write_still
 
@@ -149,7 +149,7 @@ def _write_film(story: Story, path: Path, options: PictureOptions, progress: Pro
         animation.write_gif(animation.film_frames(story, look, speed, times), path, palette, options.fps, count)
     else:
         width, height = look.size
-        look = replace(look, size=(width - width % 2, height - height % 2))  # H.264 takes even sides
+        look = replace(look, size=(width - width % 2, height - height % 2))  # H.264 needs even sides
         frames = animation.film_frames(story, look, speed, times)
         animation.write_mp4(frames, path, look.size, options.fps, count)
 

@@ -1,4 +1,4 @@
-"""How pictures and films are drawn: options with defaults, checks and descriptions, for Python and the command line."""
+"""Options for drawing pictures and films, with defaults, checks and descriptions, for Python and the command line."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ BEFORE: Final = "before"
 FIRST_SIGN: Final = "first-sign"
 END: Final = "end"
 MOMENTS: Final = (START, BEFORE, FIRST_SIGN, END)
-"""Names of moments: the first frame; the last placement before the first sign; the first sign; the last frame."""
+"""Names of moments: the first frame, the last placement before the first sign, the first sign, and the last frame."""
 
 LEAST_PX: Final = 64
 MOST_PX: Final = 4096
@@ -30,7 +30,7 @@ STILL_SIZE: Final = (1200, 900)
 PANEL_SIZE: Final = (675, 810)
 GIF_SIZE: Final = (480, 480)
 MP4_SIZE: Final = (960, 720)
-"""Default sizes, px: of a single picture, of each picture in a row, of films."""
+"""Default sizes, px: of a single picture, of each picture in a row, and of films."""
 
 FILM_FPS: Final = 20.0
 
@@ -40,7 +40,7 @@ _USUAL_SIZES: Final = "{}x{}, in a row {}x{}, GIF {}x{}, MP4 {}x{}".format(
 
 
 class Colour(StrEnum):
-    """The meaning of the colours of boxes."""
+    """What the colours of boxes represent."""
 
     ARTICLE = "article"
     ORDER = "order"
@@ -51,7 +51,7 @@ class Colour(StrEnum):
 
 
 def moment_of(text: str) -> str | float:
-    """A name of ``MOMENTS``, or a time, s.
+    """A moment, given as a name of ``MOMENTS`` or as a time, s.
 
     Raises:
         InputError: the text is neither.
@@ -69,7 +69,7 @@ def moment_of(text: str) -> str | float:
 
 
 def size_of(text: str) -> tuple[int, int]:
-    """Width and height of "1200x900", px.
+    """Width and height, px, from text such as "1200x900".
 
     Raises:
         ValueError: the text has another form, or the picture is too small or too large.
@@ -82,8 +82,7 @@ def size_of(text: str) -> tuple[int, int]:
 
 
 def _checked_by(read: Callable[[str], Any]) -> BeforeValidator:
-    """A validator: the value must be text that ``read`` accepts. An error of ``read`` becomes the error of the
-    field."""
+    """A validator that accepts text if ``read`` accepts it. An error of ``read`` becomes the error of the field."""
 
     def check(value: Any) -> Any:
         if value is None:
@@ -99,7 +98,7 @@ def _checked_by(read: Callable[[str], Any]) -> BeforeValidator:
 
 
 def _text(value: Any) -> str:
-    """A Python value as text of the command line: (1200, 900) is 1200x900, ["start", 2.5] is start,2.5."""
+    """A Python value as text of the command line: (1200, 900) becomes 1200x900, ["start", 2.5] becomes start,2.5."""
     if isinstance(value, list | tuple):
         between = "," if isinstance(value, list) else "x"
         return between.join(str(part) for part in value)

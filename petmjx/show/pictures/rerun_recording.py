@@ -1,4 +1,5 @@
-"""A story as a recording for rerun's viewer (https://rerun.io): boxes, carrier, contact forces, curves over time."""
+"""A story as a recording for rerun's viewer (https://rerun.io): boxes, carrier, contact forces, and curves over
+time."""
 
 from __future__ import annotations
 
@@ -19,7 +20,7 @@ TIMELINE: Final = "time"
 
 
 def write_recording(story: Story, colours: Colouring, path: Path) -> None:
-    """Write all frames of a story. The label of a box is its article; the label of the first box to fail says that it
+    """Write all frames of a story. The label of a box is its article; that of the first box to fail also states that it
     failed."""
     import rerun as rr
 
@@ -60,7 +61,7 @@ def _boxes(rr: Any, story: Story, colours: Colouring, poses: Poses) -> Any:
 
 
 def _carrier(rr: Any, story: Story, poses: Poses) -> Iterator[tuple[str, Any]]:
-    """The carrier's boards, and its walls as frames, which hide no box."""
+    """The boards of the carrier; and its walls, drawn as frames so that they hide no box."""
     carrier = story.scene.carrier
     centers, _, half_sizes = carrier.shapes_at(poses.carrier_pos, poses.carrier_quat)
     boards, walls = slice(carrier.n_boards), slice(carrier.n_boards, None)
@@ -96,5 +97,5 @@ def _curves(story: Story, poses: Poses) -> dict[str, float]:
 
 
 def _as_xyzw(quat: Any) -> Any:
-    """(k, 4) from MuJoCo's order to rerun's."""
+    """(k, 4) quaternions, converted from MuJoCo's order to rerun's."""
     return np.roll(quat, -1, axis=1)

@@ -17,14 +17,14 @@ if TYPE_CHECKING:
     from PIL.Image import Image
 
 FINER: Final = 2
-"""Single pictures are drawn this many times larger and then reduced, unless already large."""
+"""Factor by which single pictures are drawn larger before they are reduced, unless they are already large."""
 
 _LARGE_PX: Final = 3_000_000
 
 
 @dataclass(frozen=True, eq=False)
 class PictureStyle:
-    """How pictures of a story look.
+    """How the pictures of a story look.
 
     Attributes:
         size: width and height, px.
@@ -38,7 +38,7 @@ class PictureStyle:
 
     @property
     def arrows(self) -> str:
-        """The line that explains arrows; "" without arrows."""
+        """The line that explains arrows; "" if there are none."""
         return "" if self.newtons_per_m is None else f"arrows: contact forces, 0.1 m for {self.newtons_per_m / 10:g} N"
 
     def line_px(self, finer: int = 1) -> float:
@@ -47,7 +47,7 @@ class PictureStyle:
 
 
 def draw_frames(story: Story, look: PictureStyle, frames: list[int], camera: Camera) -> list[Image]:
-    """Pictures of some frames by one camera, without any text."""
+    """Pictures of some frames, all from one camera, without any text."""
     from PIL import Image
 
     width, height = look.size
@@ -62,12 +62,12 @@ def draw_frames(story: Story, look: PictureStyle, frames: list[int], camera: Cam
 
 
 def frame_camera(story: Story, look: PictureStyle, frames: list[int], margins: Margins) -> Camera:
-    """The camera that frames some frames of a story."""
+    """A camera that frames some frames of a story."""
     return framing(framed_points(story, frames), look.view, look.size, margins)
 
 
 def write_still(story: Story, look: PictureStyle, frame: int, path: Path) -> None:
-    """Write one frame as PNG, with its texts."""
+    """Write one frame as a PNG file, with its texts."""
     import numpy as np
 
     overlay = Overlay(look.colours, look.size, arrows=look.arrows)

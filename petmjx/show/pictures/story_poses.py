@@ -1,4 +1,4 @@
-"""Poses of a story at any time, and the named moments at which pictures are taken."""
+"""The poses of a story at any time, and the named moments at which pictures are taken."""
 
 from __future__ import annotations
 
@@ -20,17 +20,17 @@ from petmjx.world.job import FORCE
 LOST_M: Final = 1000.0
 
 _ROUNDED_S: Final = 0.01
-"""Tolerance for times beyond the end of a story, s, since times are printed with two digits."""
+"""A time may be this much beyond the end of a story, s, since times are printed with two digits."""
 
 
 @dataclass(frozen=True, eq=False)
 class Poses:
-    """The poses of carrier and boxes at one time. Arrays have a row for each of the k placed boxes.
+    """The poses of the carrier and the boxes at one time. Arrays have one row for each of the k placed boxes.
 
     Attributes:
         time_s: the time, s.
-        frame: the nearest frame of the history.
-        pos: (k, 3) positions, m; NaN if the place of the box is unknown.
+        frame: the frame of the history that is nearest to this time.
+        pos: (k, 3) positions, m; NaN if the position of the box is unknown.
         quat: (k, 4) orientations (w, x, y, z).
         carrier_pos: (3,) m.
         carrier_quat: (4,).
@@ -49,14 +49,14 @@ class Poses:
 
 
 class Moment(NamedTuple):
-    """A frame of a story, and its name; "" for a moment requested by time."""
+    """A frame of a story, and its name; the name is "" if the moment was requested by its time."""
 
     frame: int
     name: str
 
 
 def poses_of_frame(history: History, frame: int) -> Poses:
-    """The recorded poses of a frame. Boxes of an invalid world are NaN if they have no finite place, or lie beyond
+    """The recorded poses of a frame. In an invalid world, boxes are NaN if their position is not finite or beyond
     ``LOST_M``."""
     placed = slice(int(history.n_placed[frame]))
     pos, quat = history.pos[frame, placed], history.quat[frame, placed]
@@ -72,8 +72,8 @@ def poses_of_frame(history: History, frame: int) -> Poses:
 
 
 def poses_at(history: History, time_s: float) -> Poses:
-    """The poses at a time. Between two frames poses are interpolated, for the boxes that were placed in the earlier
-    frame."""
+    """The poses at a time. Between two frames, the poses of those boxes are interpolated that were placed in the
+    earlier frame."""
     later = int(np.searchsorted(history.time_s, time_s, side="right"))
     if later == 0 or later == len(history.time_s):
         return poses_of_frame(history, min(later, len(history.time_s) - 1))
@@ -91,20 +91,20 @@ def poses_at(history: History, time_s: float) -> Poses:
 
 
 def nearest_frame(history: History, time_s: float) -> int:
-    """The frame nearest to a time; the last one if several have the same time."""
+    """The frame nearest to a time. If several frames have the same time, the last of them."""
     distance = np.abs(history.time_s - time_s)
     return int(np.flatnonzero(distance == distance.min())[-1])
 
 
 def moments(story: Story, names: str | None) -> list[Moment]:
-    """The requested moments, in the order given.
+    """The requested moments, in the order in which they were requested.
 
     Args:
-        names: moments, separated by commas. None: before the first sign, the first sign, and the end; only the end if
-            no box failed.
+        names: moments, separated by commas. None: before the first sign, at the first sign, and at the end; or only at
+            the end if no box failed.
 
     Raises:
-        InputError: an unknown name, or a moment that this story does not have.
+        InputError: a name is unknown, or this story does not have such a moment.
     """
     if names is None:
         names = ",".join((BEFORE, FIRST_SIGN, END) if math.isfinite(story.outcome.first_sign_s) else (END,))
@@ -132,7 +132,8 @@ def _moment(story: Story, which: str | float) -> Moment:
 
 
 def shift_mm(story: Story, poses: Poses) -> FloatArray:
-    """(k,) largest component of each placed box's shift from its planned place, mm, as used for the verdict."""
+    """(k,) for each placed box, the largest component of its shift from the planned place, mm, as used for the
+    verdict."""
     moved = shift(poses.pos, story.scene.target[: poses.n_placed], 0.0)
     return np.asarray(1000.0 * np.abs(moved).max(axis=1, initial=0.0))
 
@@ -143,8 +144,8 @@ def tilts_deg(poses: Poses) -> FloatArray:
 
 
 def shaking_g(story: Story, poses: Poses) -> FloatArray:
-    """(3,) shaking of the carrier, in g: its acceleration, or the force on it over the total weight; zero without a
-    drive."""
+    """(3,) shaking of the carrier, in g: its acceleration, or the force on it divided by the total weight. Zero if
+    there is no drive."""
     if story.drive is None:
         return np.zeros(3)
     of_force = story.drive.excitation.kind == FORCE
@@ -153,7 +154,8 @@ def shaking_g(story: Story, poses: Poses) -> FloatArray:
 
 
 def _interpolated_quats(first: FloatArray, second: FloatArray, share: float) -> FloatArray:
-    """Orientations between two, along the chord: for the small angles between two frames this is as good as the arc."""
+    """Orientations between two others, along the chord. For the small angles between two frames, this is as good as the
+    arc."""
     same_side = np.where((first * second).sum(axis=-1, keepdims=True) < 0, -1.0, 1.0)
     mixed = first + share * (same_side * second - first)
     return np.asarray(mixed / np.linalg.norm(mixed, axis=-1, keepdims=True))

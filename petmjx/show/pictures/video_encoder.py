@@ -1,8 +1,8 @@
-"""Encodes films in H.264 by writing frames into the ffmpeg of imageio-ffmpeg.
+"""Encodes films in H.264: writes their frames into the ffmpeg of imageio-ffmpeg.
 
-The writer of imageio-ffmpeg starts ffmpeg with a function that runs between fork and exec, which is unsafe with
-threads. If JAX is loaded, as after a run on a GPU, it warns of a deadlock. So ffmpeg is started here, without such a
-function.
+The writer of imageio-ffmpeg starts ffmpeg with a function that runs between fork and exec, which is unsafe if there are
+threads. If JAX is loaded, as after a run on a GPU, JAX warns of a deadlock. So this module starts ffmpeg itself,
+without such a function.
 """
 
 from __future__ import annotations
@@ -16,19 +16,20 @@ from tempfile import TemporaryFile
 
 @contextmanager
 def h264_encoder(path: Path, size: tuple[int, int], fps: float) -> Iterator[Callable[[bytes], None]]:
-    """A context with a function that takes the frames of a film, in order. At its end the file is complete.
+    """A context with a function that accepts the frames of a film, in order. When the context ends, the file is
+    complete.
 
     Args:
-        path: the file to write; an existing one is replaced.
-        size: width and height, px; both even.
+        path: the file to write. An existing file is replaced.
+        size: width and height, px. Both must be even.
         fps: frames per second.
 
     Yields:
-        A function of one frame's bytes: rows from above, red, green and blue of each pixel.
+        A function that accepts the bytes of one frame: rows from the top, with red, green and blue for each pixel.
 
     Raises:
-        RuntimeError: ffmpeg is missing or failed; the message is its last line.
-        OSError: it cannot be started.
+        RuntimeError: ffmpeg is missing or failed. The message is the last line of its output.
+        OSError: ffmpeg cannot be started.
     """
     import imageio_ffmpeg
 
@@ -36,10 +37,10 @@ def h264_encoder(path: Path, size: tuple[int, int], fps: float) -> Iterator[Call
         imageio_ffmpeg.get_ffmpeg_exe(), "-y", "-v", "error",
         "-f", "rawvideo", "-pix_fmt", "rgb24", "-s", f"{size[0]}x{size[1]}", "-r", f"{fps:g}", "-i", "-",
         "-an", "-c:v", "libx264", "-pix_fmt", "yuv420p", "-crf", "20", "-preset", "medium", "-movflags", "+faststart",
-        f"file:{path}",  # a name such as "a:b.mp4" would be read as a protocol
+        f"file:{path}",  # otherwise "a:b.mp4" would be read as a protocol
     ]  # fmt: skip
     with TemporaryFile() as error_output:
-        # a new session, so that Ctrl-C only reaches petmjx, which then ends ffmpeg
+        # a new session, so that Ctrl-C reaches only petmjx, which then ends ffmpeg
         process = subprocess.Popen(
             command, stdin=subprocess.PIPE, stdout=subprocess.DEVNULL, stderr=error_output, start_new_session=True
         )
@@ -55,7 +56,7 @@ def h264_encoder(path: Path, size: tuple[int, int], fps: float) -> Iterator[Call
         try:
             yield add
         except _EncoderExit:
-            pass  # ffmpeg reports the reason
+            pass  # ffmpeg itself reports the reason
         except BaseException:
             process.kill()
             raise
@@ -70,4 +71,4 @@ def h264_encoder(path: Path, size: tuple[int, int], fps: float) -> Iterator[Call
 
 
 class _EncoderExit(Exception):
-    """ffmpeg ended before the film did."""
+    """ffmpeg exited before the film was complete."""

@@ -1,1 +1,1 @@
-"""The report of runs, one page: outcomes, charts, a table of all plans, and each plan in 3D."""
+"""The report of runs, on one page: outcomes, charts, a table of all plans, and each plan in 3D."""

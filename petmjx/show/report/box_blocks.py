@@ -1,4 +1,4 @@
-"""The final boxes of worlds, in blocks that the page unpacks when the user opens one of the worlds."""
+"""The final poses of the boxes in worlds, in blocks. The page unpacks a block when the user opens one of its worlds."""
 
 from __future__ import annotations
 
@@ -25,13 +25,14 @@ from petmjx.world.body_shapes import Body
 from petmjx.world.scene import build_scene
 
 MOST_BOXES: Final = 600_000
-"""Most boxes of a page. A box takes about 17 bytes, so these are 10 MB. Worlds that do not stand are taken first."""
+"""Largest number of boxes on a page. A box takes about 17 bytes, so the limit is 10 MB. Worlds that do not stand have
+priority."""
 
 WORLDS_PER_BLOCK: Final = 64
-"""Worlds in a block. Such a block is unpacked in some milliseconds, and deflates as well as larger ones."""
+"""Number of worlds in a block. Such a block is unpacked in some milliseconds, and deflates as well as a larger one."""
 
 TENTHS_PER_M: Final = 10_000
-"""Units per metre of planned places, which are whole tenths of a millimetre."""
+"""Number of units per metre. Planned places are stored as whole tenths of a millimetre."""
 
 _POSITION: Final = ("pos_x_m", "pos_y_m", "pos_z_m")
 _QUATERNION: Final = ("quat_w", "quat_x", "quat_y", "quat_z")
@@ -41,12 +42,12 @@ _NUMBERS: Final = (*_POSITION, *_QUATERNION, *_METRICS)
 
 @dataclass(frozen=True, eq=False)
 class BoxBlocks:
-    """The boxes of a page.
+    """The boxes on a page.
 
     Attributes:
-        blocks: name → block. The k-th drawn world is world k % ``WORLDS_PER_BLOCK`` of block "boxes-N".
-        drawn: (rows of the table,) number of the row's world among the drawn worlds; −1: not drawn.
-        without_boxes: number of worlds that were left out because of their number.
+        blocks: name → block. The drawn world with number k is world k % ``WORLDS_PER_BLOCK`` of block "boxes-N".
+        drawn: (rows of the table,) the number of the row's world among the drawn worlds; −1: it is not drawn.
+        without_boxes: number of worlds left out because there are too many.
     """
 
     blocks: dict[str, str]
@@ -55,7 +56,7 @@ class BoxBlocks:
 
 
 def box_blocks(runs: Sequence[ReportRun], table: pd.DataFrame, most: int = MOST_BOXES) -> BoxBlocks:
-    """Pack the boxes of the worlds in a table, if their plans were found.
+    """Pack the boxes of those worlds in a table whose plans were found.
 
     Args:
         table: the second result of :func:`petmjx.show.report.plan_rows.table_rows`.
@@ -72,7 +73,7 @@ def box_blocks(runs: Sequence[ReportRun], table: pd.DataFrame, most: int = MOST_
 
 
 def _drawn_rows(runs: Sequence[ReportRun], table: pd.DataFrame, most: int) -> tuple[NDArray[np.int64], int]:
-    """Rows of the table that are drawn, and the number of worlds left out because of their number."""
+    """The rows of the table whose worlds are drawn, and the number of worlds left out because there are too many."""
     has_plan = np.zeros(len(table), dtype=bool)
     for at, run in enumerate(runs):
         if not run.results.keeps_boxes:
@@ -124,7 +125,7 @@ def _worlds(runs: Sequence[ReportRun], table: pd.DataFrame) -> Iterator[_World]:
 
 
 def simulation_of(info: Mapping[str, Any]) -> Simulation:
-    """The simulation options of a run; the defaults if the run does not have them, or has them in the form of an older
+    """The simulation options of a run. The defaults if the run does not have them, or has them in the form of an older
     petmjx."""
     settings = info.get("config", {}).get("simulation")
     try:
@@ -134,7 +135,8 @@ def simulation_of(info: Mapping[str, Any]) -> Simulation:
 
 
 def _block_columns_of_boxes(worlds: Sequence[_World]) -> dict[str, NDArray[Any] | PackedArray]:
-    """The columns of a block. ``items`` is JSON as UTF-8: [item, article, three sides in mm, kg] of each kind."""
+    """The columns of a block. ``items`` is JSON in UTF-8, with an entry for each kind of box: [item, article, three
+    sides in mm, kg]."""
     numbers = np.concatenate([world.numbers for world in worlds])
     pos, quat, (tilt, force, rest_force, drop) = numbers[:, :3], numbers[:, 3:7], numbers[:, 7:].T
     target = np.concatenate([world.target for world in worlds])

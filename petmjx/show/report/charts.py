@@ -1,4 +1,4 @@
-"""The kinds of charts in a report. Other modules choose their content."""
+"""The kinds of charts in a report. What they show is determined by other modules."""
 
 from __future__ import annotations
 
@@ -17,24 +17,24 @@ from petmjx.show.report.markup import Content, Markup, element
 from petmjx.show.report.svg_charts import WIDTH, Frame, Scale, drawing
 
 BINS: Final = 24
-"""Bins of a histogram, whose bars are 12 pixels wide."""
+"""Number of bins of a histogram. Their bars are 12 pixels wide."""
 
 GROUPS: Final = 8
 FEWEST: Final = 12
-"""Number of groups of equal size into which worlds are divided along an axis, and the least size of a group."""
+"""Number of groups of equal size into which worlds are divided along an axis, and the smallest size of a group."""
 
 MOST_POINTS: Final = 400
-"""Most worlds that are drawn as points. For more worlds quantiles are drawn."""
+"""Largest number of worlds that are drawn as points. For more worlds, quantiles are drawn."""
 
 QUANTILES: Final = (0.05, 0.25, 0.5, 0.75, 0.95)
 
 ROW_HEIGHT: Final = 24
 TALL_ROW: Final = 42
-"""Height of a row with its name above the drawing, pixels."""
+"""Height of a row whose name is above its drawing, pixels."""
 
 MOST_LETTERS: Final = 28
 LETTER: Final = 6
-"""Width of a letter, pixels, rather too large."""
+"""Width of a letter, pixels, rounded up."""
 
 
 def percent(share: float) -> str:
@@ -48,7 +48,7 @@ def interval_text(low: float, high: float) -> str:
 
 
 def _span(low: float, high: float, counts: bool) -> str:
-    """The range of a bin as text: "0.5 to 1"; for counts "3" or "3 to 5"."""
+    """The range of a bin as text: "0.5 to 1"; if the values are counts, "3" or "3 to 5"."""
     if not counts:
         return f"{three_digits(low)} to {three_digits(high)}"
     first, last = math.ceil(low), math.floor(high)
@@ -58,15 +58,15 @@ def _span(low: float, high: float, counts: bool) -> str:
 def histogram(
     frame: Frame, values: pd.Series, classes: pd.Series, order: Sequence[str], threshold: float | None = None
 ) -> None:
-    """Bars of the number of worlds by value, with the classes stacked. Sets the frame's y scale.
+    """Draw bars with the number of worlds by value, with the classes stacked. Sets the frame's y scale.
 
     Args:
-        classes: class of each world, such as its verdict. The class of a bar also exists in the style sheet.
-        order: classes from the lowest bar upwards.
+        classes: class of each world, such as its verdict. The style sheet has a class of the same name.
+        order: the classes, from the lowest bar upwards.
     """
     edges = frame.x.edges(BINS)
     if threshold is not None and edges[0] < threshold < edges[-1] and len(edges) > 2:
-        # no bar reaches across the threshold: values on its two sides are in different bars
+        # an edge is moved to the threshold, so that values on its two sides are in different bars
         edges[1 + int(np.abs(edges[1:-1] - threshold).argmin())] = threshold
     has_value = values.notna()
     clipped = np.clip(values[has_value].to_numpy(np.float64), frame.x.low, frame.x.high)
@@ -97,7 +97,7 @@ def histogram(
 
 
 def points(frame: Frame, x: pd.Series, y: pd.Series, classes: pd.Series) -> None:
-    """One point per world."""
+    """Draw one point per world."""
     has_values = (x.notna() & y.notna()).to_numpy()
     px, py = frame.at(x[has_values].to_numpy(np.float64), y[has_values].to_numpy(np.float64))
     for at_x, at_y, name in zip(px.tolist(), py.tolist(), classes[has_values], strict=True):
@@ -105,7 +105,7 @@ def points(frame: Frame, x: pd.Series, y: pd.Series, classes: pd.Series) -> None
 
 
 def quantile_bands(frame: Frame, x: pd.Series, y: pd.Series) -> None:
-    """Quantiles of y along x: the median as a line, and bands with half and with nine tenths of the worlds."""
+    """Draw quantiles of y along x: the median as a line, and bands with half and with nine tenths of the worlds."""
     has_values = x.notna() & y.notna()
     groups = equal_groups(x[has_values].to_numpy(np.float64))
     values = y[has_values].to_numpy(np.float64)
@@ -117,7 +117,8 @@ def quantile_bands(frame: Frame, x: pd.Series, y: pd.Series) -> None:
 
 
 def equal_groups(x: FloatArray) -> list[NDArray[np.int64]]:
-    """Rows in up to ``GROUPS`` groups of rising x and about equal size; equal x are always in one group."""
+    """Rows in up to ``GROUPS`` groups of about equal size, by ascending x. Rows with equal x are always in the same
+    group."""
     if not len(x):
         return []
     order = np.argsort(x, kind="stable")
@@ -127,7 +128,7 @@ def equal_groups(x: FloatArray) -> list[NDArray[np.int64]]:
 
 
 def share_curve(frame: Frame, x: FloatArray, share: FloatArray, low: FloatArray, high: FloatArray) -> None:
-    """Shares with their intervals along an axis."""
+    """Draw shares with their intervals along an axis."""
     frame.band(x, low, high, "band inner")
     frame.line(x, share, "curve")
     px, py = frame.at(x, share)
@@ -139,7 +140,7 @@ def share_curve(frame: Frame, x: FloatArray, share: FloatArray, low: FloatArray,
 
 @dataclass(frozen=True)
 class Bar:
-    """A row of a bar chart: its name, its length, and the text to its right. ``link`` filters the table."""
+    """A row of a bar chart: its name, its length, and the text to its right. ``link`` filters the table of plans."""
 
     name: str
     length: float
@@ -149,10 +150,10 @@ class Bar:
 
 
 def bars(title: str, rows: Sequence[Bar], *, width: int = WIDTH, names: int = 130) -> Markup:
-    """A bar chart with names on the left. Long names are cut; pointing at a name shows the whole name.
+    """A bar chart with the names on the left. Long names are cut; the whole name appears when the mouse is over it.
 
     Args:
-        names: width for names, pixels.
+        names: width of the names, pixels.
     """
     longest = max((row.length for row in rows), default=0.0) or 1.0
     letters = min(names // LETTER, max((len(row.name) for row in rows), default=0))
@@ -176,8 +177,8 @@ def bars(title: str, rows: Sequence[Bar], *, width: int = WIDTH, names: int = 13
 
 
 def intervals(title: str, rows: Sequence[tuple[str, float, float, float, str]]) -> Markup:
-    """A chart with one dot and its interval per row, between 0 and 100 %. A row is (name, share, low, high, text); name
-    and text are above the dot."""
+    """A chart between 0 and 100 % with one dot and its interval per row. A row is (name, share, low, high, text); the
+    name and the text are above the dot."""
     left, right = 12.0, WIDTH - 16.0
     height = len(rows) * TALL_ROW + 22
     marks: list[Content] = []
@@ -199,7 +200,7 @@ def intervals(title: str, rows: Sequence[tuple[str, float, float, float, str]]) 
 
 def stacked_bars(title: str, rows: Sequence[tuple[str, Sequence[tuple[str, int, str]]]]) -> Markup:
     """A chart with one bar of several parts per row. A row is (name, [(class, count, meaning), …]); the name is above
-    the bar. All bars are equally long."""
+    the bar. All bars have the same length."""
     marks: list[Content] = []
     for at, (name, parts) in enumerate(rows):
         y = at * TALL_ROW
@@ -220,7 +221,7 @@ def stacked_bars(title: str, rows: Sequence[tuple[str, Sequence[tuple[str, int, 
 
 
 def _row_name(name: str, y: float) -> Markup:
-    """The name of a row. Pointing at a part shows its whole text."""
+    """The name of a row. If it is cut, the whole text appears when the mouse is over it."""
     letters = MOST_LETTERS
     short = name if len(name) <= letters else name[: letters - 1] + "…"
     return element("text", element("title", name), short, x=0, y=y, class_="halo")
@@ -233,11 +234,11 @@ ROSE_RINGS: Final = 4
 
 
 def rose(title: str, directions_deg: FloatArray, quantiles: Mapping[str, FloatArray], top: float, unit: str) -> Markup:
-    """Values by direction: 0° to the right, 90° up, as x and y of the carrier.
+    """A chart of values by direction: 0° is to the right and 90° up, like x and y of the carrier.
 
     Args:
-        directions_deg: (d,) rising.
-        quantiles: ``low``, ``middle``, ``high``: (d,) values; missing values are drawn at 0.
+        directions_deg: (d,) directions in ascending order.
+        quantiles: ``low``, ``middle`` and ``high``: (d,) values. Missing values are drawn at 0.
         top: the value of the outer ring.
     """
     centre, reach = ROSE / 2, ROSE / 2 - 34

@@ -1,4 +1,4 @@
-"""Several runs of the same plans, or of several packers on the same orders."""
+"""The section that compares several runs of the same plans, or runs of several packers on the same orders."""
 
 from __future__ import annotations
 
@@ -19,14 +19,14 @@ from petmjx.show.report.svg_charts import figure
 from petmjx.show.report.verdict_shares import plan_link
 
 MOST_FLIPS: Final = 50
-"""Most flipped verdicts that are listed. The table of plans has all boxes of the articles."""
+"""Largest number of flipped verdicts that are listed. The table of plans contains all of them."""
 
 MOST_PAIRS: Final = 28
-"""Most pairs of runs that are drawn: the pairs of eight runs."""
+"""Largest number of pairs of runs that are drawn: that of eight runs."""
 
 
 def comparison_section(runs: Sequence[ReportRun]) -> Markup:
-    """The section that compares several runs by their common plans."""
+    """The section that compares several runs by the plans that they have in common."""
     if len(runs) < 2:
         return NOTHING
     common = common_verdicts(runs)
@@ -46,14 +46,14 @@ def _word(runs: Sequence[ReportRun]) -> str:
 
 
 def common_verdicts(runs: Sequence[ReportRun]) -> pd.DataFrame:
-    """Verdicts of the worlds that all runs have: one row per world, by plan and variant, and one column per run, by
-    number."""
+    """The verdicts of the worlds that all runs have: one row per world, by plan and variant, and one column per run, by
+    the number of the run."""
     columns = [run.worlds.set_index(KEY)["verdict"].rename(at) for at, run in enumerate(runs)]
     return pd.concat(columns, axis=1, join="inner").sort_index()
 
 
 def _rates(runs: Sequence[ReportRun], common: pd.DataFrame) -> Markup:
-    """The share that stands in each run, with Wilson's interval."""
+    """The share of worlds that stand in each run, with Wilson's interval."""
     rows = []
     for at, run in enumerate(runs):
         judged = common[at] != Verdict.INVALID.value
@@ -71,10 +71,10 @@ def _rates(runs: Sequence[ReportRun], common: pd.DataFrame) -> Markup:
 
 
 def _won_and_lost(runs: Sequence[ReportRun], common: pd.DataFrame) -> tuple[Markup, Markup]:
-    """For each pair of runs, the worlds that stand in one run only, among the worlds with a verdict in both.
+    """For each pair of runs, the worlds that stand in only one of them, among the worlds that have a verdict in both.
 
     Returns:
-        The drawing, and a table of the differences of shares.
+        A chart, and a table with the differences of the shares.
     """
     rows, differences = [], []
     pairs = list(itertools.combinations(range(len(runs)), 2))
@@ -108,7 +108,7 @@ def _won_and_lost(runs: Sequence[ReportRun], common: pd.DataFrame) -> tuple[Mark
 
 
 def paired_counts(a: pd.Series, b: pd.Series) -> PairedCounts:
-    """Numbers of worlds that stand in both, in one, or in neither of two runs, among the worlds with a valid verdict in
+    """Numbers of worlds that stand in both runs, in one, or in neither, among the worlds that have a valid verdict in
     both.
 
     Args:
@@ -121,8 +121,8 @@ def paired_counts(a: pd.Series, b: pd.Series) -> PairedCounts:
 
 
 def _two(runs: Sequence[ReportRun], pair: Comparison, n_plans: int) -> Markup:
-    """The confusion of verdicts and the flips of two runs. ``n_plans`` plans are in both runs, perhaps with different
-    boxes."""
+    """The confusion matrix of two runs' verdicts, and the flips. ``n_plans`` plans are in both runs, possibly with
+    different boxes."""
     a, b = (run.name for run in runs)
     rows = [[str(verdict), *(f"{count:,}" for count in counts)] for verdict, counts in pair.confusion.iterrows()]
     agree = percent(pair.agreement) if pair.agreement is not None else "–"
@@ -177,7 +177,7 @@ def _flips(runs: Sequence[ReportRun], pair: Comparison) -> Markup:
     a, b = (run.name for run in runs)
     caption = f"Flipped verdicts ({len(flips):,})"
     caption += f": the first {MOST_FLIPS}" if len(flips) > MOST_FLIPS else ""
-    within = None if pair.other_plans else pair.flips_within  # measures how similar two simulations of one plan are
+    within = None if pair.other_plans else pair.flips_within  # only meaningful for simulations of equal plans
     note = (
         "" if within is None else f"Each has a margin within ±{three_digits(within)} of a threshold in one of the runs."
     )

@@ -1,4 +1,4 @@
-"""Charts of shift, tilt, force and the time of the first sign: alone, and against the size of plans."""
+"""Charts of shift, tilt, force and the time of the first sign, both alone and against the size of plans."""
 
 from __future__ import annotations
 
@@ -23,14 +23,14 @@ from petmjx.show.report.verdict_shares import ORDER
 
 @dataclass(frozen=True)
 class Quantity:
-    """A metric of worlds, as charts draw it.
+    """A metric of worlds in the form in which charts show it.
 
     Attributes:
         column: column of ``worlds``.
-        factor: converts to the unit of the label.
-        label: name and unit.
-        log_from: the lower end of a logarithmic axis; None: a linear one from 0.
-        lowest: label of the lower end, which also stands for smaller values.
+        factor: factor that converts values to the unit of the label.
+        label: name and unit, for the axis.
+        log_from: lower end of a logarithmic axis; None: the axis is linear and begins at 0.
+        lowest: label at the lower end, at which smaller values are drawn as well.
         counts: whether values are whole numbers.
     """
 
@@ -43,16 +43,16 @@ class Quantity:
     counts: bool = False
 
     def of(self, worlds: pd.DataFrame) -> pd.Series:
-        """The values in the unit of the label; NaN for missing or infinite values."""
+        """The values in the unit of the label. NaN for missing and infinite values."""
         values = worlds[self.column].astype("float64") * self.factor
         return values.where(np.isfinite(values))
 
     def scale(self, values: pd.Series) -> Scale:
-        """An axis for all values, with the ends of this metric."""
+        """An axis that contains all values and ends where this metric's axis ends."""
         return Scale.over(values.to_numpy(), log_from=self.log_from, lowest=self.lowest, zero=True)
 
     def across(self, values: pd.Series) -> Scale:
-        """An axis from the smallest to the largest value."""
+        """An axis that extends from the smallest to the largest value."""
         return replace(Scale.over(values.to_numpy()), counts=self.counts)
 
     def limit(self, thresholds: Thresholds) -> float | None:
@@ -62,7 +62,7 @@ class Quantity:
 
 
 SHIFT: Final = Quantity("max_shift_m", "Shift", "largest shift, mm", MM_PER_M, 0.5, "< 1")
-"""Components below ``shift_floor_m``, 1 mm by default, count as 0."""
+"""Components of the shift below ``shift_floor_m``, by default 1 mm, count as 0."""
 
 METRICS: Final = (
     SHIFT,
@@ -79,7 +79,7 @@ SIZES: Final = (
 
 
 def distributions(run: ReportRun) -> Markup:
-    """Histograms of all metrics, then each metric and the share that stands against the size of plans."""
+    """Histograms of all metrics; then each metric, and the share that stands, against the size of plans."""
     worlds = run.worlds
     if worlds.empty:
         return NOTHING
@@ -136,10 +136,10 @@ def _against(size: Quantity, metric: Quantity, worlds: pd.DataFrame, limits: Thr
 
 
 def _share(size: Quantity, worlds: pd.DataFrame, one_each: bool) -> Markup:
-    """The share that stands, in groups of about equal size.
+    """The share that stands, for groups of plans of about equal size.
 
     Args:
-        one_each: whether every plan has one world; shares then have Wilson's interval.
+        one_each: whether every plan has one world. Shares then have Wilson's interval.
     """
     judged = worlds[(worlds["verdict"] != Verdict.INVALID.value) & size.of(worlds).notna()]
     x = size.of(judged).to_numpy(np.float64)

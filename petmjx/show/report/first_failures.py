@@ -1,4 +1,4 @@
-"""Charts of the articles, and the places in the order, that fail first."""
+"""Charts of which articles, and which positions in the packing order, fail first."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ MOST_FAILING_ARTICLES: Final = 12
 
 
 def first_boxes(run: ReportRun) -> Markup:
-    """Charts of the boxes that first crossed a threshold."""
+    """Charts of the boxes that were the first to cross a threshold."""
     falls = run.worlds[run.worlds["culprit"].notna()]
     if falls.empty:
         unknown = (run.worlds["verdict"] == Verdict.INVALID.value).all()
@@ -52,7 +52,7 @@ def first_boxes(run: ReportRun) -> Markup:
 
 
 def _articles(run: ReportRun, falls: pd.DataFrame) -> Markup:
-    """Articles by the number of first failures of their boxes, with the number of their boxes in the same run."""
+    """The articles, by the number of their boxes that fail first; and the number of all their boxes in the same run."""
     first = falls.loc[falls["first_article"] != "", "first_article"].value_counts()
     of_article: Counter[str] = Counter()
     worlds = run.worlds["plan_id"].value_counts()

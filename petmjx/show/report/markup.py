@@ -1,4 +1,4 @@
-"""HTML and SVG as text. Text that is not markup is escaped, so no text of a plan or of a file can become markup."""
+"""HTML and SVG as text. Text that is not markup is escaped, so text from a plan or a file can never become markup."""
 
 from __future__ import annotations
 
@@ -9,13 +9,13 @@ from petmjx.show.pages.page import escaped_html as escaped_text
 
 
 class Markup(str):
-    """Text that is markup. The markup goes into the page unchanged."""
+    """Text that is markup, and so goes into the page unchanged."""
 
     __slots__ = ()
 
 
 Content = str | Markup | None
-"""A child of an element: text, which is escaped, or markup. None means no child."""
+"""A child of an element: markup, or text that will be escaped. None means that there is no child."""
 
 NOTHING: Final = Markup("")
 
@@ -24,21 +24,21 @@ _EMPTY: Final = frozenset({"br", "col", "hr", "img", "input", "meta"})
 
 
 def escaped_markup(text: str) -> Markup:
-    """Text as markup: escaped, and with invisible characters made visible."""
+    """Turn text into markup: it is escaped, and invisible characters are made visible."""
     return text if isinstance(text, Markup) else Markup(escaped_text(text))
 
 
 def joined_markup(*parts: Content) -> Markup:
-    """Parts in order."""
+    """Join parts, in order."""
     return Markup("".join(escaped_markup(part) for part in parts if part is not None))
 
 
 def element(name: str, *children: Content, **attributes: str | float | bool | None) -> Markup:
-    """An element with its children.
+    """An element with children.
 
     Args:
-        attributes: ``class_`` is class, ``aria_label`` is aria-label. None and False are left out; True gives an
-            attribute without a value.
+        attributes: ``class_`` becomes class, ``aria_label`` becomes aria-label. None and False are left out; True gives
+            an attribute without a value.
     """
     written = "".join(_attribute(key, value) for key, value in attributes.items())
     end = "" if name in _EMPTY else f"</{name}>"
@@ -66,7 +66,8 @@ def table(
     """A small table.
 
     Args:
-        texts: number of leading columns with text. The other columns are numbers, aligned to the right.
+        texts: number of columns, from the left, that contain text. The other columns contain numbers, aligned to the
+            right.
         caption: title of the table, and its name for screen readers.
     """
     heads = [element("th", cell, scope="col", class_=_side(at, texts)) for at, cell in enumerate(head)]

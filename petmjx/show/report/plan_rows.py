@@ -1,4 +1,4 @@
-"""The table of all plans: its columns, and its values as compact arrays. ``static/table.js`` shows it."""
+"""The table of all plans: its columns, and its values as compact arrays. ``static/table.js`` displays it."""
 
 from __future__ import annotations
 
@@ -21,15 +21,15 @@ from petmjx.show.pages.page_arrays import PackedArray, integer_column
 from petmjx.show.report.report_runs import Kind, ReportRun
 
 MOST_ROWS: Final = 200_000
-"""Most worlds of the table, over all runs; a row takes about 40 bytes. If there are more, worlds that stand are left
-out first."""
+"""Largest number of worlds in the table, over all runs. A row takes about 40 bytes. If there are more worlds, those
+that stand are left out first."""
 
 MOST_OF_SWEEP: Final = 100_000
-"""Most worlds of a sweep that get a row each. If there are more, each plan gets one row."""
+"""Largest number of worlds of a sweep for which each world gets a row. If there are more, each plan gets one row."""
 
 PLAN: Final = "plan"
 OTHER: Final = "other"
-"""Columns that the page knows by name, in addition to ``run``, ``variant``, ``verdict`` and ``reason``."""
+"""Columns that the page knows by their names, besides ``run``, ``variant``, ``verdict`` and ``reason``."""
 
 
 @dataclass(frozen=True)
@@ -38,9 +38,9 @@ class NumberColumn:
 
     Attributes:
         column: column of ``ReportRun.worlds``.
-        key: its name in the page and in the page's address.
+        key: name of the column in the page, and in the page's address.
         label, unit: its heading and its unit.
-        meaning: text that is shown when the mouse is over it.
+        meaning: text that appears when the mouse is over the heading.
         digits: number of decimals.
     """
 
@@ -76,21 +76,21 @@ NUMBERS: Final = (
     NumberColumn("height_m", "height", "height", "m", 2),
     NumberColumn("mass_kg", "weight", "weight", "kg", 0),
 )
-"""Number columns of runs. Columns without any value are left out."""
+"""The columns with numbers of runs. A column without any value is left out."""
 
 
 @dataclass
 class Rows:
-    """The table in the form of a page.
+    """The table in the form that the page uses.
 
     Attributes:
-        columns: key, label, unit, kind (``text``, ``choice`` or ``number``), digits and meaning of each column, in
-            order.
-        texts: key → the texts of a column of kind ``text`` or ``choice``. The column's array holds indices into these
-            texts, −1 for no text.
+        columns: in order, the key, label, unit, kind (``text``, ``choice`` or ``number``), digits and meaning of each
+            column.
+        texts: key → the texts of a column of kind ``text`` or ``choice``. The array of the column contains indices into
+            these texts, and −1 for no text.
         arrays: key → one value per row.
-        left_out: number of worlds that are not in the table.
-        summed_up: runs for which the table has one row per plan.
+        left_out: number of worlds that are missing in the table.
+        summed_up: the runs for which the table has one row per plan.
     """
 
     columns: list[dict[str, Any]] = field(default_factory=list)
@@ -101,7 +101,8 @@ class Rows:
 
 
 def table_rows(runs: Sequence[ReportRun], most: int = MOST_ROWS) -> tuple[Rows, pd.DataFrame]:
-    """The table, and its data frame: the worlds of all runs in the order of the table, with ``run`` as a number."""
+    """The table; and its data frame, which has the worlds of all runs in the order of the table, with ``run`` as a
+    number."""
     summed_up = [run for run in runs if run.kind is Kind.GRID and len(run.worlds) > MOST_OF_SWEEP]
     frames = [_of_run(at, run, run in summed_up) for at, run in enumerate(runs)]
     frames = _with_other_verdicts(frames, runs) if len(frames) == 2 else frames
@@ -144,14 +145,14 @@ def _of_run(at: int, run: ReportRun, summed_up: bool) -> pd.DataFrame:
 
 
 def _worst(worlds: pd.DataFrame) -> pd.DataFrame:
-    """For each plan the world with the least margin."""
+    """For each plan, the world with the smallest margin."""
     margin = worlds["margin"].fillna(np.inf)
     return worlds.loc[margin.groupby(worlds["plan_id"], sort=False).idxmin()].reset_index(drop=True)
 
 
 def _with_other_verdicts(frames: Sequence[pd.DataFrame], runs: Sequence[ReportRun]) -> list[pd.DataFrame]:
-    """The worlds of two runs with the column ``OTHER``: the verdict of the same world in the other run, "" without a
-    verdict."""
+    """Add the column ``OTHER`` to the worlds of two runs: the verdict of the same world in the other run, or "" if it
+    has none there."""
     tables = []
     for one, two in zip(frames, runs[::-1], strict=True):
         other = one[KEY].merge(two.worlds[[*KEY, "verdict"]], on=KEY, how="left")["verdict"].fillna("")
@@ -162,7 +163,7 @@ def _with_other_verdicts(frames: Sequence[pd.DataFrame], runs: Sequence[ReportRu
 def _add_parameters(
     rows: Rows, runs: Sequence[ReportRun], frame: pd.DataFrame, condition: Callable[[str], bool]
 ) -> None:
-    """Add the columns of sweeps that fulfil a condition: parameters of variants, or their outcomes."""
+    """Add those columns of sweeps that fulfil a condition: parameters of variants, or outcomes of variants."""
     units = {name: unit for run in runs for name, unit in run.results.units("worlds").items()}
     column_names = {shown.column for shown in NUMBERS}
     for name in dict.fromkeys(name for run in runs for name in run.parameters):
@@ -178,7 +179,7 @@ def _add_parameters(
 
 
 def _key(name: str) -> str:
-    """A parameter's name in the page. The name of a run never equals one of the page's own names."""
+    """The name of a parameter in the page. It differs from all of the page's own names."""
     return f"x-{name}"
 
 
@@ -208,6 +209,6 @@ def _add_texts(rows: Rows, key: str, label: str, values: pd.Series, kind: str = 
 
 
 def _add_choice(rows: Rows, key: str, label: str, values: pd.Series, is_shown: bool, meaning: str = "") -> None:
-    """A column whose values are chosen from a list; empty texts are no value."""
+    """Add a column whose values are chosen from a list. An empty text means no value."""
     if is_shown and (values.fillna("") != "").any():
         _add_texts(rows, key, label, values.where(values != ""), "choice", meaning)

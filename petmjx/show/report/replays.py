@@ -1,4 +1,4 @@
-"""Histories of recorded worlds, for the page to play."""
+"""Histories of recorded worlds, which the page can play."""
 
 from __future__ import annotations
 
@@ -18,17 +18,18 @@ from petmjx.show.report.report_runs import ReportRun
 from petmjx.world.history import History
 
 MOST_POSES: Final = 500_000
-"""Most poses (boxes × frames) of a page. A pose takes about 7 bytes. Worlds that do not stand are taken first."""
+"""Largest number of poses (boxes × frames) on a page. A pose takes about 7 bytes. Worlds that do not stand have
+priority."""
 
 
 @dataclass(frozen=True, eq=False)
 class Replays:
-    """Histories of a page.
+    """The histories on a page.
 
     Attributes:
         blocks: name → block.
-        number: (rows of the table,) number N of the row's block "replay-N"; −1 for none.
-        left_out: number of recorded worlds that would make the page too large.
+        number: (rows of the table,) number N of the row's block "replay-N"; −1 if there is none.
+        left_out: number of recorded worlds that were left out because they would make the page too large.
     """
 
     blocks: dict[str, str]
@@ -39,11 +40,11 @@ class Replays:
 def replays(
     runs: Sequence[ReportRun], table: pd.DataFrame, drawn: NDArray[np.int64], most: int = MOST_POSES
 ) -> Replays:
-    """Pack the histories of the worlds in a table that have a 3D picture.
+    """Pack the histories of those worlds in a table that have a 3D picture.
 
     Args:
         table: the second result of :func:`petmjx.show.report.plan_rows.table_rows`.
-        drawn: for each row of the table, the number of its drawn world; negative: no picture.
+        drawn: for each row of the table, the number of its world among the drawn ones; negative: it has no picture.
     """
     poses = _poses(runs, table)
     recorded = np.flatnonzero((poses > 0) & (drawn >= 0))
@@ -63,7 +64,7 @@ def replays(
 
 
 def _poses(runs: Sequence[ReportRun], table: pd.DataFrame) -> NDArray[np.int64]:
-    """(rows of the table,) number of recorded poses of each world."""
+    """(rows of the table,) the number of recorded poses of each world."""
     counts = np.zeros(len(table), dtype=np.int64)
     for at, run in enumerate(runs):
         if not run.results.parts.files("frames"):
@@ -75,7 +76,7 @@ def _poses(runs: Sequence[ReportRun], table: pd.DataFrame) -> NDArray[np.int64]:
 
 
 def _frames(history: History) -> dict[str, NDArray[Any] | PackedArray]:
-    """The arrays that ``static/frames.js`` plays."""
+    """The arrays of a history that ``static/frames.js`` plays."""
     return {
         "time": history.time_s.astype(np.float64),
         "placed": integer_column(history.n_placed, steps=True),

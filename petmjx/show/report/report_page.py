@@ -1,4 +1,4 @@
-"""The page of a report: its sections, and the data that its scripts read."""
+"""The page of a report: its sections, and the data for its scripts."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ from petmjx.show.report.verdict_shares import headline, verdict_table
 from petmjx.world.carrier_boards import floor_z_m
 
 N_CATEGORIES: Final = 21
-"""Number of colours of articles. After these the colours repeat."""
+"""Number of colours for articles. Further articles repeat these colours."""
 
 Source = str | Path | RunResults
 
@@ -47,22 +47,22 @@ def report(
     """Write one offline page about one or several runs.
 
     Args:
-        runs: folders of runs, or results of ``petmjx.score``, ``petmjx.sweep`` and ``petmjx.load_run``.
+        runs: folders of runs, or results of ``petmjx.score``, ``petmjx.sweep`` or ``petmjx.load_run``.
         out: the HTML file.
-        plans: files or folders with the plans of the runs. Without ``plans``, the plans in the runs' tables are used,
-            or else the files that the runs name.
-        overwrite: replace an existing file.
+        plans: files or folders with the plans of the runs. If none are given, the plans in the runs' tables are used,
+            else the files that the runs name.
+        overwrite: whether to replace an existing file.
 
     Returns:
-        The file's path.
+        The path of the file.
 
     Raises:
-        InputError: a folder without a run, a damaged run, or unreadable plans; or ``out`` exists already, its folder
-            does not exist, or it cannot be written.
+        InputError: a folder has no run, a run is damaged, or plans are unreadable; or ``out`` already exists, cannot be
+            written, or is in a folder that does not exist.
     """
     path = path_of(out, "out")
     check_outputs([path], overwrite=overwrite, inputs=source_files(runs, plans))
-    check_writable(path)  # before the work of a large report
+    check_writable(path)  # before a large report is computed
     sources: list[Any] = (
         [runs] if isinstance(runs, str | Path | RunResults) else list_of(runs, "runs", object, "runs or folders")
     )
@@ -74,7 +74,7 @@ def report(
 
 
 def report_page(runs: Sequence[ReportRun]) -> str:
-    """The page as text."""
+    """The text of the page."""
     rows, table = table_rows(runs)
     boxes = box_blocks(runs, table)
     played = replays(runs, table, boxes.drawn)
@@ -98,7 +98,7 @@ def report_page(runs: Sequence[ReportRun]) -> str:
 
 
 def _of_run(run: ReportRun) -> dict[str, Any]:
-    """The values of a run that the scripts need."""
+    """Those values of a run that the scripts need."""
     limits = thresholds_of(run.info)
     return {
         "name": run.name,
@@ -112,13 +112,13 @@ def _of_run(run: ReportRun) -> dict[str, Any]:
 
 
 def _summed_up(runs: Sequence[ReportRun]) -> list[str]:
-    """A line for each run with very many worlds, on its rows in the table."""
+    """A line about the rows of each run that has too many worlds for one row each."""
     row = "one row a plan: its world with the least margin, and the share of its worlds that stand"
     return [f"{run.name} has {len(run.worlds):,} worlds, too many for a table. It has {row}." for run in runs]
 
 
 def _notes(runs: Sequence[ReportRun], left_out: int, without_boxes: int, not_played: int) -> list[str]:
-    """Lines on worlds that the page does not show."""
+    """Lines about worlds that the page does not show."""
     notes = [f"{run.name}: {run.plan_files.note}. These have no 3D picture." for run in runs if run.plan_files.note]
     notes += [
         f"{run.name} kept no boxes: its worlds have no 3D picture." for run in runs if not run.results.keeps_boxes
@@ -164,7 +164,7 @@ def _worlds(runs: Sequence[ReportRun]) -> bool:
 
 
 def _outcome_section(run: ReportRun) -> Markup:
-    """Headline, verdicts, and settings of the run."""
+    """The headline, the verdicts and the settings of the run."""
     empty = element("p", "No world was simulated: there is nothing to show.") if run.worlds.empty else NOTHING
     return joined_markup(
         headline(run),
@@ -179,18 +179,18 @@ def _outcome_section(run: ReportRun) -> Markup:
 
 
 def _details_of(run: ReportRun) -> list[tuple[str, str, Markup]]:
-    """(name, title, content) of the sections that only some runs have."""
+    """(name, title, content) for each section that only some runs have."""
     titles = {Kind.CONFIDENCE: "How sure are the verdicts?", Kind.CHAIN: "How likely do pallets arrive?"}
     title = titles.get(run.kind, "Answers of the sweep")
     sections = [("answers", title, sweep_answers(run))]
-    if run.kind is not Kind.SEARCH:  # its worlds show the path of the search, not the behaviour of pallets
+    if run.kind is not Kind.SEARCH:  # the worlds of a search show its path, not how pallets behave
         sections.append(("distributions", "Shift, tilt, force, time", distributions(run)))
         sections.append(("first", "What fails first", first_boxes(run)))
     return [section for section in sections if section[2]]
 
 
 def _table_section(notes: Sequence[str]) -> Markup:
-    """The place where the scripts build the table and show the selected plan."""
+    """The place in which the scripts build the table and show the selected plan."""
     lines = [element("p", note, class_="note") for note in notes]
     return joined_markup(
         *lines,

@@ -1,4 +1,4 @@
-"""Finds the plans of a run for its report, which needs them for pictures and weights."""
+"""Finds the plans of a run for its report, which uses them for pictures and weights."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ MOST_FILES_NAMED: Final = 2
 
 @dataclass(frozen=True, eq=False)
 class ReportPlans:
-    """Plans of a run by id, and a line about plans that were not found; "" if all were found."""
+    """The plans of a run, by id; and a line about plans that were not found, or "" if all were found."""
 
     plans: Mapping[str, Plan]
     note: str = ""
@@ -32,7 +32,7 @@ def find_report_plans(run: RunResults, paths: Sequence[Path] = ()) -> ReportPlan
         paths: files or folders to read instead of the files that the run names.
 
     Raises:
-        InputError: one of ``paths`` cannot be used.
+        InputError: one of ``paths`` is unusable.
     """
     try:
         records = Manifest.read(run.parts, run.info).plans

@@ -1,4 +1,4 @@
-"""The runs of a report: their tables, with additional columns from the plans."""
+"""The runs of a report: their tables, with additional columns from their plans."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ from petmjx.show.report.report_plans import ReportPlans, find_report_plans
 
 
 class Kind(StrEnum):
-    """The kind of study of a run's plans."""
+    """What kind of study was made of a run's plans."""
 
     SCORE = "score"
     CONFIDENCE = "confidence"
@@ -36,7 +36,7 @@ class Kind(StrEnum):
 
     @property
     def sweeps(self) -> bool:
-        """Whether plans have several worlds that are shown."""
+        """Whether several worlds of each plan are shown."""
         return self in (Kind.GRID, Kind.SEARCH, Kind.CHAIN)
 
 
@@ -56,7 +56,7 @@ class ReportRun:
 
     @property
     def info(self) -> dict[str, Any]:
-        """``run.json``."""
+        """The entries of ``run.json``."""
         return self.results.info
 
     @cached_property
@@ -71,16 +71,16 @@ class ReportRun:
 
     @property
     def what(self) -> str:
-        """The user's word for a world."""
+        """The word for a world that users know."""
         return "plan" if self.kind in (Kind.SCORE, Kind.CONFIDENCE) else "world"
 
     @cached_property
     def worlds(self) -> pd.DataFrame:
-        """The worlds that are shown, one row each, by plan and variant. All worlds; for a score with confidence only
-        the nominal ones, for a chain the worlds with errors and without a remedy.
+        """The worlds that are shown, one row each, sorted by plan and variant. In general these are all worlds. For a
+        score with confidence they are only the nominal ones, and for a chain the worlds that have errors and no remedy.
 
-        Additional columns: ``height_m`` and ``mass_kg`` of the plan (NaN without a plan), and ``first_article``, the
-            article of the first box to fail ("" if none failed).
+        Additional columns: ``height_m`` and ``mass_kg`` of the plan (NaN if the plan was not found), and
+        ``first_article``, the article of the first box to fail ("" if none failed).
         """
         worlds = self.results.worlds
         if self.kind is Kind.CONFIDENCE:
@@ -97,7 +97,7 @@ class ReportRun:
         return worlds.assign(height_m=height_m, mass_kg=mass_kg, first_article=first)
 
     def _first_articles(self, culprit: pd.Series, codes: NDArray[np.int64], plan_ids: list[str]) -> NDArray[np.object_]:
-        """(worlds,) the article of the first box to fail. ``codes`` are the indices of the plans in ``plan_ids``."""
+        """(worlds,) the article of the first box to fail. ``codes`` are indices of the plans in ``plan_ids``."""
         first_articles = np.full(len(codes), "", dtype=object)
         falls = np.flatnonzero(culprit.notna().to_numpy())
         of_plan = self.articles({plan_ids[code] for code in np.unique(codes[falls]).tolist()})
@@ -110,8 +110,8 @@ class ReportRun:
         return first_articles
 
     def articles(self, plan_ids: Collection[str]) -> dict[str, Sequence[str]]:
-        """Plan id → articles of its boxes in packing order. The articles come from the plan or from the table
-        ``boxes``; without both the column is empty."""
+        """Plan id → articles of the plan's boxes, in packing order. They come from the plan, else from the table
+        ``boxes``. If there is neither, the column is empty."""
         articles_by_plan: dict[str, Sequence[str]] = {
             plan_id: plan.articles for plan_id, plan in self.plan_files.plans.items() if plan_id in plan_ids
         }
@@ -125,7 +125,7 @@ class ReportRun:
 
     @cached_property
     def axes(self) -> list[str]:
-        """Columns of ``worlds`` with the parameters that a sweep varies."""
+        """Columns of ``worlds`` with the parameters that the sweep varies."""
         if self.shares is None:
             return []
         overall = self.shares[self.shares["scope"] == ALL_PLANS]
@@ -134,21 +134,21 @@ class ReportRun:
 
     @cached_property
     def shares(self) -> pd.DataFrame | None:
-        """The shares of a grid or a sample, from its ``summary``; None for other runs."""
+        """The shares of a grid or of a sample, from the run's ``summary``. None for any other run."""
         summary = self.results.summary
         if self.kind is not Kind.GRID or summary is None or "scope" in summary:
             return summary if self.kind is Kind.GRID else None
-        axes = [axis for axis in summary["axis"].unique() if axis in self.worlds]  # of petmjx 0.1: no scope
+        axes = [axis for axis in summary["axis"].unique() if axis in self.worlds]  # petmjx 0.1 had no scope
         return share_standing(self.worlds, axes)
 
     @property
     def parameters(self) -> list[str]:
-        """Columns of ``worlds`` that the variants of this run add."""
+        """Columns that the variants of this run add to ``worlds``."""
         return [str(param["name"]) for param in self.info.get("params", [])]
 
 
 def _height_and_mass(plan: Plan) -> tuple[float, float]:
-    """Height, m, and mass, kg."""
+    """The height, m, and the mass, kg, of a plan's load."""
     return float((plan.corner_mm + plan.size_mm)[:, 2].max()) / MM_PER_M, float(plan.mass_kg.sum())
 
 
@@ -156,10 +156,10 @@ def open_runs(folders: Sequence[str | Path | RunResults], plans: Sequence[Path] 
     """Open the runs of a report.
 
     Args:
-        plans: files with the plans of the runs; without them the files that the runs name.
+        plans: files with the plans of the runs; if none are given, the files that the runs name.
 
     Raises:
-        InputError: no folder, a folder without a run, the same run twice, or a damaged run.
+        InputError: there is no folder, a folder has no run, the same run is given twice, or a run is damaged.
     """
     if not folders:
         raise InputError("no run to report on: name the folders of runs")
@@ -178,7 +178,7 @@ def open_runs(folders: Sequence[str | Path | RunResults], plans: Sequence[Path] 
 
 
 def distinct_path_ends(paths: Sequence[Path]) -> list[str]:
-    """The shortest ends of paths that distinguish all of them: "a", or "fast/run" and "slow/run"."""
+    """The shortest ends of paths that distinguish all of them, such as "a", or "fast/run" and "slow/run"."""
     depth = 1
     deepest = max(len(path.parts) for path in paths)
     while depth < deepest:

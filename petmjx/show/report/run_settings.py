@@ -12,11 +12,11 @@ from petmjx.show.report.markup import NOTHING, Content, Markup, element, joined_
 from petmjx.show.report.report_runs import Kind, ReportRun
 
 MOST_LINES: Final = 20
-"""Most skipped plans, warnings or files that are listed. Further options are only counted."""
+"""Largest number of skipped plans, warnings or files that are listed. Further ones are only counted."""
 
 
 def about(run: ReportRun) -> Markup:
-    """The settings of a run, and lists of things that need attention."""
+    """The settings of a run, and lists of what needs attention."""
     facts = [part for name, value in _facts(run) for part in (element("dt", name), element("dd", value))]
     warnings, odd = split_warnings(run.info)
     skipped = [str(entry.get("error") or entry.get("source")) for entry in run.info.get("skipped", [])]
@@ -67,12 +67,12 @@ def _command(run: ReportRun) -> str:
 
 
 def _options(config: Mapping[str, Any]) -> Content:
-    """The options that differ from the defaults."""
+    """The options that do not have their defaults."""
     simulation = config.get("simulation")
     if not isinstance(simulation, Mapping):
         return "unknown"
     changed = dict(changed_options(simulation, Simulation().model_dump(mode="json")))
-    limit = "world_timeout_s"  # an option of the run, but it changes verdicts
+    limit = "world_timeout_s"  # an option of the run that affects verdicts
     changed |= changed_options({limit: config.get(limit)}, {limit: None})
     if not changed:
         return "all at their defaults"
@@ -83,7 +83,7 @@ def _options(config: Mapping[str, Any]) -> Content:
 def changed_options(
     values: Mapping[str, Any], defaults: Mapping[str, Any], path: str = ""
 ) -> Iterator[tuple[str, str]]:
-    """(option, "its value instead of the default") for every option that differs from its default."""
+    """Yield (option, "its value instead of the default") for every option that does not have its default."""
     for name, value in values.items():
         at = f"{path}.{name}" if path else str(name)
         default = defaults.get(name)

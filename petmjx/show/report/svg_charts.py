@@ -1,6 +1,6 @@
-"""The frame of a small chart as SVG: scales, axes, ticks.
+"""The frame of a small chart in SVG: scales, axes and ticks.
 
-Colours are classes of ``static/report.css``, so that charts follow the page's light or dark mode. Charts need no
+Colours are classes in ``static/report.css``, so charts follow the light or dark mode of the page. Charts need no
 script.
 """
 
@@ -19,7 +19,7 @@ from petmjx.show.report.markup import Content, Markup, element
 
 WIDTH: Final = 300
 HEIGHT: Final = 190
-"""Height of a chart, CSS pixels. A wide screen has four charts side by side, a phone one."""
+"""Height of a chart, CSS pixels. A wide screen shows four charts side by side, a phone one."""
 
 LEFT: Final = 54
 RIGHT: Final = 12
@@ -32,13 +32,13 @@ MOST_TICKS: Final = 6
 
 @dataclass(frozen=True)
 class Scale:
-    """A scale of an axis, from values to pixels.
+    """The scale of an axis, which converts values to pixels.
 
     Attributes:
-        low, high: ends of the values. Values beyond an end are drawn at the end.
-        log: whether equal lengths are equal factors; ``low`` must then be above 0.
-        counts: whether values are counts, with nothing between two whole numbers.
-        lowest: label of the lower end if smaller values are drawn there, too, e.g. "≤ 1".
+        low, high: ends of the range of values. Values outside are drawn at the nearest end.
+        log: whether the scale is logarithmic: equal lengths are equal factors, and ``low`` must be above 0.
+        counts: whether values are counts, so that there is nothing between two whole numbers.
+        lowest: label at the lower end if smaller values are also drawn there, such as "≤ 1".
     """
 
     low: float
@@ -49,10 +49,10 @@ class Scale:
 
     @classmethod
     def over(cls, values: ArrayLike, *, log_from: float | None = None, lowest: str = "", zero: bool = False) -> Scale:
-        """A scale that holds all finite values.
+        """A scale that contains all finite values.
 
         Args:
-            log_from: the lower end of a logarithmic scale; None: a linear scale.
+            log_from: lower end of a logarithmic scale; None: the scale is linear.
             zero: whether a linear scale begins at 0.
         """
         numbers = np.asarray(values, dtype=np.float64)
@@ -67,18 +67,18 @@ class Scale:
         return cls(low, high)
 
     def place(self, values: ArrayLike) -> FloatArray:
-        """Values → place between ``low`` and ``high``, as a share in [0, 1]."""
+        """The positions of values between ``low`` and ``high``, as shares in [0, 1]."""
         clipped = np.clip(np.asarray(values, dtype=np.float64), self.low, self.high)
         if self.log:
             return np.asarray(np.log(clipped / self.low) / math.log(self.high / self.low))
         return np.asarray((clipped - self.low) / (self.high - self.low))
 
     def edges(self, bins: int) -> FloatArray:
-        """(bins + 1,) edges of bins that look equally wide. Counts may have fewer bins, each with the same number of
-        counts.
+        """(bins + 1,) edges of bins that appear equally wide. For counts there may be fewer bins, each with the same
+        number of counts.
 
-        A scale of counts begins half a unit below a count, so that each count lies within a bin. The last bin may end
-        beyond the scale.
+        A scale of counts begins half a unit below a count, so that each count lies inside a bin. The last bin may
+        extend beyond the scale.
         """
         if self.counts:
             wide = math.ceil((self.high - self.low) / bins)
@@ -88,7 +88,7 @@ class Scale:
         return np.linspace(self.low, self.high, bins + 1)
 
     def ticks(self) -> list[tuple[float, str]]:
-        """(value, label) of round values, at most ``MOST_TICKS`` or so."""
+        """(value, label) of round values, about ``MOST_TICKS`` at most."""
         if not self.log:
             step = max(round_step((self.high - self.low) / (MOST_TICKS - 1)), 1.0 if self.counts else 0.0)
             first, last = math.ceil(self.low / step - 1e-9), math.floor(self.high / step + 1e-9)
@@ -104,7 +104,7 @@ class Scale:
 
 
 def round_step(step: float) -> float:
-    """The next of 1, 2, 5, 10, … times a power of ten."""
+    """The smallest of 1, 2, 5, 10, … times a power of ten that is not below ``step``."""
     power = 10.0 ** math.floor(math.log10(step))
     return next(factor * power for factor in (1, 2, 5, 10) if factor * power >= step * (1 - 1e-9))
 
@@ -118,13 +118,13 @@ def _label(value: float, step: float) -> str:
 
 @dataclass
 class Frame:
-    """A chart under construction: two axes and marks between them.
+    """A chart that is being built: two axes, and marks between them.
 
     Attributes:
         title: title of the chart, and its name for screen readers.
         x, y: scales of the axes.
         x_label, y_label: labels of the axes, with units.
-        x_ticks: (value, label) of ticks that replace those of the scale.
+        x_ticks: (value, label) of ticks that are used instead of those of the scale.
     """
 
     title: str
@@ -139,22 +139,22 @@ class Frame:
     marks: list[Content] = field(default_factory=list)
 
     def at(self, x: ArrayLike, y: ArrayLike) -> tuple[FloatArray, FloatArray]:
-        """Values → pixels."""
+        """Convert values to pixels."""
         return (
             LEFT + self.x.place(x) * (self.width - LEFT - RIGHT),
             self.height - BOTTOM - self.y.place(y) * (self.height - TOP - BOTTOM),
         )
 
     def add(self, *marks: Content) -> None:
-        """Draw marks over the earlier ones."""
+        """Draw marks on top of the earlier ones."""
         self.marks += marks
 
     def line(self, x: ArrayLike, y: ArrayLike, class_: str) -> None:
-        """A line through points; a missing value breaks the line."""
+        """Draw a line through points. A missing value interrupts the line."""
         self.add(element("path", d=path(*self.at(x, y)), class_=class_))
 
     def band(self, x: ArrayLike, low: ArrayLike, high: ArrayLike, class_: str) -> None:
-        """The area between two lines; points with a missing value are left out."""
+        """Draw the area between two lines. Points with a missing value are left out."""
         xs, lows, highs = (np.asarray(values, dtype=np.float64) for values in (x, low, high))
         has_ends = np.isfinite(lows) & np.isfinite(highs)
         if not has_ends.any():
@@ -165,7 +165,7 @@ class Frame:
         self.add(element("path", d=outline, class_=class_))
 
     def limit(self, value: float, text: str, *, across: bool = False) -> None:
-        """A dashed line at a threshold: upright at an x, or ``across`` at a y."""
+        """Draw a dashed line at a threshold: vertical at an x or, with ``across``, horizontal at a y."""
         scale = self.y if across else self.x
         if not scale.low <= value <= scale.high:
             return
@@ -210,7 +210,7 @@ class Frame:
 
 
 def path(x: FloatArray, y: FloatArray) -> str:
-    """The ``d`` of a line through points in pixels; a point that is not finite breaks it."""
+    """The attribute ``d`` of a line through points in pixels. A point that is not finite interrupts the line."""
     written, pen = [], "M"
     for px, py in zip(x.tolist(), y.tolist(), strict=True):
         if not (math.isfinite(px) and math.isfinite(py)):
@@ -222,7 +222,7 @@ def path(x: FloatArray, y: FloatArray) -> str:
 
 
 def drawing(title: str, width: float, height: float, *marks: Content) -> Markup:
-    """An SVG picture that shrinks with the page."""
+    """An SVG picture that becomes smaller if the page is narrow."""
     return element(
         "svg",
         *marks,
@@ -235,6 +235,6 @@ def drawing(title: str, width: float, height: float, *marks: Content) -> Markup:
 
 
 def figure(title: str, picture: Markup, note: str = "") -> Markup:
-    """A chart under its title, with a line below it."""
+    """A chart with its title above it and a line of text below it."""
     below = element("p", note, class_="hint") if note else None
     return element("figure", element("figcaption", title), picture, below)

@@ -32,13 +32,13 @@ from petmjx.show.report.verdict_shares import link, plan_link
 
 DIRECTION: Final = "direction_deg"
 STRENGTHS: Final = {"level_g": ("level", "g"), "scale": ("scale", "")}
-"""Columns of ``worlds`` with the strength of the shaking → name and unit."""
+"""Columns of ``worlds`` that contain the strength of the shaking → name and unit."""
 
 FEWEST_DIRECTIONS: Final = 3
-"""Fewest directions of a rose."""
+"""Smallest number of directions for which a rose is drawn."""
 
 MOST_VALUES: Final = 60
-"""Most values of an axis that are drawn."""
+"""Largest number of values of an axis that are drawn."""
 
 MOST_NAMED: Final = 12
 
@@ -55,7 +55,7 @@ WEAKEST: Final = "The leg in which most worlds of a plan failed first."
 
 
 def sweep_answers(run: ReportRun) -> Markup:
-    """The section with the answers of a sweep, or of a score with confidence. Other scores have none."""
+    """The section with the answers of a sweep, or of a score with confidence. It is empty for other scores."""
     summary = run.results.summary
     if summary is None or summary.empty or run.worlds.empty:
         return NOTHING
@@ -88,15 +88,15 @@ def _grid(run: ReportRun, summary: pd.DataFrame) -> Markup:
 
 
 def _has_numeric_values(summary: pd.DataFrame, axis: str) -> bool:
-    """Whether a summary has the values of an axis as numbers. Ranges of random values are divided into parts, which are
-    texts."""
+    """Whether the values of an axis are numbers in a summary. They are not for random values, whose range is divided
+    into parts with texts as names."""
     values = summary.loc[(summary["scope"] == ALL_PLANS) & (summary["axis"] == axis), "value"]
     return bool(pd.to_numeric(values, errors="coerce").notna().all())
 
 
 def _curve(axis: str, summary: pd.DataFrame, over_plans: pd.DataFrame, run: ReportRun) -> Markup:
-    """Shares along a numeric axis, with the run's interval over random draws if any, else with an interval over
-    plans."""
+    """Shares along a numeric axis. The interval is the run's interval over random draws; if there is none, an interval
+    over plans."""
     draws, plans = (_rows(frame, axis) for frame in (summary, over_plans))
     drawn = bool(draws["low"].notna().all())
     rows = draws if drawn else plans
@@ -142,13 +142,13 @@ def _with_unit(axis: str, unit: str) -> str:
 
 
 def importance(worlds: pd.DataFrame, axes: Sequence[str], summary: pd.DataFrame) -> pd.DataFrame:
-    """How much each axis, and the choice of the plan, affects whether a world stands. The most important axis stands
+    """How much each axis, and the choice of the plan, affects whether a world stands. The most important axis comes
     first.
 
     Returns:
-        ``axis``, ``spread`` (largest minus smallest share of its values) and ``correlation_ratio``: the correlation
-        ratio η² = Σ nᵥ (pᵥ − p)² / (n p (1 − p)) of the nᵥ worlds with value v, of which the share pᵥ stands; NaN if
-        all worlds stand, or none (Pearson 1905; Fisher's one-way analysis of variance).
+        ``axis``, ``spread`` (the largest minus the smallest share over its values) and ``correlation_ratio``. The
+        correlation ratio is η² = Σ nᵥ (pᵥ − p)² / (n p (1 − p)), in which the share pᵥ of the nᵥ worlds with value v
+        stands. It is NaN if all worlds stand, or none (Pearson 1905; Fisher's one-way analysis of variance).
     """
     judged = worlds[worlds["verdict"] != Verdict.INVALID.value]
     stands = (judged["verdict"] == Verdict.STABLE.value).astype("float64")
@@ -168,7 +168,8 @@ def importance(worlds: pd.DataFrame, axes: Sequence[str], summary: pd.DataFrame)
 
 
 def correlation_ratio(values: pd.Series, keys: pd.Series) -> float:
-    """Correlation ratio η² of values in groups: variance between groups over total variance; NaN without variance."""
+    """The correlation ratio η² of values in groups: the variance between groups divided by the total variance. NaN if
+    there is no variance."""
     total = float(((values - values.mean()) ** 2).sum())
     if total <= 0:
         return float("nan")
@@ -189,7 +190,7 @@ def _importance_chart(matters: pd.DataFrame) -> Markup:
 
 
 def _grid_roses(run: ReportRun) -> Iterator[tuple[str, str, pd.DataFrame, float]]:
-    """(title, unit, largest level for each plan and direction, highest level tested), for each profile."""
+    """Yield for each profile: title, unit, largest level for each plan and direction, and the highest level tested."""
     worlds = run.worlds
     for column, (name, unit) in STRENGTHS.items():
         if column not in worlds or DIRECTION not in worlds:
@@ -203,10 +204,11 @@ def _grid_roses(run: ReportRun) -> Iterator[tuple[str, str, pd.DataFrame, float]
 
 
 def largest_survived(worlds: pd.DataFrame, column: str) -> pd.DataFrame:
-    """For each plan and direction the largest level below every level that failed in any of its worlds; 0: none.
+    """For each plan and direction, the largest level below every level that failed in any of its worlds; 0 if there is
+    none.
 
     Args:
-        worlds: worlds of one profile, with ``column`` as the level.
+        worlds: the worlds of one profile. ``column`` contains the level.
 
     Returns:
         Columns plan_id, direction_deg, largest.
@@ -271,7 +273,7 @@ def _level_histogram(levels: pd.DataFrame, name: str, unit: str) -> Markup:
 
 
 def _search_importance(levels: pd.DataFrame, summary: pd.DataFrame, name: str) -> Iterator[Markup]:
-    """Which axis explains most of the variance of the largest level."""
+    """Which axis explains the largest part of the variance of the largest level."""
     first, last = list(summary).index("placement"), list(summary).index("stands_at_rest")
     axes = {str(axis): levels[axis] for axis in list(summary)[first + 1 : last] if levels[axis].nunique() > 1}
     axes |= {"plan": levels["plan_id"]} if levels["plan_id"].nunique() > 1 else {}
@@ -287,7 +289,7 @@ def _search_importance(levels: pd.DataFrame, summary: pd.DataFrame, name: str) -
 
 
 def _first_at_failure(run: ReportRun, answers: pd.DataFrame) -> Markup:
-    """Articles that fail first at the smallest level that failed."""
+    """The articles that fail first at the smallest level that failed."""
     failed = answers[answers["article"].fillna("") != ""]
     counts = failed["article"].value_counts().head(MOST_NAMED)
     rows = [
@@ -316,7 +318,7 @@ def _levels_table(levels: pd.DataFrame, name: str, unit: str) -> Markup:
 
 
 def _chain(summary: pd.DataFrame) -> Markup:
-    """The chance of plans to arrive: all together, leg by leg, each plan; and the gain by remedies."""
+    """The chance of plans to arrive: over all plans, leg by leg, and for each plan; and the gain from remedies."""
     overall, of_plans = summary[summary["scope"] == ALL_PLANS], arrivals(summary)
     legs = overall[overall["remedy"] == AS_IS]
     leg_rows = [(str(row["leg"]) or "whole way", row) for row in legs.to_dict("records")]
@@ -341,7 +343,7 @@ def _chain(summary: pd.DataFrame) -> Markup:
 
 
 def _share_row(name: str, row: Mapping[Any, Any]) -> tuple[str, float, float, float, str]:
-    """A row of a chart of intervals. Without draws the interval is the share itself."""
+    """A row of a chart of intervals. Without random draws, the interval is the share itself."""
     share = float(row["share"])
     low, high = (share if pd.isna(row[end]) else float(row[end]) for end in ("low", "high"))
     text = f"{percent(share)} of {row['n_worlds'] - row['n_invalid']:,}"
