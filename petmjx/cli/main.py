@@ -143,7 +143,8 @@ def _run(make: Callable[[Sequence[str]], typer.Typer], arguments: Sequence[str] 
             raise InputError(f"argument {command_words.index('') + 1} is empty; is a shell variable not set?")
         if "-" in command_words:  # otherwise "-" would be read as the name of a file
             raise InputError(
-                f"argument {command_words.index('-') + 1} is -: name a file; /dev/stdout is standard output"
+                f'argument {command_words.index("-") + 1} is "-", which is not supported: '
+                "name a file, or /dev/stdout for standard output"
             )
         with as_notes(), typed_options(), asking(), stoppable():
             result = make(command_words)(args=command_words or ["--help"], standalone_mode=False)

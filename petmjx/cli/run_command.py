@@ -67,7 +67,8 @@ def last_stop() -> int | None:
 @contextmanager
 def stoppable() -> Iterator[None]:
     """Let SIGTERM and SIGHUP end the body like Ctrl-C, once per burst of signals, so that the body can clean up.
-    Signals that are ignored stay ignored (nohup). All commands are stoppable; nested uses have no effect.
+    Signals that are ignored stay ignored (nohup). Every command already runs inside ``stoppable``, so a nested use does
+    nothing.
 
     Python ignores exceptions that are raised while an object is finalised, as Ray's objects often are. In that case,
     the signal is sent again.

@@ -208,7 +208,7 @@ class Work:
 
     @property
     def _placing_steps(self) -> FloatArray:
-        """(n,) expected steps of one placement without errors, after its soft start."""
+        """(n,) expected steps of one placement that has no placing error, not counting its soft start."""
         if self.sim.check is Check.STATIC and self.sim.schedule is Schedule.ADAPTIVE:
             return np.minimum(self.fixed_steps, QUIET_STEPS)
         return STEP_SHARE[self.sim.schedule] * self.fixed_steps

@@ -169,7 +169,7 @@ def _check_grown(before: Scene, after: Scene) -> None:
     if not np.array_equal(filled_up_shares(before.pair_kinetic), filled_up_shares(after.pair_kinetic)):
         raise ValueError("the scene must have the world's kinetic friction of pairs")
     if not np.array_equal(filled_up_landings(before.pair_landing), filled_up_landings(after.pair_landing)):
-        raise ValueError("the scene must have the world's landings of pairs")
+        raise ValueError("the scene must have the same landing values for pairs of surfaces as the world")
 
 
 class OpenWorlds(ABC):

@@ -52,7 +52,8 @@ class MirroredCandidates(Candidates):
     def __init__(self, base: FloatArray, height: FloatArray, extent_mm: tuple[float, float], most_boxes: int) -> None:
         super().__init__(base, height, extent_mm, most_boxes)
         self.corners, self.rests = np.zeros((0, 2)), np.zeros(0)
-        # corners of the boxes in each mirror image; points in all mirror images, and the mirror image of each point
+        # Lowest and highest corners of the boxes in each mirror image, then the candidate points of all mirror images
+        # and the mirror image to which each point belongs.
         self._lows, self._highs = np.zeros((2, len(MIRRORS), most_boxes, 3))
         self._points = np.zeros((len(MIRRORS), 2))
         self._in = np.array(MIRRORS)

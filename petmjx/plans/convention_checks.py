@@ -124,8 +124,9 @@ _TURNED: Final = (
 )
 _YZ: Final = ("y and z look swapped", "give heights as z")
 _MOST: Final = 0.5
-"""Smallest share of the boxes above the carrier that float or overlap when y and z are swapped. If rows are flush in y,
-nothing floats or overlaps even when y and z of a correct plan are swapped. So a few odd boxes are no evidence."""
+"""Smallest share of the boxes above the carrier that float or overlap when y and z are swapped. In a correct plan
+whose rows are flush in y, no box floats or overlaps even after y and z are swapped. So a few boxes that float or overlap
+are no evidence."""
 _SMALL_MM: Final = 20.0
 """Gaps and overlaps up to this size come from sheets, rounded heights or careless packers, not from a convention."""
 
@@ -304,7 +305,7 @@ def warn(lines: Iterable[str]) -> None:
 
 
 def _explains(way: Convention, plan: Plan, n_odd: int) -> bool:
-    """Whether at most a tenth of the odd boxes and pairs remain when a plan is read in another convention."""
+    """Whether reading the plan in another convention leaves at most a tenth of its floating boxes and overlapping pairs."""
     if n_odd < way.least_odd and plan.corner_mm[:, 2].min() <= DEFAULT_TOLERANCE_MM:
         return False
     if way.of_turned and not plan.turned.any():

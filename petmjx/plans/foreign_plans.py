@@ -594,8 +594,8 @@ class _Builder:
         """Height of the deck of each plan, mm. All plans of a file measure heights from the same level.
 
         The level is 0 if a plan begins at 0, else it is the lowest box of the file. A plan that begins higher lacks its
-        bottom layer, and floats. If the origin is in the middle of containers, each plan measures from the bottom of
-        its own container.
+        bottom layer, and floats. If heights are measured from the middle of a container, the deck is at the plan's own
+        lowest box (half the container's height below 0).
         """
         small = {name: _LEVEL * float(np.nanmedian(size[rows, 2])) for name, rows in plans.items()}
         lowest = {name: float(np.nanmin(low[rows, 2])) for name, rows in plans.items()}

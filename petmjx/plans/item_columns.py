@@ -230,8 +230,8 @@ class _ItemExtraction(Extraction):
         return joined in _QUANTITY | _PIECES or bool(words & _PIECES and words <= _COUNTED)
 
     def _is_whole(self, index: int) -> bool:
-        """Whether most cells of a column are whole numbers that are not identifiers, which increase from row to row or
-        are all large."""
+        """Whether most cells are whole numbers, and the column is not one of identifiers. Identifiers increase from
+        row to row, or are all large."""
         numbers = [cell_number(cell, self.table.decimal) for cell in self.cells(index)]
         integers = [number.value for number in numbers if number is not None and number.value.is_integer()]
         if len(integers) * 2 <= len(numbers):

@@ -103,7 +103,7 @@ class _MatchKey(NamedTuple):
 
     Attributes:
         key: function that returns the key of a box or an item; None: it has no key, and does not match.
-        boxes, items: whether a box or an item takes part in the rule.
+        boxes, items: functions that tell whether a box, or an item, takes part in the rule.
         named: whether the key alone identifies the item, even if the size of the box differs.
     """
 

@@ -345,7 +345,7 @@ class _PlanLoader:
         answer.
 
         Args:
-            read: function that reads them, with the wishes and the file of items.
+            read: function that reads the plans. It takes the options of the caller (``Wishes``) and the file of items.
 
         Raises:
             InputError: the form contains no plans, or can be read in two ways.

@@ -462,7 +462,8 @@ def computed_row(table: RawTable, rows: Sequence[int]) -> str:
         if len(values) < len(rows) - 1 or not np.isfinite(values).all():
             return ""
         total, mean = float(values.sum()), float(values.mean())
-        if kind not in ("sequence", "number"):  # in these columns, a row of sums may have any value
+        # Sequence and number columns are not tested: a row of sums may have any value in them.
+        if kind not in ("sequence", "number"):
             sums &= _as_written(number.value, total)
             n_sums += total != 0.0
         means &= _as_written(number.value, mean)

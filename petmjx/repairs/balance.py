@@ -1,4 +1,5 @@
-"""Balance of drafts by statics: the loads beyond edges while a plan is built, and a measure of their harm.
+"""Checks drafts of plans by statics: finds the loads beyond the edge of their supports at each step of building, and
+measures how harmful they are.
 
 The balance takes half a millisecond per draft, a simulation a tenth of a second and more. So the balance tells which of
 many changes are worth a simulation. The balance never decides: a load beyond an edge may lean on a neighbour, and

@@ -343,7 +343,7 @@ class Search:
 
     def _faults(self, states: Sequence[State], most: float) -> Generator[list[Asked], list[Trial], list[float]]:
         """The number of faults of plans, counted up to a limit: a box that falls is taken off, with all boxes that need
-        it, until the rest stands. With a drive, which is too dear for that, the boxes that fall are counted."""
+        it, until the rest stands. With a drive, this would be too expensive, so only the boxes that fell are counted."""
         faults = [0.0] * len(states)
         falling = {k: (state.draft, state.trial) for k, state in enumerate(states) if not state.trial.stands}
         while falling:

@@ -97,7 +97,8 @@ class Trial(NamedTuple):
 
     @property
     def progress(self) -> tuple[int, int]:
-        """How far the plan stands: boxes until the first one crossed a limit, and placed boxes that crossed none."""
+        """How far a plan gets: number of boxes before the first one that crossed a limit, and number of placed boxes
+        that crossed none."""
         return self.n_held, self.n_placed - len(self.fallen)
 
 

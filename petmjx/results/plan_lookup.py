@@ -27,7 +27,7 @@ from petmjx.results.run_reader import RunResults, load_run
 
 @dataclass(frozen=True, eq=False)
 class PlanLookup:
-    """The plans of a run that could be found.
+    """Result of looking for a run's plans: which were found, are missing, or have changed.
 
     Attributes:
         plans: by id, the plans that are equal to the simulated ones.

@@ -101,7 +101,7 @@ class RunWriter(RunInfo):
         device: name of the device on which the worlds ran.
         expected_worlds: number of worlds of the run, if known.
         manifest: settings and plans of the run. Without a manifest, the run cannot be resumed.
-        orders: how the plans compare with their orders. A resumed run uses this check instead of the earlier one.
+        orders: result of comparing the plans with their orders. In a resumed run, it replaces the stored result.
         overwrite: whether a run in the folder is replaced.
         resume: whether to continue the run in the folder, which must have the same manifest.
         worlds_per_part, seconds_per_part: limits of a part. It is written when either is reached.

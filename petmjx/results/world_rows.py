@@ -35,7 +35,8 @@ def _block_columns() -> list[Column]:
 
 
 class _Layout:
-    """What a row takes from an outcome: a loop over the metrics of each world takes longer than their values.
+    """Which values of an outcome go into a row. The layout is prepared once, since looping over the metrics for every
+    world takes longer than getting their values.
 
     Attributes:
         of_boxes: the metrics of boxes.

@@ -109,7 +109,7 @@ def _sorted_shards(runs: Sequence[RunResults]) -> list[RunResults]:
         number, total = (int(part) for part in shard.split("/"))
         of.add(total)
         if len(of) > 1:
-            raise InputError(f"{run.path}: is shard {shard}, others are of {min(of - {total})}")
+            raise InputError(f"{run.path}: is shard {shard}, but other runs are shards of {min(of - {total})}")
         if number in run_by_shard:
             raise InputError(f"{run.path}: shard {shard} twice, also in {run_by_shard[number].path}")
         run_by_shard[number] = run

@@ -207,7 +207,7 @@ class SweepPlan(Design):
         return placed_s + sim.settle_s
 
     def drive(self, plan: Plan, variant: Variant, load_height_m: float = 0.0) -> Drive | None:
-        """The drive of one world. Worlds with the same samples share the array.
+        """The drive of one world. Worlds whose drives have the same samples share one array of samples.
 
         Args:
             load_height_m: height of the settled load, m. EUMOS's test limits the sway of boxes to a share of the load's
@@ -231,8 +231,8 @@ class SweepPlan(Design):
         return Drive(unit.excitation, spec.scale, yaw_rad, unit.rest_s, allowed_m)
 
     def leg_drive(self, plan: Plan, variant: Variant, leg: LegSpec, load_height_m: float = 0.0) -> Drive:
-        """All drives of a leg of one world, as one drive; without drives, the pallet is not shaken. Worlds with the
-        same samples share the array."""
+        """All drives of a leg of one world, as one drive. Without drives, the pallet is not shaken. Worlds whose
+        drives have the same samples share one array of samples."""
         sim = self.sweep.simulation
         made = (
             self.drive(plan, replace(variant, drive=self._with_strength(plan, variant, leg, place)), load_height_m)

@@ -353,7 +353,7 @@ def test_shards_that_cannot_be_merged(tmp_path: Path) -> None:
     simulate("score", tmp_path / "whole")
     assert "not a shard" in refused(one, tmp_path / "whole")
     simulate("score", tmp_path / "3", shard="2/3")
-    assert "is shard 2/3, others are of 2" in refused(one, tmp_path / "3")
+    assert "is shard 2/3, but other runs are shards of 2" in refused(one, tmp_path / "3")
     simulate("score", tmp_path / "fixed", shard="2/2", schedule="fixed")
     assert "simulation.schedule is fixed, was adaptive" in refused(one, tmp_path / "fixed")
     info = json.loads((two / "run.json").read_text())

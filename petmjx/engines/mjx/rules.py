@@ -357,8 +357,8 @@ class Rules:
         self, state: State, worlds: Worlds, more: Bool[Array, " world"], adapts: Bool[Array, " world"]
     ) -> Int[Array, " world"]:
         """The latest step for the next event. A long wait becomes a short one once a box has failed; the short wait
-        counts from the first sign. A wait for a further box is also short if an earlier wait ended with a moving
-        world."""
+        counts from the first sign. The wait before the next box is also short if an earlier wait ended while the
+        world was still moving."""
         sim, table = self.sim, self.timetable
         hopeful = ~state.metrics.has_failed(sim.thresholds)
         plain_static = ~worlds.settles if sim.check == "static" and not self.driven else jnp.zeros_like(more)

@@ -49,8 +49,8 @@ def set_options(model: mujoco.MjModel, sim: Simulation) -> None:
     model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_AUTORESET
     if sim.physics.cone is Cone.ELLIPTIC:
         # A pallet is one island, and searching for islands would take 10 % of the time. With pyramidal cones, MuJoCo
-        # does search for islands: the solver's tolerance is relative to the island, and the reference's creep depends
-        # on it.
+        # searches for islands: the solver's tolerance is relative to each island, and the creep of the preset
+        # `reference` depends on this tolerance.
         model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_ISLAND
 
 

@@ -174,7 +174,8 @@ class SoftWorld(LiveWorld):
         index, force = contact_normal_and_tangents(data, self.pyramidal)
         frame = np.asarray(data.contact.frame)[index].reshape(-1, 3, 3)
         bodies = self.contact_bodies()[index]
-        # heights of the boxes, and after them those of carrier and floor, whose numbers are negative
+        # The heights of the boxes come first, then those of floor and carrier, whose body numbers are negative and so
+        # index from the end.
         centre_z = np.zeros(self.capacity + 2)
         centre_z[FLOOR], centre_z[CARRIER] = -np.inf, data.xpos[self._carrier, 2]
         centre_z[self._soft] = (self._weight[..., 0] * data.xpos[self._point_bodies][..., 2]).sum(axis=1)

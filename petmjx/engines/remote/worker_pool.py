@@ -91,7 +91,7 @@ class WorkerPool(Engine):
     until :meth:`close`.
 
     Args:
-        places: the resources of the workers, which start at once.
+        places: the resources of each worker. All workers start immediately.
         cluster: the cluster, used until :meth:`close`, which closes it.
         check_pool: number of check processes beside each worker (petmjx/engines/subprocess/check_pool.py).
     """

@@ -37,8 +37,8 @@ class BlockPools:
         """(Cone, size of worlds) → factor by which buffers must be larger than usual."""
 
     def of(self, table: WorldTable) -> tuple[BlockPool, ...]:
-        """The block pools of a table. The pools for the last worlds and for small worlds come first, if they are
-        worthwhile. The pools for each size follow; the pool for the largest worlds is the first of these.
+        """The block pools of a table. Pools for the last worlds and for small worlds come first, if such pools are
+        made. The pools for each size follow; the pool for the largest worlds is the first of these.
         ``Programs._advance`` makes the queues in the same order."""
         run = table.run
         pools = tuple(self._of_size(run, size, table.boards) for size in run.needs.sizes)

@@ -228,7 +228,7 @@ class MjxWarpEngine(Engine):
                     more, pools = pools, tuple(_half_pool(pool) for pool in pools)
                     if pools == more:
                         if len(pools) > 1:
-                            raise  # each size may fit alone
+                            raise  # the caller tries each size alone, and one may fit
                         return None
                 self._drop()  # kept rollouts of other sizes may take the memory: try again without them
                 lanes = sum(pool.lanes for pool in pools)
