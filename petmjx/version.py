@@ -3,6 +3,6 @@
 __all__ = ["__version__"]
 
 try:
-    from petmjx._version import __version__  # written by the build (pyproject.toml)
-except ImportError:  # a checkout that was never installed
+    from petmjx._version import __version__  # the build writes this module (pyproject.toml)
+except ImportError:  # this checkout was never installed
     __version__ = "0.2.0.dev0"

@@ -453,7 +453,7 @@ CRITERIA: Final = (
         ),
         number="tolerable acceleration, g",
         threshold=LEAST_TOLERABLE_G,
-        usual=False,  # a criterion for transport, not for standing
+        usual=False,  # this criterion is for transport, not for standing
     ),
     Criterion(
         "load_points",
@@ -464,7 +464,7 @@ CRITERIA: Final = (
         lambda inputs: load_points_slack(inputs.contacts),
         number="points",
         threshold=LEAST_POINTS,
-        usual=False,  # a rule of thumb about the finished load
+        usual=False,  # this is a rule of thumb about the finished load
     ),
 )
 """All criteria in the order of tables: first those of the base, last those of the whole stack."""

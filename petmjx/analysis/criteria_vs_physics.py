@@ -177,7 +177,7 @@ def best_threshold(number: FloatArray, stands: NDArray[np.bool_]) -> tuple[float
     n_standing = int(stands.sum())
     cells = np.stack([hit, false, n_standing - hit, len(stands) - n_standing - false], axis=-1)
     mcc = scores(cells.astype(np.int64))[2]
-    if not mcc.max() > 0:  # also if NaN
+    if not mcc.max() > 0:  # this is also true if the largest is NaN
         return float("nan"), 0.0
     best = np.flatnonzero(mcc >= mcc.max() - 1e-12)
     cut = int(best[len(best) // 2])

@@ -92,7 +92,7 @@ def _workbook(kpis: Kpis) -> bytes:
         for value in values:
             cell = WriteOnlyCell(sheet, printable(value) if isinstance(value, str) else value)
             if isinstance(value, str):
-                cell.data_type = "s"  # so that text such as "=1+1" is not read as a formula
+                cell.data_type = "s"  # otherwise text such as "=1+1" would be read as a formula
             cells.append(cell)
         sheet.append(cells)
 
@@ -115,6 +115,7 @@ def _is_our_workbook(file: Path) -> bool:
     try:
         with zipfile.ZipFile(file) as parts, parts.open("docProps/core.xml") as properties:
             return f">{_CREATOR}<".encode() in properties.read(_MOST_PROPERTIES)
-    # errors of a file that is not a zip file, is encrypted, or is compressed in another way: it is not petmjx's
+    # These errors mean that the file is no zip file, is encrypted, or is compressed in another way. So petmjx did not
+    # write it.
     except (OSError, ValueError, KeyError, zipfile.BadZipFile, NotImplementedError, RuntimeError):
         return False

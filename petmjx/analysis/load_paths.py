@@ -238,7 +238,8 @@ def even_bedding(contacts: PlanContacts) -> FloatArray:
     """(c, 3, 3) matrices of the even bedding: a pressure that varies linearly over all contact areas of the box
     above."""
     upper = contacts.upper
-    # relative to the upper box's centre and in units of its lengths, which keeps the 3 × 3 systems well conditioned
+    # Places are relative to the upper box's centre and in units of its lengths. This keeps the 3 × 3 systems well
+    # conditioned.
     origin, scale = contacts.centre_mm[upper, :2], contacts.size_mm[upper, :2]
     moments = _area_moments((contacts.low_mm - origin) / scale, (contacts.high_mm - origin) / scale)
     total_moments = _sums(moments, upper, contacts.n_boxes)[upper]

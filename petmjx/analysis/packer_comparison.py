@@ -280,7 +280,8 @@ def _pair_row(size: str, a: str, b: str, rows: pd.DataFrame, confidence: float) 
         of = rows[rows["compared"]].pivot(index="plan_id", columns="packer", values=ARRIVES)
         gains = of[b] - of[a] if len(of) else pd.Series(dtype="float64")
         shares |= dict(zip(_ARRIVAL_PAIR, _mean_interval(gains, confidence), strict=True))
-    return {"size": size, "a": a, "b": b, "n": counts.n, **vars(counts), **shares}  # in the order of _PAIR_COLUMNS
+    # Keys have the order of _PAIR_COLUMNS.
+    return {"size": size, "a": a, "b": b, "n": counts.n, **vars(counts), **shares}
 
 
 def _mean_interval(values: pd.Series, confidence: float) -> tuple[float, float, float]:

@@ -270,7 +270,8 @@ def _setting(text: str, settable: Collection[str]) -> tuple[tuple[str, ...], Any
         raise InputError(f"--set {printable(names[0])}: unknown field; there are {', '.join(settable)}")
     try:
         return names, tomllib.loads(f"value = {value}")["value"]
-    except (ValueError, RecursionError):  # no TOML; a number with thousands of digits; endlessly nested lists
+    # The text is no TOML, has a number with thousands of digits, or has endlessly nested lists.
+    except (ValueError, RecursionError):
         return names, value.strip()
 
 

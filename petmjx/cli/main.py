@@ -139,7 +139,7 @@ def run_app(make: Callable[[Sequence[str]], typer.Typer], arguments: Sequence[st
 def _run(make: Callable[[Sequence[str]], typer.Typer], arguments: Sequence[str] | None) -> int:
     try:
         command_words = sys.argv[1:] if arguments is None else list(arguments)
-        if "" in command_words:  # as a path, it would mean the current folder
+        if "" in command_words:  # an empty path would mean the current folder
             raise InputError(f"argument {command_words.index('') + 1} is empty; is a shell variable not set?")
         if "-" in command_words:  # otherwise "-" would be read as the name of a file
             raise InputError(

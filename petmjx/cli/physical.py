@@ -47,7 +47,7 @@ def write_physical(
     try:
         with progress(n if orders is None else None) as bar:
             write_plans(out, plans())
-    finally:  # printed even after an error, since these lines explain missing plans
+    finally:  # the lines are printed even after an error, since they explain missing plans
         for error in errors:
             typer.echo(f"skipped: {printable(str(error))}", err=True)
     packed = Packed(tuple(packings))

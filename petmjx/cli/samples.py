@@ -163,7 +163,7 @@ def samples(
                     pack_orders(orders, on_bad_order=errors.append, reading=reading, **pack_options),
                     progress=count,
                 )
-    finally:  # printed even after an error, since these lines explain missing plans
+    finally:  # the lines are printed even after an error, since they explain missing plans
         for error in errors:
             typer.echo(f"skipped: {printable(str(error))}", err=True)
     shown = left_out if orders is not None else left_out[:MOST_SHOWN]

@@ -102,7 +102,7 @@ def list_of(values: Any, name: str, kind: type[Kind], words: str) -> list[Kind]:
         members = None
     if members is None:
         raise InputError(f"{name} must be a list of {words}, {shown_value(values)}")
-    if not set(map(type, members)) <= {kind}:  # fast, since a list may have all box names of 10,000 plans
+    if not set(map(type, members)) <= {kind}:  # this check is fast, since a list may have all box names of 10,000 plans
         for index, value in enumerate(members):
             instance_of(value, f"{name}[{index}]", kind, words)
     return members

@@ -254,9 +254,9 @@ def shown_value(value: object) -> str:
     try:
         text = repr(value)
     except (ValueError, RecursionError):
-        # a whole number with more digits than Python prints, or tables nested too deeply
+        # The value is a whole number with more digits than Python prints, or has tables nested too deeply.
         return f"got {type(value).__name__} too large to be shown"
-    except Exception:  # raised by an object of a user's class
+    except Exception:  # an object of a user's class raised it
         return f"got {type(value).__name__} that cannot be shown"
     return f"got {shortened_text(' '.join(text.split()) if len(text.splitlines()) > 1 else text)}"
 
@@ -336,7 +336,7 @@ def read_toml(path: Path) -> dict[str, Any]:
         raise InputError(f"{path}: not valid TOML: not UTF-8 text") from None
     except RecursionError:
         raise InputError(f"{path}: not valid TOML: lists or tables in too many levels") from None
-    except ValueError as error:  # also raised for a whole number with too many digits
+    except ValueError as error:  # a whole number with too many digits also raises it
         raise InputError(f"{path}: not valid TOML: {reason(error)}") from None
 
 

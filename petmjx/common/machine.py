@@ -39,7 +39,7 @@ def cpu_threads() -> int:
 def own_environment() -> dict[str, str]:
     """Environment variables for another interpreter, so that it imports the same modules as this one."""
     path = os.pathsep.join(entry or os.getcwd() for entry in sys.path)
-    # so that no file in the current folder hides a module
+    # With PYTHONSAFEPATH, no file in the current folder hides a module.
     return {**os.environ, "PYTHONPATH": path, "PYTHONSAFEPATH": "1"}
 
 

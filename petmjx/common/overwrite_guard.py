@@ -111,7 +111,7 @@ def _path_errors(path: Path) -> Iterator[None]:
     """Turn system errors of the body, which examines a path, into an InputError that names the path."""
     try:
         yield
-    except (OSError, ValueError, RuntimeError) as error:  # a NUL in the name; links in a circle
+    except (OSError, ValueError, RuntimeError) as error:  # the name contains a NUL, or links form a circle
         raise InputError(f"{_name(path)}: cannot be written: {reason(error)}") from error
 
 

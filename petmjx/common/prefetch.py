@@ -39,7 +39,7 @@ def prefetch(items: Generator[Item], most: int) -> Generator[Item]:
                     room.acquire()
                     if closed.is_set():
                         break
-        except BaseException as error:  # kept in no other local: its traceback holds this frame and the items
+        except BaseException as error:  # no other local keeps the error: its traceback holds this frame and the items
             queue.put(_End(error))
         else:
             queue.put(_End(None))

@@ -35,8 +35,8 @@ def open_regular(path: Path) -> BinaryIO:
         OSError: the file cannot be read, or is not a regular file; ``strerror`` tells which.
         ValueError: no file can have this name.
     """
-    # checked before opening, since opening a device may have an effect, and again after it, since the path may have
-    # changed
+    # The path is checked before opening, since opening a device may have an effect. It is checked again after opening,
+    # since it may have changed.
     _check(os.stat(path))
     descriptor = os.open(path, os.O_RDONLY | os.O_CLOEXEC | os.O_NONBLOCK)
     try:

@@ -146,7 +146,7 @@ class AttemptRunner(Generic[AnyWorld]):
                     raise
                 refused = isinstance(error, PetmjxError) or self.engines.fallback is None
                 if self.attempt.number == 1 and refused:
-                    raise  # the user can change it: worlds that the engine refuses, or the user's own engine
+                    raise  # the user can change the cause: worlds that the engine refuses, or the user's own engine
                 if not stream.taken:  # the engine would refuse the jobs again
                     stream.take(sys.maxsize, least=1)
                 unanswered = list(stream.in_flight.values())
@@ -167,8 +167,8 @@ class AttemptRunner(Generic[AnyWorld]):
                 raise RuntimeError(
                     f"engine {engine.name} answered job {answer.job} twice, or it was never asked"
                 ) from None
-            # up to MOST_TOGETHER outcomes are checked together, but no outcome is delayed: only outcomes that are ready
-            # now are added
+            # Up to MOST_TOGETHER outcomes are checked together. No outcome is delayed: only outcomes that are ready now
+            # are added.
             idle = not (tells and progress.at_hand)
             if len(arrivals) == MOST_TOGETHER or idle:
                 until = self._has_outcomes if tells else _never

@@ -154,7 +154,7 @@ class _AttemptRun(Generic[AnyWorld]):
         primary = self.engines.primary
         while True:
             self._put_following()
-            closed = self.stream.closed  # before the checks of its outcomes
+            closed = self.stream.closed  # this is read before the outcomes are checked
             n_ready = self.stream.wait_for(LARGE if primary.name in BESIDE else 1)
             if n_ready or self.for_fallback:
                 self.side_tasks.prepare(self.stream.peek(LARGE), self.attempts[1:])
@@ -169,7 +169,7 @@ class _AttemptRun(Generic[AnyWorld]):
                 source.raise_error()
                 return
             if len(self.retry_queue) >= self.most_pending or not n_ready:
-                yield from self._retried_results()  # more worlds may follow from its results
+                yield from self._retried_results()  # further worlds may follow from these results
 
     def _has_room(self) -> bool:
         return len(self.retry_queue) + len(self.for_fallback) < self.most_pending
@@ -360,7 +360,7 @@ class _SideTasks(Generic[AnyWorld]):
         """
         if self._in_flight:
             for answer in self.engines.helper.ended(wait=wait):
-                if answer.number not in self._in_flight:  # READY, from this run or the run before
+                if answer.number not in self._in_flight:  # the answer is READY, from this run or the run before
                     continue
                 runner, pending, engine = self._in_flight.pop(answer.number)
                 for answered in self._answered(runner, pending, engine, answer):

@@ -116,7 +116,8 @@ class AttemptRecipe:
             update["solver_tolerance"] = CAREFUL_TOLERANCE
         if self.timestep_divisor != 1:
             factor = self.timestep_divisor
-            # not validated again, since a fraction of the smallest timestep may be below the limit for users
+            # The options are not validated again, since a fraction of the smallest timestep may be below the limit for
+            # users.
             update["physics"] = sim.physics.model_copy(update={"timestep_s": sim.physics.timestep_s / factor})
             quiet = {name: getattr(sim.quiet, name) * factor for name in _COUNTED_IN_STEPS}
             update["quiet"] = sim.quiet.model_copy(update=quiet)

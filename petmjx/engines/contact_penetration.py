@@ -46,7 +46,8 @@ def stiffened_physics(physics: Physics, share: float) -> Physics:
         "solref": (time_s, damping),
         "solreffriction": (share * friction_s if friction_s > 0 else friction_s, friction_damping),
     }
-    return physics.model_copy(update=changed)  # not validated again: the timestep may be below the limit for users
+    # Options are not validated again: the timestep may be below the limit for users.
+    return physics.model_copy(update=changed)
 
 
 def contact_penetration_m(scene: Scene, physics: Physics, top_force_n: FloatArray, enough_m: float = 0.0) -> FloatArray:
@@ -277,7 +278,7 @@ def _deepest_m(outcomes: Sequence[Outcome], scenes: Sequence[Scene], physics: Ph
     low_x, high_x, low_y, high_y, above, below = (
         np.ascontiguousarray(np.take_along_axis(values, order, axis=1).T) for values in columns
     )
-    # from the floor up: the depth at the top of each box; the row before the first box is the top of the carrier
+    # Rows go from the floor up and hold the depth at the top of each box. The first row is for the top of the carrier.
     depth = np.empty((len(above) + 1, len(scenes)))
     depth[0] = depth_m(physics, total * gravity / carrier / CONTACTS_PER_FACE)
     over = np.ones((len(above), *depth.shape), bool)

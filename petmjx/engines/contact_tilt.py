@@ -97,7 +97,7 @@ def contact_tilt_of(bearing: Bearing, load: FloatArray, edge_m: FloatArray, phys
         return turned
 
     own_lean = np.nan_to_num(angle(np.clip(edge_m / width, 0.0, 0.5)))
-    own_lean[edge_m < -KNIFE_EDGE_M] = 0.0  # such a box tips over in any contacts
+    own_lean[edge_m < -KNIFE_EDGE_M] = 0.0  # such a box tips over whatever its contacts are
     below, shift = _tilt_from_below(bearing, own_lean)
     loss = (SHARES[:, None] * width + angle(SHARES[:, None]) * height).min(axis=0)
     return ContactTilt(loss + below * height, below + own_lean, shift)
@@ -109,7 +109,7 @@ def _tilt_from_below(bearing: Bearing, own_lean: FloatArray) -> tuple[FloatArray
     bottom, middle, half = bearing.boxes.bottom, bearing.boxes.target[:, 2], bearing.boxes.half_size[:, 2]
     below, moved = np.zeros((2, len(own_lean)))
     turned, shift = own_lean.copy(), own_lean * half
-    for between in reversed(bearing.levels):  # from the lowest boxes up
+    for between in reversed(bearing.levels):  # the loop goes from the lowest boxes up
         upper, lower = bearing.upper[between], bearing.lower[between]
         below[upper] = moved[upper] = -np.inf
         np.maximum.at(below, upper, turned[lower])

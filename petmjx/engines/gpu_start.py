@@ -18,7 +18,7 @@ def start_gpu() -> None:
         importlib.import_module("petmjx.engines.warp.engine")
         importlib.import_module("warp").init()
         jax = importlib.import_module("jax")
-        jax.jit(lambda x: x + 1).lower(0.0).compile()  # loads the modules for lowering and compiling a first program
+        jax.jit(lambda x: x + 1).lower(0.0).compile()  # this loads the modules that lower and compile a program
 
 
 def compile_ahead(sim: Simulation) -> None:

@@ -123,7 +123,7 @@ def _float(value: Any) -> float:
     """The number as float; NaN if it is null."""
     try:
         return math.nan if value is None else float(value)
-    except TypeError:  # pandas.NA
+    except TypeError:  # the value is pandas.NA
         return math.nan
 
 

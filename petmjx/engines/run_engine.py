@@ -111,7 +111,7 @@ def _may_be_gpu(options: RunOptions, plans: object) -> bool:
 def _start_if_gpu(sim: Simulation) -> None:
     if cuda_devices():  # this call of the driver takes time, too
         start_gpu()
-        # in another thread, which the run does not wait for: worlds are made meanwhile
+        # The kernels are compiled in another thread, for which the run does not wait: worlds are made meanwhile.
         threading.Thread(target=compile_ahead, args=(sim,), name="petmjx-kernels").start()
 
 
@@ -138,7 +138,7 @@ def engine_for(
     try:
         yield engine, choice
     finally:
-        with defer_signals(afterwards=True):  # so that a second ctrl-C leaves no process behind
+        with defer_signals(afterwards=True):  # a second Ctrl-C must not leave a process behind
             engine.close()
 
 
@@ -177,7 +177,7 @@ def resolve_engine(
 
         return resolve_workers(options, work, costs or MEASURED, ahead)
     threads = options.threads or cpu_threads()
-    # measuring the speed of CPU threads takes half a second, and it is irrelevant for a GPU
+    # Measuring the speed of CPU threads takes half a second. This speed is irrelevant for a GPU.
     costs = costs or (MEASURED if requested_engine == "mjx-warp" else costs_here(work, threads))
     seconds = costs.seconds(work, threads)
     if requested_engine == AUTO and earlier in ENGINES:
@@ -187,7 +187,7 @@ def resolve_engine(
     engine, choice = make_engine(name, **options_of(name, options)), Choice(name, reason, seconds.get(name))
     if hands_over and requested_engine == AUTO and name == "mujoco" and options.world_timeout_s is None:
         from petmjx.engines.engine_handover import HandoverEngine
-        from petmjx.engines.mujoco.engine import MujocoEngine  # it imports MuJoCo
+        from petmjx.engines.mujoco.engine import MujocoEngine  # this module imports MuJoCo
 
         kernels = "mjx-warp-cpu"
         assert isinstance(engine, MujocoEngine)

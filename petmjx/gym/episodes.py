@@ -88,7 +88,7 @@ class Episodes:
         self._margin = np.ones(n)
         self._rngs: list[np.random.Generator | None] = [None] * n
 
-    # ------------------------------------------------------------------ what happens
+    # ------------------------------------------------------------------ events
 
     def begin(self, rows: NDArray[np.int64], rngs: Sequence[np.random.Generator]) -> None:
         """Begin some episodes, each with a random order from its own generator.
@@ -244,7 +244,7 @@ class Episodes:
                 at += len(kinds)
             most = min(2 * most, _MOST_KINDS)
 
-    # ------------------------------------------------------------------ what is seen
+    # ------------------------------------------------------------------ observations
 
     def observed(self, rows: NDArray[np.int64]) -> Observation:
         """The observations of episodes, as arrays of m rows."""

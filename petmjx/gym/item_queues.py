@@ -106,9 +106,8 @@ class Queues:
     def _fill(self, row: int) -> None:
         """Move the boxes of a row to its first column, and append boxes until the row is full."""
         boxes, table = self._boxes[row], self._next[row]
-        behind = min(
-            int(self._behind[row]), int(self.counts[row])
-        )  # fewer if some were left out although the table had all boxes
+        # There are fewer boxes if some were left out although the table had all of them.
+        behind = min(int(self._behind[row]), int(self.counts[row]))
         n_items, first = int(self.counts[row]) - behind, int(self._first[row])
         table[:n_items] = table[first : first + n_items].copy()
         new_rows = slice(len(boxes) - behind, len(boxes) - behind + len(table) - n_items)

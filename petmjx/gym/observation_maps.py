@@ -59,7 +59,7 @@ class Maps:
         """
         force = np.minimum(np.nan_to_num(top_force_n), _MOST).astype(np.float32)
         count = (force > 0).sum(axis=1)
-        fullest = np.argsort(-count, kind="stable")  # sorted, so that groups have similar numbers of boxes
+        fullest = np.argsort(-count, kind="stable")  # sorting gives groups with similar numbers of boxes
 
         def load(some: NDArray[np.intp]) -> None:
             most = int(count[some].max(initial=0))

@@ -112,7 +112,7 @@ class PalletizingVecEnv(VecEnv):  # type: ignore[misc, unused-ignore]  # where S
             return [float(self.env.episodes.level[row]) for row in rows]
         if attr_name in self._methods:
             return [partial(self._methods[attr_name], row) for row in rows]
-        value = getattr(self.env, attr_name)  # raises AttributeError if missing, which has_attr turns into False
+        value = getattr(self.env, attr_name)  # has_attr turns the AttributeError of a missing attribute into False
         return [value for _ in rows]
 
     def set_attr(self, attr_name: str, value: Any, indices: Any = None) -> None:

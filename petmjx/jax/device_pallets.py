@@ -135,7 +135,7 @@ class Device:
             *((why, (state.flags & int(bits)) != 0) for bits, why in reversed(INVALID_FLAGS)),
             (Reason.OVERFLOW, full),
         )
-        for why, is_so in failed:  # the last one that is true decides
+        for why, is_so in failed:  # the last condition that is true decides
             reason = jnp.where(is_so, REASONS.index(str(why)), reason)
         invalid = full | jnp.any(jnp.array([(state.flags & int(bits)) != 0 for bits, _ in INVALID_FLAGS]), axis=0)
         stable = reason == 0

@@ -77,7 +77,8 @@ class Candidates:
     ) -> None:
         self.count, self._highest, self._least = count, max_height_mm, least_support or 0.0
         self._gap = jnp.array([[gap_mm, gap_mm, 0.0]], jnp.float32)
-        self._extent = jnp.asarray([extent_mm], jnp.float32) + gap_mm  # larger by the gap that follows the last box
+        # The extent is larger by the gap that follows the last box.
+        self._extent = jnp.asarray([extent_mm], jnp.float32) + gap_mm
         self._inside = inside_mm
 
     def no_boxes(self, most: int) -> Statics:
@@ -187,7 +188,8 @@ def _corner_points(
         earlier: in row i, the boxes that may be obstacles for the points of box i.
     """
     (x, y), (x_end, y_end) = start.T, end.T
-    # from the box's end in x towards −y, and from its end in y towards −x; on the box: from (x, y) towards both
+    # Beside the box, points slide from its end in x towards −y, and from its end in y towards −x. On the box, they
+    # slide from (x, y) in both directions.
     axes, levels = jnp.array([1, 0, 0, 1]), jnp.stack([bottom, bottom, top, top])[..., None]
     begins, across = jnp.stack([y, x, x, y])[..., None], jnp.stack([x_end, y_end, y, x])[..., None]
     lows, highs, ends = start.T[1 - axes][:, None], end.T[1 - axes][:, None], end.T[axes][:, None]

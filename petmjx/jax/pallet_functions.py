@@ -49,7 +49,7 @@ def empty(
     if runner.name == "mujoco":
         return empty_host(n, sim, runner, integer_of(most_boxes, "most_boxes", 1, 512))
     if runner.name in ("mjx-warp", "mjx-warp-cpu"):
-        from petmjx.jax.device_pallets import empty_device  # loads Warp
+        from petmjx.jax.device_pallets import empty_device  # this import loads Warp
 
         return empty_device(n, sim, runner, integer_of(most_boxes, "most_boxes", 1, 512))
     raise InputError(f"engine: petmjx.jax has mujoco, mjx-warp and mjx-warp-cpu, got {runner.name}")

@@ -176,7 +176,7 @@ class Palletizing:
         read.check_sizes(sim.size_reduction_mm)
         of_orders = self._usable(read)
         self._counts = jnp.array([len(boxes) for boxes in of_orders], jnp.int32)
-        longest = int(self._counts.max()) + self._seen  # so that only zeros are visible after an order's end
+        longest = int(self._counts.max()) + self._seen  # the added rows are zeros, visible after an order's end
         rows = [np.column_stack([boxes.size_mm, boxes.mass_kg]) for boxes in of_orders]
         self._largest = max(float(table.max(initial=0.0)) for table in rows)  # specs in a jitted program need it, too
         self._boxes = jnp.array([np.pad(table, ((0, longest - len(table)), (0, 0))) for table in rows], jnp.float32)

@@ -116,7 +116,7 @@ def _lowered_boxes(
         points: (m, p) x + iy; ``low``, ``high``: (m, k, 3) ends of the pallets' boxes; ``size``: (m, 3). Sizes, ends
             and the carrier's extent include the free space ``gap_mm`` behind them along x and y, which bears nothing.
     """
-    with np.errstate(invalid="ignore"):  # NaN in columns beyond a pallet's points and boxes
+    with np.errstate(invalid="ignore"):  # columns beyond a pallet's points and boxes hold NaN
         x, y = points.real, points.imag
         inside = (x + size[:, :1] <= extent_mm[0] + TOUCH_MM) & (y + size[:, 1:2] <= extent_mm[1] + TOUCH_MM)
         box, point = np.nonzero(inside)

@@ -93,5 +93,5 @@ def _piles_corner_points(low: FloatArray, high: FloatArray, number: NDArray[np.i
         pile = np.where(before, ends, np.nan)
         pile[:, -1] = ends[rows, number]  # the last row is the box itself, which is not an obstacle
         piles.append(pile)
-    with np.errstate(invalid="ignore"):  # NaN in columns beyond a pallet's boxes
+    with np.errstate(invalid="ignore"):  # columns beyond a pallet's boxes hold NaN
         return corner_points(*piles)

@@ -67,7 +67,7 @@ class LabelParts:
             self.n_labels, self.next_episode = entries["labels"], entries["next_episode"]
             self._tables = Tables(folder, Parts.of(folder, entries))
         else:
-            self._list()  # before parts are deleted, so that no old list names deleted parts
+            self._list()  # the list is written before parts are deleted, so that no old list names deleted parts
         listed = self._tables.parts.files(TABLE)
         for file in part_files(folder, TABLE):
             if file not in listed:

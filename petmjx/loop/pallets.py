@@ -427,7 +427,7 @@ class Pallets(Closable):
         Raises:
             InputError: this machine has no OpenGL that draws without a display, or the extra ``show`` is missing.
         """
-        from petmjx.loop.pallet_pictures import picture  # loads OpenGL
+        from petmjx.loop.pallet_pictures import picture  # this import loads OpenGL
 
         text_of(view, "view")
         if not isinstance(size, Sequence) or len(size) != 2:

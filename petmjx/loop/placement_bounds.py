@@ -115,7 +115,7 @@ def decidable(sim: Simulation) -> bool:
 def boxes_apart_mm(readings: Readings, thresholds: Thresholds) -> FloatArray:
     """(m, k) largest distance of any corner of each box from its planned position, mm. 0: the box rests at its planned
     place, has no shift that counts, and was never tilted."""
-    with np.errstate(invalid="ignore"):  # NaN in columns without boxes
+    with np.errstate(invalid="ignore"):  # columns without boxes hold NaN
         m, k = readings.max_tilt_deg.shape
         tilted = np.fmax(readings.max_tilt_deg, tilt_deg(readings.quat.reshape(-1, 4)).reshape(m, k))
         shifted = shift(readings.pos, readings.target, thresholds.shift_floor_m)
@@ -217,7 +217,7 @@ class Bounds:
         bears = added_load[..., 0] > 0
         after = loads + added_load
         in_table = np.arange(k) < self._stock.count[pallets, None]
-        with np.errstate(invalid="ignore", divide="ignore"):  # NaN in columns beyond a pallet's boxes
+        with np.errstate(invalid="ignore", divide="ignore"):  # columns beyond a pallet's boxes hold NaN
             margin = _margin(self._edges[pallets, :k], after[..., 1:] / after[..., :1])
         enough = np.where(bears, 1.0, KNIFE_SHARE) * self._least[pallets, :k]
         stands = stands & (~in_table | (margin >= enough)).all(axis=1)
@@ -302,7 +302,7 @@ class _Rests:
         low = stock.corner_mm[request.pallet, :k]
         high = low + stock.size_mm[request.pallet, :k]
         start, end = request.corner_mm, request.corner_mm + request.size_mm
-        with np.errstate(invalid="ignore"):  # NaN in columns beyond a pallet's boxes
+        with np.errstate(invalid="ignore"):  # columns beyond a pallet's boxes hold NaN
             shared = np.minimum(high, end[:, None])[..., :2] - np.maximum(low, start[:, None])[..., :2]
             over = here & (shared > TOUCH_MM).all(axis=2)
             gap = start[:, None, 2] - high[..., 2]
@@ -347,7 +347,7 @@ class _Rests:
             friction: the coefficient of friction between boxes.
         """
         sides = request.size_mm[:, :2]
-        with np.errstate(invalid="ignore"):  # infinite if nothing is below
+        with np.errstate(invalid="ignore"):  # edges are infinite if nothing is below
             outside = self.edges[..., 1:] @ (self.start[:, :2] + sides / 2)[..., None]
             outside = outside[..., 0] - self.edges[..., 0]
         least = np.maximum(HANGING_MM, HANGING_SHARE * sides.min(axis=1))
@@ -366,7 +366,7 @@ class _Rests:
         middle = (self.start[turns.rows, :2] + self.end[turns.rows, :2]) / 2
         foot = middle - turns.outside[:, None] * turns.towards
         edges = self.edges[turns.rows]
-        with np.errstate(invalid="ignore"):  # infinite for missing edges
+        with np.errstate(invalid="ignore"):  # missing edges are infinite
             inside = edges[..., 0] - (edges[..., 1:] @ foot[..., None])[..., 0]
         same = (edges[..., 1:] @ turns.towards[..., None])[..., 0] > 1 - SAME_WAY
         along_axis = np.abs(turns.towards).max(axis=1) > 1 - SAME_WAY
@@ -388,7 +388,7 @@ class _Rests:
         slope = (sine / np.sqrt(1 - sine**2))[:, None]
         start, end = self.start[rows, None, :2], self.end[rows, None, :2]
         low, high = self.low[rows] - apart[..., None], self.high[rows] + apart[..., None]
-        with np.errstate(invalid="ignore"):  # NaN in columns beyond a pallet's boxes
+        with np.errstate(invalid="ignore"):  # columns beyond a pallet's boxes hold NaN
             shared_low = np.maximum(low[..., :2], start - NEAR_MM)
             shared_high = np.minimum(high[..., :2], end + NEAR_MM)
             over = (shared_high - shared_low > TOUCH_MM).all(axis=2) & ~self.under[rows]
@@ -433,7 +433,7 @@ class _Rests:
 
         near, far = np.minimum(along(low), along(high)), np.maximum(along(low), along(high))
         back, front = np.minimum(along(start), along(end)), np.maximum(along(start), along(end))
-        with np.errstate(invalid="ignore"):  # NaN in columns beyond a pallet's boxes
+        with np.errstate(invalid="ignore"):  # columns beyond a pallet's boxes hold NaN
             left, right = across(high) <= across(start) + TOUCH_MM, across(low) >= across(end) - TOUCH_MM
             behind = far <= back + TOUCH_MM
             beside = (apart == 0) & (near < front - TOUCH_MM) & (left | right | behind)

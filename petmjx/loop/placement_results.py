@@ -75,7 +75,7 @@ class PlacementResults:
     def of_readings(cls, pallet: NDArray[np.int64], readings: Readings, thresholds: Thresholds) -> PlacementResults:
         """The results of worlds that have paused or ended."""
         m, k = readings.max_tilt_deg.shape
-        with np.errstate(invalid="ignore"):  # NaN in columns without boxes and in worlds with bad numbers
+        with np.errstate(invalid="ignore"):  # columns without boxes and worlds with bad numbers hold NaN
             shifted = shift(readings.pos, readings.target, thresholds.shift_floor_m)
             quat, middles, halves = (
                 values.reshape(-1, values.shape[2]) for values in (readings.quat, readings.pos, readings.half_size)

@@ -127,7 +127,7 @@ def _numbers(values: Any, name: str, shape: tuple[int, ...]) -> FloatArray:
         raise InputError(f"{name} is missing")
     try:
         one = np.ndim(values) == len(shape)
-    except Exception:  # a ragged list: array_of raises the error
+    except Exception:  # the list is ragged; array_of raises the error
         one = False
     numbers = array_of([values] if one else values, name, shape)
     check_limits(numbers, name)

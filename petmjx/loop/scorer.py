@@ -151,7 +151,7 @@ class Scorer(Closable):
 def _arrays(size_mm: Any, corner_mm: Any, mass_kg: Any) -> tuple[FloatArray, FloatArray, FloatArray]:
     try:
         shape = np.shape(mass_kg)
-    except ValueError:  # a ragged list
+    except ValueError:  # the list is ragged
         shape = ()
     if len(shape) != 2:
         raise InputError(f"mass_kg must have the shape (m, k), got {shape}")

@@ -185,7 +185,7 @@ class OwnCarrier(CheckedRecord):
 
     @model_validator(mode="after")
     def _opens_its_walls(self) -> Self:
-        self.walls.check_open()  # checked here as well, so that the message names the carrier's file
+        self.walls.check_open()  # a check here names the carrier's file in the message
         return self
 
     @model_validator(mode="after")

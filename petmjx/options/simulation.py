@@ -252,7 +252,7 @@ class Simulation(CheckedRecord):
     @field_validator("schedule", mode="before")
     @classmethod
     def _no_brisk(cls, value: Any) -> Any:
-        if value == "brisk":  # of petmjx 0.1
+        if value == "brisk":  # a schedule of petmjx 0.1
             raise ValueError(
                 "must be 'fixed' or 'adaptive': 'brisk' was removed, since adaptive now takes as few steps"
             )

@@ -149,7 +149,7 @@ def _step(ways: Sequence[_SearchNode], width: int, branch: int, stride: int, fil
     for way in ways:
         before = frozenset(way.packing.placed)
         for number, candidate in enumerate(way.packing.next(branch)):
-            packing = way.packing  # copied later, and only if it is among the best
+            packing = way.packing  # the packing is copied later, and only if it is among the best
             first: NextCandidate | None = candidate
             boxes = before | {packing.box(candidate)}
             if stride > 1:
@@ -157,7 +157,8 @@ def _step(ways: Sequence[_SearchNode], width: int, branch: int, stride: int, fil
                 packing.put(candidate)
                 packing.fill(most=stride - 1)
                 boxes = frozenset(packing.placed)
-            if boxes in seen_packings:  # the same boxes at the same places, but placed in another order
+            # An earlier packing has the same boxes at the same places, placed in another order.
+            if boxes in seen_packings:
                 continue
             seen_packings.add(boxes)
             if number == 0:  # the known full packing began with this candidate

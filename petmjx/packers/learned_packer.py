@@ -125,7 +125,7 @@ class Policy:
             chosen = self.take(stream, places, np.round(self.taste.scores(rows), SCORE_DECIMALS))
             if chosen is not None:
                 return Decision(places, rows, chosen)
-            if stream.still_open(places).any():  # some keep the balance, but their chances are too small
+            if stream.still_open(places).any():  # some places keep the balance, but their chances are too small
                 return None
         return None
 

@@ -58,7 +58,7 @@ class WorldsOfPlans:
         if self._sweep is None:
             yield from (World(plan, number, Job(build_scene(plan, self.sim))) for number in variants)
             return
-        if self._variants is None:  # made only once, since all plans have the same variants
+        if self._variants is None:  # variants are made only once, since all plans have the same ones
             self._variants = SweepPlan(self._sweep, [plan])
         placements = [*self._variants.placements()]
         groups = (PlacementGroup(plan, number, *placements[number]) for number in variants)

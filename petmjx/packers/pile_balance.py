@@ -132,7 +132,7 @@ class Balance:
             return let_down
         if let_down is None or tips(let_down.planes, let_down.load):
             return None
-        # checks all hulls of the pile at once: each plane is compared with the load of its owner
+        # All hulls of the pile are checked at once: each plane is compared with the load of its owner.
         if len(self._planes) and self._over_planes(let_down).max() > SLACK_KG_M:
             return None
         return let_down

@@ -170,7 +170,7 @@ def read_articles(path: str | Path) -> Articles:
         else:
             raise InputError(f"{name}: the name must end in one of .toml, {PARQUET_SUFFIX}, {', '.join(CSV_SUFFIXES)}")
         articles: dict[str, dict[str, Article]] = {key: {} for key in (*_KEYS, _MATERIAL)}
-        for where, row in rows:  # one at a time: as dictionaries, a million rows take a gigabyte
+        for where, row in rows:  # rows are read one at a time: as dictionaries, a million take a gigabyte
             key, value, article = _article(f"{name}: {where}", row)
             if value in articles[key]:
                 raise InputError(f"{name}: {where}: {key} {printable_name(value)} is there twice")
@@ -324,7 +324,7 @@ def _has_decimal_commas(text: str) -> bool:
     try:
         numeric = [at for at, field in enumerate(next(rows, [])) if field.strip().lower() in _NUMBERS]
         return any(_COMMA_NUMBER.match(row[at]) for row in rows for at in numeric if at < len(row))
-    except csv.Error:  # reported for the row when the table is read
+    except csv.Error:  # the fault is reported for its row when the table is read
         return False
 
 

@@ -158,7 +158,7 @@ class Extraction:
             self.meanings[upper["ID"]] = ColumnMeaning("article")
             self.meanings[upper["TYPE"]] = None
             self.meanings[upper.get("COPIES", upper["TYPE"])] = None
-        if source.form == BED_BPP:  # here item.sequence counts the order's items
+        if source.form == BED_BPP:  # in this form, item.sequence counts the order's items
             self.meanings = [
                 None if meaning is not None and meaning.kind == "sequence" else meaning for meaning in self.meanings
             ]
@@ -476,7 +476,7 @@ class Extraction:
                 corners = Geometry(second - first, first, _XYZ, "", "", "corner", True, ends, prior + 0.2)
                 geometries.append(corners)
         for name in geometries[0].columns.values() if geometries else ():
-            self.numbers(header.index(name), LENGTH_UNITS)  # reports bad cells with the column's name
+            self.numbers(header.index(name), LENGTH_UNITS)  # this reports bad cells with the column's name
         return geometries
 
     def array_extras(self, geometries: Sequence[Geometry]) -> tuple[Turns | None, int | None, bool]:
@@ -623,7 +623,7 @@ class Extraction:
                 np.int64,
             )
         if sum(allowed) * 2 <= len(filled_cells):
-            return None  # other words; sizes are then assumed to be as placed
+            return None  # the cells have other words, so sizes are assumed to be as placed
         for row, ok in enumerate(allowed):
             if not ok:
                 self.bad(row, index, _shown_turn(cells[row], kind))

@@ -322,7 +322,7 @@ def _geometry(tail: list[str], path: list[str], index: str, of_sharp: bool) -> C
     if compact is not None and not words & _POSITION:
         letter = compact[2] if compact[2] in _AXES else compact[1]
         if last[1:] == "w" or last[:-1] == "w":
-            return None  # wx: an angular velocity, or another kind of word
+            return None  # the name is an angular velocity (wx), or another kind of word
         return ColumnMeaning("size", letter, placed=last[0] in "l" or placed, half=half)
     point = re.fullmatch(r"(c|p|pos|m|ctr|cen|center|centre|mid|start|min|max|lo|hi|end|t|q|flb|loc)([xyz])", last)
     back = re.fullmatch(r"([xyz])(c|pos|min|max|center|centre|mid|start|end|lo|hi)", last)

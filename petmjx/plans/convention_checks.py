@@ -125,8 +125,8 @@ _TURNED: Final = (
 _YZ: Final = ("y and z look swapped", "give heights as z")
 _MOST: Final = 0.5
 """Smallest share of the boxes above the carrier that float or overlap when y and z are swapped. In a correct plan
-whose rows are flush in y, no box floats or overlaps even after y and z are swapped. So a few boxes that float or overlap
-are no evidence."""
+whose rows are flush in y, no box floats or overlaps even after y and z are swapped. So a few boxes that float or
+overlap are no evidence."""
 _SMALL_MM: Final = 20.0
 """Gaps and overlaps up to this size come from sheets, rounded heights or careless packers, not from a convention."""
 
@@ -214,7 +214,8 @@ class _Search:
             self._add(unit[0], plan, unit[1])
             if unit[0].read is not None:
                 corner, size = unit[0].read(plan.corner_mm, plan.size_mm)
-                plan = replace(plan, corner_mm=corner, size_mm=size, kinds=())  # since pallets have fixed sizes
+                # Pallets have fixed sizes, so kinds are dropped.
+                plan = replace(plan, corner_mm=corner, size_mm=size, kinds=())
                 odd = check_layout(plan.plan_id, plan.source, corner, size, self.extent_mm)
         if odd is None:
             return
@@ -305,7 +306,8 @@ def warn(lines: Iterable[str]) -> None:
 
 
 def _explains(way: Convention, plan: Plan, n_odd: int) -> bool:
-    """Whether reading the plan in another convention leaves at most a tenth of its floating boxes and overlapping pairs."""
+    """Whether reading the plan in another convention leaves at most a tenth of its floating boxes and overlapping
+    pairs."""
     if n_odd < way.least_odd and plan.corner_mm[:, 2].min() <= DEFAULT_TOLERANCE_MM:
         return False
     if way.of_turned and not plan.turned.any():

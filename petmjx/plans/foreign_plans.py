@@ -201,7 +201,7 @@ def _with_articles_beside(best: BoxSource, path: Path) -> BoxSource:
         try:
             source = sources_of_bytes(bytes_of(file), file)[0]
         except InputError:
-            continue  # not a file of these items
+            continue  # the file does not hold these items
         if source.boxes.has_sizes and (completed := with_items_of(best, source, file.name)) is not None:
             joined.append(completed)
     return joined[0] if len(joined) == 1 else best
@@ -320,7 +320,7 @@ def _no_geometry(columns: BoxColumns, sources: Sequence[BoxSource], path: Path |
         sum(meaning is not None and meaning.kind == "size" for meaning in column_meanings(other.boxes.table.header))
         for other in (columns.source, *sources)
     )
-    sized = some_sizes and n_sizes != 1  # a single one of three sizes is not a box's size
+    sized = some_sizes and n_sizes != 1  # a column with only one of three sizes is not a box's size
     places_named = bool(boxes.kinds & {"position", "positions", "low", "matrix"}) or columns.source.form == POSES
     if not columns.n_boxes:
         return NoGeometry("holds no box")
@@ -370,7 +370,7 @@ class _Builder:
             lost = self._plans_with_lost(names)
             single_name = self.of_one if len(plans) == 1 and not lost else None
             reading, candidate = single_name or choose_reading(self.columns, plans, self.wishes, lost)
-        except InputError:  # no good row, or missing rows make the rest implausible
+        except InputError:  # no row is good, or missing rows make the rest implausible
             if self.boxes.table.lost:
                 place, fault = self.boxes.table.lost[0]
                 raise InputError(f"{place}: {fault}") from None
@@ -525,7 +525,7 @@ class _Builder:
         parts = self.boxes.parts or ("",) * self.columns.n_boxes
         column = self.columns.plan
         if column is not None and len(set(column)) * 2 > self.columns.n_boxes + 2 and len(set(column)) > 1:
-            column = None  # nearly every box has its own name, so it is no plan
+            column = None  # nearly every box has its own name, so the column does not name plans
         stem = Path(self.source).name.split(".")[0] or "plan"
         names = [
             "/".join(filter(None, (part, "" if column is None else column[row]))) for row, part in enumerate(parts)
@@ -534,10 +534,10 @@ class _Builder:
             self.notes.append(f"no plan_id: {printable_name(stem)}")
             return [stem] * len(names)
         words = words_of(self.columns.columns.get("plan", ""))
-        if "plan" in words or "order" in words:  # names of plans, not numbers of containers
+        if "plan" in words or "order" in words:  # the names are those of plans, not numbers of containers
             return [name or stem for name in names]
         if len(set(names)) == 1 and names[0].isdigit():
-            return [stem] * len(names)  # the only container
+            return [stem] * len(names)  # there is only one container
         return [f"{stem}/{name}" if name.isdigit() else name or stem for name in names]
 
     def _decks(self, plans: Mapping[str, NDArray[np.int64]], size: FloatArray, low: FloatArray) -> set[int]:
@@ -739,7 +739,7 @@ class _Builder:
         for name, values in self.columns.counters.items():
             counted = values[rows]
             if np.isnan(counted).any() or not _counts_all(counted) or not (np.diff(counted) != 1).any():
-                continue  # some boxes have no number, or it is the order of the rows
+                continue  # some boxes have no number, or the numbers are in the order of the rows
             if not _can_be_placed(counted, low, size):
                 continue
             if not possible:

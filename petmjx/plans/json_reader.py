@@ -275,5 +275,5 @@ def _decode_start(text: str) -> tuple[Any, int]:
     except json.JSONDecodeError:
         raise
     except ValueError:
-        # Python refuses integers of more than 4,300 digits; here the plan with one is named and skipped instead
+        # Python refuses integers of more than 4,300 digits. Here, a plan with such an integer is named and skipped.
         return _PATIENT_DECODER.raw_decode(text)

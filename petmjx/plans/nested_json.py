@@ -215,7 +215,7 @@ def _members(
             if keyed:
                 yield from _members(inner, f"{path}[]", inner_place, (*step, (str(name), {"id": str(name)})), depth + 1)
             elif alike and isinstance(inner, Mapping):
-                around_it = (*around, (_last_step(place), {}))  # its fields are boxes, it is no container
+                around_it = (*around, (_last_step(place), {}))  # this object's fields are boxes, so it is no container
                 yield f"{path}[]", _Member({"id": name, **inner}, inner_place, around_it)
                 yield from _members(inner, f"{path}[]", inner_place, step, depth + 1)
             elif isinstance(inner, Mapping | list | tuple | np.ndarray):
@@ -459,7 +459,7 @@ def _names_of(holders: Sequence[tuple[str, Mapping[str, Any]]]) -> list[str]:
 
 def _name_text(value: Any) -> str:
     if isinstance(value, str):
-        printed = re.match(r"^([\w .#-]+)\([\d.]+\s*x", value)  # as py3dbp prints "euro(1200x800x1500, …)"
+        printed = re.match(r"^([\w .#-]+)\([\d.]+\s*x", value)  # py3dbp prints "euro(1200x800x1500, …)"
         return (printed[1] if printed else value).strip()[:1000]
     return cell_text(value) if isinstance(value, int | float) and not isinstance(value, bool) else ""
 
@@ -469,7 +469,8 @@ def _container_of(member: _Member) -> dict[str, float]:
     for step, holder in reversed(member.around):
         for name, inner in holder.items():
             words = words_of(str(name))
-            is_box = isinstance(inner, Mapping) and str(name).lower() == "box"  # beside a list, as in py3dbp's web API
+            # In py3dbp's web API, the container "box" is beside the list of its boxes.
+            is_box = isinstance(inner, Mapping) and str(name).lower() == "box"
             if not (_HOLDERS.intersection(words) or str(name).lower() in _HOLDERS or is_box):
                 continue
             if isinstance(inner, Mapping) and (sizes := _sizes_in(inner)):

@@ -206,7 +206,7 @@ def draw_order(seed: int, index: int) -> Order:
     of_all = _volumes_m3(seed)
     volumes = of_all[chosen]
     while float(volumes @ quantity) > budget_m3:
-        # Too much for one target: replace the article with the largest total volume by a smaller article.
+        # The order is too much for one target: replace the article with the largest total volume by a smaller article.
         bulkiest = int(np.argmax(volumes * quantity))
         free = of_all < volumes[bulkiest]
         free[chosen] = False

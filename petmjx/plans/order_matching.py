@@ -35,7 +35,7 @@ from petmjx.plans.order_reader import read_orders
 from petmjx.plans.plan import Plan
 from petmjx.plans.plan_fields import SHEET
 
-if TYPE_CHECKING:  # its module would load Arrow
+if TYPE_CHECKING:  # importing Articles would load Arrow
     from petmjx.plans.articles import Articles
 
 SIZE_TOLERANCE_MM: Final = 0.5

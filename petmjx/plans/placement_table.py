@@ -359,7 +359,7 @@ class _TableReader:
         try:
             if self._plan_ids:
                 yield from self._rows_of_plans()
-        finally:  # even if the caller stops early
+        finally:  # the note is made even if the caller stops early
             if self.gaps:
                 plans = f"{count_text(len(self.gaps), 'plan')} ({first_names(self.gaps)})"
                 self.notes.append(f"{self.source}: sequence has gaps in {plans}; are rows missing?")

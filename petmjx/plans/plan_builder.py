@@ -154,7 +154,7 @@ def _of_items(columns: Mapping[str, Any]) -> dict[str, Any]:
     turned = np.zeros(len(columns["length_mm"]), bool)
     try:
         orientations = list(columns["orientation"])
-    except TypeError:  # not a list
+    except TypeError:  # the value is not a list
         orientations = []
     for box, value in enumerate(orientations[: len(turned)]):
         turned[box] = isinstance(value, int | float | np.number) and value == 1

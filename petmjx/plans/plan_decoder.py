@@ -43,7 +43,7 @@ _Name = Annotated[str, msgspec.Meta(max_length=LONGEST_NAME)]
 class _Item(
     msgspec.Struct,
     forbid_unknown_fields=True,
-    gc=False,  # no cycles are made, and the garbage collector would visit each record several times
+    gc=False,  # records form no cycles, so the garbage collector would visit each of them several times in vain
     rename={"length": "length/mm", "width": "width/mm", "height": "height/mm", "weight": "weight/kg"},
 ):
     article: _Name

@@ -335,7 +335,7 @@ class _PlanLoader:
         try:
             self._take_foreign(source, partial(read_foreign, data, path, source))
         except InputError as error:
-            if self.strict and str(error).startswith(f"{source}: "):  # an error of a plan or row
+            if self.strict and str(error).startswith(f"{source}: "):  # the error concerns a plan or row
                 raise
             return error
         return None

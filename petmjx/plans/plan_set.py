@@ -93,7 +93,7 @@ class PlanSet:
         Raises:
             ValueError: there is no plan.
         """
-        from petmjx.plans.plan_writer import plans_table  # loads Arrow
+        from petmjx.plans.plan_writer import plans_table  # this import loads Arrow
 
         if not self.plans:
             raise ValueError("there is no plan")

@@ -100,7 +100,7 @@ def decoded_text(data: bytes | bytearray) -> tuple[str, str]:
     texts = {
         name: raw.decode(code, "replace") for name, code in (("Windows-1252", "cp1252"), ("Windows-1250", "cp1250"))
     }
-    best = max(texts, key=lambda name: _known_in_lines(texts[name]))  # the first if several are equal
+    best = max(texts, key=lambda name: _known_in_lines(texts[name]))  # max returns the first if several are equal
     return texts[best], best
 
 
@@ -199,7 +199,7 @@ def _spaced_fields(lines: Sequence[str]) -> Iterator[list[str]]:
         counts = Counter(len(row) for row in rows if len(row) > 1)
         return max(counts.values(), default=0)
 
-    yield from max(ways, key=alike)  # the first if several are equal
+    yield from max(ways, key=alike)  # max returns the first if several are equal
 
 
 def _delimiter_of(text: str) -> str:

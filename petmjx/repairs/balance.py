@@ -94,7 +94,7 @@ def _balances(drafts: Sequence[Draft], sim: Simulation) -> list[Balance]:
 def _balance(draft: Draft, box: IntArray, step: IntArray, edge_mm: FloatArray, perhaps: BoolArray) -> Balance:
     """The balance of a draft from the edges of its loads, sorted by box and step."""
     order = np.array(draft.order)
-    has_edge = ~np.isnan(edge_mm)  # what floats or overlaps may bear a load that nothing bears in turn
+    has_edge = ~np.isnan(edge_mm)  # a box that floats or overlaps may bear a load although nothing bears the box
     box, step, edge_mm, perhaps = box[has_edge], step[has_edge], edge_mm[has_edge], perhaps[has_edge]
     boxes, begins = np.unique(box, return_index=True)
     ends = np.append(begins[1:], len(box))
@@ -127,7 +127,7 @@ def _squeezed(draft: Draft) -> float:
     """The sum of weights of the boxes that are lowered between two others without room, along x or y."""
     order = list(draft.order)
     low, high = draft.corner_mm[order], (draft.corner_mm + draft.size_mm)[order]
-    stands = np.triu(np.ones((len(order), len(order)), bool), k=1)  # the row's box, before the column's
+    stands = np.triu(np.ones((len(order), len(order)), bool), k=1)  # the row's box is placed before the column's
     stands &= (high[:, None, 2] > low[None, :, 2] + TOLERANCE_MM) & (low[:, None, 2] < high[None, :, 2] - TOLERANCE_MM)
     total = 0.0
     for axis, across in ((0, 1), (1, 0)):

@@ -197,7 +197,7 @@ class Draft:
         lies_along_y = np.append(self.plan.turned, np.zeros(len(self.sheet_kg), bool))
         sign = np.where(lies_along_y, -1.0, 1.0)
         swapped = np.column_stack([-sign * centre[:, 1], sign * centre[:, 0], centre[:, 2]])
-        return np.where(self.turned[:, None], swapped, centre) + 0.0  # not -0.0
+        return np.where(self.turned[:, None], swapped, centre) + 0.0  # + 0.0 turns -0.0 into 0.0
 
 
 def _closure(leads_to: BoolArray, box: int) -> list[int]:

@@ -323,7 +323,7 @@ def _places(draft: Draft, rules: Rules, near: Sequence[int]) -> Iterator[Proposa
         last = next(number for number in reversed(draft.order) if number != box) if len(draft.order) > 1 else None
         for turn, corner in resting_corners(draft, rules, box):
             if not turn and np.abs(draft.corner_mm[box] - corner).max() <= TOLERANCE_MM:
-                continue  # another time at the same place is another order
+                continue  # the same place at another time is a change of the order
             turned = bool(draft.turned[box]) != turn
             yield (Place(box, corner, turned, differs=turn),)
             if last is not None:
@@ -428,7 +428,7 @@ def _props(draft: Draft, rules: Rules, target: Target) -> Iterator[Proposal]:
             and box != target.box
             and rules.built <= box < draft.plan.n_boxes
         ]
-        for box in alike[-1:]:  # the last of several equal boxes
+        for box in alike[-1:]:  # of several equal boxes, only the last is moved
             for turn, corner in itertools.islice(resting_corners(draft, rules, box, target.box), MOST_PLACES // 2):
                 turned = bool(draft.turned[box]) != turn
                 yield (Place(box, corner, turned, target.box, after=False, differs=turn),)

@@ -209,7 +209,7 @@ class Search:
         nodes = [Node(replace(state, faults=count)) for state, count in zip(start, faults, strict=True)]
         ways = {way_of(node.state) for node in nodes}
         standing: list[State] = []
-        judged: list[State] = []  # that stand
+        judged: list[State] = []  # states that stand
         is_late = False
         while self.n_trials < last:
             nodes.sort(key=lambda node: node.key)
@@ -343,7 +343,8 @@ class Search:
 
     def _faults(self, states: Sequence[State], most: float) -> Generator[list[Asked], list[Trial], list[float]]:
         """The number of faults of plans, counted up to a limit: a box that falls is taken off, with all boxes that need
-        it, until the rest stands. With a drive, this would be too expensive, so only the boxes that fell are counted."""
+        it, until the rest stands. With a drive, this would be too expensive, so only the boxes that fell are
+        counted."""
         faults = [0.0] * len(states)
         falling = {k: (state.draft, state.trial) for k, state in enumerate(states) if not state.trial.stands}
         while falling:
@@ -432,7 +433,7 @@ class Search:
             for change in proposal:
                 changes = with_change(changes, change)
             draft = drafts[number]
-            if len(changes) < len(state.changes) + len(proposal):  # some changes became one
+            if len(changes) < len(state.changes) + len(proposal):  # several changes became one
                 merged = applied(self._start, changes)
                 if merged is None or key_of(merged) != key_of(draft):
                     changes = (*state.changes, *proposal)

@@ -145,11 +145,12 @@ class Question:
         self._threads = self._run.threads or cpu_threads()
         self._run = RunOptions(engine=self._engine)
         self._engines = Engines(self._engine, Progress())
-        self._quick = [_quick(self.sim)] * 2  # without errors, and with errors
+        self._quick = [_quick(self.sim)] * 2  # index 0: without errors; index 1: with errors
         self._drive_sweep(self.sim.wrap.turns)  # an unusable profile is refused before anything is simulated
         if options.worlds:
             self._error_sweep = confidence_sweep(ERROR_WORLDS, self._errors, of_simulation)
-            self._variants = [placement for placement, _ in Design(self._error_sweep).placements()]  # the first: exact
+            # The first one is exact.
+            self._variants = [placement for placement, _ in Design(self._error_sweep).placements()]
             self._quick[1] = _quick(self._error_sweep.simulation)
 
     @property

@@ -114,7 +114,7 @@ def _documented_columns(file: Path) -> list[str] | None:
             schema = pq.read_schema(stream)
     except (OSError, ValueError, pa.ArrowException):
         return None
-    if b"schema_version" in (schema.metadata or {}):  # it is a part of a run
+    if b"schema_version" in (schema.metadata or {}):  # the file is a part of a run
         return None
     described = all({b"unit", b"description"} <= (field.metadata or {}).keys() for field in schema)
     return list(schema.names) if described and len(schema) else None

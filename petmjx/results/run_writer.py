@@ -150,7 +150,7 @@ class RunWriter(RunInfo):
         self._worlds_per_part, self._seconds_per_part = worlds_per_part, seconds_per_part
         # the queues are implemented in C: interrupting the main thread leaves none of them locked or half changed
         self._queue: SimpleQueue[Row | _Request] = SimpleQueue()
-        self._room: SimpleQueue[None] = SimpleQueue()  # receives an entry after each attempt at writing
+        self._room: SimpleQueue[None] = SimpleQueue()  # this queue receives an entry after each attempt at writing
         self._thread = threading.Thread(target=self._work, name="petmjx-writer", daemon=True)
         self._added_bytes = 0  # changed only by the thread that adds
         self._cut_short = False  # set only by the main thread
@@ -463,11 +463,12 @@ class RunWriter(RunInfo):
         self.earlier_s = dict(info["timings"])
         self.head |= {"started": info["started"], "resumed": [*info["resumed"], now()]}
         self._tables = Tables(self.out_dir, parts.without("summary"))
-        self._write_info()  # before listed files are deleted, and so that a killed run does not look finished
+        # run.json is written before listed files are deleted, so that a killed run does not look finished.
+        self._write_info()
         self._tables.drop_others()
         ranked = is_ranked(parts, list(self._manifest.plans if self._manifest else ()))
         self._write_plans()
-        if not ranked:  # rows are rewritten only here: an old run (petmjx < 0.3), or another order of plans
+        if not ranked:  # rows are rewritten only for an old run (petmjx < 0.3), or another order of plans
             self._tables.replace_worlds(self._copies(self.parts, self._ranks))
         self._write_info()
         self._tables.drop_others()

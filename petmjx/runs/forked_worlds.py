@@ -74,7 +74,7 @@ class SettledPlacement:
             scene = self.scene
             if leg.wrap_turns is not None:
                 scene = replace(scene, wrap=scene.wrap.changed(turns=leg.wrap_turns))
-            # walls that are open by the options are already missing from the carrier
+            # The carrier already lacks the walls that the options open.
             closed = [side for side in leg.open_walls if side in scene.carrier.walls]
             self._of_legs[key] = scene.with_open_walls(closed) if closed else scene
         return self._of_legs[key]

@@ -221,20 +221,21 @@ class _Run:
                 watcher.begin(self._start(len(writer.recorded)))
             ends_s = array("d")
             for world in study.worlds(self.engine, writer.recorded, self.recording, self.progress):
-                if not ends_s:  # results need it when the run ends; the engine works by now
+                if not ends_s:  # results need pandas when the run ends; the engine works by now
                     threading.Thread(target=import_module, args=("pandas",), name="petmjx-tables").start()
                 self._write(writer, world)
                 ends_s.append(time.monotonic())
                 if watcher is not None:
                     watcher.world_done(world)
-            self.engine.retire()  # before the last rows are written: workers take a second or two to end
+            # The engine retires before the last rows are written, since workers take a second or two to end.
+            self.engine.retire()
             writer.timings.update(
                 study.timings(), compile_s=self.progress.compile_s, last_permille_s=_last_permille_s(ends_s)
             )
             if options.force_intervals:
                 writer.timings["intervals_s"] = round(self.intervals_s, 3)
             writer.flush()
-            if study.plans:  # a shard may have none
+            if study.plans:  # a shard may have no plans
                 study.summarise(writer)
         return writer.results(held)
 

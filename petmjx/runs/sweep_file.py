@@ -391,7 +391,8 @@ def sweep_of_tables(
     said_by_file = _json_tables(tables)
     simulation_table = tables.get("simulation")
     if simulation and "carrier" in simulation and isinstance(simulation_table, dict):
-        simulation_table.pop("carrier", None)  # overridden; its file is from an earlier run and may be gone or changed
+        # The carrier is overridden; its file is from an earlier run and may be gone or changed.
+        simulation_table.pop("carrier", None)
     try:
         sweep = Sweep.read({"name": path.stem, **tables}, context=path)
         changes: dict[str, Any] = {"plans": None if plans_given else _existing_files(sweep.plans, path.parent)}

@@ -346,7 +346,7 @@ class SweepRun:
     ) -> Iterator[tuple[Test, FinishedWorld]]:
         """Simulate forks; yield each world with its test. ``following`` gives forks that follow from results."""
         begin = time.perf_counter()
-        most = self.batching.drives  # all at once, since their scenes already exist
+        most = self.batching.drives  # all drives are made at once, since their scenes already exist
         for result in self._score(worlds, most, forks=True, begin_with=most, following=following):
             yield result.world.test, self._driven(result)
         self.tally.drive_s += time.perf_counter() - begin
@@ -449,7 +449,7 @@ class SweepRun:
             return []
 
         ready_drives: list[DriveWorld] = []
-        # a list, since the thread of a source must not search
+        # This is a list instead of a generator, since the thread of a source must not search.
         first = [drive for which in range(len(searches)) for drive in next_drives(which)]
         for test, world in self._drive(first, partial(_drained, ready_drives)):
             which, _ = test
@@ -491,7 +491,7 @@ class SweepRun:
         if any(
             bracket.stands_at_rest and not bisection.next_tests(which) for which, bracket in enumerate(bisection.items)
         ):
-            return False  # a search of one level, without a world that shows that the placement stood
+            return False  # the search has one level, and no world shows that the placement stood
         tested: dict[Test, Probe] = {}
         for which in range(len(bisection.items)):
             while tests := bisection.next_tests(which):

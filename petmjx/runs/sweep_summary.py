@@ -114,7 +114,8 @@ class SweepColumns:
         """Time from the beginning of the profile to the first sign; None if there was no sign or it came earlier."""
         began_s = outcome.sim_time_s - outcome.n_steps * self._sim.physics.timestep_s
         since_s = outcome.first_sign_s - began_s
-        # half a step: the time is a running sum of timesteps, which differs from a multiple in the last digits
+        # The limit is half a step, since the time is a running sum of timesteps. In the last digits, it differs from a
+        # multiple of the timestep.
         return since_s if since_s > 0.5 * self._sim.physics.timestep_s else None
 
 

@@ -116,7 +116,8 @@ class SweepPlan(Design):
                 if missing := [side.value for side in leg.open_walls if side not in sides]:
                     reason = f"the carrier has no wall {missing[0]!r}; simulation.walls or another carrier gives it one"
                     raise InputError(f"{file}: legs[{place}].open_walls: {reason}")
-        # made once before the run, because this raises if a profile's frequencies are too high for the timestep
+        # Excitations are made once before the run, since this raises an error if a profile's frequencies are too high
+        # for the timestep.
         for profile in self.sweep.profiles.values():
             try:
                 profile.excitation(self.sweep.simulation.physics.timestep_s)

@@ -36,7 +36,7 @@ def file_infos(paths: Sequence[Path], options: Mapping[str, Any]) -> tuple[list[
         InputError: a path does not exist, or an option is invalid.
     """
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore", PlanWarning)  # returned, so not issued again
+        warnings.simplefilter("ignore", PlanWarning)  # warnings are returned, so they are not issued again
         plan_set = load_plans(list(paths), **options)
     sources = dict.fromkeys(
         [*(plan.source for plan in plan_set), *(skipped.source for skipped in plan_set.skipped), *plan_set.readings]

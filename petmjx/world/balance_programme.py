@@ -167,7 +167,8 @@ def _least(
 ) -> FloatArray | None:
     """The x that minimises ``cost @ x`` subject to least ≤ rows @ x ≤ most and 0 ≤ x ≤ bound, by HiGHS; None if it
     gives up."""
-    from scipy.optimize import Bounds, LinearConstraint, milp  # takes a second to load; few plans need it
+    # Scipy.optimize takes a second to load, and few plans need it.
+    from scipy.optimize import Bounds, LinearConstraint, milp
     from scipy.sparse import csc_array
 
     row, column = np.nonzero(rows)

@@ -241,7 +241,7 @@ def _parts(bearing: Bearing, among: NDArray[np.bool_]) -> tuple[IntArray, IntArr
     alone = bearing.n_supports == 1
     below = np.full(n, CARRIER)
     below[alone] = bearing.lower[bearing.ends[:-1][alone]]
-    # down to the carrier or to the first box with several supports, weights stay whole
+    # Weights stay whole down to the carrier, or to the first box with several supports.
     pairs, box, step = [(boxes[:0], boxes[:0])], boxes, boxes
     while len(box):
         pairs.append((box, step))
@@ -249,7 +249,7 @@ def _parts(bearing: Bearing, among: NDArray[np.bool_]) -> tuple[IntArray, IntArr
         goes_on = np.flatnonzero(under != CARRIER)
         box, step = under[goes_on], step[goes_on]
     box, step = (np.concatenate(numbers) for numbers in zip(*pairs, strict=True))
-    weights = (bearing.weights + 0.0)[:, :3].copy()  # no negative zeros, as in sums
+    weights = (bearing.weights + 0.0)[:, :3].copy()  # + 0.0 turns -0.0 into 0.0, as in sums
     several = bearing.n_supports[box] > 1
     keys, parts = _shared_parts(bearing, box[several] * n + step[several], weights.take(step[several], axis=0))
     box, step = np.concatenate([box[~several], keys // n]), np.concatenate([step[~several], keys % n])
@@ -305,7 +305,7 @@ def _passed(bearing: Bearing, contact: IntArray, load: FloatArray) -> FloatArray
     Args:
         load: (k, 3) load of the upper box of each contact.
     """
-    passed = load + 0.0  # no negative zeros, as in sums
+    passed = load + 0.0  # + 0.0 turns -0.0 into 0.0, as in sums
     several = np.flatnonzero(bearing.n_supports.take(bearing.upper.take(contact)) > 1)
     passed[several] = bearing.shared(contact[several], load.take(several, axis=0))
     return passed
@@ -317,7 +317,7 @@ def _running_sums(part: FloatArray, begins: IntArray) -> FloatArray:
     longest = np.argsort(-count, kind="stable")
     place = begins[:-1][longest]
     still = np.searchsorted(-count[longest], -np.arange(int(count.max(initial=0)))).tolist()
-    for boxes in still[1:]:  # box by box, so that sums do not depend on other boxes
+    for boxes in still[1:]:  # the loop goes box by box, so that sums do not depend on other boxes
         before = place[:boxes]
         place = before + 1
         sums[place] = sums.take(place, axis=0) + sums.take(before, axis=0)
@@ -342,7 +342,7 @@ def _without_pulls(bearing: Bearing, begins: IntArray, step: IntArray, load: Flo
     n_above = np.bincount(bearing.lower[bearing.lower != CARRIER], minlength=n)
     above = above[np.count_nonzero(bearing.lower == CARRIER) :]
     first_above = np.cumsum(n_above) - n_above
-    key = np.repeat(np.arange(n), count) * n + step  # in order
+    key = np.repeat(np.arange(n), count) * n + step  # keys increase
     # forces at the contacts of corrected boxes: one force for each load of the box
     size = np.where(pulled[bearing.upper], count[bearing.upper], 0)
     first, forces = np.cumsum(size) - size, np.zeros((size.sum(), 3))

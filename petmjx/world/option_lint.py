@@ -201,7 +201,7 @@ def _static_notes(sim: Simulation) -> Iterator[str]:
 
 
 def _check_soft(sim: Simulation, plans: Sequence[Plan]) -> None:
-    from petmjx.world.soft_boxes import check_soft  # loads MuJoCo
+    from petmjx.world.soft_boxes import check_soft  # this import loads MuJoCo
 
     for plan in plans:
         scene = build_scene(plan, sim)

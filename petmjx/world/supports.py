@@ -396,7 +396,8 @@ class Bearing:
         """(k, 3, 3), of the contacts ``together``: load of the upper box (mass and moments) → the part that reaches the
         lower one at this contact."""
         boxes, upper = self.boxes, self.upper[self.together]
-        # about the upper box's centre and in its lengths, which keeps the 3 × 3 systems well conditioned
+        # Places are relative to the upper box's centre and in units of its lengths. This keeps the 3 × 3 systems well
+        # conditioned.
         origin, scale = boxes.target.take(upper, axis=0)[:, :2], boxes.half_size.take(upper, axis=0)[:, :2]
         low = (self.low.take(self.together, axis=0) - origin) / scale
         high = (self.high.take(self.together, axis=0) - origin) / scale
@@ -484,7 +485,7 @@ def find_bearings(
     if len(chosen):
         parts.append(_plain_contacts(boxes, scenes, chosen, most_gap_m))
     upper, lower, low, high = (np.concatenate(values) for values in zip(*parts, strict=True))
-    order = np.lexsort((lower, upper))  # stable: boards of a deck keep their order
+    order = np.lexsort((lower, upper))  # lexsort is stable, so boards of a deck keep their order
     return Bearing(boxes, upper[order], lower[order], low.take(order, axis=0), high.take(order, axis=0))
 
 
@@ -535,7 +536,7 @@ def _touching(
     is_somewhere = np.isfinite(low[rows]) & np.isfinite(high[rows])
     rows, scene, most_gap_m = rows[is_somewhere], scene[is_somewhere], most_gap_m[is_somewhere]
     bottom, top, reach = low[rows], high[rows], TOUCH_M + most_gap_m.max(initial=0.0)
-    # scene above scene, further apart than boxes touch
+    # The scenes are stacked, so far apart that boxes of different scenes do not touch.
     rise = scene * (np.maximum(bottom, top).max(initial=0.0) - np.minimum(bottom, top).min(initial=0.0) + 2 * reach)
     least_m, most_m = bottom + rise - most_gap_m - _SORTED_M, bottom + rise + TOUCH_M + _SORTED_M
     tops, bottoms = np.argsort(top + rise), np.argsort(least_m)
@@ -566,7 +567,7 @@ def find_bearing(scene: Scene, most_gap_m: float = TOUCH_M) -> Bearing:
     touching &= np.less.outer(low[:, 2], low[:, 2])
     below, above = np.nonzero(touching)
     cut_below, cut_low, cut_high = _cut(scene, low, high)
-    # each box above a sheet lies on the sheet's pieces, each box above another box on its whole top
+    # Each box above a sheet lies on the sheet's pieces. Each box above another box lies on that box's whole top.
     row, pieces = np.nonzero(below[:, None] == cut_below)
     below, above, piece_low, piece_high = below[row], above[row], cut_low[pieces], cut_high[pieces]
     on_deck, board = (part.ravel() for part in np.indices((len(low), len(deck_low))))

@@ -111,7 +111,7 @@ class PaddedModel:
         def ready(
             fields: dict[str, jax.Array], inputs: dict[str, jax.Array], faces: Faces | None, landing: Landing | None
         ) -> tuple[Any, Landing | None]:
-            # mjx.forward, up to the solver
+            # These are the steps of mjx.forward up to the solver.
             model, data = self._model_of(fields), self._data.replace(**inputs)
             if self._beds is None or faces is None:
                 data = mjx.fwd_position(model, data)

@@ -81,7 +81,7 @@ def _outcomes(
             boxes=boxes,
             n_at_sign=int(m.sign_placed[i]) if has_culprit else 0,
             solver=sim.solver.value,
-            # only the world's own columns, since a world that starts from this state may be in a narrower table
+            # The state has only the world's own columns, since a world that starts from it may be in a narrower table.
             state=jax.tree.map(lambda a, i=i: np.array(a[i]), narrow(host, n)) if job.keep_state else None,
             history=recorder.history(int(row), jax.tree.map(lambda a, i=i: a[i], host), seconds)
             if job.record

@@ -273,7 +273,7 @@ def _moments(lines: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray, Flo
     across, offset = lines[:, :, :2], lines[:, :, 2]
     along = across[:, :, ::-1] * _ASIDE
     turned = across.transpose(0, 2, 1)
-    sine, cosine = along @ turned, across @ turned  # [line j, cut by line k]
+    sine, cosine = along @ turned, across @ turned  # indices [j, k]: line j, cut by line k
     parallel = np.abs(sine) < PARALLEL
     inside = offset[:, None, :] - offset[:, :, None] * np.where(parallel, np.rint(cosine), cosine)
     cut = -inside / np.where(parallel, 1.0, sine)

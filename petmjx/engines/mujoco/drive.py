@@ -27,7 +27,7 @@ class ActingDrive:
         self.begin, self._gravity = begin, gravity
         self.holds_carrier = drive.excitation.kind != FORCE
         self._film: ActingFilm | None = None
-        # One row more than the excitation has, since nothing acts after its end.
+        # The array has one row more than the excitation, since nothing acts after its end.
         self._rows: FloatArray = np.vstack((drive.rows(total_mass), np.zeros((1, 3))))
         self._changes = begin + np.flatnonzero((self._rows[1:] != self._rows[:-1]).any(axis=1)) + 1
 

@@ -53,7 +53,8 @@ class Stepper:
                 return number - first
             placed, self._placed = self._placed, live.n_placed
             if placed != live.n_placed or (number - 1) % self._poll_steps == 0:
-                # independent of the steps per call, since a recorded world stops at frames and must be equal
+                # This does not depend on the number of steps per call: a recorded world stops at each frame, and must
+                # give the same results.
                 self._restless = placed != live.n_placed or not _is_calm(live)
             last = min(end, number + self._poll_steps - (number - 1) % self._poll_steps)
             counts = metrics if self._looks and live.n_placed and (acts or self._restless) else None

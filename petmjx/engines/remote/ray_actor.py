@@ -128,7 +128,7 @@ class Worker:
             outcomes = _checked_outcomes(new_outcomes, jobs, sim, check_pool, wait=not going)
             if outcomes or not going or progress.message != last_message:
                 last_message = progress.message
-                # a copy, since the engine writes into ``extra`` meanwhile
+                # This is a copy, since the engine writes into ``extra`` meanwhile.
                 so_far = replace(progress, extra=dict(progress.extra))
                 yield pickle.dumps(Report(outcomes, so_far, end_errors[0] if end_errors else None))
         runner.join()

@@ -198,7 +198,7 @@ class _LocalRay:
 def _end_monitor() -> None:
     """Kill Ray's monitor, which adds machines to a cluster, if this process has started it. Ray itself would ask the
     monitor to end, get no reaction, and wait for a second."""
-    with suppress(Exception):  # not Ray's documented interface; on failure the end takes a second longer
+    with suppress(Exception):  # this is not Ray's documented interface; if it fails, the end takes a second longer
         importlib.import_module("ray._private.worker")._global_node.kill_monitor(check_alive=False)
 
 
@@ -246,8 +246,8 @@ class Cluster:
             if cls._latest is not None and not cls._latest.users:
                 cls._latest.wait_until_ended()
                 cls._latest = None
-            # one thread at a time: otherwise, the settings during another thread's import would later be restored as
-            # the settings of the process
+            # Only one thread at a time imports Ray. Otherwise, the settings during another thread's import would later
+            # be restored as the settings of the process.
             self.ray = import_ray()
             if not self.ray.is_initialized():
                 cls._latest = _LocalRay(self.ray, address)

@@ -206,7 +206,7 @@ class WorkerPool(Engine):
                         self._greet(hand, ref)
                         continue
                     if ref not in hand.streams:
-                        continue  # lost a moment ago, together with another chunk of the same worker
+                        continue  # this chunk was lost a moment ago, together with another one of the same worker
                     report = self._next_report(ref)
                     if isinstance(report, Report):
                         hand.working = True

@@ -143,7 +143,7 @@ class CheckPool(Generic[Key]):
     def _take(self, looker: _CheckProcess[Key], *, wait: bool, until: Callable[[], bool] = lambda: False) -> None:
         """Take the answers of a process. With ``wait``, wait for at least one, unless other work is due (``until``). A
         process that has died or hangs is dropped."""
-        waits = 0  # not seconds: while this process itself is stopped (Ctrl-Z), no answer is late
+        waits = 0  # waits are counted instead of seconds: while this process is stopped (Ctrl-Z), no answer is late
         while looker.unanswered:
             try:
                 answer = looker.child.answers.get(timeout=LOOK_S) if wait else looker.child.answers.get_nowait()
@@ -162,7 +162,8 @@ class CheckPool(Generic[Key]):
                     self._look(*looker.unanswered.popleft())
                 return
             keys, look = looker.unanswered.popleft()
-            if isinstance(answer, str):  # the text of an error, which the check in this process will raise
+            # The answer is the text of an error, which the check in this process will raise.
+            if isinstance(answer, str):
                 self._look(keys, look)
                 continue
             outcomes, edges = answer

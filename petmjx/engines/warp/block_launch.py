@@ -107,7 +107,7 @@ def launch_all(calls: Sequence[Call], clock: Any, slice_ns: int) -> None:
             for block in range(max(call.blocks for call in calls)):
                 running.append(_threads().submit(run, block))
             wait(running, timeout=min(slice_ns / 1e9, threading.TIMEOUT_MAX))
-        finally:  # also after an error, since the memory of all blocks is then freed
+        finally:  # blocks are stopped after an error, too, since the memory of all blocks is then freed
             clock.numpy()[0] = 1  # this memory is the one that the kernels read
             wait(running)
         for future in running:

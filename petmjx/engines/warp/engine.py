@@ -177,9 +177,9 @@ class MjxWarpEngine(Engine):
             table = self._load(Run.of(source.needs, sim, progress), jobs, stream_numbers, rows, room)
             if running is not None:
                 table.put_running(running)
-                running = None  # its memory is needed
+                running = None  # the next table needs the memory of these worlds
             yield from self._slices_of(table, source, waits=waits)
-            del table  # its memory is needed by the next one
+            del table  # the next table needs this memory
 
     def _load(
         self, run: Run, jobs: list[Job], stream_numbers: list[int], rows: int, profile_room: tuple[int, int] = (0, 0)

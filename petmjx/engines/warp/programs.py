@@ -137,7 +137,7 @@ class Programs:
         if sizes in self._compiled:
             return self._compiled[sizes]
         begin, progress.message = time.perf_counter(), "compiling"
-        with _COMPILING:  # waits for a thread that compiles kernels ahead of time
+        with _COMPILING:  # this waits for a thread that compiles kernels ahead of time
             if sizes not in self._compiled:
                 self.launcher.load()
                 self._compiled[sizes] = self._advancing.lower(*arguments).compile()
@@ -162,7 +162,7 @@ class Programs:
         flat_worlds = worlds._asdict() | {"profiles": profiles, "order": order}
         after, workspace, frames, counts = self.launcher(flat_worlds, table.flat(), workspace, frames)
         table = of_flat(after)
-        # a copy, since the next slice reuses the table's memory
+        # The status is copied, since the next slice reuses the table's memory.
         readback = jnp.concatenate([table.status, *(counts[name] for name in READ_COUNTS)])
         return table, workspace, readback, frames, counts
 

@@ -87,15 +87,15 @@ class Model:
     solref: wp.vec2
     solimp: wp.vec3  # d₀, d_width, width
     skin: float  # margin added to boxes in collision detection, m
-    carrier_skin: float  # the same for the carrier
+    carrier_skin: float  # the same margin for the carrier, m
     pyramidal: int  # 1 with pyramidal friction cones
     friction_damping: float  # damping along a contact's tangents, 1/s; 0: the same as along its normal
     slip_slack: float  # reference acceleration up to which a slip is not corrected, m/s²; inf: none is corrected
     kinetic_share: float  # friction of contacts that slide fast, as a share of friction at rest
     impratio_invsqrt: wp.float64  # 1 / √impratio
-    tolerance: wp.float64  # of the solver, as in MuJoCo
+    tolerance: wp.float64  # tolerance of the solver, as in MuJoCo
     iterations: int  # largest number of solver iterations
-    driven_iterations: int  # the same in a drive
+    driven_iterations: int  # largest number of solver iterations in a drive
     ls_iterations: int  # largest number of iterations of the solver's line search
 
     queue: int  # the queue from which these blocks take worlds
@@ -108,7 +108,7 @@ class Model:
     waits_for_rest: int
     extends: int  # 1 if a world that still moves at its planned end gets more time
     early_stop: int
-    soft_start: int  # steps
+    soft_start: int  # number of steps of a soft start
     sample_every: int
     rest_steps: int
     still_steps: int
@@ -174,7 +174,7 @@ class Workspace:
     grad: Annotated[wp.array2d[wp.float64], "block dof"]
     Jaref: Annotated[wp.array3d[wp.float64], "block contact 3"]  # J·qacc − aref
     jv: Annotated[wp.array3d[wp.float64], "block contact 3"]  # J·search
-    contact_force: Annotated[wp.array3d[wp.float64], "block contact 3"]  # in the contact's frame
+    contact_force: Annotated[wp.array3d[wp.float64], "block contact 3"]  # force in the contact's frame
     worst: Annotated[wp.array[wp.int64], "block"]  # the largest excess over thresholds, and its box
     hessian: Annotated[wp.array2d[float], "block entry"]  # envelope of the Hessian, if not in shared memory
     strip: Annotated[wp.array2d[float], "block part"]  # rows of the Hessian's factor, if not in shared memory
@@ -183,8 +183,8 @@ class Workspace:
     qM: Annotated[wp.array2d[float], "block dof"]  # diagonal of the inertia matrix
     qacc_smooth: Annotated[wp.array2d[float], "block dof"]  # accelerations without contacts
     drag: Annotated[wp.array3d[float], "block contact 2"]  # see contact.cuh
-    excess: Annotated[wp.array2d[float], "block contact"]  # of a slip (contact_laws.py); negative: no correction
-    geom_xpos: Annotated[wp.array2d[wp.vec3], "block geom"]  # centres
+    excess: Annotated[wp.array2d[float], "block contact"]  # excess of a slip (contact_laws.py); negative: no correction
+    geom_xpos: Annotated[wp.array2d[wp.vec3], "block geom"]  # centres of geoms
     geom_xmat: Annotated[wp.array2d[wp.mat33], "block geom"]
     geom_reach: Annotated[wp.array2d[wp.vec3], "block geom"]  # half extents of a geom's bounding box, along x, y, z
     listed_xpos: Annotated[wp.array2d[wp.vec3], "block geom"]  # geom_xpos and geom_reach when pairs were listed
@@ -212,7 +212,7 @@ class Workspace:
     lowest: Annotated[wp.array2d[int], "block free_body"]
     bodies_conadr: Annotated[wp.array2d[int], "block contact"]  # first contact of each pair of free bodies, unsorted
     ncon: Annotated[wp.array[int], "block"]
-    nfree: Annotated[wp.array[int], "block"]  # free bodies
+    nfree: Annotated[wp.array[int], "block"]  # number of free bodies
     solver_niter: Annotated[wp.array[int], "block"]
     solver_paused: Annotated[wp.array[int], "block"]  # iterations before the solver paused; 0: it has ended
     world: Annotated[wp.array[int], "block"]  # the world of a block; negative: no world
@@ -256,10 +256,10 @@ class Thread:
     placed: int  # number of placed boxes
     geoms: int  # number of geoms: the floor, and the shapes of the carrier and of these boxes
     held: int  # 1 if the carrier cannot move, and so is not a free body
-    hands: int  # 1 if a hand may carry boxes; if 0, the compiler leaves hands out
-    gives: int  # the same for compliant boxes
-    wraps: int  # the same for film
-    lands: int  # the same for the law of landing boxes
+    hands: int  # 1 if a hand may carry boxes; 0: the compiler leaves hands out
+    gives: int  # 1 if boxes may be compliant; 0: the compiler leaves compliance out
+    wraps: int  # 1 if film may hold boxes; 0: the compiler leaves film out
+    lands: int  # 1 if the law of landing boxes may act; 0: the compiler leaves it out
     carried: int  # 1 if a hand holds the last of these boxes
 
 

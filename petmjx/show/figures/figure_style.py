@@ -18,10 +18,10 @@ POINTS: Final = 8.0
 DOTS_PER_INCH: Final = 200
 
 SETTINGS: Final[Any] = {
-    "svg.fonttype": "none",  # text instead of outlines
-    "svg.hashsalt": "petmjx",  # always the same ids
-    "pdf.fonttype": 42,  # TrueType, which journals require
-    "font.family": "DejaVu Sans",  # is part of matplotlib
+    "svg.fonttype": "none",  # letters stay text instead of outlines
+    "svg.hashsalt": "petmjx",  # ids are the same each time
+    "pdf.fonttype": 42,  # fonts are TrueType, which journals require
+    "font.family": "DejaVu Sans",  # this font is part of matplotlib
     "text.parse_math": False,  # a $ in a name does not begin a formula
     "font.size": POINTS,
     "axes.titlesize": POINTS,

@@ -22,7 +22,6 @@ RAMP_COLOURS: Final = 64
 
 # A path through OKLab (Ottosson, "A perceptual color space for image processing", 2020) from dark blue through green to
 # yellow. Lightness grows evenly, so the order is visible even without hues.
-# yellow: lightness grows evenly, so the order is visible even without hues.
 _LIGHTNESS: Final = (0.36, 0.93)
 _HUE_DEG: Final = (278.0, 103.0)
 _CHROMA: Final = 0.15

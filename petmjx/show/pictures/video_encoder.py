@@ -40,7 +40,7 @@ def h264_encoder(path: Path, size: tuple[int, int], fps: float) -> Iterator[Call
         f"file:{path}",  # otherwise "a:b.mp4" would be read as a protocol
     ]  # fmt: skip
     with TemporaryFile() as error_output:
-        # a new session, so that Ctrl-C reaches only petmjx, which then ends ffmpeg
+        # ffmpeg gets a new session, so that Ctrl-C reaches only petmjx, which then ends ffmpeg.
         process = subprocess.Popen(
             command, stdin=subprocess.PIPE, stdout=subprocess.DEVNULL, stderr=error_output, start_new_session=True
         )

@@ -62,7 +62,7 @@ def report(
     """
     path = path_of(out, "out")
     check_outputs([path], overwrite=overwrite, inputs=source_files(runs, plans))
-    check_writable(path)  # before a large report is computed
+    check_writable(path)  # the check comes before a large report is computed
     sources: list[Any] = (
         [runs] if isinstance(runs, str | Path | RunResults) else list_of(runs, "runs", object, "runs or folders")
     )
@@ -183,7 +183,7 @@ def _details_of(run: ReportRun) -> list[tuple[str, str, Markup]]:
     titles = {Kind.CONFIDENCE: "How sure are the verdicts?", Kind.CHAIN: "How likely do pallets arrive?"}
     title = titles.get(run.kind, "Answers of the sweep")
     sections = [("answers", title, sweep_answers(run))]
-    if run.kind is not Kind.SEARCH:  # the worlds of a search show its path, not how pallets behave
+    if run.kind is not Kind.SEARCH:  # the worlds of a search show the course of the search, not how pallets behave
         sections.append(("distributions", "Shift, tilt, force, time", distributions(run)))
         sections.append(("first", "What fails first", first_boxes(run)))
     return [section for section in sections if section[2]]

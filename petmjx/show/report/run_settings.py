@@ -72,7 +72,7 @@ def _options(config: Mapping[str, Any]) -> Content:
     if not isinstance(simulation, Mapping):
         return "unknown"
     changed = dict(changed_options(simulation, Simulation().model_dump(mode="json")))
-    limit = "world_timeout_s"  # an option of the run that affects verdicts
+    limit = "world_timeout_s"  # this option of the run affects verdicts
     changed |= changed_options({limit: config.get(limit)}, {limit: None})
     if not changed:
         return "all at their defaults"
@@ -96,7 +96,7 @@ def changed_options(
 def _option_text(value: Any) -> str:
     if isinstance(value, list | tuple):
         return ", ".join(map(_option_text, value))
-    if isinstance(value, Mapping):  # a user-defined carrier
+    if isinstance(value, Mapping):  # the value is a user-defined carrier
         return printable_name(str(value.get("name")))
     return "none" if value is None else str(value)
 

@@ -103,7 +103,7 @@ def _parquet_rows(path: Path) -> list[dict[str, Any]]:
 
     name = printable(str(path))
     try:
-        # with limits, since the footer of a damaged file may claim millions of columns or gigabytes of names
+        # Limits are needed, since the footer of a damaged file may claim millions of columns or gigabytes of names.
         file = pyarrow.parquet.ParquetFile(
             pyarrow.BufferReader(bytes(read_regular(path, MAX_PARQUET_BYTES))),
             thrift_string_size_limit=MAX_PARQUET_BYTES,

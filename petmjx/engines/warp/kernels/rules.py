@@ -274,7 +274,7 @@ def after_step(
     more = at.placed < n_boxes and not driven
     adapts = model.fixed == 0 or state.waits_since[world] > landed
     rests_first = model.fixed == 0 and model.waits_for_rest != 0
-    # a quiet pallet ends its drive early if a rest window that begins now is over when the last window would begin
+    # A quiet pallet ends its drive early if a rest window that begins now ends before the last possible window begins.
     in_drive = driven and rests_first and end != NEVER and step <= end - 2 * model.rest_steps
     goes = bool(False)
     failed = bool(False)

@@ -147,7 +147,8 @@ def advance(
             npair = list_pairs(model, worlds, at, APART, work)
             listed = npair
             if npair > model.npairmax:
-                # without pairs that cannot touch yet, so that an overflow does not depend on when pairs were listed
+                # Pairs that cannot touch yet are left out, so that an overflow does not depend on when pairs were
+                # listed.
                 npair = list_pairs(model, worlds, at, NEAR, work)
                 listed = -1
             if npair > model.npairmax:
