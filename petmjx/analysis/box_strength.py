@@ -360,7 +360,9 @@ def _plans_of(results: RunResults, plans: PlanSource | None) -> Mapping[str, Pla
     plans_again = find_plans(results, records, set(results.worlds["plan_id"]), plans)
     if plans is None and plans_again.gone and plans_again.missing:
         missing_file = printable(plans_again.gone[0])
-        raise InputError(f"{results.path}: needs the plans of the run, and {missing_file} is not there: name them")
+        raise InputError(
+            f"{results.path}: needs the plans of the run, but {missing_file} does not exist: name the plans"
+        )
     for plan_ids, fault in (
         (plans_again.missing, "is not among the plans that were read"),
         (plans_again.changed, "differs from the simulated one"),

@@ -75,7 +75,7 @@ def parse_name(text: str, today: Callable[[], datetime.date] = datetime.date.tod
     for field, part in (("surname", surname), ("algorithm", algorithm)):
         if not _PART.fullmatch(part):
             raise InputError(
-                f"leaderboard name {printable_name(text)}: the {field} must be letters, digits and single - + . "
+                f"leaderboard name {printable_name(text)}: the {field} must be letters and digits, with single - + . "
                 "between them, "
                 f"got {printable_name(part) or 'nothing'}"
             )

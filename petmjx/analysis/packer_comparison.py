@@ -280,7 +280,7 @@ def _pair_row(size: str, a: str, b: str, rows: pd.DataFrame, confidence: float) 
         of = rows[rows["compared"]].pivot(index="plan_id", columns="packer", values=ARRIVES)
         gains = of[b] - of[a] if len(of) else pd.Series(dtype="float64")
         shares |= dict(zip(_ARRIVAL_PAIR, _mean_interval(gains, confidence), strict=True))
-    # Keys have the order of _PAIR_COLUMNS.
+    # The keys have the order of _PAIR_COLUMNS.
     return {"size": size, "a": a, "b": b, "n": counts.n, **vars(counts), **shares}
 
 

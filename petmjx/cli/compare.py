@@ -67,7 +67,7 @@ def compare(
     if out is not None:
         raise InputError("--out is for --packers; --json prints a comparison of two runs")
     if orders is not None:
-        raise InputError("--orders is for --packers")
+        raise InputError("--orders needs --packers")
     if files:
         raise InputError(f"{files[0]}: a figure compares packers: use --packers")
     from petmjx.analysis.run_comparison import compare_runs

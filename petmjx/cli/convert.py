@@ -57,7 +57,7 @@ def convert(
         _convert_orders(plans, out, target, options)
         return
     if target is not None:
-        raise InputError("--target is for --orders")
+        raise InputError("--target needs --orders")
     of_runs = plans_in_place(plans, bool(options.get("strict")))
     if isinstance(of_runs, PlanSet):
         plan_set = gather_plans(of_runs, Simulation(), RunOptions(**options))
@@ -85,7 +85,7 @@ def _convert_orders(files: list[Path], out: Path, target: str | None, options: d
     if len(files) > 1:
         raise InputError("--orders: name one file")
     if idle := next((name for name in options if name not in OF_ORDERS), None):
-        raise InputError(f"{idle} is for plans, and --orders says that the file holds orders")
+        raise InputError(f"{idle} is for plans, but --orders means that the file holds orders")
     fault_lines: list[str] = []
     reading = OrderReading.of(RunOptions(**options), target)
     read = list(read_orders(files[0], lambda error: fault_lines.append(str(error)), reading))

@@ -111,7 +111,7 @@ def label(
         raise RunInterrupted(
             "nothing was written"
             if n_kept is None
-            else f"{n_kept:,} of {count_text(count, 'label')} are in {out}; --resume goes on",
+            else f"{n_kept:,} of {count_text(count, 'label')} are in {out}; --resume continues",
             getattr(stop, "number", signal.SIGINT),
         ) from None
     for split, numbers in card["splits"].items():

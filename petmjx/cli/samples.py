@@ -129,7 +129,7 @@ def samples(
     if orders is not None and (
         drawn_option := next((name for name, value in drawn.items() if value is not None), None)
     ):
-        raise InputError(f"{drawn_option} is for drawn orders, and --orders names a file of orders")
+        raise InputError(f"{drawn_option} is for drawn orders, but --orders names a file of orders")
     n = DEFAULT_SAMPLES if n is None else n
     reading, options = reading_of(orders is not None, target, options)
     if packer == PHYSICAL:

@@ -165,7 +165,7 @@ class AttemptRunner(Generic[AnyWorld]):
                 arrivals.append((stream.answered(answer.job), answer))
             except KeyError:
                 raise RuntimeError(
-                    f"engine {engine.name} answered job {answer.job} twice, or it was never asked"
+                    f"engine {engine.name} answered job {answer.job} twice, or was never given this job"
                 ) from None
             # Up to MOST_TOGETHER outcomes are checked together. No outcome is delayed: only outcomes that are ready now
             # are added.

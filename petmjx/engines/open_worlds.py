@@ -139,7 +139,7 @@ def _check_worlds(worlds: Sequence[int], count: int, *, distinct: bool = True) -
     if numbers.ndim != 1 or numbers.dtype.kind not in "iu" or ((numbers < 0) | (numbers >= count)).any():
         for world in worlds:
             if not isinstance(world, int | np.integer) or not 0 <= world < count:
-                raise ValueError(f"there are worlds 0 to {count - 1}, and no {world!r}")
+                raise ValueError(f"there is no world {world!r}: worlds have the numbers 0 to {count - 1}")
     if distinct and len(np.unique(numbers)) < len(worlds):
         raise ValueError(f"a world is named twice: {list(worlds)}")
 
@@ -158,7 +158,7 @@ def _check_grown(before: Scene, after: Scene) -> None:
     """
     n = before.n_boxes
     if after.n_boxes <= n:
-        raise ValueError(f"the scene must have more than {n} boxes, and has {after.n_boxes}")
+        raise ValueError(f"the scene must have more than {n} boxes, but has {after.n_boxes}")
     earlier_part = after.first(n)
     if not all(np.array_equal(getattr(before, name), getattr(earlier_part, name)) for name in OF_BOXES):
         raise ValueError(f"the first {n} boxes of the scene must be those that the world has")
@@ -195,7 +195,7 @@ class OpenWorlds(ABC):
 
     def __init__(self, scenes: Sequence[Scene], sim: Simulation) -> None:
         if sim.schedule is Schedule.FIXED:
-            raise ValueError("worlds with the fixed schedule do not stay open")
+            raise ValueError("worlds with the fixed schedule cannot stay open")
         if not scenes:
             raise ValueError("there must be at least one world")
         self._blank = EmptyCarrier(sim)

@@ -198,7 +198,7 @@ class Engine(MinimalEngine, Protocol):
             InputError: this engine has no open worlds.
             ValueError: the schedule is fixed: it sets a world's end before its first box is placed.
         """
-        raise InputError(f"engine {self.name} has no worlds that stay open; mujoco, mjx-warp and mjx-warp-cpu have")
+        raise InputError(f"engine {self.name} has no worlds that stay open; use mujoco, mjx-warp or mjx-warp-cpu")
 
     def paths(self, bodies: FreeBodies, sim: Simulation) -> FloatArray:
         """Release boxes in worlds without rules of placement. Contacts and steps are the same as in all worlds.
@@ -210,7 +210,7 @@ class Engine(MinimalEngine, Protocol):
         Raises:
             InputError: this engine cannot do this.
         """
-        raise InputError(f"engine {self.name} lets no boxes go; mujoco, mjx-warp, mjx-warp-cpu and mjx-jax do")
+        raise InputError(f"engine {self.name} cannot let boxes go; use mujoco, mjx-warp, mjx-warp-cpu or mjx-jax")
 
     def retire(self) -> None:
         """Start to free the resources that are held between runs, such as workers. Returns at once. No run may

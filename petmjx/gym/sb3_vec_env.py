@@ -124,7 +124,7 @@ class PalletizingVecEnv(VecEnv):  # type: ignore[misc, unused-ignore]  # where S
                 does not exist.
         """
         if attr_name != "level":
-            raise InputError(f"set_attr: an environment has level to set, got {attr_name!r}")
+            raise InputError(f"set_attr: only level can be set, got {attr_name!r}")
         self.env.episodes.set_level(np.asarray(self._rows(indices), np.int64), value)
 
     def env_method(self, method_name: str, *method_args: Any, indices: Any = None, **method_kwargs: Any) -> list[Any]:

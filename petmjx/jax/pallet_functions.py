@@ -52,7 +52,7 @@ def empty(
         from petmjx.jax.device_pallets import empty_device  # this import loads Warp
 
         return empty_device(n, sim, runner, integer_of(most_boxes, "most_boxes", 1, 512))
-    raise InputError(f"engine: petmjx.jax has mujoco, mjx-warp and mjx-warp-cpu, got {runner.name}")
+    raise InputError(f"engine must be mujoco, mjx-warp or mjx-warp-cpu in petmjx.jax, got {runner.name}")
 
 
 def place(

@@ -169,7 +169,7 @@ class Palletizing:
             count = integer_of(n_candidates, "n_candidates", 1, MOST_CANDIDATES)
             self._actions = Candidates(self._extent, count, self._highest, MASKS[mask], gap, inside)
         elif inside:
-            raise InputError("inside_mm: only candidates have it (actions='candidates')")
+            raise InputError("inside_mm needs actions='candidates'")
         self._maps, self._side = cells_of(self._extent, cell_mm), float(cell_mm)
         reading = order_reading(orders_units, orders_columns, orders_density)
         read = Orders(orders, integer_of(orders_seed, "orders_seed", 0), reading=reading)

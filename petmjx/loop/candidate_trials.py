@@ -141,7 +141,7 @@ def drive_of(drive: Any, level: Any, direction_deg: Any, sim: Simulation) -> Dri
     (profile,) = profiles
     strength = number_of(level, "level", 0.0)
     if profile.strength is Strength.ANGLE and strength != 1.0:
-        raise InputError(f"level: {drive} has none")
+        raise InputError(f"level: the profile {drive} has none")
     excitation = profile.excitation(sim.physics.timestep_s)
     yaw_rad = deg_to_rad(number_of(direction_deg, "direction_deg"))
     return Drive(excitation, strength, yaw_rad, sim.rest_s, allowed_sway_m(profile))

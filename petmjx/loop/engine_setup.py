@@ -66,7 +66,7 @@ def ready_engine(requested_engine: str | Engine, of_run: dict[str, Any], *, gpu:
     if name == AUTO:
         name = "mjx-warp" if gpu and why_no_warp() is None else "mujoco"
     elif name not in ENGINES:
-        raise InputError(f"engine: there are {', '.join(ENGINES)} and {AUTO}, {shown_value(requested_engine)}")
+        raise InputError(f"engine must be one of {', '.join(ENGINES)} and {AUTO}, {shown_value(requested_engine)}")
     return make_engine(name, **options_of(name, RunOptions(engine=requested_engine, **of_run))), True
 
 

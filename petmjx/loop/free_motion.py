@@ -264,7 +264,7 @@ def _box_arguments(arrays: dict[str, FloatArray]) -> tuple[dict[str, FloatArray]
             axes = np.broadcast_shapes(axes, array.shape[:-1])
         except ValueError:
             raise InputError(
-                f"{name} has the axes {array.shape[:-1]}, which do not fit {axes} of the arguments before it"
+                f"{name} has the axes {array.shape[:-1]}, which do not fit the axes {axes} of the arguments before it"
             ) from None
     if not axes:
         raise InputError("pos_m must have the shape (n, 3) or (n, k, 3), got (3,)")
@@ -316,7 +316,7 @@ def _steps(times_s: Any, timestep_s: float) -> tuple[FloatArray, NDArray[np.int6
     if not len(times):
         raise InputError("times_s must have at least one time")
     if times[0] < 0 or times[-1] > LONGEST_S or not (np.diff(times) > 0).all():
-        raise InputError(f"times_s must rise, from 0 or later to {LONGEST_S:g} s at most")
+        raise InputError(f"times_s must increase, and lie between 0 and {LONGEST_S:g} s")
     count = times / timestep_s
     nearest = np.round(count)
     exact = abs(count - nearest) <= ON_STEP

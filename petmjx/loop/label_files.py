@@ -103,7 +103,7 @@ def write_labels(
             return _finished(folder, head, count)
         if n_there is not None and not (overwrite or resume):
             raise InputError(
-                f"{folder}: holds {count_text(n_there, 'label')} of an unfinished set; go on with "
+                f"{folder}: holds {count_text(n_there, 'label')} of an unfinished set; continue with "
                 f"{option('--resume', 'True')}, or pass {option('--overwrite', 'True')}"
             )
         goes_on = resume and n_there is not None

@@ -122,7 +122,7 @@ def n_unfinished(folder: Path) -> int | None:
 def check_same_set(folder: Path, before: Mapping[str, Any], now: Mapping[str, Any]) -> None:
     """Raise InputError if the labels in a folder belong to another set. The message names the difference."""
     if different := _difference(before, now):
-        raise InputError(f"{folder}: cannot be resumed, its labels are others ({different})")
+        raise InputError(f"{folder}: cannot be resumed: its labels differ from these ({different})")
 
 
 def _difference(before: Any, now: Any, name: str = "") -> str:

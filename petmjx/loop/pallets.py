@@ -85,7 +85,9 @@ class Pallets(Closable):
         self.most_boxes = integer_of(most_boxes, "most_boxes", 1, 512)
         of_simulation, of_run = sorted_options(options)
         if other := next((name for name in of_run if name not in OF_RUN), None):
-            raise InputError(f"{other}: pallets have no such option; of run options they have {', '.join(OF_RUN)}")
+            raise InputError(
+                f"{other}: pallets have no such option; the run options that they have are {', '.join(OF_RUN)}"
+            )
         self.simulation = Simulation(**{"carrier": carrier, **of_simulation})
         check_open(self.simulation)
         self._engine, self._owns_engine = open_engine(engine, self.n, of_run)
@@ -112,7 +114,9 @@ class Pallets(Closable):
 
     def _check_placing(self) -> None:
         if self._standing.placing:
-            raise InputError("meanwhile: pallets come to rest; ask for places, boxes and height maps only")
+            raise InputError(
+                "meanwhile: pallets are still coming to rest; only places, boxes and height maps can be read"
+            )
 
     @property
     def engine(self) -> str:
@@ -281,7 +285,7 @@ class Pallets(Closable):
         with self._using():
             these, copies = pallets_of(sources, self.n, "sources"), pallets_of(into, self.n, "into")
             if len(these) != len(copies):
-                raise InputError(f"into must name as many pallets as sources, {len(these)}, got {len(copies)}")
+                raise InputError(f"into must name {len(these)} pallets, one for each source, got {len(copies)}")
             once_each(copies, "into")
             if len(these):
                 self._standing.fork(these, copies)

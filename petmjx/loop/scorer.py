@@ -66,7 +66,9 @@ class Scorer(Closable):
     def __init__(self, *, engine: str | Engine = AUTO, **options: Any) -> None:
         of_simulation, of_run = sorted_options(options)
         if other := next((name for name in of_run if name not in OF_RUN), None):
-            raise InputError(f"{other}: a Scorer has no such option; of run options it has {', '.join(OF_RUN)}")
+            raise InputError(
+                f"{other}: a Scorer has no such option; the run options that it has are {', '.join(OF_RUN)}"
+            )
         self.simulation = Simulation(**of_simulation)
         self._engine, self._owns_engine = ready_engine(engine, of_run, gpu=True)
 

@@ -235,7 +235,7 @@ def _check_masses(carrier: OwnCarrier) -> None:
     total = sum(carrier.masses_kg)
     if not _LIGHTEST_KG <= total <= _HEAVIEST_KG:
         limits = f"from {_LIGHTEST_KG:g} to {_HEAVIEST_KG:g} kg"
-        raise complaint(f": the boards together have {total:.4g} kg, and must have {limits}")
+        raise complaint(f": the boards together have {total:.4g} kg, but must have {limits}")
 
 
 def _check_origin(carrier: OwnCarrier) -> None:
@@ -245,7 +245,7 @@ def _check_origin(carrier: OwnCarrier) -> None:
             fault = (
                 "no board is on the floor, z = 0" if name == "z" else "the carrier's front-left corner is the origin"
             )
-            raise complaint(f": the least {name} of all boards is {least:g} mm, and must be 0: {fault}")
+            raise complaint(f": the least {name} of all boards is {least:g} mm, but must be 0: {fault}")
 
 
 def _check_one_piece(carrier: OwnCarrier) -> None:

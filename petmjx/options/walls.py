@@ -109,7 +109,7 @@ class Walls(CheckedRecord):
         record."""
         for at, side in enumerate(self.open):
             if side not in (self.sides or ()):
-                raise complaint(f"is {side}, where the carrier has no wall", "walls", "open", at)
+                raise complaint(f"is {side}, but the carrier has no wall on this side", "walls", "open", at)
 
     def room_fault(self, extent_mm: Sequence[float]) -> str | None:
         """The error text for walls that leave no room on a carrier's top; None if there is room.

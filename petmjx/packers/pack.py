@@ -203,7 +203,7 @@ def orders_of(
     integer_of(seed, "seed", 0)
     if orders is not None:
         if n is not None:
-            raise InputError("n is for drawn orders, and there is a file of orders")
+            raise InputError("n is for drawn orders, but a file of orders is given")
         if isinstance(orders, SupportsArrow):
             return read_order_frame(orders, on_bad_order, reading)
         return read_orders(path_of(orders, "orders"), on_bad_order, reading)
@@ -227,7 +227,7 @@ def reading_of(
     of_files = {name: options[name] for name in OF_ORDERS if options.get(name) is not None}
     left = {name: value for name, value in options.items() if name not in OF_ORDERS}
     if not are_read and (idle := next(iter([*of_files, *(["target"] if target is not None else [])]), None)):
-        raise InputError(f"{idle} is for a file of orders, and these are drawn")
+        raise InputError(f"{idle} is for a file of orders, but these orders are drawn")
     return OrderReading.of(RunOptions(**of_files), target) if are_read else None, left
 
 
@@ -235,9 +235,9 @@ def _split_options(options: Mapping[str, Any]) -> tuple[PhysicalOptions, dict[st
     """The options of the packer, and the options of its simulations."""
     sim, run, sure, of_packer = sorted_options(options, Confidence, PhysicalOptions)
     if other := next((name for name in run if name not in OF_RUN), None):
-        raise InputError(f"{other}: a packer has no such option; of run options it has {', '.join(OF_RUN)}")
+        raise InputError(f"{other}: a packer has no such option; the run options that it has are {', '.join(OF_RUN)}")
     if "confidence" in sure:
-        raise InputError("confidence: a packer has worlds, the number of worlds with errors")
+        raise InputError("confidence: a packer has the option worlds instead, the number of worlds with errors")
     if "exact_too" in sure:
         raise InputError("exact_too is for scores with confidence: a packer has one way to place boxes")
     packer_options = PhysicalOptions(**of_packer)

@@ -323,7 +323,7 @@ def _places(draft: Draft, rules: Rules, near: Sequence[int]) -> Iterator[Proposa
         last = next(number for number in reversed(draft.order) if number != box) if len(draft.order) > 1 else None
         for turn, corner in resting_corners(draft, rules, box):
             if not turn and np.abs(draft.corner_mm[box] - corner).max() <= TOLERANCE_MM:
-                continue  # the same place at another time is a change of the order
+                continue  # to place the box here at another time is a change of order
             turned = bool(draft.turned[box]) != turn
             yield (Place(box, corner, turned, differs=turn),)
             if last is not None:

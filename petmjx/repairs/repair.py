@@ -267,7 +267,7 @@ def repair(
     of_simulation, of_run, sure, of_repair = sorted_options(options, Confidence, RepairOptions)
     if other := next((name for name in of_run if name not in (*OF_RUN, *OF_READING)), None):
         raise InputError(
-            f"{other}: a repair has no such option; of run options it has {', '.join(OF_RUN + OF_READING)}"
+            f"{other}: a repair has no such option; the run options that it has are {', '.join(OF_RUN + OF_READING)}"
         )
     repair_options = RepairOptions(**of_repair)
     reading = RunOptions(**{name: value for name, value in of_run.items() if name in OF_READING})

@@ -132,9 +132,11 @@ class Question:
     def __init__(self, how: Mapping[str, Any], options: RepairOptions) -> None:
         of_simulation, of_run, sure = sorted_options(how, Confidence)
         if other := next((name for name in of_run if name not in OF_RUN), None):
-            raise InputError(f"{other}: a repair has no such option; of run options it has {', '.join(OF_RUN)}")
+            raise InputError(
+                f"{other}: a repair has no such option; the run options that it has are {', '.join(OF_RUN)}"
+            )
         if other := next((name for name in sure if name != "errors"), None):
-            raise InputError(f"{other}: a repair has worlds, the number of worlds with errors")
+            raise InputError(f"{other}: a repair has the option worlds instead, the number of worlds with errors")
         if "errors" in sure and not options.worlds:
             raise InputError("errors needs worlds > 0")
         self.sim, self._run = Simulation(**of_simulation), RunOptions(**of_run)

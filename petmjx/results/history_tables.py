@@ -88,7 +88,7 @@ def recording_of(options: RunOptions, engine: str, plans: Sequence[Plan]) -> Rec
     if choice is None:
         return NO_RECORDING
     if options.record_details and engine != "mujoco":
-        raise InputError(f"record_details needs the engine mujoco, and the run's is {engine}")
+        raise InputError(f"record_details needs the engine mujoco, but the run's engine is {engine}")
     record = Record(options.record_interval_s, options.record_details)
     if choice in (ALL, FAILED):
         return Recording(record, failed_only=choice == FAILED)

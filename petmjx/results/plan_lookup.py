@@ -123,7 +123,7 @@ def plans_of(run: RunResults, strict: bool = False) -> PlanSet:
         Skipped(records[plan_id].source, plan_id, f"{run.path}: plan {printable_name(plan_id)} {reason}")
         for plan_ids, reason in (
             (lookup.missing, "is neither in the run nor in a file any more"),
-            (lookup.changed, "is no longer the one that the run simulated: its file changed"),
+            (lookup.changed, "has changed since the run simulated it"),
         )
         for plan_id in plan_ids
     ]

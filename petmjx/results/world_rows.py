@@ -118,7 +118,7 @@ class Row:
         """
         n = outcome.n_boxes
         if not n == plan.n_boxes == len(outcome.boxes.max_tilt_deg) or n == 0:
-            raise ValueError(f"plan {plan.plan_id} has {plan.n_boxes} boxes, its outcome {n}")
+            raise ValueError(f"plan {plan.plan_id} has {plan.n_boxes} boxes, but its outcome has {n}")
         cells: dict[str, Any] = {"plan_id": plan.plan_id, "variant": variant, RANK: rank, "schedule": schedule}
         layout = _layout()
         cells |= zip(layout.cells, layout.cells_of(outcome), strict=True)

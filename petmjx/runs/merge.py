@@ -111,7 +111,7 @@ def _sorted_shards(runs: Sequence[RunResults]) -> list[RunResults]:
         if len(of) > 1:
             raise InputError(f"{run.path}: is shard {shard}, but other runs are shards of {min(of - {total})}")
         if number in run_by_shard:
-            raise InputError(f"{run.path}: shard {shard} twice, also in {run_by_shard[number].path}")
+            raise InputError(f"{run.path}: is shard {shard}, and so is {run_by_shard[number].path}")
         run_by_shard[number] = run
     if not run_by_shard:
         raise InputError("no shard to merge: name their folders")
@@ -132,11 +132,11 @@ def _check_worlds(runs: Sequence[RunResults], manifest: Manifest) -> None:
             for key in zip(keys["plan_id"].to_pylist(), keys["variant"].to_pylist(), strict=True):
                 if key in home:
                     runs_text = f"{home[key]} and {run.path}" if home[key] != run.path else f"{run.path}"
-                    raise InputError(f"plan {printable_name(key[0])}, variant {key[1]} twice: in {runs_text}")
+                    raise InputError(f"plan {printable_name(key[0])}, variant {key[1]} exists twice: in {runs_text}")
                 home[key] = run.path
     lacking = sorted(manifest.plans.keys() - {plan_id for plan_id, _ in home})
     if lacking:
-        raise InputError(f"no world of {count_text(len(lacking), 'plan')}: {first_names(lacking)}")
+        raise InputError(f"no shard has a world of {count_text(len(lacking), 'plan')}: {first_names(lacking)}")
 
 
 def _is_search(info: Mapping[str, Any]) -> bool:

@@ -46,9 +46,7 @@ def plan_of_run(run: RunResults, plan_id: str, plans: PlanSource | None = None) 
         plans = _file(run, plan_id, record.source)
     plan = find_plan(gather_plans(plans, Simulation(), how_read(run.info)), plan_id)
     if plan_digest(plan) != record.digest:
-        raise InputError(
-            f"{plan.source}: plan {printable_name(plan_id)} is no longer the one that {run.path} simulated: it changed"
-        )
+        raise InputError(f"{plan.source}: plan {printable_name(plan_id)} has changed since {run.path} simulated it")
     return plan
 
 
@@ -114,7 +112,7 @@ def sweep_of_run(run: RunResults) -> Sweep:
     try:
         sweep_file = sweep_path if sweep_path.is_file() else find_sweep(sweep_path.stem)
     except InputError:
-        raise InputError(f"{run.path}: the sweep file it was made of is not there") from None
+        raise InputError(f"{run.path}: the sweep file from which the run was made no longer exists") from None
     has_both_ways = PLACING in config["sweep"].get("axes", {})  # the file of errors has no such axis: exact_too adds it
     sweep = (
         chain_sweep(sweep_file, worlds, changes)
@@ -124,7 +122,7 @@ def sweep_of_run(run: RunResults) -> Sweep:
         else load_sweep(sweep_file, True, changes)
     )
     if sweep_identity(sweep) != _identity(run.info):
-        raise InputError(f"{sweep_file}: is no longer the sweep of {run.path}: it changed")
+        raise InputError(f"{sweep_file}: has changed since the run {run.path}")
     return sweep
 
 

@@ -361,7 +361,9 @@ class Sweep(CheckedRecord):
             text = "is empty: nothing is varied (nominal = true simulates the unchanged plans)"
             raise complaint(text, "axes")
         if self.replicates > 1 and not self.is_random:
-            raise ValueError(f"replicates = {self.replicates} needs something random: no axis and no profile is")
+            raise ValueError(
+                f"replicates = {self.replicates} needs something random, but no axis and no profile is random"
+            )
         return self
 
 
@@ -456,5 +458,7 @@ def chain_sweep(file: str | Path, n_worlds: int | None, simulation: Mapping[str,
         raise InputError(f"{path}: has no [[legs]], which a chain needs; for other sweeps use petmjx sweep")
     sweep = sweep_of_tables(tables, path, plans_given=True, simulation=simulation)
     if (n_worlds or 1) > 1 and not sweep.is_random:
-        raise InputError(f"{sweep.file}: confidence = {n_worlds} needs something random: no axis and no profile is")
+        raise InputError(
+            f"{sweep.file}: confidence = {n_worlds} needs something random, but no axis and no profile is random"
+        )
     return sweep.model_copy(update={"nominal": True, "replicates": n_worlds or sweep.replicates})

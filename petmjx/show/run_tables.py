@@ -69,7 +69,7 @@ def _nominal(results: RunResults) -> FittedTable | None:
 def _confidence_tables(results: RunResults, summary: pd.DataFrame) -> Iterator[RenderableType]:
     """The tables of a score with confidence: the nominal worlds, the shares, and the names of the plans that need
     attention."""
-    # Runs of earlier versions lack these.
+    # Runs of earlier versions lack these columns.
     since = {name: 0 for name in ("n_not_placed", "n_fell") if name not in summary}
     summary = summary.assign(**since)
     if len(summary) <= FEW_ROWS:

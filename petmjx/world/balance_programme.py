@@ -167,7 +167,7 @@ def _least(
 ) -> FloatArray | None:
     """The x that minimises ``cost @ x`` subject to least ≤ rows @ x ≤ most and 0 ≤ x ≤ bound, by HiGHS; None if it
     gives up."""
-    # Scipy.optimize takes a second to load, and few plans need it.
+    # SciPy takes a second to load, and few plans need it.
     from scipy.optimize import Bounds, LinearConstraint, milp
     from scipy.sparse import csc_array
 

@@ -441,7 +441,7 @@ def _least_of_scenes(built: BuildingLoads, scene: IntArray, first: IntArray) -> 
     """
     least, columns = [_NO_EDGE] * (len(first) - 1), list[list[Any]]()
     numbers: IntArray = scene[:0]
-    for distance in (built.edge_m, np.abs(built.edge_m)):  # the furthest beyond, and the nearest on either side
+    for distance in (built.edge_m, np.abs(built.edge_m)):  # first the furthest beyond, then the nearest
         numbers, place = first_least(distance, scene)
         columns.append(built.edge_m[place].tolist())
         columns += [(values[place] - first[numbers]).tolist() for values in (built.box, built.step)]

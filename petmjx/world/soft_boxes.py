@@ -124,10 +124,10 @@ def check_soft(scene: Scene) -> None:
     if scene.soft is None:
         return
     if not scene.placing.appears:
-        raise InputError("soft: soft boxes appear at their places; name placing exact")
+        raise InputError("soft: soft boxes appear at their places, so placing must be exact")
     if scene.mass_center is not None and scene.mass_center[scene.soft].any():
         box = int(np.flatnonzero(scene.soft & scene.mass_center.any(axis=1))[0])
-        raise InputError(f"soft: a soft box has its centre of mass in the middle, and box {box} has it elsewhere")
+        raise InputError(f"soft: a soft box has its centre of mass in the middle, but box {box} has it elsewhere")
     soft_friction(scene)
 
 

@@ -142,7 +142,10 @@ def test_wrong_shapes_and_numbers_are_one_line() -> None:
         (lambda: petmjx.jax.try_all(state, SIZE * np.nan, STEPS[0], MASS, [0, 1]), "size_mm must be from .*, got nan"),
         (lambda: petmjx.jax.place(2, SIZE, STEPS[0], MASS), "state must be what petmjx.jax.empty"),
         (lambda: petmjx.jax.empty(0), "n must be at least 1"),
-        (lambda: petmjx.jax.empty(1, engine="mjx-jax"), "engine: petmjx.jax has mujoco, mjx-warp and mjx-warp-cpu"),
+        (
+            lambda: petmjx.jax.empty(1, engine="mjx-jax"),
+            "engine must be mujoco, mjx-warp or mjx-warp-cpu in petmjx.jax",
+        ),
     ):
         with pytest.raises(InputError, match=message):
             call()

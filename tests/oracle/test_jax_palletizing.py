@@ -127,7 +127,7 @@ def test_specs_fit_and_what_is_wrong_is_one_line(env: petmjx.jax.Palletizing) ->
         ({"look_ahead": 0}, "look_ahead must be at least 1"),
         ({"actions": "candidate"}, "unknown actions 'candidate'; did you mean candidates"),
         ({"gap_mm": -1}, "gap_mm must be at least 0"),
-        ({"inside_mm": 20}, "inside_mm: only candidates have it"),
+        ({"inside_mm": 20}, "inside_mm needs actions='candidates'"),
         ({"actions": "candidates", "n_candidates": 0}, "n_candidates must be at least 1"),
     ):
         with pytest.raises(InputError, match=message):

@@ -150,7 +150,9 @@ TOO_MANY = [((10.0, 10.0, 10.0), (20.0 * (k % 32), 20.0 * (k // 32), 0.0), 1.0) 
 
 def test_a_plan_with_more_bodies_than_the_solver_has_room_for_is_refused() -> None:
     run = engine().run([Job(make_scene(TOO_MANY))], Simulation())
-    with pytest.raises(InputError, match=rf"up to {MAX_BOXES} boxes, and one has {MAX_BOXES + 1}: choose the engine"):
+    with pytest.raises(
+        InputError, match=rf"up to {MAX_BOXES} boxes, but one plan has {MAX_BOXES + 1}: choose the engine"
+    ):
         next(run)
 
 

@@ -248,11 +248,14 @@ def test_what_ran_astray_is_no_number(monkeypatch: pytest.MonkeyPatch) -> None:
         ({"pos_m": (0, 0, 1)}, r"pos_m must have the shape \(n, 3\) or \(n, k, 3\), got \(3,\)"),
         ({"pos_m": [(0, 0, np.nan)]}, "pos_m must be finite"),
         ({"quat_wxyz": (1, 1, 0, 0)}, "quat_wxyz must have the length 1, got 1.41421"),
-        ({"vel_m_s": [STILL] * 3, "pos_m": [STILL] * 2}, r"vel_m_s has the axes \(3,\), which do not fit \(2,\)"),
+        (
+            {"vel_m_s": [STILL] * 3, "pos_m": [STILL] * 2},
+            r"vel_m_s has the axes \(3,\), which do not fit the axes \(2,\)",
+        ),
         ({"angvel_rad_s": (0, 0, 2000)}, "angvel_rad_s must be from -1000 to 1000, got 2000"),
-        ({"times_s": (0.2, 0.1)}, "times_s must rise"),
+        ({"times_s": (0.2, 0.1)}, "times_s must increase"),
         ({"times_s": ()}, "times_s must have at least one time"),
-        ({"times_s": (-0.1,)}, "times_s must rise, from 0"),
+        ({"times_s": (-0.1,)}, "times_s must increase, and lie between 0"),
         ({"inertia_kg_m2": (1, 1, 3)}, "inertia_kg_m2 must be that of a body"),
         ({"friction": -0.1}, "friction must be from 0 to 100, got -0.1"),
         ({"restitution": 1.5}, "restitution must be from 0 to 0.9, got 1.5"),
@@ -261,7 +264,7 @@ def test_what_ran_astray_is_no_number(monkeypatch: pytest.MonkeyPatch) -> None:
         ({"ground": "none.toml"}, "none.toml: "),
         ({"physics": np.zeros(3)}, "physics must be the name of a preset, a table or a record"),
         ({"physics": "lunar"}, "physics must be pallet or reference"),
-        ({"engine": "abacus"}, "engine: there are mujoco"),
+        ({"engine": "abacus"}, "engine must be one of mujoco"),
     ],
 )
 def test_a_bad_argument_is_one_line_that_names_it(changes: dict[str, Any], line: str) -> None:
@@ -281,7 +284,9 @@ class Judge(Engine):
 
 
 def test_an_engine_without_paths_is_told_so() -> None:
-    with pytest.raises(InputError, match="engine judge lets no boxes go; mujoco, mjx-warp, mjx-warp-cpu and mjx-jax"):
+    with pytest.raises(
+        InputError, match="engine judge cannot let boxes go; use mujoco, mjx-warp, mjx-warp-cpu or mjx-jax"
+    ):
         release(Judge())
 
 

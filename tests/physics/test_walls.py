@@ -291,7 +291,7 @@ def test_options_of_walls_that_mean_nothing_are_named() -> None:
     assert notes_about(Simulation(walls={"height_mm": 900.0}), []) == [
         "walls.height_mm has no effect: the carrier has no walls"
     ]
-    with pytest.raises(InputError, match=r"walls\.open\[0\] is left, where the carrier has no wall"):
+    with pytest.raises(InputError, match=r"walls\.open\[0\] is left, but the carrier has no wall on this side"):
         Simulation(walls={"open": ["left"]})
     with pytest.raises(InputError, match=r"walls\.sides\[0\] must be 'left', 'right', 'front' or 'back', got 'up'"):
         Simulation(walls=["up"])

@@ -389,14 +389,14 @@ def test_the_only_row_is_named_when_it_is_damaged(row: str, message: str, tmp_pa
 PROBLEMS: dict[str, tuple[str, str, str]] = {
     "size": (" 1 108 0", " 1 1o8 0", 'order thpack1-1, line 5: length must be a number, got "1o8"'),
     "mark": (" 1 108 0", " 1 108 2", "line 5: marks of upright sizes must be 0 or 1, got 2"),
-    "types": (" 587 233 220\n 1\n", " 587 233 220\n 2\n", "line 9: has 2 box types, and the end comes after 1 of them"),
-    "more types": (" 587 233 220\n 2\n", " 587 233 220\n 1\n", "line 6: is one more box type than the 1 of line 4"),
+    "types": (" 587 233 220\n 1\n", " 587 233 220\n 2\n", "line 9: has 2 box types, but the end comes after 1 of them"),
+    "more types": (" 587 233 220\n 2\n", " 587 233 220\n 1\n", "line 6: is a box type in excess of the 1 in line 4"),
     "container": (
         "1 2502505\n 587 233 220",
         "1 2502505\n 587 x 220",
         "line 3: must be length, width and height of the",
     ),
-    "truncated": (" 2\n 1 25", " 3\n 1 25", "line 1: has 3 problems, and the file 2"),
+    "truncated": (" 2\n 1 25", " 3\n 1 25", "line 1: has 3 problems, but the file contains 2"),
     "no quantity": ("45 1 3\n", "45 1 3.5\n", "line 10: quantity must be a whole number"),
 }
 
@@ -430,7 +430,7 @@ def test_orders_go_the_way_of_bed_bpps(tmp_path: Path) -> None:
     assert placed["a"][0]["item"]["weight/kg"] == pytest.approx(0.4 * 0.3 * 0.2 * 200)
     with pytest.warns(PlanWarning):
         assert len(list(orders_of(path, None, 0, None, reading))) == 2
-    with pytest.raises(InputError, match="density is for a file of orders, and these are drawn"):
+    with pytest.raises(InputError, match="density is for a file of orders, but these orders are drawn"):
         reading_of(False, None, {"density": 200})
     with pytest.warns(PlanWarning):
         boxes = Orders(path, reading=reading).some(0)

@@ -99,5 +99,7 @@ def test_what_is_about_boxes_says_so(
     for part in run_tables(runs[1]):
         console.print(part)
     assert re.search(r"p1 +2 unstable drop .* 1 ", capsys.readouterr().out)
-    with pytest.raises(petmjx.InputError, match="force_intervals are columns of boxes, which keep leaves out"):
+    with pytest.raises(
+        petmjx.InputError, match="force_intervals are columns of the table boxes, which the option keep leaves out"
+    ):
         score(None, force_intervals=True)

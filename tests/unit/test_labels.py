@@ -216,12 +216,12 @@ def test_labels_that_were_interrupted_go_on_as_if_they_had_not_been(
 
     monkeypatch.setattr(Labeller, "episodes", cut_short)
     assert main([*command, "8", "-n", "60"]) == 130
-    (n_kept,) = re.findall(r"interrupted: (\d+) of 60 labels are in .*set; --resume goes on", capsys.readouterr().err)
+    (n_kept,) = re.findall(r"interrupted: (\d+) of 60 labels are in .*set; --resume continues", capsys.readouterr().err)
     assert 8 <= int(n_kept) < 30
     assert main([*command, "8", "-n", "60"]) == 2
-    assert f"set: holds {n_kept} labels of an unfinished set; go on with --resume, or" in capsys.readouterr().err
+    assert f"set: holds {n_kept} labels of an unfinished set; continue with --resume, or" in capsys.readouterr().err
     assert main([*command, "8", "-n", "60", "--resume", "--seed", "1"]) == 2
-    assert "cannot be resumed, its labels are others (options.seed was 0, is 1)" in capsys.readouterr().err
+    assert "cannot be resumed: its labels differ from these (options.seed was 0, is 1)" in capsys.readouterr().err
     monkeypatch.setattr(Labeller, "episodes", whole)
     assert main([*command, "3", "-n", "60", "--resume"]) == 0
     for split, file in label_files(folder / "set").items():

@@ -219,7 +219,9 @@ def test_plans_that_are_not_those_of_the_run(results: petmjx.RunResults) -> None
     Path("plans.json").rename("moved.json")
     assert len(petmjx.loads("run", articles).plans) == 3, "the run has kept them"
     keep_nothing(Path("run"))
-    with pytest.raises(petmjx.InputError, match=r"run: needs the plans of the run, and plans\.json is not there: name"):
+    with pytest.raises(
+        petmjx.InputError, match=r"run: needs the plans of the run, but plans\.json does not exist: name"
+    ):
         petmjx.loads("run", articles)
     assert len(petmjx.loads("run", articles, "moved.json").plans) == 3
     with pytest.raises(petmjx.InputError, match="run: plan falls is not among the plans that were read"):

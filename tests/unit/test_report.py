@@ -413,7 +413,7 @@ def test_a_page_to_send_is_about_each_plan_of_a_chain(tmp_path: Path) -> None:
     assert "more than 20 mm from its planned place, or tilted by more than 20°" in _assumed(run)[-1]
     counts = {**run.info["counts"], "worlds": 1}
     partial = replace(run, info={**run.info, "status": "interrupted", "counts": counts})
-    with pytest.raises(InputError, match=r"is not complete \(1 of 6 worlds\): go on with resume=True"):
+    with pytest.raises(InputError, match=r"is not complete \(1 of 6 worlds\): continue with resume=True"):
         write_load_unit_pages(partial, {}, out)
     score = petmjx.score(plans, engine="mujoco")
     with pytest.raises(InputError, match="a page to send is about a chain"):

@@ -291,7 +291,7 @@ def test_no_such_folder(tmp_path: Path) -> None:
 
 
 def test_an_outcome_of_another_plan_is_refused(tmp_path: Path) -> None:
-    with RunWriter(tmp_path, {}) as run, pytest.raises(ValueError, match="has 3 boxes, its outcome 2"):
+    with RunWriter(tmp_path, {}) as run, pytest.raises(ValueError, match="has 3 boxes, but its outcome has 2"):
         run.add(make_plan(n=3), 0, "fixed", make_outcome(n=2))
 
 

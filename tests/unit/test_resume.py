@@ -347,7 +347,7 @@ def test_shards_that_cannot_be_merged(tmp_path: Path) -> None:
         return str(caught.value)
 
     assert refused(one) == "missing: shard 2/2"
-    assert refused(one, two, one) == f"{one}: shard 1/2 twice, also in {one}"
+    assert refused(one, two, one) == f"{one}: is shard 1/2, and so is {one}"
     assert "is one of the shards" in refused(one, two, to=two)
     assert "no shard to merge" in refused()
     simulate("score", tmp_path / "whole")
@@ -365,5 +365,5 @@ def test_shards_that_cannot_be_merged(tmp_path: Path) -> None:
         info["parts"][table]["part-00001.parquet"] = ""
     (two / "run.json").write_text(json.dumps(info | {"counts": info["counts"] | {"worlds": n_worlds}}))
     relisted(two)
-    assert "twice: in" in refused(one, two)
+    assert "exists twice: in" in refused(one, two)
     assert not out.exists()

@@ -89,7 +89,7 @@ def test_what_is_wrong_is_one_line() -> None:
             "mass_kg: row 0 has NaN before its last box",
         ),
         (lambda: petmjx.Scorer(out="x"), "out: a Scorer has no such option"),
-        (lambda: petmjx.Scorer(engine="mjx"), "engine: there are mujoco"),
+        (lambda: petmjx.Scorer(engine="mjx"), "engine must be one of mujoco"),
     ):
         with pytest.raises(InputError, match=message):
             call()

@@ -150,11 +150,11 @@ def test_what_a_story_needs_and_is_not_there_is_said_in_a_line(plan_file: Path, 
     with pytest.raises(PetmjxError, match="plan tower: there are no frames: engine forgetful records no histories"):
         petmjx.tell("tower", moved, engine=Forgetful(1))
     file.write_text(SWEEP.replace("1.5", "1.4"))
-    refused("x.toml: is no longer the sweep of .*swept: it changed", "tower", swept, plans=moved)
+    refused("x.toml: has changed since the run .*swept", "tower", swept, plans=moved)
     file.unlink()
-    refused("swept: the sweep file it was made of is not there", "tower", swept, plans=moved)
+    refused("swept: the sweep file from which the run was made no longer exists", "tower", swept, plans=moved)
     plan_file.write_text(json.dumps({"tower": tower(3)}))
-    refused("plans.json: plan tower is no longer the one that .*run simulated: it changed", "tower", run)
+    refused("plans.json: plan tower has changed since .*run simulated it", "tower", run)
 
 
 def test_plans_in_memory_are_found_where_they_are_given(tmp_path: Path) -> None:

@@ -322,7 +322,7 @@ def test_the_vec_env_is_the_vector_environment_with_infos_of_each(vec_env: tuple
     env.set_options({"level": 0.25})
     env.reset()
     assert env.get_attr("level") == [0.25] * 3
-    with pytest.raises(InputError, match="set_attr: an environment has level to set, got 'mask'"):
+    with pytest.raises(InputError, match="set_attr: only level can be set, got 'mask'"):
         env.set_attr("mask", "physics")
     with pytest.raises(AttributeError, match="an environment has the methods action_masks, render"):
         env.env_method("jump")
@@ -347,7 +347,7 @@ def test_without_stable_baselines3_the_line_names_the_extra(monkeypatch: pytest.
     ("options", "line"),
     [
         (5, "options must be a dict"),
-        ({"levels": 1}, "options: there is no 'levels'; there is level"),
+        ({"levels": 1}, "options: unknown 'levels'; an environment has level"),
         ({"level": [0.1, 0.2]}, "options: level must be a number from 0 to 1, or 3 of them"),
         ({"level": 2}, "level must be at most 1"),
     ],

@@ -251,7 +251,7 @@ def test_auto_counts_what_the_cluster_has(tmp_path: Path) -> None:
         ({"workers": 1, "lanes": 16}, "lanes belong to the engines mjx-jax and mjx-warp"),
         ({"ray": "ray://head:10001"}, "ray must be HOST:PORT of a cluster's head, or auto"),
         ({"ray": "head"}, "ray must be HOST:PORT of a cluster's head, or auto"),
-        ({"ray": "127.0.0.1:1"}, "ray: this process is in another cluster already, 127.0.0.1:1 cannot be joined"),
+        ({"ray": "127.0.0.1:1"}, "ray: this process is already in another cluster, so it cannot join 127.0.0.1:1"),
         ({"workers": 1, "engine": MujocoEngine(1)}, "workers need an engine by name"),
     ],
 )

@@ -253,7 +253,7 @@ class Cluster:
                 cls._latest = _LocalRay(self.ray, address)
                 cls._latest.wait_until_started()
             elif address not in (None, AUTO, self.ray.get_runtime_context().gcs_address):
-                raise InputError(f"ray: this process is in another cluster already, {address} cannot be joined")
+                raise InputError(f"ray: this process is already in another cluster, so it cannot join {address}")
             self._ours, self._uses = cls._latest, True
             if self._ours is not None:
                 self._ours.users += 1

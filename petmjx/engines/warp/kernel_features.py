@@ -100,7 +100,7 @@ def widths_of(box_counts: Collection[int], granule: int) -> dict[int, int]:
     largest = max(box_counts, default=0)
     if largest > MAX_BOXES:
         raise InputError(
-            f"engine mjx-warp has room for plans of up to {MAX_BOXES} boxes, and one has {largest}: "
+            f"engine mjx-warp has room for plans of up to {MAX_BOXES} boxes, but one plan has {largest}: "
             "choose the engine mujoco"
         )
     widest: dict[int, int] = {}

@@ -126,7 +126,7 @@ class WarpWorlds(OpenWorlds):
 
     def _new_box(self, before: Stacks, boxes: NextBoxes, rows: int) -> NewBox:
         if before.mass.shape[1] >= self.width and np.isfinite(before.mass[:, self.width - 1]).any():
-            raise ValueError(f"there is room for {self.width} boxes in a world, and one is full")
+            raise ValueError(f"each world has room for {self.width} boxes, and one world is full")
         return new_box(before, boxes, self._blank, self._sim, rows)
 
     def _try_scenes(
@@ -244,10 +244,10 @@ class WarpWorlds(OpenWorlds):
         self._know(scenes)
         most = max(scene.n_boxes for scene in scenes)
         if most > self.width:
-            raise ValueError(f"there is room for {self.width} boxes in a world, and one has {most}")
+            raise ValueError(f"each world has room for {self.width} boxes, but one has {most}")
         boards = max(len(scene.carrier.half_size) for scene in scenes)
         if boards > self.boards:
-            raise ValueError(f"there is room for carriers of {self.boards} boards, and one has {boards}")
+            raise ValueError(f"there is room for carriers of {self.boards} boards, but one carrier has {boards}")
         jobs = [Job(scene) for scene in scenes]
         worlds = upload_worlds(jobs, rows, self.width, {}, self._sim, self.boards)
         return worlds._replace(pauses=device_array(np.ones(rows, np.bool_)))

@@ -68,7 +68,7 @@ def write_load_unit_pages(run: RunResults, plans: Mapping[str, Plan], path: Path
     if is_chain(run.info) and run.unfinished:
         n_worlds, expected = run.info["counts"]["worlds"], count_text(run.info["expected_worlds"], "world")
         raise InputError(
-            f"{run.path}: is not complete ({n_worlds:,} of {expected}): go on with {option('--resume', 'True')}"
+            f"{run.path}: is not complete ({n_worlds:,} of {expected}): continue with {option('--resume', 'True')}"
         )
     if not is_chain(run.info) or run.summary is None:
         raise InputError(f"{run.path}: a page to send is about a chain: petmjx score PLANS --chain NAME")

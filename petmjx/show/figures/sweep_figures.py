@@ -137,7 +137,7 @@ def _plans(rows: pd.DataFrame) -> Any:
     from matplotlib.figure import Figure
 
     if not len(rows) or len(rows) > MOST_PLANS:
-        raise InputError(f"no figure of {count_text(len(rows), 'plan')}: one has room for 1 to {MOST_PLANS}")
+        raise InputError(f"no figure of {count_text(len(rows), 'plan')}: a figure has room for 1 to {MOST_PLANS}")
     figure = Figure(figsize=(WIDTH_IN, 0.2 * len(rows) + 0.7), facecolor="white", layout="constrained")
     axes = figure.subplots()
     for place, row in enumerate(rows.to_dict("records")):

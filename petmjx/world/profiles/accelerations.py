@@ -272,8 +272,8 @@ class RandomVibration:
         spacing_hz = 1.0 / (n_steps * timestep_s)
         nyquist_hz = 0.5 / timestep_s
         if top_hz >= nyquist_hz - spacing_hz / 2:
-            raise InputError(f"profile {self.name}: PSD reaches {top_hz:g} Hz, a timestep of {timestep_s:g} s "
-                             f"shows less than {nyquist_hz:g} Hz")  # fmt: skip
+            raise InputError(f"profile {self.name}: PSD reaches {top_hz:g} Hz, but a timestep of {timestep_s:g} s "
+                             f"shows only frequencies below {nyquist_hz:g} Hz")  # fmt: skip
         band_edges_hz: FloatArray = (np.arange(n_steps // 2 + 2, dtype=np.float64) - 0.5) * spacing_hz
         power_g2 = np.diff(psd_integral(self.psd, band_edges_hz))
         # Below the first line, no sine wave fits into the duration, so power in that range would be missing.
