@@ -413,7 +413,7 @@ def _nominal_worlds(worlds: pd.DataFrame, run: RunResults, plans: Sequence[Plan]
     if len(other):
         first = other.iloc[0]
         raise InputError(
-            f"{run.path}: plan {printable_name(str(first['plan_id']))} has {first['n_boxes']} boxes there and "
-            f"{counts[first['plan_id']]} here: not the same plans"
+            f"{run.path}: plan {printable_name(str(first['plan_id']))} has {first['n_boxes']} boxes in the run, but "
+            f"{counts[first['plan_id']]} here: the plans differ"
         )
     return worlds

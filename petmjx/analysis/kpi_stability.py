@@ -71,7 +71,7 @@ def read_stability(folders: Sequence[Path], plans: Collection[Plan]) -> Stabilit
     notes = [line for run in runs for line in run.doubts(str(run.path))]
     if static is None:
         notes.append(
-            f"kpi_6 needs a run with check static, and {runs[0].path} has {_check(runs[0])}: "
+            f"kpi_6 needs a run with check static, but {runs[0].path} has {_check(runs[0])}: "
             "petmjx score PLANS --check static --out DIR, then --run DIR too"
         )
     invalid = Verdict.INVALID.value

@@ -197,7 +197,7 @@ def _sequence_faults(indices: Sequence[int], choice: int, n_boxes: int) -> Itera
         place = waiting.index(index)
         if place >= choice:
             allowed = "the next item" if choice == 1 else f"one of the next {choice}"
-            yield f", box {box}: is item {place + 1} of those that wait, and the task lets the packer take {allowed}"
+            yield f", box {box}: is item {place + 1} of the waiting ones, but the task lets the packer take {allowed}"
             return
         del waiting[place]
 

@@ -23,5 +23,5 @@ def named_paths(texts: Sequence[str], option: str) -> dict[str, str]:
     names = [name for name, _ in pairs]
     for number, name in enumerate(names):
         if name in names[:number]:
-            raise InputError(f"{option} {printable_name(name)}: two have this name")
+            raise InputError(f"{option} {printable_name(name)}: two entries have this name")
     return dict(pairs)

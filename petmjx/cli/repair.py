@@ -100,7 +100,7 @@ def repair(
         print_renderables([*repair_tables(result), *_written(result, out, html)], results_console())
     if signal_number is not None:
         how_far = f"{len(result.each):,} of {count_text(n_plans, 'plan')} were searched to the end"
-        raise RunInterrupted(f"{how_far}; the results have no others", signal_number)
+        raise RunInterrupted(f"{how_far}; the results contain only these", signal_number)
 
 
 def _written(result: Repairs, out: Path | None, html: Path | None) -> Iterator[str]:

@@ -93,7 +93,7 @@ def _check(file: Path, overwrite: bool, inputs: Iterable[Path], is_ours: IsOurs 
     if not stat.S_ISREG(mode):
         raise InputError(f"{_name(file)}: cannot be written: is no regular file")
     if not is_ours(file):
-        raise InputError(f"{_name(file)}: was not written by petmjx, which would replace it; name another folder")
+        raise InputError(f"{_name(file)}: was not written by petmjx, and would be replaced; name another folder")
     if not overwrite:
         raise InputError(f"{_name(file)}: exists already; name another folder, or pass {option('--overwrite', 'True')}")
 

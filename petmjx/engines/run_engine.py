@@ -48,7 +48,9 @@ class UserEngine(Engine):
         self.name, self._engine, self._threads = engine.name, engine, threads
         self.devices = int(getattr(engine, "devices", 1))
         if dated := [name for name in _OLD_FLAGS if getattr(engine, name, False)]:
-            warnings.warn(f"engine {self.name}: {', '.join(dated)} has no effect; say capabilities", stacklevel=2)
+            warnings.warn(
+                f"engine {self.name}: {', '.join(dated)} has no effect; use capabilities instead", stacklevel=2
+            )
 
     @property
     def capabilities(self) -> Capability:

@@ -31,7 +31,7 @@ def check_open(sim: Simulation) -> None:
     if sim.has_soft:
         raise InputError("soft: pallets that stay open have no soft boxes")
     if sim.check is not Check.ONE_BY_ONE:
-        raise InputError(f"check: pallets are built one-by-one, got {sim.check}")
+        raise InputError(f"check: pallets need check one-by-one, got {sim.check}")
     if sim.schedule is not Schedule.ADAPTIVE:
         raise InputError(f"schedule: pallets that stay open need adaptive, got {sim.schedule}")
 

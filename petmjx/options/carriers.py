@@ -230,7 +230,7 @@ def _check_masses(carrier: OwnCarrier) -> None:
         if not _LIGHTEST_KG_M3 <= density <= _HEAVIEST_KG_M3:
             than = "heavier than lead; is the mass in grams?" if density > _HEAVIEST_KG_M3 else "lighter than foam"
             raise complaint(
-                f": {_board_label(carrier, number)}: {mass_kg:.4g} kg in it are {density:.3g} kg/m³, {than}"
+                f": {_board_label(carrier, number)}: a mass of {mass_kg:.4g} kg means {density:.3g} kg/m³, {than}"
             )
     total = sum(carrier.masses_kg)
     if not _LIGHTEST_KG <= total <= _HEAVIEST_KG:

@@ -210,7 +210,7 @@ def _thpack(lines: Sequence[_Line]) -> BoxSource:
         )
     notes = []
     if laid:
-        notes.append(f"{count_text(laid, 'type')} whose height may not be upright laid on a side that may")
+        notes.append(f"{count_text(laid, 'type')} laid on a permitted side, since the height may not be upright")
     if free:
         notes.append(
             f"{count_text(free, 'type')} may also stand on other sides, which petmjx does not use: it turns boxes "

@@ -27,7 +27,7 @@ def _split(value: Any) -> Any:
 def _kinds(names: tuple[str, ...]) -> tuple[str, ...]:
     for name in names:
         if name not in tuple(Kind):
-            raise ValueError(f"must be of {KINDS}, {shown_value(name)}")
+            raise ValueError(f"must be one of {KINDS}, {shown_value(name)}")
     if len(set(names)) == len(Kind):
         raise ValueError("forbids every change: nothing is left to repair with")
     return names

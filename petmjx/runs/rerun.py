@@ -54,7 +54,7 @@ def _file(run: RunResults, plan_id: str, source: str) -> Path:
     file = plan_file(source)
     if file is None:
         name = printable_name(plan_id)
-        missing_text = f"plan {name} came from {printable(source)}, which is not there: give its file, or the plan"
+        missing_text = f"plan {name} came from {printable(source)}, which no longer exists: give its file, or the plan"
         raise InputError(f"{run.path}: {missing_text}")
     return file
 

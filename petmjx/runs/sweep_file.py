@@ -291,7 +291,7 @@ class Sweep(CheckedRecord):
         if not self.legs:
             return self
         if self.search is not None:
-            raise ValueError("[search] contradicts legs: a chain is the same way for every pallet")
+            raise ValueError("[search] contradicts legs: a chain is the same journey for every pallet")
         if self.sample is not None:
             raise complaint(
                 'contradicts legs: set replicates, the number of worlds, instead of mode = "sample"', "sample"

@@ -244,7 +244,8 @@ def test_container_loading_problems(tmp_path: Path) -> None:
     """The height is upright where it may be; else the next size that may."""
     (tmp_path / "thpack1.txt").write_text(THPACK)
     orders = read(
-        tmp_path / "thpack1.txt", "1 type whose height may not be upright.*container, 5,870 × 2,330 mm, is no"
+        tmp_path / "thpack1.txt",
+        "1 type laid on a permitted side, since the height may not be upright.*container, 5,870 × 2,330 mm, is no",
     )
     assert list(orders) == ["thpack1-1", "thpack1-2"]
     sizes = [box[:3] for box in boxes_of(orders["thpack1-1"])]

@@ -228,7 +228,7 @@ def test_stability_comes_from_runs(runs: dict[str, Path]) -> None:
     assert alone.summary["rating"] is None
     assert alone.summary["rating_by_verdict"] == 0.5
     assert alone.notes == (
-        "kpi_6 needs a run with check static, and one-by-one has one-by-one: "
+        "kpi_6 needs a run with check static, but one-by-one has one-by-one: "
         "petmjx score PLANS --check static --out DIR, then --run DIR too",
     )
 

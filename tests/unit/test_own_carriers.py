@@ -138,11 +138,11 @@ def test_a_file_may_have_walls_and_options_change_them() -> None:
         (changed("600, 122]", "600, 1600]"), "× 600 × 1600 mm: a carrier is at most 1500 mm high"),
         (
             changed("mass_kg = 1.3", "mass_kg = 1300"),
-            "boards[0] (deck left): 1300 kg in it are 5.09e+05 kg/m³, heavier than lead; is the mass in grams?",
+            "boards[0] (deck left): a mass of 1300 kg means 5.09e+05 kg/m³, heavier than lead; is the mass in grams?",
         ),
         (
             changed("mass_kg = 1.3", "mass_kg = 0.0013"),
-            "boards[0] (deck left): 0.0013 kg in it are 0.509 kg/m³, lighter than foam",
+            "boards[0] (deck left): a mass of 0.0013 kg means 0.509 kg/m³, lighter than foam",
         ),
         (
             lambda text: re.sub(r"mass_kg = .*\n", "", text).replace("friction = 0.4", "mass_kg = 0.5"),

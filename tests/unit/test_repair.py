@@ -482,7 +482,7 @@ def test_notes_are_those_of_a_score() -> None:
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        ({"forbid": ["moves"]}, "forbid must be of order, move"),
+        ({"forbid": ["moves"]}, "forbid must be one of order, move"),
         ({"forbid": list(Kind)}, "nothing is left to repair with"),
         ({"built": 2}, "plan 00000001: built must be less than its 2 boxes, got 2"),
         ({"seconds": 0}, "seconds must be from 0.1"),
@@ -520,7 +520,7 @@ def test_the_command_writes_plans_and_a_page(tmp_path: Path, capsys: pytest.Capt
         assert main(["repair", str(source), flag, str(tmp_path / "no" / name)]) == 2
         assert "is not a folder" in capsys.readouterr().err
     assert main(["repair", str(source), "--without", "moves"]) == 2
-    assert capsys.readouterr().err.startswith("petmjx: --without must be of order, move")
+    assert capsys.readouterr().err.startswith("petmjx: --without must be one of order, move")
 
 
 @pytest.mark.parametrize(("n_calls", "names"), [(0, []), (1, ["stands"]), (None, ["stands", "falls"])])

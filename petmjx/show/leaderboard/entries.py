@@ -110,7 +110,9 @@ def repaired_names(names: Sequence[str], paths: Mapping[str, Path]) -> dict[str,
             raise InputError(f"repairs: there is no packer {printable_name(name)}; there are {', '.join(paths)}")
         entry = f"{name}{REPAIRED}"
         if entry in paths:
-            raise InputError(f"{printable_name(entry)}: a packer has the name of the repaired plans of {name}")
+            raise InputError(
+                f"{printable_name(entry)}: a packer has this name, which the repaired plans of {name} need"
+            )
         entries[entry] = name
     return entries
 

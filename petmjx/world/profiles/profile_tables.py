@@ -100,7 +100,7 @@ class ChainTable(_Table):
             except InputError as error:
                 raise complaint(f": {error}", name, "of", number, "profile") from None
             if not isinstance(member, WindowProfile):
-                text = f": only force profiles can be chained, {link.profile!r} is none"
+                text = f": only force profiles can be chained, but {link.profile!r} is not one"
                 raise complaint(text, name, "of", number, "profile")
             links.append((member, link.offset_s, link.scale))
         # chains of chains grow fast, so their windows are counted before they are made
