@@ -193,8 +193,8 @@ def _static_notes(sim: Simulation) -> Iterator[str]:
     duration_set = sim.duration_s != Simulation.model_fields["duration_s"].default
     if duration_set and sim.check is Check.STATIC and sim.schedule is Schedule.ADAPTIVE:
         yield (
-            f"duration_s of {sim.duration_s:g} s is an upper limit: with the schedule adaptive, a static check ends when "
-            "the pallet rests; with the schedule fixed, it lasts exactly this long"
+            f"duration_s of {sim.duration_s:g} s is an upper limit: with the schedule adaptive, a static check ends "
+            "when the pallet rests; with the schedule fixed, it lasts exactly this long"
         )
     elif duration_set and sim.check is not Check.STATIC:
         yield "duration_s has no effect: only the check static uses it"
