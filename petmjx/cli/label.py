@@ -103,14 +103,18 @@ def label(
         **options,
     )
     outputs: dict[str, Any] = {"source": orders or ENDLESS, "overwrite": overwrite, "resume": resume}
+    n_before = n_unfinished(out) if resume else 0
+    message = f"{count_text(n_before, 'label')} of an earlier command" if n_before else ""
     try:
-        with progress(count, "label") as bar:
-            card = write_labels(labeller, count, out, progress=bar.update, **outputs)
+        with progress(max(count - n_before, 0), "label") as bar:
+            card = write_labels(
+                labeller, count, out, progress=lambda n_made: bar.update(n_made - n_before, message), **outputs
+            )
     except KeyboardInterrupt as stop:
         n_kept = n_unfinished(out)
         raise RunInterrupted(
             "nothing was written"
-            if n_kept is None
+            if not n_kept
             else f"{n_kept:,} of {count_text(count, 'label')} are in {out}; --resume continues",
             getattr(stop, "number", signal.SIGINT),
         ) from None

@@ -286,12 +286,14 @@ class Episodes:
         """Set the level of some environments from their next episodes on. The level is one number, or (m,).
 
         Raises:
-            InputError: a level is not from 0 to 1, or there are neither one nor m levels.
+            InputError: a level is not from 0 to 1, there are neither one nor m levels, or there is no curriculum.
         """
         values = np.atleast_1d(np.asarray(level, object))
         if values.shape not in ((1,), (len(rows),)):
             raise InputError(f"level must be a number from 0 to 1, or {len(rows)} of them, {shown_value(level)}")
         levels = [number_of(value, "level", 0.0, 1.0) for value in values.tolist()]
+        if self.options.curriculum is None:
+            raise InputError("level: the environment has no curriculum, so its episodes are the same at all levels")
         self.level[rows] = levels
 
     def picture(self, row: int) -> NDArray[np.uint8]:

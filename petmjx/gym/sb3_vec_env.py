@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from petmjx.common.checked_records import shown_value
 from petmjx.common.errors import EngineUnavailable, InputError
+from petmjx.gym.curriculum import level_of
 from petmjx.gym.vector_env import PalletizingVectorEnv
 
 try:
@@ -63,6 +64,16 @@ class PalletizingVecEnv(VecEnv):  # type: ignore[misc, unused-ignore]  # where S
         self._reset_seeds()
         self._reset_options()
         return observed
+
+    def set_options(self, options: Any = None) -> None:
+        """Options of the next reset: a dict for all environments, or a list with a dict for each. They have ``level``.
+
+        Raises:
+            InputError: an option is unknown, or a level is no number.
+        """
+        for single in options if isinstance(options, list) else [options]:
+            level_of(single, 1)
+        super().set_options(options)
 
     def step_async(self, actions: Any) -> None:
         """Store the actions of the next step."""
@@ -120,8 +131,8 @@ class PalletizingVecEnv(VecEnv):  # type: ignore[misc, unused-ignore]  # where S
         No other attribute can be set.
 
         Raises:
-            InputError: the name is not ``level``, a value is no level, the number of levels is wrong, or an environment
-                does not exist.
+            InputError: the name is not ``level``, there is no curriculum, a value is no level, the number of levels is
+                wrong, or an environment does not exist.
         """
         if attr_name != "level":
             raise InputError(f"set_attr: only level can be set, got {attr_name!r}")
@@ -138,16 +149,25 @@ class PalletizingVecEnv(VecEnv):  # type: ignore[misc, unused-ignore]  # where S
         return [wrapper_class is Monitor for _ in self._rows(indices)]
 
     def _rows(self, indices: Any) -> list[int]:
-        """The numbers of environments. Negative numbers count from the end, as in a list.
+        """The numbers of environments. Negative numbers count from the end, as in a list. A mask is no list of numbers.
 
         Raises:
-            InputError: an environment does not exist.
+            InputError: the indices are neither a whole number nor a list of them, an environment does not exist, or it
+                is named twice.
         """
-        n, rows = self.num_envs, list(self._get_indices(indices))
+        n = self.num_envs
+        some = range(n) if indices is None else [indices] if isinstance(indices, int | np.integer) else indices
+        try:
+            rows = list(some)
+        except TypeError:
+            raise InputError(f"indices must be a whole number or a list of them, {shown_value(indices)}") from None
         for row in rows:
-            if not isinstance(row, int | np.integer) or not -n <= row < n:
+            if isinstance(row, bool) or not isinstance(row, int | np.integer) or not -n <= row < n:
                 raise InputError(f"indices: there are environments 0 to {n - 1}, {shown_value(row)}")
-        return [int(row) % n for row in rows]
+        numbers = [int(row) % n for row in rows]
+        if len({*numbers}) < len(numbers):
+            raise InputError(f"indices: an environment is named twice, {shown_value(indices)}")
+        return numbers
 
     @property
     def _methods(self) -> dict[str, Callable[..., Any]]:

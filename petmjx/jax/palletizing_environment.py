@@ -11,7 +11,7 @@ from jaxtyping import Array, Bool, Float, Int
 
 from petmjx.analysis.criteria import SUPPORT_SHARES
 from petmjx.common.argument_checks import integer_of, number_of, text_of
-from petmjx.common.checked_records import hint
+from petmjx.common.checked_records import hint, shown_value
 from petmjx.common.errors import InputError
 from petmjx.common.units import MM_PER_M, STANDARD_GRAVITY
 from petmjx.jax.extreme_places import Candidates
@@ -199,14 +199,19 @@ class Palletizing:
 
     def reset(self, key: jax.Array, order: Int[Array, ""] | int | None = None) -> tuple[State, TimeStep[Observation]]:
         """Start an episode, with an order drawn by ``key``, or with the order of this number (from 0, below
-        ``num_orders``). The same key gives the same episode."""
+        ``num_orders``; numbers beyond are those of the first and the last order). The same key gives the same episode.
+
+        Raises:
+            InputError: the order is not a whole number.
+        """
+        number = None if order is None else _whole(order, "order")
         key, order_key = jax.random.split(key)
         k, none = self._most_boxes, jnp.int32(0)
         drawn = jax.random.randint(order_key, (), 0, self.num_orders)
         state = State(
             key=key,
             pallet=self._empty,
-            order=drawn if order is None else jnp.clip(jnp.asarray(order, jnp.int32), 0, self.num_orders - 1),
+            order=drawn if number is None else jnp.clip(number.astype(jnp.int32), 0, self.num_orders - 1),
             next=none,
             size_mm=jnp.zeros((k, 3)),
             corner_mm=jnp.zeros((k, 3)),
@@ -228,10 +233,8 @@ class Palletizing:
 
     def step(self, state: State, action: Int[Array, ""] | int) -> tuple[State, TimeStep[Observation]]:
         """Put the next box onto the pallet. An action that the mask excludes changes nothing, and neither does any
-        action after the end of the episode."""
-        chosen = jnp.asarray(action)
-        if chosen.shape != () or not jnp.issubdtype(chosen.dtype, jnp.integer):
-            raise InputError(f"action must be a whole number, got {chosen.dtype} of shape {chosen.shape}")
+        action after the end of the episode. Raises InputError if the action is not a whole number."""
+        chosen = _whole(action, "action")
         valid = (chosen >= 0) & (chosen < self.num_actions)
         at = jnp.clip(chosen, 0, self.num_actions - 1)
         legal = valid & state.mask[at] & ~state.over
@@ -405,3 +408,14 @@ class Palletizing:
     def discount_spec(self) -> Spec:
         """The specification of a discount: 0 or 1."""
         return Spec("discount", (), jnp.float32, 0.0, 1.0)
+
+
+def _whole(value: Any, name: str) -> Int[Array, ""]:
+    """A whole number, also one of a traced program. Raises InputError for anything else."""
+    try:
+        number = jnp.asarray(value)
+    except (TypeError, ValueError, OverflowError):
+        raise InputError(f"{name} must be a whole number, {shown_value(value)}") from None
+    if number.shape != () or not jnp.issubdtype(number.dtype, jnp.integer):
+        raise InputError(f"{name} must be a whole number, got {number.dtype} of shape {number.shape}")
+    return number

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+import os
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, suppress
@@ -19,6 +20,7 @@ import pyarrow.compute as pc
 import pyarrow.parquet as pq
 
 from petmjx.analysis.criteria_run import criteria
+from petmjx.common.arrow_files import open_for_arrow
 from petmjx.common.atomic_write import atomic_write, write_errors
 from petmjx.common.checked_records import option
 from petmjx.common.errors import InputError
@@ -31,12 +33,14 @@ from petmjx.loop.label_parts import (
     UNFINISHED,
     LabelParts,
     check_same_set,
+    label_cure,
     labels_of,
     n_unfinished,
 )
 from petmjx.loop.placement_labels import COLUMNS, SCHEMA, SPLITS, Label, Labeller, plans_of_labels
 from petmjx.packers.robot_placement import placement_stability
 from petmjx.results.folder_lock import held_folder_lock
+from petmjx.results.run_folder import part_files
 from petmjx.version import __version__
 
 CARD: Final = "card.json"
@@ -81,37 +85,44 @@ def write_labels(
 
     Args:
         source: the file of the orders, or ``endless``, for the card.
-        resume: go on with the unfinished labels in the folder, if there are any. ``count`` may be another one.
+        resume: go on with the unfinished labels in the folder, if there are any. ``count`` may be larger than before.
         progress: called with the number of labels that are made.
 
     Returns:
         The card.
 
     Raises:
-        InputError: the files may not be written, another run writes into the folder, unfinished labels in it are of
+        InputError: the files may not be written, another run writes into the folder, labels in it are damaged or of
             other orders or options, or no box of the orders has a place.
     """
     files = label_files(folder)
-    outputs = [*files.values(), folder / CARD, folder / README, folder / UNFINISHED, folder / TABLE / "x"]
+    outputs = [*files.values(), folder / CARD, folder / README]
     inputs = [source] if isinstance(source, Path) else []
     head = _head(labeller, source)
 
     def check() -> dict[str, Any] | None:
         """The card of finished labels that are to be resumed."""
-        n_there = n_unfinished(folder)
-        if n_there is None and resume and (folder / CARD).exists():
+        n_there = 0 if overwrite else n_unfinished(folder)
+        if not n_there and resume and os.path.exists(folder / CARD):
             return _finished(folder, head, count)
-        if n_there is not None and not (overwrite or resume):
+        if n_there and not resume:
             raise InputError(
                 f"{folder}: holds {count_text(n_there, 'label')} of an unfinished set; continue with "
                 f"{option('--resume', 'True')}, or pass {option('--overwrite', 'True')}"
             )
-        goes_on = resume and n_there is not None
-        check_outputs(outputs, overwrite=overwrite or goes_on, inputs=inputs, folder=folder)
+        check_outputs(outputs, overwrite=overwrite or n_there > 0, inputs=inputs, folder=folder)
+        with write_errors(folder):
+            parts = [folder / UNFINISHED, folder / TABLE / "x", *part_files(folder, TABLE)]
+        check_outputs(parts, overwrite=True, inputs=inputs, folder=folder)
         return None
 
-    if (card := check()) is not None:
-        return card
+    try:
+        if (card := check()) is not None:
+            return card
+    except InputError:
+        with suppress(OSError), held_folder_lock(folder):  # if another run is writing, its line comes first
+            pass
+        raise
     with ExitStack() as stack:
         if not folder.exists():
             stack.callback(_remove_if_empty, folder)
@@ -120,10 +131,13 @@ def write_labels(
             stack.enter_context(held_folder_lock(folder))
             if (card := check()) is not None:  # another process may have written since
                 return card
-            parts = LabelParts(folder, head, resume=resume)
-            _make(labeller, count, parts, progress)
+            parts = LabelParts(folder, head, count, resume=resume)
+            try:
+                _make(labeller, count, parts, progress)
+            finally:
+                if not parts.n_labels:
+                    parts.remove()
         if not parts.n_labels:
-            parts.remove()
             name = printable(str(source)) if isinstance(source, Path) else "orders"
             raise InputError(
                 f"{name}: no box has a place on the empty carrier "
@@ -136,18 +150,30 @@ def write_labels(
 
 
 def _finished(folder: Path, head: Mapping[str, Any], count: int) -> dict[str, Any]:
-    """The card of finished labels. Raises InputError if they are others than those that are asked for."""
+    """The card of finished labels. Raises InputError if they are others than those that are asked for, or a table is
+    missing or damaged."""
     try:
         card: dict[str, Any] = json.loads(read_regular(folder / CARD, _MOST_CARD_BYTES))
-        there = sum(numbers["labels"] for numbers in card["splits"].values())
+        n_labels = {split: card["splits"][split]["labels"] for split in SPLITS}
+        there = sum(n_labels.values())
     except (OSError, ValueError, TypeError, KeyError, AttributeError, RecursionError):
         raise InputError(f"{folder / CARD}: damaged; name another folder with {option('--out')}") from None
     check_same_set(folder, {name: card.get(name) for name in head}, json.loads(json.dumps(head)))
-    if there != count and head["orders"]["number"] is None:  # a file of orders may have fewer
+    if there != count:
         raise InputError(
             f"{folder}: its {count_text(there, 'label')} are finished; name another folder with {option('--out')}, or "
             f"pass {option('--overwrite', 'True')}"
         )
+    for split, file in label_files(folder).items():
+        try:
+            with open_for_arrow(file) as stream, pq.ParquetFile(stream) as table:
+                fault = "" if table.metadata.num_rows == n_labels[split] else "damaged"
+        except FileNotFoundError:
+            fault = "missing"
+        except (pa.ArrowException, OSError, ValueError):
+            fault = "damaged"
+        if fault:
+            raise InputError(f"{file}: {fault}; {label_cure()}")
     return card
 
 
@@ -239,6 +265,7 @@ class _Tally:
 def _head(labeller: Labeller, source: str | Path) -> dict[str, Any]:
     """The part of the card that says what labels are of. Labels with the same head are the same."""
     is_file = isinstance(source, Path)
+    reading = labeller.orders.reading
     return {
         "what": "placements of boxes on pallets, labelled by physics",
         "petmjx": __version__,
@@ -246,6 +273,9 @@ def _head(labeller: Labeller, source: str | Path) -> dict[str, Any]:
             "source": source.name if isinstance(source, Path) else source,
             "sha256": hashlib.sha256(source.read_bytes()).hexdigest() if isinstance(source, Path) else None,
             "number": labeller.orders.count if is_file else None,
+            "units": ",".join(filter(None, (reading.wishes.units, reading.wishes.masses))) or None,
+            "columns": dict(reading.wishes.columns) or None,
+            "density": reading.wishes.density_kg_m3,
         },
         "options": labeller.options,
         "simulation": labeller.pallets.simulation.model_dump(mode="json"),

@@ -1,6 +1,7 @@
 """The labels of a set that is not finished: Parquet parts in its folder, and a file that lists them.
 
-    DIR/unfinished.json        the set (orders, options, engine), how many labels are there, the next episode, the parts
+    DIR/unfinished.json        the set (orders, options, engine), how many labels it is to have and how many are there,
+                               the next episode, the parts
     DIR/parts/part-*.parquet   labels of whole episodes, in order
 
 Parts are written and read like those of a run (petmjx.results.run_table_files): a part counts once it is listed, with
@@ -11,6 +12,7 @@ process can continue.
 from __future__ import annotations
 
 import json
+import os
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
 from pathlib import Path
@@ -18,6 +20,7 @@ from typing import Any, Final
 
 import numpy as np
 import pyarrow as pa
+import pyarrow.compute as pc
 import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
@@ -26,8 +29,9 @@ from petmjx.common.checked_records import option
 from petmjx.common.errors import InputError
 from petmjx.common.processes import defer_signals
 from petmjx.common.safe_read import read_regular
+from petmjx.common.text import count_text
 from petmjx.loop.placement_labels import SCHEMA, Label
-from petmjx.results.run_folder import part_files, write_text
+from petmjx.results.run_folder import part_files, part_name, part_number, write_text
 from petmjx.results.run_table_files import Tables
 from petmjx.results.run_tables import LISTED, Parts
 from petmjx.results.schema import SCHEMA_VERSION
@@ -49,29 +53,47 @@ class LabelParts:
 
     Args:
         folder: folder of the set; ``head``: description of the set, as plain JSON values.
+        count: number of labels that the set is to have.
         resume: True: continue with the parts in the folder, if there are any. False: delete them.
 
     Attributes:
         n_labels: number of labels in the parts; ``next_episode``: number of the first episode not in the parts.
 
     Raises:
-        InputError: the parts belong to another set, or are damaged.
+        InputError: the parts belong to another set, are damaged, or have labels that a set of ``count`` would lose.
     """
 
-    def __init__(self, folder: Path, head: Mapping[str, Any], *, resume: bool) -> None:
-        self._folder, self._head = folder, json.loads(json.dumps(head))
+    def __init__(self, folder: Path, head: Mapping[str, Any], count: int, *, resume: bool) -> None:
+        self._folder, self._head, self._count = folder, json.loads(json.dumps(head)), count
         self.n_labels = self.next_episode = 0
         self._tables = Tables(folder)
-        if resume and (entries := _entries(folder)) is not None:
+        if resume and (entries := _entries(folder)) and entries["labels"]:
             check_same_set(folder, entries["set"], self._head)
             self.n_labels, self.next_episode = entries["labels"], entries["next_episode"]
-            self._tables = Tables(folder, Parts.of(folder, entries))
+            self._tables = Tables(folder, _CheckedParts.of(folder, entries))
+            self._check_parts()
+            # the last episode of a set may have more labels than it needs, so the same count always suits
+            if count < self.n_labels and count != entries["count"]:
+                raise InputError(
+                    f"{folder}: holds {count_text(self.n_labels, 'label')}; pass {option('-n', python='count')} "
+                    f"{self.n_labels} or more"
+                )
         else:
             self._list()  # the list is written before parts are deleted, so that no old list names deleted parts
         listed = self._tables.parts.files(TABLE)
         for file in part_files(folder, TABLE):
             if file not in listed:
                 file.unlink()
+
+    def _check_parts(self) -> None:
+        """Check all parts before hours of work go into others. Raises InputError."""
+        parts, n_rows, next_episode = self._tables.parts, 0, 0
+        for file in parts.files(TABLE):
+            episodes = parts.read(file, ["episode"])["episode"]
+            n_rows += len(episodes)
+            next_episode = (pc.max(episodes).as_py() or 0) + 1
+        if (n_rows, next_episode) != (self.n_labels, self.next_episode):
+            raise _damaged(self._folder / UNFINISHED)
 
     def add(self, labels: Sequence[Label]) -> None:
         """Write the labels of whole episodes as one part."""
@@ -85,9 +107,8 @@ class LabelParts:
             self._list()
 
     def tables(self) -> Iterator[pa.Table]:
-        """The parts, in order: the columns of ``SCHEMA``, and ``SPLIT``. Raises InputError for a damaged part."""
-        for file in self._tables.parts.files(TABLE):
-            self._tables.parts.check(file)  # the file is unchanged, so Arrow can safely read its lists
+        """The parts, in order: the columns of ``SCHEMA``, and ``SPLIT``."""
+        for file in self._tables.parts.files(TABLE):  # written or checked before, so Arrow can safely read their lists
             with open_for_arrow(file) as stream:
                 yield pq.read_table(stream)
 
@@ -102,6 +123,7 @@ class LabelParts:
     def _list(self) -> None:
         entries = {
             "set": self._head,
+            "count": self._count,
             "labels": self.n_labels,
             "next_episode": self.next_episode,
             LISTED: self._tables.parts.digests,
@@ -109,18 +131,29 @@ class LabelParts:
         write_text(json.dumps(entries, indent=2) + "\n", self._folder / UNFINISHED)
 
 
-def n_unfinished(folder: Path) -> int | None:
-    """The number of labels in the parts of an unfinished set in a folder; None: there is no unfinished set.
+class _CheckedParts(Parts):
+    """Parts whose errors say what to do about labels."""
+
+    def _cure(self, file: Path) -> str:
+        return label_cure()
+
+
+def n_unfinished(folder: Path) -> int:
+    """The number of labels in the parts of an unfinished set in a folder; 0: there is none, or it has no label yet.
 
     Raises:
         InputError: the list is damaged.
     """
     entries = _entries(folder)
-    return None if entries is None else int(entries["labels"])
+    return 0 if entries is None else int(entries["labels"])
 
 
 def check_same_set(folder: Path, before: Mapping[str, Any], now: Mapping[str, Any]) -> None:
-    """Raise InputError if the labels in a folder belong to another set. The message names the difference."""
+    """Raise InputError if the labels in a folder belong to another set. The message names the difference. The same
+    file of orders may have another name."""
+    orders, orders_now = before.get("orders"), now["orders"]
+    if isinstance(orders, Mapping) and orders_now["sha256"] and orders.get("sha256") == orders_now["sha256"]:
+        before = {**before, "orders": {**orders, "source": orders_now["source"]}}
     if different := _difference(before, now):
         raise InputError(f"{folder}: cannot be resumed: its labels differ from these ({different})")
 
@@ -142,19 +175,30 @@ def _entries(folder: Path) -> dict[str, Any] | None:
         InputError: the list is damaged.
     """
     file = folder / UNFINISHED
-    if not file.exists():
+    if not os.path.exists(file):
         return None
     try:
         entries: dict[str, Any] = json.loads(read_regular(file, _MOST_BYTES))
-        whole = all(isinstance(entries[name], int) for name in ("labels", "next_episode"))
+        numbers = [entries[name] for name in ("count", "labels", "next_episode")]
+        whole = all(type(number) is int and number >= 0 for number in numbers)
         tables = entries[LISTED]
         whole = whole and isinstance(entries["set"], dict) and set(tables) <= {TABLE}
-        whole = whole and all(name.startswith("part-") for name in tables.get(TABLE, ()))
+        files = dict(tables.get(TABLE, {}))
+        whole = whole and all(part_name(part_number(Path(name))) == name for name in files)
     except (OSError, ValueError, TypeError, KeyError, AttributeError, RecursionError):
         whole = False
     if not whole:
-        raise InputError(f"{file}: damaged; make the labels again, with {option('--overwrite', 'True')}")
+        raise _damaged(file)
     return entries
+
+
+def _damaged(file: Path) -> InputError:
+    return InputError(f"{file}: damaged; {label_cure()}")
+
+
+def label_cure() -> str:
+    """What to do about a damaged or missing file of labels."""
+    return f"make the labels again, with {option('--overwrite', 'True')}"
 
 
 def table_of(labels: Sequence[Label]) -> pa.Table:

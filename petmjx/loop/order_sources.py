@@ -88,6 +88,7 @@ class Orders:
         reading: how to read files of orders in forms other than BED-BPP's; None: the most plausible reading.
 
         Attributes:
+            reading: how files of orders are read; that of no options for drawn orders.
             have_strengths: whether the strength of some box may be known.
             lie: whether some box may stand on a side other than its base.
 
@@ -101,7 +102,8 @@ class Orders:
         self._seed = seed
         self._articles = None if articles is None else read_articles(path_of(articles, "articles"))
         endless = isinstance(source, str) and source == ENDLESS
-        self._all: list[Boxes] | None = None if endless else _read(source, self._articles, reading or order_reading())
+        self.reading = order_reading() if endless or reading is None else reading
+        self._all: list[Boxes] | None = None if endless else _read(source, self._articles, self.reading)
         orders = self._all or ()
         self.have_strengths = articles is not None or any(np.isfinite(boxes.strength_n).any() for boxes in orders)
         self.lie = any(boxes.upright is not None and boxes.upright[:, :2].any() for boxes in orders)

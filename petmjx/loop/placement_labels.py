@@ -154,7 +154,7 @@ class Labeller:
         }
 
     def labels(self, count: int) -> Iterator[Label]:
-        """The first ``count`` labels, in the order of episodes; fewer at the end of all orders."""
+        """The first ``count`` labels, in the order of episodes; none if no box has a place."""
         return islice(chain.from_iterable(self.episodes(count)), count)
 
     def episodes(self, count: int, first: int = 0) -> Iterator[list[Label]]:

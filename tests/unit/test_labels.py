@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import json
 import re
+import shutil
 from collections.abc import Iterator
+from itertools import islice
 from pathlib import Path
 from typing import Any
 
@@ -18,7 +20,7 @@ from petmjx.cli import main
 from petmjx.common.errors import InputError
 from petmjx.loop.label_files import CARD, README, RULES, baselines, label_files, write_labels
 from petmjx.loop.label_parts import LabelParts, labels_of
-from petmjx.loop.order_sources import Boxes, Orders
+from petmjx.loop.order_sources import Boxes, Orders, order_reading
 from petmjx.loop.placement_labels import COLUMNS, SPLITS, Label, Labeller, plans_of_labels, split_of
 
 MUJOCO: dict[str, Any] = {"engine": "mujoco", "threads": 1}
@@ -171,23 +173,25 @@ def test_what_is_wrong_with_labels_is_one_line(tmp_path: Path) -> None:
         Labeller(Orders(too_long), explore=2, **MUJOCO)
 
 
-def test_one_run_at_a_time_writes_labels_into_a_folder(tmp_path: Path) -> None:
-    """Another run is refused while the first one makes its labels."""
+def test_one_run_at_a_time_writes_labels_into_a_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Another run is refused while the first one makes its labels, also where its first part is there."""
+    monkeypatch.setattr("petmjx.loop.label_files._ROWS", 1)
     labeller = Labeller(Orders(some_orders(2)), pallets=1, **MUJOCO)
     out = tmp_path / "set"
     refusals: list[str] = []
 
     class Watched(Labeller):
         def episodes(self, count: int, first: int = 0) -> Iterator[list[Label]]:
-            with pytest.raises(InputError) as refused:
-                write_labels(labeller, 1, out, source="endless", overwrite=True)
-            refusals.append(str(refused.value))
             yield from super().episodes(count, first)
+            for how in ({}, {"overwrite": True}, {"resume": True}):
+                with pytest.raises(InputError) as refused:
+                    write_labels(labeller, 1, out, source="endless", **how)
+                refusals.append(str(refused.value))
 
     card = write_labels(Watched(Orders(some_orders(2)), pallets=1, **MUJOCO), 2, out, source="endless")
     assert sum(numbers["labels"] for numbers in card["splits"].values()) == 2
-    assert len(refusals) == 1
-    assert "another run (process" in refusals[0]
+    assert len(refusals) == 3
+    assert all("another run (process" in refusal for refusal in refusals)
     assert {file.name for file in out.iterdir()} == {
         "train.parquet",
         "validation.parquet",
@@ -232,23 +236,184 @@ def test_labels_that_were_interrupted_go_on_as_if_they_had_not_been(
     assert main([*command, "3", "-n", "60", "--resume", "--overwrite"]) == 2
 
 
-def test_damaged_parts_are_named(tmp_path: Path) -> None:
-    orders = Orders(some_orders(2))
-    out, labeller = tmp_path / "set", Labeller(orders, pallets=1, **MUJOCO)
-    parts = LabelParts(tmp_path, {}, resume=False)
+@pytest.fixture(scope="module")
+def unfinished(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A set of two parts, of one episode each, that was to have 60 labels."""
+    folder = tmp_path_factory.mktemp("unfinished")
+    some_orders(2).to_csv(folder / "orders.csv", index=False)
+    out = folder / "set"
+    one = labeller_of(folder / "orders.csv")
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("petmjx.loop.label_files._ROWS", 1)
+        patch.setattr(Labeller, "episodes", ends_after(2))
+        with pytest.raises(RuntimeError):
+            write_labels(one, 60, out, source=folder / "orders.csv")
+    return out
+
+
+def labeller_of(orders: Path, **reading: Any) -> Labeller:
+    return Labeller(Orders(orders, reading=order_reading(**reading)), pallets=2, **MUJOCO)
+
+
+def ends_after(n_episodes: int) -> Any:
+    """``Labeller.episodes`` of a run that fails after some episodes."""
+    whole = Labeller.episodes
+
+    def episodes(labeller: Labeller, count: int, first: int = 0) -> Iterator[list[Label]]:
+        yield from islice(whole(labeller, count, first), n_episodes)
+        raise RuntimeError
+
+    return episodes
+
+
+@pytest.fixture
+def begun(unfinished: Path, tmp_path: Path) -> Path:
+    """A copy of the unfinished set."""
+    shutil.copytree(unfinished.parent, tmp_path, dirs_exist_ok=True)
+    return tmp_path / "set"
+
+
+def listed(folder: Path) -> dict[str, Any]:
+    entries: dict[str, Any] = json.loads((folder / "unfinished.json").read_text(encoding="utf-8"))
+    return entries
+
+
+def content(folder: Path) -> dict[str, bytes]:
+    return {str(file.relative_to(folder)): file.read_bytes() for file in folder.rglob("*") if file.is_file()}
+
+
+def damaged_part(folder: Path, name: str) -> str:
+    part = folder / "parts" / name
+    part.write_bytes(part.read_bytes()[:-1])
+    return rf"{name}: damaged part, it differs from what the run wrote; make the labels again, with overwrite=True"
+
+
+def missing_part(folder: Path, name: str) -> str:
+    (folder / "parts" / name).unlink()
+    return rf"{name}: missing, though the run wrote it; make the labels again, with overwrite=True"
+
+
+def folder_as_part(folder: Path, name: str) -> str:
+    (folder / "parts" / name).unlink()
+    (folder / "parts" / name).mkdir()
+    return rf"{name}: cannot be written: is a folder"
+
+
+def other_entries(**changes: Any) -> Any:
+    def damage(folder: Path, name: str) -> str:
+        (folder / "unfinished.json").write_text(json.dumps({**listed(folder), **changes}))
+        return r"unfinished.json: damaged; make the labels again, with overwrite=True"
+
+    return damage
+
+
+@pytest.mark.parametrize(
+    "damage",
+    [
+        *(damaged_part, missing_part, folder_as_part),
+        *(
+            other_entries(labels=500),
+            other_entries(labels=-5),
+            other_entries(next_episode=7),
+            other_entries(labels=1.5),
+        ),
+        *(other_entries(parts={"parts": ["part-00000.parquet"]}), other_entries(parts={"parts": {"part-x": ""}})),
+    ],
+)
+def test_what_is_damaged_is_named_before_labels_are_made(
+    damage: Any, begun: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Nothing is lost, and ``overwrite`` makes the labels again, except where a part is a folder."""
+    line = damage(begun, "part-00001.parquet")
+    before, source = content(begun), begun.parent / "orders.csv"
+    monkeypatch.setattr(Labeller, "episodes", lambda *_: pytest.fail("labels are made"))
+    with pytest.raises(InputError, match=line):
+        write_labels(labeller_of(source), 60, begun, source=source, resume=True)
+    assert content(begun) == before
+    monkeypatch.undo()
+    if damage is folder_as_part:
+        with pytest.raises(InputError, match=line):
+            write_labels(labeller_of(source), 2, begun, source=source, overwrite=True)
+        assert content(begun) == before
+    else:
+        write_labels(labeller_of(source), 2, begun, source=source, overwrite=True)
+        assert len(list(begun.iterdir())) == 5
+
+
+def test_labels_of_another_reading_or_number_are_not_resumed(begun: Path) -> None:
+    """The same file may have another name."""
+    before, renamed = content(begun), begun.parent / "renamed.csv"
+    (begun.parent / "orders.csv").rename(renamed)
+    n_kept = listed(begun)["labels"]
+    for reading, line in (
+        ({"density": 900}, r"orders.density was null, is 900.0"),
+        ({"units": "mm,kg"}, r'orders.units was null, is "mm,kg"'),
+        ({"columns": {"length": "length_mm"}}, r'orders.columns was null, is {"length": "length_mm"}'),
+    ):
+        with pytest.raises(InputError, match=r"its labels differ from these \(" + re.escape(line)):
+            write_labels(labeller_of(renamed, **reading), 60, begun, source=renamed, resume=True)
+    with pytest.raises(InputError, match=rf"set: holds {n_kept} labels; pass count {n_kept} or more"):
+        write_labels(labeller_of(renamed), n_kept - 1, begun, source=renamed, resume=True)
+    assert content(begun) == before
+    card = write_labels(labeller_of(renamed), n_kept, begun, source=renamed, resume=True)
+    assert (card["orders"]["source"], card["orders"]["density"]) == ("renamed.csv", None)
+    finished = content(begun)
+    renamed.rename(begun.parent / "again.csv")
+    again = begun.parent / "again.csv"
+    assert write_labels(labeller_of(again), n_kept, begun, source=again, resume=True) == card
+    for count in (n_kept - 1, n_kept + 1):
+        with pytest.raises(InputError, match=rf"its {n_kept} labels are finished; name another folder"):
+            write_labels(labeller_of(again), count, begun, source=again, resume=True)
+    assert content(begun) == finished
+    table = begun / "train.parquet"
+    for change, fault in ((lambda: table.write_bytes(finished[table.name][:-9]), "damaged"), (table.unlink, "missing")):
+        change()
+        with pytest.raises(InputError, match=rf"train.parquet: {fault}; make the labels again"):
+            write_labels(labeller_of(again), n_kept, begun, source=again, resume=True)
+
+
+def test_labels_up_to_the_end_of_the_last_episode_are_resumed_with_the_same_number(begun: Path) -> None:
+    """A run makes whole episodes, and is killed before it writes the first labels of them as tables."""
+    source, entries = begun.parent / "orders.csv", listed(begun)
+    (begun / "unfinished.json").write_text(json.dumps({**entries, "count": entries["labels"] - 1}))
+    card = write_labels(labeller_of(source), entries["labels"] - 1, begun, source=source, resume=True)
+    assert sum(numbers["labels"] for numbers in card["splits"].values()) == entries["labels"] - 1
+
+
+def test_a_run_without_a_label_leaves_nothing_that_refuses_the_next(
+    begun: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    source, out = begun.parent / "orders.csv", begun.parent / "empty"
+    monkeypatch.setattr(Labeller, "episodes", ends_after(0))
+    with pytest.raises(RuntimeError):
+        write_labels(labeller_of(source), 60, out, source=source)
+    assert not out.exists()
+    monkeypatch.undo()
+    shutil.rmtree(begun / "parts")  # as after a kill before the first part
+    (begun / "unfinished.json").write_text(json.dumps({**listed(begun), "labels": 0, "next_episode": 0, "parts": {}}))
+    write_labels(labeller_of(source), 2, begun, source=source)
+    assert len(list(begun.iterdir())) == 5
+
+
+def test_progress_of_a_resumed_command_counts_its_own_labels(
+    begun: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr("petmjx.loop.label_files._REPORTED", 1)
+    n_kept = listed(begun)["labels"]
+    command = ["label", str(begun.parent / "orders.csv"), "-o", str(begun), "-n", str(n_kept + 4), "--pallets", "2"]
+    assert main([*command, "--engine", "mujoco", "--threads", "1", "--resume"]) == 0
+    assert re.search(r"^4 of 4 labels", capsys.readouterr().err, re.MULTILINE)
+
+
+def test_labels_of_parts_are_those_that_were_made(tmp_path: Path) -> None:
+    labeller = Labeller(Orders(some_orders(2)), pallets=1, **MUJOCO)
+    head: dict[str, Any] = {"orders": {"sha256": None}}
+    parts = LabelParts(tmp_path, head, 1, resume=False)
     (labels, *_) = labeller.episodes(1)
     parts.add(labels)
-    again = LabelParts(tmp_path, {}, resume=True)
+    again = LabelParts(tmp_path, head, len(labels), resume=True)
     assert (again.n_labels, again.next_episode) == (len(labels), 1)
     (table,) = again.tables()
     for ours, theirs in zip(labels_of(table), labels, strict=True):
         assert ours["stands"] == theirs["stands"]
         np.testing.assert_allclose(ours["corner_mm"], theirs["corner_mm"], rtol=1e-6)
-    (part,) = (tmp_path / "parts").iterdir()
-    part.write_bytes(part.read_bytes()[:-1])
-    with pytest.raises(InputError, match=r"part-00000.parquet: damaged part, it differs from what the run wrote"):
-        list(LabelParts(tmp_path, {}, resume=True).tables())
-    (tmp_path / "unfinished.json").write_text("{}")
-    with pytest.raises(InputError, match=r"unfinished.json: damaged; make the labels again"):
-        write_labels(labeller, 1, tmp_path, source="endless", resume=True)
-    assert not out.exists()

@@ -268,6 +268,7 @@ def test_the_vec_env_is_the_vector_environment_with_infos_of_each(vec_env: tuple
     kind, monitor = vec_env
     orders = table((600, 400, 200), (400, 300, 200))
     options = {"orders": orders, "mask": "geometry", "most_illegal": 1, **THREADS}
+    options |= {"curriculum": {"boxes": (2, 2)}, "level": 1.0}
     env = kind(3, **options)
     twin = PalletizingVectorEnv(3, "SameStep", scaled=True, **options)
     env.seed(5)
@@ -319,6 +320,20 @@ def test_the_vec_env_is_the_vector_environment_with_infos_of_each(vec_env: tuple
     for indices in (3, -4, [0, 3]):
         with pytest.raises(InputError, match=r"indices: there are environments 0 to 2, got (3|-4)"):
             env.get_attr("level", indices)
+    for indices, line in (
+        ([True, False, True], "indices: there are environments 0 to 2, got True"),
+        (True, "indices: there are environments 0 to 2, got True"),
+        ([0, -3], "indices: an environment is named twice, got"),
+        (1.5, "indices must be a whole number or a list of them, got 1.5"),
+        (slice(0, 2), "indices must be a whole number or a list of them, got slice"),
+        ("01", "indices: there are environments 0 to 2, got '0'"),
+    ):
+        with pytest.raises(InputError, match=line):
+            env.set_attr("level", 0.0, indices)
+    assert env.get_attr("level", np.int64(1)) == [0.5] == env.get_attr("level", np.array([1]))
+    for wrong in ({"lvel": 0.5}, [{}, {"lvel": 0.5}, {}]):
+        with pytest.raises(InputError, match="options: unknown 'lvel'; an environment has level"):
+            env.set_options(wrong)
     env.set_options({"level": 0.25})
     env.reset()
     assert env.get_attr("level") == [0.25] * 3
@@ -327,6 +342,10 @@ def test_the_vec_env_is_the_vector_environment_with_infos_of_each(vec_env: tuple
     with pytest.raises(AttributeError, match="an environment has the methods action_masks, render"):
         env.env_method("jump")
     env.close()
+    flat = kind(2, orders=orders, **THREADS)
+    with pytest.raises(InputError, match="level: the environment has no curriculum"):
+        flat.set_attr("level", 0.5)
+    flat.close()
 
 
 def test_maskable_ppo_trains_on_the_vec_env() -> None:
