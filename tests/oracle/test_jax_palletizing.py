@@ -135,6 +135,9 @@ def test_specs_fit_and_what_is_wrong_is_one_line(env: petmjx.jax.Palletizing) ->
     state, _ = env.reset(jax.random.key(0))
     with pytest.raises(InputError, match="action must be a whole number, got float32 of shape"):
         env.step(state, 0.5)  # type: ignore[arg-type]
+    for order, line in ((1.5, "order must be a whole number, got float32 of shape"), ("a", "order must be a whole nu")):
+        with pytest.raises(InputError, match=line):
+            env.reset(jax.random.key(0), order)  # type: ignore[arg-type]
 
 
 def test_candidates_of_many_states_are_asked_in_one_call() -> None:
@@ -258,7 +261,7 @@ def test_boxes_keep_their_gap_and_an_order_can_be_chosen() -> None:
     )
     assert env.num_orders == 2
     step = jax.jit(env.step)
-    state, timestep = env.reset(jax.random.key(0), 1)
+    state, timestep = env.reset(jax.random.key(0), 9)  # beyond the last order: the last one
     assert int(timestep.observation.left) == 8
     while not timestep.last():
         seen = timestep.observation
