@@ -412,10 +412,13 @@ class Palletizing:
 
 def _whole(value: Any, name: str) -> Int[Array, ""]:
     """A whole number, also one of a traced program. Raises InputError for anything else."""
+    is_numeric = isinstance(value, int | np.generic | np.ndarray | jax.Array)
     try:
-        number = jnp.asarray(value)
-    except (TypeError, ValueError, OverflowError):
-        raise InputError(f"{name} must be a whole number, {shown_value(value)}") from None
+        number = jnp.asarray(value) if is_numeric else None
+    except (TypeError, OverflowError):
+        number = None
+    if number is None:
+        raise InputError(f"{name} must be a whole number, {shown_value(value)}")
     if number.shape != () or not jnp.issubdtype(number.dtype, jnp.integer):
         raise InputError(f"{name} must be a whole number, got {number.dtype} of shape {number.shape}")
     return number

@@ -185,6 +185,7 @@ def _entries(folder: Path) -> dict[str, Any] | None:
         whole = whole and isinstance(entries["set"], dict) and set(tables) <= {TABLE}
         files = dict(tables.get(TABLE, {}))
         whole = whole and all(part_name(part_number(Path(name))) == name for name in files)
+        whole = whole and bool(files) == bool(entries["labels"])
     except (OSError, ValueError, TypeError, KeyError, AttributeError, RecursionError):
         whole = False
     if not whole:

@@ -133,10 +133,10 @@ def test_specs_fit_and_what_is_wrong_is_one_line(env: petmjx.jax.Palletizing) ->
         with pytest.raises(InputError, match=message):
             petmjx.jax.Palletizing(**{**OPTIONS, **options})
     state, _ = env.reset(jax.random.key(0))
-    with pytest.raises(InputError, match="action must be a whole number, got float32 of shape"):
+    with pytest.raises(InputError, match=r"action must be a whole number, got 0\.5"):
         env.step(state, 0.5)  # type: ignore[arg-type]
-    for order, line in ((1.5, "order must be a whole number, got float32 of shape"), ("a", "order must be a whole nu")):
-        with pytest.raises(InputError, match=line):
+    for order in (1.5, "a", np.float32(1), [0, 1], 2**70):
+        with pytest.raises(InputError, match="order must be a whole number, got"):
             env.reset(jax.random.key(0), order)  # type: ignore[arg-type]
 
 

@@ -314,6 +314,7 @@ def other_entries(**changes: Any) -> Any:
         *(
             other_entries(labels=500),
             other_entries(labels=-5),
+            other_entries(labels=0),
             other_entries(next_episode=7),
             other_entries(labels=1.5),
         ),
