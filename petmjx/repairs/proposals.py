@@ -271,7 +271,8 @@ def _exchanges(draft: Draft, rules: Rules, near: Sequence[int]) -> Iterator[Prop
             continue
         uneven = abs(draft.size_mm[box, 2] - draft.size_mm[other, 2]) > TOLERANCE_MM
         if _alike(draft, box, other) or (uneven and not (draft.is_bare[box] and draft.is_bare[other])):
-            continue  # exchanged, a box on top of one of them would float or overlap
+            # If boxes of different heights are exchanged, a box on top of one of them would float or overlap.
+            continue
         for turn, other_turn in itertools.product((False, True), repeat=2):
             size, other_size = _size(draft, box, turn), _size(draft, other, other_turn)
             if (turn and size[0] == size[1]) or (other_turn and other_size[0] == other_size[1]):

@@ -346,7 +346,7 @@ class SweepRun:
     ) -> Iterator[tuple[Test, FinishedWorld]]:
         """Simulate forks; yield each world with its test. ``following`` gives forks that follow from results."""
         begin = time.perf_counter()
-        most = self.batching.drives  # all drives are made at once, since their scenes already exist
+        most = self.batching.drives  # all drives of a batch begin at once, since their scenes already exist
         for result in self._score(worlds, most, forks=True, begin_with=most, following=following):
             yield result.world.test, self._driven(result)
         self.tally.drive_s += time.perf_counter() - begin

@@ -264,7 +264,7 @@ def test_what_is_wrong_is_one_line_that_names_the_argument(engine: Engine) -> No
         (lambda: pallets.take_back(1), "pallet: 1 has no box"),
         (lambda: pallets.plan(1), "pallet: 1 has no boxes"),
         (lambda: pallets.verdict(2), "pallet: there are pallets"),
-        (lambda: pallets.fork([0], [0, 1]), "into must name as many"),
+        (lambda: pallets.fork([0], [0, 1]), "into must name one pallet for each source, 1 in all"),
         (lambda: pallets.fork([0, 0], [1, 1]), "into: 1 is named twice"),
         (lambda: pallets.height_map(0.1), "cell_mm must be at least"),
         (lambda: pallets.try_all(**good, pallet=0, errors=0), "errors must be at least 1"),

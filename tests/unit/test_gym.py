@@ -307,7 +307,7 @@ def test_what_is_wrong_is_one_line(tmp_path: Path) -> None:
         ({"rewards": {"plced": 1}}, "rewards: unknown term 'plced'"),
         ({"orders": tmp_path / "bad.txt"}, "bad.txt: line 1: must have three lengths"),
         ({"orders": tmp_path / "none.json"}, "none.json: cannot be read"),
-        ({"orders": [order((2000, 2000, 100))]}, "orders: in 100 orders no box has a legal place"),
+        ({"orders": [order((2000, 2000, 100))]}, "orders: none of 100 orders drawn has a box with a legal place"),
         ({"carrier": "footprint"}, "carrier: footprint depends"),
         ({"render_mode": "window"}, "render_mode must be None or rgb_array or human"),
         ({"masks": "x"}, "unknown option masks"),

@@ -138,7 +138,7 @@ def test_what_a_story_needs_and_is_not_there_is_said_in_a_line(plan_file: Path, 
     assert petmjx.tell("tower", run).outcome.verdict is Verdict.STABLE, "the run has kept it"
     for folder in (run, swept):
         keep_nothing(folder)
-    refused("run: plan tower came from .*plans.json, which is not there", "tower", run)
+    refused("run: plan tower came from .*plans.json, which no longer exists", "tower", run)
     assert petmjx.tell("tower", run, plans=moved).outcome.verdict is Verdict.STABLE
     refused("swept: plan tower has no variant 7", "tower", swept, plans=moved, variant=7)
     refused("run: plan tower has no variant 1", "tower", run, plans=moved, variant=1)

@@ -177,7 +177,7 @@ class MjxWarpEngine(Engine):
             table = self._load(Run.of(source.needs, sim, progress), jobs, stream_numbers, rows, room)
             if running is not None:
                 table.put_running(running)
-                running = None  # the next table needs the memory of these worlds
+                running = None  # this frees its memory for the simulation
             yield from self._slices_of(table, source, waits=waits)
             del table  # the next table needs this memory
 

@@ -137,7 +137,7 @@ class Programs:
         if sizes in self._compiled:
             return self._compiled[sizes]
         begin, progress.message = time.perf_counter(), "compiling"
-        with _COMPILING:  # this waits for a thread that compiles kernels ahead of time
+        with _COMPILING:  # this waits until another thread has compiled kernels ahead of time
             if sizes not in self._compiled:
                 self.launcher.load()
                 self._compiled[sizes] = self._advancing.lower(*arguments).compile()
