@@ -52,16 +52,16 @@ def test_a_command_that_is_stopped_leaves_no_hidden_files(
     monkeypatch: pytest.MonkeyPatch,
     capsys: pytest.CaptureFixture[str],
 ) -> None:
-    """Any command, also one without a run, such as ``label``, whose files are open by then."""
+    """Any command, also one without a run, such as ``label``, whose folder is locked by then."""
 
-    def labels(self: Labeller, count: int) -> Iterator[object]:
-        assert len([*tmp_path.glob("labels/.*.parquet")]) == 3
+    def episodes(self: Labeller, count: int, first: int = 0) -> Iterator[object]:
+        assert [*tmp_path.glob("labels/.*")]
         signal.raise_signal(number)
         time.sleep(5)
-        yield {}
+        yield []
 
-    monkeypatch.setattr(Labeller, "labels", labels)
+    monkeypatch.setattr(Labeller, "episodes", episodes)
     arguments = ["label", "-n", "9", "-o", str(tmp_path / "labels"), "--engine", "mujoco", "--pallets", "1"]
     assert main(arguments) == code
-    assert capsys.readouterr().err == "petmjx: interrupted\n"
+    assert capsys.readouterr().err == "petmjx: interrupted: nothing was written\n"
     assert not [*tmp_path.iterdir()]
