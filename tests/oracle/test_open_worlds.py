@@ -156,7 +156,7 @@ def test_what_cannot_be_is_refused(engine: MujocoEngine | MjxWarpEngine) -> None
         worlds.finish([0])
     with pytest.raises(ValueError, match="more than 0 boxes"):
         worlds.put([0], [scene.first(0)])
-    for wrong, message in (([1], "no 1"), ([-1], "no -1"), ([0, 0], "named twice")):
+    for wrong, message in (([1], "no world 1"), ([-1], "no world -1"), ([0, 0], "named twice")):
         with pytest.raises(ValueError, match=message):
             worlds.put(wrong, [scene.first(1)] * len(wrong))
         with pytest.raises(ValueError, match=message):

@@ -161,7 +161,7 @@ def test_a_plan_that_is_refused_takes_no_outcome_from_those_before(crowd: dict[s
     jobs, outcomes = [Job(scene) for scene in tiny_scenes(TINY[:3]).values()], list[Outcome]()
     stream = LateStream(jobs, [jobs[0], Job(make_scene(TOO_MANY))])
     run = engine(most_rows=8, slice_ns=STEP_NS).run(stream, SHORT)
-    with pytest.raises(InputError, match=f"one has {MAX_BOXES + 1}"):
+    with pytest.raises(InputError, match=f"one plan has {MAX_BOXES + 1}"):
         outcomes.extend(run)
     assert sorted(outcome.job for outcome in outcomes) == list(range(len(jobs) + 1))
     for outcome in outcomes:

@@ -313,7 +313,7 @@ def test_plans_whose_run_ends_before_their_profile_are_skipped(tmp_path: Path) -
 
 def test_what_a_timestep_cannot_show_is_refused_before_the_run(tmp_path: Path) -> None:
     text = "[axes]\nprofile = 'fast'\n[profiles.fast]\nkind = 'random'\npsd = [[1, 0.1], [300, 0.1]]"
-    with pytest.raises(InputError, match=r"x\.toml: profile fast: PSD reaches 300 Hz, .* less than 250 Hz"):
+    with pytest.raises(InputError, match=r"x\.toml: profile fast: PSD reaches 300 Hz, .* below 250 Hz"):
         sweep_plan(tmp_path, text)
     sweep = load_sweep(sweep_file(tmp_path, text), simulation={"physics": {"timestep_s": 0.001}})
     assert SweepPlan(sweep, [make_plan("plan", 4)]).n_worlds == 1

@@ -121,7 +121,7 @@ def test_what_is_refused_or_recorded_waits_for_the_outcomes_before(job: Job) -> 
     assert not source.ended
     if job is REFUSED:
         for _ in range(2):
-            with pytest.raises(InputError, match=f"one has {MAX_BOXES + 1}"):
+            with pytest.raises(InputError, match=f"one plan has {MAX_BOXES + 1}"):
                 source.begin()
     else:
         assert source.recorded
