@@ -246,8 +246,7 @@ class _Packing:
         """Place boxes on the pallets whose placements have labels, and return these pallets. A GPU takes as long for
         few pallets as for many: nothing is placed while more than one pallet in ``SCORING_SHARE`` waits for its label.
         """
-        n = len(self._pallets)
-        if SCORING_SHARE * len(self.scoring) > n or len(self._waiting) > MOST_EPISODES * n:
+        if SCORING_SHARE * len(self.scoring) > len(self._pallets):
             return []
         if self._fallen:
             self._pallets.take_back(self._fallen)
@@ -265,8 +264,11 @@ class _Packing:
                 return placed
 
     def _begin(self) -> None:
-        """Begin episodes on empty pallets, until the labels are enough or no order has a box with a place."""
+        """Begin episodes on empty pallets, until the labels are enough or no order has a box with a place. While an
+        earlier episode is behind, others go on, but none begins."""
         n_orders = self._labeller.orders.count
+        if len(self._waiting) > MOST_EPISODES * len(self._pallets) and not self._waiting[0].is_over:
+            return
         rows = []
         for row in range(len(self._pallets)):
             if row not in self.running and self._made < self._count and self._barren < 2 * n_orders:

@@ -114,6 +114,21 @@ def test_more_labels_begin_with_the_same_ones_however_many_pallets(folder: Path)
     )
 
 
+def test_a_long_order_among_short_ones_ends_no_set() -> None:
+    """While the first of two pallets gets 14 boxes, the other one would go through all short orders."""
+    sizes = {"width_mm": 200, "height_mm": 100, "weight_kg": 3}
+    order_ids = [0] * 14 + [*range(1, 40)]
+    rows = [{"order_id": order, "length_mm": 300 if order else 200, **sizes} for order in order_ids]
+    labels = [
+        list(Labeller(Orders(pd.DataFrame(rows)), pallets=pallets, explore=0, **MUJOCO).labels(30))
+        for pallets in (1, 2)
+    ]
+    assert [len(of_pallets) for of_pallets in labels] == [30, 30]
+    for alone, beside in zip(*labels, strict=True):
+        assert (alone["episode"], alone["step"]) == (beside["episode"], beside["step"])
+        np.testing.assert_array_equal(alone["corner_mm"], beside["corner_mm"])
+
+
 def test_labels_have_shares_of_worlds_with_errors() -> None:
     orders = Orders(some_orders(2))
     (label,) = Labeller(orders, pallets=1, errors=4, **MUJOCO).labels(1)
