@@ -102,15 +102,15 @@ def write_labels(
 
     def check() -> dict[str, Any] | None:
         """The card of finished labels that are to be resumed."""
-        n_there = 0 if overwrite else n_unfinished(folder)
-        if not n_there and resume and os.path.exists(folder / CARD):
+        n_kept = 0 if overwrite else n_unfinished(folder)
+        if not n_kept and resume and os.path.exists(folder / CARD):
             return _finished(folder, head, count)
-        if n_there and not resume:
+        if n_kept and not resume:
             raise InputError(
-                f"{folder}: holds {count_text(n_there, 'label')} of an unfinished set; continue with "
+                f"{folder}: holds {count_text(n_kept, 'label')} of an unfinished set; continue with "
                 f"{option('--resume', 'True')}, or pass {option('--overwrite', 'True')}"
             )
-        check_outputs(outputs, overwrite=overwrite or n_there > 0, inputs=inputs, folder=folder)
+        check_outputs(outputs, overwrite=overwrite or n_kept > 0, inputs=inputs, folder=folder)
         with write_errors(folder):
             parts = [folder / UNFINISHED, folder / TABLE / "x", *part_files(folder, TABLE)]
         check_outputs(parts, overwrite=True, inputs=inputs, folder=folder)
@@ -155,14 +155,14 @@ def _finished(folder: Path, head: Mapping[str, Any], count: int) -> dict[str, An
     try:
         card: dict[str, Any] = json.loads(read_regular(folder / CARD, _MOST_CARD_BYTES))
         n_labels = {split: card["splits"][split]["labels"] for split in SPLITS}
-        there = sum(n_labels.values())
+        n_finished = sum(n_labels.values())
     except (OSError, ValueError, TypeError, KeyError, AttributeError, RecursionError):
         raise InputError(f"{folder / CARD}: damaged; name another folder with {option('--out')}") from None
     check_same_set(folder, {name: card.get(name) for name in head}, json.loads(json.dumps(head)))
-    if there != count:
+    if n_finished != count:
         raise InputError(
-            f"{folder}: its {count_text(there, 'label')} are finished; name another folder with {option('--out')}, or "
-            f"pass {option('--overwrite', 'True')}"
+            f"{folder}: its {count_text(n_finished, 'label')} are finished; "
+            f"name another folder with {option('--out')}, or pass {option('--overwrite', 'True')}"
         )
     for split, file in label_files(folder).items():
         try:

@@ -32,6 +32,7 @@ from petmjx.common.safe_read import read_regular
 from petmjx.common.text import count_text
 from petmjx.loop.placement_labels import SCHEMA, Label
 from petmjx.results.run_folder import part_files, part_name, part_number, write_text
+from petmjx.results.run_manifest import differing_settings
 from petmjx.results.run_table_files import Tables
 from petmjx.results.run_tables import LISTED, Parts
 from petmjx.results.schema import SCHEMA_VERSION
@@ -154,18 +155,10 @@ def check_same_set(folder: Path, before: Mapping[str, Any], now: Mapping[str, An
     orders, orders_now = before.get("orders"), now["orders"]
     if isinstance(orders, Mapping) and orders_now["sha256"] and orders.get("sha256") == orders_now["sha256"]:
         before = {**before, "orders": {**orders, "source": orders_now["source"]}}
-    if different := _difference(before, now):
-        raise InputError(f"{folder}: cannot be resumed: its labels differ from these ({different})")
-
-
-def _difference(before: Any, now: Any, name: str = "") -> str:
-    """The first entry in which two sets differ, such as "options.seed was 0, is 1"; "": they are equal."""
-    if isinstance(before, Mapping) and isinstance(now, Mapping):
-        of_each = (
-            _difference(before.get(key), now.get(key), f"{name}.{key}" if name else key) for key in {**before, **now}
-        )
-        return next(filter(None, of_each), "")
-    return "" if before == now else f"{name} was {json.dumps(before)}, is {json.dumps(now)}"
+    for name, earlier, later in differing_settings(before, now):
+        if earlier != later:  # an entry that is missing is the same as null
+            different = f"{name} was {json.dumps(earlier)}, is {json.dumps(later)}"
+            raise InputError(f"{folder}: cannot be resumed: its labels differ from these ({different})")
 
 
 def _entries(folder: Path) -> dict[str, Any] | None:

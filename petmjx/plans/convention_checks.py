@@ -265,9 +265,11 @@ def with_conventions(plan_set: PlanSet, extent_mm: tuple[float, float] | None) -
     """
     odd = odd_layouts(plan_set.plans, extent_mm)
     readings = [f"{source}: {reading.line()}" for source, reading in plan_set.readings.items()]
-    own = [plan for plan in plan_set.plans if plan.source not in plan_set.readings]  # conventions of the rest are known
+    own_plans = [
+        plan for plan in plan_set.plans if plan.source not in plan_set.readings
+    ]  # conventions of the rest are known
     own_odd = [layout for layout in odd if layout.source not in plan_set.readings]
-    conventions = _find_conventions(own, own_odd, extent_mm)
+    conventions = _find_conventions(own_plans, own_odd, extent_mm)
     return replace(plan_set, warnings=odd, conventions=[*readings, *conventions])
 
 

@@ -181,7 +181,7 @@ class Manifest:
         """
         settings = {name: value for name, value in _settings_of_command(self.settings).items() if name not in without}
         differences = [
-            *_setting_differences(_settings_of_command(earlier.settings), settings, ""),
+            *_setting_differences(_settings_of_command(earlier.settings), settings),
             *self._plan_differences(earlier),
         ]
         differences = [difference for difference in differences if difference.partition(" ")[0] not in without]
@@ -230,19 +230,25 @@ def _with_later_fields(simulation: Mapping[str, Any]) -> dict[str, Any]:
     return later
 
 
-def _setting_differences(was: Any, now: Any, path: str) -> Iterator[str]:
+def _setting_differences(was: Any, now: Any) -> Iterator[str]:
     """Yield a line such as "simulation.schedule is fixed, was adaptive" for every value that differs."""
+    for path, before, after in differing_settings(was, now):
+        yield f"{path} is {_setting_text(after)}, was {_setting_text(before)}"
+
+
+def differing_settings(was: Any, now: Any, path: str = "") -> Iterator[tuple[str, Any, Any]]:
+    """Yield every setting that differs: its name, such as "simulation.schedule", and its values; None: missing."""
     if isinstance(was, Mapping) and isinstance(now, Mapping):
         for name in dict.fromkeys((*was, *now)):
             if name == "errors" and not path and not (name in was and name in now):
                 continue  # only one of the two has confidence, and that difference is reported
             inner = f"{path}.{name}" if path else str(name)
-            yield from _setting_differences(was.get(name, _NOTHING), now.get(name, _NOTHING), inner)
+            yield from differing_settings(was.get(name, _NOTHING), now.get(name, _NOTHING), inner)
     elif _are_tables(was) and _are_tables(now) and len(was) == len(now):
         for number, (before, after) in enumerate(zip(was, now, strict=True)):
-            yield from _setting_differences(before, after, f"{path}[{number}]")
+            yield from differing_settings(before, after, f"{path}[{number}]")
     elif was != now:
-        yield f"{path} is {_setting_text(now)}, was {_setting_text(was)}"
+        yield path, None if was is _NOTHING else was, None if now is _NOTHING else now
 
 
 def _are_tables(value: Any) -> bool:
@@ -251,7 +257,7 @@ def _are_tables(value: Any) -> bool:
 
 
 def _setting_text(value: Any) -> str:
-    if value is _NOTHING or value is None:
+    if value is None:
         return "none"
     if _are_tables(value) and value:
         return count_text(len(value), "table")

@@ -286,15 +286,15 @@ def test_statics_names_the_box_that_is_too_much() -> None:
 
 def test_a_search_asks_for_the_same_worlds_again() -> None:
     """What is simulated depends on the plan and the options alone."""
-    plan, asked = make_plan(boxes=TOWER), []
+    plan, requests = make_plan(boxes=TOWER), []
     question = Question({"engine": "mujoco", "threads": 1}, RepairOptions(worlds=0))
     for _ in range(2):
         search = Search(plan, Simulation(), RepairOptions(worlds=0))
         steps = search.run()
         first = next(steps)
-        asked.append([first, steps.send(question.trials(first))])
-    assert [len(part) for part in asked[0]] == [len(part) for part in asked[1]]
-    for (one, judged, _), (other, _, _) in zip(asked[0][1], asked[1][1], strict=True):
+        requests.append([first, steps.send(question.trials(first))])
+    assert [len(part) for part in requests[0]] == [len(part) for part in requests[1]]
+    for (one, judged, _), (other, _, _) in zip(requests[0][1], requests[1][1], strict=True):
         assert judged
         assert one.order == other.order
         assert np.array_equal(one.corner_mm, other.corner_mm)
@@ -317,11 +317,11 @@ def answered(steps: Generator[list[Asked], list[Trial], Any], stands: Callable[[
     """What a part of a search returns, and how many trials it asks for, if drafts stand as told."""
     count = 0
     try:
-        asked = next(steps)
+        requests = next(steps)
         while True:
-            count += len(asked)
-            good = [stands(draft) for draft, *_ in asked]
-            asked = steps.send([Trial("stable" if g else "unstable", "", None, (), 1, 1, 0.0) for g in good])
+            count += len(requests)
+            good = [stands(draft) for draft, *_ in requests]
+            requests = steps.send([Trial("stable" if g else "unstable", "", None, (), 1, 1, 0.0) for g in good])
     except StopIteration as end:
         return end.value, count
 
@@ -354,11 +354,11 @@ def test_of_repairs_with_as_many_changes_the_one_that_stands_with_errors_is_firs
     assert [trial.stands for trial in trials] == [True, True]
     states = [State(draft, (move,), trial) for draft, move, trial in zip(drafts, moves, trials, strict=True)]
     steps = search._compared(states, states[:1])
-    asked = next(steps)
-    assert sorted({one.world for one in asked}) == [1, 2, 3, 4]
-    assert len(asked) == 8
+    requests = next(steps)
+    assert sorted({one.world for one in requests}) == [1, 2, 3, 4]
+    assert len(requests) == 8
     with pytest.raises(StopIteration) as end:
-        steps.send(question.trials(asked))
+        steps.send(question.trials(requests))
     best, worst = end.value.value
     assert (best.changes, worst.changes) == ((moves[1],), (moves[0],))
     assert best.n_good == 4 > worst.n_good
@@ -375,9 +375,11 @@ def test_faults_are_counted_by_taking_off_what_falls() -> None:
     drafts = [draft for changes in moves if (draft := applied(Draft.of(search.plan), changes)) is not None]
     trials = question.trials([Asked(draft, True) for draft in drafts])
     steps = search._faults([State(draft, (), trial) for draft, trial in zip(drafts, trials, strict=True)], 9.0)
-    asked = next(steps)
-    assert [draft.order for draft, *_ in asked] == [(0, 3, 4), (0, 1, 2, 3)], "with the box on it, which loses its hold"
-    second = steps.send(question.trials(asked))
+    requests = next(steps)
+    assert [draft.order for draft, *_ in requests] == [(0, 3, 4), (0, 1, 2, 3)], (
+        "with the box on it, which loses its hold"
+    )
+    second = steps.send(question.trials(requests))
     assert [draft.order for draft, *_ in second] == [(0, 3)]
     with pytest.raises(StopIteration) as end:
         steps.send(question.trials(second))
@@ -423,8 +425,8 @@ def test_searches_in_several_processes_end_as_in_one() -> None:
         for k in range(8)
     ]
 
-    def ask(asked: list[Asked]) -> list[Trial]:
-        good = [bool((draft.corner_mm[1, :2] > draft.plan.size_mm[0, 2] - 100).all()) for draft, *_ in asked]
+    def ask(requests: list[Asked]) -> list[Trial]:
+        good = [bool((draft.corner_mm[1, :2] > draft.plan.size_mm[0, 2] - 100).all()) for draft, *_ in requests]
         return [Trial("stable" if g else "unstable", "", None if g else 1, () if g else (1,), 2, 1, 0.0) for g in good]
 
     ends = []
@@ -436,10 +438,10 @@ def test_searches_in_several_processes_end_as_in_one() -> None:
     assert all(changes for changes, *_ in ends[0])
     searches = [Search(plan, Simulation(), RepairOptions(worlds=0)) for plan in plans]
 
-    def ask_until_stopped(asked: list[Asked]) -> list[Trial]:
-        if any(is_judged and draft.plan.plan_id == "2" for draft, is_judged, _ in asked):
+    def ask_until_stopped(requests: list[Asked]) -> list[Trial]:
+        if any(is_judged and draft.plan.plan_id == "2" for draft, is_judged, _ in requests):
             raise KeyboardInterrupt  # plan 0, which is in the same process, had its answer before
-        trials = zip(asked, ask(asked), strict=True)
+        trials = zip(requests, ask(requests), strict=True)
         return [
             trial._replace(verdict="stable") if draft.plan.plan_id == "0" else trial for (draft, *_), trial in trials
         ]
@@ -534,12 +536,12 @@ def test_an_interrupted_repair_keeps_the_plans_that_are_done(
     """The interrupt comes after some runs of the engine, or (None) while shares with errors are simulated."""
     source, out = tmp_path / "plans.json", tmp_path / "repaired.json"
     petmjx.save_plans([make_plan("stands", stack(2)), make_plan("falls", COUNTERWEIGHT)], source)
-    trials, asked = Question.trials, []
+    trials, requests = Question.trials, []
 
     def stopped(question: Question, drafts: Sequence[Any]) -> list[Trial]:
-        if len(asked) == n_calls:
+        if len(requests) == n_calls:
             raise KeyboardInterrupt
-        asked.append(drafts)
+        requests.append(drafts)
         return trials(question, drafts)
 
     def no_shares(question: Question, plans: Sequence[Plan]) -> Any:
