@@ -52,6 +52,7 @@ class Balance(NamedTuple):
         trouble: the sum of weights of these loads: 1 to 2 for each.
         weakness: what makes the plan fall with errors only: 1 for each load on its edge, 0 from ``SAFE_MM`` inside on,
             and 1 for each box that is lowered between two others without room, 0 from ``ROOM_MM`` on.
+        squeezed: numbers of the boxes that are lowered between two others with less room than ``ROOM_MM``.
     """
 
     box: IntArray
@@ -61,6 +62,7 @@ class Balance(NamedTuple):
     last_mm: FloatArray
     trouble: float
     weakness: float
+    squeezed: tuple[int, ...]
 
     def depth_of(self, box: int) -> float:
         """Distance of a box's load beyond an edge, mm; 0: inside."""
@@ -68,15 +70,19 @@ class Balance(NamedTuple):
         return float(self.depth_mm[rows[0]]) if len(rows) else 0.0
 
 
-def balances(drafts: Sequence[Draft], sim: Simulation) -> list[Balance]:
-    """The balance of each draft."""
+def balances(drafts: Sequence[Draft], sim: Simulation, *, spare_mm: float = 0.0) -> list[Balance]:
+    """The balance of each draft.
+
+    Args:
+        spare_mm: loads count as beyond an edge that are less than this inside.
+    """
     results: list[Balance] = []
     for begin in range(0, len(drafts), AT_ONCE):
-        results += _balances(drafts[begin : begin + AT_ONCE], sim)
+        results += _balances(drafts[begin : begin + AT_ONCE], sim, spare_mm)
     return results
 
 
-def _balances(drafts: Sequence[Draft], sim: Simulation) -> list[Balance]:
+def _balances(drafts: Sequence[Draft], sim: Simulation, spare_mm: float) -> list[Balance]:
     scenes = [build_scene(draft.as_plan(), sim) for draft in drafts]
     bearing = bearing_in_order(find_bearings(scenes, [scene.target for scene in scenes]))
     built = building_loads_of(bearing, [scene.n_boxes for scene in scenes])
@@ -86,7 +92,7 @@ def _balances(drafts: Sequence[Draft], sim: Simulation) -> list[Balance]:
     results = []
     for number, draft in enumerate(drafts):
         rows, start = slice(ends[number], ends[number + 1]), int(first[number])
-        edge_mm = MM_PER_M * built.edge_m[rows]
+        edge_mm = MM_PER_M * built.edge_m[rows] - spare_mm
         results.append(_balance(draft, built.box[rows] - start, built.step[rows] - start, edge_mm, perhaps[rows]))
     return results
 
@@ -98,7 +104,8 @@ def _balance(draft: Draft, box: IntArray, step: IntArray, edge_mm: FloatArray, p
     box, step, edge_mm, perhaps = box[has_edge], step[has_edge], edge_mm[has_edge], perhaps[has_edge]
     boxes, begins = np.unique(box, return_index=True)
     ends = np.append(begins[1:], len(box))
-    rows, weakness = [], _squeezed(draft)
+    rows, missing_room = [], _missing_room(draft)
+    weakness = float(missing_room.sum())
     for position, begin, end in zip(boxes.tolist(), begins.tolist(), ends.tolist(), strict=True):
         edges = edge_mm[begin:end]
         beyond = np.flatnonzero(edges < 0)
@@ -120,20 +127,22 @@ def _balance(draft: Draft, box: IntArray, step: IntArray, edge_mm: FloatArray, p
         last_mm=np.array([row[3] for row in rows], float),
         trouble=float((weight * (1 + np.minimum(depth / DEEP_MM, 1.0))).sum()),
         weakness=weakness,
+        squeezed=tuple(order[missing_room > 0].tolist()),
     )
 
 
-def _squeezed(draft: Draft) -> float:
-    """The sum of weights of the boxes that are lowered between two others without room, along x or y."""
+def _missing_room(draft: Draft) -> FloatArray:
+    """(n,) weights of the boxes in packing order: 1 for each axis, x and y, along which a box is lowered between two
+    others without room, 0 from ``ROOM_MM`` on."""
     order = list(draft.order)
     low, high = draft.corner_mm[order], (draft.corner_mm + draft.size_mm)[order]
     stands = np.triu(np.ones((len(order), len(order)), bool), k=1)  # the row's box is placed before the column's
     stands &= (high[:, None, 2] > low[None, :, 2] + TOLERANCE_MM) & (low[:, None, 2] < high[None, :, 2] - TOLERANCE_MM)
-    total = 0.0
+    missing = np.zeros(len(order))
     for axis, across in ((0, 1), (1, 0)):
         beside = stands & (shared_length(low[:, across], high[:, across]) > TOLERANCE_MM)
         room = np.zeros(len(order))
         for gap in (low[None, :, axis] - high[:, None, axis], low[:, None, axis] - high[None, :, axis]):
             room += np.maximum(np.where(beside & (gap > -TOLERANCE_MM), gap, np.inf).min(axis=0), 0.0)
-        total += float(np.maximum(1 - room / ROOM_MM, 0.0).sum())
-    return total
+        missing += np.maximum(1 - room / ROOM_MM, 0.0)
+    return missing

@@ -327,19 +327,34 @@ def applied(draft: Draft, changes: Sequence[Change]) -> Draft | None:
 
 
 def with_change(changes: Sequence[Change], change: Change) -> tuple[Change, ...]:
-    """A list of changes with one more. Two moves of the same boxes become one, of two orders of a box the second one
-    counts, and earlier changes of a box are dropped if it is then put elsewhere or left out."""
-    if isinstance(change, Order) and changes and isinstance(changes[-1], Order) and changes[-1].box == change.box:
-        return (*changes[:-1], change)
-    if isinstance(change, Move) and changes and isinstance(changes[-1], Move):
-        joined = changes[-1].joined(change)
-        if joined is not None:
-            return (*changes[:-1], joined)
+    """A list of changes with one more. A move becomes part of an earlier change of the same boxes, of two orders of a
+    box the second one counts, and earlier changes of a box are dropped if it is then put elsewhere or left out. The
+    shorter list may have another result, if boxes between which it was changed depend on it."""
+    for at in reversed(range(len(changes))):
+        earlier = changes[at]
+        if isinstance(change, Order) and isinstance(earlier, Order) and earlier.box == change.box:
+            return (*changes[:at], *changes[at + 1 :], change)
+        if isinstance(change, Move) and (joined := _moved(earlier, change)) is not None:
+            return (*changes[:at], joined, *changes[at + 1 :])
     if isinstance(change, Film):
         return (*(old for old in changes if old.kind is not Kind.FILM), change)
     if isinstance(change, Place | LeaveOut):
         changes = [old for old in changes if old.boxes != change.boxes]
     return (*changes, change)
+
+
+def _moved(change: Change, move: Move) -> Change | None:
+    """A change and a later move of the same boxes as one; None if they are of different boxes, or cancel out."""
+    if isinstance(change, Move):
+        return change.joined(move)
+    if change.boxes != move.boxes:
+        return None
+    if isinstance(change, Place):
+        x, y, z = change.corner_mm
+        return replace(change, corner_mm=(x + move.dx_mm, y + move.dy_mm, z))
+    if isinstance(change, Turn):
+        return replace(change, x_mm=change.x_mm + move.dx_mm, y_mm=change.y_mm + move.dy_mm)
+    return None
 
 
 def cost_of(changes: Sequence[Change]) -> float:

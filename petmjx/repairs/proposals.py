@@ -16,7 +16,7 @@ from typing import Final, NamedTuple
 import numpy as np
 
 from petmjx.common.units import FloatArray
-from petmjx.repairs.balance import Balance
+from petmjx.repairs.balance import ROOM_MM, Balance
 from petmjx.repairs.changes import Change, Exchange, Kind, LeaveOut, Move, Order, Place, Sheet, Turn
 from petmjx.repairs.drafts import TOLERANCE_MM, Draft, Rules
 
@@ -54,11 +54,13 @@ class Target(NamedTuple):
         box: number of the box that does not hold.
         cause: number of the box whose placement moves the load beyond the edge; the same box for its own weight.
         depth_mm: distance of the load beyond the edge; 0: no such load by statics.
+        is_squeezed: whether the box needs room beside it, since it falls with errors and is lowered between two others.
     """
 
     box: int
     cause: int
     depth_mm: float = 0.0
+    is_squeezed: bool = False
 
 
 @dataclass(frozen=True)
@@ -120,6 +122,8 @@ def proposals(draft: Draft, rules: Rules, target: Target, limits: Limits) -> Ite
     nearby_boxes = _near(draft, rules, target)
     makers: tuple[tuple[Kind, Callable[[], Iterator[Proposal]]], ...] = (
         (Kind.ORDER, lambda: _orders(draft, target)),
+        (Kind.ORDER, lambda: _earlier(draft, target)),
+        (Kind.MOVE, lambda: _clearances(draft, rules, target, limits.most_move_mm)),
         (Kind.MOVE, lambda: _moves(draft, nearby_boxes, target, limits.most_move_mm)),
         (Kind.MOVE, lambda: _pushes(draft, rules, target, limits.most_move_mm)),
         (Kind.TURN, lambda: _turns(draft, nearby_boxes)),
@@ -160,6 +164,47 @@ def _orders(draft: Draft, target: Target) -> Iterator[Proposal]:
         if draft.rank[support] > draft.rank[box]:
             yield (Order(support, box),)
             yield (Order(box, support, after=True),)
+
+
+def _earlier(draft: Draft, target: Target) -> Iterator[Proposal]:
+    """A squeezed box before one of those between which it is lowered, or that one after it."""
+    box = target.box
+    for number, _, _ in _tight(draft, target):
+        needed = [low for low in reversed(draft.below(box)) if draft.rank[low] > draft.rank[number]]
+        if len(needed) <= 2:
+            yield (*(Order(low, number) for low in needed), Order(box, number))
+        riders = [high for high in draft.above(number) if draft.rank[high] < draft.rank[box]]
+        if len(riders) <= 2:
+            after = [box, number, *riders]
+            yield tuple(Order(moved, last, after=True) for last, moved in itertools.pairwise(after))
+
+
+def _clearances(draft: Draft, rules: Rules, target: Target, most_mm: float) -> Iterator[Proposal]:
+    """Moves of the boxes between which a squeezed box is lowered, away from it, with all that is in their way."""
+    for number, axis, gap_mm in _tight(draft, target):
+        sign = np.sign(draft.corner_mm[number, axis] - draft.corner_mm[target.box, axis])
+        for length in (math.ceil(ROOM_MM - gap_mm) + more for more in (0, 4, 12)):
+            dx, dy = (float(sign * length), 0.0) if axis == 0 else (0.0, float(sign * length))
+            together = _pushed(draft, number, dx, dy, alone=False)
+            fits = len(together) <= MOST_TOGETHER and min(together) >= rules.built and target.box not in together
+            if fits and length <= most_mm:
+                yield (Move(number, dx, dy, tuple(sorted(together - {number}))),)
+
+
+def _tight(draft: Draft, target: Target) -> list[tuple[int, int, float]]:
+    """Boxes beside a squeezed box that are placed before it, with less room than ``ROOM_MM``: number, axis (0: x, 1: y)
+    and gap, mm."""
+    if not target.is_squeezed:
+        return []
+    low, high = draft.corner_mm, draft.corner_mm + draft.size_mm
+    gap = np.maximum(low[target.box] - high, low - high[target.box])
+    before = draft.rank < draft.rank[target.box]
+    found = []
+    for axis in (0, 1):
+        beside = before & (gap[:, [1 - axis, 2]] < -TOLERANCE_MM).all(axis=1)
+        beside &= (gap[:, axis] > -TOLERANCE_MM) & (gap[:, axis] < ROOM_MM)
+        found += [(number, axis, float(gap[number, axis])) for number in np.flatnonzero(beside).tolist()]
+    return found
 
 
 def _neighbours(draft: Draft, box: int) -> list[int]:

@@ -38,10 +38,6 @@ OF_READING: Final = (*READING, "articles", "limit", "strict")
 AT_ONCE: Final = 256
 """Plans that are repaired at the same time: their trials share runs of the engine, which fills a GPU."""
 
-GOOD_SHARE: Final = 0.75
-"""A repair that stands in this share of worlds with errors is chosen without a comparison with equally short
-repairs."""
-
 SHOWN: Final = (
     ShownColumn("plan_id", "plan"),
     ShownColumn("boxes", "boxes"),
@@ -64,7 +60,7 @@ class Repaired:
         before: the plan before the repair.
         plan: the repaired plan; the plan itself if it stands already, or without a known repair.
         changes: the changes, in order. Without any one of them the plan falls, or is not allowed (boxes overlap, float,
-            …).
+            …), or stands in too few worlds with errors (``RepairOptions.share``).
         trial_before, trial_after: the simulation of both; after: None if no repair is known.
         share_before, share_after: shares of worlds with errors in which the two plans stand; None: not simulated.
         n_trials: plans that were simulated.
@@ -243,7 +239,7 @@ def repair(
     watch: Callable[[int, int], object] | None = None,
     **options: Any,
 ) -> Repairs:
-    """Find for each plan the smallest change that makes it stand.
+    """Find for each plan the smallest change that makes it stand, and stand often enough with errors.
 
     ``petmjx.repair("plans.json", forbid=["leave-out"], built=12).save("repaired.json")``
 
@@ -255,9 +251,9 @@ def repair(
         plans: as for ``petmjx.score``.
         watch: called with the number of plans that are done, and of all plans.
         options: ``forbid``, ``built``, ``most_move_mm``, ``max_height_mm``, ``most_changes``, ``trials``, ``seconds``,
-            ``worlds``, ``sheet_mm``, ``sheet_kg_m2``, ``profile``, ``level``, ``direction_deg``, ``most_turns``
-            (docs/repair.md); ``errors``, a sweep file; fields of ``petmjx.Simulation``; ``engine``, ``threads``,
-            ``lanes``, ``world_timeout_s``, ``units``, ``anchor``, ``articles``, ``limit``, ``strict``.
+            ``worlds``, ``share``, ``sheet_mm``, ``sheet_kg_m2``, ``profile``, ``level``, ``direction_deg``,
+            ``most_turns`` (docs/repair.md); ``errors``, a sweep file; fields of ``petmjx.Simulation``; ``engine``,
+            ``threads``, ``lanes``, ``world_timeout_s``, ``units``, ``anchor``, ``articles``, ``limit``, ``strict``.
 
     Raises:
         InputError: plans or options are unusable.
@@ -332,7 +328,6 @@ def _with_shares(searches: Sequence[Search], question: Question, options: Repair
     after = list(before)
     chosen = [_first(search) for search in searches]
     if options.worlds:
-        chosen = _likeliest(searches, question)
         before = [*question.shares([search.plan for search in searches])]
         after = [None if state is None else share for state, share in zip(chosen, before, strict=True)]
         changed = {row: state.draft.as_plan() for row, state in enumerate(chosen) if state and state.changes}
@@ -342,7 +337,7 @@ def _with_shares(searches: Sequence[Search], question: Question, options: Repair
 
 
 def _first(search: Search) -> State | None:
-    """The best repair by statics and cost; None: no repair."""
+    """The best repair; None: no repair."""
     return search.repairs[0] if search.repairs else None
 
 
@@ -360,30 +355,3 @@ def _repaired_by(search: Search, state: State | None, before: Share | None, afte
         n_trials=search.n_trials,
         complete=search.complete,
     )
-
-
-def _likeliest(searches: Sequence[Search], question: Question) -> list[State | None]:
-    """The repair of each search chosen; None: no repair.
-
-    Of repairs with the same number of changes, the cheapest that stands often enough with errors is chosen; without
-    one, the repair that stands most often. The best of several looks better than it is. So the choice uses other random
-    errors than the reported shares: errors depend on the plan's id.
-    """
-    shares: list[list[Share]] = [[] for _ in searches]
-    rows = [row for row, search in enumerate(searches) if len(search.repairs) > 1 and search.complete]
-    while rows:
-        drafts = [searches[row].repairs[len(shares[row])].draft for row in rows]
-        plans = [draft.as_plan(f"{draft.plan.plan_id}: choice") for draft in drafts]
-        for row, share in zip(rows, question.shares(plans), strict=True):
-            shares[row].append(share)
-        rows = [row for row in rows if len(shares[row]) < len(searches[row].repairs) and not _is_good(shares[row][-1])]
-    best = [
-        max(range(len(plan_shares)), key=lambda k: (plan_shares[k].n_standing, -k)) if plan_shares else 0
-        for plan_shares in shares
-    ]
-    return [search.repairs[k] if search.repairs else None for search, k in zip(searches, best, strict=True)]
-
-
-def _is_good(share: Share) -> bool:
-    """Whether a repair stands often enough with errors, so that no other repair is tried."""
-    return share.n_worlds > 0 and share.value >= GOOD_SHARE

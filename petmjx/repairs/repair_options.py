@@ -72,6 +72,11 @@ class RepairOptions(CheckedRecord):
         description="worlds with errors of placement, size, mass and friction in which the plan and its repair are "
         "simulated, at least 4; 0: none",
     )
+    share: Annotated[float, within(0, 1), CliFlag("--share", "SHARE")] = Field(
+        0.5,
+        description="share of worlds with errors in which a repair shall stand: further changes are made for it, but "
+        "not with a profile; 0: none are made",
+    )
     sheet_mm: Annotated[float, within(0.1, 100), CliFlag("--sheet-mm", "MM")] = Field(
         3.0, description="thickness of a tie sheet, mm"
     )
@@ -96,6 +101,12 @@ class RepairOptions(CheckedRecord):
         for name in ("level", "direction_deg", "most_turns"):
             if self.profile is None and name in self.model_fields_set:
                 raise complaint("needs a profile: at rest nothing shakes the pallet", name)
+        return self
+
+    @model_validator(mode="after")
+    def _share_of_something(self) -> Self:
+        if not self.worlds and "share" in self.model_fields_set and self.share > 0:
+            raise complaint("needs worlds > 0: without worlds with errors there is no share", "share")
         return self
 
     @property

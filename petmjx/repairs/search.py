@@ -14,18 +14,19 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from collections.abc import Generator, Sequence
+from collections.abc import Generator, Iterable, Sequence
 from dataclasses import dataclass, replace
+from itertools import chain, zip_longest
 from typing import Final
 
 import numpy as np
 
 from petmjx.options.simulation import Simulation
 from petmjx.plans.plan import Plan
-from petmjx.repairs.balance import balances
+from petmjx.repairs.balance import SAFE_MM, balances
 from petmjx.repairs.changes import Change, Film, Kind, LeaveOut, applied, cost_of, with_change
 from petmjx.repairs.drafts import Draft, Rules
-from petmjx.repairs.proposals import Limits, Proposal, lifted_with, proposals, targets
+from petmjx.repairs.proposals import MOST_TARGETS, Limits, Proposal, Target, lifted_with, proposals, targets
 from petmjx.repairs.rebuilds import rebuilds
 from petmjx.repairs.repair_options import RepairOptions
 from petmjx.repairs.states import AT_ONCE, Candidate, Node, State, batch_of, key_of, n_counted, shortest, way_of
@@ -67,7 +68,21 @@ MOST_FINALISTS: Final = 4
 """Repairs with the least number of changes from which one is chosen by scores with errors."""
 
 MOST_COMPARED: Final = 12
-"""Repairs with the least number of changes that are judged in a few worlds with errors."""
+"""Repairs that are judged at once in a few worlds with errors."""
+
+ALL_WORLDS: Final = range(1, ERROR_WORLDS + 1)
+COMPARED_IN: Final = ALL_WORLDS[: ERROR_WORLDS // 2]
+"""Worlds with errors in which they are judged."""
+
+FAIR_SHARE: Final = 0.75
+"""Of repairs with the least number of changes, one that stands in this share of all worlds with errors is taken without
+a comparison with the others."""
+
+MOST_LOST: Final = 3
+"""Worlds with errors, of those in which a plan falls, in which its changes are judged first."""
+
+STRENGTHENED: Final = 0.4
+"""Share of all trials in which further changes are tried, which make a repair stand more often with errors."""
 
 MORE_TO_COMPARE: Final = 24
 """Further changed plans that are judged to have repairs to compare."""
@@ -102,8 +117,9 @@ class Search:
     Attributes:
         plan: the plan.
         before: the simulation of the plan; None: unknown yet.
-        repairs: the repairs with the fewest changes, the best first; empty: there is none. Without any one change of a
-            repair the plan falls, or is not allowed.
+        repairs: the repairs, the best first, which may have further changes for worlds with errors; the others have the
+            fewest changes with which the plan stands. Empty: there is none. Without any one change of a repair the plan
+            falls, or is not allowed, or stands in too few worlds with errors.
         n_trials: simulated plans.
         complete: whether the search came to its end. Before, changes of a repair may not be needed.
     """
@@ -166,6 +182,8 @@ class Search:
         if standing:
             self.repairs = tuple(standing)
             yield from self._finished(standing)
+            if self.options.worlds:
+                yield from self._strengthened()
 
     def _simulated(
         self, drafts: Sequence[Draft], *, judged: bool = False
@@ -261,10 +279,7 @@ class Search:
         """
         different = [*{key_of(state.draft): state for state in (*judged, *scored)}.values()]
         chosen = [different[k] for k in self._safest(different)[:MOST_COMPARED]]
-        worlds = range(1, ERROR_WORLDS + 1)
-        self.n_trials += len(chosen) * len(worlds)
-        trials = iter((yield [Asked(state.draft, True, world) for state in chosen for world in worlds]))
-        counted = [replace(state, n_good=sum(next(trials).stands for _ in worlds)) for state in chosen]
+        counted = yield from self._judged_in(chosen, COMPARED_IN)
         counted.sort(key=lambda state: -state.n_good)
         best, sure = counted[: 2 * MOST_FINALISTS], {key_of(state.draft) for state in scored}
         unsure = [k for k, state in enumerate(best) if key_of(state.draft) not in sure]
@@ -272,6 +287,18 @@ class Search:
         for k, trial in zip(unsure, scores, strict=True):
             best[k] = replace(best[k], trial=trial)
         return [state for state in best if state.trial.stands] or [*scored]
+
+    def _judged_in(
+        self, states: Sequence[State], worlds: Iterable[int]
+    ) -> Generator[list[Asked], list[Trial], list[State]]:
+        """The states with their trials in these worlds with errors, those in which they were judged before, too."""
+        pairs = [(k, world) for k, state in enumerate(states) for world in worlds if world not in state.errors]
+        self.n_trials += len(pairs)
+        trials = (yield [Asked(states[k].draft, True, world) for k, world in pairs]) if pairs else []
+        errors = [dict(state.errors) for state in states]
+        for (k, world), trial in zip(pairs, trials, strict=True):
+            errors[k][world] = trial
+        return [replace(state, errors=known) for state, known in zip(states, errors, strict=True)]
 
     def _safest(self, states: Sequence[State]) -> list[int]:
         """Numbers of states, the least weak and cheapest of each way to change a plan, then the second of each."""
@@ -405,13 +432,11 @@ class Search:
 
     def _ranked(self, state: State, limits: Limits, *, anew: bool = False) -> list[Candidate]:
         """Allowed changes of a plan, or ways to build it anew, the most promising first."""
-        (balance,) = balances([state.draft], self.sim)
-        trial = state.trial
-        causes = targets(state.draft, self.rules, balance, trial.culprit, trial.fallen, trial.n_placed)
+        causes = self._causes(state)
         first = next((cause for cause in causes if cause.depth_mm > 0), causes[0]) if causes else None
         if anew:
             leaves_out = Kind.LEAVE_OUT in limits.kinds
-            some = rebuilds(state.draft, self.rules, self.sim, causes, trial.n_held, leaves_out=leaves_out)
+            some = rebuilds(state.draft, self.rules, self.sim, causes, state.trial.n_held, leaves_out=leaves_out)
         else:
             some = (p for cause in causes for p in proposals(state.draft, self.rules, cause, limits))
         drafts: list[Draft] = []
@@ -447,6 +472,24 @@ class Search:
         self._seen.difference_update(key_of(candidate.draft) for candidate in ranked[MOST_RANKED:])
         return ranked[:MOST_RANKED]
 
+    def _causes(self, state: State) -> list[Target]:
+        """Why a plan fails, the likeliest causes first. Of a plan that stands, but not with errors: why it falls then,
+        in the most worlds first; loads that are not safe by statics count as beyond an edge."""
+        lost = sorted(state.lost.values(), key=lambda trial: trial.n_held) or [state.trial]
+        (balance,) = balances([state.draft], self.sim, spare_mm=SAFE_MM if state.lost else 0.0)
+        often = Counter(trial.culprit for trial in lost)
+        trials = {trial.culprit: trial for trial in lost}
+        of_each = [
+            targets(state.draft, self.rules, balance, culprit, trials[culprit].fallen, trials[culprit].n_placed)
+            for culprit, _ in often.most_common()
+        ]
+        different: dict[int, Target] = {}
+        for target in chain.from_iterable(zip_longest(*of_each)):
+            if target is not None:
+                is_squeezed = bool(state.lost) and target.box in balance.squeezed
+                different.setdefault(target.box, target._replace(is_squeezed=is_squeezed))
+        return [*different.values()][:MOST_TARGETS]
+
     # ------------------------------------------------------------------ the end
 
     def _finished(self, standing: Sequence[State]) -> Asking:
@@ -459,6 +502,61 @@ class Search:
         different = [*{key_of(state.draft): state for state in pruned}.values()]
         ranks = [(-state.n_good, *risk) for state, risk in zip(different, self._risks(different), strict=True)]
         self.repairs = tuple(different[k] for k in sorted(range(len(ranks)), key=ranks.__getitem__))
+
+    def _strengthened(self) -> Asking:
+        """Put the repair first that stands most often with errors, and change it further until it stands in the wanted
+        share of these worlds: where it falls then, as a plan is changed that falls without errors."""
+        options = self.options
+        wanted = math.ceil(options.share * ERROR_WORLDS)
+        compared: list[State] = []
+        for state in self.repairs:
+            compared += yield from self._judged_in([state], ALL_WORLDS)
+            if compared[-1].n_good >= max(wanted, FAIR_SHARE * ERROR_WORLDS):
+                break
+        compared.sort(key=lambda state: -state.n_good)
+        self.repairs = tuple(compared)
+        kinds = options.kinds - {Kind.FILM, Kind.LEAVE_OUT}
+        if options.profile is not None or not kinds:
+            return
+        limits = Limits(kinds, options.most_move_mm, options.sheet_mm, options.sheet_kg_m2)
+        self._seen.clear()
+        nodes, best = [Node(state) for state in compared], compared[0]
+        last = self.n_trials + int(STRENGTHENED * options.trials)
+        while nodes and best.n_good < wanted and self.n_trials < last:
+            node = min(nodes, key=lambda node: (node.n_judged // AT_ONCE - node.state.n_good, node.state.cost))
+            if node.queue is None:
+                node.queue = self._ranked(node.state, limits)
+            if not node.queue:
+                nodes.remove(node)
+                continue
+            node.n_judged += AT_ONCE
+            judged = yield from self._judged(batch_of([node.queue], AT_ONCE))
+            standing = [state for state in judged if state.trial.stands]
+            chosen = [standing[k] for k in self._safest(standing)[:MOST_COMPARED]]
+            chosen = yield from self._judged_in(chosen, [*node.state.lost][:MOST_LOST])
+            chosen = sorted((state for state in chosen if state.n_good), key=lambda state: -state.n_good)
+            chosen = yield from self._judged_in(chosen[:MOST_FINALISTS], ALL_WORLDS)
+            better = [state for state in chosen if state.n_good > node.state.n_good]
+            nodes += [Node(state) for state in better]
+            if better and (most := max(better, key=lambda state: state.n_good)).n_good > best.n_good:
+                (trial,) = yield from self._simulated([most.draft])
+                best = replace(most, trial=trial) if trial.stands else best
+        if best is not compared[0]:
+            best = yield from self._needed(best, min(wanted, best.n_good))
+            self.repairs = (best, *compared)
+
+    def _needed(self, state: State, n_good: int) -> Generator[list[Asked], list[Trial], State]:
+        """The state without changes that it does not need to stand, and to stand in so many worlds with errors."""
+        while len(state.changes) > 1:
+            lists = [(*state.changes[:k], *state.changes[k + 1 :]) for k in range(len(state.changes))]
+            shorter = yield from self._trials_of(lists, judged=len(lists) > MOST_UNDONE)
+            shorter = yield from self._judged_in([one for one in shorter if one.trial.stands], ALL_WORLDS)
+            shorter = sorted((one for one in shorter if one.n_good >= n_good), key=lambda one: one.cost)
+            trials = (yield from self._simulated([shorter[0].draft])) if shorter else []
+            if not trials or not trials[0].stands:
+                break
+            state = replace(shorter[0], trial=trials[0])
+        return state
 
     def _reduced(self, state: State) -> Generator[list[Asked], list[Trial], State]:
         """The state without groups of needless changes if it has many: halves first, then smaller groups."""

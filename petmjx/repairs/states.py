@@ -5,8 +5,8 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 from typing import Final
 
 import numpy as np
@@ -32,14 +32,24 @@ class State:
         changes: the changes.
         trial: its simulation.
         faults: an estimate of the changes that are still needed.
-        n_good: number of worlds with errors in which it stands, of ``ERROR_WORLDS``.
+        errors: number of a world with errors → the trial in it, for those in which the plan was judged.
     """
 
     draft: Draft
     changes: tuple[Change, ...]
     trial: Trial
     faults: float = math.inf
-    n_good: int = 0
+    errors: Mapping[int, Trial] = field(default_factory=dict)
+
+    @property
+    def n_good(self) -> int:
+        """Number of worlds with errors in which it stands."""
+        return sum(trial.stands for trial in self.errors.values())
+
+    @property
+    def lost(self) -> dict[int, Trial]:
+        """The trials with errors in which it falls."""
+        return {world: trial for world, trial in self.errors.items() if not trial.stands}
 
     @property
     def cost(self) -> float:

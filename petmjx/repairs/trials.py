@@ -53,8 +53,8 @@ TABLE: Final = 512, 32
 """Fewest rows of a table on a GPU, and boxes in steps of which it has columns. Each batch of trials has another number
 of worlds, and each size of a table takes seconds to compile."""
 
-ERROR_WORLDS: Final = 4
-"""Worlds with errors in which many repairs are compared."""
+ERROR_WORLDS: Final = 8
+"""Worlds with errors in which repairs are judged at most."""
 
 
 class Asked(NamedTuple):
@@ -167,10 +167,10 @@ class Question:
 
     def trials(self, asked: Sequence[Asked]) -> list[Trial]:
         """The trial of each draft. All are simulated at once, except those with other turns of film. If pallets must
-        survive a profile, all are scored."""
+        survive a profile, all are scored, but for worlds with errors, which are at rest."""
         drafts = [one.draft for one in asked]
         self.n_simulated += len(drafts)
-        results = self._judged(asked) if self._options.profile is None else {}
+        results = self._judged(asked)
         turns = dict.fromkeys(draft.film_turns for draft in drafts)
         for film_turns in turns:
             numbers = [n for n, draft in enumerate(drafts) if draft.film_turns == film_turns and n not in results]
@@ -204,7 +204,7 @@ class Question:
         jobs: dict[tuple[int, bool], list[tuple[int, Job]]] = {}
         engines: dict[int, Engine] = {}
         for number, one in enumerate(asked):
-            if one.is_judged:
+            if one.world or (one.is_judged and self._options.profile is None):
                 job = Job(self._scene(one), has_errors=True)
                 engine = self._engines.for_job(job, self.sim, doubles=False, soft=job.scene.soft is not None)
                 engines[id(engine)] = engine

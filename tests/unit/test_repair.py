@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Callable, Generator, Sequence
+from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -17,10 +18,10 @@ from petmjx.cli.main import main
 from petmjx.common.errors import InputError
 from petmjx.options.simulation import Simulation
 from petmjx.plans.plan import Plan
-from petmjx.repairs.balance import balances
+from petmjx.repairs.balance import ROOM_MM, balances
 from petmjx.repairs.changes import Exchange, Film, Kind, LeaveOut, Move, Order, Place, Sheet, Turn, applied, with_change
 from petmjx.repairs.drafts import Draft, Rules
-from petmjx.repairs.proposals import Target
+from petmjx.repairs.proposals import Limits, Target, proposals
 from petmjx.repairs.rebuilds import rebuilds
 from petmjx.repairs.repair import Repaired
 from petmjx.repairs.repair_options import RepairOptions
@@ -259,6 +260,11 @@ def test_changes_of_one_box_become_one() -> None:
     first, second = Move(1, 20.0, 0.0), Move(1, 0.0, -5.0)
     assert with_change((first,), second) == (Move(1, 20.0, -5.0),)
     assert Move(1, 20.0, -5.0).words == "move box 1 by 20 mm to the right and 5 mm to the front"
+    assert with_change((first, Order(2, 3)), second) == (Move(1, 20.0, -5.0), Order(2, 3))
+    place = Place(1, (0.0, 0.0, 200.0), False, others=(2,))
+    assert with_change((place,), Move(1, 4.0, 0.0, (2,))) == (replace(place, corner_mm=(4.0, 0.0, 200.0)),)
+    assert with_change((place,), first) == (place, first), "the box on it stays"
+    assert with_change((Turn(1, 5.0, 6.0),), second) == (Turn(1, 5.0, 1.0),)
     assert with_change((first,), LeaveOut(1)) == (LeaveOut(1),)
     assert with_change((Film(4.0),), Film(3.0)) == (Film(3.0),)
     assert with_change((first,), Move(2, 1.0, 0.0)) == (first, Move(2, 1.0, 0.0))
@@ -362,6 +368,49 @@ def test_of_repairs_with_as_many_changes_the_one_that_stands_with_errors_is_firs
     best, worst = end.value.value
     assert (best.changes, worst.changes) == ((moves[1],), (moves[0],))
     assert best.n_good == 4 > worst.n_good
+
+
+def test_a_repair_that_falls_with_errors_is_changed_further() -> None:
+    """One fault is mended. The other stack stands as planned, half a millimetre from its edge, and falls with many
+    errors: its box is moved inside, too, but only if that is wanted, and if both changes are needed."""
+    plan = make_plan(boxes=(*stack(2, 230.0), *stack(2, 199.5, at_mm=(0.0, 500.0))))
+    moves = Move(1, -60.0, 0.0), Move(0, 0.0, 40.0, (1,))
+    draft = applied(Draft.of(plan), moves)
+    assert draft is not None
+    question = Question({"engine": "mujoco", "threads": 1}, RepairOptions())
+    (trial,) = question.trials([Asked(draft, is_judged=False)])
+    assert trial.stands
+    repairs = {}
+    for share in (0.25, 1.0):
+        search = Search(plan, Simulation(), RepairOptions(share=share, forbid=("exchange", "place", "turn", "order")))
+        search.repairs = (State(draft, moves, trial),)
+        steps, answers = search._strengthened(), None
+        with suppress(StopIteration):
+            while True:
+                answers = question.trials(steps.send(answers) if answers else next(steps))
+        repairs[share] = search.repairs[0]
+    assert repairs[0.25].changes == moves
+    assert 2 <= repairs[0.25].n_good < 8, "about half of the worlds"
+    first, second = repairs[1.0].changes
+    assert first == moves[0], "the second of the moves was of no use"
+    assert second.boxes[0] in (2, 3)
+    assert repairs[1.0].n_good == 8
+    (balance,) = balances([repairs[1.0].draft], Simulation())
+    assert balance.weakness < 0.5
+
+
+def test_a_box_that_is_lowered_between_two_others_gets_room() -> None:
+    plan = make_plan(boxes=[((200, 200, 200), (x, 0, 0), 5) for x in (0, 402, 201)])
+    draft, rules = Draft.of(plan), Rules(make_plan(), Simulation(), 2000.0, 0)
+    (balance,) = balances([draft], Simulation())
+    assert balance.squeezed == (2,)
+    assert balance.weakness == pytest.approx(1 - 2 / ROOM_MM)
+    limits = Limits(frozenset({Kind.ORDER, Kind.MOVE}), 150.0, 3.0, 0.5)
+    some = [*proposals(draft, rules, Target(2, 2, is_squeezed=True), limits)]
+    assert set(some) > {(Order(2, 0),), (Order(2, 1),), (Order(1, 2, after=True),), (Move(1, 7.0, 0.0),)}
+    assert (Move(0, -7.0, 0.0),) in some, "whether a box may reach so far is for the rules to say"
+    drafts = [one for p in ((Order(2, 1),), (Move(1, 7.0, 0.0),)) if (one := applied(draft, p)) is not None]
+    assert [balance.squeezed for balance in balances(drafts, Simulation())] == [(), ()]
 
 
 TWO_FAULTS: Sequence[Box] = (*stack(3, 230.0), *stack(2, 230.0, at_mm=(0.0, 600.0)))
@@ -489,6 +538,7 @@ def test_notes_are_those_of_a_score() -> None:
         ({"built": 2}, "plan 00000001: built must be less than its 2 boxes, got 2"),
         ({"seconds": 0}, "seconds must be from 0.1"),
         ({"worlds": 3}, "worlds must be 0, or from 4"),
+        ({"worlds": 0, "share": 0.8}, "share needs worlds"),
         ({"level": 0.5}, "level needs a profile"),
         ({"profile": "eumos"}, "eumos"),
         ({"out": "x"}, "out: a repair has no such option"),
