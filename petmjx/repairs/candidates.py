@@ -1,0 +1,188 @@
+"""Changed plans that may be repairs (``Candidates``): they are proposed for the causes of a failure, ranked by statics,
+and simulated."""
+
+from __future__ import annotations
+
+import math
+from collections import Counter
+from collections.abc import Generator, Iterable, Sequence
+from dataclasses import dataclass, replace
+from itertools import chain, zip_longest
+from typing import Final
+
+import numpy as np
+
+from petmjx.options.simulation import Simulation
+from petmjx.plans.plan import Plan
+from petmjx.repairs.balance import SAFE_MM, balances
+from petmjx.repairs.changes import Change, Kind, applied, cost_of, with_change
+from petmjx.repairs.drafts import Draft, Rules
+from petmjx.repairs.proposals import MOST_TARGETS, Limits, Proposal, Target, proposals, targets
+from petmjx.repairs.rebuilds import rebuilds
+from petmjx.repairs.repair_options import RepairOptions
+from petmjx.repairs.states import Candidate, State, key_of, n_counted, way_of
+from petmjx.repairs.trials import Asked, Trial
+
+MOST_RANKED: Final = 168
+"""Allowed changes of a plan that are kept, the most promising ones."""
+
+PER_WEAKNESS: Final = 1.0
+"""Weight of what makes a plan fall with errors only in the ranking, against loads beyond edges."""
+
+PER_COST: Final = 0.3
+"""Weight of a change's cost in the ranking, against loads beyond edges."""
+
+UNSOLVED: Final = 3.0
+"""Weight of the first cause if it remains."""
+
+SAME_COST: Final = 0.1
+"""Repairs whose costs differ by less count as equally cheap: 50 mm of a move. The state that is likelier to stand with
+errors is chosen."""
+
+SAME_WEAKNESS: Final = 0.25
+"""Plans whose weakness differs by less count as equally weak: the cheaper one is better."""
+
+
+@dataclass(eq=False)
+class Candidates:
+    """Changes of one plan.
+
+    Methods that simulate are generators: they yield drafts to be simulated and are sent their trials.
+
+    Attributes:
+        plan: the plan.
+        film_turns: turns of film around it.
+        n_trials: simulated plans.
+    """
+
+    plan: Plan
+    sim: Simulation
+    options: RepairOptions
+    film_turns: float = 0.0
+    n_trials: int = 0
+
+    def __post_init__(self) -> None:
+        """Prepare the rules of the plan."""
+        options = self.options
+        self.rules = Rules(self.plan, self.sim, options.max_height_mm, options.built)
+        self._start = Draft.of(self.plan, self.film_turns)
+        self._seen: set[bytes] = set()
+
+    # ------------------------------------------------------------------ proposals
+
+    def _ranked(self, state: State, limits: Limits, *, anew: bool = False) -> list[Candidate]:
+        """Allowed changes of a plan, or ways to build it anew, the most promising first."""
+        causes = self._causes(state)
+        first = next((cause for cause in causes if cause.depth_mm > 0), causes[0]) if causes else None
+        if anew:
+            leaves_out = Kind.LEAVE_OUT in limits.kinds
+            some = rebuilds(state.draft, self.rules, self.sim, causes, state.trial.n_held, leaves_out=leaves_out)
+        else:
+            some = (p for cause in causes for p in proposals(state.draft, self.rules, cause, limits))
+        drafts: list[Draft] = []
+        origins: list[Proposal] = []
+        for proposal in some:
+            draft = applied(state.draft, proposal)
+            if draft is None:
+                continue
+            key = key_of(draft)
+            if key not in self._seen:
+                self._seen.add(key)
+                drafts.append(draft)
+                origins.append(proposal)
+        allowed = np.flatnonzero(self.rules.allow(drafts)).tolist() if drafts else []
+        ranked = []
+        for number, after in zip(allowed, balances([drafts[k] for k in allowed], self.sim), strict=True):
+            proposal = origins[number]
+            changes = state.changes
+            for change in proposal:
+                changes = with_change(changes, change)
+            draft = drafts[number]
+            if len(changes) < len(state.changes) + len(proposal):  # several changes became one
+                merged = applied(self._start, changes)
+                if merged is None or key_of(merged) != key_of(draft):
+                    changes = (*state.changes, *proposal)
+            if n_counted(changes) > self.options.most_changes:
+                continue
+            unsolved = first is not None and after.depth_of(first.box) > 0
+            risk = after.trouble + PER_WEAKNESS * after.weakness
+            rank = risk + UNSOLVED * unsolved + PER_COST * cost_of(proposal)
+            ranked.append(Candidate(draft, changes, proposal, after.trouble, rank, state))
+        ranked.sort(key=lambda candidate: candidate.key)
+        self._seen.difference_update(key_of(candidate.draft) for candidate in ranked[MOST_RANKED:])
+        return ranked[:MOST_RANKED]
+
+    def _causes(self, state: State) -> list[Target]:
+        """Why a plan fails, the likeliest causes first. Of a plan that stands, but not with errors: why it falls then,
+        in the most worlds first; loads that are not safe by statics count as beyond an edge."""
+        lost = sorted(state.lost.values(), key=lambda trial: trial.n_held) or [state.trial]
+        (balance,) = balances([state.draft], self.sim, spare_mm=SAFE_MM if state.lost else 0.0)
+        often = Counter(trial.culprit for trial in lost)
+        trials = {trial.culprit: trial for trial in lost}
+        of_each = [
+            targets(state.draft, self.rules, balance, culprit, trials[culprit].fallen, trials[culprit].n_placed)
+            for culprit, _ in often.most_common()
+        ]
+        different: dict[int, Target] = {}
+        for target in chain.from_iterable(zip_longest(*of_each)):
+            if target is not None:
+                is_squeezed = bool(state.lost) and target.box in balance.squeezed
+                different.setdefault(target.box, target._replace(is_squeezed=is_squeezed))
+        return [*different.values()][:MOST_TARGETS]
+
+    def _safest(self, states: Sequence[State]) -> list[int]:
+        """Numbers of states, the least weak and cheapest of each way to change a plan, then the second of each."""
+        ways: Counter[tuple[object, ...]] = Counter()
+        ranks = []
+        risks = self._risks(states)
+        for k in sorted(range(len(states)), key=risks.__getitem__):
+            way = way_of(states[k])
+            ranks.append((ways[way], k))
+            ways[way] += 1
+        return [k for _, k in sorted(ranks, key=lambda rank: rank[0])]
+
+    def _risks(self, states: Sequence[State]) -> list[tuple[int, int]]:
+        """What makes each changed plan fall with errors only, in steps of ``SAME_WEAKNESS``, and its cost, in steps of
+        ``SAME_COST``."""
+        some = balances([state.draft for state in states], self.sim)
+        return [
+            (round((balance.weakness + balance.trouble) / SAME_WEAKNESS), math.floor(state.cost / SAME_COST))
+            for state, balance in zip(states, some, strict=True)
+        ]
+
+    # ------------------------------------------------------------------ simulations
+
+    def _simulated(
+        self, drafts: Sequence[Draft], *, judged: bool = False
+    ) -> Generator[list[Asked], list[Trial], list[Trial]]:
+        self.n_trials += len(drafts)
+        return (yield [Asked(draft, judged) for draft in drafts])
+
+    def _judged(self, batch: Sequence[Candidate]) -> Generator[list[Asked], list[Trial], list[State]]:
+        """The states of candidates that are only judged."""
+        trials = (yield from self._simulated([c.draft for c in batch], judged=True)) if batch else []
+        return [State(c.draft, c.changes, trial) for c, trial in zip(batch, trials, strict=True)]
+
+    def _trials_of(
+        self, lists: Sequence[tuple[Change, ...]], *, judged: bool = False
+    ) -> Generator[list[Asked], list[Trial], list[State]]:
+        """The states with these lists of changes, without impossible and forbidden ones."""
+        made = [(draft, changes) for changes in lists if (draft := applied(self._start, changes)) is not None]
+        allowed = self.rules.allow([draft for draft, _ in made])
+        made = [pair for pair, is_allowed in zip(made, allowed, strict=True) if is_allowed]
+        if not made:
+            return []
+        trials = yield from self._simulated([draft for draft, _ in made], judged=judged)
+        return [State(draft, changes, trial) for (draft, changes), trial in zip(made, trials, strict=True)]
+
+    def _judged_in(
+        self, states: Sequence[State], worlds: Iterable[int]
+    ) -> Generator[list[Asked], list[Trial], list[State]]:
+        """The states with their trials in these worlds with errors, those in which they were judged before, too."""
+        pairs = [(k, world) for k, state in enumerate(states) for world in worlds if world not in state.errors]
+        self.n_trials += len(pairs)
+        trials = (yield [Asked(states[k].draft, True, world) for k, world in pairs]) if pairs else []
+        errors = [dict(state.errors) for state in states]
+        for (k, world), trial in zip(pairs, trials, strict=True):
+            errors[k][world] = trial
+        return [replace(state, errors=known) for state, known in zip(states, errors, strict=True)]
