@@ -73,7 +73,7 @@ class RepairOptions(CheckedRecord):
         "simulated, at least 4; 0: none",
     )
     share: Annotated[float, within(0, 1), CliFlag("--share", "SHARE")] = Field(
-        0.5,
+        0.75,
         description="share of worlds with errors in which a repair shall stand: further changes are made for it, but "
         "not with a profile; 0: none are made",
     )

@@ -4,7 +4,8 @@ Changed plans are changed further, first those that promise the shortest repair:
 faults that are left, which are counted by simulations without the boxes that fall. A plan is changed where it fails:
 statics ranks the possible changes, and the best ranked are judged at once, by one short simulation each.
 Standing plans are scored. Then needless changes are taken back, so that the plan falls without any one of the remaining
-changes.
+changes. Of the repairs with the fewest changes one is chosen by worlds with errors. If it falls in too many of them, it
+is changed further where it falls then.
 
 ``search`` is a generator: it yields drafts to be simulated and is sent their trials. So the searches of many plans can
 share runs of an engine. The simulated plans depend only on the plan and the options, not on time.
@@ -62,10 +63,6 @@ MOST_COMPARED: Final = 12
 ALL_WORLDS: Final = range(1, ERROR_WORLDS + 1)
 COMPARED_IN: Final = ALL_WORLDS[: ERROR_WORLDS // 2]
 """Worlds with errors in which they are judged."""
-
-FAIR_SHARE: Final = 0.75
-"""Of repairs with the least number of changes, one that stands in this share of all worlds with errors is taken without
-a comparison with the others."""
 
 MOST_LOST: Final = 3
 """Worlds with errors, of those in which a plan falls, in which its changes are judged first."""
@@ -378,7 +375,7 @@ class Search(Candidates):
         compared: list[State] = []
         for state in self.repairs:
             compared += yield from self._judged_in([state], ALL_WORLDS)
-            if compared[-1].n_good >= max(wanted, FAIR_SHARE * ERROR_WORLDS):
+            if compared[-1].n_good == ERROR_WORLDS:
                 break
         compared.sort(key=lambda state: -state.n_good)
         self.repairs = tuple(compared)
