@@ -70,7 +70,7 @@ def with_crush_shares(boxes: pd.DataFrame, time_factors: tuple[float, float]) ->
         np.fmax(rest, sustained) if name not in boxes else boxes[name].fillna(rest)
         for name in ("rest_top_force_low_n", "rest_top_force_high_n")
     )
-    if SUSTAINED in boxes:  # intervals cover the end of the chain only
+    if SUSTAINED in boxes:  # force intervals exist only for the end of the chain
         most = np.fmax(most, sustained)
     low, high = boxes["strength_low_n"], boxes["strength_high_n"]
     shortest, longest = time_factors
@@ -81,7 +81,7 @@ def with_crush_shares(boxes: pd.DataFrame, time_factors: tuple[float, float]) ->
 
 
 def crushed_worlds(boxes: pd.DataFrame) -> pd.DataFrame:
-    """For each world, the columns ``PLAN_UNITS``."""
+    """The columns ``PLAN_UNITS``, with one row per world."""
     marked = boxes[_KEY].assign(
         surely=boxes["crush_share_low"] > 1,
         possibly=boxes["crush_share_high"] > 1,

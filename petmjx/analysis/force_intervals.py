@@ -42,7 +42,7 @@ def need_scipy() -> None:
 
 
 def intervals_at_rest(scene: Scene, physics: Physics, boxes: BoxMetrics) -> FloatArray | None:
-    """The :func:`force_intervals` of a world in its final poses; None if the world has no forces at rest."""
+    """The :func:`force_intervals` of a world in its final poses. None if the world has no forces at rest."""
     at_rest = np.column_stack([boxes.rest_top_force_n, boxes.pos, boxes.quat])
     return force_intervals(scene, physics, boxes.pos, boxes.quat) if np.isfinite(at_rest).all() else None
 
@@ -67,8 +67,8 @@ def force_intervals(scene: Scene, physics: Physics, pos: FloatArray, quat: Float
 
 
 def _without_programme(touching: TouchPoints, weight: FloatArray) -> FloatArray:
-    """(n, 2) intervals that need no linear programme: 0 for a free top; the weight of the boxes above if they rest on
-    this box alone. NaN for all other boxes."""
+    """(n, 2) intervals that need no linear programme. A free top has 0. A box that alone bears all boxes above it has
+    their weight. All other boxes have NaN."""
     n_boxes = len(weight)
     intervals = np.full((n_boxes, 2), np.nan)
     ends = np.stack([touching.first, touching.second])

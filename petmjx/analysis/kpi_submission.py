@@ -135,8 +135,8 @@ def write_submission(
 
 
 def _faults(plan: Plan, placements: Sequence[Placement], order: Order, choice: int | None) -> Iterator[str]:
-    """Yield the faults because of which a plan cannot be submitted. As a side effect, assigns to each placement its
-    item of the order."""
+    """Yield the faults because of which a plan cannot be submitted. As a side effect, each placement gets its item of
+    the order."""
     _name(plan, placements, order)
     has_ids = any(plan.item_ids)
     free: dict[tuple[str, str], list[int]] = defaultdict(list)
@@ -175,7 +175,7 @@ def _faults(plan: Plan, placements: Sequence[Placement], order: Order, choice: i
 
 
 def _name(plan: Plan, placements: Sequence[Placement], order: Order) -> None:
-    """Name boxes that have neither id nor article after the items that match them by size and mass."""
+    """Give each box that has neither id nor article the name of an item that has the same size and mass."""
     unnamed = [box for box, names in enumerate(zip(plan.item_ids, plan.articles, strict=True)) if not any(names)]
     if not unnamed:
         return

@@ -103,9 +103,9 @@ _SAME: Final = 1e-9
 def equilibrium_slack(contacts: PlanContacts, hulls: Hulls) -> FloatArray:
     """(n,) ``load_slack`` on an even bedding that can only push, unless another balance keeps all resultants inside.
 
-    If after a placement loads appear to be beyond edges, but depend on how boxes share their loads, then balancing
-    forces are searched for, and their existence decides. After the first placement without such forces, the other
-    placements keep the values of the bedding.
+    After a placement, loads may appear to be beyond edges although they depend on how boxes share their loads. Then a
+    linear programme searches for balancing forces, and the box passes if such forces exist. The searches end at the
+    first placement without such forces. All placements that were not searched keep the values of the bedding.
     """
     bearing = bearing_of(contacts)
     built = building_loads_of(bearing, [contacts.n_boxes])
@@ -134,7 +134,7 @@ def load_slack(
     these boxes has no support or is lifted.
 
     Args:
-        pushed: the loads with supports that only push, if the sharing would make some supports pull.
+        pushed: the loads if supports can only push. Needed if the sharing would make some supports pull.
     """
     on_box = _loads_on_boxes(contacts, sharing)
     bears = on_box.any(axis=-1)
@@ -153,12 +153,12 @@ def load_slack(
 
 
 def strength_slack(contacts: PlanContacts, strength_n: FloatArray | None, sharing: Sharing) -> FloatArray:
-    """(n,) the smallest value of 1 − load / strength after each box's placement, over the box and all boxes that bear
-    part of its weight. NaN if the box lies on nothing.
+    """(n,) the smallest value of 1 − load / strength after each box's placement. The minimum is taken over the box and
+    all boxes that bear part of its weight. NaN if the box lies on nothing.
 
     Args:
-        strength_n: (n,) strength of the top of each box, N. NaN means unknown, as does None for all boxes. If it is
-            unknown, no load is too large.
+        strength_n: (n,) strength of the top of each box, N; NaN if unknown. None: all strengths are unknown. On a box
+            of unknown strength, no load is too large.
     """
     slack = np.where(contacts.n_supports > 0, 1.0, np.nan)
     if strength_n is None:
@@ -184,7 +184,8 @@ def _loads_on_boxes(contacts: PlanContacts, sharing: Sharing) -> FloatArray:
     weights = contacts.mass_kg[:, None] * np.c_[np.ones(n), contacts.centre_mm[:, :2]]
     on_box[np.arange(n), np.arange(n)] = weights
     share = sharing(contacts)
-    # contacts are sorted by their upper box, and supports were placed earlier, so the loop goes from the last box down
+    # Contacts are sorted by their upper box, and a box is placed after its supports. So a loop from the last box to the
+    # first passes loads down.
     for contact in range(len(contacts.upper) - 1, -1, -1):
         lower = contacts.lower[contact]
         if lower != CARRIER:
@@ -211,8 +212,8 @@ def bearing_of(contacts: PlanContacts) -> Bearing:
 
 
 def _pulls(contacts: PlanContacts, built: BuildingLoads) -> bool:
-    """Whether an even bedding would pull after some placement. Then the loads differ from those with supports that only
-    push."""
+    """Whether, after any placement, a support would have to pull under an even bedding. Then the loads differ from the
+    loads with supports that only push."""
     linear = _loads_on_boxes(contacts, even_bedding).cumsum(axis=1)[built.box, built.step]
     pushed = built.load * (1.0, MM_PER_M, MM_PER_M)
     return not np.allclose(linear, pushed, rtol=_SAME, atol=_SAME * np.abs(pushed).max(initial=0.0))
@@ -238,8 +239,8 @@ def even_bedding(contacts: PlanContacts) -> FloatArray:
     """(c, 3, 3) matrices of the even bedding: a pressure that varies linearly over all contact areas of the box
     above."""
     upper = contacts.upper
-    # Places are relative to the upper box's centre and in units of its lengths. This keeps the 3 × 3 systems well
-    # conditioned.
+    # Places are measured from the upper box's centre, as multiples of the box's lengths. This keeps the 3 × 3 systems
+    # well conditioned.
     origin, scale = contacts.centre_mm[upper, :2], contacts.size_mm[upper, :2]
     moments = _area_moments((contacts.low_mm - origin) / scale, (contacts.high_mm - origin) / scale)
     total_moments = _sums(moments, upper, contacts.n_boxes)[upper]

@@ -72,8 +72,8 @@ def rating_interval(rating: FloatArray, ordered: FloatArray, confidence: float) 
 
     A rating is a mean over orders of values from 0 to 1, weighted by their numbers of boxes. Large orders make the
     rating vary as if there were fewer orders: Kish's effective number, (Σ w)² / Σ w² (Kish 1965, "Survey Sampling",
-    section 11.7). Such a mean varies at most as much as a share, so the interval is wide enough. Unlike a bootstrap
-    interval, it has a width even if all plans stand, or none.
+    section 11.7). Such a mean varies at most as much as a share of yes-or-no values, so the interval is wide enough.
+    Unlike a bootstrap interval, it has a width above 0 even if all plans stand or all fall.
 
     Args:
         rating: (p,) ratings from 0 to 1.

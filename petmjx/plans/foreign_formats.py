@@ -36,7 +36,7 @@ from petmjx.plans.workbooks import RawFile, check_archive, read_raw_tables
 
 @dataclass(frozen=True, slots=True)
 class KnownForm:
-    """Known facts about a form. Facts that are empty are unknown, and chosen by plausibility.
+    """Known facts about a form. An empty field is unknown, and its value is chosen by plausibility.
 
     Attributes:
         name: name of the form, in words.
@@ -72,7 +72,8 @@ class BoxSource:
 
 
 MOST_BYTES: Final = 32 << 20
-"""Largest file of another tool: 200,000 boxes. As Python values, they take ten times as much memory as the file."""
+"""Largest file of another tool. It holds about 200,000 boxes, which take ten times as much memory as the file when they
+are Python values."""
 
 PY3DBP: Final = KnownForm("py3dbp", anchor="corner", rule="py3dbp", sizes="item")
 _UPRIGHT: Final = KnownForm("", anchor="corner", up="z", sizes="placed")
@@ -115,7 +116,7 @@ def sources_of_bytes(data: bytes | bytearray, path: Path) -> list[BoxSource]:
         try:
             value = decoded_json(start)
         except InputError as error:
-            if start.startswith("{") or "nested" in str(error):  # another reader's error says more about it
+            if start.startswith("{") or "nested" in str(error):  # another reader's error explains the fault better
                 raise NoBoxes(str(error)) from None
             raise
         sources = [_with_named_units(_with_known_form(boxes)) for boxes in box_lists(value)]
@@ -477,7 +478,8 @@ def _loaded_arrays(data: bytes | bytearray) -> dict[str, Any]:
 
 
 def _sources_of_arrays(arrays: Mapping[str, Any]) -> list[BoxSource]:
-    """Turn arrays into lists of boxes: one array with a row per box, or several arrays with a row per box each.
+    """Turn arrays into lists of boxes. There may be one array with a row per box, or several arrays that each have a
+    row per box.
 
     Raises:
         InputError: no array has rows that are boxes.
@@ -528,7 +530,7 @@ def _sources_of_arrays(arrays: Mapping[str, Any]) -> list[BoxSource]:
         rows, places, parts = [], [], []
         for number, plan in enumerate(plans.tolist()):
             used = [index for index, row in enumerate(plan) if any(row)]
-            for index in range(used[-1] + 1 if used else 0):  # arrays of fixed length are filled up with zeros
+            for index in range(used[-1] + 1 if used else 0):  # arrays of fixed length end with rows of zeros
                 rows.append(tuple(plan[index]))
                 places.append(f"row {index}" if array.ndim == 2 else f"plan {number}, row {index}")
                 parts.append("" if array.ndim == 2 else str(number))

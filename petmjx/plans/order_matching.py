@@ -35,7 +35,7 @@ from petmjx.plans.order_reader import read_orders
 from petmjx.plans.plan import Plan
 from petmjx.plans.plan_fields import SHEET
 
-if TYPE_CHECKING:  # importing Articles would load Arrow
+if TYPE_CHECKING:  # importing Articles at run time would load Arrow
     from petmjx.plans.articles import Articles
 
 SIZE_TOLERANCE_MM: Final = 0.5
@@ -48,7 +48,8 @@ MASS_TOLERANCE_KG: Final = 0.0005
 """Masses that differ by at most this are equal, too: half a gram, since small masses are rounded."""
 
 _ROUNDING: Final = 1e-9
-"""Allowance for float64: a difference that is exactly a tolerance may be computed as slightly larger."""
+"""Allowance for rounding in float64: a difference that equals a tolerance exactly may be computed as slightly
+larger."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -58,8 +59,10 @@ class Matching:
     Attributes:
         item: (n,) the item of each box; −1: the box was not ordered, or its items are already matched by other boxes.
         resized: (n,) whether the box differs from its item in size, mass, centre of mass, stiffness or kind.
-        same_size: (n,) whether a ``resized`` box has its item's size and mass nevertheless.
-        by_size: (n,) whether the box was matched by size and mass, because it or the item has neither id nor article.
+        same_size: (n,) whether a ``resized`` box has the size and mass of its item, so that it differs only in other
+            properties.
+        by_size: (n,) whether the box was matched by size and mass, because the box or the item has neither id nor
+            article.
         sheets: (n,) whether the box is an interlayer sheet. Orders need not have these.
         n_items: the number m of items.
     """
@@ -126,9 +129,9 @@ _WAYS: Final = (
     _MatchKey(lambda names: (), lambda box: not any(box), _any, named=False),
     _MatchKey(lambda names: (), _any, lambda item: not any(item), named=False),
 )
-"""Rules of matching, in order. Each is applied to the boxes and items that are still unmatched. First all rules are
-applied to boxes and items of equal size and mass, then the ``named`` rules to the others. A name that one side lacks is
-not compared."""
+"""Rules of matching, in order. Each rule is applied to the boxes and items that are still unmatched. In a first pass,
+all rules match only boxes and items of equal size and mass. In a second pass, the ``named`` rules match the rest
+regardless of size. A name that the box or the item lacks is not compared."""
 
 
 def match(plan: Plan, order: Order) -> Matching:
@@ -218,7 +221,7 @@ def _equal_measures(box: FloatArray, item: FloatArray) -> NDArray[np.bool_]:
 
 
 def _equal_centres(box: FloatArray, item: FloatArray) -> NDArray[np.bool_]:
-    """Whether the centres of mass of boxes are where their items have them, in any orientation of the box.
+    """Whether boxes have their centres of mass at the same points as their items, in any orientation of the box.
 
     Args:
         box, item: (…, 6) lengths, widths and heights, and centres of mass along them, mm.
@@ -270,8 +273,8 @@ def _properties_of(items: tuple[Item, ...], sizes: FloatArray) -> FloatArray:
 def _as_rows(
     stiff: FloatArray, sheets: NDArray[np.bool_], extents: FloatArray, com_mm: FloatArray, sizes: FloatArray
 ) -> FloatArray:
-    """Properties as rows of numbers. If the centre of mass is in the middle, the sides are in ascending order, so that
-    equal boxes have equal rows in any orientation.
+    """Properties as rows of numbers. Equal boxes have equal rows in any orientation, because sides are sorted if the
+    centre of mass is in the middle.
     """
     off = com_mm.any(axis=1, keepdims=True)
     return np.column_stack([stiff, sheets, np.where(off, extents, sizes), com_mm])
@@ -309,7 +312,7 @@ MOST_ARTICLES: Final = 5
 
 
 class PlanOrderCounts(NamedTuple):
-    """Numbers of boxes for one plan and its order.
+    """Numbers of boxes that compare one plan with its order.
 
     Attributes:
         ordered_boxes: boxes in the order.
@@ -326,7 +329,7 @@ class PlanOrderCounts(NamedTuple):
 
 @dataclass
 class OrderCounts:
-    """Counts over all plans of a run and all orders.
+    """Counts that compare all plans of a run with all orders.
 
     Attributes:
         orders: usable orders in the file.
@@ -486,7 +489,8 @@ def on_target(plan: Plan, order: Order) -> NDArray[np.bool_]:
     """(n,) whether each box of a plan is on the order's target.
 
     If the plan's bounding box fits on the target, possibly turned, all boxes count as on the target, wherever the plan
-    has its origin. Otherwise a box is on the target if its middle is, when the target's corner is at the origin.
+    has its origin. Otherwise the target's corner is assumed to be at the origin, and a box is on the target if its
+    middle is.
     """
     extent = np.array(target_extent_mm(order.target), float)
     low, high = plan.corner_mm[:, :2], plan.corner_mm[:, :2] + plan.size_mm[:, :2]
