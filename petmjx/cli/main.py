@@ -49,7 +49,7 @@ _USAGE_ERROR: type[Exception] = typer.BadParameter.__base__ or typer.BadParamete
 
 
 _SETTINGS = SimpleNamespace(debug=False)
-"""Values of the options that are written before the command."""
+"""Values of the options that stand before the command."""
 
 _COMMANDS = {
     "score": "Say which packing plans stand.",
@@ -131,7 +131,7 @@ def run_app(make: Callable[[Sequence[str]], typer.Typer], arguments: Sequence[st
     try:
         sys.stdout.flush()
     except OSError:
-        # the remaining output cannot be written; without this, Python would try again at exit and print an error
+        # The remaining output cannot be written. Without this line, Python would try again at exit and print an error.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
     return code
 
@@ -139,9 +139,9 @@ def run_app(make: Callable[[Sequence[str]], typer.Typer], arguments: Sequence[st
 def _run(make: Callable[[Sequence[str]], typer.Typer], arguments: Sequence[str] | None) -> int:
     try:
         command_words = sys.argv[1:] if arguments is None else list(arguments)
-        if "" in command_words:  # an empty path would mean the current folder
+        if "" in command_words:  # refused, because an empty path would mean the current folder
             raise InputError(f"argument {command_words.index('') + 1} is empty; is a shell variable not set?")
-        if "-" in command_words:  # otherwise "-" would be read as the name of a file
+        if "-" in command_words:  # refused, because "-" would be read as the name of a file
             raise InputError(
                 f'argument {command_words.index("-") + 1} is "-", which is not supported: '
                 "name a file, or /dev/stdout for standard output"

@@ -30,7 +30,7 @@ BURST_S: Final = 2.0
 
 
 AGAIN_S: Final = 0.05
-"""Time after which a signal is sent again, in case its exception was lost, s."""
+"""A signal is sent again after this time, s, in case the exception that it raised was lost."""
 
 
 class RunInterrupted(Exception):
@@ -55,7 +55,7 @@ class _StopSignal(KeyboardInterrupt):
 
 
 _STATE = SimpleNamespace(is_stoppable=False, number=None)
-"""Whether a body can be stopped at the moment, and the number of the last signal that stopped one."""
+"""Whether a body can be stopped at the moment, and the number of the last signal that stopped a body."""
 
 
 def last_stop() -> int | None:
@@ -98,7 +98,7 @@ def stoppable() -> Iterator[None]:
         yield
     finally:
         _STATE.is_stoppable = False
-        if last_s == -math.inf:  # otherwise the process is about to end, and signals may follow
+        if last_s == -math.inf:  # after a signal, the process is about to end, and more may follow
             for number, handler in before.items():
                 signal.signal(number, handler)
 

@@ -2,9 +2,9 @@
 
 ``python -m petmjx.packers.bundled_plans`` writes their file.
 
-The verdicts of the hand-made plans are known in closed form, for check ``one-by-one`` and carrier ``footprint``, the
-plan's bounding box. The simulation reduces each dimension by 0.1 mm and keeps the corner. This changes no verdict,
-since the margins of these plans are several centimetres.
+The verdicts of the hand-made plans are known in closed form. They hold for the check ``one-by-one`` and the carrier
+``footprint``, which is as large as the plan's bounding box. The simulation reduces each dimension by 0.1 mm and keeps
+the corner. This changes no verdict, since the margins of these plans are several centimetres.
 """
 
 from __future__ import annotations

@@ -2,8 +2,8 @@
 
 Rules find packings that are dense and in balance (:mod:`petmjx.packers.beam_search`), with different free spaces
 between neighbours. Simulation shows which of them stand, placed exactly and placed by a robot. Searches run in worker
-processes. One engine simulates the packings of all orders, and gets the packings of an order as soon as they exist:
-engines are fast with many worlds at a time, and no order has to wait for another.
+processes. One engine simulates the packings of all orders, because engines are fast with many worlds at a time. It gets
+the packings of an order as soon as they exist, so that no order waits for another.
 """
 
 from __future__ import annotations

@@ -107,8 +107,8 @@ def has_keys(file: Path, keys: Iterable[str]) -> bool:
 
 
 def _documented_columns(file: Path) -> list[str] | None:
-    """The columns of a Parquet file in which every column has a unit and a description. None for any other file, and
-    for parts of runs."""
+    """The columns of a Parquet file, if every column has a unit and a description. None for any other file, and for a
+    part of a run."""
     try:
         with open_for_arrow(file) as stream:
             schema = pq.read_schema(stream)

@@ -1,8 +1,8 @@
 """The order of a run's worlds: by plan in the order of the input, then by variant.
 
-Worlds end in any order, and their rows are written when they end. The column ``rank`` has each world's position in the
-order, and readers sort by it. Runs of petmjx before 0.3 have no ranks; their rows are sorted by the order of the table
-``plans``.
+Worlds end in any order, and the row of a world is written when the world ends. The column ``rank`` has each world's
+position in the order, and readers sort by it. Runs of petmjx before 0.3 have no ranks; their rows are sorted by the
+order of the table ``plans``.
 """
 
 from __future__ import annotations

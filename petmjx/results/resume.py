@@ -76,7 +76,7 @@ class CompletedWorlds:
         return end - first
 
     def _rows_of(self, plan_id: str) -> dict[int, int]:
-        """Variant → row, for the worlds of a plan. The result for the last plan is cached, since runs look up worlds
+        """Variant → row, for the worlds of a plan. The result for the latest plan is cached, since runs look up worlds
         plan by plan."""
         if self._last[0] != plan_id:
             span = slice(*self._spans.get(plan_id, (0, 0)))
@@ -114,8 +114,8 @@ def engine_of_run(folder: Path) -> str | None:
 def resume_state(
     folder: Path, manifest: Manifest | None, versions: Mapping[str, str]
 ) -> tuple[dict[str, Any], Parts, list[str]]:
-    """The ``run.json`` of the earlier run, its files, and its warnings, to which different versions and missing
-    data add further ones.
+    """The ``run.json`` of the earlier run, its files, and its warnings. Further warnings are added if versions differ
+    or data are missing.
 
     Args:
         versions: package → version, as in the resumed run.

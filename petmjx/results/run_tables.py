@@ -28,11 +28,11 @@ read."""
 
 
 FREE_BYTES: Final = 256 << 20
-"""Memory in bytes that the tables of a run may always take. Above this, the limit is relative to their size on disk.
+"""Memory in bytes that the tables of a run may always take. Larger tables are limited relative to their size on disk.
 Boxes at rest and columns without values are compressed to a hundredth, so small files may unpack to large tables."""
 
 MOST_TABLE_BYTES: Final = 1 << 40
-"""Upper limit for the memory of a table, bytes. It is this high because the real limit of large runs is the machine's
+"""Upper limit for the memory of a table, bytes. It is high, because the real limit of large runs is the machine's
 memory."""
 
 
@@ -128,7 +128,7 @@ class Parts:
         simulate its worlds again.
         """
         missing_names = {file.name for file in self.files("worlds") if not file.exists()}
-        if not missing_names or self.files("frames"):  # which histories belong to these worlds is unknown
+        if not missing_names or self.files("frames"):  # it is unknown which histories belong to the deleted worlds
             return self
         remaining = {
             table: {

@@ -49,13 +49,14 @@ WORLDS_PER_PART: Final = 5_000
 parts."""
 
 BYTES_PER_PART: Final = 64 << 20
-"""Memory at which a part is full: 4,000 worlds of 43 boxes, 60 with histories, or 20 with detailed histories."""
+"""Memory at which a part is full. It is enough for 4,000 worlds of 43 boxes, for 60 worlds with histories, or for 20
+worlds with detailed histories."""
 
 SECONDS_PER_PART: Final = 60.0
 """Longest time that a world waits for its part to be written. The limit holds even if no other world finishes."""
 
 MOST_WAITING_BYTES: Final = 4 * BYTES_PER_PART
-"""Memory that worlds waiting to be written may take. Beyond it, ``add`` blocks."""
+"""Memory that worlds waiting to be written may take. While they take more, ``add`` blocks."""
 
 RETRY_S: Final = 10.0
 """Time between a write error and the next attempt, s. On a full disk, at most one part is packed in this time."""
@@ -84,7 +85,8 @@ class RunWriter(RunInfo):
 
     At the end, even after Ctrl-C or an error, the waiting worlds are written, and ``run.json`` states how the run
     ended: ``finished``, ``interrupted`` or ``failed``. Memory holds at most ``MOST_WAITING_BYTES`` of worlds. After a
-    disk error, the thread tries again every ``RETRY_S``; ``add`` raises the error once that many bytes wait.
+    disk error, the thread tries again every ``RETRY_S``; ``add`` raises the error once ``MOST_WAITING_BYTES`` are
+    waiting.
 
     Rows are written in the order in which worlds finish. Within a part they are sorted by rank
     (petmjx.results.plan_order).
@@ -285,7 +287,8 @@ class RunWriter(RunInfo):
 
     def _ask(self, call: Callable[[], Any]) -> Any:
         """Let the writer's thread call a function after everything that is already in the queue. Returns the result of
-        the function, or raises its error. The function is called even if the waiting thread is interrupted."""
+        the function, or raises its error. The function is called even if the thread that waits for its result is
+        interrupted."""
         request = _Request(call, SimpleQueue())
         self._queue.put(request)
         while True:
@@ -293,13 +296,13 @@ class RunWriter(RunInfo):
                 result, error = request.reply.get(timeout=LOOK_S)
                 break
             if not self._thread.is_alive() and request.reply.empty():
-                raise _CutShortError  # the thread ended before this request
+                raise _CutShortError  # the thread ended before it reached this request
         if error is not None:
             raise error
         return result
 
     def _joined(self) -> None:
-        """Wait until the thread has ended."""
+        """Wait until the writer's thread has ended."""
         self._thread.join()
         atexit.unregister(self._end_at_exit)
 
@@ -357,8 +360,8 @@ class RunWriter(RunInfo):
         self._room.put(None)
 
     def _write_waiting(self, last: bool = False) -> None:
-        """Write everything that waits. With ``last``, a run in memory stays in memory; and a run without worlds gets an
-        empty part, so that readers find the columns.
+        """Write everything that waits. If this is the ``last`` write, a run in memory stays in memory, and a run
+        without worlds gets an empty part, so that readers find the columns.
 
         Raises:
             PetmjxError: something cannot be written.
@@ -375,7 +378,7 @@ class RunWriter(RunInfo):
                 self._write_part(begin)
             except PetmjxError:  # the disk fails, so other parts would fail as well
                 raise
-            except Exception as error:  # rows that cannot be packed must not stop other rows
+            except Exception as error:  # rows that cannot be packed must not keep other rows from being written
                 begin, failure = begin + self._worlds_per_part, failure or error
         if self._is_behind:
             self._write_info()
@@ -468,7 +471,7 @@ class RunWriter(RunInfo):
         self._tables.drop_others()
         ranked = is_ranked(parts, list(self._manifest.plans if self._manifest else ()))
         self._write_plans()
-        if not ranked:  # rows are rewritten only for an old run (petmjx < 0.3), or another order of plans
+        if not ranked:  # rows are rewritten only if the run is old (petmjx < 0.3), or the order of plans has changed
             self._tables.replace_worlds(self._copies(self.parts, self._ranks))
         self._write_info()
         self._tables.drop_others()
@@ -530,7 +533,7 @@ class RunWriter(RunInfo):
         else:
             self.status, self.error = "failed", one_line(cause)
         if error is not None and trouble is not None:
-            # the error of the run itself is raised; this one is only noted in run.json, until the run is resumed
+            # The error of the run itself is raised. This error is only noted in run.json, until the run is resumed.
             also = f"the last part could not be written: {one_line(trouble)}"
             self.error = f"{self.error}; {also}" if self.error else also
         try:

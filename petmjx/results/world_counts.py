@@ -32,7 +32,8 @@ class WorldCounts:
 
     @classmethod
     def of(cls, worlds: pa.Table) -> WorldCounts:
-        """Count the rows of a table ``worlds`` by its columns ``COUNTED``. A million rows take a tenth of a second."""
+        """Count the rows of a table ``worlds`` by the values of its columns ``COUNTED``. A million rows take a tenth of
+        a second."""
         groups = worlds.group_by(["verdict", "reason"]).aggregate([([], "count_all")]).to_pylist()
 
         def having(flag: Flag, column: str, value: str) -> int:

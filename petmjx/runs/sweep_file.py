@@ -109,7 +109,7 @@ class Search(CheckedRecord):
         return self
 
     def tests(self, n_levels: int) -> int:
-        """Largest number of worlds that one question needs: the sum over all rounds of the levels tested."""
+        """Largest number of worlds that one question needs: the number of tested levels, summed over all rounds."""
         tests = 0
         while n_levels > 0:
             tests += min(self.sections, n_levels)
@@ -182,7 +182,7 @@ class Sweep(CheckedRecord):
     _tables: Mapping[str, Any] | None = None
 
     def model_post_init(self, context: Any) -> None:
-        """Keep the path of the file, which the validation gets as its context."""
+        """Keep the path of the file, which validation receives as its context."""
         self._file = context
 
     @property
@@ -200,7 +200,7 @@ class Sweep(CheckedRecord):
 
     @property
     def is_random(self) -> bool:
-        """Whether two worlds with the same changes may differ."""
+        """Whether two worlds of a plan that have the same changes may differ."""
         axes, profiles = self.axes.values(), self.profiles.values()
         drawn = any(event.drawn for leg in self.legs for event in leg.events)
         return drawn or any(axis.random for axis in axes) or any(profile.random for profile in profiles)
@@ -219,7 +219,8 @@ class Sweep(CheckedRecord):
 
     @cached_property
     def search_levels(self) -> FloatArray:
-        """(n,) the levels that a search can test, rising: from `lower` in steps of its tolerance, and `upper` itself.
+        """(n,) the levels that a search can test, in ascending order: from `lower` in steps of the search's tolerance,
+        and `upper` itself.
 
         The last step is shorter if the tolerance does not divide the range. No level is above `upper`.
         """
@@ -389,11 +390,11 @@ def load_sweep(path: str | Path, plans_given: bool = False, simulation: Mapping[
 def sweep_of_tables(
     tables: Mapping[str, Any], path: Path, plans_given: bool = False, simulation: Mapping[str, Any] | None = None
 ) -> Sweep:
-    """Check a sweep, as :func:`load_sweep` does, but from the tables of a file that was read earlier."""
+    """Check a sweep like :func:`load_sweep`, but take it from the tables of a file that was read earlier."""
     said_by_file = _json_tables(tables)
     simulation_table = tables.get("simulation")
     if simulation and "carrier" in simulation and isinstance(simulation_table, dict):
-        # The carrier is overridden; its file is from an earlier run and may be gone or changed.
+        # The options override the carrier. The carrier's file is from an earlier run, and may be gone or changed.
         simulation_table.pop("carrier", None)
     try:
         sweep = Sweep.read({"name": path.stem, **tables}, context=path)

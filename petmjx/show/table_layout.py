@@ -26,7 +26,8 @@ class TableColumn:
         least: shortest length to which texts are cut, in characters; None: texts are never cut.
         middle: whether texts are cut in the middle, which suits names that differ at their ends. Otherwise they are cut
             at the end.
-        spare: 0: the column is never left out. Otherwise it may be; columns with the largest value are left out first.
+        spare: priority for leaving out the column if the table is too wide: the column with the largest value is left
+            out first. 0: never left out.
     """
 
     header: str
@@ -118,7 +119,7 @@ def _fits(text: Iterable[str], width: int) -> int:
 
 
 def line(text: str, style: str = "") -> Text:
-    """A line of text, or a long text in a cell. It is wrapped if it is too long."""
+    """A line of text, or a long text for a cell. It is wrapped if it is too long."""
     return Text(printable(text), style=style, overflow="fold")
 
 

@@ -73,8 +73,8 @@ def survival_curve(levels: pd.Series[float]) -> tuple[Any, Any]:
         levels: the largest level that each plan survives. Null means that it survives none, and counts as 0.
 
     Returns:
-        (m,) levels in ascending order from 0, and (m,) for each of them the share of plans whose largest level is at
-        least as high.
+        Two arrays: (m,) levels in ascending order from 0; and (m,) for each level, the share of plans whose largest
+        level is at least as high.
     """
     survived = np.sort(levels.fillna(0.0).to_numpy(np.float64))
     at = np.unique(np.concatenate(([0.0], survived)))
@@ -104,7 +104,7 @@ def _levels(summary: pd.DataFrame) -> Any:
 
 
 def _line(number: int) -> dict[str, Any]:
-    """Colour and dashes of a line. They are chosen so that both of two coinciding lines are visible."""
+    """Colour and dashes of a line. They are chosen so that two lines that coincide are both visible."""
     return {"color": category(number), "linestyle": _DASHES[number % len(_DASHES)]}
 
 

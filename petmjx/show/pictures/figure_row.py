@@ -34,7 +34,7 @@ def write_figure(story: Story, look: PictureStyle, moments: list[Moment], path: 
     """Write a row with one picture for each moment, all from the same camera.
 
     Args:
-        look: style of the pictures. Its ``size`` is that of each picture, px.
+        look: style of the pictures. Its ``size`` is the size of each single picture, px.
         kind: ``png``, ``pdf`` or ``svg``.
     """
     from matplotlib.figure import Figure
@@ -98,7 +98,7 @@ def _polygon(outline: Any) -> Any:
 
 
 def _foot(figure: Any, look: PictureStyle, width: float, height: float) -> None:
-    """Draw the legend: a colour bar, or names with their colours; and the meaning of arrows."""
+    """Draw the legend below the pictures: a colour bar, or names with their colours; and the meaning of arrows."""
     colours = look.colours
     row = 0.24 / height
     if colours.scale is not None:

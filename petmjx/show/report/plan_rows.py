@@ -86,8 +86,8 @@ class Rows:
     Attributes:
         columns: in order, the key, label, unit, kind (``text``, ``choice`` or ``number``), digits and meaning of each
             column.
-        texts: key → the texts of a column of kind ``text`` or ``choice``. The array of the column contains indices into
-            these texts, and −1 for no text.
+        texts: key → the texts of a column of kind ``text`` or ``choice``. The column's array has indices of these
+            texts; −1 means no text.
         arrays: key → one value per row.
         left_out: number of worlds that are missing in the table.
         summed_up: the runs for which the table has one row per plan.
@@ -101,8 +101,7 @@ class Rows:
 
 
 def table_rows(runs: Sequence[ReportRun], most: int = MOST_ROWS) -> tuple[Rows, pd.DataFrame]:
-    """The table; and its data frame, which has the worlds of all runs in the order of the table, with ``run`` as a
-    number."""
+    """Two results: the table, and a data frame with the same worlds in the same order, in which ``run`` is a number."""
     summed_up = [run for run in runs if run.kind is Kind.GRID and len(run.worlds) > MOST_OF_SWEEP]
     frames = [_of_run(at, run, run in summed_up) for at, run in enumerate(runs)]
     frames = _with_other_verdicts(frames, runs) if len(frames) == 2 else frames
@@ -163,7 +162,7 @@ def _with_other_verdicts(frames: Sequence[pd.DataFrame], runs: Sequence[ReportRu
 def _add_parameters(
     rows: Rows, runs: Sequence[ReportRun], frame: pd.DataFrame, condition: Callable[[str], bool]
 ) -> None:
-    """Add those columns of sweeps that fulfil a condition: parameters of variants, or outcomes of variants."""
+    """Add the columns of sweeps that fulfil a condition: parameters of variants, or outcomes of variants."""
     units = {name: unit for run in runs for name, unit in run.results.units("worlds").items()}
     column_names = {shown.column for shown in NUMBERS}
     for name in dict.fromkeys(name for run in runs for name in run.parameters):
