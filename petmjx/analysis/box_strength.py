@@ -241,8 +241,8 @@ entry need a run with intervals of forces."""
 _OVER: Final = dict(
     zip(("overloaded", "surely_overloaded", "possibly_overloaded", "overloaded_at_peak"), _SHARES.values(), strict=True)
 )
-"""Column of ``plans`` → column of ``boxes`` that decides it. The former is true if any box of the world has a share
-above 1 in the latter."""
+"""Column of ``plans`` → column of ``boxes`` that decides it. The column of ``plans`` is true for a world if any of its
+boxes has a share above 1 in the column of ``boxes``."""
 
 
 @dataclass(frozen=True, eq=False)

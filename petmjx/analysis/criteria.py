@@ -217,8 +217,8 @@ def tolerable_acceleration_g(contacts: PlanContacts, hulls: Hulls, friction: flo
     """(n,) the smallest horizontal acceleration, in g, at which a box or the load placed so far begins to slide or tip.
 
     The box and the load count as rigid bodies. A body slides when the acceleration in g reaches the coefficient of
-    friction. It tips when the acceleration in g reaches a / h. Here a is the distance of the centre from the edge, and
-    h the height of the centre above it. These conditions follow from statics. EN 12195-1 uses the same conditions.
+    friction. A body tips when the acceleration in g reaches a / h. Here a is the distance of the centre from the edge,
+    and h the height of the centre above it. Both conditions follow from statics, and are also those of EN 12195-1.
     """
     half_mm = contacts.centre_mm[:, 2] - contacts.corner_mm[:, 2]
     of_box = hulls.distance(np.arange(contacts.n_boxes), contacts.centre_mm[:, :2]) / half_mm
@@ -257,7 +257,8 @@ LEAST_POINTS: Final = 75.0
 
 
 def load_points(contacts: PlanContacts) -> dict[str, float]:
-    """The points of a whole load, by the names of ``MOST_POINTS``. Each number of points is proportional to a value:
+    """The points of a whole load, by the names of ``MOST_POINTS``. Points are given for six properties, each in
+    proportion to a value:
 
     - height: all points if the centre of mass is at half of the load's height or lower, none if it is at the top;
     - quadrants: the mass over the lightest quadrant of the footprint, divided by a quarter of the load's mass. Boxes
@@ -295,8 +296,8 @@ def load_points(contacts: PlanContacts) -> dict[str, float]:
 
 
 def load_points_slack(contacts: PlanContacts) -> FloatArray:
-    """(n,) points of the whole load minus ``LEAST_POINTS``. Only the last box has a value, because an unfinished load
-    has no score."""
+    """(n,) points of the whole load minus ``LEAST_POINTS``. Only the last box of a plan has a value, because an
+    unfinished load has no score."""
     slack = np.full(contacts.n_boxes, sum(MOST_POINTS.values()) - LEAST_POINTS)
     slack[-1] = sum(load_points(contacts).values()) - LEAST_POINTS
     return slack

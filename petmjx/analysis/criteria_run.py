@@ -223,7 +223,8 @@ class CriteriaResults:
 
 
 def check_criteria_free(folder: Path, overwrite: bool, *, judged: bool, inputs: Iterable[Path] = ()) -> None:
-    """Check that the files of criteria may be written into a folder. Called before minutes are spent on computing them.
+    """Check that the files of criteria may be written into a folder. This check is made before the criteria are
+    computed, which may take minutes.
 
     Args:
         judged: whether the criteria are compared with a run.

@@ -80,7 +80,7 @@ def with_physics(plans: pd.DataFrame, worlds: pd.DataFrame) -> pd.DataFrame:
 def score_columns(accepted: NDArray[np.bool_], stands: NDArray[np.bool_], seed: int) -> dict[str, float]:
     """The counts of the confusion matrix, and the scores with their intervals.
 
-    The bootstrap draws plans with replacement. Only the four counts matter, so it draws them directly from a
+    The bootstrap draws plans with replacement. Since only the four counts matter, they are drawn directly from a
     multinomial distribution.
     """
     cells = confusion(accepted, stands)
@@ -121,8 +121,8 @@ def scores(cells: NDArray[np.int64]) -> tuple[FloatArray, FloatArray, FloatArray
 def best_thresholds(
     plans: pd.DataFrame, worlds: pd.DataFrame, criteria: Sequence[Criterion], seed: int = 0
 ) -> pd.DataFrame:
-    """For each criterion that has a threshold, the threshold that agrees best with physics. It is fitted on one half of
-    the plans and tested on the other half.
+    """For each criterion that has a threshold, the threshold that agrees best with physics. Each threshold is fitted on
+    one half of the plans and tested on the other half.
 
     The half to which a plan belongs depends only on its id and the seed.
 

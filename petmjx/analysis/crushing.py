@@ -1,10 +1,10 @@
-"""Which boxes are crushed, at rest or at the peak: surely, possibly, or not. Also the share of pallets that arrive
-whole.
+"""Which boxes are crushed, at rest or at the peak: surely, possibly, or not. Also computes the share of pallets that
+arrive without crushed boxes.
 
 Strengths are not exact: the losses through stacking, moisture and time have a spread. Forces at rest are not exact
 either if a box has several supports. So a box is *surely* overloaded if the smallest possible force exceeds the largest
-possible strength. It is *possibly* overloaded if the largest possible force exceeds the smallest possible strength.
-docs/loads.md explains this to users.
+possible strength. A box is *possibly* overloaded if the largest possible force exceeds the smallest possible strength.
+docs/loads.md explains crushing to users.
 """
 
 from __future__ import annotations

@@ -12,15 +12,15 @@ all its corners. At 0, some box is about to tip. Below 0, a box would have to be
 box's centre to the edge of their hull. The slack is 1 minus the position of the centre on this ray, where 0 is the
 middle and 1 the edge.
 
-A placement only affects the structure of the new box: the boxes that are connected to it by contacts. Three exact
-shortcuts are used:
+A placement only affects the structure of the new box: the boxes that are connected to it by contacts. Three shortcuts,
+which do not change the result, save time:
 
 - A box with all four corners on the carrier is in balance whatever presses on its top, because vertical forces from
   below can always balance the load. A box known to be in balance counts as part of the carrier, and so separates
   structures.
-- If vertical forces alone balance the boxes, a solution is found. Only otherwise are friction, horizontal forces and
-  heights considered. Friction can help, for example when another box lies across a box and its neighbour, and so holds
-  the box. The slack is then the larger one of the slacks without and with friction.
+- If vertical forces alone balance the boxes, a solution is found. Friction, horizontal forces and heights are
+  considered only if they do not. Friction can help, for example when another box lies across a box and its neighbour,
+  and so holds the box. The slack is then the larger one of the slacks without and with friction.
 - For a structure of one box, the closed form above gives the slack without a linear programme.
 
 With ``lean``, boxes that touch side by side may press on each other, and boxes may press on walls, by default without
@@ -82,7 +82,7 @@ EVEN: Final = 1.0
 
 
 class Entries(NamedTuple):
-    """The k entries of a sparse matrix that are not 0. Each field has the shape (k,)."""
+    """The k entries of a sparse matrix that are not 0. Each field of this record has the shape (k,)."""
 
     value: FloatArray
     row: IntArray
@@ -162,7 +162,7 @@ def _least_cost_solution(
 ) -> FloatArray | None:
     """The x with the smallest ``costs @ x`` whose rows and values are within bounds; None if there is none.
 
-    HiGHS solves the programme. It is called through SciPy's ``milp`` without integer variables, which has half the
+    HiGHS solves the programme. HiGHS is called through SciPy's ``milp`` without integer variables, which has half the
     overhead of ``linprog``.
 
     Raises:
@@ -192,8 +192,8 @@ def balance_slack(
     leaning on neighbours.
 
     Each array ends with the first box after which the stack is not balanced; later boxes are NaN. A box without support
-    is NaN as well. It counts as not balanced, although friction at its sides could hold it if its neighbours pressed on
-    it.
+    is NaN as well. Such a box counts as not balanced, although friction at its sides could hold it if its neighbours
+    pressed on it.
 
     Args:
         friction: coefficients of friction.
@@ -276,8 +276,8 @@ class _VerticalSystem:
     """Force and moments on every box from the vertical forces at corners. Each structure uses a part of this system.
 
     Each corner of a contact presses the box above upwards and the body below downwards. A box has three rows: its
-    vertical force and its two moments about its own centre. Their units are the mean weight, and mean weight times
-    metre.
+    vertical force and its two moments about its own centre. The force is in units of the mean weight, and the moments
+    in mean weight times metre.
     """
 
     def __init__(self, contacts: PlanContacts) -> None:
@@ -348,7 +348,7 @@ def friction_slack(
 
     Friction must lie in the pyramid |fx| + |fy| ≤ μ f, which is inside the cone. So a stack that is balanced here is
     also balanced with the cone. Friction is limited to μ times the part of a corner's force that exceeds the corner's
-    required share. This does not affect the sign of the slack.
+    required share. This limit does not affect the sign of the slack.
 
     Args:
         structure: (n,) boxes whose corners must carry the required share.

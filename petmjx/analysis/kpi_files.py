@@ -20,7 +20,7 @@ from petmjx.results.documented_tables import check_tables_free, has_keys
 from petmjx.results.run_folder import csv, parquet, text, write_together
 
 _CREATOR: Final = "petmjx"
-"""Creator in the properties of a workbook. It shows that petmjx wrote the workbook."""
+"""Creator in the properties of a workbook, which shows that petmjx wrote the workbook."""
 _MOST_PROPERTIES: Final = 1 << 16
 
 _ARROW: Final = {"object": pa.string(), "int64": pa.int64(), "Int64": pa.int64()}

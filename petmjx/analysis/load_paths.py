@@ -4,8 +4,8 @@
 below fall. Source: Gao, Wang, Kong, Chong (2025), "Online 3D Bin Packing with Fast Stability Validation and Stable
 Rearrangement Planning", arXiv 2507.09123. A box on the carrier can be loaded anywhere on its top. The polygon of any
 other box is the hull of its contact areas, limited to the polygons of the boxes below. The box stands if its centre is
-in its own polygon. Then no later box can tip it, so loads do not matter. The paper also allows for an uncertain centre
-of mass; here the density of boxes is uniform.
+in its own polygon. If so, no later box can tip it, so loads need not be considered. The paper also allows for an
+uncertain centre of mass; here the density of boxes is uniform.
 
 **Criteria that pass loads down** determine whether the resultant of a box's weight and of the loads above it stays over
 its supports. Each box is checked when it is placed, and all boxes below it are checked again. The two criteria differ
@@ -103,9 +103,9 @@ _SAME: Final = 1e-9
 def equilibrium_slack(contacts: PlanContacts, hulls: Hulls) -> FloatArray:
     """(n,) ``load_slack`` on an even bedding that can only push, unless another balance keeps all resultants inside.
 
-    After a placement, loads may appear to be beyond edges although they depend on how boxes share their loads. Then a
-    linear programme searches for balancing forces, and the box passes if such forces exist. The searches end at the
-    first placement without such forces. All placements that were not searched keep the values of the bedding.
+    After a placement, loads may appear to be beyond edges although they depend on how boxes share their loads. In this
+    case, a linear programme searches for balancing forces, and the box passes if such forces exist. The searches end at
+    the first placement without such forces. All placements that were not searched keep the values of the bedding.
     """
     bearing = bearing_of(contacts)
     built = building_loads_of(bearing, [contacts.n_boxes])
@@ -130,11 +130,12 @@ def load_slack(
 ) -> FloatArray:
     """(n,) distance of resultants from the edges of the contact hulls after each box's placement, mm; positive inside.
 
-    The value is the smallest distance over the box and all boxes that bear part of its weight. It is NaN if one of
-    these boxes has no support or is lifted.
+    The value is the smallest distance over the box and all boxes that bear part of its weight. The value is NaN if one
+    of these boxes has no support or is lifted.
 
     Args:
-        pushed: the loads if supports can only push. Needed if the sharing would make some supports pull.
+        pushed: the loads if supports can only push. This argument is needed if ``sharing`` would make some supports
+            pull.
     """
     on_box = _loads_on_boxes(contacts, sharing)
     bears = on_box.any(axis=-1)
@@ -212,8 +213,8 @@ def bearing_of(contacts: PlanContacts) -> Bearing:
 
 
 def _pulls(contacts: PlanContacts, built: BuildingLoads) -> bool:
-    """Whether, after any placement, a support would have to pull under an even bedding. Then the loads differ from the
-    loads with supports that only push."""
+    """Whether, after any placement, a support would have to pull under an even bedding. If so, the loads differ from
+    the loads with supports that only push."""
     linear = _loads_on_boxes(contacts, even_bedding).cumsum(axis=1)[built.box, built.step]
     pushed = built.load * (1.0, MM_PER_M, MM_PER_M)
     return not np.allclose(linear, pushed, rtol=_SAME, atol=_SAME * np.abs(pushed).max(initial=0.0))

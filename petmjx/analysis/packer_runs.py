@@ -94,8 +94,8 @@ def check_names(names: Iterable[str]) -> None:
 
 
 def plans_of(runs: Mapping[str, RunResults], against: OrderComparison | None = None) -> pd.DataFrame:
-    """A row for each order and packer, sorted. It covers the caller's orders, and all orders for which a packer has a
-    plan.
+    """A row for each order and packer, sorted. The rows cover the caller's orders, and all orders for which a packer
+    has a plan.
 
     Args:
         against: the comparison of the plans with the caller's orders. None: the caller has no orders, so those of the
@@ -166,7 +166,7 @@ def _carrier(runs: Mapping[str, RunResults]) -> Carrier | OwnCarrier:
 
 
 def _target_area_m2(by_order: Any, carrier: Carrier | OwnCarrier) -> FloatArray:
-    """The area of the target for each row. It is the same for all packers of an order.
+    """The area of the target for each row. For an order, the area is the same for all packers.
 
     This is the area of the carrier. With ``footprint`` it is that of the smallest target of BED-BPP on which the plans
     of all packers fit; if none is large enough, it is the area of the common extent of the plans.

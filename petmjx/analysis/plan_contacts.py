@@ -25,8 +25,8 @@ from petmjx.world.scene import Scene
 from petmjx.world.supports import LEANS_M, TOUCH_M
 
 ON_EDGE_MM: Final = 1e-6
-"""A point at most this far outside counts as being on the edge. This covers the rounding errors of float64 sums of
-millimetres."""
+"""A point at most this far outside counts as being on the edge. This distance covers the rounding errors of float64
+sums of millimetres."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -177,7 +177,8 @@ class PlanContacts:
 
     @cached_property
     def centre_mm(self) -> FloatArray:
-        """(n, 3) centres of gravity. They are the centres of the boxes, unless the plan gives others."""
+        """(n, 3) centres of gravity. A centre of gravity is the centre of the box, unless the plan gives another
+        one."""
         centre: FloatArray = self.corner_mm + self.size_mm / 2
         return centre if self.mass_center_mm is None else centre + self.mass_center_mm
 
@@ -223,7 +224,7 @@ class Sides:
         first, second: (s,) the two boxes, or ``CARRIER`` for a wall. The second one is on the positive side along the
             axis.
         axis: (s,) 0 for x, 1 for y.
-        low_mm, high_mm: (s, 3) corners of the rectangle. Its extent along its axis is 0.
+        low_mm, high_mm: (s, 3) corners of the rectangle. The rectangle's extent along ``axis`` is 0.
     """
 
     first: IntArray

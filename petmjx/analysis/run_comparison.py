@@ -66,12 +66,13 @@ class Comparison:
         n_common: number of worlds in both runs.
         confusion: (3, 3) number of worlds by their verdict in a (rows) and in b (columns).
         flips: worlds with different verdicts. Columns: verdict, reason and culprit in both runs, and by how much the
-            world exceeds the thresholds of shift, tilt and acceleration (negative: it is below them). This sign is
-            opposite to that of the column ``margin`` in the table ``worlds``.
+            world exceeds the thresholds of shift, tilt and acceleration (negative: it is below them). The sign of these
+            excesses is opposite to that of the column ``margin`` in the table ``worlds``.
         worlds, boxes: differences of metrics, one row per metric and group. Columns: ``metric``, ``unit``, ``group``,
             ``n``; ``mean`` of b - a (null for ``SIGNLESS`` metrics); ``median``, ``p95`` and ``largest`` of |b - a|;
             and the world with the largest difference: ``plan_id``, ``variant`` (and ``box``), with the two values ``a``
-            and ``b``. Null if a group has no value of the metric. Only plans that are equal in both runs count.
+            and ``b``. Null if a group has no value of the metric. Differences are computed only for plans that are
+            equal in both runs.
         other_plans: ids of plans that both runs have but that differ.
         only_a, only_b: plan_id and variant of the worlds that are in only one of the runs.
         same_reason, same_culprit: among the ``n_not_stable`` worlds that are stable in neither run, the numbers of

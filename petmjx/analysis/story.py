@@ -364,8 +364,8 @@ REASONS: Final = {
     Reason.TILT: "a box tilted by more than {tilt:g}°",
     Reason.SHIFT: "a box shifted by more than {shift}",
 }
-"""Reason → a sentence without its full stop. Its braces are placeholders for thresholds and for the boxes that
-dropped."""
+"""Reason → a sentence without its full stop. The braces in the sentence are placeholders for thresholds and for the
+boxes that dropped."""
 
 
 def thresholds_of(story: Story) -> Thresholds:
@@ -414,8 +414,8 @@ def notes_in_words(story: Story) -> list[str]:
 
 
 def _knife_edge(story: Story) -> str:
-    """A sentence on the load that is nearest to an edge, inside or outside. It names the box, the distance from the
-    edge, and the time."""
+    """A sentence on the load that is nearest to an edge, inside or outside. The sentence names the box, the distance
+    from the edge, and the time."""
     outcome = story.outcome
     table_edges = list(kept_edges(vars(outcome), outcome.boxes.plan_edge_m, outcome.boxes.rest_edge_m))
     recomputed_edges = list(edges_again(story.scene, outcome))

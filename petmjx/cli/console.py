@@ -27,7 +27,7 @@ _PLAIN: Final = {"…": "~", "≥": ">=", "≤": "<=", "→": ">", "↓": "v", "
 
 
 def results_console() -> Console:
-    """A console on standard output. It is as wide as the terminal, or ``PIPED_WIDTH`` if there is none."""
+    """A console on standard output. The console is as wide as the terminal, or ``PIPED_WIDTH`` if there is none."""
     from rich.console import Console
 
     piped = "COLUMNS" not in os.environ and not sys.stdout.isatty()

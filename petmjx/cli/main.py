@@ -26,7 +26,7 @@ from petmjx.version import __version__
 
 
 class ExitCode(IntEnum):
-    """Exit codes. They do not depend on verdicts."""
+    """Exit codes. Exit codes do not depend on verdicts."""
 
     OK = 0
     FAILURE = 1

@@ -116,7 +116,7 @@ def run_and_show(
     """Execute a run with a progress bar, and print its tables or JSON.
 
     Args:
-        run: function that executes the run. It is called with a watcher and the options, including the folder.
+        run: function that executes the run. Its arguments are a watcher and the options, including the folder.
 
     Raises:
         RunInterrupted: Ctrl-C, SIGTERM or SIGHUP ended the run.

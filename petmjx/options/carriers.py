@@ -94,8 +94,8 @@ _SHORTEST_MM, _LONGEST_MM, _HIGHEST_MM = 200.0, 6000.0, 1500.0
 200 means that sizes were given in cm, inches or metres. A pallet is 100 to 170 mm high, and the base of a roll
 container about 200 mm."""
 _THINNEST_MM: Final = 0.001
-"""Smallest extent of a board. It is below the numbers of boards that are given in metres. Such boards pass this check,
-and the check of the whole carrier can then suggest the unit."""
+"""Smallest extent of a board. Even a board that is given in metres is larger than this number. So such a board passes
+this check, and the check of the whole carrier can suggest the unit."""
 _LIGHTEST_KG, _HEAVIEST_KG = 1.0, 5000.0
 """Limits of a carrier's mass. A cardboard carrier weighs 2 kg. A carrier 1,000 times lighter than its load would sink
 into its soft contacts."""
@@ -142,8 +142,8 @@ class Board(CheckedRecord):
 class OwnCarrier(CheckedRecord):
     """A carrier that a user defines. Lengths are in mm: x and y from its front-left corner, z from the floor.
 
-    A carrier that could not stand, or that is probably a mistake, is refused. It is refused if boards overlap or are
-    not connected, if no board is on the floor, if the top is not level, or if no real carrier has such extents or
+    A carrier that could not stand, or that is probably a mistake, is refused. The reasons for refusal are: boards
+    overlap or are not connected, no board is on the floor, the top is not level, or no real carrier has such extents or
     masses.
     """
 
@@ -375,7 +375,7 @@ def extent_m(carrier: Carrier | OwnCarrier) -> tuple[float, float] | None:
 
 
 def walls_of(carrier: Carrier | OwnCarrier, walls: Walls) -> Walls:
-    """The walls of a carrier. Each value comes from the user; if the user gives none, from the carrier; and else from
-    ``USUAL``. Only ``friction`` may be None."""
+    """The walls of a carrier. A field of the walls comes from the user; if the user does not give it, from the carrier;
+    and else from ``USUAL``. Only ``friction`` may be None."""
     of_carrier = carrier.walls if isinstance(carrier, OwnCarrier) else WALLS_OF_CARRIERS.get(carrier, USUAL)
     return walls.or_of(of_carrier).or_of(USUAL)

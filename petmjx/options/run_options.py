@@ -1,4 +1,4 @@
-"""Options of a run, of confidence and of transport. Also sorts given options by the record that they belong to.
+"""Options of a run, of confidence and of transport. The module also sorts options by the record that they belong to.
 
 Defaults, checks and descriptions are defined only here.
 """

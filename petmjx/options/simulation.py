@@ -24,8 +24,8 @@ from petmjx.options.wrap import Wrap
 # infinite values, a run that does not end, or tables that are longer than any useful run.
 LONGEST_INTERVAL_S: Final = 40.0
 LONGEST_S: Final = 600.0
-"""Limit of all other times. It keeps the number of steps of a run within 32 bits, even with the shortest timestep and
-512 boxes."""
+"""Limit of all other times. With this limit, the number of steps of a run fits into 32 bits, even with the shortest
+timestep and 512 boxes."""
 MOST_STEPS: Final = 100_000
 
 SOFT_START_STEPS: Final = 100
@@ -96,10 +96,10 @@ class Quiet(CheckedRecord):
     A pallet is quiet when all boxes were slower than ``quiet_m_s`` for ``steps`` steps. The speed of a box is that of
     its fastest point. docs/rules.md, section 5, has the exact rules, step by step.
 
-    With elliptic cones there are two more conditions. Each box must be slow or have slowed down. And no moving box may
-    have become faster, because a box that begins to topple becomes faster. A box that breaks one of these conditions is
-    said to creep. Once a creeping box has dropped or tilted too far, the outcome is known, so the schedule no longer
-    waits for it.
+    With elliptic cones there are two more conditions. First, each box must be slow or have slowed down. Second, no
+    moving box may have become faster, because a box that begins to topple becomes faster. A box that breaks one of
+    these conditions is said to creep. Once a creeping box has dropped or tilted too far, the outcome is known, so the
+    schedule no longer waits for it.
 
     A box that moves back and forth without any net motion is said to tremble. The schedule does not wait for trembling
     boxes either.
@@ -146,7 +146,7 @@ class Quiet(CheckedRecord):
 
 
 class Simulation(CheckedRecord):
-    """All options that the outcome of a world depends on. It also depends on the plan and the variant."""
+    """All options on which the outcome of a world depends, besides the plan and the variant."""
 
     check: Annotated[Check, CliFlag("--check")] = Field(
         Check.ONE_BY_ONE,

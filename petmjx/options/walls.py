@@ -34,7 +34,7 @@ class Side(StrEnum):
 
 
 class Walls(CheckedRecord):
-    """Walls around a carrier's deck. They can be given as a list of sides, or as a table.
+    """Walls around a carrier's deck. Walls can be given as a list of sides, or as a table.
 
     A wall is a rigid upright plate along a whole side, and belongs to the carrier's body. A field that is None takes
     the carrier's own value (``petmjx.options.carriers.walls_of``), else the value of ``USUAL``.

@@ -93,8 +93,8 @@ Fills = Callable[[Packing, NextCandidate | None, float], FullPacking | None]
 
 
 def fills_for(start: Packing) -> Fills:
-    """The function that fills up packings of an order. It is compiled if Warp is installed, and gives the same
-    packings.
+    """The function that fills up packings of an order. If Warp is installed, it is a compiled function, which gives the
+    same packings.
 
     Args:
         start: the empty packing of the order.

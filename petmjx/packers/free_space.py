@@ -64,8 +64,8 @@ def free_space(surface: HeightMap, low: FloatArray, high: FloatArray) -> dict[st
 
 
 def _wider(highest: Heights, more: int) -> Heights:
-    """Maxima over windows that are wider by ``more`` cells. They are computed from ``maxima`` over narrower windows,
-    which must be at least ``more`` cells wide."""
+    """Maxima over windows that are wider by ``more`` cells. The result is computed from ``maxima`` over narrower
+    windows, which must be at least ``more`` cells wide."""
     wider: Heights = np.maximum(highest[:, : max(highest.shape[1] - more, 0)], highest[:, more:])
     return wider
 

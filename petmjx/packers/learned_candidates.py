@@ -23,8 +23,8 @@ from petmjx.packers.pile_balance import SHARE_SLACK, TOUCH_MM
 from petmjx.plans.order_generator import Item
 
 LEAST_SUPPORT: Final = 0.2
-"""Smallest supported share of a base. It may be low, because two other rules decide: the balance, and the chance to
-stand that the stability head predicts."""
+"""Smallest supported share of a base. This limit can be low, because two other rules decide: the balance, and the
+chance to stand that the stability head predicts."""
 
 COARSE_MM: Final = 50.0
 

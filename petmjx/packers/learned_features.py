@@ -18,8 +18,8 @@ from petmjx.packers.learned_candidates import FourSidedStream
 from petmjx.packers.pile_balance import TOUCH_MM
 
 LATE: Final = ("z", "support", "rougher", "room_small", "room_large")
-"""Features whose weight may depend on the height of the pile. They appear a second time, multiplied by the pile's mean
-height in m."""
+"""Features whose weight may depend on the height of the pile. These features appear a second time, multiplied by the
+pile's mean height in m."""
 
 NAMES: Final = (
     *("z", "grows", "below_top"),

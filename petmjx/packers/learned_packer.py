@@ -32,7 +32,8 @@ LEARNED: Final = "learned"
 """The packer's name."""
 
 CLEARANCE_MM: Final = 4.0
-"""Free space between neighbours. It lets plans stand when a robot places the boxes (docs/packers.md)."""
+"""Free space between neighbours, with which plans stand even if a robot places the boxes inexactly
+(docs/packers.md)."""
 
 MOST_PLACES: Final = 32
 LEAST_PLACES: Final = 6

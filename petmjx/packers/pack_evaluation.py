@@ -17,7 +17,8 @@ SOURCE = "pack"
 """Source of packed plans in messages. Other plans have the name of a file instead."""
 
 FIRST_WORLDS: Final = 4
-"""Number of worlds with errors that are simulated first. They suffice to refuse most packings that fall too often."""
+"""Number of worlds with errors that are simulated first. This number suffices to refuse most packings that fall too
+often."""
 
 
 @dataclass(frozen=True)

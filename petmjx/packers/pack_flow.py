@@ -24,8 +24,8 @@ class Orders(NamedTuple):
     Attributes:
         few: an idle engine waits until this number of orders has been searched.
         most: largest number of orders in simulation. More orders do not make an engine faster.
-        worlds: an engine with fewer worlds than this has spare capacity. It is used for worlds that may turn out not to
-            be needed.
+        worlds: an engine with fewer worlds than this has spare capacity, which is used for worlds that may turn out not
+            to be needed.
         rows: the tables of ``mjx-warp`` have rows for at least this number of worlds. When the tables are full, all
             their worlds must end before new ones begin.
     """
@@ -148,8 +148,8 @@ class Flow:
         return worlds
 
     def _has_spare(self) -> bool:
-        """Whether the engine has spare capacity for worlds that may not be needed. This is so near the end, when few
-        orders are left.
+        """Whether the engine has spare capacity for worlds that may not be needed. It has spare capacity near the end
+        of a run, when few orders are left.
         """
         return self._searched.ended and self._unanswered < self._at_a_time.worlds
 

@@ -1,4 +1,4 @@
-"""The worlds of packings (``WorldsOfPlans``). They are the same as in ``petmjx.score`` with ``confidence``."""
+"""The worlds of packings (``WorldsOfPlans``), which are the same as in ``petmjx.score`` with ``confidence``."""
 
 from __future__ import annotations
 

@@ -78,5 +78,5 @@ class Network:
 
     @classmethod
     def of_arrays(cls, name: str, arrays: dict[str, FloatArray]) -> Self:
-        """The network with the arrays of a file of weights. This is the inverse of ``arrays``."""
+        """The network with the arrays of a file of weights. This function is the inverse of ``arrays``."""
         return cls(**{field: np.asarray(arrays[f"{name}_{field}"], float) for field in cls.__dataclass_fields__})

@@ -2,8 +2,8 @@
 
 The properties are material, centre of mass, stiffness and strength. A strength is given in newtons, or is computed from
 the carton's board by McKee's formula (McKee, Gander, Wachuta 1963, "Compression strength formula for corrugated boxes",
-Paperboard Packaging 48(8)): 5.87 · edge crush strength · √(thickness · perimeter). This is the strength of a new box in
-a press; dividing it by a safety factor gives the strength in use.
+Paperboard Packaging 48(8)): 5.87 · edge crush strength · √(thickness · perimeter). The formula gives the strength of a
+new box in a press; the strength in use is this strength divided by a safety factor.
 """
 
 from __future__ import annotations

@@ -640,8 +640,8 @@ _LEVEL: Final = 2e-3
 
 
 _MOST_SOUND: Final = 0.9
-"""Smallest share of the rows of a table without a header that must match the guessed meaning of a column. The other
-rows then have bad cells."""
+"""In a table without a header, at least this share of the rows must match the guessed meaning of a column. Rows that do
+not match have bad cells."""
 
 
 def _mostly(rows: NDArray[np.bool_]) -> bool:

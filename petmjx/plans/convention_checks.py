@@ -34,7 +34,7 @@ from petmjx.plans.plan_warnings import (
 
 MOST_UNEXPLAINED: Final = 100
 ONE_IN: Final = 50
-"""Limits of the search. They are needed because reading a plan in all conventions takes 2 ms. After
+"""Limits of the search. The search is limited because reading a plan in all conventions takes 2 ms. After
 ``MOST_UNEXPLAINED`` odd plans that no convention explains, only every ``ONE_IN``-th odd plan is read in all
 conventions. The other odd plans are read only in conventions that have explained earlier plans."""
 

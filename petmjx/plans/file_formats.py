@@ -33,7 +33,8 @@ class NoBoxes(NoGeometry):
 
 
 def is_csv(path: Path) -> bool:
-    """Whether a file is CSV according to its name. Its content alone could also be damaged JSON."""
+    """Whether a file is CSV according to its name. The name is needed, because the content of a CSV file could also be
+    damaged JSON."""
     return path.name.lower().endswith(CSV_SUFFIXES)
 
 
@@ -130,8 +131,8 @@ def separator_mark(header: bytes | bytearray) -> str | None:
 
 
 def other_encoding(text: str) -> str:
-    """The end of a message about a text that is not UTF-8. It names the probable encoding. In the text, bytes that are
-    not UTF-8 have become lone surrogates."""
+    """The end of a message about a text that is not UTF-8. The text names the probable encoding. In the text, bytes
+    that are not UTF-8 have become lone surrogates."""
     if not all(character.isascii() or is_surrogate(character) for character in text):
         return ""  # the other bytes are UTF-8, so the text is damaged
     try:

@@ -72,8 +72,8 @@ class BoxSource:
 
 
 MOST_BYTES: Final = 32 << 20
-"""Largest file of another tool. It holds about 200,000 boxes, which take ten times as much memory as the file when they
-are Python values."""
+"""Largest file of another tool. A file of this size holds about 200,000 boxes. As Python values, they take ten times as
+much memory as the file."""
 
 PY3DBP: Final = KnownForm("py3dbp", anchor="corner", rule="py3dbp", sizes="item")
 _UPRIGHT: Final = KnownForm("", anchor="corner", up="z", sizes="placed")
@@ -422,7 +422,8 @@ _MOST_HEADER: Final = 10_000
 
 
 def _loaded_array(data: bytes | bytearray, name: str = "") -> Any:
-    """Load an array from .npy bytes. Its header is compared with the number of bytes before memory is reserved.
+    """Load an array from .npy bytes. Before memory is reserved, the size in the array's header is compared with the
+    number of bytes.
 
     Args:
         name: name of the member of an archive, for errors; "" if the file is the array.

@@ -311,8 +311,8 @@ def _rows_by_name(table: RawTable, other: RawTable) -> list[int | None] | None:
 
 
 def _no_geometry(columns: BoxColumns, sources: Sequence[BoxSource], path: Path | None, source: str) -> NoGeometry:
-    """The error for a file without places or sizes, with advice. It is a ``NoBoxes`` if the file appears to have no
-    boxes at all."""
+    """The error for a file without places or sizes, with advice. If the file appears to have no boxes at all, the error
+    is a ``NoBoxes``."""
     boxes = columns.source.boxes
     kinds = set().union(*(other.boxes.kinds for other in sources))
     file = source if path is None else printable(str(path))
@@ -443,8 +443,8 @@ class _Builder:
         return min(faults.items(), default=None)
 
     def _find_pallets(self) -> None:
-        """Find the column that names the pallets. It is needed if boxes of different pallets would otherwise overlap.
-        Only one column may separate them.
+        """Find the column that names the pallets, if boxes of different pallets would overlap without it. Exactly one
+        column must separate the pallets.
 
         Raises:
             InputError: the column does not have a word for pallets in its name, or several columns separate the

@@ -88,7 +88,7 @@ _ORDER: Final = word_set("order orders ordre")
 STRENGTH: Final = "strength_n"
 UPRIGHT: Final = "upright"
 BOX_PROPERTIES: Final = (STRENGTH, UPRIGHT)
-"""Columns of boxes for episodes. They are recognised only by these names."""
+"""Columns that only environments read (``for_episodes``). They are recognised only by these names."""
 SIZE_LETTERS: Final = "lwh"
 """Letters in the column ``upright``: length, width, height."""
 
@@ -483,8 +483,8 @@ def _weight(work: _ItemExtraction, columns: dict[str, str]) -> tuple[FloatArray 
 
 
 def _orders_in(work: _ItemExtraction, index: int) -> list[str] | None:
-    """(n,) customers' orders from a column called "order". Some values must be repeated or must not be numbers.
-    Otherwise the column is a packing order, and the result is None."""
+    """(n,) customers' orders from a column called "order". The column counts as one of customers' orders if some of its
+    values are repeated or are not numbers. If not, it is a packing order, and the result is None."""
     if not _ORDER.intersection(words_of(work.table.header[index])) or "sequence" in work.fixed:
         return None
     cells = [cell_text(cell) for cell in work.cells(index)]

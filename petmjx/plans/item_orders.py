@@ -34,7 +34,8 @@ from petmjx.plans.reading_files import wishes_of
 from petmjx.plans.readings import Wishes
 
 SET_KG_M3: Final = 200.0
-"""Assumed density of the boxes in RoboBPP's sets, which give no masses. It is close to the mean of BED-BPP's boxes."""
+"""Assumed density of the boxes in RoboBPP's sets, which give no masses. The mean density of BED-BPP's boxes is
+similar."""
 EURO: Final = "euro-pallet"
 _PALLET_MM: Final = (300.0, 1700.0)
 """Limits of the sides of a container that may be a pallet. A container outside them is not a pallet, and its boxes are
@@ -48,13 +49,13 @@ units."""
 _DENSEST_KG_M3: Final = 1e6
 """Densities above this come from damaged weights, and are no evidence of a unit."""
 _BIN_PRIOR: Final = {"mm": 0.0, "cm": 0.0, "dm": 0.0}
-"""Possible units of test problems. Their bins have 10 or 100 units, which stand for 1 m."""
+"""Possible units of test problems. In such problems, the side of a bin is 10 or 100 units, which stand for 1 m."""
 _LIST_PRIOR: Final = {"cm": -1.5, "mm": 0.0, "m": 0.0}
 """Possible units of lists of lengths. The unit is cm, as in RoboBPP's lists, unless the sizes indicate another unit."""
 ROW_LEAD: Final = 0.75
-"""Weights usually are those of single boxes. If the reading as weights of whole rows has a cost that is lower by at
-least this, both readings are possible. An example is a row of ten boxes, each of which would have 1,500 kg/m³ if the
-weight were that of one box."""
+"""A weight in a row usually is that of a single box. If the reading as weights of whole rows has a cost that is lower
+by at least this, both readings are possible. An example is a row of ten boxes, each of which would have 1,500 kg/m³ if
+the weight were that of one box."""
 _WATER_KG_M3: Final = 1000.0
 _RELATIVE: Final = 1.5
 """Densities up to this value are relative to water."""
@@ -80,8 +81,8 @@ class OrderReading:
             "1200x1000"; "": the file's container if it is a pallet, else a Euro pallet.
         most_items: largest number of items of an order.
         items: file with the sizes and weights of articles, for orders that give only the articles; None: no file.
-        for_episodes: whether ``strength_n`` and ``upright`` are read. It also suppresses the line about a table that
-            has only petmjx's own column names, because an environment reads its orders often.
+        for_episodes: whether ``strength_n`` and ``upright`` are read. If true, the line about the reading is suppressed
+            for a table that has only petmjx's own column names, because an environment reads its orders often.
     """
 
     wishes: Wishes = field(default_factory=Wishes)

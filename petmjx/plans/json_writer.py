@@ -30,8 +30,8 @@ def write_plans(
 ) -> None:
     """Write (plan id, placements) pairs as one BED-BPP object, one line per placement.
 
-    The file appears only when it is complete. Its bytes depend only on the plans, since the gzip header has no time
-    stamp.
+    The file appears only when it is complete. The file's bytes depend only on the plans, since the gzip header has no
+    time stamp.
 
     Raises:
         InputError: there is no plan, or the file cannot be written.

@@ -1,4 +1,5 @@
-"""Loose boxes: estimates from the plan alone which box tips over first. Used only to estimate times."""
+"""Loose boxes: estimates from the plan alone which box tips over first. The result is used only to estimate simulation
+times."""
 
 from __future__ import annotations
 

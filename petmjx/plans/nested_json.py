@@ -29,7 +29,7 @@ _UNPLACED: Final = word_set(
     "unfit unfitted unpacked unplaced unassigned unloaded leftover leftovers remaining rejected failed unused "
     "notpacked notplaced"
 )
-"""Words for lists whose boxes are not in the plan."""
+"""Words in names of lists whose boxes are not part of the plan."""
 _PLACED_FLAGS: Final = frozenset(("packed", "placed", "fitted", "fit", "is_packed", "is_placed", "loaded", "success"))
 _LAYERS: Final = word_set("layer layers level levels tier tiers lage lagen schicht schichten row rows couches")
 """Words for lists whose members are parts of one plan."""
@@ -262,8 +262,8 @@ _FORM_WORDS: Final = word_set(
 
 
 def _is_plan_key(value: Mapping[str, Any]) -> bool:
-    """Whether the names of an object's fields are names of plans. This is so if every field holds a list, and no
-    field's name has a word that names a form."""
+    """Whether the names of an object's fields are names of plans. They are if every field holds a list, and no field's
+    name has a word that names a form."""
     lists = [inner for inner in value.values() if isinstance(inner, list) and inner]
     if len(lists) != len(value) or not lists:
         return False

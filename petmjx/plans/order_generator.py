@@ -53,8 +53,8 @@ FIRST_ARTICLE_ID = 100_001
 _MEDIAN_KG = 6.0
 _MEDIAN_M3 = 0.02
 _VOLUME_EXPONENT = 0.65
-"""Exponent of volume in the formula for mass. It is below 1, because large cartons hold light goods, so that density
-decreases with volume. In BED-BPP, cartons of 8 l have up to 750 kg/m³, and cartons of 50 l about 100 kg/m³."""
+"""Exponent of volume in the formula for mass. The exponent is below 1, because large cartons hold light goods, so that
+density decreases with volume. In BED-BPP, cartons of 8 l have up to 750 kg/m³, and cartons of 50 l about 100 kg/m³."""
 _DENSITY_SIGMA = 0.35
 WEIGHT_RANGE_KG = (0.2, 20.0)
 DENSITY_RANGE_KG_M3 = (60.0, 900.0)
@@ -172,7 +172,7 @@ def target_extent_mm(target: str) -> tuple[float, float]:
 
 
 def stream(seed: int, *key: int) -> np.random.Generator:
-    """The random stream of ``key`` under ``seed``. It is independent of the streams of all other keys."""
+    """The random stream of ``key`` under ``seed``. Streams of different keys are independent of each other."""
     return np.random.Generator(np.random.Philox(np.random.SeedSequence(seed, spawn_key=key)))
 
 

@@ -10,8 +10,8 @@ stiffness or kind counts as different, as if its size differed. The properties o
 those in the user's table of articles (:func:`with_properties`). If neither gives any, the item's centre of mass is in
 its middle, and the item is rigid.
 
-``check_orders`` compares plans with a file of orders. It finds items that were left out, boxes that were not ordered,
-and boxes with another size or mass than ordered.
+``check_orders`` compares plans with a file of orders. The comparison finds items that were left out, boxes that were
+not ordered, and boxes with another size or mass than ordered.
 """
 
 from __future__ import annotations
@@ -172,7 +172,8 @@ def match(plan: Plan, order: Order) -> Matching:
 def _match_equal(
     boxes: list[_Names], of_boxes: FloatArray, items: list[_Names], of_items: FloatArray, matched: NDArray[np.int64]
 ) -> None:
-    """Match boxes whose names, size and mass are exactly those of an item. This is fast, and matches most boxes."""
+    """Match boxes whose names, size and mass are exactly those of an item. This exact matching is fast, and matches
+    most boxes."""
     free: dict[Hashable, list[int]] = defaultdict(list)
     for number in reversed(range(len(items))):
         free[items[number], *of_items[number].tolist()].append(number)
@@ -243,7 +244,7 @@ _ROTATIONS: Final = tuple(
     for signs in product((1, -1), repeat=3)
     if _parity(axes) * signs[0] * signs[1] * signs[2] == 1
 )
-"""The 24 rotations of a box: orders of its axes, with their signs. None of them is a mirror image."""
+"""The 24 rotations of a box, as orders of its axes with their signs. Mirror images are not included."""
 
 _N_PLAIN: Final = 4
 """Number of columns of :func:`_measures`."""
@@ -358,7 +359,7 @@ class OrderCounts:
 
 @dataclass
 class OrderCheck:
-    """The result of :func:`check_orders`. Each list has at most ``MOST_LISTED`` entries.
+    """The result of :func:`check_orders`. Each list in the result has at most ``MOST_LISTED`` entries.
 
     Attributes:
         file: name of the orders file.

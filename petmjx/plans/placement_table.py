@@ -1,7 +1,7 @@
 """Tables of placements: their columns (``InputColumn``) become the checked fields of plans (``table_plans``).
 
-A table has one row per placement. ``sequence`` is the packing order, so rows may come in any order. Each unusable plan
-or row gets one line.
+A table has one row per placement. ``sequence`` is the packing order, so rows may come in any order. For each unusable
+plan or row, there is one line of text.
 
 For speed, whole columns are converted and checked in C. Python checks single values and rows only if that fails.
 """

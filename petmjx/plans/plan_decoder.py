@@ -1,7 +1,7 @@
-"""Fast decoder of BED-BPP's JSON. It turns placements into records without making a Python object for each number.
+"""Fast decoder of BED-BPP's JSON, which turns placements into records without making a Python object for each number.
 
 The decoder reads only plans that have no faults and only the common fields. ``parse_plan`` reads all other plans: it
-checks field by field and has the text of each error. Both give the same plans.
+checks field by field and has the text of each error. For the same file, both ways of reading give the same plans.
 """
 
 from __future__ import annotations
@@ -94,7 +94,7 @@ class DecoderOptions:
     """Arguments of ``parse_plan`` that are the same for all plans of a file.
 
     Attributes:
-        names: names read so far. They are kept so that equal names share one string.
+        names: names read so far, which are kept so that equal names share one string.
         unread: counter of the fields that petmjx does not read.
     """
 

@@ -78,8 +78,8 @@ PALLETS: Final[Mapping[str, tuple[float, float, float]]] = {
 }
 """Kinds of items that are pallets, and so bear other boxes → their extents, mm. Carriers have the same names."""
 PALLET_SIZE_MM: Final = 1.0
-"""Largest difference between the sizes of an item and the sizes of its kind of pallet, mm. This is the last digit of
-sizes in plans."""
+"""Largest difference between the sizes of an item and the sizes of its kind of pallet, mm. The value is one unit of the
+last digit of sizes in plans."""
 KINDS: Final = ("box", SHEET, *PALLETS)
 """Kinds of items; the default is a box."""
 KINDS_IN_WORDS: Final = f"{', '.join(KINDS[:-1])} or {KINDS[-1]}"

@@ -80,8 +80,8 @@ def load_plans(
 ) -> PlanSet:
     """Read and validate packing plans.
 
-    A ``PlanWarning`` is issued if plans appear to follow another convention, such as coordinates of centres. It is also
-    issued for each file of another tool, and states how the file was read.
+    A ``PlanWarning`` is issued if plans appear to follow another convention, such as coordinates of centres. A
+    ``PlanWarning`` is also issued for each file of another tool; it states how the file was read.
 
     Args:
         paths: a file, a folder, or several of them; or a table of placements, as a pandas data frame or any object with
@@ -100,8 +100,8 @@ def load_plans(
         anchor: the point of a box that the plans' coordinates describe: ``corner`` (front-left-bottom), ``centre``,
             ``base-centre`` or ``far-corner`` (with the largest x, y and z); None: the corner, or for files of other
             tools the most plausible point.
-        up: the vertical axis in files of other tools; None: the most plausible axis. The arguments after this one are
-            also only for files of other tools.
+        up: the vertical axis in files of other tools; None: the most plausible axis. ``up`` and all arguments after it
+            apply only to files of other tools.
         sizes: ``placed``: sizes of boxes as placed; ``item``: sizes before boxes are turned.
         columns: role (``length``, ``x``, ``weight`` …, see docs/plan-format.md) → name of its column, or "-".
         density: density of boxes that have no weight, kg/m³; None: 300.
@@ -225,7 +225,7 @@ class _PlanLoader:
     Attributes:
         found: the plans, skipped entries and notes found so far.
         source_of: plan id → name of its file.
-        names: name → the same name. It is kept so that equal names share one string.
+        names: name → the same name, kept so that equal names share one string.
         unread: counts of the fields that petmjx ignores.
         unlisted: number of unusable entries of the current file that are counted but not listed.
         most_skipped: largest length that ``found.skipped`` may reach in the current file.
@@ -345,7 +345,8 @@ class _PlanLoader:
         answer.
 
         Args:
-            read: function that reads the plans. It takes the options of the caller (``Wishes``) and the file of items.
+            read: function that reads the plans. Its arguments are the options of the caller (``Wishes``) and the file
+                of items.
 
         Raises:
             InputError: the form contains no plans, or can be read in two ways.
@@ -397,8 +398,8 @@ class _PlanLoader:
         """Read a table.
 
         Args:
-            otherwise: function that reads the text as a file of another tool, if it has none of petmjx's forms. It
-                returns why it failed.
+            otherwise: function that reads the text as a file of another tool, if it has none of petmjx's forms. The
+                function returns why it failed, or None.
         """
         from petmjx.plans.placement_table import TableError
 

@@ -217,8 +217,8 @@ def overlaps_mm(corner_mm: FloatArray, size_mm: FloatArray) -> FloatArray:
 
 def _overlaps(low: FloatArray, high: FloatArray, tolerance_mm: float) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
     """(…, n, n) whether two boxes overlap when seen from above, and whether they overlap in all directions. The
-    matrices are symmetric. Their diagonals, which compare a box with itself, are true for boxes that are thicker than
-    the tolerance.
+    matrices are symmetric. The diagonals, which compare a box with itself, are true for boxes that are thicker than the
+    tolerance.
 
     Args:
         low, high: (3, …, n) ends of the boxes along the axes.

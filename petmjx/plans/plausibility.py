@@ -250,8 +250,8 @@ def deck_cost(deck_mm: FloatArray, known: bool) -> float:
 
 
 _LOAD_MM: Final = (1340.0, 1320.0)
-"""Largest extents of a load on a pallet along x and y, longer side first. They are those of the largest pallets plus an
-overhang of a tenth."""
+"""Largest extents of a load on a pallet along x and y, longer side first. The values are the extents of the largest
+pallets plus an overhang of a tenth."""
 _HIGHEST_MM: Final = 3000.0
 _SMALLEST_SIDE_MM, _LARGEST_SIDE_MM = 50.0, 1500.0
 """Limits of the geometric mean of the sides of boxes on pallets."""
@@ -287,6 +287,6 @@ _WHOLE_MM: Final = 0.03
 
 
 def converted_share(lengths_mm: FloatArray) -> float:
-    """Share of lengths that are whole millimetres. This share is small if the lengths were whole inches. It is 1 if
-    inches were converted from whole millimetres (600 mm are 23.622 inches)."""
+    """Share of lengths that are whole millimetres. The share is small for lengths that were whole inches. The share is
+    1 for lengths in inches that were converted from whole millimetres (600 mm are 23.622 inches)."""
     return float(np.mean(np.abs(lengths_mm - np.rint(lengths_mm)) <= _WHOLE_MM))

@@ -1,6 +1,6 @@
 """Raw tables (``RawTable``): rows of text files and sheets with their column names, before anything is interpreted.
 
-Text may be UTF-8, UTF-16, Windows-1252 or Windows-1250. It may have any usual separator and decimal sign, Excel's
+Text may be UTF-8, UTF-16, Windows-1252 or Windows-1250. A table may have any usual separator and decimal sign, Excel's
 ``sep=;``, titles above the header, a line of units below it, and totals at the end.
 """
 
@@ -435,10 +435,10 @@ def computed_row(table: RawTable, rows: Sequence[int]) -> str:
     Args:
         rows: indices of the rows of one plan.
 
-    The sizes, places and weights of the last row must all be sums, or all be means. At least two of them must show this
-    clearly. One is not enough: a box on two smaller boxes may have the sum of their lengths, and a box in the middle of
-    a layer of equal boxes has their mean place. In a table with petmjx's own column names and no places, a last row is
-    never taken as means: it is more likely a medium-sized box.
+    The sizes, places and weights of the last row must all be sums, or all be means. At least two of these numbers must
+    clearly be sums or means. A single sum or mean is not enough: a box on two smaller boxes may have the sum of their
+    lengths, and a box in the middle of a layer of equal boxes has their mean place. In a table with petmjx's own column
+    names and no places, a last row is never taken as means: it is more likely a medium-sized box.
     """
     if len(rows) > 1 and _is_total(table.rows[rows[-1]], _geometric(table.header)):
         return "the total"

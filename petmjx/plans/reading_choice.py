@@ -34,8 +34,8 @@ _FEW_BOXES, _FEW_MORE = 6, 0.8
 """In files with few boxes, costs that differ by this much more are still a tie, because a wrong reading of three boxes
 is often by chance as plausible as the right one."""
 WEAK: Final = 5.0
-"""A reading is weak if the cost of its layout exceeds this. This is so if a fifth of the boxes overlap, or a quarter
-float."""
+"""A reading is weak if the cost of its layout exceeds this. The cost reaches this value if a fifth of the boxes
+overlap, or if a quarter float."""
 WEAK_LEAD: Final = 3.0
 """A weak reading wins only if its cost is lower than that of every other reading by at least this. If a plan really has
 odd boxes, other readings make it even odder."""
@@ -62,7 +62,7 @@ class _Judged:
     rows: NDArray[np.int64]
     """The rows of the boxes in all layouts."""
     unit_cost: float = 0.0
-    """Cost of the most plausible units. It depends on which sides of the load lie on the deck."""
+    """Cost of the most plausible units, which depends on which sides of the load lie on the deck."""
 
     @property
     def cost(self) -> float:
@@ -306,7 +306,8 @@ def _fit(best: _Judged, unit: str, wishes: Wishes) -> int:
 
 
 def _are_converted(best: _Judged, unit: str, others: Collection[str]) -> bool:
-    """Whether sizes are whole millimetres only if their unit is inches. Such sizes were converted to inches.
+    """Whether sizes are whole millimetres only if their unit is inches, which shows that millimetres were converted to
+    inches.
 
     Whole centimetres are no evidence, although they are whole millimetres, because boxes may also have whole inches.
     """

@@ -3,7 +3,8 @@
 Column names leave several readings open. All possible readings are tried, and the most plausible one wins. In a
 plausible reading, boxes do not overlap or float, lie on other boxes, touch their neighbours and fit the carrier, and
 they have the sizes and densities of cartons. If two readings are almost equally plausible, and differ in more than a
-shift or a mirror image, they are a tie. Then the user is asked or the file is refused. A tie is never decided silently.
+shift or a mirror image, they are a tie. In case of a tie, the user is asked or the file is refused. A tie is never
+decided silently.
 """
 
 from __future__ import annotations
@@ -160,8 +161,8 @@ class Wishes:
         exact: all columns, if they come from a written reading; else empty.
         units: unit of lengths; masses: unit of masses.
         anchor, up, sizes, origin: as in ``Reading``.
-        along: names of the sizes along x, y and z; rule: how boxes are turned. Both can only come from a written
-            reading.
+        along: names of the sizes along x, y and z; rule: how boxes are turned. ``along`` and ``rule`` can only come
+            from a written reading.
         density_kg_m3: density of boxes that have no weight.
         deck_mm: extents of the carrier along x and y.
     """
@@ -247,5 +248,5 @@ def tie_text(readings: Sequence[Reading], weak: bool) -> str:
 
 CHOOSER: ContextVar[Callable[[str, AmbiguousFile], Reading | None] | None] = ContextVar("CHOOSER", default=None)
 """Function that asks the user which reading of a file is right. Its arguments are the name of the file and the possible
-readings. It returns the right reading, or None if the user does not know. If None is given instead of a function, the
-file is refused without a question."""
+readings. The function returns the right reading, or None if the user does not know. If None is given instead of a
+function, the file is refused without a question."""

@@ -146,7 +146,7 @@ class _CsvReader:
     def _without_damaged_lines(self, data: bytearray) -> tuple[bytearray, np.ndarray[Any, np.dtype[np.int64]]]:
         """The text without its damaged lines, and the numbers of these lines.
 
-        A line is damaged if it is not UTF-8, or if it has a quotation mark that is not closed in the same line. These
+        A line is damaged if it is not UTF-8, or if it has a quotation mark that is not closed in the same line. Damaged
         lines are added to ``lost``.
         """
         good_lines, damaged = [], []

@@ -1,8 +1,8 @@
 """A lock that lets only one run at a time write into a folder. The lock ends when its process ends, even if it is
 killed.
 
-The package ``filelock`` would not do. It accepts any file of the lock's name as a lock, does not tell which process
-holds the lock, and, on file systems without locks, leaves its file behind after a kill.
+The package ``filelock`` is no alternative. It accepts any file of the lock's name as a lock, does not tell which
+process holds the lock, and, on file systems without locks, leaves its file behind after a kill.
 """
 
 from __future__ import annotations

@@ -85,7 +85,7 @@ class CompletedWorlds:
         return self._last[1]
 
     def row(self, plan_id: str, variant: int) -> dict[str, Any] | None:
-        """One world as column → value, with null as None. None if the world is not completed."""
+        """The row of a world as column → value, with null as None. The result is None if the world is not completed."""
         row = self._rows_of(plan_id).get(variant)
         return None if row is None else {name: values[row] for name, values in self._values.items()}
 

@@ -87,7 +87,7 @@ class RunFile(_PartialRecord):
     skipped: list[_Skipped] = []
     warnings: list[str] = []
     orders: _Orders | None = None
-    """Only runs that were compared with orders have this entry. The same is true of ``counts.orders``."""
+    """Only runs that were compared with orders have this entry and ``counts.orders``."""
     parts: dict[TableName, dict[PartName, Digest]]
     """Table → file name → digest, for the files that belong to the run."""
     digest: Digest | None = None

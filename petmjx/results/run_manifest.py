@@ -104,7 +104,7 @@ def records_of(plans: Sequence[Plan], numbers: Mapping[str, int] | None = None) 
 
 
 def _arrow_column(values: Sequence[Any], kind: pa.DataType) -> pa.Array:
-    """The same as ``pyarrow.array`` of texts or numbers. That function would first load pandas, which would delay a
+    """The same as ``pyarrow.array`` of texts or numbers. ``pyarrow.array`` would first load pandas, which would delay a
     run's first world."""
     if None in values:
         return pa.array(values, kind)

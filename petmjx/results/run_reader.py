@@ -45,12 +45,13 @@ if TYPE_CHECKING:
     import pandas as pd
 
 _NAMES_WORLDS: Final = {"histories": "frames", "frames": "frames", "contacts": "frames"}
-"""Table → the table whose part of the same number lists the worlds of a part. For a table without an entry here, it is
-``worlds``."""
+"""To find the worlds of a part, another table's part of the same number is read. This mapping gives that other table;
+for a table without an entry, it is ``worlds``."""
 
 
 def world_row(run: RunResults, plan_id: str, variant: int) -> dict[str, Any] | None:
-    """A world's row of ``worlds`` as column → value, with null as None. None if the world is not in the run."""
+    """A world's row of ``worlds`` as column → value, with null as None. The result is None if the world is not in the
+    run."""
     rows = rows_of(run, "worlds", plan_id, variant)
     return None if rows is None else dict(rows.to_pylist()[0])
 
@@ -258,7 +259,7 @@ class RunResults:
 
     @property
     def boxes_if_kept(self) -> pd.DataFrame:
-        """The same as ``boxes``; without rows if the run did not keep the table."""
+        """The table ``boxes``, or a table without rows if the run did not keep it."""
         return self.boxes if self.keeps_boxes else self._read("boxes")
 
     @property

@@ -45,7 +45,7 @@ class Tables:
         self.parts = self.parts.without(*OF_WORLDS).plus(digests)
 
     def write_only(self, table: str, content: pa.Table) -> None:
-        """Write a table that has a single part. Its earlier file no longer belongs to the run."""
+        """Write a table that has a single part. The earlier file of this table no longer belongs to the run."""
         digests = self.write(table, self.parts.next_number(table), content)
         self.parts = self.parts.without(table).plus(digests)
 

@@ -32,8 +32,8 @@ FREE_BYTES: Final = 256 << 20
 Boxes at rest and columns without values are compressed to a hundredth, so small files may unpack to large tables."""
 
 MOST_TABLE_BYTES: Final = 1 << 40
-"""Upper limit for the memory of a table, bytes. It is high, because the real limit of large runs is the machine's
-memory."""
+"""Upper limit for the memory of a table, bytes. This limit is high, because the real limit of large runs is the
+machine's memory."""
 
 
 @dataclass(frozen=True, eq=False)

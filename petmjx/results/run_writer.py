@@ -1,8 +1,9 @@
 """Writes the folder of a run while worlds are simulated. petmjx.results.run_folder describes its layout.
 
-One thread owns the folder. Other threads put finished worlds and requests into its queue, and it processes them in
-order. The thread collects worlds into parts, and writes each part once: when the part is full, when a world has waited
-for a minute, on request, and at the end. Signals interrupt only the main thread, so they never interrupt a write.
+One thread owns the folder. Other threads put finished worlds and requests into a queue, and the owning thread processes
+them in order. The thread collects worlds into parts, and writes each part once: when the part is full, when a world has
+waited for a minute, on request, and at the end. Signals interrupt only the main thread, so they never interrupt a
+write.
 """
 
 from __future__ import annotations
@@ -49,8 +50,8 @@ WORLDS_PER_PART: Final = 5_000
 parts."""
 
 BYTES_PER_PART: Final = 64 << 20
-"""Memory at which a part is full. It is enough for 4,000 worlds of 43 boxes, for 60 worlds with histories, or for 20
-worlds with detailed histories."""
+"""Memory at which a part is full: room for 4,000 worlds of 43 boxes, for 60 worlds with histories, or for 20 worlds
+with detailed histories."""
 
 SECONDS_PER_PART: Final = 60.0
 """Longest time that a world waits for its part to be written. The limit holds even if no other world finishes."""
@@ -84,7 +85,7 @@ class RunWriter(RunInfo):
     """Writes the results of one run while its worlds finish. A context manager.
 
     At the end, even after Ctrl-C or an error, the waiting worlds are written, and ``run.json`` states how the run
-    ended: ``finished``, ``interrupted`` or ``failed``. Memory holds at most ``MOST_WAITING_BYTES`` of worlds. After a
+    ended: ``finished``, ``interrupted`` or ``failed``. At most ``MOST_WAITING_BYTES`` of worlds wait in memory. After a
     disk error, the thread tries again every ``RETRY_S``; ``add`` raises the error once ``MOST_WAITING_BYTES`` are
     waiting.
 
@@ -106,7 +107,7 @@ class RunWriter(RunInfo):
         orders: result of comparing the plans with their orders. In a resumed run, it replaces the stored result.
         overwrite: whether a run in the folder is replaced.
         resume: whether to continue the run in the folder, which must have the same manifest.
-        worlds_per_part, seconds_per_part: limits of a part. It is written when either is reached.
+        worlds_per_part, seconds_per_part: limits of a part, which is written when either limit is reached.
 
     Attributes:
         recorded: the completed worlds of a resumed run.
@@ -307,8 +308,8 @@ class RunWriter(RunInfo):
         atexit.unregister(self._end_at_exit)
 
     def _end_at_exit(self) -> None:
-        """End the run when the process exits. Only needed if a second Ctrl-C came before ``__exit__`` deferred
-        signals."""
+        """End the run when the process exits. This function is needed only if a second Ctrl-C came before ``__exit__``
+        deferred signals."""
         with contextlib.suppress(_CutShortError):
             self.__exit__(KeyboardInterrupt, KeyboardInterrupt(), None)
 

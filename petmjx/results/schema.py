@@ -6,9 +6,8 @@ The types, with reasons:
   all readers, whereas two pandas categoricals with different categories could not even be compared.
 - ``worlds`` is float64, because times are float64 sums of the timestep and are compared exactly. ``boxes`` is forty
   times as long, so its measured values are float32 and only its times are float64.
-- A value that does not exist is null. This is so if there is no culprit, if a box was never placed, or if a world never
-  came to rest. However, the ``reason`` of a stable world is the empty string, since pandas drops null keys when
-  grouping.
+- A value that does not exist is null. Examples: there is no culprit, a box was never placed, or a world never came to
+  rest. However, the ``reason`` of a stable world is the empty string, since pandas drops null keys when grouping.
 """
 
 from __future__ import annotations
@@ -31,7 +30,8 @@ if TYPE_CHECKING:
     import pandas as pd
 
 SCHEMA_VERSION: Final = 2
-"""Version of the columns. It is increased when a column is renamed, removed or redefined, but not for new columns."""
+"""Version of the columns. The version is increased when a column is renamed, removed or redefined, but not for new
+columns."""
 
 _FLAG_BITS = ", ".join(
     f"{flag.value} {(flag.name or '').lower().replace('_', '-')}"

@@ -94,8 +94,9 @@ def share_standing(worlds: pd.DataFrame, axes: Sequence[str]) -> pd.DataFrame:
     world.
 
     Args:
-        worlds: rows with ``plan_id``, ``verdict`` and a column for each axis. The column ``draw`` may be missing. It
-            has the same value for worlds that share their random numbers, and null for worlds without random numbers.
+        worlds: rows with ``plan_id``, ``verdict`` and a column for each axis. The column ``draw`` may be missing.
+            ``draw`` has the same value for worlds that share their random numbers, and null for worlds without random
+            numbers.
         axes: parameter columns. A row of the summary is about one value of one axis, over all values of the other axes.
 
     Returns:

@@ -190,7 +190,7 @@ class Part:
         return _typed_table(columns, schema)
 
     def attempts(self, schema: pa.Schema) -> pa.Table:
-        """Make the table ``attempts``. It has no rows if every world needed only one attempt."""
+        """Make the table ``attempts``. The table has no rows if every world needed only one attempt."""
         rows = [(row, attempt) for row in self.rows for attempt in row.attempts]
         cells = [{**row.cells, **vars(attempt)} for row, attempt in rows]
         return _typed_table({name: [cell[name] for cell in cells] for name in schema.names}, schema)

@@ -55,7 +55,7 @@ _TEXTS: Final = frozenset({"scope", "plan_id", "remedy", "leg", "weakest_leg"})
 
 @dataclass(frozen=True)
 class ChainColumns:
-    """Facts about a chain that its summary needs. They are stored in ``run.json``, so that shards can be merged.
+    """Facts about a chain that its summary needs. These facts are stored in ``run.json``, so that shards can be merged.
 
     Attributes:
         legs: names of the legs that shake the pallet, in order.
@@ -75,8 +75,8 @@ class ChainColumns:
 
 
 def summarise_chain(worlds: pd.DataFrame, chain: ChainColumns) -> pd.DataFrame:
-    """The summary of a chain. It has rows about all plans together, and rows about each plan. Each of them has rows for
-    each remedy. A remedy has one row for the whole journey and one for each leg.
+    """The summary of a chain. There are rows about all plans together, and rows about each plan. For each remedy, there
+    is one row for the whole journey and one row for each leg.
 
     The worlds of a plan are independent draws, so each share gets a Wilson interval. A world without remedies and the
     same world with a remedy form a pair.

@@ -1,7 +1,7 @@
 """Scores with confidence: the share of worlds that stand, given the errors of a stated robot and its cartons.
 
-A score with confidence is a sweep with single errors, replicates and the nominal world. It has its own summary.
-docs/confidence.md explains it to users.
+A score with confidence is a sweep with single errors, replicates and the nominal world. Unlike a sweep, it has its own
+form of summary. docs/confidence.md explains such scores to users.
 """
 
 from __future__ import annotations
@@ -167,7 +167,7 @@ def _failures(drawn: pd.DataFrame) -> pd.DataFrame:
 
 def _paired_draws(carried: pd.DataFrame, exact: pd.DataFrame) -> pd.DataFrame:
     """Compares the two placings (carried, and appearing) for each plan: the numbers of draws that stand with only one
-    of them, and a test of these numbers. Only draws with a verdict for both placings count."""
+    of them, and a test of these numbers. Draws without a verdict for both placings do not count."""
     pairs = carried.merge(exact, on=["plan_id", "replicate"], suffixes=("_carried", "_exact"))
     one, other = (pairs[f"verdict_{way}"].astype(str) for way in ("carried", "exact"))
     stands, stands_exact = one == Verdict.STABLE.value, other == Verdict.STABLE.value

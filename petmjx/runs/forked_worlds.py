@@ -41,8 +41,8 @@ class SettledPlacement:
         return load_height_m(self.outcome.boxes.pos, self.scene.half_size)
 
     def shaken(self, outcome: Outcome, thresholds: Thresholds) -> Outcome:
-        """The outcome of a drive or leg, judged together with the outcome of its placement. Its history begins with the
-        history of the placement."""
+        """The outcome of a drive or leg, judged together with the outcome of its placement. The history of this outcome
+        begins with the history of the placement."""
         placed = self.outcome
         if outcome.verdict is Verdict.STABLE and placed.verdict is not Verdict.STABLE:
             judge_args = outcome.flags, outcome.boxes, outcome.n_placed, thresholds

@@ -103,9 +103,9 @@ class Bisection:
     not depend on the order in which worlds end. In each round, up to ``sections`` levels of an item are tested side by
     side, evenly spread between the largest survived and the smallest failed level. Items do not wait for one another.
 
-    The search assumes that a pallet that survives a level survives all lower ones. This assumption can be wrong: a
-    stronger push may press a box against its neighbour, so that it jams. If a level above a failed one was survived,
-    the answer is the largest level below all failed ones, and ``monotone`` is False for that item.
+    The search assumes that a pallet that survives a level survives all lower ones. The assumption can be wrong: a
+    stronger push may press a box against its neighbour, so that the box jams. If a level above a failed one was
+    survived, the answer is the largest level below all failed ones, and ``monotone`` is False for that item.
 
     Args:
         levels: (n_levels,) levels in ascending order, in g or as a scale.

@@ -29,7 +29,7 @@ from petmjx.runs.confidence import write_confidence
 from petmjx.runs.sweep_summary import ShareColumns, summarise_shares
 
 _ANSWER: Final = ("plan_id", "placement", "profile", "direction_deg")
-"""Columns that identify a row of a search's summary. They also define the order of its rows."""
+"""Columns that identify a row of a search's summary. The same columns define the order of the rows."""
 
 
 def merge_runs(shards: Iterable[str | Path], out: str | Path, *, overwrite: bool = False) -> RunResults:

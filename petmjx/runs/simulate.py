@@ -44,8 +44,8 @@ if TYPE_CHECKING:
     from petmjx.plans.articles import Articles
 
 Intervals = Callable[[Scene, Physics, BoxMetrics], FloatArray | None]
-"""Function that computes (n, 2) smallest and largest force on the top of each box at rest, N. It returns None for a
-world without intervals."""
+"""Function that computes (n, 2) smallest and largest force on the top of each box at rest, N. The function returns None
+for a world without intervals."""
 
 
 @dataclass(frozen=True)

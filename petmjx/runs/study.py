@@ -85,7 +85,7 @@ class Study(ABC):
         plans: the plans of this run.
         work: the amount of work of all worlds, for estimates of time.
         n_worlds: largest possible number of worlds.
-        known: whether ``n_worlds`` is exact. It is exact except in searches, where the outcomes decide the number.
+        known: whether ``n_worlds`` is exact. The number is exact except in searches, in which the outcomes decide it.
         first_variant: variant of each plan's first world. If ``known``, further variants follow without a gap.
         amount: the amount of simulation, in words.
         command: "score" or "sweep", as the results name it.

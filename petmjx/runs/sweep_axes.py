@@ -77,8 +77,7 @@ def _axis_text(value: object) -> str:
 
 
 def _value_or(tag: str) -> Discriminator:
-    """Discriminator of a union. It chooses the branch by the shape of the value: a table (or a list), or a single
-    value."""
+    """Discriminator of a union. The shape of the value decides the branch: a table (or a list), or a single value."""
     return Discriminator(lambda value: tag if shape(value) == tag else VALUE)
 
 
@@ -109,7 +108,7 @@ Number = TypeVar("Number", bound=float)
 
 
 class Range(CheckedRecord, Generic[Number]):
-    """A range of numbers. It has a step or a count of values; or, in mode ``sample``, it is continuous between its
+    """A range of numbers. A range has a step or a count of values; or, in mode ``sample``, it is continuous between its
     ends."""
 
     low: Number = Field(alias="from", description="the first value")
@@ -257,7 +256,8 @@ Heights = OneOrMore[Annotated[_Table | _Height, Discriminator(shape)]]
 
 
 def _up_to(largest: float) -> AfterValidator:
-    """A check that errors lie within ±``largest``. This range is narrower than the range for errors of positions."""
+    """A check that errors lie within ±``largest``. The allowed range is narrower than the range for errors of
+    positions."""
 
     def check(setting: Any) -> Any:
         for error in _value_list(setting):
@@ -350,8 +350,8 @@ AXIS_KINDS: Final = {
         AxisKind("tines_height_mm", "mm", Positives, "height of the edge that comes down last", ("tines_height_mm",)),
     )
 }
-"""All axes of sweep files, in the order of nesting. Among the axes of placements, the last one varies fastest. The same
-holds among the axes of drives."""
+"""All axes of sweep files, in the order of nesting. Among the axes of placements, the last one varies fastest. Among
+the axes of drives, too, the last one varies fastest."""
 
 _FIELDS: Final[dict[str, Any]] = {name: (kind.values | None, None) for name, kind in AXIS_KINDS.items()}
 _Axes = create_model("_Axes", __base__=CheckedRecord, **_FIELDS)

@@ -150,8 +150,8 @@ class Design:
                 yield replace(placement, index=index, replicate=replicate, parameters=parameters, legs=legs)
 
     def _axes(self, placement: bool) -> list[Axis]:
-        """The axes of placements, or those of drives. They are in the order of nesting, which may differ from the order
-        in the file."""
+        """The axes of placements, or those of drives. The order is that of nesting, which may differ from the order in
+        the file."""
         axes = self.sweep.axes
         return [axes[name] for name, kind in AXIS_KINDS.items() if name in axes and kind.placement is placement]
 
@@ -304,8 +304,8 @@ def _values(axis: Axis) -> object:
 
 
 def _digest(sweep: Sweep, name: str) -> str:
-    """Digest of the first realisation of a profile. This suffices, because realisations differ only by their random
-    numbers."""
+    """Digest of the first realisation of a profile. The first realisation suffices, because realisations differ only by
+    their random numbers."""
     profile = sweep.profiles[name]
     excitation = profile.excitation(sweep.simulation.physics.timestep_s, 0.0, WorldKey(sweep.seed, "", 0))
     digest = hashlib.blake2b(f"{excitation.kind} {excitation.samples.shape}".encode(), digest_size=8)

@@ -81,7 +81,7 @@ DEFAULT_TOLERANCE: Final = {Strength.LEVEL: 0.01, Strength.SCALE: 0.02}
 
 MAX_SEARCH_LEVELS: Final = 1_000_000
 MAX_PROFILE_STEPS: Final = 4_000_000
-"""Largest number of steps of one profile. Its samples take 24 bytes per step."""
+"""Largest number of steps of one profile. The samples of a profile take 24 bytes per step."""
 MAX_TEXT: Final = 100_000
 """Largest number of characters of the name, and of the description."""
 MIN_TOLERANCE: Final = 1e-5
@@ -376,8 +376,8 @@ def load_sweep(path: str | Path, plans_given: bool = False, simulation: Mapping[
     """Read and check a sweep file.
 
     Args:
-        plans_given: whether the caller gives plans. Then the file need not name plans, and the plans that it names need
-            not exist.
+        plans_given: whether the caller gives plans. If so, the file need not name plans, and the plans that it names
+            need not exist.
         simulation: fields of ``Simulation`` that override those of the file.
 
     Raises:
@@ -417,7 +417,7 @@ def _json_tables(tables: Mapping[str, Any] | None) -> Mapping[str, Any] | None:
 
 
 def _existing_files(plans: str | tuple[Path, ...] | None, folder: Path) -> str | tuple[Path, ...]:
-    """The plan files, which must exist. Their names are relative to the sweep file's folder."""
+    """The plan files, which must exist. The names of the files are relative to the sweep file's folder."""
     if plans is None:
         raise InputError("plans is missing: name plan files here or on the command line "
                          f'(plans = "{SAMPLES}" takes the bundled ones)')  # fmt: skip

@@ -1,7 +1,7 @@
 """Runs a sweep: simulates each placement once, starts all drives or chains from its settled state, and searches levels.
 
 The engine gets placements, drives and legs of many plans in one stream, since a device is fast with many worlds.
-``Batching`` limits the memory, for sweeps of any size.
+``Batching`` limits the memory that a sweep takes, whatever its size.
 """
 
 from __future__ import annotations
@@ -41,7 +41,8 @@ class Batching:
     """How much of a sweep is in memory and in the engine at the same time. No result depends on these bounds.
 
     Attributes:
-        undriven: largest number of worlds without a drive in one call of the engine. Their states are not stored.
+        undriven: largest number of worlds without a drive in one call of the engine. The states of such worlds are not
+            stored.
         placements: largest number of stored settled states. A state with 43 boxes takes 10 to 20 KB.
         worlds: largest number of variants that start from stored states at the same time (a single placement may have
             more).
@@ -107,16 +108,17 @@ def _drained(worlds: list[AnyWorld]) -> list[AnyWorld]:
 
 @dataclass(eq=False)
 class SweepRun:
-    """One sweep on one engine. Iterate over :meth:`worlds` once; ``tally`` fills meanwhile.
+    """One sweep on one engine. Iterate over :meth:`worlds` once; during the iteration, ``tally`` is kept up to date.
 
     Args:
         plan: the worlds to simulate.
-        engine: the engine for placements and drives. One object must simulate both, since no other object can use its
-            states.
+        engine: the engine for placements and drives. The same engine object must simulate both, since no other object
+            can use its states.
         progress: updated meanwhile. While boxes are placed, the message counts ended placements.
         on_answer: function that is called for each answer of a search.
         values_of: function that returns the columns that the sweep adds to a world's row (column → value).
-        recorded: the completed worlds of the run. They are not simulated again; answers are computed from their rows.
+        recorded: the completed worlds of the run. Completed worlds are not simulated again; answers are computed from
+            their rows.
         recording: determines which worlds are recorded, and which histories are stored.
     """
 
@@ -273,8 +275,8 @@ class SweepRun:
         return self.plan.job(group, scene, keep_state=keep_state, record=self.recording.of(group.plan))
 
     def _run_placements(self, groups: Iterable[PlacementGroup]) -> Iterator[FinishedWorld]:
-        """Simulate placements without drives. Their worlds have the placement's outcome, which includes the rest
-        window."""
+        """Simulate placements without drives. All worlds of a placement have the placement's outcome, which includes
+        the rest window."""
         for placed in self._place(groups, self.batching.undriven, keep_state=False):
             for variant in self._missing(placed.group):
                 if variant is placed.group.variants[0]:

@@ -134,8 +134,8 @@ def _type_of(column: str, axes: Mapping[str, Axis]) -> type[float] | type[int] |
 
 @dataclass(frozen=True)
 class ShareColumns:
-    """The columns of ``worlds`` by which shares are grouped. They are stored in ``run.json``, so that shards can be
-    merged.
+    """The columns of ``worlds`` by which shares are grouped. The fields are stored in ``run.json``, so that shards can
+    be merged.
 
     Attributes:
         axes: columns, in the order of the summary.

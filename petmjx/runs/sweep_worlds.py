@@ -32,8 +32,8 @@ from petmjx.world.scene import Scene, build_scene
 from petmjx.world.variants import DriveSpec, LegSpec, Variant, apply_all
 
 _TILTED: Final = 0.5
-"""Share of a tilt's steps that is expected to be simulated. It is below 1, since pallets slide or topple before the end
-of the tilt."""
+"""Share of a tilt's steps that is expected to be simulated. The share is below 1, since pallets slide or topple before
+the end of the tilt."""
 
 _ERRORS: Final = frozenset({"size_mm", "size_rel", "x_mm", "y_mm", "yaw_deg"})
 """Fields that are changed by axes with errors of places or sizes. If there are such errors, boxes are placed by hand,
@@ -168,8 +168,8 @@ class SweepPlan(Design):
         raise InputError(f"{self.sweep.file}: plan {printable_name(plan_id)} has no variant {index}")
 
     def search_variant(self, group: PlacementGroup, item: int, level_index: int) -> Variant:
-        """The world of a placement that tests one level of one item of a search. Its index does not depend on the order
-        in which worlds are simulated."""
+        """The world of a placement that tests one level of one item of a search. The index of this world does not
+        depend on the order in which worlds are simulated."""
         items, levels = self.search_items(), self.sweep.search_levels
         search_item, level = items[item], float(levels[level_index])
         index = 1 + (group.number * len(items) + item) * len(levels) + level_index
@@ -257,8 +257,8 @@ class SweepPlan(Design):
         return Drive(self._rows[key], rest_s=rest_s, allowed_sway_m=allowed_m)
 
     def _with_strength(self, plan: Plan, variant: Variant, leg: LegSpec, place: int) -> DriveSpec:
-        """A drive of a leg, with the strength that is drawn for one world. The same world with a remedy has the same
-        strength."""
+        """A drive of a leg, with the strength that is drawn for one world. With a remedy, the same world has the same
+        drawn strength."""
         spec = leg.drives[place]
         if spec.scale_to is None:
             return spec

@@ -86,7 +86,7 @@ RANGE_POINTS = 9
 """Number of values that are checked on an axis with a continuous range."""
 
 LARGEST_SD = 4.0
-"""Normal errors are checked up to this number of standard deviations above the mean. One draw in 30,000 is beyond."""
+"""Normal errors are checked up to this number of standard deviations above the mean. One draw in 30,000 is larger."""
 
 
 def slide_m(

@@ -158,8 +158,8 @@ def summary_table(info: Mapping[str, Any], what: str = "plans") -> Table:
 
 
 def search_table(info: Mapping[str, Any], summary: pd.DataFrame) -> Table:
-    """The short table of a search. It counts answers, because the verdicts of single tests only show the path of the
-    search.
+    """The short table of a search. The table counts answers, because the verdicts of single tests only show which
+    levels the search tried.
 
     Args:
         info: the entries of ``run.json``.

@@ -119,7 +119,7 @@ def _fits(text: Iterable[str], width: int) -> int:
 
 
 def line(text: str, style: str = "") -> Text:
-    """A line of text, or a long text for a cell. It is wrapped if it is too long."""
+    """A line of text, or a long text for a cell. Text that is too long is wrapped."""
     return Text(printable(text), style=style, overflow="fold")
 
 
@@ -135,7 +135,7 @@ def number(value: Any, form: str | None = None, unit: str = "", factor: float = 
 
     Args:
         form: format specification; None: as with ``three_digits``.
-        sign: whether positive numbers also get a sign. Only if ``form`` is None.
+        sign: whether positive numbers also get a sign; used only if ``form`` is None.
     """
     if pd.isna(value):
         return "-"

@@ -39,7 +39,7 @@ _AXES: Final = {
     "yaw_error_deg": "error of yaw, °",
     "drop_height_mm": "height of release, mm",
 }
-"""Descriptions of columns of summaries. Other columns are shown by their names."""
+"""Descriptions of columns of summaries. A column without a description is shown by its name."""
 
 
 def draw_answers(run: RunResults) -> Any:
@@ -104,7 +104,7 @@ def _levels(summary: pd.DataFrame) -> Any:
 
 
 def _line(number: int) -> dict[str, Any]:
-    """Colour and dashes of a line. They are chosen so that two lines that coincide are both visible."""
+    """Colour and dashes of a line. The styles are chosen so that two lines that coincide are both visible."""
     return {"color": category(number), "linestyle": _DASHES[number % len(_DASHES)]}
 
 

@@ -84,8 +84,8 @@ def leaderboard(
         stories: number of plans per packer that get a page. Plans that fall while another packer's plan for the same
             order stands come first.
         replays: number of plans per entry that are simulated again, unless the board has just scored the entry. The
-            plans are drawn at random. Their simulation options are those of this call; if it gives none, those of the
-            runs, or the defaults if runs differ.
+            plans are drawn at random. The options of these simulations are those of this call; if it gives none, those
+            of the runs, or the defaults if runs differ.
         watch: function that returns for a packer a context manager with the watcher of its run.
         overwrite: whether to replace an existing leaderboard.
         options: options of ``petmjx.score``, for plans that are scored.
@@ -239,8 +239,8 @@ def _digest(file: Path) -> str:
 def _stories(
     entries: Sequence[Entry], comparison: PackerComparison, folder: Path, most: int
 ) -> tuple[list[StoryEntry], dict[str, list[Replay]]]:
-    """Make stories of some plans of each packer. Each plan is simulated again as in its run. Also returns these
-    simulations, as replays of each packer."""
+    """Make stories of some plans of each packer. Each plan is simulated again as in its run. The simulations are also
+    returned, as replays of each packer."""
     folder.mkdir(exist_ok=True)
     stories: list[StoryEntry] = []
     replays_by_name: dict[str, list[Replay]] = {}

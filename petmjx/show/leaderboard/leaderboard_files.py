@@ -29,7 +29,8 @@ UNFINISHED: Final = "unfinished"
 
 _MOST_BYTES: Final = 1 << 30
 _NO_FILE: Final = ".none"
-"""A file name that no run has. It stands for the folder of a run when the path to this folder is checked."""
+"""A file name that no run has. The name stands for a file in the folder of a run when the path to this folder is
+checked."""
 
 
 def names_of(packers: Collection[str], stories: int, orders: bool) -> list[str]:

@@ -17,7 +17,7 @@ class Pushes(NamedTuple):
     Attributes:
         frame: (k,) number of the frame.
         point: (k, 3) centre of pressure, m: the mean position of the contacts, weighted by their forces.
-        force: (k, 3) sum of the forces on the lower of the two bodies, N. Its z is never positive.
+        force: (k, 3) sum of the forces on the lower of the two bodies, N. The force's z is never positive.
     """
 
     frame: NDArray[np.int32]

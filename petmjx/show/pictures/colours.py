@@ -1,4 +1,4 @@
-"""The colours of boxes and their meaning. They are the same as on pages (``petmjx.show.pages.palette``)."""
+"""The colours of boxes and their meaning. Pages use the same colours (``petmjx.show.pages.palette``)."""
 
 from __future__ import annotations
 

@@ -42,8 +42,8 @@ _SEE_THROUGH: Final = 0.24
 """Opacity of boxes when contact forces are drawn."""
 
 _AWAY: Final = 0.25
-"""A box counts as away from its planned place if its shift or tilt exceeds this share of the threshold. Its planned
-place is then drawn."""
+"""A box counts as away from its planned place if its shift or tilt exceeds this share of the threshold. For such a box,
+the planned place is drawn."""
 
 _LEAST_FORCE: Final = 0.02
 """A contact has no arrow if its force is below this share of a usual force."""
@@ -128,8 +128,8 @@ class Painter:
         self.canvas.box(half_size, np.array([0.0, 0.0, self.story.scene.floor_z - 0.012]), np.eye(3), FLOOR)
 
     def _shadow(self, half_size: FloatArray, pos: FloatArray, turned: FloatArray) -> None:
-        """Draw the shadow of a box: the box itself, flattened onto the floor along the light. It keeps a little of its
-        height, since faces need normals."""
+        """Draw the shadow of a box: the box itself, flattened onto the floor along the light. The flattened box keeps a
+        little of its height, since faces need normals."""
         across = np.array(_SUN[:2]) / _SUN[2]
         flatten = np.array([[1.0, 0.0, -across[0]], [0.0, 1.0, -across[1]], [0.0, 0.0, 1e-3]])
         above = pos - np.array([0.0, 0.0, self.story.scene.floor_z])
@@ -141,7 +141,7 @@ class Painter:
         self.canvas.edges((1 - _TOWARDS_CAMERA) * half_size, nearer, turned, rgb)
 
     def _shaking(self, poses: Poses) -> None:
-        """Draw an arrow above the load. Its length grows with the strength of the shaking."""
+        """Draw an arrow above the load. The arrow's length grows with the strength of the shaking."""
         level = shaking_g(self.story, poses)
         if np.linalg.norm(level) > LEAST_LEVEL_G:
             start, longest = _above(self.story)

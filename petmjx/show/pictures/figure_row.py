@@ -34,7 +34,7 @@ def write_figure(story: Story, look: PictureStyle, moments: list[Moment], path: 
     """Write a row with one picture for each moment, all from the same camera.
 
     Args:
-        look: style of the pictures. Its ``size`` is the size of each single picture, px.
+        look: style of the pictures. ``look.size`` is the size of each single picture, px.
         kind: ``png``, ``pdf`` or ``svg``.
     """
     from matplotlib.figure import Figure

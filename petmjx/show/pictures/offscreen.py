@@ -171,7 +171,7 @@ def _same_environment(name: str) -> Iterator[None]:
 
 
 def _studio(size: tuple[int, int], line_px: float) -> Any:
-    """A model without bodies. It has only the values that the renderer reads from a model: sizes, and a white sky."""
+    """A model without bodies. The model has only the values that the renderer reads: sizes, and a white sky."""
     spec = mujoco.MjSpec()
     spec.visual.global_.offwidth, spec.visual.global_.offheight = size
     spec.visual.global_.linewidth = line_px

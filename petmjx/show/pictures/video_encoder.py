@@ -1,8 +1,8 @@
 """Encodes films in H.264: writes their frames into the ffmpeg of imageio-ffmpeg.
 
-The writer of imageio-ffmpeg runs a Python function between fork and exec when it starts ffmpeg. This is unsafe if the
-process has threads: after a run on a GPU, JAX warns of a deadlock. So this module starts ffmpeg itself, without such a
-function.
+The writer of imageio-ffmpeg runs a Python function between fork and exec when it starts ffmpeg. Such a function is
+unsafe if the process has threads: after a run on a GPU, JAX warns of a deadlock. So this module starts ffmpeg itself,
+without such a function.
 """
 
 from __future__ import annotations

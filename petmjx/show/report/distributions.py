@@ -48,11 +48,11 @@ class Quantity:
         return values.where(np.isfinite(values))
 
     def scale(self, values: pd.Series) -> Scale:
-        """An axis for these values. It contains all of them, and its lower end is that of this metric."""
+        """An axis for these values. The axis contains all values, and its lower end is that of this metric."""
         return Scale.over(values.to_numpy(), log_from=self.log_from, lowest=self.lowest, zero=True)
 
     def across(self, values: pd.Series) -> Scale:
-        """An axis for these values. It extends from the smallest to the largest value."""
+        """An axis that extends from the smallest to the largest of these values."""
         return replace(Scale.over(values.to_numpy()), counts=self.counts)
 
     def limit(self, thresholds: Thresholds) -> float | None:

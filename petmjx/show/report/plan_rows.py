@@ -178,7 +178,7 @@ def _add_parameters(
 
 
 def _key(name: str) -> str:
-    """The name of a parameter in the page. It differs from all of the page's own names."""
+    """The name of a parameter in the page. The name differs from all of the page's own names."""
     return f"x-{name}"
 
 

@@ -40,7 +40,7 @@ class Replays:
 def replays(
     runs: Sequence[ReportRun], table: pd.DataFrame, drawn: NDArray[np.int64], most: int = MOST_POSES
 ) -> Replays:
-    """Pack the histories of the worlds in a table. Only worlds with a 3D picture have one.
+    """Pack the histories of the worlds in a table. Worlds without a 3D picture are left out.
 
     Args:
         table: the second result of :func:`petmjx.show.report.plan_rows.table_rows`.

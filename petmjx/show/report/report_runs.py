@@ -111,7 +111,7 @@ class ReportRun:
         return first_articles
 
     def articles(self, plan_ids: Collection[str]) -> dict[str, Sequence[str]]:
-        """Plan id → articles of the plan's boxes, in packing order. They come from the plan, else from the table
+        """Plan id → articles of the plan's boxes, in packing order. Articles come from the plan, else from the table
         ``boxes``. If there is neither, the column is empty."""
         articles_by_plan: dict[str, Sequence[str]] = {
             plan_id: plan.articles for plan_id, plan in self.plan_files.plans.items() if plan_id in plan_ids

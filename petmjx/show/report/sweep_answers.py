@@ -55,7 +55,8 @@ WEAKEST: Final = "The leg in which most worlds of a plan failed first."
 
 
 def sweep_answers(run: ReportRun) -> Markup:
-    """The section with the answers of a sweep, or of a score with confidence. It is empty for other scores."""
+    """The section with the answers of a sweep, or of a score with confidence. For other scores, the section is
+    empty."""
     summary = run.results.summary
     if summary is None or summary.empty or run.worlds.empty:
         return NOTHING
@@ -88,8 +89,8 @@ def _grid(run: ReportRun, summary: pd.DataFrame) -> Markup:
 
 
 def _has_numeric_values(summary: pd.DataFrame, axis: str) -> bool:
-    """Whether the values of an axis are numbers in a summary. They are texts if the axis has random values, because the
-    summary divides the range of such an axis into named parts."""
+    """Whether the values of an axis are numbers in a summary. For an axis with random values, they are texts, because
+    the summary divides the range of such an axis into named parts."""
     values = summary.loc[(summary["scope"] == ALL_PLANS) & (summary["axis"] == axis), "value"]
     return bool(pd.to_numeric(values, errors="coerce").notna().all())
 
@@ -148,7 +149,8 @@ def importance(worlds: pd.DataFrame, axes: Sequence[str], summary: pd.DataFrame)
     Returns:
         ``axis``, ``spread`` (the largest minus the smallest share over its values) and ``correlation_ratio``. The
         correlation ratio is η² = Σ nᵥ (pᵥ − p)² / (n p (1 − p)), in which the share pᵥ of the nᵥ worlds with value v
-        stands. It is NaN if all worlds stand, or none. Sources: Pearson 1905; Fisher's one-way analysis of variance.
+        stands. The ratio is NaN if all worlds stand, or none. Sources: Pearson 1905; Fisher's one-way analysis of
+        variance.
     """
     judged = worlds[worlds["verdict"] != Verdict.INVALID.value]
     stands = (judged["verdict"] == Verdict.STABLE.value).astype("float64")
