@@ -16,7 +16,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command line and return its exit code.
 
     Args:
-        arguments: the arguments without the program's name; None: those of the process.
+        arguments: the arguments without the program's name; None: the arguments of the process.
     """
     try:
         from petmjx.cli import main as run

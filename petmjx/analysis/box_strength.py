@@ -258,8 +258,8 @@ class Loads:
         notes: lines that warn about an unfinished run, about articles without strength, and about forces at rest after
             a drive with film.
         stacking: the losses of strength that were used.
-        ways: for the run of a chain, how likely each plan is to arrive, and to arrive without crushed boxes, with each
-            remedy; None: the run is not that of a chain.
+        ways: for the run of a chain: how likely each plan is to arrive with each remedy, and to arrive without crushed
+            boxes; None: the run is not that of a chain.
     """
 
     run: Path
@@ -320,8 +320,8 @@ def loads(
             that sets some of its fields.
 
     Raises:
-        InputError: there is no run, the table of articles or an option is unusable, no box has a known strength, or the
-            plans differ from those of the run.
+        InputError: there is no run, the table of articles or an option is unusable, no box has a known strength, or a
+            plan differs from the plan in the run.
     """
     losses = stacking if isinstance(stacking, Stacking) else Stacking.read(stacking or {})
     results = run if isinstance(run, RunResults) else load_run(run)

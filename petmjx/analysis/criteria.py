@@ -467,7 +467,7 @@ CRITERIA: Final = (
         usual=False,  # this is a rule of thumb about the finished load
     ),
 )
-"""All criteria in the order of tables: first those of the base, last those of the whole stack."""
+"""All criteria, in the order of tables: first criteria about the base of a box, last criteria about the whole stack."""
 
 NAMES: Final = tuple(criterion.name for criterion in CRITERIA)
 _UNNAMED: Final = tuple(criterion.name for criterion in CRITERIA if criterion.usual)

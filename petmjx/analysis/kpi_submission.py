@@ -1,8 +1,8 @@
 """Writes a submission to BED-BPP's leaderboard, after checking its name and its plans.
 
-The name has the form ``{DATE}_{SURNAME}_{ALGORITHM}_{TASK}.json``. The tasks are those of the leaderboard's page
-(floriankagerer.github.io/leaderboard). Either all items are known (offline), or they arrive one after the other
-(O3DBP), or p items are known and the packer chooses one of the next s (O3DBP-p-s).
+The name has the form ``{DATE}_{SURNAME}_{ALGORITHM}_{TASK}.json``. The leaderboard's page
+(floriankagerer.github.io/leaderboard) defines the tasks: either all items are known (offline), or items arrive one
+after the other (O3DBP), or p items are known and the packer chooses one of the next s (O3DBP-p-s).
 """
 
 from __future__ import annotations
@@ -93,7 +93,7 @@ def parse_name(text: str, today: Callable[[], datetime.date] = datetime.date.tod
 def write_submission(
     name: str, folder: Path, plans: Mapping[str, Plan], orders: Mapping[str, Order], unusable: int = 0
 ) -> Path:
-    """Check that plans are a valid submission, and write them. Items are written as they are in the orders.
+    """Check that plans are a valid submission, and write them. Items are written with the same fields as in the orders.
 
     Args:
         name: see :func:`parse_name`.

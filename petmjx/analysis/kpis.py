@@ -3,7 +3,7 @@
 The definitions are those of bed-bpp-env (e7459bf), ``evaluation/packing_plan_evaluator.py``. docs/kpis.md lists them
 together with the columns that petmjx adds. ``COLUMNS`` lists the columns of the table.
 
-``direct_support`` determines support in the same way as BED-BPP's evaluator (bed-bpp-env e7459bf,
+``direct_support`` determines support by the same method as BED-BPP's evaluator (bed-bpp-env e7459bf,
 ``environment/space_3d.py`` and ``environment/cuboid.py``). For each square millimetre of the target, the evaluator
 stores which box was placed there last and how high its top is. The upper box lies on every box that is stored somewhere
 under it, unless that box's top is more than 5 mm below the bottom of the upper box. The support of the upper box is the
@@ -98,7 +98,7 @@ COLUMNS: Final = (
     KpiColumn("stable_pal_ratio", "Float64", "1", "stable × share of the ordered boxes that begin at or below 2.0 m"),
     KpiColumn("n_stable_pal_items", "Int64", "1", "stable × ordered boxes that begin at or below 2.0 m"),
 )
-"""The columns: first BED-BPP's, then those that petmjx adds."""
+"""The columns: first BED-BPP's columns, then the columns that petmjx adds."""
 
 MEANS: Final = tuple(column.name for column in COLUMNS if column.mean)
 """Columns whose means are printed."""
@@ -262,7 +262,7 @@ def kpis(
 
 
 def kpis_of(plan: Plan, order: Order, matching: Matching | None = None) -> dict[str, Any]:
-    """The columns of one plan, except those that depend on its stability.
+    """The values of one plan in all columns, except columns that depend on its stability.
 
     Args:
         matching: how the plan's boxes match the order, if already known.

@@ -24,8 +24,8 @@ in how a box distributes its load over its supports:
   whole weight on every box directly below, and pass nothing further down.)
 
 Both rules are linear in the load. So the weight of each box is passed down separately, and the load on a box after any
-placement is a sum over the boxes placed so far. Supports cannot pull, however. Where an even bedding would pull, the
-supports push with the least energy of their springs (petmjx.world.load_sharing). Where a resultant of the bedding lies
+placement is a sum over the boxes placed so far. Supports cannot pull, however. If an even bedding would pull, the
+supports push with the least energy of their springs (petmjx.world.load_sharing). If a resultant of the bedding lies
 beyond an edge, a linear programme determines whether other forces keep all resultants inside
 (petmjx.world.balance_programme).
 """

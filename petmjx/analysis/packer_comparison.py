@@ -119,8 +119,9 @@ class PackerComparison:
             the number of pairs. ``p`` and ``p_holm`` are null except for the size ``all``, because the other sizes are
             not meant for tests. Chains also have ``p_gain``, the mean over orders of (``p_arrives`` of b −
             ``p_arrives`` of a), with its interval ``p_gain_low``, ``p_gain_high``.
-        reasons: why a plan of one packer falls where the other packer's plan stands. A row for each pair ``a``, ``b``,
-            packer ``lost_by`` whose plan falls, and ``reason``, with the number ``n`` of orders.
+        reasons: why a plan of one packer falls although the other packer's plan for the same order stands. A row for
+            each pair ``a``, ``b``, packer ``lost_by`` whose plan falls, and ``reason``, with the number ``n`` of
+            orders.
         decided: orders whose plan stands for only one packer of a pair: ``plan_id``, ``a``, ``b``, ``won_by``,
             ``lost_by``, ``reason``, ``order_boxes``.
         plans: a row for each order and packer (:func:`petmjx.analysis.packer_runs.plans_of`).

@@ -62,7 +62,7 @@ class Comparison:
     """The result of :func:`compare_runs`.
 
     Attributes:
-        a, b: names of the two runs, which are those of their folders.
+        a, b: names of the two runs, which are the names of their folders.
         n_common: number of worlds in both runs.
         confusion: (3, 3) number of worlds by their verdict in a (rows) and in b (columns).
         flips: worlds with different verdicts. Columns: verdict, reason and culprit in both runs, and by how much the

@@ -210,7 +210,7 @@ def tell(
         plan_id: the plan's id; or, without a source, the plan itself.
         source: a run (its folder, or the result of ``petmjx.load_run``), or plans as for ``petmjx.score``; None: the
             bundled plans.
-        plans: where the plans of a run are now, if their files have moved.
+        plans: the files of a run's plans, if they have moved since the run.
         variant: index of the variant as in ``worlds``, for a run with several worlds per plan. The default is the
             nominal variant.
         interval_s: time between two frames, s, by default 0.05. There is also a frame at each placement and at the end.

@@ -188,7 +188,7 @@ def takes(
         with_options.__doc__, with_options.__name__ = command.__doc__, command.__name__
         with_options.__signature__ = signature.replace(parameters=parameters)  # type: ignore[attr-defined]  # what inspect reads
         with_options.__annotations__ = {p.name: p.annotation for p in parameters}
-        return with_options  # type: ignore[return-value]  # called as the signature says
+        return with_options  # type: ignore[return-value]  # typer calls it as the signature states
 
     return decorate
 

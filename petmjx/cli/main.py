@@ -76,7 +76,8 @@ the list of commands."""
 
 
 def application(words: Sequence[str] = ()) -> typer.Typer:
-    """Make the application with the command that the arguments name. If they name none, it has all commands.
+    """Make the application with the command that the arguments name. If the arguments name no command, the application
+    has all commands.
 
     The modules of other commands are not loaded, because loading them takes longer than scoring a few plans.
     """

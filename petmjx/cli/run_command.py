@@ -1,4 +1,4 @@
-"""What ``score`` and ``sweep`` have in common: the folder, the progress bar, Ctrl-C, and the tables at the end."""
+"""The common parts of ``score`` and ``sweep``: the folder, the progress bar, Ctrl-C, and the tables at the end."""
 
 from __future__ import annotations
 
@@ -67,8 +67,8 @@ def last_stop() -> int | None:
 @contextmanager
 def stoppable() -> Iterator[None]:
     """Let SIGTERM and SIGHUP end the body like Ctrl-C, once per burst of signals, so that the body can clean up.
-    Signals that are ignored stay ignored (nohup). Every command already runs inside ``stoppable``, so a nested use does
-    nothing.
+    A signal that is ignored remains ignored (nohup). Every command already runs inside ``stoppable``, so a nested use
+    does nothing.
 
     Python ignores exceptions that are raised while an object is finalised, as Ray's objects often are. In that case,
     the signal is sent again.

@@ -1,4 +1,5 @@
-"""Carriers: the built-in ones (``Carrier``), and those that users build from boards in a TOML file (``OwnCarrier``)."""
+"""Carriers: built-in carriers (``Carrier``), and carriers that users build from boards in a TOML file
+(``OwnCarrier``)."""
 
 from __future__ import annotations
 

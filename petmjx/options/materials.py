@@ -129,8 +129,8 @@ class LandingPair(CheckedRecord):
 
 
 def landing_between(one: str, other: str, user_pairs: Sequence[LandingPair]) -> tuple[float | None, float | None]:
-    """The restitution of a pair of materials, and the time in which its landings stop, s. A value of None means: use
-    the value of ``Physics``.
+    """The restitution of a pair of materials, and the time in which its landings stop, s. If a value is None, the value
+    of ``Physics`` applies.
 
     Args:
         user_pairs: the user's pairs. They take precedence over petmjx's values, and later pairs over earlier ones.

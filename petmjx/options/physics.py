@@ -74,8 +74,8 @@ CUSTOM: Final = "custom"
 class Physics(CheckedRecord):
     """Contacts, carrier, floor, gravity and timestep.
 
-    The values are those of the reference implementation (PET-Physics), except those that differ between the presets:
-    the cone, the carrier's friction, the seven values of contacts (solref, solreffriction, solimp, impratio,
+    The values are those of the reference implementation (PET-Physics), except for values that differ between the
+    presets: the cone, the carrier's friction, the seven values of contacts (solref, solreffriction, solimp, impratio,
     slip_correction, landing_s, skin_m), and whether boxes fall into their places. The friction of 0.5 between boxes is
     that of cardboard on cardboard (CTU Code, Annex 7, Appendix 2).
 

@@ -1,4 +1,4 @@
-"""Options of placing (``Placing``): where a box starts, and how it moves to its place.
+"""Options of placing (``Placing``): the pose at which a box starts, and its path to its place.
 
 Defaults, units, checks and descriptions are defined only here. docs/rules.md, section 4, has the exact rules, step by
 step; docs/placing.md explains the options to users.

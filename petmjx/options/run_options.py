@@ -25,7 +25,7 @@ MOST_WORKERS: Final = 4096
 
 ALL: Final = "all"
 FAILED: Final = "failed"
-"""Values of ``RunOptions.record``: record all plans, or only those that fail."""
+"""Values of ``RunOptions.record``: record all plans, or only plans that fail."""
 
 WORLDS: Final = "worlds"
 """A value of ``RunOptions.keep``: keep only the tables of worlds. The other value is ``ALL``."""
@@ -151,7 +151,7 @@ class Transport(CheckedRecord):
 
 
 class RunOptions(CheckedRecord):
-    """Where a run computes, and how.
+    """How a run is computed: engine, threads, workers, files and so on.
 
     Only two of these options affect outcomes. ``engine`` may change the outcome of a world. ``world_timeout_s`` may
     stop a world before it has an outcome (``invalid`` by ``timeout``).

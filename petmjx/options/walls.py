@@ -101,7 +101,7 @@ class Walls(CheckedRecord):
 
     @property
     def standing(self) -> tuple[Side, ...]:
-        """The sides with a closed wall, which can bear load: all sides with walls except the open ones."""
+        """The sides with a closed wall, which can bear load: all sides with walls, except sides whose wall is open."""
         return tuple(side for side in self.sides or () if side not in self.open)
 
     def check_open(self) -> None:

@@ -71,8 +71,8 @@ def _wider(highest: Heights, more: int) -> Heights:
 
 
 _DEEPER: Final = {4: (1, 2), 6: (1, 2, 2), 8: (1, 2, 4), 11: (1, 2, 4, 3), 12: (1, 2, 4, 4)}
-"""Depth of a window → steps by which it grows from one cell to this depth. No step is longer than the depth before
-it."""
+"""Depth of a window → steps by which the window grows from one cell to this depth. No step is longer than the depth
+before the step."""
 
 _NOWHERE_MM: Final = 2000.0
 

@@ -42,7 +42,8 @@ summation."""
 class MirroredCandidates(Candidates):
     """Corner points seen from all four corners of the target, as a table for ``Packing``.
 
-    Unlike the usual table, it stores no candidates for each shape: ``found`` computes candidates on request.
+    Unlike ``Candidates``, this table does not store candidates for each shape: ``found`` computes candidates on
+    request.
 
     Attributes:
         corners: (c, 2) corners of the candidates of the last call of ``found``, mm.

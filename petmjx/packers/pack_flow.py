@@ -131,7 +131,7 @@ class Flow:
             yield packed
 
     def _more(self) -> list[World]:
-        """The worlds requested since the last call, including those of newly searched orders.
+        """The worlds requested since the last call, including worlds of newly searched orders.
 
         The flow waits for searches only if the engine has no other work, or if the search runs in this process.
         """
@@ -154,7 +154,8 @@ class Flow:
         return self._searched.ended and self._unanswered < self._at_a_time.worlds
 
     def _go_on(self, order: _OpenOrder) -> None:
-        """Request the next worlds of an order. If none is missing, the order is complete and its packing is chosen."""
+        """Request the next worlds of an order. If no world is missing, the order is complete and its packing is
+        chosen."""
         try:
             requests = next(order.asking)
         except StopIteration as end:

@@ -1,6 +1,6 @@
 """The state of a growing packing (``Packing``): the pile, the remaining items, and the candidates for the next box.
 
-A packing can be copied, so that a search can extend it in several ways.
+A packing can be copied, so that a search can try several extensions of it.
 """
 
 from __future__ import annotations

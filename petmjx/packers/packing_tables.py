@@ -102,5 +102,5 @@ AXES: Final[Mapping[str, tuple[Any, str]]] = {
 """Table of a packing → its element type and axes. The tables have room for all boxes that will be placed.
 
 ``base`` includes the free space, ``own_base`` does not. ``stock`` is the number of remaining boxes by kind. Lengths are
-in mm, except in the tables of the balance (``low_m`` to ``owner``), where they are in m. ``made_shape`` and
+in m in the tables of the balance (``low_m`` to ``owner``), and in mm in all other tables. ``made_shape`` and
 ``made_corner`` are the placed boxes; all tables after them are scratch memory."""

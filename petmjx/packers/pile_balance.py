@@ -47,8 +47,8 @@ SAME_PLACE_DECIMALS: Final = 9
 it could lose a point that lies so little to the left of others that products in float64 cannot resolve the distance."""
 
 LEAST_TURN_M2: Final = 1e-12
-"""A point where the hull turns by less than this is not a corner but lies on an edge. The limit covers rounding errors
-in products of coordinates."""
+"""If the hull turns by less than this at a point, the point is not a corner but lies on an edge. The limit covers
+rounding errors in products of coordinates."""
 
 SLACK_KG_M: Final = 1e-9
 """Tolerance for rounding errors when a load is compared with an edge."""

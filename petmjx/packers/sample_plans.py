@@ -3,8 +3,8 @@
 ``generate`` and ``write_samples`` generate orders with BED-BPP's statistics and pack them. If no packer is named, they
 make a mixed set for trials and benchmarks: about half of its plans (``loose_share``) are packed with an unsafe support
 rule, so that some plans stand and some collapse. A named packer packs all plans by its own rules, as comparisons
-require. Plan i depends only on seed, i, packer and loose_share, so the plans of ``n = 10`` are the first ones of ``n =
-1000``.
+require. Plan i depends only on seed, i, packer and loose_share, so the plans of ``n = 10`` are the first ten plans of
+``n = 1000``.
 
 ``pack_orders`` packs the orders of a file.
 """

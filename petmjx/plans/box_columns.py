@@ -1,8 +1,8 @@
 """Meanings of the columns of other tools' tables (``BoxColumns``): sizes, places, rotations, weights and names of
 boxes.
 
-In this module cells become numbers, and each bad cell becomes a line that names its row and column. What the numbers
-mean (units, axes, anchors) is decided later (``petmjx.plans.readings``).
+In this module cells become numbers, and each bad cell becomes a line that names its row and column. The meaning of the
+numbers (units, axes, anchors) is decided later (``petmjx.plans.readings``).
 """
 
 from __future__ import annotations
@@ -118,7 +118,7 @@ class BoxColumns:
             count in any order.
         counters: columns of whole numbers that may be a packing order because of their names ("Nr", "Pick"): name →
             (n,) numbers; NaN for cells that are not whole numbers.
-        columns: role → name of its column, for all roles except those of the geometry.
+        columns: role → name of its column, for all roles except sizes and places.
         faults: row → (column, error text) of the first bad cell in the row.
         unread: names of columns that are not used.
     """
@@ -567,7 +567,7 @@ class Extraction:
         )
 
     def counters(self, used: Collection[str]) -> dict[str, FloatArray]:
-        """Unused columns of whole numbers whose names could be those of a packing order."""
+        """Unused columns of whole numbers whose names could mean a packing order."""
         columns: dict[str, FloatArray] = {}
         for index, name in enumerate(self.table.header):
             if name in used or not may_count(name):
@@ -689,7 +689,7 @@ def _matrix_of(cell: Any) -> FloatArray | None:
 
 
 def _bad_member(cell: Any) -> str:
-    """Where a matrix is bad, for messages: the index, from 0, of its first member that is not a number; "" if the shape
+    """The fault of a matrix, for messages: the index, from 0, of its first member that is not a number; "" if the shape
     is wrong."""
     flat = [value for row in cell for value in (row if isinstance(row, list | tuple) else (row,))] if cell else []
     for index, value in enumerate(flat):

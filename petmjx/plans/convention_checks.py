@@ -1,7 +1,7 @@
 """Detects plans in other conventions: centres given as corners, metres as millimetres, or y and z swapped.
 
 A plan is odd if boxes float or overlap. An odd plan is read in other conventions. If it is no longer odd in one of
-them, the plan probably follows this convention. Plans whose boxes really are odd stay odd in every convention. If all
+them, the plan probably follows this convention. Plans whose boxes really are odd are odd in every convention. If all
 lengths or all masses have a wrong unit, the layout looks right; such a unit is recognised by the density of the boxes.
 """
 
@@ -76,8 +76,8 @@ class Convention:
             corners and sizes.
         least_odd: smallest number of floating boxes and overlaps in a plan that this convention may explain, if the
             lowest box does not float.
-        of_turned: whether ``read`` is applied only to boxes that their orientation turns. All other boxes stay
-            unchanged.
+        of_turned: whether ``read`` is applied only to boxes that their orientation turns. All other boxes are not
+            changed.
         of_some: whether ``read`` is applied only to those turned boxes that overlap fewer boxes afterwards.
         least_share: the convention is considered only if at least this share of the boxes above the carrier floats or
             overlaps, and one of them by more than ``_SMALL_MM``.

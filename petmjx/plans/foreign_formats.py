@@ -564,7 +564,7 @@ def _as_plans(sources: Sequence[BoxSource]) -> list[BoxSource]:
 
 
 def column_names_known(columns: Mapping[str, Any]) -> bool:
-    """Whether the names of arrays are those of sizes and places."""
+    """Whether the names of arrays are known names of sizes and places."""
     names = [name if array.ndim == 1 else f"{name}[0]" for name, array in columns.items()]
     kinds = {meaning.kind for meaning in column_meanings(names) if meaning is not None}
     posed = any(array.ndim == 3 for array in columns.values())

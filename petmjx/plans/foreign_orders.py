@@ -93,7 +93,7 @@ def _with_articles(sources: Sequence[BoxSource], items: Path | None) -> BoxSourc
     None if there are no such lines.
 
     Raises:
-        InputError: the file of items cannot be read, or its items are not those of the orders.
+        InputError: the file of items cannot be read, or its items do not belong to the orders.
     """
     lines = [source for source in sources if not has_sizes_of_items(source) and "quantity" in source.boxes.kinds]
     if items is not None:

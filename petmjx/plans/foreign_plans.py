@@ -106,7 +106,7 @@ def read_foreign(
 
     Raises:
         AmbiguousFile: the file can be read in two ways.
-        InputError: the file contains no plans. The lines do not name the file.
+        InputError: the file contains no plans. The error lines do not name the file.
     """
     return plans_of_sources(sources_of_bytes(data, path), path, source, wishes, items)
 
@@ -537,7 +537,7 @@ class _Builder:
             self.notes.append(f"no plan_id: {printable_name(stem)}")
             return [stem] * len(names)
         words = words_of(self.columns.columns.get("plan", ""))
-        if "plan" in words or "order" in words:  # the names are those of plans, not numbers of containers
+        if "plan" in words or "order" in words:  # the names are names of plans, not numbers of containers
             return [name or stem for name in names]
         if len(set(names)) == 1 and names[0].isdigit():
             return [stem] * len(names)  # there is only one container
@@ -734,7 +734,8 @@ class _Builder:
         return (f"{line}: weights or lengths in another unit? (--units)",)
 
     def _sequence(self, rows: NDArray[np.int64], low: FloatArray, size: FloatArray) -> tuple[NDArray[np.int64], str]:
-        """(n,) packing order of a plan's rows, from 1, and where this order comes from."""
+        """(n,) packing order of a plan's rows, from 1, and the source of this order ("sequence", "rows" or
+        "height")."""
         if self.columns.sequence is not None:
             return self.columns.sequence[rows].astype(np.int64), "sequence"
         order = np.arange(1, len(rows) + 1)
@@ -776,7 +777,8 @@ class _Builder:
         return None
 
     def _order_note(self, orders: Sequence[str], names: Sequence[str]) -> str:
-        """Returns where the packing order comes from. Adds a note if it does not come from a column."""
+        """Returns the source of the packing order ("sequence", "rows" or "height"). Adds a note if it does not come
+        from a column."""
         sorted_plans = [name for name, order in zip(names, orders, strict=False) if order == "height"]
         if sorted_plans:
             plans_text = "" if len(orders) == 1 else f" in {first_names(sorted_plans, 3)}"

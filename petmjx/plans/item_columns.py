@@ -153,19 +153,19 @@ class ItemColumns:
 
 
 def has_sizes_of_items(source: BoxSource) -> bool:
-    """Whether a list has sizes, including those of packingsolver's items: X, Y and Z."""
+    """Whether a list has sizes. In packingsolver's items, X, Y and Z are sizes."""
     return source.boxes.has_sizes or _is_of_packingsolver(source.boxes.table.header)
 
 
 def _is_of_packingsolver(header: Sequence[str]) -> bool:
-    """Whether columns are those of packingsolver's items, in which X, Y and Z are sizes instead of coordinates."""
+    """Whether a table has the columns of packingsolver's items, in which X, Y and Z are sizes, not coordinates."""
     upper = {name.upper() for name in header}
     marks = upper & {"COPIES", "PROFIT"} or any(name.startswith("ROTATION") for name in upper)
     return upper >= {"X", "Y", "Z"} and not upper & {"LX", "LY", "LZ"} and bool(marks)
 
 
 class _ItemExtraction(Extraction):
-    """The columns of one source, including those that only orders have, while their meanings are being determined."""
+    """The columns of one source while their meanings are being determined, including columns that only orders have."""
 
     def __init__(self, source: BoxSource, chosen: Mapping[str, str], units: str = "", masses: str = "") -> None:
         header = source.boxes.table.header
@@ -267,7 +267,8 @@ class _ItemExtraction(Extraction):
     def role(
         self, role: str, kind: str, *, within: set[int] | None = None, without: set[int] | None = None
     ) -> int | None:
-        """The column of a role: the one that an option names, else the first of its kind; None if there is none."""
+        """The column of a role: the column that an option names, else the first column of its kind; None if the role
+        has no column."""
         name = self.chosen.get(role)
         if name is not None:
             return None if name == IGNORED else self.table.header.index(name)
@@ -498,7 +499,7 @@ def with_rows(source: BoxSource, kept: NDArray[np.bool_], notes: tuple[str, ...]
     """A source with only some of its rows, and with more notes.
 
     Args:
-        kept: (n,) True for the rows that stay.
+        kept: (n,) True for the rows that are kept.
     """
     table = source.boxes.table
 

@@ -375,7 +375,7 @@ class _OrderBuilder:
         """(n,) the number of boxes of each row.
 
         Raises:
-            InputError: quantities may be those of one layer or of all layers.
+            InputError: it is unclear whether a quantity is that of one layer or of all layers.
         """
         columns = self.columns
         if columns.quantity is None:

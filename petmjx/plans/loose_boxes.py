@@ -54,7 +54,7 @@ def placed_shares(plans: Sequence[Plan]) -> FloatArray:
     """(n,) the share of each plan's boxes up to and including its first loose box; 1 if there is none.
 
     If there are more than ``MOST_LOOKED_AT`` plans, only some are examined. The other plans get the shares of the
-    examined ones, repeated in order.
+    examined plans, repeated in order.
     """
     looked_at = (
         [plans[k] for k in np.unique(np.linspace(0, len(plans) - 1, MOST_LOOKED_AT).astype(int))] if plans else []

@@ -87,8 +87,8 @@ _FAMILIES = (
     _Family(0.26, (270, 340), (160, 220), (110, 290), ("poultry", "fish", "side dish", "instant meals")),
     _Family(0.12, (120, 260), (100, 180), (100, 200), ("confectionery", "non-food products")),
 )
-"""The kinds of cartons in BED-BPP's sample: 600 × 400 modules, their halves, long narrow ones, quarters, and small
-cartons."""
+"""The kinds of cartons in BED-BPP's sample: 600 × 400 modules, half modules, long narrow cartons, quarter modules, and
+small cartons."""
 
 
 @dataclass(frozen=True)

@@ -6,9 +6,9 @@ packed twice, the second box was not ordered. ``sequence`` is ignored, because p
 compared in any orientation.
 
 Properties of goods belong to the order, not to the packer: a box that differs from its item in centre of mass,
-stiffness or kind counts as different, as if its size differed. The properties of an item are those in the order, else
-those in the user's table of articles (:func:`with_properties`). If neither gives any, the item's centre of mass is in
-its middle, and the item is rigid.
+stiffness or kind counts as different, as if its size differed. The properties of an item are taken from the order, else
+from the user's table of articles (:func:`with_properties`). If neither gives any, the item's centre of mass is in its
+middle, and the item is rigid.
 
 ``check_orders`` compares plans with a file of orders. The comparison finds items that were left out, boxes that were
 not ordered, and boxes with another size or mass than ordered.
@@ -172,8 +172,8 @@ def match(plan: Plan, order: Order) -> Matching:
 def _match_equal(
     boxes: list[_Names], of_boxes: FloatArray, items: list[_Names], of_items: FloatArray, matched: NDArray[np.int64]
 ) -> None:
-    """Match boxes whose names, size and mass are exactly those of an item. This exact matching is fast, and matches
-    most boxes."""
+    """Match boxes that have exactly the names, size and mass of an item. This exact matching is fast, and matches most
+    boxes."""
     free: dict[Hashable, list[int]] = defaultdict(list)
     for number in reversed(range(len(items))):
         free[items[number], *of_items[number].tolist()].append(number)
@@ -282,7 +282,7 @@ def _as_rows(
 
 
 def with_properties(order: Order, articles: Articles | None) -> Order:
-    """The order, with properties of its items from a table of articles if the order itself gives none."""
+    """The order, in which items without properties get those of a table of articles."""
     if articles is None:
         return order
     return replace(order, items=tuple(_filled_up(item, articles) for item in order.items))
@@ -505,7 +505,7 @@ def on_target(plan: Plan, order: Order) -> NDArray[np.bool_]:
 @dataclass(eq=False)
 class OddBoxes:
     """Differences between many plans and their orders: the number of boxes of each kind, and a description of the first
-    ones."""
+    boxes."""
 
     counts: Counter[str] = field(default_factory=Counter)
     first: dict[str, str] = field(default_factory=dict)

@@ -207,7 +207,7 @@ def _converted_objects(
 
     Args:
         read: function that converts a value; it returns None if the value is unusable.
-        otherwise: value that takes the place of unusable ones.
+        otherwise: value that replaces unusable values.
         kind: type of the resulting array.
     """
     readings = [read(value.item() if isinstance(value, np.generic) else value) for value in values]
@@ -285,7 +285,7 @@ class LostRow(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Table:
-    """A table after reading, before its values are checked.
+    """A table that has been read, but whose values are not checked yet.
 
     Attributes:
         columns: name in `NEEDED` or `OPTIONAL` → column of n rows.

@@ -169,7 +169,8 @@ def com_fault(field: str, value: Any, size: float) -> str | None:
 
 
 def com_along_axes(item_com_mm: FloatArray, turned: NDArray[np.bool_]) -> FloatArray:
-    """(n, 3) centres of mass along x, y and z, computed from those along the items' length, width and height (n, 3).
+    """(n, 3) centres of mass along x, y and z, computed from the centres along the items' length, width and height (n,
+    3).
 
     The length of a turned item lies along y, and its width along −x.
     """

@@ -1,4 +1,4 @@
-"""Sources of plans (files, folders, objects): collects the plans, and skips those that cannot be simulated."""
+"""Sources of plans (files, folders, objects): collects the plans, and skips plans that cannot be simulated."""
 
 from __future__ import annotations
 

@@ -86,7 +86,7 @@ MOST_NAMED: Final = 3
 
 @dataclass(frozen=True, slots=True)
 class PlanWarnings:
-    """The odd boxes of one plan: their counts, and the names of the first ones.
+    """The odd boxes of one plan: their counts, and the names of the first of them.
 
     Attributes:
         plan_id, source: the plan's id and its file.

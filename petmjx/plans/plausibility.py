@@ -23,7 +23,7 @@ _TOLERANCE: Final = 0.01
 """Largest gap at which boxes touch, as a share of the median of the boxes' smallest sides: 2 mm for cartons of 200 mm.
 Centres are often rounded to centimetres or half millimetres."""
 _SMALL_LOAD: Final = 160
-"""Number of boxes from which a plan is judged: the first ones in packing order, from the ground up."""
+"""Largest number of boxes that are used to judge a plan: its first boxes in packing order, from the ground up."""
 _CARTON_MM, _CARTON_SPREAD = 280.0, 0.75
 """Geometric mean of a carton's sides, and its spread (in the logarithm), from BED-BPP's 1.5 million boxes."""
 _CARTON_KG_M3, _DENSITY_SPREAD = 250.0, 1.1
@@ -266,7 +266,7 @@ def load_fit(side_mm: float, load_mm: FloatArray, deck_mm: FloatArray, known: bo
     Args:
         side_mm: geometric mean of the boxes' sides.
         load_mm: extents of the load along x, y and z.
-        deck_mm: extents of the carrier along x and y if it is ``known``, else those of the load.
+        deck_mm: extents along x and y of the carrier if it is ``known``, else of the load.
     """
     if not _SMALLEST_SIDE_MM <= side_mm <= _LARGEST_SIDE_MM or load_mm[2] > _HIGHEST_MM:
         return 0

@@ -79,7 +79,7 @@ def cell_number(cell: Any, decimal: str = ".") -> CellNumber | None:
 
 
 def number_fault_of(cell: Any, decimal: str) -> str:
-    """The end of a message about a cell that should have a number: what is wrong with it, and advice."""
+    """The end of a message about a cell that should have a number: the fault of the cell, and advice."""
     if cell is None or cell == "":
         return "is missing"
     if not isinstance(cell, str):
@@ -147,7 +147,7 @@ def thousands_faults(cells: Sequence[Any], decimal: str, unit: str, are_sizes: b
     a point, or the sizes would otherwise be thinner than boxes are.
 
     Args:
-        unit: unit of numbers that have none of their own.
+        unit: unit of numbers that have no unit in their cell.
         are_sizes: whether the lengths are sizes of boxes.
     """
     texts = {row: cell.strip() for row, cell in enumerate(cells) if isinstance(cell, str)}

@@ -37,7 +37,7 @@ _SPACES: Final = " "
 
 @dataclass(frozen=True, eq=False)
 class RawTable:
-    """A table as it is in a file.
+    """A table with the content that it has in a file.
 
     Attributes:
         header: names of the columns. A table without a header has "column 1", "column 2" …
@@ -162,7 +162,7 @@ def _fields(text: str, delimiter: str) -> Iterator[list[str]]:
     if delimiter == _SPACES:
         yield from _spaced_fields(text.splitlines())
         return
-    if delimiter == "|":  # Markdown has such a line below a header
+    if delimiter == "|":  # Markdown has a line of dashes below a header
         text = "\n".join("" if _RULE.match(line) else line for line in text.split("\n"))
     try:
         yield from csv.reader(io.StringIO(text, newline=""), delimiter=delimiter)

@@ -105,7 +105,7 @@ def _sample_of(columns: BoxColumns, plans: Mapping[str, NDArray[np.int64]], dama
 
 
 def container_of(containers: Mapping[str, Mapping[str, float]], name: str) -> Mapping[str, float]:
-    """The container of a plan: its own, else that of the file, else None."""
+    """The container of a plan: the plan's own container, else the file's container, else None."""
     return (
         containers.get(name) or containers.get("") or (next(iter(containers.values())) if len(containers) == 1 else {})
     )

@@ -92,7 +92,7 @@ class Reading:
         unused: names of the columns that are not used.
         odd: lines about values that are improbable in every reading.
         cost: cost of the reading, which is high if it is implausible; layout_cost: the cost without names and units.
-        evidence: what the cost is based on.
+        evidence: the numbers on which the cost is based.
         alternatives: other readings with a similar cost, most plausible first.
     """
 
@@ -182,7 +182,7 @@ class Wishes:
 
 
 class AmbiguousFile(InputError):
-    """A file can be read in two ways. The message names both, and the option that decides between them.
+    """A file has two possible readings. The message names both, and the option that decides between them.
 
     Attributes:
         readings: the possible readings, most plausible first.

@@ -37,7 +37,7 @@ class Recording:
     still being simulated.
 
     Attributes:
-        record: what the engine records; None: no recording.
+        record: settings of the recording, for the engine; None: no recording.
         plan_ids: plans whose worlds are recorded; None: all.
         failed_only: keep only the histories of worlds that are not stable.
     """
@@ -47,7 +47,7 @@ class Recording:
     failed_only: bool = False
 
     def of(self, plan: Plan) -> Record | None:
-        """What the engine records of a plan's worlds. None: nothing."""
+        """The settings with which the engine records a plan's worlds. None: the worlds are not recorded."""
         return self.record if self.plan_ids is None or plan.plan_id in self.plan_ids else None
 
     def kept(self, outcome: Outcome) -> Outcome:

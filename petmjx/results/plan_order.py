@@ -31,7 +31,7 @@ class WorldRanks:
     without gaps. In a search they have gaps.
 
     Args:
-        plan_ids: all plans in the order of the input, including those of other shards. Plans that are not listed come
+        plan_ids: all plans in the order of the input, including plans of other shards. Plans that are not listed come
             after them, in the order in which they are first ranked.
         variants: numbers of each plan's variants; None: unknown, as in a search.
     """

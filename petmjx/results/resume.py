@@ -48,8 +48,8 @@ class CompletedWorlds:
             self._index(self._table, parts)
 
     def _index(self, table: pa.Table, parts: Parts | None) -> None:
-        """Sort the rows by plan and variant. The sorted index takes a few bytes per world, where a dictionary would
-        take hundreds."""
+        """Sort the rows by plan and variant. The sorted index takes a few bytes per world; a dictionary would take
+        hundreds."""
         plans = table["plan_id"].combine_chunks().dictionary_encode()
         plan = np.asarray(plans.indices, dtype=np.int64)
         variant = np.asarray(table["variant"], dtype=np.int64)

@@ -14,7 +14,8 @@
 
 A file never appears half-written. A part belongs to the run once ``run.json`` lists it with its digest
 (petmjx.results.run_tables). Parts that are not listed were left by a killed run. Parts of ``worlds``, ``boxes`` and
-``attempts`` with the same number hold the same worlds, and so do those of ``histories``, ``frames`` and ``contacts``.
+``attempts`` with the same number hold the same worlds, and so do parts of ``histories``, ``frames`` and ``contacts``
+with the same number.
 """
 
 from __future__ import annotations
@@ -130,8 +131,8 @@ def appear(hidden: Mapping[Path, Path]) -> None:
 
 
 def write_table(table: pa.Table, path: Path) -> str:
-    """Write one Parquet file, which never appears half-written; returns its digest. If the run's folder is gone, it is
-    not created again."""
+    """Write one Parquet file, which never appears half-written; returns its digest. If the run's folder was deleted, it
+    is not created again."""
     path.parent.mkdir(exist_ok=True)
     return _write_whole(path, parquet(table))
 

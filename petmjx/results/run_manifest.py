@@ -123,7 +123,7 @@ class Manifest:
 
     Attributes:
         settings: JSON-like values: command, simulation, sweep, engine, shard.
-        plans: all plans by id, including those of other shards, in the order of the input.
+        plans: all plans by id, including plans of other shards, in the order of the input.
         placements: function that makes the table ``placements`` of the run's plans; None: no such table.
     """
 

@@ -183,7 +183,7 @@ class RunResults:
 
     @property
     def walls(self) -> Walls:
-        """The walls in the run's options. The carrier may also have walls of its own."""
+        """The walls in the run's options. The carrier may have further walls."""
         return self._carrying.walls
 
     @property

@@ -97,7 +97,7 @@ class RunWriter(RunInfo):
             larger run is written to a temporary folder, which is deleted together with the results.
         config: the values of all options as plain JSON values (from ``Simulation.model_dump(mode="json")`` and others).
         params: parameters of a sweep's variants. Each becomes a column of ``worlds``.
-        variants: numbers of each plan's variants, if all plans have the same ones. Ranks then have no gaps.
+        variants: numbers of each plan's variants, if they are the same for all plans. Ranks then have no gaps.
         dynamic, force_intervals, legs: as in ``petmjx.results.schema.schemas``.
         boxes: whether the run has the table ``boxes``.
         versions: package → version. The version of Python is added.
@@ -256,7 +256,7 @@ class RunWriter(RunInfo):
         if self.status != RUNNING:  # the run has ended, so another run may own the folder by now
             return
         self._cut_short = error is not None
-        # the first Ctrl-C ends the run; further ones must not end the process before all worlds are written
+        # the first Ctrl-C ends the run; a second one must not end the process before all worlds are written
         with defer_signals(afterwards=error is None):
             trouble = self._ask(lambda: self._end(error))
             self._joined()

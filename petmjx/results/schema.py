@@ -292,7 +292,7 @@ def data_frame(table: pa.Table) -> pd.DataFrame:
 
 
 def schema_version_of(metadata: Mapping[bytes, bytes] | None) -> int:
-    """The schema version in a file's metadata; 0 if it has none."""
+    """The schema version in a file's metadata; 0 if the metadata has no version."""
     text: Any = (metadata or {}).get(b"schema_version", b"0")
     try:
         return int(text)

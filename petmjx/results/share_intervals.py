@@ -27,13 +27,13 @@ ONE_PLAN = "plan"
 about one plan."""
 
 KEYS = ("scope", "plan_id", "axis", "value")
-"""Columns that state what a summary row is about."""
+"""Columns that state the subject of a summary row."""
 
 
 def wilson_interval(
     successes: ArrayLike, n: ArrayLike, confidence: float = DEFAULT_CONFIDENCE
 ) -> tuple[FloatArray, FloatArray]:
-    """Wilson's score interval of a share, element by element; (0, 1) where n is 0.
+    """Wilson's score interval of a share, element by element; (0, 1) if n is 0.
 
     Source: Wilson (1927), J. Am. Stat. Assoc. 22, 209-212. The interval always lies inside [0, 1]. At shares of 0 and 1
     its width is above 0, whereas the usual ± interval has a width of 0.
@@ -204,8 +204,8 @@ def holm(p_values: Sequence[float]) -> FloatArray:
     """P-values corrected for the number of tests, so that the probability of any false alarm stays below the level.
 
     Source: Holm (1979), "A simple sequentially rejective multiple test procedure", Scandinavian Journal of Statistics
-    6, 65–70. The smallest of m p-values is multiplied by m, the next one by m − 1, and so on; none may become smaller
-    than its predecessor.
+    6, 65–70. The smallest of m p-values is multiplied by m, the next one by m − 1, and so on; a value must not become
+    smaller than its predecessor.
     """
     p = np.asarray(p_values, dtype=np.float64)
     order = np.argsort(p, kind="stable")

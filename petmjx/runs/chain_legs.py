@@ -222,7 +222,7 @@ def after(before: Outcome, leg: Outcome, timestep_s: float) -> Outcome:
     """The outcome of a world after one more leg, with metrics and times that count from the first placement.
 
     Largest values cover the whole journey, including the largest force at rest (``sustained_top_force_n``). The poses
-    of the boxes and ``rest_top_force_n`` are those at the end of the leg.
+    of the boxes and ``rest_top_force_n`` are taken at the end of the leg.
 
     Args:
         before: the outcome after the earlier legs, which the world survived.

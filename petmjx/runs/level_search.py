@@ -103,8 +103,8 @@ class Bisection:
     not depend on the order in which worlds end. In each round, up to ``sections`` levels of an item are tested side by
     side, evenly spread between the largest survived and the smallest failed level. Items do not wait for one another.
 
-    The search assumes that a pallet that survives a level survives all lower ones. The assumption can be wrong: a
-    stronger push may press a box against its neighbour, so that the box jams. If a level above a failed one was
+    The search assumes that a pallet that survives a level also survives all lower levels. The assumption can be wrong:
+    a stronger push may press a box against its neighbour, so that the box jams. If a level above a failed level was
     survived, the answer is the largest level below all failed ones, and ``monotone`` is False for that item.
 
     Args:

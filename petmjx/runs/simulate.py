@@ -270,8 +270,8 @@ class _Run:
             writer.warn(f"plan {printable_name(plan.plan_id)}{variant}: {failed}{world.outcome.message}")
 
     def _interval_n(self, world: FinishedWorld) -> FloatArray | None:
-        """(n, 2) smallest and largest force on the top of each box, N. None if not requested. Also None after a drive,
-        since the position of the carrier is then unknown."""
+        """(n, 2) smallest and largest force on the top of each box, N. None if intervals are not requested. Also None
+        after a drive, since the position of the carrier is then unknown."""
         if self.intervals is None or world.driven:
             return None
         start = time.perf_counter()

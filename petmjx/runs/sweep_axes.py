@@ -36,7 +36,7 @@ MAX_AXIS_VALUES: Final = 100_000
 """Largest number of values of one axis. With this limit, a typing error in a step cannot fill the memory."""
 
 MAX_STRENGTH: Final = 1000.0
-"""Largest level (g), scale or factor. A larger value must be a typing error, because shocks of packed goods stay below
+"""Largest level (g), scale or factor. A larger value must be a typing error, because shocks of packed goods are below
 100 g."""
 MAX_FRICTION_FACTOR: Final = 100.0
 MIN_MASS_FACTOR: Final = 0.001

@@ -150,8 +150,8 @@ class Design:
                 yield replace(placement, index=index, replicate=replicate, parameters=parameters, legs=legs)
 
     def _axes(self, placement: bool) -> list[Axis]:
-        """The axes of placements, or those of drives. The order is that of nesting, which may differ from the order in
-        the file."""
+        """The axes of placements or, if ``placement`` is false, the axes of drives. The order is that of nesting, which
+        may differ from the order in the file."""
         axes = self.sweep.axes
         return [axes[name] for name, kind in AXIS_KINDS.items() if name in axes and kind.placement is placement]
 
@@ -233,7 +233,7 @@ class Design:
         return (replicate,)
 
     def _sampled(self) -> Iterator[Variant]:
-        """Variants drawn from the axes; all plans have the same ones. Each variant has its own replicate number."""
+        """Variants drawn from the axes. They are the same for all plans. Each variant has its own replicate number."""
         axes = [*self._axes(placement=True), *self._axes(placement=False)]
         for number in range(1, (self.sweep.sample or 0) + 1):
             key = WorldKey(self.sweep.seed, "", number)

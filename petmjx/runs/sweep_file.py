@@ -1,7 +1,7 @@
 """Reads and checks sweep files (``sweeps/*.toml``), and finds ready-made ones by name.
 
 Ready-made files are in the folder ``sweeps/`` of a checkout; an installed package has a copy. docs/sweeps.md describes
-what sweep files may contain.
+the contents of sweep files.
 """
 
 from __future__ import annotations
@@ -85,7 +85,8 @@ MAX_PROFILE_STEPS: Final = 4_000_000
 MAX_TEXT: Final = 100_000
 """Largest number of characters of the name, and of the description."""
 MIN_TOLERANCE: Final = 1e-5
-"""Smallest tolerance of a search. Levels are rounded to 1e-12, so much closer levels would become equal."""
+"""Smallest tolerance of a search. Levels are rounded to 1e-12, so levels at much smaller distances would become
+equal."""
 MAX_REPEATS: Final = 2**31 - 1
 """Largest number of samples or replicates; the results store it in 32 bits."""
 
@@ -192,7 +193,8 @@ class Sweep(CheckedRecord):
 
     @cached_property
     def profiles(self) -> dict[str, Profile]:
-        """The profiles that the sweep uses, by name: those of its axis ``profile``, or of the legs of its chain."""
+        """The profiles that the sweep uses, by name: the profiles of its axis ``profile``, or of the legs of its
+        chain."""
         if self.legs:
             return profiles_of_legs(self.legs, self.own_profiles)
         names = [str(value) for value in self.axes["profile"].values] if "profile" in self.axes else []

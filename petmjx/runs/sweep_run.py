@@ -114,7 +114,7 @@ class SweepRun:
         plan: the worlds to simulate.
         engine: the engine for placements and drives. The same engine object must simulate both, since no other object
             can use its states.
-        progress: updated meanwhile. While boxes are placed, the message counts ended placements.
+        progress: kept up to date during the simulation. While boxes are placed, the message counts ended placements.
         on_answer: function that is called for each answer of a search.
         values_of: function that returns the columns that the sweep adds to a world's row (column → value).
         recorded: the completed worlds of the run. Completed worlds are not simulated again; answers are computed from
@@ -201,7 +201,7 @@ class SweepRun:
     def _chunks(self) -> Iterator[list[PlacementGroup]]:
         """Placements with drives, in chunks as large as ``Batching`` allows."""
         search = self.plan.sweep.search
-        # a leg of each world of a chain may have samples of its own
+        # in a chain, the samples of a leg may differ from world to world
         most = self.batching.worlds if search is None and not self.plan.sweep.legs else self.batching.drives
         per_search = 0 if search is None else len(self.plan.search_items()) * search.sections
         chunk: list[PlacementGroup] = []

@@ -1,4 +1,5 @@
-"""What a sweep adds to the results: columns of ``worlds`` for parameters and answers, and the table ``summary``."""
+"""The additions of a sweep to the results: columns of ``worlds`` for parameters and answers, and the table
+``summary``."""
 
 from __future__ import annotations
 

@@ -73,7 +73,7 @@ class SweepPlan(Design):
     """All worlds of a sweep, made one placement at a time.
 
     Args:
-        plans: the plans of the sweep; after construction only those that can be simulated.
+        plans: the plans of the sweep; after construction, only plans that can be simulated.
         allow_large: accept more than a million worlds.
         strict: refuse plans that would be skipped.
 

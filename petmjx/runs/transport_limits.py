@@ -147,7 +147,7 @@ def hopeless_profiles(sweep: Sweep) -> list[str]:
 
     If the sweep has several strengths, the line names the smallest of them that does so. A line depends only on
     accelerations, which are the same for all plans. Searches get no lines, since they find this strength themselves.
-    Runs with ``total_time_factor`` get none either, since they may end before the load slides that far.
+    Runs with ``total_time_factor`` get no lines either, since they may end before the load slides that far.
     """
     sim, axes = sweep.simulation, sweep.axes
     if sweep.search is not None or sim.total_time_factor is not None:

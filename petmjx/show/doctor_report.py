@@ -36,7 +36,7 @@ class EngineReport:
 
 @dataclass(frozen=True)
 class Report:
-    """What ``petmjx doctor`` has found.
+    """The findings of ``petmjx doctor``.
 
     Attributes:
         versions: package → version, for Python, petmjx and its dependencies.

@@ -1,5 +1,5 @@
-"""The records and lines of ``petmjx info``: the kind of each file of packing plans, how it is read, and what is odd
-about it."""
+"""The records and lines of ``petmjx info``: the kind of each file of packing plans, how it is read, and its
+oddities."""
 
 from __future__ import annotations
 

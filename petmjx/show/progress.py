@@ -130,7 +130,7 @@ class _Bar(RichProgress):
 
 
 class BarWatcher(AbstractContextManager["BarWatcher"]):
-    """Prints what a run does to standard error, and shows its progress.
+    """Prints the activity of a run to standard error, and shows its progress.
 
     Attributes:
         what: the noun for a world in messages: "plan", or "world" in sweeps.

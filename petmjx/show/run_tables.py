@@ -236,7 +236,7 @@ def _add_end(table: Table, info: Mapping[str, Any], what: str, done: int) -> Non
 
 
 def _edge_cells(row: Mapping[Any, Any], of_boxes: pd.DataFrame | None) -> tuple[str, str]:
-    """How far a load is from an edge, mm, and the number of the box on which it lies. The load is the one that set the
+    """How far a load is from an edge, mm, and the number of the box on which it lies. The load is that which set the
     flag ``knife-edge``. If the flag is not set, it is the load that is nearest to an edge.
 
     Args:

@@ -24,8 +24,8 @@ class TableColumn:
         header: heading, which may have several lines.
         justify: alignment of its cells.
         least: shortest length to which texts are cut, in characters; None: texts are never cut.
-        middle: whether texts are cut in the middle, which suits names that differ at their ends. Otherwise they are cut
-            at the end.
+        middle: whether texts are cut in the middle, which suits names that differ at their ends. If false, texts are
+            cut at the end.
         spare: priority for leaving out the column if the table is too wide: the column with the largest value is left
             out first. 0: never left out.
     """

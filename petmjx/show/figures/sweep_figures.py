@@ -70,7 +70,7 @@ def survival_curve(levels: pd.Series[float]) -> tuple[Any, Any]:
     surviving.
 
     Args:
-        levels: the largest level that each plan survives. Null means that it survives none, and counts as 0.
+        levels: the largest level that each plan survives. Null means that the plan survives no level, and counts as 0.
 
     Returns:
         Two arrays: (m,) levels in ascending order from 0; and (m,) for each level, the share of plans whose largest

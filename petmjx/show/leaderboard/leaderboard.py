@@ -68,9 +68,9 @@ def leaderboard(
     contains all that is needed to make the board again: ``plans/``, ``orders.json``, and the command, which the page
     shows.
 
-    Plans are scored into ``runs/`` in this folder. Existing runs are used as they are, but ``replays`` of their plans
-    are simulated again. If the replays contradict the run of an entry, the entry is not rated, and a ``PlanWarning``
-    states this.
+    Plans are scored into ``runs/`` in this folder. Existing runs are used unchanged, but ``replays`` of their plans are
+    simulated again. If the replays contradict the run of an entry, the entry is not rated, and a ``PlanWarning`` states
+    this.
 
     Args:
         packers: name → the folder of a run, or plans. Without names, packers are named after their folders and files.

@@ -61,7 +61,7 @@ class StoryEntry:
 
 @dataclass(frozen=True, eq=False)
 class Board:
-    """What the page shows.
+    """The content of the page.
 
     Attributes:
         rating: a row for each packer, from ``petmjx.analysis.packer_rating.rate``.

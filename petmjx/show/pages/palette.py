@@ -16,7 +16,7 @@ OKABE_ITO: Final = ("#e69f00", "#56b4e9", "#009e73", "#f0e442", "#0072b2", "#d55
 """Okabe and Ito, "Color Universal Design", 2008, without black."""
 
 _TONES: Final = (0.0, 0.45, -0.4)
-"""Tones of the hues. Pure tones are used first; once all hues are used, lighter ones follow, and then darker ones."""
+"""Tones of the hues. Pure tones are used first; once all hues are used, lighter tones follow, and then darker tones."""
 
 RAMP_COLOURS: Final = 64
 

@@ -47,7 +47,7 @@ def still_svg(story: Story, marked: Collection[int] | None = None, numbers: Sequ
 
     Args:
         marked: boxes that are outlined; None: the first box to fail.
-        numbers: numbers by which the picture names the boxes; None: their numbers in the plan.
+        numbers: numbers by which the picture names the boxes; None: the boxes' numbers in the plan.
     """
     marked = (story.outcome.culprit,) if marked is None else marked
     history, scene = story.history, story.scene

@@ -96,7 +96,7 @@ def write_gif(
     """Write a film that repeats. Each frame contains only the pixels that change, so that flat colours take little
     space.
 
-    GIF measures time in hundredths of a second, so the times of frames are rounded such that their sum stays right.
+    GIF measures time in hundredths of a second, so the times of frames are rounded such that their sum is right.
     """
     from PIL import Image
     from PIL.GifImagePlugin import getdata, getheader

@@ -109,7 +109,7 @@ def _missing(kind: str) -> str:
 
 
 def check_drawing(paths: Sequence[Path]) -> None:
-    """Check what ``check_files`` checks and, for pictures and films, also that OpenGL works.
+    """Make all checks of ``check_files``. For pictures and films, also check that OpenGL works.
 
     Raises:
         InputError: as for ``check_files``, or there is no OpenGL that can draw without a display.

@@ -21,7 +21,7 @@ from petmjx.show.pages.page_arrays import PackedArray, integer_column
 from petmjx.show.report.report_runs import Kind, ReportRun
 
 MOST_ROWS: Final = 200_000
-"""Largest number of worlds in the table, over all runs. A row takes about 40 bytes. If there are more worlds, those
+"""Largest number of worlds in the table, over all runs. A row takes about 40 bytes. If there are more worlds, worlds
 that stand are left out first."""
 
 MOST_OF_SWEEP: Final = 100_000
@@ -150,8 +150,8 @@ def _worst(worlds: pd.DataFrame) -> pd.DataFrame:
 
 
 def _with_other_verdicts(frames: Sequence[pd.DataFrame], runs: Sequence[ReportRun]) -> list[pd.DataFrame]:
-    """Add the column ``OTHER`` to the worlds of two runs: the verdict of the same world in the other run, or "" if it
-    has none there."""
+    """Add the column ``OTHER`` to the worlds of two runs: the verdict of the same world in the other run, or "" if the
+    other run does not have this world."""
     tables = []
     for one, two in zip(frames, runs[::-1], strict=True):
         other = one[KEY].merge(two.worlds[[*KEY, "verdict"]], on=KEY, how="left")["verdict"].fillna("")

@@ -146,7 +146,7 @@ class Frame:
         )
 
     def add(self, *marks: Content) -> None:
-        """Draw marks on top of the earlier ones."""
+        """Draw marks on top of the earlier marks."""
         self.marks += marks
 
     def line(self, x: ArrayLike, y: ArrayLike, class_: str) -> None:
