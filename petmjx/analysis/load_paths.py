@@ -105,7 +105,7 @@ def equilibrium_slack(contacts: PlanContacts, hulls: Hulls) -> FloatArray:
 
     After a placement, loads may appear to be beyond edges although they depend on how boxes share their loads. In this
     case, a linear programme searches for balancing forces, and the box passes if such forces exist. The searches end at
-    the first placement without such forces. All placements that were not searched keep the values of the bedding.
+    the first placement without balancing forces. All placements that were not searched keep the values of the bedding.
     """
     bearing = bearing_of(contacts)
     built = building_loads_of(bearing, [contacts.n_boxes])

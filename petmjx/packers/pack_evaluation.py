@@ -161,8 +161,8 @@ def plan_of(plan_id: str, finalist: Finalist) -> Plan:
 def choose(judged: Sequence[Evaluation], options: PhysicalOptions) -> Evaluation:
     """Choose a packing from its evaluations.
 
-    Among good packings, it chooses the largest volume, then the largest value of ``options.maximise``. If no packing is
-    good, it chooses the one that stands most often.
+    Among good packings, the packing with the largest volume is chosen, and among equal volumes that with the largest
+    value of ``options.maximise``. If no packing is good, the packing that stands most often is chosen.
 
     Args:
         judged: evaluations, at least one.

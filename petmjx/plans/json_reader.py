@@ -116,7 +116,7 @@ Strings and numbers are treated separately."""
 
 
 class DuplicateFieldObject(dict[str, Any]):
-    """A JSON object in which a field is repeated. The last value of this field counts.
+    """A JSON object in which a field is repeated. Of a repeated field, the last value is used.
 
     Attributes:
         field: the first field that is repeated.

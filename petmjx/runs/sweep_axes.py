@@ -142,7 +142,7 @@ class Range(CheckedRecord, Generic[Number]):
 
 
 class DrawnRange(Range[Positive]):
-    """A range of levels or scales of a chain. Each world draws one value from it."""
+    """A range of levels or scales of a chain. Each world draws one value from the range."""
 
     low: Positive = Field(alias="from", description="the least value that is drawn")
     high: Positive = Field(alias="to", description="the largest value that is drawn")

@@ -46,8 +46,8 @@ class Batching:
         placements: largest number of stored settled states. A state with 43 boxes takes 10 to 20 KB.
         worlds: largest number of variants that start from stored states at the same time (a single placement may have
             more).
-        drives: largest number of forked worlds in one call of the engine, for searches and chains. In a search, it
-            counts the first tests of all items; in a chain, all worlds.
+        drives: largest number of forked worlds in one call of the engine, for searches and chains. This limit covers
+            the first tests of all items in a search, and all worlds in a chain.
         histories: largest number of settled states stored with their histories. A history with 43 boxes takes 1 MB.
     """
 

@@ -207,7 +207,7 @@ def _interval_header(comparison: PackerComparison) -> str:
 
 
 def _interval(row: dict[str, Any], form: str) -> str:
-    """ "57.1 to 79.4", in per cent or in percentage points."""
+    """An interval as text, such as "57.1 to 79.4", in per cent or in percentage points."""
     return f"{number(row['low'], form, factor=100.0)} to {number(row['high'], form, factor=100.0)}"
 
 

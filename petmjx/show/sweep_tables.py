@@ -22,7 +22,7 @@ FEW_ROWS: Final = 40
 """Largest number of worlds or searches for which a table has one row each."""
 
 MAX_VALUES: Final = 50
-"""Largest number of values of an axis that are shown. ``summary`` has all of them."""
+"""Largest number of values of an axis that are shown. ``summary`` has all values."""
 
 _QUANTILES: Final = {"min": 0.0, "25 %": 0.25, "median": 0.5, "75 %": 0.75, "max": 1.0}
 

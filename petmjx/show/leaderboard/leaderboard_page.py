@@ -25,7 +25,7 @@ from petmjx.show.report.svg_charts import figure
 from petmjx.version import __version__
 
 MOST_ORDERS: Final = 200
-"""Largest number of orders that the page lists. The runs contain all of them."""
+"""Largest number of orders that the page lists. The runs contain all orders."""
 
 MOST_SENTENCES: Final = 15
 
