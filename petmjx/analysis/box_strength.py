@@ -98,7 +98,7 @@ def walls_of(
             met[box] = sum(_met_length(wall, lines, tolerance_mm) for wall in walls) / perimeter
         below = [(low[other, :2], high[other, :2]) for other in np.flatnonzero(on[box])]
         if on_carrier[box] and extent_mm is None:
-            continue  # the carrier has the extents of the plan
+            continue  # without given extents, the carrier is as large as the plan, so no wall hangs over
         if on_carrier[box] and extent_mm is not None:
             below.append((np.zeros(2), np.array(extent_mm)))
         if not below:

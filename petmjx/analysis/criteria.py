@@ -440,7 +440,7 @@ CRITERIA: Final = (
         DIMENSIONLESS,
         "McKee, Gander, Wachuta 1963, or strengths of the user's",
         lambda inputs: strength_slack(inputs.contacts, inputs.strength_n, even_bedding),
-        usual=False,  # without known strengths, it accepts all plans
+        usual=False,  # without known strengths, this criterion accepts all plans
     ),
     Criterion(
         "tolerable_acceleration",

@@ -115,7 +115,7 @@ def _is_our_workbook(file: Path) -> bool:
     try:
         with zipfile.ZipFile(file) as parts, parts.open("docProps/core.xml") as properties:
             return f">{_CREATOR}<".encode() in properties.read(_MOST_PROPERTIES)
-    # These errors mean that the file is no zip file, is encrypted, or uses another compression. So petmjx did not write
-    # it.
+    # These errors mean that the file is no zip file, is encrypted, or uses another compression.
+    # So petmjx did not write it.
     except (OSError, ValueError, KeyError, zipfile.BadZipFile, NotImplementedError, RuntimeError):
         return False

@@ -185,8 +185,8 @@ def _loads_on_boxes(contacts: PlanContacts, sharing: Sharing) -> FloatArray:
     weights = contacts.mass_kg[:, None] * np.c_[np.ones(n), contacts.centre_mm[:, :2]]
     on_box[np.arange(n), np.arange(n)] = weights
     share = sharing(contacts)
-    # Contacts are sorted by their upper box, and a box is placed after its supports. So a loop from the last box to the
-    # first passes loads down.
+    # Contacts are sorted by their upper box, and a box is placed after its supports.
+    # So a loop from the last box to the first passes loads down.
     for contact in range(len(contacts.upper) - 1, -1, -1):
         lower = contacts.lower[contact]
         if lower != CARRIER:
@@ -240,8 +240,8 @@ def even_bedding(contacts: PlanContacts) -> FloatArray:
     """(c, 3, 3) matrices of the even bedding: a pressure that varies linearly over all contact areas of the box
     above."""
     upper = contacts.upper
-    # Places are measured from the upper box's centre, as multiples of the box's lengths. This keeps the 3 × 3 systems
-    # well conditioned.
+    # Places are measured from the upper box's centre, as multiples of the box's lengths.
+    # This keeps the 3 × 3 systems well conditioned.
     origin, scale = contacts.centre_mm[upper, :2], contacts.size_mm[upper, :2]
     moments = _area_moments((contacts.low_mm - origin) / scale, (contacts.high_mm - origin) / scale)
     total_moments = _sums(moments, upper, contacts.n_boxes)[upper]

@@ -90,7 +90,8 @@ def application(words: Sequence[str] = ()) -> typer.Typer:
         context_settings={"help_option_names": ["--help", "-h"], "max_content_width": WIDTH},
     )
     app.callback()(options)
-    command = next((word for word in words if not word.startswith("-")), "")  # options before it take no values
+    # Options before the command take no values, so the first other word is the command.
+    command = next((word for word in words if not word.startswith("-")), "")
     for name in (command,) if command in _COMMANDS else _COMMANDS:
         function = getattr(importlib.import_module(f"petmjx.cli.{name}"), name)
         app.command(name, cls=SectionedCommand, short_help=_COMMANDS[name])(as_typed(function))

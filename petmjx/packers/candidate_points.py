@@ -138,8 +138,8 @@ def corner_points(low: FloatArray, high: FloatArray) -> FloatArray:
         low, high: (m, n, 3) corners of the boxes of each pile, mm; the newest box is the last.
     """
     (x, y, z), (x_end, y_end, top) = low[:, -1].T, high[:, -1].T
-    # Beside the box, one point slides from the box's end in x towards −y, and one from its end in y towards −x. On the
-    # box, two points slide from its corner (x, y): one towards −x and one towards −y.
+    # Beside the box, one point slides from the box's end in x towards −y, and one from its end in y towards −x.
+    # On the box, two points slide from its corner (x, y): one towards −x and one towards −y.
     start, across = np.array([y, x, x, y]), np.array([x_end, y_end, y, x])
     south, west, west_on_top, south_on_top = _slid(low, high, start, across, np.array([z, z, top, top]))
     beside = [(x_end, y), (x_end, south), (x, y_end), (west, y_end)]

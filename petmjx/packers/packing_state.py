@@ -104,8 +104,8 @@ class Packing:
         self._weight = np.array([firsts[kind].weight_kg for kind in self._kind_of])
         self._worth = _worth(sizes, self._weight, taste)
         self._taste = taste
-        # In the table, a base includes the free space, and the target is larger by the free space of the last box. In
-        # the balance, the base has only the box's own size, since free space does not support anything.
+        # In the table, a base includes the free space, and the target is larger by the free space of the last box.
+        # In the balance, the base has only the box's own size, since free space does not support anything.
         self._base = sizes[:, :2]
         length, width = extent_mm
         self.extent_mm = (length + clearance_mm, width + clearance_mm)

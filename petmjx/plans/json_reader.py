@@ -90,8 +90,8 @@ def _inflate_bytewise(inflate: zlib._Decompress, chunk: memoryview, plain: bytea
             return
 
 
-# JSON has fewer kinds of white space than \s. Possessive quantifiers keep matching linear in time, even for malicious
-# text.
+# JSON has fewer kinds of white space than \s.
+# Possessive quantifiers keep matching linear in time, even for malicious text.
 _SPACE: Final = re.compile(rb"[ \t\n\r]*+")
 _KEY: Final = re.compile(rb'("[^"\\]*+(?:\\.[^"\\]*+)*+")[ \t\n\r]*+:[ \t\n\r]*+', re.DOTALL)
 _CUT_KEY: Final = re.compile(rb'("[^"\\]*+(?:\\.[^"\\]*+)*+(\\|"[ \t\n\r]*+)?)?\Z', re.DOTALL)

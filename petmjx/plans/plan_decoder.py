@@ -112,7 +112,7 @@ def decode_entries(data: bytes | bytearray, options: DecoderOptions) -> list[Rea
         values = _PLANS.decode(data)
     except (msgspec.DecodeError, UnicodeError, RecursionError):
         return None
-    texts = list(values.values())  # these refer to the caller's memory
+    texts = list(values.values())  # these texts refer to the caller's memory
     colons = [bytes(text).count(b":") for text in texts]
     # A repeated id would lose an entry. So each colon of the text must belong to an entry that was found.
     if data.count(b":") != sum(colons) + len(texts) + sum(plan_id.count(":") for plan_id in values):

@@ -170,8 +170,8 @@ class RunWriter(RunInfo):
         self._until_end = contextlib.ExitStack()
         self._ended = False
 
-    # Calls from other threads. Only these methods, ``warnings`` and similar attributes are used outside the writer's
-    # thread.
+    # Calls from other threads.
+    # Only these methods, ``warnings`` and similar attributes are used outside the writer's thread.
 
     def __enter__(self) -> Self:
         self._thread.start()
@@ -395,7 +395,7 @@ class RunWriter(RunInfo):
             for name, table in Part(sorted(rows, key=lambda row: row.rank)).tables(self.schemas):
                 digests |= self._tables.write(name, number, table)
         self._tables.add(digests)
-        self.counts += WorldCounts.of(table)  # ``worlds`` was the last table
+        self.counts += WorldCounts.of(table)  # ``worlds`` is written last
         del self._rows[begin : begin + len(rows)]
         n_bytes = sum(row.nbytes for row in rows)
         self._row_bytes -= n_bytes

@@ -229,8 +229,7 @@ class Sweep(CheckedRecord):
         if self.search is None:
             return np.zeros(0)
         lower, upper = self.search.lower, self.search.upper
-        # 1e-6 offsets rounding errors, so that 0 … 2 by 0.01 ends with `upper` once, without a second level right
-        # below it.
+        # 1e-6 offsets rounding errors: 0 … 2 by 0.01 must end with `upper`, without a second level just below.
         count = max(math.ceil((upper - lower) / self._tolerance - 1e-6), 1)
         return np.append(np.round(lower + np.arange(count) * self._tolerance, 12), upper)
 

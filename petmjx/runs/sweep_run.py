@@ -451,8 +451,8 @@ class SweepRun:
                 if missing_now := [test for test in tests if test not in probes]:
                     missing[which] = set(missing_now)
                     return [self._driving(searches[which][0], variant(*test), test) for test in missing_now]
-                # Only the two worlds at the bounds of an item's search can still become its answer. All others are
-                # dropped.
+                # Only the two worlds at the bounds of an item's search can still become its answer.
+                # All others are dropped.
                 now = {test: tested.pop(test) for test in {*tests, *bisection.bounds(which)} if test in tested}
                 bisection.record(tests, [now[test] for test in tests])
                 tested.update((test, now[test]) for test in bisection.bounds(which) if test in now)

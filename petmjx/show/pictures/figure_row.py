@@ -62,7 +62,7 @@ def _head(figure: Any, story: Story, width: float, height: float) -> None:
     colour = FIRST if story.outcome.culprit >= 0 else "0.35"
     below = figure.text(left, top - 0.17 / height, line, size=_POINTS, color=colour, va="top")
     for text in (name, below):
-        text.set_parse_math(False)  # a $ in an id is only a $
+        text.set_parse_math(False)  # a $ in an id does not begin a formula
     room = width - 0.08
     wide = len(line) * _POINTS * 0.55 / 72
     below.set_size(max(4.0, _POINTS * min(1.0, room / wide)))
