@@ -62,7 +62,7 @@ def outcomes_of(
                 yield next_slice
 
     try:
-        with closing(counted() if waits else prefetch(counted(), MOST_AHEAD)) as ready_slices:
+        with closing(counted() if waits else prefetch(counted(), most=MOST_AHEAD)) as ready_slices:
             for picked, recorder, jobs, stream_numbers in ready_slices:
                 if progress.pauses and at_hand <= 0:
                     yield None  # type: ignore[misc]  # who asked for pauses takes it
