@@ -21,8 +21,8 @@ from petmjx.options.walls import Walls
 from petmjx.options.wrap import Wrap
 
 # Limits of physical or useful values.
-# A value beyond them has the wrong unit or a digit too many.
-# It would lead to infinite values, a run that does not end, or tables that are longer than any useful run.
+# A value beyond these limits has the wrong unit or a digit too many.
+# Such a value would lead to infinite values, a run that does not end, or tables that are longer than any useful run.
 LONGEST_INTERVAL_S: Final = 40.0
 LONGEST_S: Final = 600.0
 """Limit of all other times. With this limit, the number of steps of a run fits into 32 bits, even with the shortest

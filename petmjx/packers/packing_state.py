@@ -33,7 +33,8 @@ class Taste:
         per_base_side: value per mm of the square root of the base area.
         per_log_weight: value per unit of the natural logarithm of the weight.
         per_height: value per mm of the box's height.
-        per_overhang: cost of a base without any support. A partly supported base has a proportional cost.
+        per_overhang: cost of a base without any support. A partly supported base costs this times its unsupported
+            share.
         per_distance: cost per mm of x + y. Among equally good places, the place nearest to the corner is chosen.
     """
 

@@ -215,7 +215,7 @@ class _Search:
             self._add(unit[0], plan, unit[1])
             if unit[0].read is not None:
                 corner, size = unit[0].read(plan.corner_mm, plan.size_mm)
-                # Kinds are dropped, because a pallet's size is fixed and must not be converted.
+                # ``kinds`` are dropped, because the size of a kind of pallet is fixed, and must not be converted.
                 plan = replace(plan, corner_mm=corner, size_mm=size, kinds=())
                 odd = check_layout(plan.plan_id, plan.source, corner, size, self.extent_mm)
         if odd is None:

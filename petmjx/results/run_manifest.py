@@ -204,8 +204,8 @@ _NOTHING: Final = object()
 
 
 def _settings_of_command(settings: Mapping[str, Any]) -> Mapping[str, Any]:
-    """Rename settings to the names that the command uses. The sweep of a score becomes its number of worlds and its
-    errors. If an entry is written only when its option is on, a missing entry counts as false."""
+    """Rename settings to the names that the command uses. For a score, the number of worlds and the errors replace the
+    sweep from which they come. If an entry is written only when its option is on, a missing entry counts as false."""
     settings = {"force_intervals": False, "keep": ALL, **settings}
     if isinstance(simulation := settings.get("simulation"), Mapping):
         settings["simulation"] = _with_later_fields(simulation)

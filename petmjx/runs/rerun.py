@@ -113,7 +113,7 @@ def sweep_of_run(run: RunResults) -> Sweep:
         sweep_file = sweep_path if sweep_path.is_file() else find_sweep(sweep_path.stem)
     except InputError:
         raise InputError(f"{run.path}: the sweep file from which the run was made no longer exists") from None
-    has_both_ways = PLACING in config["sweep"].get("axes", {})  # exact_too adds this axis to the file's own
+    has_both_ways = PLACING in config["sweep"].get("axes", {})  # exact_too adds this axis to the file's axes
     sweep = (
         chain_sweep(sweep_file, worlds, changes)
         if is_chain(run.info) and worlds

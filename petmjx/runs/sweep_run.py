@@ -410,7 +410,7 @@ class SweepRun:
         return ended, LegStart(begin.settled, further, number, outcome) if further else None
 
     def _end(self, world: LegWorld, outcome: Outcome, n_steps: int) -> LegEnd:
-        """The leg in which a world that does not stand has ended. ``n_steps`` is the number of steps of its last
+        """For a world that does not stand: the leg in which it ended. ``n_steps`` is the number of steps of its last
         leg."""
         if world.begin.settled.outcome.verdict is not Verdict.STABLE:
             return LegEnd(PLACING, 0.0)

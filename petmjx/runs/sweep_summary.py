@@ -116,8 +116,7 @@ class SweepColumns:
         """Time from the beginning of the profile to the first sign; None if there was no sign or it came earlier."""
         began_s = outcome.sim_time_s - outcome.n_steps * self._sim.physics.timestep_s
         since_s = outcome.first_sign_s - began_s
-        # The comparison allows half a step, because the time is a running sum of timesteps, whose last digits differ
-        # from a multiple of the timestep.
+        # The comparison allows half a step, because the time is a running sum of timesteps, with rounding errors.
         return since_s if since_s > 0.5 * self._sim.physics.timestep_s else None
 
 

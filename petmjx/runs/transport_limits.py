@@ -153,11 +153,11 @@ def hopeless_profiles(sweep: Sweep) -> list[str]:
     if sweep.search is not None or sim.total_time_factor is not None:
         return []
     if has_walls(sim):
-        return []  # no lines: walls may hold every load
+        return []  # walls may hold every load, so there are no lines
     turns = sweep.axes.get("wrap_turns")
     least = sim.wrap.turns if turns is None else min(float(str(value)) for value in turns.values or (turns.low,))
     if least > 0:
-        return []  # no lines: film secures every load
+        return []  # film secures every load, so there are no lines
 
     def values(name: str) -> list[float]:
         """The values of an axis that is a factor, in ascending order; [1] if the sweep does not have this axis."""
@@ -203,7 +203,8 @@ def _friction_errors(sweep: Sweep) -> list[Distribution]:
 
 
 def _largest(error: Distribution) -> float:
-    """The largest value of an error that is checked."""
+    """The largest value of an error; for a normal distribution, the value ``LARGEST_SD`` standard deviations above its
+    centre."""
     return error.centre + (LARGEST_SD if error.shape is DistributionShape.NORMAL else 1.0) * error.spread
 
 

@@ -152,7 +152,7 @@ def leaderboard(
 
 @dataclass(frozen=True, eq=False)
 class _RatedEntries:
-    """The rated entries and their comparison. For entries that are not rated, there are only samples.
+    """The rated entries and their comparison. Entries that are not rated appear only in ``samples``.
 
     Attributes:
         options: simulation options of the board.

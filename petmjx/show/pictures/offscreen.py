@@ -38,7 +38,7 @@ _ADVICE: Final = (
 
 _LIGHTS: Final = (
     # Lights, as (direction, ambient, diffuse).
-    # They are chosen so that top faces have their true colour, and other faces are darker by different amounts.
+    # The lights are chosen so that top faces have their true colour, and other faces are darker by different amounts.
     ((0.0, 0.0, -1.0), 0.46, 0.54),
     ((-0.25, 1.0, 0.0), 0.0, 0.36),
     ((-1.0, -0.35, 0.0), 0.0, 0.24),

@@ -162,7 +162,7 @@ def _with_other_verdicts(frames: Sequence[pd.DataFrame], runs: Sequence[ReportRu
 def _add_parameters(
     rows: Rows, runs: Sequence[ReportRun], frame: pd.DataFrame, condition: Callable[[str], bool]
 ) -> None:
-    """Add the columns of sweeps that fulfil a condition: parameters of variants, or outcomes of variants."""
+    """Add the columns of sweeps whose names fulfil a condition: parameters of variants, or outcomes of variants."""
     units = {name: unit for run in runs for name, unit in run.results.units("worlds").items()}
     column_names = {shown.column for shown in NUMBERS}
     for name in dict.fromkeys(name for run in runs for name in run.parameters):
