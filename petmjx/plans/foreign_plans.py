@@ -743,7 +743,7 @@ class _Builder:
         for name, values in self.columns.counters.items():
             counted = values[rows]
             if np.isnan(counted).any() or not _counts_all(counted) or not (np.diff(counted) != 1).any():
-                continue  # skip: some boxes have no number, or the numbers only repeat the order of the rows
+                continue  # some boxes have no number, or the numbers only repeat the order of the rows
             if not _can_be_placed(counted, low, size):
                 continue
             if not possible:

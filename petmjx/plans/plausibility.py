@@ -135,7 +135,7 @@ def _contacts(
     wide = [length > tolerance for length in common]
     overlaps = wide[0] & wide[1] & wide[2]
     np.fill_diagonal(overlaps, False)
-    on_top = np.abs(np.subtract.outer(high[:, 2], low[:, 2])) <= tolerance  # rows are below, columns above
+    on_top = np.abs(np.subtract.outer(high[:, 2], low[:, 2])) <= tolerance  # rows are lower boxes, columns upper boxes
     carried = on_top & wide[0] & wide[1]
     np.fill_diagonal(carried, False)
     base = (high - low)[:, 0] * (high - low)[:, 1]

@@ -54,7 +54,7 @@ BYTES_PER_PART: Final = 64 << 20
 with detailed histories."""
 
 SECONDS_PER_PART: Final = 60.0
-"""Longest time that a world waits for its part to be written. The limit holds even if no other world finishes."""
+"""Longest time that a finished world waits until its part is written. The limit holds even if no other world finishes."""
 
 MOST_WAITING_BYTES: Final = 4 * BYTES_PER_PART
 """Memory that worlds waiting to be written may take. While they take more, ``add`` blocks."""
@@ -155,7 +155,7 @@ class RunWriter(RunInfo):
         self._queue: SimpleQueue[Row | _Request] = SimpleQueue()
         self._room: SimpleQueue[None] = SimpleQueue()  # this queue receives an entry after each attempt at writing
         self._thread = threading.Thread(target=self._work, name="petmjx-writer", daemon=True)
-        self._added_bytes = 0  # changed only by the thread that adds
+        self._added_bytes = 0  # changed only by the thread that adds worlds
         self._cut_short = False  # set only by the main thread
         # once the writer's thread has started, only that thread uses the attributes below
         self._tables: Tables = MemoryTables() if self._in_memory else Tables(self.out_dir)
