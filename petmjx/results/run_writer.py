@@ -54,7 +54,7 @@ BYTES_PER_PART: Final = 64 << 20
 with detailed histories."""
 
 SECONDS_PER_PART: Final = 60.0
-"""Longest time that a finished world waits until its part is written. The limit holds even if no other world finishes."""
+"""Longest time that a finished world waits until its part is written, even if no other world finishes."""
 
 MOST_WAITING_BYTES: Final = 4 * BYTES_PER_PART
 """Memory that worlds waiting to be written may take. While they take more, ``add`` blocks."""
