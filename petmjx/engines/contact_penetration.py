@@ -31,10 +31,11 @@ LEAST_TIME_CONSTANT_STEPS = 4
 
 
 def stiffened_physics(physics: Physics, share: float) -> Physics:
-    """The same physics with stiffer contacts. They carry heavy boxes on light ones, and keep slender boxes upright.
+    """The same physics with stiffer contacts. Such contacts let light boxes carry heavy ones, and keep slender boxes
+    upright.
 
     Stiffer contacts are as stiff at their onset as beyond the width. They have the largest impedance that MuJoCo
-    accepts, and this share of the time constants. With a half, they are 40 times as stiff as in ``pallet``; with a
+    accepts, and time constants reduced to ``share``. With a half, they are 40 times as stiff as in ``pallet``; with a
     tenth, 1,000 times.
     """
     time_s, damping = physics.solref
@@ -71,7 +72,9 @@ def contact_penetration_m(scene: Scene, physics: Physics, top_force_n: FloatArra
     base = float(depth_m(physics, on_floor))
 
     def pulls(top_n: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """(n,) each: a box's part in A · f of a contact on its top, and of a contact below it, m/s²."""
+        """(n,) each: what a box contributes to A · f (its inverse mass times the force) at a contact on its top, and at
+        a contact below it, m/s².
+        """
         return of_boxes * top_n / mass / CONTACTS_PER_FACE, own_per_kg * (top_n + mass * gravity)
 
     def is_enough(top_n: FloatArray) -> bool:

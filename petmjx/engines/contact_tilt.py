@@ -42,12 +42,12 @@ next box is placed on them. Among stacks that stand by statics and fall because 
 was 8 times the loss."""
 
 STIFF_SAFETY: Final = 40.0
-"""The multiple in stiffer contacts, in which the loss is a fortieth. Among stacks that fell, the largest distance of a
-load from the edge was 28 times the loss."""
+"""The same multiple for stiffer contacts, in which the loss is a fortieth. Among stacks that fell, the largest distance
+of a load from the edge was 28 times the loss."""
 
 SURE: Final = 1.0
-"""The multiple if the plan has a load of the pile beyond an edge. Hard contacts do not hold such a pile either. So soft
-contacts count only if no load would tip over without them."""
+"""The same multiple if, in the plan, a load of the pile is beyond an edge. Hard contacts do not hold such a pile
+either. So soft contacts are suspected only if another load is within the loss itself."""
 
 KNIFE_EDGE_M: Final = 0.0004
 """A load is surely beyond an edge from this distance on, m: half a millimetre in the plan, less the size reduction of

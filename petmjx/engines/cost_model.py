@@ -360,7 +360,9 @@ class Costs:
 
 
 def _expected_work(jobs: Sequence[Job], sim: Simulation, errors: Errors) -> tuple[Work, FloatArray, FloatArray]:
-    """The placements of all jobs as planned, (n,) factor of each job for errors, and (n,) steps of each job's drive."""
+    """The work of all jobs if they are placed as planned; (n,) factor by which errors raise the cost of each placement
+    (0 if a job starts from a state); and (n,) steps of each job's drive.
+    """
     placements = np.array([errors.of(job) if job.start is None else 0.0 for job in jobs])
     drive_steps = np.array([expected_drive_steps(job.drive, sim) if job.drive else 0.0 for job in jobs])
     work = Work(sim, [job.scene.n_boxes for job in jobs], drives=int(any(job.settles for job in jobs)))

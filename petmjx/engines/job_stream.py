@@ -20,8 +20,8 @@ class JobBounds(NamedTuple):
     """Bounds of all jobs of a run, for an engine that makes room before they come.
 
     Attributes:
-        jobs: most jobs that are ready at once.
-        box_counts: numbers of boxes of their scenes.
+        jobs: largest number of jobs that are ready at the same time.
+        box_counts: all numbers of boxes that the jobs' scenes have.
         drive_steps: samples of the longest drive.
         excitations: number of different excitations; None: as many as worlds.
         wraps: whether film is around the boxes of some drives.
@@ -44,7 +44,7 @@ class JobStream(Generic[Tag]):
     The stream number of a job is its place among the jobs that were taken since ``begin``.
 
     Args:
-        most_boxes: boxes of the waiting jobs from which on ``put`` waits.
+        most_boxes: ``put`` waits while the waiting jobs have at least this many boxes.
         feedback: whether jobs may follow from outcomes.
         begin_with: number of jobs for which an engine that simulates many at once should wait at first.
         bounds: bounds of all jobs, also of those that follow; None: unknown.
@@ -72,7 +72,7 @@ class JobStream(Generic[Tag]):
 
     @classmethod
     def of(cls, jobs: Iterable[Job] | JobStream[Any]) -> JobStream[Any]:
-        """The stream of a list of jobs, without further ones; a stream is returned as it is."""
+        """A closed stream with a list of jobs. If ``jobs`` is a stream already, it is returned unchanged."""
         if isinstance(jobs, JobStream):
             return jobs
         stream: JobStream[Any] = cls()
@@ -105,7 +105,7 @@ class JobStream(Generic[Tag]):
             return self._open or not bounded
 
     def close(self) -> None:
-        """Say that no more jobs come from the source. Jobs that follow from outcomes may still come."""
+        """Declare that no more jobs come from the source. Jobs that follow from outcomes may still come."""
         with self._changed:
             self._open = False
             self._changed.notify_all()
@@ -145,7 +145,7 @@ class JobStream(Generic[Tag]):
             yield jobs[0]
 
     def peek(self, most: int, *, least: int = 1, wait: bool = False) -> list[Job]:
-        """As ``take``, and the jobs stay in the stream."""
+        """As ``take``, but the jobs stay in the stream."""
         with self._changed:
             ready = chain(self._following, self._waiting) if self._ready(least, wait) else ()
             return [job for job, _ in islice(ready, most)]
@@ -168,14 +168,14 @@ class JobStream(Generic[Tag]):
             return tag
 
     def followed(self) -> None:
-        """The jobs that follow from all outcomes so far have been put."""
+        """Declare that the jobs that follow from all outcomes so far have been put."""
         with self._changed:
             self._unfollowed = 0
             self._changed.notify_all()
 
     def wait_for_following(self, in_flight: Collection[int]) -> bool:
-        """Wait for a moment until a job follows from an outcome. For an engine that has no more worlds, in another
-        thread than the one that takes its outcomes.
+        """Wait for a moment until a job follows from an outcome. Called by an engine without worlds, in a thread other
+        than the one that takes its outcomes.
 
         Args:
             in_flight: stream numbers of the engine's jobs whose outcomes have not been taken. The thread that takes

@@ -154,7 +154,7 @@ def _check_grown(before: Scene, after: Scene) -> None:
     """Check that the scene ``after`` has all boxes of ``before``, on the same carrier, and further boxes.
 
     Raises:
-        ValueError: it does not.
+        ValueError: the scene does not fulfil this.
     """
     n = before.n_boxes
     if after.n_boxes <= n:
@@ -260,8 +260,8 @@ class OpenWorlds(ABC):
     def try_scenes(
         self, worlds: Sequence[int], scenes: Sequence[Scene], drives: Sequence[Drive | None] | None = None
     ) -> list[Outcome]:
-        """Fork worlds with these scenes, and finish the forks as ``finish`` does. Friction, and how new boxes are
-        placed, may differ from the worlds.
+        """Fork worlds with these scenes, and finish the forks as ``finish`` does. The scenes may have other friction,
+        and place new boxes in another manner, than the worlds.
 
         Raises:
             ValueError: a world has ended.

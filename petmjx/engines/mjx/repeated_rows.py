@@ -12,7 +12,9 @@ from numpy.typing import NDArray
 from petmjx.common.processes import on_threads
 
 MANY: Final = 1_000
-"""Number of rows from which on several threads are worthwhile. NumPy releases the interpreter's lock meanwhile."""
+"""From this number of rows on, several threads are faster than one: NumPy releases the interpreter's lock while it
+copies.
+"""
 
 MOST_THREADS: Final = 8
 

@@ -31,8 +31,8 @@ LOOK_S = 0.25
 """Longest wait for messages from workers, s. After each wait, signals are noticed and progress is updated."""
 
 START_S = 30.0
-"""Longest wait for the first worker while the engine is made, s. So it is known before a run begins if an engine cannot
-run here. A busy cluster may need longer; the run then begins anyway, and waits."""
+"""Longest wait for the first worker while the engine is made, s. The wait shows before a run begins whether the engine
+can run in a worker. A busy cluster may need longer; the run then begins anyway, and waits."""
 
 FALSE_STARTS = 3
 """After this number of failed starts of workers in a row, the run ends, or dead workers are no longer replaced."""
@@ -123,7 +123,7 @@ class WorkerPool(Engine):
 
     @property
     def capabilities(self) -> Capability:
-        """The physics of the engine in the workers. Workers check their outcomes themselves."""
+        """The capabilities of the engine in the workers, and ``CHECKS``, since workers check their outcomes themselves."""
         return super().capabilities | Capability.CHECKS
 
     @property
