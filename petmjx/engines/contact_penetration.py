@@ -72,8 +72,8 @@ def contact_penetration_m(scene: Scene, physics: Physics, top_force_n: FloatArra
     base = float(depth_m(physics, on_floor))
 
     def pulls(top_n: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """(n,) each: what a box contributes to A · f (its inverse mass times the force) at a contact on its top, and at
-        a contact below it, m/s².
+        """(n,) each: what a box contributes to A · f (petmjx.world.contact_laws) at a contact on its top, and at a
+        contact below it, m/s².
         """
         return of_boxes * top_n / mass / CONTACTS_PER_FACE, own_per_kg * (top_n + mass * gravity)
 

@@ -33,8 +33,8 @@ class Progress:
         message: what the engine is doing at the moment (compiling, …).
         work_share: share of the run's work that is done, from 0 to 1; None: the share of finished worlds is used. Set
             by the run.
-        at_hand: number of outcomes that will follow the last one without delay, or fewer than will follow; None if the
-            engine does not report it. It is used only if the engine's ``run`` is marked with ``says_at_hand``.
+        at_hand: lower bound of the number of outcomes that will follow the last one without delay; None if the engine
+            does not report it. It is used only if the engine's ``run`` is marked with ``says_at_hand``.
         pauses: whether the engine may yield None while no world ends, so that the caller can do other work of the run.
         notes: lines for the results about deviations from the options; each line occurs once.
     """

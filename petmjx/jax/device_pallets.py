@@ -198,7 +198,7 @@ def empty_device(n: int, sim: Simulation, engine: Engine, most_boxes: int) -> De
     """n empty pallets.
 
     Raises:
-        InputError: the options say that boxes do not just appear at their places.
+        InputError: with these options, boxes do not simply appear at their places.
     """
     blank = EmptyCarrier(sim)
     if not blank.scene.placing.appears:

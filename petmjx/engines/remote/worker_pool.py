@@ -123,7 +123,7 @@ class WorkerPool(Engine):
 
     @property
     def capabilities(self) -> Capability:
-        """The capabilities of the engine in the workers, and ``CHECKS``, since workers check their outcomes themselves."""
+        """The capabilities of the workers' engine, and ``CHECKS``, since workers check their outcomes themselves."""
         return super().capabilities | Capability.CHECKS
 
     @property

@@ -39,7 +39,7 @@ class Traits(NamedTuple):
 
     @classmethod
     def of(cls, scene: Scene) -> Traits:
-        """The features of a world with this scene, whether it has a drive or not."""
+        """The features of a world with this scene, for placements and for drives."""
         return cls(not scene.placing.appears, scene.stiffness is not None, scene.wrap.holds)
 
     def __or__(self, other: tuple[object, ...]) -> Traits:
