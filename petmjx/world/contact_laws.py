@@ -115,9 +115,10 @@ def cone_factor(physics: Physics, one: FloatArray | float, two: FloatArray | flo
 
 
 SLACK_M_S2: Final = 5.0
-"""Excess that stays uncorrected, m/s²: that of a slip of 1 cm/s with a time constant of friction of 4 ms. It raises a
-contact by less than a hundredth of a millimetre, which is within the soft onset. With this slack, pallets at rest are
-bit-identical with and without the correction. Stiff contacts have no soft onset, and therefore no slack."""
+"""Excess that stays uncorrected, m/s²: that of a slip of 1 cm/s with a time constant of friction of 4 ms. Left
+uncorrected, it raises a contact by less than a hundredth of a millimetre, which is within the contact's soft onset.
+With this slack, pallets at rest are bit-identical with and without the correction. Stiff contacts have no soft onset,
+and therefore no slack."""
 
 STICKS_M_S: Final = 0.01
 """Up to this slip speed, a contact has its full friction; from twice this speed on, it has the kinetic friction. So
@@ -148,11 +149,11 @@ own tolerance."""
 
 MOST_LEFT: Final = 0.6
 """Largest part of a change that may remain after a share of it was applied. If more seems to remain, other contacts
-have moved the excess."""
+have changed the excess."""
 
 
 def slack_m_s2(physics: Physics) -> float:
-    """Excess up to which a sliding contact is not corrected, m/s²; inf: contacts are never corrected."""
+    """The slack: excess up to which a sliding contact is not corrected, m/s²; inf: contacts are never corrected."""
     if physics.cone is not Cone.ELLIPTIC or not physics.slip_correction:
         return math.inf
     return 0.0 if is_stiff(physics) else SLACK_M_S2

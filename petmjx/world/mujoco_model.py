@@ -245,13 +245,13 @@ def _add_shapes(
 ) -> None:
     """Add a body's shapes. Each shape is larger on all sides by its skin.
 
-    A contact begins once the enlarged shapes overlap by the skins of both partners. For faces, this is where the boxes
-    themselves touch; for edges and corners, contacts begin up to √2 − 1 and √3 − 1 skins earlier.
+    A contact begins once the enlarged shapes overlap by the skins of both partners. For faces, this is the moment at
+    which the boxes themselves touch. For edges and corners, contacts begin up to √2 − 1 and √3 − 1 skins earlier.
 
     For two crossing edges, MuJoCo's collider returns their single point instead of the contact of the faces if that
-    point is less deep by 5 % (3.17: ``engine_collision_box.c``). At the usual depth, a tenth of a millimetre, it
-    alternates between the two, and pallets tremble. A skin makes faces and edges deeper by the same amount
-    (docs/validation.md).
+    point is less deep by 5 % (3.17: ``engine_collision_box.c``). At the usual depth, a tenth of a millimetre, the
+    collider alternates between the two results, and pallets tremble. A skin makes faces and edges deeper by the same
+    amount (docs/validation.md).
     """
     shapes = scene.shapes
     walls = range(scene.carrier.n_boards, len(scene.carrier.half_size))
@@ -278,7 +278,8 @@ def _set_inertia(body: mujoco.MjsBody, scene: Scene, physics: Physics, number: i
     in the last digits, and the reference implementation uses them."""
     mass = scene.carrier.mass if number == CARRIER else float(scene.mass[number])
     carrier = scene.carrier
-    of_one = len(carrier.half_size) == 1 and not carrier.shape_pos.any()  # an open wall leaves its mass behind
+    # a carrier keeps the mass of an open wall; its only other shape is then not at the centre of mass
+    of_one = len(carrier.half_size) == 1 and not carrier.shape_pos.any()
     solid = scene.inertia_box is None and of_one and not scene.pieces
     if solid and scene.mass_center is None and not physics.skin_m:
         body.first_geom().mass = mass
