@@ -132,7 +132,7 @@ def _is_text(kind: pa.DataType) -> bool:
 
 
 def _length_of(coded: pa.Array) -> int:
-    """Number of bytes of the texts of a column, which may be dictionary-coded."""
+    """Number of bytes that the texts of a column have. The column may be dictionary-coded."""
     if not pa.types.is_dictionary(coded.type):
         return int(coded.nbytes)
     lengths = np.asarray(pc.binary_length(coded.dictionary).fill_null(0))

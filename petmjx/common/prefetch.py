@@ -19,7 +19,7 @@ class _End:
 
 
 def prefetch(items: Generator[Item], most: int) -> Generator[Item]:
-    """Yield the items of a generator in order, while a thread makes the following ones.
+    """Yield the items of a generator in order, while a thread makes further items in advance.
 
     The thread starts when the first item is requested. It makes items until ``most`` of them wait in the queue, and
     then one more. An error of ``items`` is raised after all items before it have been taken. Closing the result closes

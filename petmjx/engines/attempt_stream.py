@@ -89,7 +89,7 @@ def score_worlds(
 
     Raises:
         RuntimeError: the engine did not answer every job exactly once.
-        InputError: the options ask for soft boxes, which the engine does not have.
+        InputError: the options require soft boxes, but the engine does not support them.
         PetmjxError: the engine refuses the worlds at the first attempt.
         Exception: an error of an engine without a fallback at the first attempt, or of ``worlds``.
     """
@@ -322,7 +322,8 @@ class _SideTasks(Generic[AnyWorld]):
 
     def prepare(self, jobs: Sequence[Job], retries: Sequence[AttemptRecipe]) -> None:
         """At the beginning of a large run: start the pool, and the process for attempts that few worlds need. The
-        process simulates one box first: a kernel may have to be compiled, which takes as long as many worlds."""
+        process simulates one box first, since a kernel may have to be compiled. This takes as long as simulating many
+        worlds."""
         self.check_pool = self.check_pool or self.lent or check_pool_for(self.engines.primary, len(jobs))
         name = BESIDE.get(self.engines.primary.name)
         if name is None or len(jobs) < LARGE:

@@ -163,7 +163,7 @@ def _transitive_closure(over: NDArray[np.bool_]) -> NDArray[np.float32]:
     """(…, n, n) 1 if the column's box is above the row's box, directly or through others, else 0. Boxes are sorted from
     the lowest to the highest."""
     above = np.triu(over, 1).astype(np.float32)
-    while True:  # each product of these matrices of zeros and ones doubles the number of boxes in between
+    while True:  # each product doubles the length of the chains of boxes that are found
         further = np.minimum(above + above @ above, 1.0)
         if np.array_equal(further, above):
             return above

@@ -381,8 +381,9 @@ by hand), EUMOS's drives and search, tilts, and placement errors. The costs of p
 are fitted to shelf packings of 24 boxes (tests/unit/test_falling_plans.py). The costs of film are fitted to EUMOS's
 drives of 8, 20 and 44 boxes with 1 to 16 turns, each compared with the same drive without film.
 
-Other plans that fall early take less, and large ones that collapse up to five times as long. Physics ``reference`` is
-not fitted, and other CPUs are slower or faster. Worlds that are simulated again with finer steps are not estimated.
+Other plans that fall early take less time. Large plans that collapse take up to five times as long. Physics
+``reference`` is not fitted, and other CPUs are slower or faster. Worlds that are simulated again with finer steps are
+not estimated.
 
 Devices: one H100, without start and compilation. The schedule is adaptive unless stated otherwise. The runs are 10,003
 generated plans, 4,000 with the fixed schedule, 500 and 1,000 plans with confidence 16 (placed exactly), 250 by hand,

@@ -38,8 +38,8 @@ class JobStream(Generic[Tag]):
     """Jobs in order, with the run's tag of each. Thread-safe.
 
     One thread puts the jobs of the run's worlds and waits while the stream is full. The thread that takes outcomes also
-    puts the jobs that follow from outcomes. These are taken first: so few worlds are half done at any time, and few of
-    their states wait in memory. An engine takes jobs when it has capacity.
+    puts the jobs that follow from outcomes. These jobs are taken first, so that few worlds are half done at any time,
+    and few of their states wait in memory. An engine takes jobs when it has capacity.
 
     The stream number of a job is its place among the jobs that were taken since ``begin``.
 

@@ -92,8 +92,8 @@ def nearest_edge(edges: Iterable[KnifeEdge], verdict: Verdict | None = None) -> 
 
 
 def sets_flag(edge_m: FloatArray, verdict: Verdict | None, *, rounding_m: float = 0.0) -> NDArray[np.bool_]:
-    """(…) whether loads at these distances from edges set the flag. They do if they are near an edge, or a little less
-    near and on the side that the verdict contradicts. NaN does not set it.
+    """(…) whether loads at these distances from edges set the flag. A load sets it if it is near an edge. A load a
+    little farther from an edge sets it only if it is on the side that the verdict contradicts. NaN does not set it.
 
     Args:
         verdict: verdict of the world; None: the side does not count.

@@ -242,7 +242,8 @@ class OpenWorlds(ABC):
 
     def try_next(self, worlds: Sequence[int], boxes: NextBoxes, *, until_lost: bool = False) -> Readings:
         """The states that worlds would have once one box was put into each and came to rest. The boxes are placed in
-        forks of the worlds, which are then discarded. A world may be named several times, and must have paused.
+        forks of the worlds. The forks are discarded afterwards. A world may be named several times, and must have
+        paused.
 
         Args:
             until_lost: a fork ends as soon as a box is tilted too far at a sample, as in worlds with errors, or is gone

@@ -33,7 +33,7 @@ _OLD_FLAGS: Final = ("takes_more", "takes_parts", "looks", "names_engines")
 """Former attributes of engines, which ``Engine.capabilities`` has replaced."""
 
 WORTH_A_GPU: Final = 4 << 20
-"""Size of plan files, in bytes, from which on ``auto`` will use an available GPU: about 400 plans."""
+"""If plan files have at least this size, in bytes, ``auto`` will use an available GPU: about 400 plans."""
 
 
 class UserEngine(Engine):

@@ -42,7 +42,7 @@ class PalletizingOptions:
             the fields of ``petmjx.RunOptions``; None: the most plausible reading.
         articles: a table of articles (docs/loads.md), which has the strengths of the orders' boxes.
         look_ahead: number of visible boxes. 1 is online packing; all boxes of an order is offline packing.
-        buffer: number of visible boxes, counted from the first, of which any may be placed next.
+        buffer: number of boxes among which the next box may be chosen: the first ones of the visible boxes.
         actions: ``candidates``: an action is one of the listed places, which have features; ``cells``: an action is a
             box, an orientation and a cell of the carrier.
         n_candidates: largest number of listed places; at least one is listed for each box of the buffer. The list has

@@ -134,8 +134,9 @@ ENOUGH_M_S2: Final = 0.1
 value of 5, a box that tipped against its neighbour slid twice as far; with 1, it slid 3 % less far."""
 
 MOST_ROUNDS: Final = 6
-"""Largest number of iterations per step: of updates of the excess between calls of a solver. Bricks that slide and tip
-need two on average. A heap in which everything slides at once is still off by a median of 1 m/s² after twenty."""
+"""Largest number of iterations per step. An iteration updates the excess between two calls of a solver. Bricks that
+slide and tip need two on average. A heap in which everything slides at once is still off by a median of 1 m/s² after
+twenty."""
 
 
 FIRST_SHARE: Final = 1.1
@@ -189,9 +190,9 @@ FAST_M_S: Final = 0.1
 
 AT_REST: Final = 2.0
 """Depth of contacts at the end of a rebound, as a multiple of the width of ``solimp``. Contacts at rest are 1.3 times
-as deep. They still push a little while a box rises through them. With this value, restitutions from 0.1 to 0.3 are met
-within 0.03 for falls from 10 mm, in whatever part of a step the box lands. A restitution of 0.1 lifts the box by a
-tenth of a millimetre."""
+the width deep. Contacts still push a little while a box rises out of them. With this value, restitutions from 0.1 to
+0.3 are met within 0.03 for falls from 10 mm, in whatever part of a step the box lands. A restitution of 0.1 lifts the
+box by a tenth of a millimetre."""
 
 _LONGER: Final = 2.0
 """A landing is remembered for this multiple of ``landing_s``, since the second corner of a box may come down later."""

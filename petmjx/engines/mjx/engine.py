@@ -34,7 +34,7 @@ MOST_WORLDS = 256
 """Largest number of worlds in a batch if the user does not set ``lanes``."""
 
 FEWEST_WORLDS = 8
-"""Smallest number of rows of a batch. Each number of rows needs its own program, which compiles for a minute."""
+"""Smallest number of rows of a batch. Each number of rows needs its own program, which takes a minute to compile."""
 
 
 @dataclass(frozen=True)

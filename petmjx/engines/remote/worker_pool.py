@@ -183,7 +183,7 @@ class WorkerPool(Engine):
         self._hands += [self._start(place) for place in lacking.elements()]
         slots = sum(place.slots for place in self._places)
         deadly = [index for index, job in enumerate(jobs) if id(job.scene) in self._deadly]
-        # third-party engines in workers count as MJX engines, whose base class they should use
+        # third-party engines in workers count as MJX engines, since they should use the base class of these
         group = None if self.name == "mujoco" else GROUP_WORLDS.get(self.name, GROUP_WORLDS["mjx-jax"])
         least = LEAST.get(self.name, 1)
         deal = Deal(MEASURED.of_jobs(jobs, sim), slots, group, least, deadly)
