@@ -110,7 +110,9 @@ class AttemptRunner(Generic[AnyWorld]):
         return stream
 
     def run_fallback(self, left: list[Pending[AnyWorld]]) -> Iterator[AttemptResult[AnyWorld] | None]:
-        """Run the worlds that an engine left unanswered on its fallback, if any; yields like ``run``."""
+        """Run the worlds that the engine left unanswered on its fallback, if it has one. Worlds that still have no
+        answer fail. Yields as ``run`` does.
+        """
         engine = self.engines.primary
         if left and self.engines.fallback is not None:
             engine = self.engines.fallback
@@ -147,7 +149,7 @@ class AttemptRunner(Generic[AnyWorld]):
                     raise
                 refused = isinstance(error, PetmjxError) or self.engines.fallback is None
                 if self.attempt.number == 1 and refused:
-                    raise  # the user can change the cause: worlds that the engine refuses, or the user's own engine
+                    raise  # the user can correct the cause: worlds that the engine refuses, or the user's own engine
                 if not stream.taken:  # the engine would refuse the jobs again
                     stream.take(sys.maxsize, least=1)
                 unanswered = list(stream.in_flight.values())
@@ -210,7 +212,7 @@ class AttemptRunner(Generic[AnyWorld]):
         Args:
             engine: the engine that made them; empty if each outcome names its engine.
             checked: whether the engine has already checked the outcomes.
-            wait: True: wait for all outcomes in the pool; False: some of them follow in later calls.
+            wait: True: wait for all outcomes in the pool; False: later calls return some of them.
             until: as in ``CheckPool.exchanged``.
         """
         if checked:

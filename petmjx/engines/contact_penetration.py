@@ -35,8 +35,8 @@ def stiffened_physics(physics: Physics, share: float) -> Physics:
     upright.
 
     Stiffer contacts are as stiff at their onset as beyond the width. They have the largest impedance that MuJoCo
-    accepts, and time constants reduced to ``share``. With a half, they are 40 times as stiff as in ``pallet``; with a
-    tenth, 1,000 times.
+    accepts, and time constants reduced to ``share``. With a share of a half, contacts are 40 times as stiff as in
+    ``pallet``; with a tenth, 1,000 times.
     """
     time_s, damping = physics.solref
     if time_s > 0:

@@ -125,12 +125,12 @@ def n_loading(outcome: Outcome) -> int:
 
 
 def places_with_errors(job: Job) -> FloatArray:
-    """(n, 3) positions at which boxes of a world with errors of placement or size count, m. A box counts as lying on
-    all bodies whose gap below it is at most the shift threshold.
+    """(n, 3) positions with which loads are computed in a world with errors of placement or size, m. A box counts as
+    lying on all bodies whose gap below it is at most the shift threshold.
 
     In such a world, a box often overlaps a neighbour that is millimetres higher, and is released on the strip that they
-    share. A box does not stand on such a strip: it tips, and leans on the bodies beside the strip. So boxes of these
-    worlds count at their place of release. If only the strip counted, 75 of 167 unstable worlds with errors would be
+    share. A box does not stand on such a strip: it tips, and leans on the bodies beside the strip. So the positions in
+    these worlds are the places of release. If only the strip counted, 75 of 167 unstable worlds with errors would be
     simulated again; with this rule only a few are.
     """
     places: FloatArray = np.c_[job.scene.start_pos[:, :2], job.scene.target[:, 2]]

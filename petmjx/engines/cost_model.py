@@ -89,8 +89,8 @@ class Errors:
     """Cost or steps of placements with errors, relative to a placement without errors.
 
     Attributes:
-        displaced: for placements in which boxes appear at places with errors: they slip into each other's gaps.
-        carried: for placements in which boxes are carried to their places.
+        displaced: factor for placements in which boxes appear at places with errors, and slip into each other's gaps.
+        carried: factor for placements in which boxes are carried to their places.
     """
 
     displaced: float
@@ -214,7 +214,9 @@ class Work:
         return STEP_SHARE[self.sim.schedule] * self.fixed_steps
 
     def _placing(self, power: float, *, grows: bool) -> FloatArray:
-        """(n,) box^power × steps of one placement on a device. ``grows``: boxes not yet placed cost nothing."""
+        """(n,) box^power × steps of one placement on a device. ``grows``: whether boxes that are not yet placed cost
+        nothing.
+        """
         share = 1 / (power + 1) if grows and self.sim.check is Check.ONE_BY_ONE else 1.0
         return share * COST_SHARE[self.sim.schedule] * np.asarray(self.boxes, dtype=float) ** power * self.fixed_steps
 

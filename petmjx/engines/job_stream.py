@@ -35,7 +35,7 @@ class JobBounds(NamedTuple):
 
 
 class JobStream(Generic[Tag]):
-    """Jobs in order, with the run's tag of each. Thread-safe.
+    """The jobs of a run in order. Each has a tag, by which the run recognises the job. Thread-safe.
 
     One thread puts the jobs of the run's worlds and waits while the stream is full. The thread that takes outcomes also
     puts the jobs that follow from outcomes. These jobs are taken first, so that few worlds are half done at any time,
@@ -111,7 +111,9 @@ class JobStream(Generic[Tag]):
             self._changed.notify_all()
 
     def pause(self, paused: bool = True) -> None:
-        """Whether the source waits for something other than the engine. Meanwhile nobody waits for jobs."""
+        """Declare whether the source waits for something other than the engine. While it does,
+        nobody waits for jobs.
+        """
         with self._changed:
             self._paused = paused
             self._changed.notify_all()
@@ -133,7 +135,7 @@ class JobStream(Generic[Tag]):
             return [self._pop(self._following or self._waiting) for _ in range(min(most, self.ready))]
 
     def take_peeked(self, jobs: Iterable[Job]) -> None:
-        """Take the first jobs of the last ``peek``. Jobs that have followed since then wait."""
+        """Take the first jobs of the last ``peek``. Jobs that were added since then keep waiting."""
         with self._changed:
             for job in jobs:
                 follows = bool(self._following) and self._following[0][0] is job

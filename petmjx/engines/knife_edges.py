@@ -114,7 +114,7 @@ def _edge_sets_flag(edge: KnifeEdge, verdict: Verdict) -> bool:
 
 
 def is_same_edge(edge: KnifeEdge, kept: KnifeEdge) -> bool:
-    """Whether a recomputed distance is the one that tables store, of the same box at the same time."""
+    """Whether a recomputed distance equals the one that tables store for the same box at the same time."""
     is_same = (edge.box, edge.when, edge.step) == (kept.box, kept.when, kept.step)
     return is_same and math.isclose(edge.edge_m, kept.edge_m, abs_tol=_SAME_M)
 

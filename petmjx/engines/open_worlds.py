@@ -313,8 +313,8 @@ class OpenWorlds(ABC):
         themselves do not change. ``Outcome.job`` is the index into ``worlds``.
 
         Each outcome is one simulation, as in ``Engine.run``. Unlike in a score, no world is simulated again with other
-        settings (docs/rules.md, section 9). A placement before a drive that has failed, but without a dropped box,
-        waits as it would without a drive. This wait may be some steps shorter than in a run.
+        settings (docs/rules.md, section 9). If a placement before a drive has failed without a dropped box, it waits as
+        it would without a drive. This wait may be some steps shorter than in a run.
 
         Raises:
             ValueError: a world has no boxes.

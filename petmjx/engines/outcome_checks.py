@@ -2,8 +2,8 @@
 to rest otherwise than planned, and loads so near the edges of their supports that the verdict is on a knife's edge.
 They also compute the margin.
 
-If an engine runs in workers, each worker checks its own outcomes: for small worlds the checks are almost half of the
-work of the process of the run.
+If an engine runs in workers, each worker checks its own outcomes: for small worlds, the checks would be almost half of
+the work of the run's own process.
 """
 
 from __future__ import annotations

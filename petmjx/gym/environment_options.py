@@ -48,16 +48,16 @@ class PalletizingOptions:
         n_candidates: largest number of listed places; at least one is listed for each box of the buffer. The list has
             the lowest place of each box, then the second lowest of each, and so on.
         action_cell_mm: side of the cells of actions; ``cell_mm``: side of the cells of maps.
-        mask: which actions on the carrier and below the highest top are legal: ``geometry``: all of them; a criterion
-            of docs/criteria.md (``support_75``, … or ``centre``); ``physics``: actions that stand in a trial; ``sure``:
-            actions that stand beyond doubt, without a trial; or ``loads``: actions that also overload no box.
+        mask: which of the actions on the carrier and below ``max_height_mm`` are legal: ``geometry``: all of them; a
+            criterion of docs/criteria.md (``support_75``, … or ``centre``); ``physics``: actions that stand in a trial;
+            ``sure``: actions that stand beyond doubt, without a trial; or ``loads``: actions that also overload no box.
         max_height_mm: highest top of a box.
         gap_mm: free space between a box and its neighbours along x and y, which a robot needs.
         rewards: weights of terms (``petmjx.loop.rewards.TERMS``).
         most_illegal: number of illegal actions after which an episode is truncated.
         scaled: whether observations are scaled to 0 to 1 (``petmjx.gym.observation_spaces``).
-        sides: on which sides boxes may stand: ``order``: those that the order allows, or only the base if it says
-            nothing; ``all``: all sides.
+        sides: on which sides boxes may stand: ``order``: those that the order allows, or only the base if the order
+            gives none; ``all``: all sides.
         open_pallets: number of pallets of an episode. Each of them may get the next box.
         errors: how inaccurately boxes are placed, as a multiple of the errors of ``petmjx score --confidence``.
         curriculum: properties that change with the level of an episode (``petmjx.gym.curriculum.Curriculum``).

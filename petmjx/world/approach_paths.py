@@ -227,7 +227,8 @@ def reach(quat: FloatArray, half_size: FloatArray) -> FloatArray:
 def free_begin(
     begin: FloatArray, own_reach: FloatArray, pos: FloatArray, reaches: FloatArray, most_m: FloatArray
 ) -> FloatArray:
-    """(3,) where a box starts so that it overlaps no other box, m: at ``begin`` itself, else aside, else above.
+    """(3,) where a box starts so that it overlaps no other box, m: at ``begin`` if there is room, else to the side of
+    it, else above it.
 
     The box moves aside from the first box that it overlaps, along x or y, whichever overlap is smaller. This is
     repeated at most ``MOST_SIDESTEPS`` times. If the box would have to move aside by more than ``most_m``, or still

@@ -27,8 +27,8 @@ FAR_M: Final = 0.1
 """Loads are not moved further inside than this."""
 
 BEYOND_M: Final = 1e-6
-"""A load is beyond the edge only if the programme cannot bring it nearer than this. The solver's own tolerance is a
-tenth of this."""
+"""A load counts as beyond an edge only if the programme leaves it farther outside than this, m. The solver's own
+tolerance is a tenth of this."""
 
 _OUTSIDE: Final = 10.0
 """Cost of a metre outside an edge, relative to a metre inside; and cost of a moment that no support bears, relative to

@@ -196,8 +196,8 @@ class OracleMetrics:
         return self.any_dropped or bool(lost.any())
 
     def begin_drive(self, pos: FloatArray, quat: FloatArray) -> None:
-        """Start a profile, with the k boxes in these poses. Sway is measured from these poses, and rest at the end of
-        the profile.
+        """Start a profile, with the k boxes in these poses. Sway is measured from these poses. Rest is judged at the
+        end of the profile.
 
         If no box is beyond a threshold now, signs from the placement (such as a hard landing) are forgotten. The first
         sign is then the first one during the profile.

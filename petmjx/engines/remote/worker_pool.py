@@ -38,8 +38,8 @@ FALSE_STARTS = 3
 """After this number of failed starts of workers in a row, the run ends, or dead workers are no longer replaced."""
 
 LEAST = {"mjx-warp": 512, "mjx-jax": 16}
-"""With fewer jobs than this, the workers of these engines do not share them. A device takes as long for a few worlds as
-for many."""
+"""If there are fewer jobs than this, one worker of these engines gets all of them, since a device takes as long for a
+few worlds as for many."""
 
 _HIGHEST = (" lanes", " contacts")
 """Suffixes of names in ``Progress.extra`` whose values are combined as maxima, not as sums."""

@@ -61,5 +61,5 @@ class Queues:
         self.order = device_array(order)
 
     def _is_ahead(self, job: Job) -> bool:
-        """Whether a world comes before those that are not ahead."""
+        """Whether a world takes precedence over worlds that begin with their placement."""
         return job.poses is not None or (self._depth_first and job.start is not None)

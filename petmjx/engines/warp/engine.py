@@ -174,8 +174,8 @@ class MjxWarpEngine(Engine):
                     yield outcome
 
     def _slices(self, source: TableJobs, sim: Simulation, progress: Progress, waits: bool) -> Generator[SliceResult]:
-        """Slice results of one table after another, until ``waits`` does not suit the next table: it states whether
-        slices wait for the host.
+        """Slice results of one table after another, as long as ``waits`` is right for the next table. ``waits``:
+        whether slices wait for the host, which they must if worlds are recorded.
         """
         while not source.ended and source.recorded == waits:
             jobs, stream_numbers, rows = source.begin()

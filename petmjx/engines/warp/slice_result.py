@@ -66,7 +66,7 @@ def outcomes_of(
         with closing(counted() if waits else prefetch(counted(), MOST_AHEAD)) as ready_slices:
             for picked, recorder, jobs, stream_numbers in ready_slices:
                 if progress.pauses and at_hand <= 0:
-                    yield None  # type: ignore[misc] # callers that set ``pauses`` expect it
+                    yield None  # type: ignore[misc]  # callers that set ``pauses`` expect it
                 for outcome in outcomes(picked, jobs, stream_numbers, sim, recorder):
                     count(-1)
                     yield outcome

@@ -177,8 +177,8 @@ def lets_go(
     # Data out:
     state: Ref[State],
 ) -> bool:
-    """Whether the hand releases the box after a step in which it carried the box. It does once the box has arrived and
-    is at rest. Unless the box is meant to fall, it is set down first. Called by one thread."""
+    """Whether the hand releases the box after a step in which it carried the box. The box must have arrived and be at
+    rest. Unless the box is meant to fall, it is set down first. Called by one thread."""
     elapsed = step - state.carried_from[world]
     slow = speed_of(worlds, state, world, box) < model.quiet_speed
     lowered_from = state.lowered_from[world]

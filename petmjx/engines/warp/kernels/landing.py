@@ -19,8 +19,7 @@ from petmjx.world import contact_laws
 FAST = wp.constant(contact_laws.FAST_M_S)
 AT_REST = wp.constant(contact_laws.AT_REST)
 BEGINS = wp.constant(-1)
-"""A value of the remaining steps of a landing. It marks a landing that begins now, because one of the box's contacts
-closes fast.
+"""Special value of ``landing_left``: a landing begins now, because one of the box's contacts closes fast.
 """
 
 

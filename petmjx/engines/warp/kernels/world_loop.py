@@ -229,7 +229,7 @@ def run_worlds(
     """Take worlds and step them, until the queue is empty or the time slice is over.
 
     Args:
-        block: the lane's number, and the number of its rows in the workspace.
+        block: number of the lane. Its data are in the rows of the workspace with this number.
         thread: the thread's number among the threads that share a world.
         threads: the number of these threads.
         n_blocks: number of lanes of the call, of all sizes.
