@@ -85,8 +85,8 @@ would take minutes."""
 TABLE: Final = "<a table>"
 LIST: Final = "<a list>"
 VALUE: Final = "<a single value>"
-"""Tags of the members of a union, for unions whose member is chosen by the shape of the value. pydantic inserts tags
-into the path of an error; ``describe`` recognises them by their angle brackets and removes them."""
+"""Tags for the members of unions in which the shape of the value decides the member. pydantic inserts tags into the
+path of an error; ``describe`` recognises them by their angle brackets and removes them."""
 
 
 @dataclass(frozen=True)

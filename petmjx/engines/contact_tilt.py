@@ -126,7 +126,7 @@ def n_loading(outcome: Outcome) -> int:
 
 def places_with_errors(job: Job) -> FloatArray:
     """(n, 3) positions with which loads are computed in a world with errors of placement or size, m. A box counts as
-    lying on all bodies whose gap below it is at most the shift threshold.
+    lying on every body that is below it by at most the shift threshold.
 
     In such a world, a box often overlaps a neighbour that is millimetres higher, and is released on the strip that they
     share. A box does not stand on such a strip: it tips, and leans on the bodies beside the strip. So the positions in

@@ -261,8 +261,8 @@ class OpenWorlds(ABC):
     def try_scenes(
         self, worlds: Sequence[int], scenes: Sequence[Scene], drives: Sequence[Drive | None] | None = None
     ) -> list[Outcome]:
-        """Fork worlds with these scenes, and finish the forks as ``finish`` does. The scenes may have other friction,
-        and place new boxes in another manner, than the worlds.
+        """Fork worlds with these scenes, and finish the forks as ``finish`` does. The scenes may differ from the worlds
+        in their friction, and in how new boxes are placed.
 
         Raises:
             ValueError: a world has ended.

@@ -1,4 +1,5 @@
-"""The MuJoCo model of a scene. The engine ``mujoco`` steps it, ``petmjx export`` writes it, and MJX uses it padded.
+"""The MuJoCo model of a scene. The engine ``mujoco`` steps it, ``petmjx export`` writes it, and MJX uses a padded
+version of it.
 
 Boxes are rigid bodies or flex bodies. ``to_mjcf`` writes the model as text.
 """

@@ -1,4 +1,4 @@
-"""Gathers rows of tables that are repeated, as for many drives that start from one placement."""
+"""Gathers rows of tables if the same rows are needed many times, as for many drives that start from one placement."""
 
 from __future__ import annotations
 

@@ -99,9 +99,9 @@ class OracleMetrics:
         return self.culprit >= 0 and (self.any_dropped or bool(tilted.any()))
 
     def tells_all(self, job: Job, pos: FloatArray, quat: FloatArray, culprit: int) -> bool:
-        """Whether it is certain that the pallet falls, so that its world can end. In all worlds, a dropped box is
-        enough. In worlds with errors, so is one of the k placed boxes that is lost in these poses. In a drive, so is a
-        lost culprit.
+        """Whether it is certain that the pallet falls, so that its world can end. The pallet falls for certain if a box
+        has dropped; in worlds with errors, also if one of the k placed boxes is lost in these poses; in a drive, also
+        if the culprit is lost.
 
         Args:
             culprit: the culprit found at an earlier look; -1: there is none, or it does not end a drive.

@@ -70,7 +70,9 @@ class BlockPools:
         return min(self._growth_of(run, size) * (run.needs.widths[size] + MORE_BOXES), most_room(size))
 
     def _of_size(self, run: Run, size: int, boards: int) -> BlockPool:
-        """The block pool for worlds of a size, at its largest. The carriers have ``boards`` shapes."""
+        """The block pool for worlds of a size, with its largest number of blocks. The carriers have ``boards``
+        shapes.
+        """
         n_boxes = run.needs.widths[size]
         needs = run.needs
         launch = Launch.here(n_boxes, needs.hands, needs.gives, needs.wraps, run.sim.physics.has_landings)

@@ -41,7 +41,9 @@ from petmjx.engines.warp.world_arrays import PANEL
 from petmjx.world.contact_laws import ENOUGH_M_S2, RELAXATION
 
 PANELS_MACRO = "PETMJX_MOST_PANELS"
-"""C++ macro for the panels of a kernel's largest system, for which its shared memory has room."""
+"""C++ macro for the number of panels of a kernel's largest system. The kernel's shared memory has
+room for this system.
+"""
 
 FEW_PANELS = 40
 """A kernel whose largest system has at most this many panels factors one panel at a time (by_one.cuh), other kernels
