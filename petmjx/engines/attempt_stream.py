@@ -253,7 +253,8 @@ class WorldSource(Generic[AnyWorld]):
     """A thread that makes worlds ahead of the engine.
 
     Args:
-        deliver: puts a world's job into the stream, and waits while that is full. False: the stream is closed.
+        deliver: function that puts a world's job into the stream. It waits while the stream is full, and returns False
+            if the stream is closed.
         has_room: whether few enough worlds wait for other attempts or engines. Otherwise the source pauses.
     """
 
@@ -307,7 +308,7 @@ class _SideTasks(Generic[AnyWorld]):
     sim: Simulation
     engines: Engines
     lent: CheckPool[Pending[AnyWorld]] | None = None
-    """A pool of processes that stays for later runs."""
+    """A pool of processes that the caller lends. It is kept for later runs."""
     check_pool: CheckPool[Pending[AnyWorld]] | None = None
     first: AttemptRunner[AnyWorld] | None = None
     """The attempt whose outcomes the pool checks."""

@@ -85,7 +85,8 @@ class AttemptRecipe:
 
     doubles: bool = False
     """Whether the attempt needs double precision. One reason: a world may be invalid because of single precision.
-    Another: in contacts of a twentieth of the time constant, boxes sink by less than single precision resolves."""
+    Another reason: in contacts with a twentieth of the time constant, boxes sink by less than single precision
+    resolves."""
 
     few: bool = False
     """Whether only few of many worlds need the attempt. Worlds with errors are an exception, if the plan has boxes that

@@ -201,7 +201,7 @@ def note_penetration(outcomes: Sequence[Outcome], jobs: Sequence[Job], sim: Simu
 
 
 def penetration_excluded(outcomes: Sequence[Outcome], scenes: Sequence[Scene], sim: Simulation) -> list[bool]:
-    """For each world, whether ``has_penetrated`` is surely False: its boxes did not descend too far, and it did not
+    """For each world, whether ``has_penetrated`` is certainly False: its boxes did not descend too far, and it did not
     fail by sinking alone. All worlds are computed together. The other worlds need ``has_penetrated``. For elliptic
     cones."""
     if not outcomes:

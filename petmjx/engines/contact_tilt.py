@@ -1,4 +1,4 @@
-"""Contact tilt: how close soft contacts bring piles to tipping over that would stand on hard contacts.
+"""Contact tilt: how close soft contacts bring piles to tipping over, although these piles would stand on hard contacts.
 
 The supports of a box give way, and more on the side on which the load acts. So the box turns by an angle: the
 difference of the depths on its two sides, divided by the width between them. The load above, at its height, therefore

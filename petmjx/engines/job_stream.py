@@ -159,7 +159,7 @@ class JobStream(Generic[Tag]):
             return self.ready
 
     def answered(self, stream_number: int) -> Tag:
-        """The tag of a job that has its outcome.
+        """Note that a job has its outcome. Returns the job's tag.
 
         Raises:
             KeyError: the job is not in flight.

@@ -162,7 +162,9 @@ class _Partner:
     skin_m: float
     surface: int = 0
     face: Face | None = None
-    """Set if the scene has compliant boxes (petmjx/world/compliance.py); None for the floor, and in other scenes."""
+    """The geom's face, if the scene has compliant boxes (petmjx/world/compliance.py). None for the floor, and in all
+    other scenes.
+    """
 
 
 def _declare_pairs(

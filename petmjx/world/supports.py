@@ -238,7 +238,9 @@ class Bearing:
         return self.inside_m(np.arange(len(load)), point)
 
     def inside_m(self, box: IntArray, point: FloatArray) -> FloatArray:
-        """(p,) distance of (p, 2) points from the nearest edge of the supports of (p,) boxes, as ``edges_m``."""
+        """(p,) distance of (p, 2) points from the nearest edge of the supports of (p,) boxes, m, with the signs of
+        ``edges_m``.
+        """
         low, high = self.rectangles
         nearer = np.minimum(point - low.take(box, axis=0), high.take(box, axis=0) - point)
         distance_m: FloatArray = np.minimum(nearer[:, 0], nearer[:, 1])  # faster than ``min(axis=1)`` of two columns

@@ -164,7 +164,7 @@ class MjxJaxEngine(Engine):
 
     def _go_on(self, batch: Batch, sim: Simulation, drive: str | None, progress: Progress) -> None:
         """Step the batch until no world is left in the placement or, with a drive, in the drive."""
-        # the placement needs no profiles; with their table, it would compile again for each shape of the table
+        # the placement needs no profiles; if it got their table, it would be compiled again for each shape of the table
         profiles = jnp.zeros((1, 1, 3)) if drive is None else batch.profiles
         program = self._program(batch, sim, drive, profiles, progress)
         worlds, capacity, _ = batch.worlds.half.shape

@@ -59,7 +59,8 @@ class _Hand:
 
     Attributes:
         hello: Ray's reference to the worker's first message; None once it has arrived.
-        working: whether the worker's engine surely exists: it was built before the first message, or has reported.
+        working: whether the worker's engine is known to exist, since it was built before the first message or has
+            reported.
         streams: Ray's streams of reports, one per chunk of the worker.
         said: the worker's last progress message.
     """

@@ -49,7 +49,7 @@ class Slice(NamedTuple):
 
 
 class Rollout:
-    """The buffers of a run and its time slices in flight, in order.
+    """The buffers of a run, and its queue of time slices in flight.
 
     Args:
         pools: block pools, as from ``BlockPools.of``.
