@@ -19,7 +19,7 @@ class _End:
 
 
 def prefetch(*sources: Generator[Item], most: int) -> Generator[Item]:
-    """Yield the items of generators, while threads make the following ones. The items of one generator keep their
+    """Yield the items of generators, while threads make further items in advance. The items of one generator keep their
     order; those of several come as they are made.
 
     The threads start when the first item is requested. They make items until ``most`` of them wait in the queue, and
