@@ -101,12 +101,14 @@ def label(
     )
     outputs: dict[str, Any] = {"source": orders or ENDLESS, "overwrite": overwrite, "resume": resume}
     n_before = n_unfinished(out) if resume else 0
-    message = f"{count_text(n_before, 'label')} of an earlier command" if n_before else ""
+    earlier = f"{count_text(n_before, 'label')} of an earlier command" if n_before else ""
     try:
         with progress(max(count - n_before, 0), "label") as bar:
-            card = write_labels(
-                labeller, count, out, progress=lambda n_made: bar.update(n_made - n_before, message), **outputs
-            )
+
+            def report(n_made: int) -> None:
+                bar.update(n_made - n_before, earlier if n_made < count else "until the last orders end")
+
+            card = write_labels(labeller, count, out, progress=report, **outputs)
     except KeyboardInterrupt as stop:
         n_kept = n_unfinished(out)
         raise RunInterrupted(
