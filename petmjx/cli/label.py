@@ -91,7 +91,7 @@ def label(
     source = Orders(ENDLESS if orders is None else orders, integer_of(seed, "--seed", 0), reading=reading)
     labeller = Labeller(
         source,
-        pallets=None if pallets is None else integer_of(pallets, "--pallets", 1),
+        pallets=pallets,
         seed=seed,
         explore=explore,
         errors=errors,

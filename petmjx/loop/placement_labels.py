@@ -25,7 +25,7 @@ from petmjx.common.argument_checks import integer_of, number_of
 from petmjx.common.prefetch import prefetch
 from petmjx.engines.verdict import Outcome, Verdict
 from petmjx.loop.candidate_places import Places
-from petmjx.loop.engine_setup import MANY_PALLETS, chooses_gpu
+from petmjx.loop.engine_setup import chooses_gpu
 from petmjx.loop.order_sources import Boxes, Orders
 from petmjx.loop.pallets import Pallets
 from petmjx.options.run_options import AUTO
@@ -173,12 +173,12 @@ class Labeller:
         self._explore = number_of(explore, "explore", 0.0, 1.0)
         self._errors = None if errors is None else integer_of(errors, "errors", 1, 100_000)
         self._highest_mm = number_of(max_height_mm, "max_height_mm", 1.0, 20_000.0)
-        gpu = chooses_gpu(others.get("engine", AUTO), MANY_PALLETS if pallets is None else pallets)
+        engine = others.get("engine", AUTO)
         if pallets is None:
-            pallets = PALLETS_ON_GPU if gpu else PALLETS_ON_CPU
-        if groups is None:
-            groups = GROUPS_ON_GPU if gpu else 1
+            pallets = PALLETS_ON_GPU if chooses_gpu(engine, PALLETS_ON_GPU) else PALLETS_ON_CPU
         n_pallets = integer_of(pallets, "pallets", 1)
+        if groups is None:
+            groups = GROUPS_ON_GPU if chooses_gpu(engine, n_pallets // GROUPS_ON_GPU) else 1
         n_groups = min(integer_of(groups, "groups", 1), n_pallets)
         sizes = [n_pallets // n_groups + (group < n_pallets % n_groups) for group in range(n_groups)]
         self.groups = [Pallets(size, **others) for size in sizes]
