@@ -79,14 +79,14 @@ MOST_TOML_BYTES: Final = 16 << 20
 """Largest size of a TOML file. A list of 100,000 force windows takes half of this limit."""
 _MOST_PARTS: Final = 64
 _MANY_PARTS: Final = re.compile(rb"""(?<![\w"'-])(?:[\w"'-]++[ \t]*+\.[ \t]*+){%d}""" % _MOST_PARTS)
-"""A dotted key with more than ``_MOST_PARTS`` parts. tomllib examines all parts for each part, so a long key would take
-minutes."""
+"""Matches a dotted key with more than ``_MOST_PARTS`` parts. tomllib examines all parts for each part, so a long key
+would take minutes."""
 
 TABLE: Final = "<a table>"
 LIST: Final = "<a list>"
 VALUE: Final = "<a single value>"
-"""Tags of the members of a union, for unions whose member is chosen by the shape of the value. pydantic inserts tags
-into the path of an error; ``describe`` recognises them by their angle brackets and removes them."""
+"""Tags for the members of unions in which the shape of the value decides the member. pydantic inserts tags into the
+path of an error; ``describe`` recognises them by their angle brackets and removes them."""
 
 
 @dataclass(frozen=True)
@@ -137,7 +137,8 @@ class CheckedRecord(BaseModel, metaclass=_OneLine):
     def changed(self, **values: Any) -> Self:
         """A checked copy with other values for some fields.
 
-        If a field is a record, a table given for it changes that record. A table with a ``name`` replaces the record.
+        If a field holds a record, a table as its new value changes only the entries that it names. A table with a
+        ``name`` replaces the whole record.
         """
         return self.read(_fields_with(self, values))
 

@@ -102,7 +102,7 @@ def jax_devices(platform: str | None = None) -> list[Any]:
 
 
 def package_versions() -> dict[str, str]:
-    """Package → version, for petmjx and the installed packages of ``PACKAGES``, which affect results."""
+    """Package → version, for petmjx and those of ``PACKAGES`` that are installed. These versions affect results."""
     return dict(_package_versions())
 
 
@@ -133,7 +133,7 @@ def device_name(engine: str, threads: int | None = None) -> str:
 
 
 def why_no_warp_at_once() -> str | None:
-    """Why mjx-warp cannot run on this machine, as far as this is known without importing JAX, which takes seconds.
+    """Why mjx-warp cannot run on this machine, as far as this can be known without JAX, whose import takes seconds.
 
     None: no reason is known without JAX.
     """

@@ -1,4 +1,4 @@
-"""Prefetch: a generator runs in its own thread, ahead of the code that uses its items."""
+"""Prefetch: generators run in their own threads, ahead of the code that uses their items."""
 
 from __future__ import annotations
 
@@ -18,20 +18,23 @@ class _End:
     error: BaseException | None
 
 
-def prefetch(items: Generator[Item], most: int) -> Generator[Item]:
-    """Yield the items of a generator in order, while a thread makes the following ones.
+def prefetch(*sources: Generator[Item], most: int) -> Generator[Item]:
+    """Yield the items of generators, while threads make further items in advance. The items of one generator keep their
+    order; those of several come as they are made.
 
-    The thread starts when the first item is requested. It makes items until ``most`` of them wait in the queue, and
-    then one more. An error of ``items`` is raised after all items before it have been taken. Closing the result closes
-    ``items`` in the thread, and returns when the thread has ended.
+    The threads start when the first item is requested. They make items until ``most`` of them wait in the queue, and
+    then each thread makes one more. An error of a generator is raised after all items that were made before it. Closing
+    the result closes each generator in its thread, and returns when the threads have ended. A generator is closed when
+    it has made its next item.
 
     Args:
-        most: number of items that may wait before the thread pauses.
+        most: number of items that may wait before the threads pause.
     """
     queue: SimpleQueue[Any] = SimpleQueue()
-    room, closed, end_event = threading.Semaphore(most), threading.Event(), threading.Event()
+    room, closed = threading.Semaphore(most), threading.Event()
+    end_events = [threading.Event() for _ in sources]
 
-    def run() -> None:
+    def run(items: Generator[Item], end_event: threading.Event) -> None:
         try:
             with closing(items):
                 for item in items:
@@ -46,28 +49,38 @@ def prefetch(items: Generator[Item], most: int) -> Generator[Item]:
         finally:
             end_event.set()
 
-    thread = threading.Thread(target=run, name="petmjx-ahead", daemon=True)
+    threads = [
+        threading.Thread(target=run, args=arguments, name="petmjx-ahead", daemon=True)
+        for arguments in zip(sources, end_events, strict=True)
+    ]
 
     def end() -> None:
         closed.set()
-        room.release()
-        if thread.ident is not None:
-            _wait_for(end_event)
-            thread.join()
+        room.release(len(threads))
+        for thread, end_event in zip(threads, end_events, strict=True):
+            if thread.ident is not None:
+                _wait_for(end_event)
+                thread.join()
 
     atexit.register(end)  # a thread inside JAX aborts the process when Python ends
+    n_running = len(threads)
     try:
-        thread.start()
-        while not isinstance(item := queue.get(), _End):
-            room.release()
-            yield item
-        error = item.error
-        del item
-        try:
-            if error is not None:
-                raise error
-        finally:
-            del error
+        for thread in threads:
+            thread.start()
+        while n_running:
+            item = queue.get()
+            if not isinstance(item, _End):
+                room.release()
+                yield item
+                continue
+            n_running -= 1
+            error = item.error
+            del item
+            try:
+                if error is not None:
+                    raise error
+            finally:
+                del error
     finally:
         end()
         atexit.unregister(end)

@@ -30,7 +30,7 @@ def _no_more() -> None:
 
 
 Pending = tuple[AnyWorld, Outcome | None, tuple[Attempt, ...]]
-"""A world between two attempts, with the outcome of the last one and the records of all before."""
+"""A world between two attempts: the outcome of the last attempt, and the records of all attempts so far."""
 
 
 AttemptResult = tuple[AnyWorld, Outcome, tuple[Attempt, ...]]
@@ -85,7 +85,8 @@ class AttemptRunner(Generic[AnyWorld]):
     """Text of the last error of an engine."""
 
     def run(self, batch: list[Pending[AnyWorld]]) -> Iterator[AttemptResult[AnyWorld] | None]:
-        """Yield world, outcome, and its records with this attempt's record; None in pauses of the engine.
+        """Yield each world with its outcome and the records of its attempts, including this one. Yield None when the
+        engine pauses.
 
         Args:
             batch: the worlds. The list is emptied, since finished worlds would take memory.
@@ -109,7 +110,9 @@ class AttemptRunner(Generic[AnyWorld]):
         return stream
 
     def run_fallback(self, left: list[Pending[AnyWorld]]) -> Iterator[AttemptResult[AnyWorld] | None]:
-        """Run the worlds that an engine left unanswered on its fallback, if any; yields like ``run``."""
+        """Run the worlds that the engine left unanswered on its fallback, if it has one. Worlds that still have no
+        answer fail. Yields as ``run`` does.
+        """
         engine = self.engines.primary
         if left and self.engines.fallback is not None:
             engine = self.engines.fallback
@@ -146,7 +149,7 @@ class AttemptRunner(Generic[AnyWorld]):
                     raise
                 refused = isinstance(error, PetmjxError) or self.engines.fallback is None
                 if self.attempt.number == 1 and refused:
-                    raise  # the user can change the cause: worlds that the engine refuses, or the user's own engine
+                    raise  # the user can correct the cause: worlds that the engine refuses, or the user's own engine
                 if not stream.taken:  # the engine would refuse the jobs again
                     stream.take(sys.maxsize, least=1)
                 unanswered = list(stream.in_flight.values())
@@ -181,7 +184,9 @@ class AttemptRunner(Generic[AnyWorld]):
         return []
 
     def _follow(self, stream: JobStream[Any], arrivals: Sequence[Any]) -> None:
-        """Put the jobs that follow from the results so far. ``arrivals``: outcomes that are not checked yet."""
+        """Put the jobs that follow from the results so far into the stream. ``arrivals``: outcomes that are not checked
+        yet.
+        """
         self.put_following()
         if not arrivals and (self.check_pool is None or not self.check_pool.has_unanswered):
             stream.followed()
@@ -206,8 +211,8 @@ class AttemptRunner(Generic[AnyWorld]):
 
         Args:
             engine: the engine that made them; empty if each outcome names its engine.
-            checked: whether the engine has checked them.
-            wait: True: wait for all outcomes in the pool; False: some of them follow in later calls.
+            checked: whether the engine has already checked the outcomes.
+            wait: True: wait for all outcomes in the pool; False: later calls return some of them.
             until: as in ``CheckPool.exchanged``.
         """
         if checked:

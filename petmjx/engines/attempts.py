@@ -72,8 +72,8 @@ class AttemptRecipe:
     careful: bool = False
     timestep_divisor: int = 1
     stiff: float | None = None
-    """Share of the usual time constant that contacts get, which makes them stiffer. Used only for worlds whose verdict
-    may come from soft contacts (``Flag.SINKING``)."""
+    """Time constant of contacts, as a share of the usual one. A smaller time constant makes contacts stiffer. Used only
+    for worlds whose verdict may come from soft contacts (``Flag.SINKING``)."""
     checks: bool = False
     """True: the attempt keeps the verdict. It only sets ``Flag.TIMESTEP`` if it finds a different one."""
 
@@ -85,7 +85,8 @@ class AttemptRecipe:
 
     doubles: bool = False
     """Whether the attempt needs double precision. One reason: a world may be invalid because of single precision.
-    Another: in contacts of a twentieth of the time constant, boxes sink by less than single precision resolves."""
+    Another reason: in contacts with a twentieth of the time constant, boxes sink by less than single precision
+    resolves."""
 
     few: bool = False
     """Whether only few of many worlds need the attempt. Worlds with errors are an exception, if the plan has boxes that

@@ -31,11 +31,12 @@ LEAST_TIME_CONSTANT_STEPS = 4
 
 
 def stiffened_physics(physics: Physics, share: float) -> Physics:
-    """The same physics with stiffer contacts. They carry heavy boxes on light ones, and keep slender boxes upright.
+    """The same physics with stiffer contacts. Such contacts let light boxes carry heavy ones, and keep slender boxes
+    upright.
 
     Stiffer contacts are as stiff at their onset as beyond the width. They have the largest impedance that MuJoCo
-    accepts, and this share of the time constants. With a half, they are 40 times as stiff as in ``pallet``; with a
-    tenth, 1,000 times.
+    accepts, and time constants reduced to ``share``. With a share of a half, contacts are 40 times as stiff as in
+    ``pallet``; with a tenth, 1,000 times.
     """
     time_s, damping = physics.solref
     if time_s > 0:
@@ -71,7 +72,9 @@ def contact_penetration_m(scene: Scene, physics: Physics, top_force_n: FloatArra
     base = float(depth_m(physics, on_floor))
 
     def pulls(top_n: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """(n,) each: a box's part in A · f of a contact on its top, and of a contact below it, m/s²."""
+        """(n,) each: what a box contributes to A · f (petmjx.world.contact_laws) at a contact on its top, and at a
+        contact below it, m/s².
+        """
         return of_boxes * top_n / mass / CONTACTS_PER_FACE, own_per_kg * (top_n + mass * gravity)
 
     def is_enough(top_n: FloatArray) -> bool:
@@ -160,7 +163,7 @@ def _transitive_closure(over: NDArray[np.bool_]) -> NDArray[np.float32]:
     """(…, n, n) 1 if the column's box is above the row's box, directly or through others, else 0. Boxes are sorted from
     the lowest to the highest."""
     above = np.triu(over, 1).astype(np.float32)
-    while True:  # each product of these matrices of zeros and ones doubles the number of boxes in between
+    while True:  # each product doubles the length of the chains of boxes that are found
         further = np.minimum(above + above @ above, 1.0)
         if np.array_equal(further, above):
             return above
@@ -198,7 +201,7 @@ def note_penetration(outcomes: Sequence[Outcome], jobs: Sequence[Job], sim: Simu
 
 
 def penetration_excluded(outcomes: Sequence[Outcome], scenes: Sequence[Scene], sim: Simulation) -> list[bool]:
-    """For each world, whether ``has_penetrated`` is surely False: its boxes did not descend too far, and it did not
+    """For each world, whether ``has_penetrated`` is certainly False: its boxes did not descend too far, and it did not
     fail by sinking alone. All worlds are computed together. The other worlds need ``has_penetrated``. For elliptic
     cones."""
     if not outcomes:

@@ -89,8 +89,8 @@ class Errors:
     """Cost or steps of placements with errors, relative to a placement without errors.
 
     Attributes:
-        displaced: for placements in which boxes appear at places with errors: they slip into each other's gaps.
-        carried: for placements in which boxes are carried to their places.
+        displaced: factor for placements in which boxes appear at places with errors, and slip into each other's gaps.
+        carried: factor for placements in which boxes are carried to their places.
     """
 
     displaced: float
@@ -214,7 +214,9 @@ class Work:
         return STEP_SHARE[self.sim.schedule] * self.fixed_steps
 
     def _placing(self, power: float, *, grows: bool) -> FloatArray:
-        """(n,) box^power × steps of one placement on a device. ``grows``: boxes not yet placed cost nothing."""
+        """(n,) box^power × steps of one placement on a device. ``grows``: whether boxes that are not yet placed cost
+        nothing.
+        """
         share = 1 / (power + 1) if grows and self.sim.check is Check.ONE_BY_ONE else 1.0
         return share * COST_SHARE[self.sim.schedule] * np.asarray(self.boxes, dtype=float) ** power * self.fixed_steps
 
@@ -360,7 +362,9 @@ class Costs:
 
 
 def _expected_work(jobs: Sequence[Job], sim: Simulation, errors: Errors) -> tuple[Work, FloatArray, FloatArray]:
-    """The placements of all jobs as planned, (n,) factor of each job for errors, and (n,) steps of each job's drive."""
+    """The work of all jobs if they are placed as planned; (n,) factor by which errors raise the cost of each placement
+    (0 if a job starts from a state); and (n,) steps of each job's drive.
+    """
     placements = np.array([errors.of(job) if job.start is None else 0.0 for job in jobs])
     drive_steps = np.array([expected_drive_steps(job.drive, sim) if job.drive else 0.0 for job in jobs])
     work = Work(sim, [job.scene.n_boxes for job in jobs], drives=int(any(job.settles for job in jobs)))
@@ -379,8 +383,9 @@ by hand), EUMOS's drives and search, tilts, and placement errors. The costs of p
 are fitted to shelf packings of 24 boxes (tests/unit/test_falling_plans.py). The costs of film are fitted to EUMOS's
 drives of 8, 20 and 44 boxes with 1 to 16 turns, each compared with the same drive without film.
 
-Other plans that fall early take less, and large ones that collapse up to five times as long. Physics ``reference`` is
-not fitted, and other CPUs are slower or faster. Worlds that are simulated again with finer steps are not estimated.
+Other plans that fall early take less time. Large plans that collapse take up to five times as long. Physics
+``reference`` is not fitted, and other CPUs are slower or faster. Worlds that are simulated again with finer steps are
+not estimated.
 
 Devices: one H100, without start and compilation. The schedule is adaptive unless stated otherwise. The runs are 10,003
 generated plans, 4,000 with the fixed schedule, 500 and 1,000 plans with confidence 16 (placed exactly), 250 by hand,

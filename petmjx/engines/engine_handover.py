@@ -1,9 +1,9 @@
 """Engine handover: C MuJoCo, which hands worlds over to the kernels if they take too long.
 
 ``auto`` chooses this engine for little work on a machine without a GPU. The choice follows from an estimate that knows
-only the numbers of boxes. Plans that collapse take many times as long on C MuJoCo, but less so in the kernels. So the
-CPU time of finished worlds is compared with their expected time. If the kernels would finish the remaining worlds
-sooner, compilation included, these worlds go to the kernels.
+only the numbers of boxes. Plans that collapse take many times as long on C MuJoCo; in the kernels, the increase is
+smaller. So the CPU time of finished worlds is compared with their expected time. If the kernels would finish the
+remaining worlds sooner, compilation included, these worlds go to the kernels.
 """
 
 from __future__ import annotations

@@ -92,8 +92,8 @@ def nearest_edge(edges: Iterable[KnifeEdge], verdict: Verdict | None = None) -> 
 
 
 def sets_flag(edge_m: FloatArray, verdict: Verdict | None, *, rounding_m: float = 0.0) -> NDArray[np.bool_]:
-    """(…) whether loads at these distances from edges set the flag. They do if they are near an edge, or a little less
-    near and on the side that the verdict contradicts. NaN does not set it.
+    """(…) whether loads at these distances from edges set the flag. A load sets it if it is near an edge. A load a
+    little farther from an edge sets it only if it is on the side that the verdict contradicts. NaN does not set it.
 
     Args:
         verdict: verdict of the world; None: the side does not count.
@@ -114,7 +114,7 @@ def _edge_sets_flag(edge: KnifeEdge, verdict: Verdict) -> bool:
 
 
 def is_same_edge(edge: KnifeEdge, kept: KnifeEdge) -> bool:
-    """Whether a recomputed distance is the one that tables store, of the same box at the same time."""
+    """Whether a recomputed distance equals the one that tables store for the same box at the same time."""
     is_same = (edge.box, edge.when, edge.step) == (kept.box, kept.when, kept.step)
     return is_same and math.isclose(edge.edge_m, kept.edge_m, abs_tol=_SAME_M)
 

@@ -24,7 +24,7 @@ WORTH_S: Final = 2.0
 BOX_MM: Final = (400.0, 300.0, 200.0)
 SIDE, LAYERS, ROUNDS = 3, 3, 2
 """Size of the block of boxes that is simulated to measure the machine: boxes along a side, and layers; and the number
-of rounds. The block stands. The fastest round counts, since other work may have slowed down the other one."""
+of rounds. The block stands. Only the fastest round counts, since other work on the machine may slow down a round."""
 
 REFERENCE_S: Final = 0.04
 """CPU seconds to simulate the test block of boxes on the machine on which ``MEASURED`` was taken."""

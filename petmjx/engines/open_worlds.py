@@ -154,7 +154,7 @@ def _check_grown(before: Scene, after: Scene) -> None:
     """Check that the scene ``after`` has all boxes of ``before``, on the same carrier, and further boxes.
 
     Raises:
-        ValueError: it does not.
+        ValueError: the scene does not fulfil this.
     """
     n = before.n_boxes
     if after.n_boxes <= n:
@@ -242,7 +242,8 @@ class OpenWorlds(ABC):
 
     def try_next(self, worlds: Sequence[int], boxes: NextBoxes, *, until_lost: bool = False) -> Readings:
         """The states that worlds would have once one box was put into each and came to rest. The boxes are placed in
-        forks of the worlds, which are then discarded. A world may be named several times, and must have paused.
+        forks of the worlds. The forks are discarded afterwards. A world may be named several times, and must have
+        paused.
 
         Args:
             until_lost: a fork ends as soon as a box is tilted too far at a sample, as in worlds with errors, or is gone
@@ -260,8 +261,8 @@ class OpenWorlds(ABC):
     def try_scenes(
         self, worlds: Sequence[int], scenes: Sequence[Scene], drives: Sequence[Drive | None] | None = None
     ) -> list[Outcome]:
-        """Fork worlds with these scenes, and finish the forks as ``finish`` does. Friction, and how new boxes are
-        placed, may differ from the worlds.
+        """Fork worlds with these scenes, and finish the forks as ``finish`` does. The scenes may differ from the worlds
+        in their friction, and in how new boxes are placed.
 
         Raises:
             ValueError: a world has ended.
@@ -312,8 +313,8 @@ class OpenWorlds(ABC):
         themselves do not change. ``Outcome.job`` is the index into ``worlds``.
 
         Each outcome is one simulation, as in ``Engine.run``. Unlike in a score, no world is simulated again with other
-        settings (docs/rules.md, section 9). A placement before a drive that has failed, but without a dropped box,
-        waits as it would without a drive. This wait may be some steps shorter than in a run.
+        settings (docs/rules.md, section 9). If a placement before a drive has failed without a dropped box, it waits as
+        it would without a drive. This wait may be some steps shorter than in a run.
 
         Raises:
             ValueError: a world has no boxes.

@@ -21,7 +21,7 @@ from petmjx.world.scene import Scene
 
 GROUP_WORLDS = {"mjx-jax": 8192, "mjx-warp": 32_768}
 """Default number of worlds whose states an engine keeps on its device at the same time. On mjx-warp, a world of 80
-boxes takes 16 kB. A worker with either engine also gets at most this number of jobs at once."""
+boxes takes 16 kB. A worker with one of these engines also gets at most this number of jobs at once."""
 
 
 @dataclass
@@ -33,8 +33,8 @@ class Progress:
         message: what the engine is doing at the moment (compiling, …).
         work_share: share of the run's work that is done, from 0 to 1; None: the share of finished worlds is used. Set
             by the run.
-        at_hand: at least this number of outcomes will follow the last one at once; None if the engine does not report
-            it. It is used only if the engine's ``run`` is marked with ``says_at_hand``.
+        at_hand: lower bound of the number of outcomes that will follow the last one without delay; None if the engine
+            does not report it. It is used only if the engine's ``run`` is marked with ``says_at_hand``.
         pauses: whether the engine may yield None while no world ends, so that the caller can do other work of the run.
         notes: lines for the results about deviations from the options; each line occurs once.
     """
@@ -125,7 +125,9 @@ PHYSICS: Final[Mapping[str, Capability]] = {
     "mjx-warp": _PAIRS,
     "mjx-warp-cpu": _PAIRS,
 }
-"""Engine → its capabilities, in workers as well. An engine with another name is assumed to have all but soft boxes."""
+"""Engine → its capabilities, in workers as well. An engine with any other name is assumed to have all capabilities
+except soft boxes.
+"""
 
 
 @runtime_checkable
@@ -162,7 +164,7 @@ class Engine(MinimalEngine, Protocol):
     other threads wait (``RunLock``).
 
     Attributes:
-        devices: number of GPUs that simulate at the same time. The engine gets more worlds at once by this factor.
+        devices: number of GPUs that simulate at the same time. The engine gets this many times as many worlds at once.
     """
 
     devices: int = 1

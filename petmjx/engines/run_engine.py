@@ -33,7 +33,7 @@ _OLD_FLAGS: Final = ("takes_more", "takes_parts", "looks", "names_engines")
 """Former attributes of engines, which ``Engine.capabilities`` has replaced."""
 
 WORTH_A_GPU: Final = 4 << 20
-"""Size of plan files, in bytes, from which on ``auto`` will use an available GPU: about 400 plans."""
+"""If plan files have at least this size, in bytes, ``auto`` will use an available GPU: about 400 plans."""
 
 
 class UserEngine(Engine):
@@ -97,7 +97,7 @@ def engine_warmup(options: RunOptions, plans: object, sim: Simulation) -> Iterat
     if _may_be_gpu(options, plans):
         thread = threading.Thread(target=_start_if_gpu, args=(sim,), name="petmjx-start")
         thread.start()
-    # an error in plans is reported at once: nothing waits for the thread, except perhaps the end of the process
+    # nothing waits for the thread, except perhaps the end of the process; so an error in plans is reported at once
     yield None
     if thread is not None:
         thread.join()
@@ -135,7 +135,7 @@ def engine_for(
     hands_over: bool = False,
     earlier: str | None = None,
 ) -> Iterator[tuple[Engine, Choice]]:
-    """``resolve_engine`` as a context, which closes the engine at the end, unless the user gave the engine."""
+    """``resolve_engine`` as a context. At the end, it closes the engine, unless the engine is the user's own."""
     engine, choice = resolve_engine(options, work, ahead=ahead, hands_over=hands_over, earlier=earlier)
     try:
         yield engine, choice

@@ -111,9 +111,9 @@ class Outcome:
     build_edge_m: float = math.nan
     build_edge_box: int = -1
     build_edge_step: int = -1
-    """The fields above, ``plan_edge_m`` to ``build_edge_step``: the smallest distances of loads from edges, m; the
-    boxes that have these loads; and the box after whose placement ``build_edge_m`` is reached. -1: no box. They are set
-    by petmjx.engines.outcome_checks, and so are the distances of all boxes."""
+    """For the fields above, from ``plan_edge_m`` to ``build_edge_step``: the smallest distances of loads from edges, m;
+    the boxes that have these loads; and the box after whose placement ``build_edge_m`` is reached. -1: no box.
+    petmjx.engines.outcome_checks sets these fields, and the distances of all boxes."""
     message: str = ""
     """The reason why there is no result, in one line, if ``reason`` is ``failed`` or ``timeout``."""
     history: History | None = None
@@ -143,7 +143,8 @@ class Signs(NamedTuple):
 
 
 def failures(boxes: Any, thresholds: Thresholds) -> Iterator[tuple[Reason, Any]]:
-    """(reason, (…, n) whether each box fails for this reason), in the order in which the reasons are checked.
+    """Pairs of a reason and (…, n) flags, which tell whether each box fails for this reason. The pairs are in the order
+    in which reasons are checked.
 
     Args:
         boxes: an object with the fields of ``Signs`` for (…, n) boxes, as arrays of NumPy or JAX.
@@ -164,7 +165,7 @@ def judge(
 ) -> tuple[Verdict, Reason]:
     """The verdict of a world, and its reason. No other function decides verdicts (docs/metrics.md, section "Verdict").
 
-    An engine calls it with its measurements. Callers that learn more about the world later call it again.
+    An engine calls this function with its measurements. Callers that later learn more about the world call it again.
 
     Metrics may come from float32. With the default thresholds, comparisons in float64 and in float32 agree: 20 is exact
     in float32; the float32 nearest to 0.02 is below 0.02, and no other float32 lies between the two.

@@ -23,8 +23,8 @@ mm, its mass in kg, the supported share of its base, and the margin that the pal
 
 UPRIGHT: Final = "upright"
 PALLET: Final = "pallet"
-"""Features of environments in which these can be chosen: which size is vertical (0: height, 1: width, 2: length), and
-the number of the pallet."""
+"""Further features, in environments in which actions choose them: which size is vertical (0: height, 1: width, 2:
+length), and the number of the pallet."""
 
 SIDES: Final = np.array([(0, 1, 2), (1, 0, 2), (0, 2, 1), (2, 0, 1), (1, 2, 0), (2, 1, 0)])
 """(6, 3) for each side on which a box can stand, the sizes along x, y and z (0: length, 1: width, 2: height). The two
@@ -225,9 +225,9 @@ class Actions:
         side: NDArray[np.intp],
         pallet: NDArray[np.intp],
     ) -> tuple[NDArray[np.intp], NDArray[np.int64]]:
-        """(c,) for each chosen place, its episode and the number of its action; a number of ``count`` or more means
-        that it has none. Candidates are numbered box by box, the lowest places first. Cells are numbered by pallet,
-        box, side and cell."""
+        """For each place, (c,) its episode and (c,) the number of its action. A number of ``count`` or more means that
+        the place has no action. Candidates are numbered box by box, the lowest places first. Cells are numbered by
+        pallet, box, side and cell."""
         source = places.row[chosen]
         row = at[source]
         if self._grid is not None:

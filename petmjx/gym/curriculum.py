@@ -25,7 +25,7 @@ class Curriculum:
     """Properties of episodes at levels 0 and 1. Between these levels they change linearly.
 
     Attributes:
-        boxes: largest number of boxes of an order, which then has its first boxes only; None: all boxes.
+        boxes: largest number of boxes of an order; all further boxes are dropped. None: all boxes.
         sizes: how different the boxes of an order are. At 0 all have the order's mean size and mass; at 1 they are as
             in the order.
         errors: the strength of errors, as in the option ``errors``.

@@ -42,22 +42,22 @@ class PalletizingOptions:
             the fields of ``petmjx.RunOptions``; None: the most plausible reading.
         articles: a table of articles (docs/loads.md), which has the strengths of the orders' boxes.
         look_ahead: number of visible boxes. 1 is online packing; all boxes of an order is offline packing.
-        buffer: number of visible boxes, counted from the first, of which any may be placed next.
+        buffer: number of boxes among which the next box may be chosen: the first ones of the visible boxes.
         actions: ``candidates``: an action is one of the listed places, which have features; ``cells``: an action is a
             box, an orientation and a cell of the carrier.
         n_candidates: largest number of listed places; at least one is listed for each box of the buffer. The list has
             the lowest place of each box, then the second lowest of each, and so on.
         action_cell_mm: side of the cells of actions; ``cell_mm``: side of the cells of maps.
-        mask: which actions on the carrier and below the highest top are legal: ``geometry``: all of them; a criterion
-            of docs/criteria.md (``support_75``, … or ``centre``); ``physics``: actions that stand in a trial; ``sure``:
-            actions that stand beyond doubt, without a trial; or ``loads``: actions that also overload no box.
+        mask: which of the actions on the carrier and below ``max_height_mm`` are legal: ``geometry``: all of them; a
+            criterion of docs/criteria.md (``support_75``, … or ``centre``); ``physics``: actions that stand in a trial;
+            ``sure``: actions that stand beyond doubt, without a trial; or ``loads``: actions that also overload no box.
         max_height_mm: highest top of a box.
         gap_mm: free space between a box and its neighbours along x and y, which a robot needs.
         rewards: weights of terms (``petmjx.loop.rewards.TERMS``).
         most_illegal: number of illegal actions after which an episode is truncated.
         scaled: whether observations are scaled to 0 to 1 (``petmjx.gym.observation_spaces``).
-        sides: on which sides boxes may stand: ``order``: those that the order allows, or only the base if it says
-            nothing; ``all``: all sides.
+        sides: on which sides boxes may stand: ``order``: those that the order allows, or only the base if the order
+            gives none; ``all``: all sides.
         open_pallets: number of pallets of an episode. Each of them may get the next box.
         errors: how inaccurately boxes are placed, as a multiple of the errors of ``petmjx score --confidence``.
         curriculum: properties that change with the level of an episode (``petmjx.gym.curriculum.Curriculum``).

@@ -73,8 +73,8 @@ class Queues:
 
     def kinds(self, row: int) -> tuple[NDArray[np.intp], FloatArray]:
         """The first box of each kind among the remaining boxes of a queue: (k,) their numbers, in ascending order, and
-        (k, 8) their rows. Boxes of a kind differ at most in strength. The boxes of the queue must have been taken in
-        their sequence."""
+        (k, 8) their rows. Boxes of a kind differ at most in strength. So far, boxes must have been taken from the queue
+        only in sequence."""
         boxes = self._boxes[row].rows
         boxes = boxes[len(boxes) - int(self.counts[row]) :]
         first = np.sort(np.unique(np.delete(boxes, _STRENGTH, axis=1), axis=0, return_index=True)[1])

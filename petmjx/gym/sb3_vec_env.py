@@ -66,7 +66,8 @@ class PalletizingVecEnv(VecEnv):  # type: ignore[misc, unused-ignore]  # where S
         return observed
 
     def set_options(self, options: Any = None) -> None:
-        """Options of the next reset: a dict for all environments, or a list with a dict for each. They have ``level``.
+        """Options of the next reset: a dict for all environments, or a list with a dict for each. A dict may have the
+        entry ``level``.
 
         Raises:
             InputError: an option is unknown, or a level is no number.

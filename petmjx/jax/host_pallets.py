@@ -37,7 +37,7 @@ the two masks."""
 
 
 class Host:
-    """A cache of settled pallets, whose keys are their boxes. A lock admits one thread at a time."""
+    """A cache of settled pallets. The key of a pallet is made from its boxes. A lock admits one thread at a time."""
 
     def __init__(self, n: int, sim: Simulation, engine: Engine, most_boxes: int) -> None:
         self.most_boxes = most_boxes

@@ -38,7 +38,7 @@ ACTIONS: Final = (CELLS, CANDIDATES)
 MOST_CANDIDATES: Final = 512
 
 _DRAWN: Final = 256
-"""Number of orders that replace endless ones, since a program has arrays of fixed sizes."""
+"""An endless source of orders is replaced by this number of its orders, since a program has arrays of fixed sizes."""
 
 _EDGE: Final = 1e-4
 """Tolerance as a share of a cell, in single precision. A box that ends this close to a cell's edge counts as ending
@@ -198,8 +198,8 @@ class Palletizing:
     # ------------------------------------------------------------------ episodes
 
     def reset(self, key: jax.Array, order: Int[Array, ""] | int | None = None) -> tuple[State, TimeStep[Observation]]:
-        """Start an episode, with an order drawn by ``key``, or with the order of this number (from 0, below
-        ``num_orders``; numbers beyond are those of the first and the last order). The same key gives the same episode.
+        """Start an episode, with an order drawn by ``key``, or with the order number ``order`` (from 0, below
+        ``num_orders``; a number out of range selects the first or the last order). The same key gives the same episode.
 
         Raises:
             InputError: the order is not a whole number.

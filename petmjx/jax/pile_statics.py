@@ -26,7 +26,7 @@ _NO_EDGE: Final = -1e3
 """Offset of the plane of a missing edge, m. Every load is far inside this plane."""
 
 _EXACT: Final = jax.lax.Precision.HIGHEST
-"""Otherwise, GPUs round the factors of products to 10 bits."""
+"""The precision of products. With the default, GPUs round the factors to 10 bits."""
 
 Planes = Float[Array, "*rows 32 3"]
 """Edges (d, n_x, n_y) of hulls. A point p is beyond an edge by d + n · p."""

@@ -43,6 +43,12 @@ def open_engine(requested_engine: str | Engine, n: int, of_run: dict[str, Any]) 
     return ready_engine(requested_engine, of_run, gpu=n >= MANY_PALLETS)
 
 
+def chooses_gpu(requested_engine: str | Engine, n: int) -> bool:
+    """Whether this name chooses a GPU for n pallets."""
+    is_auto = requested_engine == AUTO and n >= MANY_PALLETS
+    return requested_engine == "mjx-warp" or (is_auto and why_no_warp() is None)
+
+
 def ready_engine(requested_engine: str | Engine, of_run: dict[str, Any], *, gpu: bool) -> tuple[Engine, bool]:
     """The engine with this name, or the given engine object, and whether this call made it.
 

@@ -77,9 +77,9 @@ class Packed:
         Columns: ``plan_id``; ``order_boxes``: number of boxes in the order; ``boxes``: number of placed boxes;
             ``left_out``: number of other boxes; ``why``: the reason; ``utilisation``: volume over area of the target ×
             height; ``height_mm``; ``clearance_mm``; ``verdict`` when placed exactly; ``n_worlds``: number of worlds
-            with errors; ``n_standing``: number of those in which the plan stands; ``share``: their share, with its
-            Wilson 95 % interval ``low``, ``high``; ``tried``: number of simulated packings; ``good``: whether the plan
-            stands as often as requested.
+            with errors; ``n_standing``: number of worlds with errors in which the plan stands; ``share``: n_standing /
+            n_worlds, with its Wilson 95 % interval ``low``, ``high``; ``tried``: number of simulated packings;
+            ``good``: whether the plan stands as often as requested.
         """
         return pd.DataFrame([packed.row() for packed in self.packed_orders])
 
@@ -122,8 +122,8 @@ def pack(
 ) -> Packed:
     """Pack orders with the packer ``physical`` or ``learned``.
 
-    ``physical`` packs densely, and so that the plans stand in simulation, both when placed exactly and with the errors
-    of a robot. ``learned`` places boxes in the order of their arrival; its plans are simulated as well.
+    ``physical`` packs densely, and chooses plans that stand in simulation, both when boxes are placed exactly and with
+    the errors of a robot. ``learned`` places boxes in the order of their arrival; its plans are simulated as well.
 
     ``petmjx.pack("orders.json", least_share=0.95).save("plans.json")``
 
@@ -136,7 +136,7 @@ def pack(
         n, seed: number and seed of the generated orders.
         packer: ``physical`` or ``learned``.
         look_ahead: number of next boxes that ``learned`` sees; None: 1.
-        workers: number of processes for the search. It does not affect the plans. Scripts that use more than one
+        workers: number of processes for the search. The plans do not depend on it. Scripts that use more than one
             process need ``if __name__ == "__main__":``.
         on_bad_order: function that is called with the error of an unusable order, which is then skipped; None: the
             error is raised.

@@ -23,8 +23,9 @@ from petmjx.world.stackable_scenes import stacked_values
 
 HAND_RATE_1_S: Final = 50.0
 """Natural frequency of the hand's spring, 1/s. The spring is critically damped: a box that is pushed away is back after
-about 3 / 50 s. The value is 1 / the time constant of the contacts of ``pallet``: a stiffer hand would fight with
-contacts. The stiffness is m · 50² / s²: a box that lags 1 mm behind on its path is pushed with 2.5 N per kg."""
+about 3 / 50 s. The value is 1 / the time constant of the contacts of ``pallet``, since a stiffer hand would work
+against the contacts. The stiffness is m · 50² / s²: a box that lags 1 mm behind on its path is pushed with 2.5 N per
+kg."""
 
 MOST_RATE_PER_STEP: Final = 0.1
 """Largest natural frequency × timestep. The hand's forces are computed at the beginning of a step. With semi-implicit
@@ -57,8 +58,8 @@ LOWERING_STEPS: Final = 5
 """Smallest number of steps of setting down. After these steps, a box without a support is faster than a quiet box."""
 
 FREE_M: Final = 0.0003
-"""Boxes that overlap by at most this amount count as not overlapping, m. The amount is twice the distance by which soft
-contacts may move neighbours that stand flush. It is too small to push neighbours apart visibly."""
+"""If two boxes overlap by at most this amount, they count as not overlapping, m. The amount is twice the distance by
+which soft contacts may move neighbours that stand flush. It is too small to push neighbours apart visibly."""
 
 MOST_TILTED: Final = 0.5
 """Tines tilt a box by at most this share of the tilt threshold, so that its release does not count as a first sign of
@@ -68,8 +69,8 @@ MOST_SIDESTEPS: Final = 8
 """Largest number of moves aside before a box moves up instead."""
 
 ASIDE_SHARE: Final = 2.0
-"""Largest move aside, as a multiple of the distance to the side at which a box starts: the errors of two places may add
-up."""
+"""Largest move aside, as a multiple of the distance to the side at which a box starts. It is larger than 1, since the
+errors of two places may add up."""
 
 CLEARANCE_M: Final = 0.001
 """A box that has to start above obstacles starts with its bottom this far above them, m."""
@@ -226,7 +227,8 @@ def reach(quat: FloatArray, half_size: FloatArray) -> FloatArray:
 def free_begin(
     begin: FloatArray, own_reach: FloatArray, pos: FloatArray, reaches: FloatArray, most_m: FloatArray
 ) -> FloatArray:
-    """(3,) where a box starts so that it overlaps no other box, m: at ``begin`` itself, else aside, else above.
+    """(3,) where a box starts so that it overlaps no other box, m: at ``begin`` if there is room, else to the side of
+    it, else above it.
 
     The box moves aside from the first box that it overlaps, along x or y, whichever overlap is smaller. This is
     repeated at most ``MOST_SIDESTEPS`` times. If the box would have to move aside by more than ``most_m``, or still
@@ -276,11 +278,11 @@ def _approaches(scene: Scene, room: Room | None) -> tuple[FloatArray, FloatArray
 def _approaches_of(beside: NDArray[np.bool_], approaches: FloatArray | None) -> tuple[FloatArray, FloatArray]:
     """(…, n, 2) horizontal directions in which boxes move to their places, and (…, n, 2) unit vectors along an axis.
 
-    A direction is in units of the distance to the side in the options. If the plan gives no direction, a box moves
-    along x towards the side that has a neighbour, provided that the opposite side has none; likewise along y. So a box
-    without neighbours, or between two, comes from straight above. The unit vector is the axis of the box that is
-    nearest to the direction. If there is no direction, the unit vector is an axis along which the box has no neighbour,
-    +x before +y.
+    A direction has the length 1 if the box starts as far to the side as the options state. If the plan gives no
+    direction, a box moves along x towards the side that has a neighbour, provided that the opposite side has none;
+    likewise along y. So a box without neighbours, or between two, comes from straight above. The unit vector is the
+    axis of the box that is nearest to the direction. If there is no direction, the unit vector is an axis along which
+    the box has no neighbour, +x before +y.
 
     Args:
         beside: the mask of ``_neighbour_mask``.

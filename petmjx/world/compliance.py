@@ -147,7 +147,7 @@ def bed_depth_m(scene: Scene, load_n: FloatArray) -> FloatArray:
 
 @lru_cache(maxsize=256)
 def sinks_m(scene: Scene, gravity_m_s2: float) -> FloatArray | None:
-    """(n,) expected descent of each box once all boxes are placed, m; None if no box is compliant.
+    """(n,) distance by which each box is expected to sink once all boxes are placed, m; None if no box is compliant.
 
     The descent of a box is the compression of the springs below it plus the largest descent of the boxes on which it
     rests, under the planned loads.

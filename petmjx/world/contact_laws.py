@@ -115,9 +115,10 @@ def cone_factor(physics: Physics, one: FloatArray | float, two: FloatArray | flo
 
 
 SLACK_M_S2: Final = 5.0
-"""Excess that stays uncorrected, m/s²: that of a slip of 1 cm/s with a time constant of friction of 4 ms. It raises a
-contact by less than a hundredth of a millimetre, which is within the soft onset. With this slack, pallets at rest are
-bit-identical with and without the correction. Stiff contacts have no soft onset, and therefore no slack."""
+"""Excess that stays uncorrected, m/s²: that of a slip of 1 cm/s with a time constant of friction of 4 ms. Left
+uncorrected, it raises a contact by less than a hundredth of a millimetre, which is within the contact's soft onset.
+With this slack, pallets at rest are bit-identical with and without the correction. Stiff contacts have no soft onset,
+and therefore no slack."""
 
 STICKS_M_S: Final = 0.01
 """Up to this slip speed, a contact has its full friction; from twice this speed on, it has the kinetic friction. So
@@ -133,8 +134,9 @@ ENOUGH_M_S2: Final = 0.1
 value of 5, a box that tipped against its neighbour slid twice as far; with 1, it slid 3 % less far."""
 
 MOST_ROUNDS: Final = 6
-"""Largest number of iterations per step: of updates of the excess between calls of a solver. Bricks that slide and tip
-need two on average. A heap in which everything slides at once is still off by a median of 1 m/s² after twenty."""
+"""Largest number of iterations per step. An iteration updates the excess between two calls of a solver. Bricks that
+slide and tip need two on average. A heap in which everything slides at once is still off by a median of 1 m/s² after
+twenty."""
 
 
 FIRST_SHARE: Final = 1.1
@@ -148,11 +150,11 @@ own tolerance."""
 
 MOST_LEFT: Final = 0.6
 """Largest part of a change that may remain after a share of it was applied. If more seems to remain, other contacts
-have moved the excess."""
+have changed the excess."""
 
 
 def slack_m_s2(physics: Physics) -> float:
-    """Excess up to which a sliding contact is not corrected, m/s²; inf: contacts are never corrected."""
+    """The slack: excess up to which a sliding contact is not corrected, m/s²; inf: contacts are never corrected."""
     if physics.cone is not Cone.ELLIPTIC or not physics.slip_correction:
         return math.inf
     return 0.0 if is_stiff(physics) else SLACK_M_S2
@@ -188,9 +190,9 @@ FAST_M_S: Final = 0.1
 
 AT_REST: Final = 2.0
 """Depth of contacts at the end of a rebound, as a multiple of the width of ``solimp``. Contacts at rest are 1.3 times
-as deep. They still push a little while a box rises through them. With this value, restitutions from 0.1 to 0.3 are met
-within 0.03 for falls from 10 mm, in whatever part of a step the box lands. A restitution of 0.1 lifts the box by a
-tenth of a millimetre."""
+the width deep. Contacts still push a little while a box rises out of them. With this value, restitutions from 0.1 to
+0.3 are met within 0.03 for falls from 10 mm, in whatever part of a step the box lands. A restitution of 0.1 lifts the
+box by a tenth of a millimetre."""
 
 _LONGER: Final = 2.0
 """A landing is remembered for this multiple of ``landing_s``, since the second corner of a box may come down later."""

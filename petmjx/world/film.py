@@ -2,13 +2,13 @@
 
 The model has three parts, for a pallet that is wrapped to its carrier:
 
-- **Tension.** A layer of film pulls across its width with the force of a turn × the number of turns. So a strip of
-  height h has the tension T = force · turns · h / width. Around a corner, the film pulls along both sides. So each side
-  of the load is pressed inwards by T at each of its two ends. This force, 2·T in all, is spread over the outer faces of
-  that side. If nothing stands behind a box, the film draws the box in and slackens: after ``SLACK_M`` it no longer
-  presses on the box.
-- **Hold.** Film sticks to an outer face with a force of at most friction × that pressure. A spring holds a box that
-  moves relative to the carrier, with at most this force. Beyond it, the film slips.
+- **Tension.** Film pulls, over its whole width, with the force of a turn × the number of turns. So a strip of height h
+  has the tension T = force · turns · h / width. Around a corner, the film pulls along both sides. So each side of the
+  load is pressed inwards by T at each of its two ends. This force, 2·T in all, is spread over the outer faces of that
+  side. If nothing stands behind a box, the film draws the box in and slackens: after ``SLACK_M`` it no longer presses
+  on the box.
+- **Hold.** Film sticks to an outer face with a force of at most its friction coefficient × the force that presses on
+  the face. A spring holds a box that moves relative to the carrier, with at most this force. Beyond it, the film slips.
 - **A hat** presses on all tops on which no box stands.
 
 Faces that stand back from the outermost face of their side by more than ``MOST_BACK_M`` do not touch the film. The

@@ -1,9 +1,9 @@
 """Tables of friction and landings for pairs of surfaces, and the surfaces of a plan's world.
 
-A table is used if the friction between two shapes is not just the larger of their own coefficients. Each shape has a
-surface, numbered from 1. The table holds the coefficient of sliding friction for each pair of surfaces. The floor, and
-all shapes without a surface of their own, have surface 0. Surfaces follow from the materials of boxes and boards, and
-from the friction that boards have of their own.
+Usually, the friction between two shapes is the larger of their own coefficients. A table is used if this is not so.
+Each shape has a surface, numbered from 1. The table holds the coefficient of sliding friction for each pair of
+surfaces. The floor, and all shapes without a surface of their own, have surface 0. Surfaces follow from the materials
+of boxes and boards, and from the friction that boards have of their own.
 """
 
 from __future__ import annotations
@@ -46,7 +46,7 @@ def no_pairs(n_surfaces: int = MOST_SURFACES) -> FloatArray:
 def scaled_pairs(
     table: FloatArray | None, of_boards: NDArray[np.intp] | None, box_factor: float, carrier_factor: float
 ) -> FloatArray | None:
-    """(k, k) a table in which the friction of boxes and carrier is multiplied by factors.
+    """(k, k) the table, with the friction of boxes and carrier multiplied by factors.
 
     For a pair of surfaces the larger of the two factors counts, just as the larger coefficient counts for a pair
     without an entry.

@@ -25,7 +25,7 @@ class Excitation:
         name: name for messages.
         kind: "force" (on the carrier, samples in units of total mass × 9.81 m/s²) or "acceleration"
             (of the carrier, samples in m/s²; simulated as gravity − a with the carrier clamped).
-        samples: (n_steps, 3); row i acts during step i + 1 of the profile; zero after the last row.
+        samples: (n_steps, 3) vectors; row i acts during step i + 1 of the profile. After the last row, nothing acts.
     """
 
     name: str

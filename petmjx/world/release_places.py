@@ -167,8 +167,8 @@ def make_room(
     movable: NDArray[np.bool_],
     reach_m: float,
 ) -> FloatArray:
-    """(m, n, 2) the horizontal places nearest to the original ones at which no box overlaps a box beside it, m, for m
-    worlds.
+    """For m worlds, (m, n, 2) the horizontal places of boxes, m, at which no box overlaps a box beside it, as near as
+    possible to the original places.
 
     Nearest means that the sum of the squares of all translations is smallest. Two boxes are kept apart along an axis of
     one of the two: the axis with the smallest overlap. They are kept ``CLEAR_M`` apart, or as in the plan if the plan

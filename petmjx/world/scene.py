@@ -83,7 +83,6 @@ class Scene:
         placing: how boxes are placed.
         approach: (n, 2) horizontal directions from which boxes approach, of length 1. A row of 0, or None for all rows:
             the direction follows from the neighbours.
-            from the neighbours.
         stiffness: (n,) force on a box's top per compression, N/m; inf: the box is rigid. None: all boxes are rigid.
         soft: (n,) whether each box is a flex body (petmjx/world/soft_boxes.py); None: no box is soft.
         wrap: film around the pallet when it is shaken (petmjx/world/film.py).

@@ -146,7 +146,7 @@ def edge_law(half_size: FloatArray, mass: float, stiffness_n_m: float, timestep_
     kappa = _mujocos_share() * stiffness_n_m / (mass * _network_kg(*half_size.tolist()))
     impedance, rate = IMPEDANCE, min(kappa * (1 - IMPEDANCE) / IMPEDANCE**2, most)
     if rate == most:
-        impedance = min(2 / (1 + (1 + 4 * most / kappa) ** 0.5), MOST_IMPEDANCE)  # κ = d²k / (1 − d), for d
+        impedance = min(2 / (1 + (1 + 4 * most / kappa) ** 0.5), MOST_IMPEDANCE)  # this solves κ = d²k / (1 − d) for d
     return EdgeLaw((-rate, -2 * rate**0.5), (impedance, impedance, 0.001))
 
 
@@ -266,7 +266,7 @@ def set_for_soft(spec: mujoco.MjSpec, scene: Scene, physics: Physics, frictions:
 
 @dataclass(frozen=True, eq=False)
 class SoftFriction:
-    """Sliding friction of shapes in contacts with soft boxes. MuJoCo uses the larger one of the two partners.
+    """Sliding friction of shapes in contacts with soft boxes. MuJoCo uses the larger friction of the two partners.
 
     Attributes:
         of_boxes: (n,) friction of the boxes.

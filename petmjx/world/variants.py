@@ -1,8 +1,8 @@
 """Variants: how a world differs from its plan's nominal world.
 
-A variant has two halves. Its *placement* is the changes before or while boxes are placed (friction, mass, sizes,
-placement errors). Its *drive* shakes the finished pallet (profile, strength, direction). Worlds of a plan with the same
-``placement_key`` share one placement: each starts from its settled state.
+A variant has two halves. Its *placement* holds the changes that act while boxes are placed, or before (friction, mass,
+sizes, placement errors). Its *drive* shakes the finished pallet (profile, strength, direction). Worlds of a plan with
+the same ``placement_key`` share one placement: each starts from its settled state.
 
 The scenes of many variants of a plan are made together (``apply_all``). A scene then takes a twentieth of a
 millisecond. Made one by one, a scene takes ten times as long: as long as a GPU needs to simulate a small world.

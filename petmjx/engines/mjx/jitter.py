@@ -13,7 +13,7 @@ from petmjx.options.simulation import Simulation
 
 
 def jitter_mask(state: State, sim: Simulation) -> Bool[Array, "world box"]:
-    """Whether each box trembles. Right after another placement, it is not known of any box."""
+    """Whether each box trembles. Right after a placement no box counts as trembling, since it is not yet known."""
     return (state.trembles == 1) & (state.tremble_looks > 2 * sim.quiet.tremble_looks)[:, None]
 
 

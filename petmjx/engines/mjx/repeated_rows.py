@@ -1,4 +1,4 @@
-"""Gathers rows of tables that are repeated, as for many drives that start from one placement."""
+"""Gathers rows of tables if the same rows are needed many times, as for many drives that start from one placement."""
 
 from __future__ import annotations
 
@@ -12,7 +12,9 @@ from numpy.typing import NDArray
 from petmjx.common.processes import on_threads
 
 MANY: Final = 1_000
-"""Number of rows from which on several threads are worthwhile. NumPy releases the interpreter's lock meanwhile."""
+"""From this number of rows on, several threads are faster than one: NumPy releases the interpreter's lock while it
+copies.
+"""
 
 MOST_THREADS: Final = 8
 

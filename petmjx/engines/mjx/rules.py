@@ -273,7 +273,8 @@ class Rules:
         creeps.
 
         A pallet is quiet after ``quiet.steps`` steps if no box creeps. Trembling boxes are ignored, but the count
-        restarts at 0 when boxes are found to tremble. Trembling is looked for in worlds whose waits adapt.
+        restarts at 0 when boxes are found to tremble. Trembling is looked for only in worlds whose waits end as soon as
+        the pallet is quiet.
 
         Returns:
             The states, and whether each pallet is quiet.
@@ -348,8 +349,8 @@ class Rules:
         return self._adaptive and self.sim.waits_for_rest
 
     def _rests_in_drive(self, state: State) -> Bool[Array, " world"]:
-        """Whether each drive can end early if its pallet is quiet. A rest window that begins now must be over when the
-        last possible one would begin."""
+        """Whether each drive can end early if its pallet is quiet. A rest window that begins now must end before the
+        last possible rest window would begin."""
         early = (state.end != NEVER) & (state.step <= state.end - 2 * self.timetable.rest_steps)
         return early & (self.driven and self._rests_first)
 

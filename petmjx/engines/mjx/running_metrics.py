@@ -25,8 +25,8 @@ class Sample(NamedTuple):
     Attributes:
         sampled: whether the box has a sample in this step.
         presses: whether the force on the box's top counts.
-        tilts: whether the box's tilt counts; it also does at a look in a drive.
-        looked: whether the box is checked; it also is at the end of its world.
+        tilts: whether the box's tilt counts. Tilts also count at looks in a drive.
+        looked: whether the box is checked. Boxes are also checked at the end of their world.
         rested: whether the box is in a rest window; ``rests`` marks the worlds whose steps are counted.
     """
 

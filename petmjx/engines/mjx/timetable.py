@@ -30,7 +30,8 @@ class Timetable:
         clock: time after each step, s.
         due: a wait of ``interval_s`` that begins after step s ends at step ``due[s]``.
         longest: the same for ``longest_wait_s``.
-        settled: the same for ``settle_s``. The time of the end on the clock is converted to steps.
+        settled: the same for ``settle_s``, rounded in another manner: the time (clock + ``settle_s``) is converted to
+            whole steps.
         settled_nominally: by number of boxes, the step after which a drive starts with the fixed schedule. The
             reference counts from the nominal moment of the last placement; rounding to steps delays the real moment a
             little.

@@ -42,8 +42,9 @@ def pressed_box(
     """The box on which a contact presses: the partner whose centre is lower. ``body``: boxes, or negative numbers.
 
     Returns:
-        The number of the box (negative for carrier and floor); the sign that turns the force on the second geom into a
-        downward force on the lower geom; and whether the contact is vertical and its lower partner is a box.
+        Three values: the number of the box (negative for carrier and floor); the sign that turns the force on the
+        second geom into a downward force on the lower geom; and whether the contact is vertical and its lower partner
+        is a box.
     """
     first_is_lower = geom_z[..., 0] < geom_z[..., 1]
     box = jnp.where(first_is_lower, body[..., 0], body[..., 1])

@@ -22,7 +22,7 @@ LONG_S: Final = 5.0
 """Wall-clock time after which the progress of a single world is shown, s."""
 
 SLOW_S: Final = 0.05
-"""If two checks of the budget are at least this far apart, each step checks it, s."""
+"""If the time between two checks of the budget is at least this long, the budget is checked at each step, s."""
 
 
 class Budget:

@@ -157,7 +157,7 @@ class MujocoWorlds(OpenWorlds):
     """Open worlds on CPU threads.
 
     Args:
-        scenes: the scenes of the worlds, which start at once.
+        scenes: the scene of each world. All worlds start immediately.
         threads: number of worlds that are simulated at the same time.
     """
 

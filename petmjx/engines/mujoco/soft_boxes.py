@@ -1,8 +1,8 @@
 """A MuJoCo world with soft boxes (petmjx/world/soft_boxes.py), for the rules of ``WorldRun``.
 
-The rules measure the rigid box that best fits the points of a soft box. It has their centre of mass, the rotation with
-the least squares (Kabsch, "A solution for the best rotation to relate two sets of vectors", 1976), and their momentum
-and angular momentum.
+The rules measure the rigid box that best fits the points of a soft box. This rigid box has the points' centre of mass,
+momentum and angular momentum, and the rotation with the least squares (Kabsch, "A solution for the best rotation to
+relate two sets of vectors", 1976).
 """
 
 from __future__ import annotations
@@ -39,7 +39,8 @@ class SoftState:
 
 
 class SoftWorld(LiveWorld):
-    """A ``LiveWorld`` with soft boxes, which do not fit into its one row per body.
+    """A ``LiveWorld`` with soft boxes. A soft box has many bodies, so it does not fit into the one row that
+    ``LiveWorld`` has for each box.
 
     A box is in the model only once it is placed. Boxes are placed exactly.
     """

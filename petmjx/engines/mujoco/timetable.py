@@ -64,8 +64,8 @@ class Waits:
         self._latest = self.longest_wait if self._patient and not restless else self._latest_after(step)
 
     def lasts_longer(self, step: int) -> bool:
-        """Whether a short wait would continue after this step if it were the last one. Waits are short if an earlier
-        wait ended with a moving world."""
+        """Whether this wait would continue after this step if it were the last wait of the world. (The last wait is
+        long; other waits are short if an earlier one ended with a moving world.)"""
         return self._patient and step < self.longest_wait
 
     def deadline(self, sign_step: int | None) -> int:

@@ -35,7 +35,7 @@ class Chunk:
 
 
 class Deal:
-    """Hands out jobs, longest first, until each job is answered or given up.
+    """Hands out jobs to workers, the longest first, until each job is answered or given up.
 
     For engines that simulate job after job, chunks get smaller towards the end, down to single jobs. For engines that
     simulate worlds side by side, all chunks have equal size and a similar mix of jobs. There are no more chunks than
@@ -50,7 +50,7 @@ class Deal:
         slots: number of chunks that are simulated at the same time, over all workers.
         group: largest number of jobs of a chunk, for an engine that simulates worlds side by side; None: the engine
             simulates job after job.
-        least: with ``group``: fewer jobs than this are not divided among workers.
+        least: used with ``group``: if there are fewer jobs than this, one worker gets all of them.
         deadly: jobs that were alone in a worker that died.
     """
 

@@ -163,7 +163,7 @@ def _why_no_gpu(options: RunOptions, nodes: list[Node]) -> str | None:
 
 
 def _pool(name: str, options: RunOptions, cluster: Cluster) -> WorkerPool:
-    """A pool whose workers start at once."""
+    """A pool of workers, which start immediately."""
     assert options.asked_workers is not None
     limits = options_of(name, options)
     worker_places = places(name, cluster.nodes, options.asked_workers, limits.pop("threads", None))

@@ -31,15 +31,15 @@ LOOK_S = 0.25
 """Longest wait for messages from workers, s. After each wait, signals are noticed and progress is updated."""
 
 START_S = 30.0
-"""Longest wait for the first worker while the engine is made, s. So it is known before a run begins if an engine cannot
-run here. A busy cluster may need longer; the run then begins anyway, and waits."""
+"""Longest wait for the first worker while the engine is made, s. The wait shows before a run begins whether the engine
+can run in a worker. A busy cluster may need longer; the run then begins anyway, and waits."""
 
 FALSE_STARTS = 3
 """After this number of failed starts of workers in a row, the run ends, or dead workers are no longer replaced."""
 
 LEAST = {"mjx-warp": 512, "mjx-jax": 16}
-"""With fewer jobs than this, the workers of these engines do not share them. A device takes as long for a few worlds as
-for many."""
+"""If there are fewer jobs than this, one worker of these engines gets all of them, since a device takes as long for a
+few worlds as for many."""
 
 _HIGHEST = (" lanes", " contacts")
 """Suffixes of names in ``Progress.extra`` whose values are combined as maxima, not as sums."""
@@ -59,7 +59,8 @@ class _Hand:
 
     Attributes:
         hello: Ray's reference to the worker's first message; None once it has arrived.
-        working: whether the worker's engine surely exists: it was built before the first message, or has reported.
+        working: whether the worker's engine is known to exist, since it was built before the first message or has
+            reported.
         streams: Ray's streams of reports, one per chunk of the worker.
         said: the worker's last progress message.
     """
@@ -123,7 +124,7 @@ class WorkerPool(Engine):
 
     @property
     def capabilities(self) -> Capability:
-        """The physics of the engine in the workers. Workers check their outcomes themselves."""
+        """The capabilities of the workers' engine, and ``CHECKS``, since workers check their outcomes themselves."""
         return super().capabilities | Capability.CHECKS
 
     @property
@@ -183,7 +184,7 @@ class WorkerPool(Engine):
         self._hands += [self._start(place) for place in lacking.elements()]
         slots = sum(place.slots for place in self._places)
         deadly = [index for index, job in enumerate(jobs) if id(job.scene) in self._deadly]
-        # third-party engines in workers count as MJX engines, whose base class they should use
+        # third-party engines in workers count as MJX engines, since they should use the base class of these
         group = None if self.name == "mujoco" else GROUP_WORLDS.get(self.name, GROUP_WORLDS["mjx-jax"])
         least = LEAST.get(self.name, 1)
         deal = Deal(MEASURED.of_jobs(jobs, sim), slots, group, least, deadly)

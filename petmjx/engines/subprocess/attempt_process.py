@@ -36,7 +36,7 @@ _BUILDING = threading.Lock()
 
 
 READY = -1
-"""Number of a task whose answer is not needed. Its only purpose is that an engine compiles its programs."""
+"""Number of a task whose answer is not needed. The task only makes an engine compile its programs."""
 
 
 @dataclass(frozen=True)

@@ -22,7 +22,7 @@ from petmjx.options.simulation import Simulation
 from petmjx.world.job import ACCELERATION, Drive, Excitation, Job
 
 LARGE: Final = 1000
-"""Number of worlds from which on check processes are worthwhile."""
+"""Smallest number of worlds of a run for which check processes save time."""
 
 MOST: Final = 3
 """Largest number of check processes. With three, the run's own process is busier than each of them."""

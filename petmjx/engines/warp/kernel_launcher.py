@@ -61,7 +61,7 @@ class BlockPool:
         boards: largest number of shapes of a carrier.
         npairmax: largest number of pairs of near geoms of a world.
         nconmax: largest number of contacts of a world.
-        least: smallest number of worlds for which the pool is worthwhile. 0: it always is (small_world_blocks.py).
+        least: smallest number of worlds for which the pool is used; 0: always (small_world_blocks.py).
         last: whether the pool is for the last worlds of a run (tail_blocks.py).
     """
 
@@ -81,7 +81,7 @@ class BlockPool:
 
     @property
     def most_idle(self) -> int:
-        """Largest number of empty lanes with which the pool is still worthwhile."""
+        """Largest number of empty lanes with which the pool is still used."""
         return self.lanes - self.least if self.least else NEVER
 
     @property
@@ -199,7 +199,7 @@ _CHANGED = (
 _IDS = itertools.count()
 _LAUNCHERS: weakref.WeakValueDictionary[int, KernelLauncher] = weakref.WeakValueDictionary()
 """Number → launcher. JAX never frees a function that it calls. If ``_launch`` were bound to a launcher, the memory of
-the run would never be freed. So ``_launch`` is given the launcher's number."""
+the run would never be freed. So ``_launch`` receives the launcher's number."""
 
 
 def _launch(launcher: int, *arrays: Any) -> None:
