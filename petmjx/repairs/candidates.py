@@ -182,7 +182,7 @@ class Candidates:
         pairs = [(k, world) for k, state in enumerate(states) for world in worlds if world not in state.errors]
         self.n_trials += len(pairs)
         trials = (yield [Asked(states[k].draft, True, world) for k, world in pairs]) if pairs else []
-        errors = [dict(state.errors) for state in states]
+        by_world = [dict(state.errors) for state in states]
         for (k, world), trial in zip(pairs, trials, strict=True):
-            errors[k][world] = trial
-        return [replace(state, errors=known) for state, known in zip(states, errors, strict=True)]
+            by_world[k][world] = trial
+        return [replace(state, errors=errors) for state, errors in zip(states, by_world, strict=True)]

@@ -199,12 +199,12 @@ def _tight(draft: Draft, target: Target) -> list[tuple[int, int, float]]:
     low, high = draft.corner_mm, draft.corner_mm + draft.size_mm
     gap = np.maximum(low[target.box] - high, low - high[target.box])
     before = draft.rank < draft.rank[target.box]
-    found = []
+    tight = []
     for axis in (0, 1):
         beside = before & (gap[:, [1 - axis, 2]] < -TOLERANCE_MM).all(axis=1)
         beside &= (gap[:, axis] > -TOLERANCE_MM) & (gap[:, axis] < ROOM_MM)
-        found += [(number, axis, float(gap[number, axis])) for number in np.flatnonzero(beside).tolist()]
-    return found
+        tight += [(number, axis, float(gap[number, axis])) for number in np.flatnonzero(beside).tolist()]
+    return tight
 
 
 def _neighbours(draft: Draft, box: int) -> list[int]:
