@@ -67,7 +67,7 @@ COMPARED_IN: Final = ALL_WORLDS[: ERROR_WORLDS // 2]
 MOST_LOST: Final = 3
 """Worlds with errors, of those in which a plan falls, in which its changes are judged first."""
 
-STRENGTHENED: Final = 0.4
+STRENGTHENED: Final = 0.33
 """Share of all trials in which further changes are tried, which make a repair stand more often with errors."""
 
 MORE_TO_COMPARE: Final = 24
