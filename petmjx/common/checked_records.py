@@ -17,7 +17,7 @@ from types import UnionType
 from typing import Any, Final, Self, Union, get_args, get_origin
 
 from pydantic import AfterValidator, BaseModel, ConfigDict, Discriminator, ValidationError, model_validator
-from pydantic._internal._model_construction import ModelMetaclass  # no public module has it
+from pydantic._internal._model_construction import ModelMetaclass  # no public module exports this name
 from pydantic_core import InitErrorDetails, PydanticCustomError
 
 from petmjx.common.errors import InputError

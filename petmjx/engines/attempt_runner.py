@@ -149,7 +149,7 @@ class AttemptRunner(Generic[AnyWorld]):
                     raise
                 refused = isinstance(error, PetmjxError) or self.engines.fallback is None
                 if self.attempt.number == 1 and refused:
-                    raise  # the user can correct the cause: worlds that the engine refuses, or the user's own engine
+                    raise  # the user can change the refused worlds, or mend an engine without a fallback
                 if not stream.taken:  # the engine would refuse the jobs again
                     stream.take(sys.maxsize, least=1)
                 unanswered = list(stream.in_flight.values())

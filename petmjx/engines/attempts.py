@@ -53,9 +53,9 @@ NEAR = 0.5
 are not checked."""
 
 STIFF_QUIET_STEPS = 25
-"""``Quiet.steps`` in stiff contacts, in which less than a millimetre decides. Of 6,000 small stacks that statics
-decides, some fell although they should stand: 5 with 15 steps, 4 with 25, and 3 with 50. With 50 steps, pallets that
-tremble take three times as long."""
+"""``Quiet.steps`` for attempts with stiff contacts, whose verdicts depend on movements of less than a millimetre. Of
+6,000 small stacks whose verdicts follow from statics, some fell although they should stand: 5 with 15 steps, 4 with 25,
+and 3 with 50. With 50 steps, pallets that tremble take three times as long."""
 
 _EARLY_STOP, _SINKING = int(Flag.EARLY_STOP), int(Flag.SINKING)  # comparing numbers is several times as fast
 

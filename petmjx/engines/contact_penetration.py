@@ -265,7 +265,7 @@ def _deepest_m(outcomes: Sequence[Outcome], scenes: Sequence[Scene], physics: Ph
         table[is_box] = joined
         return table
 
-    # rows without a box are infinitely high and overlap no box
+    # rows without a box are placed at an infinite height, so that they overlap no box
     place, half = (filled((getattr(scene, name) for scene in scenes), fill) for name, fill in _PLACES)
     order = np.argsort(place[..., 2], axis=1, kind="stable")
     placed = np.arange(counts.max()) < np.array([outcome.n_placed for outcome in outcomes])[:, None]

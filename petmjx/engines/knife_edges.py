@@ -19,8 +19,8 @@ an edge (docs/validation.md)."""
 
 NEAR_M: Final = 0.001
 """A load nearer to an edge than this sets the flag, too, if the verdict contradicts statics, m: the world stands with
-the load beyond the edge, or falls with the load inside. (Small worlds that fall are also tried in stiffer contacts:
-petmjx.engines.contact_tilt.)"""
+the load beyond the edge, or falls with the load inside. (Small worlds whose boxes fall are also simulated again with
+stiffer contacts: petmjx.engines.contact_tilt.)"""
 
 _ROUNDING_M: Final = 1e-9
 """Rounding error of tables, m: they store distances of a millimetre as float32."""

@@ -37,9 +37,9 @@ accelerated upwards."""
 
 GONE_TILT: Final = 1.25
 GONE_DESCENT: Final = 1.5
-"""Some trials need to know only whether the pallet stands. They end at the look for quiet at which a box is *gone*: it
-is tilted by ``GONE_TILT`` times the tilt threshold, or has descended by ``GONE_DESCENT`` times the shift threshold. A
-box that begins at rest cannot rise again by itself."""
+"""In some trials, the only question is whether the pallet stands. They end at the look for quiet at which a box is
+*gone*: it is tilted by ``GONE_TILT`` times the tilt threshold, or has descended by ``GONE_DESCENT`` times the shift
+threshold. A box that begins at rest cannot rise again by itself."""
 
 
 class SampleAt(StrEnum):
@@ -102,8 +102,8 @@ class BoxMetric:
         of_world: the column of ``worlds`` that is computed from this metric, if any.
         driven_only: whether only runs with profiles have this metric.
         legs_only: whether only chains of several legs have this metric.
-        compared, relative: as in :class:`Column`. Values of yes or no are compared only as the number of boxes with yes
-            in a world.
+        compared, relative: as in :class:`Column`. For metrics of type bool, only the number of boxes per world for
+            which the metric is true is compared.
     """
 
     attribute: str

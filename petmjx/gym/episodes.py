@@ -32,7 +32,7 @@ _MOST_KINDS: Final = 16
 """Largest number of kinds of boxes behind the next box that one call examines, for each episode."""
 
 PICTURE: Final = (480, 480)
-"""Pixels of a pallet's picture."""
+"""Width and height of a pallet's picture, in pixels."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -1,4 +1,5 @@
-"""Static balance of a pile, as an array program: ``petmjx.packers.pile_balance`` in single precision. Sources: there.
+"""Static balance of a pile, as an array program: ``petmjx.packers.pile_balance`` in single precision. The docstring of
+that module names the sources.
 
 A load is a vector (F, F·x, F·y), in kg and metres. A box passes its load to the boxes below it as a plane of pressures.
 This plane is linear in the load, so there is a 3 × 3 matrix for each pair of boxes. One more box therefore needs only

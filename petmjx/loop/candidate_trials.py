@@ -29,14 +29,14 @@ from petmjx.world.scene import Scene
 from petmjx.world.variants import ZERO, Distribution, Variant, apply
 
 _AT_ONCE: Final = 1024
-"""Most worlds with errors or drives at a time."""
+"""Largest number of worlds with errors or drives that are simulated at a time."""
 
 _NAME = "candidate"
 """Stands for a plan's id in random numbers. So all candidates have the same errors, and can be compared."""
 
 
 MOST_ERRORS_DRAWN: Final = 2**31
-"""Errors of single boxes have numbers below this."""
+"""Upper limit of the numbers of single boxes' errors: all numbers are smaller."""
 
 
 class Errors:
@@ -101,7 +101,7 @@ def errors_asked(error: Any, strength: Any, m: int) -> tuple[NDArray[np.int64], 
     """(m,) numbers of errors, and (m,) their strengths.
 
     Raises:
-        InputError: not m whole numbers from 0, or a strength that is negative or no number.
+        InputError: the numbers are not m whole numbers of at least 0, or a strength is negative or not a number.
     """
     numbers = np.asarray(error)
     if (

@@ -15,7 +15,7 @@ from petmjx.options.run_options import AUTO, RunOptions
 from petmjx.options.simulation import Check, Schedule, Simulation
 
 MANY_PALLETS: Final = 64
-"""Number of pallets from which on ``auto`` uses an available GPU. Fewer pallets would not keep it busy."""
+"""Smallest number of pallets for which ``auto`` uses an available GPU. Fewer pallets would not keep the GPU busy."""
 
 MOST_PALLETS: Final = 1_000_000
 """Largest number of pallets. A larger number must be a mistake: its arrays alone would fill the memory."""

@@ -28,8 +28,8 @@ PLANE: Final = "plane"
 """Name of the ground that is an infinite plane."""
 
 MANY_WORLDS: Final = 1_000
-"""Number of worlds from which on ``auto`` uses an available GPU. A GPU simulates about this many worlds at a time, but
-each of them more slowly than a CPU thread would."""
+"""Smallest number of worlds for which ``auto`` uses an available GPU. A GPU simulates about this number of worlds at a
+time, but each of them more slowly than a CPU thread would."""
 
 FASTEST_M_S: Final = 100.0
 FASTEST_RAD_S: Final = 1_000.0

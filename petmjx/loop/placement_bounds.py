@@ -410,10 +410,10 @@ class _Rests:
     def _hold_too_little(self, turns: _Turns, wall: NDArray[np.bool_], friction: float) -> NDArray[np.bool_]:
         """(r, k) whether each wall is beside or behind a box that turns straight, and cannot hold it by friction.
 
-        A wall presses on the box with at most the friction under the box, μ times the box's weight. It holds the box
-        with μ times this force, at a lever from the edge. A wall behind the box and a wall at its side share the
-        friction under the box, so together they hold at most √2 times as much. Between walls on both sides, a box may
-        be jammed.
+        A wall presses on the box with at most the friction under the box, μ times the box's weight. Friction at the
+        wall holds the box with at most μ times this force. Its lever arm is at most the distance from the edge to the
+        farthest point at which box and wall touch. A wall behind the box and a wall at its side share the friction
+        under the box, so together they hold at most √2 times as much. Between walls on both sides, a box may be jammed.
 
         Args:
             wall: (r, k) whether each box may touch the turning box.

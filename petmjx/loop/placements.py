@@ -39,7 +39,7 @@ class Placements:
         return len(self.pallet)
 
     def take(self, rows: Any) -> Placements:
-        """Some of the placements."""
+        """The placements in these rows."""
         return Placements(self.size_mm[rows], self.corner_mm[rows], self.mass_kg[rows], self.pallet[rows])
 
 

@@ -24,7 +24,7 @@ from petmjx.world.load_sharing import IntArray
 from petmjx.world.supports import Bearing
 
 FAR_M: Final = 0.1
-"""Loads are not moved further inside than this."""
+"""If all loads are at least this far inside their edges, m, the programme does not move them further inside."""
 
 BEYOND_M: Final = 1e-6
 """A load counts as beyond an edge only if the programme leaves it farther outside than this, m. The solver's own
@@ -55,8 +55,8 @@ def balanced_loads(
     passed, fixed = _fixed_forces(bearing, placed)
     several = np.flatnonzero(placed & (bearing.n_supports > 1))
     together = np.flatnonzero((placed & (bearing.n_supports > 1))[bearing.upper])
-    # the loads that depend on how a box with several supports shares its load: those of boxes below it, and formally
-    # its own
+    # the loads that change if a box with several supports shares its load differently: the loads of the boxes below it.
+    # Its own load counts as one of them, since the equations contain it.
     of_box = np.zeros((len(several), len(placed)), bool)
     np.logical_or.at(of_box, np.searchsorted(several, bearing.upper[together]), passed[together])
     of_box[np.arange(len(several)), several] = True
@@ -127,7 +127,7 @@ def _solved_loads(
     reach = np.repeat(passed[contacts].T[changed], 4, axis=1)
     place, normal, offset = _edges_of(bearing, changed)
     offset = offset - normal @ middle
-    # rows of edges are in metres at the previous load, so that the solver's tolerance is in metres, too
+    # rows of edges are divided by the previous loads, so that these rows, and the solver's tolerance, are in metres
     edges = np.zeros((len(place), least + 1))
     edges[:, :f] = reach[place] * (normal @ corner[1:] - offset[:, None]) / weight[place, None]
     edges[np.arange(len(place)), outside + place], edges[:, least] = 1.0, -1.0

@@ -123,7 +123,7 @@ def below_several(bearing: Bearing, among: NDArray[np.bool_]) -> NDArray[np.bool
     supports.
 
     Args:
-        among: (n,) the boxes that count.
+        among: (n,) mask of the boxes with several supports to consider; other boxes are ignored.
     """
     return bearing.all_below(among & (bearing.n_supports > 1))
 
@@ -135,7 +135,7 @@ edges are left out, since only a programme could prove it."""
 
 
 class BuildingLoads(NamedTuple):
-    """Loads after placements: p sorted pairs of a box and a placed box that changes its load.
+    """Loads after placements: p sorted pairs of a box and a later box whose placement changes the load of the first.
 
     Attributes:
         box: (p,) the box that has the load.
@@ -350,7 +350,7 @@ def _without_pulls(bearing: Bearing, begins: IntArray, step: IntArray, load: Flo
     above = above[np.count_nonzero(bearing.lower == CARRIER) :]
     first_above = np.cumsum(n_above) - n_above
     key = np.repeat(np.arange(n), count) * n + step  # keys increase
-    # forces at the contacts of corrected boxes: one force for each load of the box
+    # forces at the contacts of corrected boxes: at each contact, one force for each load of the upper box
     size = np.where(pulled[bearing.upper], count[bearing.upper], 0)
     first, forces = np.cumsum(size) - size, np.zeros((size.sum(), 3))
     weights, boxes = bearing.weights[:, :3].copy(), np.flatnonzero(pulled)
@@ -385,7 +385,7 @@ def _contact_pushes(
         owner: (p,) the box that has each load.
         load: (p, 3) the loads.
         rows: (k,) number of the load that presses at each contact.
-        contact: (k,) the contacts: for each load, all contacts of its box.
+        contact: (k,) numbers of contacts, load by load: for each load, all contacts on which its box rests.
     """
     force = load.take(rows, axis=0)
     several = np.flatnonzero((bearing.n_supports[owner] > 1)[rows])

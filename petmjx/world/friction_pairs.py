@@ -93,7 +93,7 @@ def filled_up_landings(table: FloatArray | None) -> FloatArray:
 
 
 _NOT_SAID: Final = ""
-"""The material of a box to which the plan gives no material."""
+"""Stands for the material of a box if the plan does not give one."""
 
 
 class Surfaces(NamedTuple):

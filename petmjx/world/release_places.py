@@ -125,7 +125,7 @@ def release_of_next(before: Stacks, boxes: NextBoxes, sim: Simulation) -> Releas
     box_below = np.where(area.any(axis=1), area.argmax(axis=1), nothing) if area.shape[1] else nothing
     support = np.where(low[:, 2] <= TOUCH_M, CARRIER, box_below)
     on_carrier, rows = support == CARRIER, np.arange(len(boxes))
-    # a box on nothing gets its own mass and friction as fillers; they have no effect
+    # for a box without a support, its own mass and friction fill the fields of the support; they have no effect
     masses = np.column_stack([before.mass, boxes.mass])
     below = np.where(support >= 0, support, masses.shape[1] - 1)
     share = 1.0 + boxes.mass / np.where(on_carrier, before.carrier_mass, masses[rows, below])
@@ -151,10 +151,11 @@ CLEAR_M: Final = 0.0002
 0.7 times the skins of two boxes (docs/rules.md, section 1)."""
 
 _KNOWN_TO_M: Final = 1e-6
-"""Tolerance of that distance, m: a hundredth of the depth of contacts at rest."""
+"""Tolerance of ``CLEAR_M``, m: a hundredth of the depth of contacts at rest."""
 
 _MOST_ROUNDS: Final = 500
-"""Largest number of rounds. A row of 12 boxes needs 200 rounds. Any overlap that remains is left to the contacts."""
+"""Largest number of rounds of Hildreth's method (``make_room``). A row of 12 boxes needs 200 rounds. Any overlap that
+remains is left to the contacts."""
 
 
 def make_room(

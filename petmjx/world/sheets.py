@@ -21,7 +21,7 @@ from petmjx.world.body_shapes import Body, Pieces
 _TOUCH_M = DEFAULT_TOLERANCE_MM / MM_PER_M
 
 FOLLOWED_M: Final = 0.01
-"""Largest distance of a sheet above a top on which it counts as lying, m: layers of cartons are not level to a
+"""A sheet counts as lying on a top if it is at most this far above the top, m: layers of cartons are not level to a
 millimetre."""
 
 _LEAST_OVERLAP_M = 1e-6

@@ -200,7 +200,7 @@ def _add_points(spec: mujoco.MjSpec, box: str, places: FloatArray, mass: FloatAr
         body.explicitinertial = True
         body.mass = mass[number]
         body.ipos, body.iquat = np.zeros(3), np.array(IDENTITY_QUAT)
-        body.inertia = np.full(3, mass[number] * ROUNDING_M**2)  # has no effect: the body has no rotational joints
+        body.inertia = np.full(3, mass[number] * ROUNDING_M**2)  # without effect: the body cannot rotate
         for axis in np.eye(3):
             body.add_joint(type=mujoco.mjtJoint.mjJNT_SLIDE, axis=axis)
         bodies.append(body)

@@ -381,8 +381,8 @@ class Bearing:
 
     @cached_property
     def borne_together(self) -> list[IntArray]:
-        """For each group of ``levels`` the contacts of its boxes with several supports, including contacts with
-        the carrier."""
+        """For each group of ``levels``: the contacts of those of its boxes that have several supports, including
+        contacts with the carrier."""
         groups = []
         upper = self.upper[self.together]
         for between in self.levels:
@@ -435,7 +435,7 @@ def spans(count: IntArray, chosen: IntArray) -> IntArray:
 
 
 def ranges(first: IntArray, count: IntArray) -> IntArray:
-    """The numbers of ranges, one after the other: ``count`` numbers from ``first`` on of each."""
+    """The numbers first, first + 1, … of several ranges, range after range. ``count`` has the length of each range."""
     numbers: IntArray = np.arange(count.sum()) + np.repeat(first - (np.cumsum(count) - count), count)
     return numbers
 

@@ -77,7 +77,8 @@ class Beds:
 
     def __init__(self, model: Any, data: Any, physics: Physics) -> None:
         self._physics = physics
-        # a contact's geoms are the same in all steps; only they are returned, so the collision is not computed
+        # The geoms of a contact are the same in all steps. The program returns only them, so the compiler leaves out
+        # the collision itself.
         geom = np.asarray(jax.jit(lambda model, data: mjx.collision(model, data)._impl.contact.geom)(model, data))
         boxes = np.flatnonzero((np.asarray(model.geom_type)[geom] == mujoco.mjtGeom.mjGEOM_BOX).all(axis=1))
         self._rows = boxes.reshape(-1, POINTS_PER_BED)  # rows of the contacts of each pair

@@ -64,7 +64,7 @@ class ProgramKey:
 
 @dataclass(frozen=True)
 class Program:
-    """``BatchRollout.chunk`` as compiled program, with the model that it steps."""
+    """``BatchRollout.chunk`` as a compiled program, with the model that it steps."""
 
     model: PaddedModel
     chunk: Any

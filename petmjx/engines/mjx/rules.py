@@ -255,7 +255,7 @@ class Rules:
         tilted = looked & (tilt > limits.tilt_deg)
         lost = dropped | (tilted & worlds.ends_when_lost[:, None])
         if looks:
-            first = jnp.arange(self.capacity)[None] == m.culprit[:, None]  # the culprit found at an earlier look
+            first = jnp.arange(self.capacity)[None] == m.culprit[:, None]  # marks the culprit of an earlier look
             lost |= tilted & first & (m.sway(pos) >= worlds.allowed_sway[:, None])
         stopped = lost.any(-1) & self.sim.early_stop & ~last
         flags = jnp.where(exploded, int(Flag.EXPLOSION), 0) | jnp.where(stopped, int(Flag.EARLY_STOP), 0)

@@ -133,7 +133,7 @@ def largest_top_forces(steps: Sequence[TopForceInputs], n_boxes: int) -> FloatAr
     number = np.repeat(np.arange(len(steps)), contacts)
     first_row = np.cumsum([0, *(len(step.force) for step in steps[:-1])])
     normal_z = frame[:, 2]
-    # most contacts are between neighbours or have level normals, and have no effect on tops
+    # most contacts have no effect on tops: they have no constraint rows, or their normals are nearly horizontal
     pressing = np.flatnonzero((address >= 0) & (np.abs(normal_z) >= VERTICAL_COSINE))
     number, geom, frame_z = number.take(pressing), geoms.take(pressing, axis=0), frame.take(pressing, axis=0)[:, 2::3]
     row = address.take(pressing) + first_row.take(number)

@@ -231,7 +231,7 @@ class WorkerPool(Engine):
         resources = {"num_cpus": place.cpus, "num_gpus": place.gpus}
         remote = self._ray.remote(Worker).options(**resources, max_concurrency=place.slots, max_restarts=0)
         threads = place.slots if self.name == "mujoco" else None
-        thorough = self.name != "mjx-warp" or self._deaths > 0  # a device may be broken
+        thorough = self.name != "mjx-warp" or self._deaths > 0  # after a death, the device may be broken
         options = {"check_pool": self._check_pool, "thorough": thorough}
         actor = remote.remote(self._recipe, os.environ.get("PETMJX_CACHE_DIR"), threads, **options)
         return _Hand(place, actor, actor.hello.remote(), working=thorough)

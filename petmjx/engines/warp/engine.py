@@ -39,7 +39,8 @@ GPU_SLICE_NS = 100_000_000
 calls."""
 
 MIN_BLOCKS = 16
-"""With fewer thread blocks than this, no useful amount of memory is saved."""
+"""Smallest number of thread blocks to which a pool is reduced if memory is short. Fewer blocks would save hardly any
+more memory."""
 
 
 def _half_pool(pool: BlockPool) -> BlockPool:

@@ -165,7 +165,7 @@ class TableJobs:
         return not apart and not table.fits(job)
 
     def wait_for_following(self) -> bool:
-        """Wait for a moment until a job follows from an outcome. Returns whether jobs may still follow."""
+        """Wait briefly for a job that follows from an outcome. Returns whether jobs may still follow."""
         return self._stream.wait_for_following(self.in_flight)
 
     def answered(self, stream_number: int) -> None:

@@ -88,7 +88,7 @@ class RunningWorlds(NamedTuple):
 class WorldTable(Batch):
     """Worlds of all sizes on the device, and the buffers for their frames.
 
-    ``jobs`` has the latest job of each row that was ever used.
+    ``jobs`` has the job that each used row got last.
 
     Attributes:
         stream_numbers: stream number of each row's job.

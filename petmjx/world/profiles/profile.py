@@ -24,7 +24,7 @@ class Strength(StrEnum):
     LEVEL = "level"
     """The unscaled profile has a peak of 1 g, so the factor is the level in g."""
     ANGLE = "angle"
-    """There is no such axis: the profile passes through all its angles and cannot be scaled (``tilt``)."""
+    """No axis scales the profile: it passes through all its angles anyway (``tilt``)."""
 
 
 class Profile(Protocol):
