@@ -139,9 +139,6 @@ def release(
     Raises:
         InputError: an argument is unusable; the message names it.
         EngineUnavailable: the engine cannot run here.
-    Raises:
-        InputError: an argument is unusable; the line names it.
-        EngineUnavailable: the engine cannot run here.
     """
     sim = _options(physics, ground)
     arguments: dict[str, Any] = {

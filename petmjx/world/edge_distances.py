@@ -135,7 +135,7 @@ edges are left out, since only a programme could prove it."""
 
 
 class BuildingLoads(NamedTuple):
-    """Loads after placements: p sorted pairs of a box and a later box whose placement changes the load of the first.
+    """Loads after placements: p sorted pairs of a box and a box whose placement changes the load of the first.
 
     Attributes:
         box: (p,) the box that has the load.
