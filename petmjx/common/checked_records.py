@@ -336,7 +336,7 @@ def read_toml(path: Path) -> dict[str, Any]:
     except UnicodeDecodeError:
         raise InputError(f"{path}: not valid TOML: not UTF-8 text") from None
     except RecursionError:
-        raise InputError(f"{path}: not valid TOML: lists or tables in too many levels") from None
+        raise InputError(f"{path}: not valid TOML: lists or tables are nested too deeply") from None
     except ValueError as error:  # a whole number with too many digits also raises it
         raise InputError(f"{path}: not valid TOML: {reason(error)}") from None
 

@@ -79,7 +79,7 @@ def _check(file: Path, overwrite: bool, inputs: Iterable[Path], is_ours: IsOurs 
         except FileNotFoundError:
             return
         if any(_is_read(file, input_path) for input_path in inputs):
-            raise InputError(f"{_name(file)}: is read, so it cannot be written too; name another {kind}")
+            raise InputError(f"{_name(file)}: is an input, so it cannot be written; name another {kind}")
         if stat.S_ISLNK(mode):
             raise InputError(_link(file))
     if stat.S_ISDIR(mode):
@@ -91,9 +91,11 @@ def _check(file: Path, overwrite: bool, inputs: Iterable[Path], is_ours: IsOurs 
             )
         return  # FIFOs and devices that the user named are written to
     if not stat.S_ISREG(mode):
-        raise InputError(f"{_name(file)}: cannot be written: is no regular file")
+        raise InputError(f"{_name(file)}: cannot be written: is not a regular file")
     if not is_ours(file):
-        raise InputError(f"{_name(file)}: was not written by petmjx, and would be replaced; name another folder")
+        raise InputError(
+            f"{_name(file)}: was not written by petmjx, so petmjx does not replace it; name another folder"
+        )
     if not overwrite:
         raise InputError(f"{_name(file)}: exists already; name another folder, or pass {option('--overwrite', 'True')}")
 

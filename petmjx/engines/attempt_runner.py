@@ -168,7 +168,7 @@ class AttemptRunner(Generic[AnyWorld]):
                 arrivals.append((stream.answered(answer.job), answer))
             except KeyError:
                 raise RuntimeError(
-                    f"engine {engine.name} answered job {answer.job} twice, or was never given this job"
+                    f"engine {engine.name} returned two outcomes for job {answer.job}, or was not given this job"
                 ) from None
             # Up to MOST_TOGETHER outcomes are checked together. No outcome is delayed: only outcomes that are ready now
             # are added.
@@ -180,7 +180,9 @@ class AttemptRunner(Generic[AnyWorld]):
             self._follow(stream, arrivals)
         yield from self.checked_results(arrivals, engine_name, checked=checked)
         if stream.in_flight:
-            raise RuntimeError(f"engine {engine.name} did not answer {len(stream.in_flight)} of {stream.taken} jobs")
+            raise RuntimeError(
+                f"engine {engine.name} returned no outcome for {len(stream.in_flight)} of {stream.taken} jobs"
+            )
         return []
 
     def _follow(self, stream: JobStream[Any], arrivals: Sequence[Any]) -> None:
@@ -244,5 +246,5 @@ class AttemptRunner(Generic[AnyWorld]):
         changed."""
         if checked.verdict is before.verdict:
             return before
-        self.engines.note(f"{world.name}: {before.verdict}, and {checked.verdict} at half the timestep")
+        self.engines.note(f"{world.name}: {before.verdict}, but {checked.verdict} at half the timestep")
         return replace(before, flags=before.flags | Flag.TIMESTEP)

@@ -174,7 +174,7 @@ _FALLBACK_NOTES: Final = {
     Capability.SHEETS: "worlds with interlayer sheets or pallets among their boxes were simulated on {}",
     Capability.KINETIC_PAIRS: "worlds with kinetic friction by pairs of materials were simulated on {}",
     Capability.FLOAT64: "worlds were simulated again on {}, in double precision",
-    Capability.CG: "worlds were simulated on {}: only it has the solver cg",
+    Capability.CG: "worlds were simulated on {}, the only engine with the solver cg",
 }
 """Capability that an engine lacks → the note about worlds that its fallback simulated."""
 
@@ -241,7 +241,7 @@ class Engines:
         if not few or job.settles:
             return None
         name = BESIDE[self.primary.name]
-        self.note(f"worlds were simulated again on {name}, in stiffer contacts")
+        self.note(f"worlds were simulated again on {name}, with stiffer contacts")
         return name
 
     @cached_property

@@ -12,7 +12,7 @@ from the edge. h is the height of the load's centre, and x is the depth of a sid
 If boxes below lean, their angle times h is added to the loss.
 
 A column of slender boxes, or a light box under a heavy one, may lose millimetres. No carton does. If this lean may have
-decided a world, the world is simulated again in stiffer contacts (petmjx/engines/attempts.py).
+decided a world, the world is simulated again with stiffer contacts (petmjx/engines/attempts.py).
 """
 
 from __future__ import annotations

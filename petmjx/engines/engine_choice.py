@@ -120,7 +120,7 @@ def check_options(name: str, **options: Any) -> None:
         if value is None or has_option(name, option):
             continue
         if option == "world_timeout_s":
-            raise InputError(f"a world's timeout belongs to the engine mujoco; {name} steps worlds side by side")
+            raise InputError(f"only the engine mujoco can limit the time of a world; {name} steps many worlds together")
         owners = " and ".join(engine for engine in ENGINES if has_option(engine, option))
         other = {"threads": "lanes", "lanes": "threads"}[option]
         its_own = f"; the engine {name} has {other}" if has_option(name, other) else ""

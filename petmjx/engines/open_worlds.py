@@ -147,7 +147,7 @@ def _check_worlds(worlds: Sequence[int], count: int, *, distinct: bool = True) -
 def _check_as_many(worlds: Sequence[int], others: Sized, noun: str) -> None:
     """Raise ValueError unless ``others`` has one entry per world."""
     if len(worlds) != len(others):
-        raise ValueError(f"{len(worlds)} worlds need as many {noun}, and there are {len(others)}")
+        raise ValueError(f"expected {len(worlds)} {noun}, one for each world, got {len(others)}")
 
 
 def _check_grown(before: Scene, after: Scene) -> None:
@@ -161,13 +161,13 @@ def _check_grown(before: Scene, after: Scene) -> None:
         raise ValueError(f"the scene must have more than {n} boxes, but has {after.n_boxes}")
     earlier_part = after.first(n)
     if not all(np.array_equal(getattr(before, name), getattr(earlier_part, name)) for name in OF_BOXES):
-        raise ValueError(f"the first {n} boxes of the scene must be those that the world has")
+        raise ValueError(f"the first {n} boxes of the scene must be the boxes that the world already has")
     if any(not np.array_equal(value, getattr(after.carrier, name)) for name, value in vars(before.carrier).items()):
-        raise ValueError("the scene must have the world's carrier")
+        raise ValueError("the scene must have the same carrier as the world")
     if not np.array_equal(filled_up(before.pair_friction), filled_up(after.pair_friction)):
-        raise ValueError("the scene must have the world's friction of pairs")
+        raise ValueError("the scene must have the same friction for pairs of surfaces as the world")
     if not np.array_equal(filled_up_shares(before.pair_kinetic), filled_up_shares(after.pair_kinetic)):
-        raise ValueError("the scene must have the world's kinetic friction of pairs")
+        raise ValueError("the scene must have the same kinetic friction for pairs of surfaces as the world")
     if not np.array_equal(filled_up_landings(before.pair_landing), filled_up_landings(after.pair_landing)):
         raise ValueError("the scene must have the same landing values for pairs of surfaces as the world")
 
@@ -195,7 +195,7 @@ class OpenWorlds(ABC):
 
     def __init__(self, scenes: Sequence[Scene], sim: Simulation) -> None:
         if sim.schedule is Schedule.FIXED:
-            raise ValueError("worlds with the fixed schedule cannot stay open")
+            raise ValueError("open worlds need the adaptive schedule, not the fixed schedule")
         if not scenes:
             raise ValueError("there must be at least one world")
         self._blank = EmptyCarrier(sim)

@@ -200,7 +200,9 @@ class Engine(MinimalEngine, Protocol):
             InputError: this engine has no open worlds.
             ValueError: the schedule is fixed: it sets a world's end before its first box is placed.
         """
-        raise InputError(f"engine {self.name} has no worlds that stay open; use mujoco, mjx-warp or mjx-warp-cpu")
+        raise InputError(
+            f"engine {self.name} has no open worlds, to which boxes can be added; use mujoco, mjx-warp or mjx-warp-cpu"
+        )
 
     def paths(self, bodies: FreeBodies, sim: Simulation) -> FloatArray:
         """Release boxes in worlds without rules of placement. Contacts and steps are the same as in all worlds.
@@ -212,7 +214,9 @@ class Engine(MinimalEngine, Protocol):
         Raises:
             InputError: this engine cannot do this.
         """
-        raise InputError(f"engine {self.name} cannot let boxes go; use mujoco, mjx-warp, mjx-warp-cpu or mjx-jax")
+        raise InputError(
+            f"engine {self.name} cannot simulate released boxes; use mujoco, mjx-warp, mjx-warp-cpu or mjx-jax"
+        )
 
     def retire(self) -> None:
         """Start to free the resources that are held between runs, such as workers. Returns at once. No run may

@@ -172,7 +172,9 @@ def resolve_engine(
                 f"engine must be a name or an object with a name and a method run, {shown_value(requested_engine)}"
             )
         if options.asked_workers is not None:
-            raise InputError("workers need an engine by name: each of them builds its own")
+            raise InputError(
+                "workers need the name of an engine, not an engine object: each worker builds its own engine"
+            )
         return UserEngine(requested_engine, options.threads), Choice(requested_engine.name, "given")
     if options.asked_workers is not None:
         from petmjx.engines.remote.worker_choice import resolve_workers  # most runs have no workers

@@ -109,7 +109,7 @@ def errors_asked(error: Any, strength: Any, m: int) -> tuple[NDArray[np.int64], 
         or numbers.dtype.kind not in "iu"
         or ((numbers < 0) | (numbers >= MOST_ERRORS_DRAWN)).any()
     ):
-        raise InputError(f"error must be {m} whole numbers from 0, {shown_value(error)}")
+        raise InputError(f"error must be {m} whole numbers of at least 0, {shown_value(error)}")
     strengths = np.broadcast_to(np.asarray(strength, object), (m,)).tolist()
     return numbers.astype(np.int64), np.array([number_of(value, "error_strength", 0.0) for value in strengths])
 
@@ -141,7 +141,7 @@ def drive_of(drive: Any, level: Any, direction_deg: Any, sim: Simulation) -> Dri
     (profile,) = profiles
     strength = number_of(level, "level", 0.0)
     if profile.strength is Strength.ANGLE and strength != 1.0:
-        raise InputError(f"level: the profile {drive} has none")
+        raise InputError(f"level: the profile {drive} has no level; leave level out")
     excitation = profile.excitation(sim.physics.timestep_s)
     yaw_rad = deg_to_rad(number_of(direction_deg, "direction_deg"))
     return Drive(excitation, strength, yaw_rad, sim.rest_s, allowed_sway_m(profile))

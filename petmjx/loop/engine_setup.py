@@ -29,11 +29,11 @@ def check_open(sim: Simulation) -> None:
     if extent_m(sim.carrier) is None:
         raise InputError(f"carrier: {sim.carrier} depends on the whole plan; name one of a fixed size")
     if sim.has_soft:
-        raise InputError("soft: pallets that stay open have no soft boxes")
+        raise InputError("soft: soft boxes are not supported on pallets to which boxes are added one by one")
     if sim.check is not Check.ONE_BY_ONE:
         raise InputError(f"check: pallets need check one-by-one, got {sim.check}")
     if sim.schedule is not Schedule.ADAPTIVE:
-        raise InputError(f"schedule: pallets that stay open need adaptive, got {sim.schedule}")
+        raise InputError(f"schedule must be adaptive if boxes are added one by one, got {sim.schedule}")
 
 
 def open_engine(requested_engine: str | Engine, n: int, of_run: dict[str, Any]) -> tuple[Engine, bool]:

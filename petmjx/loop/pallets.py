@@ -341,7 +341,7 @@ class Pallets(Closable):
         with self._using():
             rows = np.flatnonzero(self._boxes.count) if pallet is None else pallets_of(pallet, self.n)
             if not len(rows):
-                raise InputError("pallet: none has boxes")
+                raise InputError("pallet: there is no box on any pallet")
             plans = {row: self.plan(row) for row in rows.tolist()}
             digits = flag_of(to_the_bit, "to_the_bit")
             settled = SettledEngine(self._engine, self._worlds, self.simulation, to_the_bit=digits)

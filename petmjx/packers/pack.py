@@ -239,7 +239,7 @@ def _split_options(options: Mapping[str, Any]) -> tuple[PhysicalOptions, dict[st
     if "confidence" in sure:
         raise InputError("confidence: a packer has the option worlds instead, the number of worlds with errors")
     if "exact_too" in sure:
-        raise InputError("exact_too is for scores with confidence: a packer has one way to place boxes")
+        raise InputError("exact_too is an option of scores with confidence, not of packers; leave it out")
     packer_options = PhysicalOptions(**of_packer)
     if not packer_options.worlds and (
         idle := next((name for name in ("errors", "least_share") if name in sure | of_packer), None)

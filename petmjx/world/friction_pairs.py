@@ -137,8 +137,8 @@ def find_surfaces(plan: Plan, sim: Simulation) -> Surfaces | None:
         check_pairs([material for material in materials if material], of_materials, sim.friction_pairs)
     if 1 + len(of_boxes) + len(of_boards) > MOST_SURFACES:
         raise InputError(
-            f"plan {printable_name(plan.plan_id)}: at most {MOST_SURFACES - 1} surfaces of boxes and boards, got "
-            f"{len(of_boxes) + len(of_boards)}"
+            f"plan {printable_name(plan.plan_id)}: boxes and boards may have at most {MOST_SURFACES - 1} different "
+            f"surfaces, got {len(of_boxes) + len(of_boards)}"
         )
     table = no_pairs(1 + len(of_boxes) + len(of_boards))
     landing, kinetic = no_landings(len(table)), np.full(table.shape, USUAL)
@@ -176,7 +176,7 @@ def check_surfaces(plans: Iterable[Plan], sim: Simulation) -> list[str]:
     with_materials = [plan for plan in plans if plan.materials]
     notes = []
     if not sim.physics.has_own_friction and any(plan.stiffness_n_mm is not None for plan in plans):
-        notes.append("stiffness has no effect: with pyramidal cones all contacts follow physics alone")
+        notes.append("stiffness has no effect: with pyramidal cones, all contacts have the stiffness that physics sets")
     if not with_materials:
         return notes
     if not sim.physics.has_own_friction:

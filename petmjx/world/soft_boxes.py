@@ -310,7 +310,7 @@ def soft_friction(scene: Scene) -> SoftFriction:
     larger = np.maximum(box_friction[soft][:, None], box_friction), np.maximum(box_friction[soft], of_carrier)[:, None]
     if not (np.allclose(larger[0], pair_friction) and np.allclose(larger[1], board_friction)):
         raise InputError(
-            "soft: MuJoCo takes the larger friction of two soft boxes, and these materials have pairs with a "
-            "smaller one: leave materials out, or name friction_pairs that fit"
+            "soft: between soft boxes, MuJoCo always uses the larger of their coefficients of friction, but some pairs "
+            "of these materials have a smaller one: leave materials out, or set other friction_pairs"
         )
     return SoftFriction(box_friction, of_carrier)

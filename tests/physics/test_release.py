@@ -285,7 +285,7 @@ class Judge(Engine):
 
 def test_an_engine_without_paths_is_told_so() -> None:
     with pytest.raises(
-        InputError, match="engine judge cannot let boxes go; use mujoco, mjx-warp, mjx-warp-cpu or mjx-jax"
+        InputError, match="engine judge cannot simulate released boxes; use mujoco, mjx-warp, mjx-warp-cpu or mjx-jax"
     ):
         release(Judge())
 

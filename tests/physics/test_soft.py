@@ -237,7 +237,7 @@ def test_friction_is_that_of_the_materials() -> None:
 
 
 def test_pallets_have_no_soft_boxes() -> None:
-    with pytest.raises(InputError, match="soft: pallets that stay open"):
+    with pytest.raises(InputError, match="soft: soft boxes are not supported"):
         petmjx.Pallets(1, engine="mujoco", carrier="euro-pallet", soft=True)
 
 

@@ -190,7 +190,7 @@ class _LocalRay:
                 if isinstance(error, ConnectionError) and self.address == AUTO:
                     raise InputError("ray: no cluster on this machine: name its head (HOST:PORT)") from error
                 if isinstance(error, ConnectionError) and self.address is not None:
-                    hint = "a cluster that wants a token needs RAY_AUTH_MODE=token"
+                    hint = "if the cluster requires a token, set RAY_AUTH_MODE=token"
                     raise InputError(f"ray: no cluster at {self.address} ({one_line(error)}; {hint})") from error
                 raise EngineUnavailable(f"workers cannot run here: Ray does not start: {one_line(error)}") from error
 

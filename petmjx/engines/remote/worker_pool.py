@@ -216,7 +216,9 @@ class WorkerPool(Engine):
                     elif report is None:
                         missing = set(hand.streams.pop(ref).chunk.jobs) & deal.unanswered
                         if missing:
-                            raise RuntimeError(f"engine {self.name} did not answer {count_text(len(missing), 'job')}")
+                            raise RuntimeError(
+                                f"engine {self.name} returned no outcome for {count_text(len(missing), 'job')}"
+                            )
                     else:
                         yield from self._bury(hand, deal, jobs, sim, progress)
             progress.message = before
@@ -306,7 +308,7 @@ class WorkerPool(Engine):
             self._deadly[id(jobs[index].scene)] = jobs[index].scene
             progress.worlds_done += 1
             yield failed_outcome(
-                index, jobs[index], sim, "the worker that simulated this world alone died, like others before"
+                index, jobs[index], sim, "the worker died while it simulated only this world, as did earlier workers"
             )
 
     # Chunks.
@@ -352,7 +354,7 @@ class WorkerPool(Engine):
             try:
                 deal.answered(index)
             except KeyError:
-                raise RuntimeError(f"engine {self.name} answered job {index} twice") from None
+                raise RuntimeError(f"engine {self.name} returned two outcomes for job {index}") from None
             progress.worlds_done += 1
             outcome.job = index
             yield outcome

@@ -167,7 +167,7 @@ class MjxWarpEngine(Engine):
         apart = [stream_numbers[sizes == size] for size in np.unique(sizes)]
         for part in apart if len(apart) > 1 else np.array_split(stream_numbers, 2):
             if len(part):
-                progress.message = f"out of device memory, again with {len(part)} of the worlds"
+                progress.message = f"out of device memory: trying again with {len(part)} of the worlds"
                 jobs = self._table_jobs(JobStream.of([lost[stream_number] for stream_number in part.tolist()]))
                 for outcome in self._outcomes(jobs, sim, progress):
                     if outcome is not None:
@@ -240,7 +240,7 @@ class MjxWarpEngine(Engine):
                         return None
                 self._drop()  # kept rollouts of other sizes may take the memory: try again without them
                 lanes = sum(pool.lanes for pool in pools)
-                run.progress.message = f"out of device memory, again with {lanes} lanes"
+                run.progress.message = f"out of device memory: trying again with {lanes} lanes"
             else:
                 self._kept[launches] = (key, rollout)
                 return rollout

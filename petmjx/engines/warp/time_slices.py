@@ -205,7 +205,9 @@ class TableSlices:
             if growth is None:
                 table.give_up(some, Flag.NONE)
                 continue
-            table.run.progress.message = f"{len(some)} worlds overflowed their buffers, on with {growth}× as large ones"
+            table.run.progress.message = (
+                f"{len(some)} worlds overflowed their buffers: continuing with {growth}× the buffers"
+            )
             table.retry(some)
             table.table = table.table._replace(status=table.table.status.at[some].set(Status.RUNNING))
         self._rollout = self._rollout_for(table)

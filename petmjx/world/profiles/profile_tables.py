@@ -226,6 +226,6 @@ def define_profiles(tables: Any, folder: Path) -> dict[str, Profile]:
     profiles: dict[str, Profile] = {}
     for name, table in _TABLES.validate_python(tables).items():
         if name in BUILT_IN or name in FAMILIES:
-            raise complaint(": the name of a built-in profile cannot be used again", name)
+            raise complaint(": is the name of a built-in profile; choose another name", name)
         profiles[name] = table.profile(name, folder, profiles)
     return profiles
