@@ -1,7 +1,7 @@
 """Records that check their own values (``CheckedRecord``), and their one-line error messages.
 
-This is the only module that turns pydantic's errors into lines. It also knows how messages name an option: by its flag
-on the command line, or by its argument in Python.
+This is the only module that turns pydantic's errors into lines. It also decides how messages name an option: by its
+flag on the command line, or by its argument in Python.
 """
 
 from __future__ import annotations
@@ -220,7 +220,7 @@ def complaint(text: str, *path: str | int) -> ValidationError:
 
     Args:
         text: the text after the field's path: "must be > 0", or with a colon ": unknown field".
-        path: from the validated value to the field.
+        path: the keys that lead from the validated value to the field.
     """
     kind = PydanticCustomError(_COMPLAINT, "{text}", {"text": text})
     return ValidationError.from_exception_data("value", [InitErrorDetails(type=kind, loc=path, input=None)])

@@ -55,11 +55,11 @@ def _begin(gpu: bool, nice: int) -> None:
 
 
 MOST_THREADS: Final = 2
-"""Default number of threads. More threads wait for Python's global lock. On the host of an H200, places for 2,048
-pallets took 155 ms with one thread, 118 ms with two, 141 ms with eight and 158 ms with sixteen."""
+"""Default number of threads. Additional threads would only wait for Python's global lock. On the host of an H200,
+places for 2,048 pallets took 155 ms with one thread, 118 ms with two, 141 ms with eight and 158 ms with sixteen."""
 
 _FEW: Final = 2
-"""With at most this many pieces, this thread has finished before other threads have started."""
+"""Up to this number of pieces, the calling thread finishes before other threads could start."""
 
 Piece = TypeVar("Piece")
 Result = TypeVar("Result")
@@ -89,8 +89,8 @@ def defer_signals(afterwards: bool) -> Iterator[None]:
     This has no effect outside the main thread, since handlers interrupt only the main thread.
 
     Args:
-        afterwards: whether to deliver a signal that arrived meanwhile. Otherwise it is dropped, because the run is
-            about to end anyway.
+        afterwards: whether to deliver a signal that arrived meanwhile. Otherwise the signal is dropped, because the run
+            is about to end anyway.
     """
     if threading.current_thread() is not threading.main_thread():
         yield

@@ -1,7 +1,7 @@
 """Set-up of Warp for petmjx: the folder of its compiled kernels (petmjx/common/compile_caches.py), and silence.
 
-The settings apply to the whole process. They are made when petmjx first uses Warp. They remain set, so they also affect
-the caller's own Warp programs. A setting that the caller has changed earlier is not touched.
+The settings apply to the whole process. petmjx makes these settings when it first uses Warp. The settings remain, so
+they also affect the caller's own Warp programs. A setting that the caller has changed earlier is not touched.
 """
 
 from __future__ import annotations

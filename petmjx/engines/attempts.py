@@ -46,7 +46,8 @@ CAREFUL_ITERATIONS = 400
 stops so early that ``pallet`` boxes that should stand slide apart."""
 
 CAREFUL_TOLERANCE = 1e-10
-"""Solver tolerance of a second attempt: a hundredth of MuJoCo's default. Engines clip it to their precision."""
+"""Solver tolerance of a second attempt: a hundredth of MuJoCo's default. Engines of lower precision use a larger
+tolerance."""
 
 NEAR = 0.5
 """Worlds with a smaller absolute margin are checked at half the timestep. The margin of invalid worlds is NaN, so they
@@ -57,7 +58,7 @@ STIFF_QUIET_STEPS = 25
 6,000 small stacks whose verdicts follow from statics, some fell although they should stand: 5 with 15 steps, 4 with 25,
 and 3 with 50. With 50 steps, pallets that tremble take three times as long."""
 
-_EARLY_STOP, _SINKING = int(Flag.EARLY_STOP), int(Flag.SINKING)  # comparing numbers is several times as fast
+_EARLY_STOP, _SINKING = int(Flag.EARLY_STOP), int(Flag.SINKING)  # faster to compare than members
 
 _COUNTED_IN_STEPS = ("steps", "landing_steps", "poll_steps", "still_steps", "tremble_steps")
 """Fields of ``Quiet`` that are numbers of steps."""
@@ -75,11 +76,11 @@ class AttemptRecipe:
     """Time constant of contacts, as a share of the usual one. A smaller time constant makes contacts stiffer. Used only
     for worlds whose verdict may come from soft contacts (``Flag.SINKING``)."""
     checks: bool = False
-    """True: the attempt keeps the verdict. It only sets ``Flag.TIMESTEP`` if it finds a different one."""
+    """True: the attempt keeps the verdict, and only sets ``Flag.TIMESTEP`` if it finds a different one."""
 
     most_boxes: int | None = None
-    """Worlds with more boxes than this keep their verdict, if they have one, and the flag. In stiff contacts, steps of
-    hundreds of boxes take tens of milliseconds, and the leaning boxes are only a small part of the pallet."""
+    """Worlds with more boxes than this keep their verdict, if they have one, and the flag. With stiff contacts, steps
+    of hundreds of boxes take tens of milliseconds, and the leaning boxes are only a small part of the pallet."""
     soft: bool = False
     """True: all boxes are flex bodies from the beginning (petmjx/world/soft_boxes.py)."""
 

@@ -72,8 +72,8 @@ def contact_penetration_m(scene: Scene, physics: Physics, top_force_n: FloatArra
     base = float(depth_m(physics, on_floor))
 
     def pulls(top_n: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """(n,) each: what a box contributes to A · f (petmjx.world.contact_laws) at a contact on its top, and at a
-        contact below it, m/s².
+        """Two arrays (n,): the contribution of each box to A · f (petmjx.world.contact_laws) at a contact on its top,
+        and at a contact below it, m/s².
         """
         return of_boxes * top_n / mass / CONTACTS_PER_FACE, own_per_kg * (top_n + mass * gravity)
 
@@ -174,7 +174,7 @@ _SUM_ERROR = 1e-9
 """Largest relative difference between two sums of the same numbers in different orders."""
 
 _MOST_PAIRS = 1 << 17
-"""Number of pairs of boxes that are computed together. A matrix of such numbers takes 1 MB, which fits into caches."""
+"""Number of pairs of boxes that are computed together. A matrix over these pairs takes 1 MB, which fits into caches."""
 
 ON_CARRIER_M = 0.001
 """A box whose planned bottom is below this height stands on the carrier, m."""
@@ -202,8 +202,8 @@ def note_penetration(outcomes: Sequence[Outcome], jobs: Sequence[Job], sim: Simu
 
 def penetration_excluded(outcomes: Sequence[Outcome], scenes: Sequence[Scene], sim: Simulation) -> list[bool]:
     """For each world, whether ``has_penetrated`` is certainly False: its boxes did not descend too far, and it did not
-    fail by sinking alone. All worlds are computed together. The other worlds need ``has_penetrated``. For elliptic
-    cones."""
+    fail by sinking alone. All worlds are computed together. For all other worlds, ``has_penetrated`` must be computed.
+    Only for elliptic cones."""
     if not outcomes:
         return []
     enough_m = (1 - _SUM_ERROR) * BOUND_SHARE * sim.thresholds.shift_m
@@ -230,8 +230,8 @@ def _failed_otherwise(outcome: Outcome, limit_m: float) -> bool:
 
 
 def _most_sinking_m(outcomes: Sequence[Outcome], scenes: Sequence[Scene], physics: Physics) -> FloatArray:
-    """(m,) an upper bound of ``contact_penetration_m`` in each world, m. It is the sum over all boxes, each under the
-    largest force on its top. It needs no pairs of boxes."""
+    """(m,) an upper bound of ``contact_penetration_m`` in each world, m. The bound is the sum over all boxes, each
+    under the largest force on its top. No pairs of boxes are needed."""
     counts = np.array([scene.n_boxes for scene in scenes], np.intp)
     begins = np.cumsum(counts) - counts
     placed = np.arange(counts.sum()) - np.repeat(begins + [outcome.n_placed for outcome in outcomes], counts) < 0

@@ -190,8 +190,8 @@ class _Shared(Generic[Faster]):
         return stays or starts_from_own_state or job.scene.soft is not None or not self._first_attempt
 
     def on_mujoco(self) -> Iterator[Outcome]:
-        """Run jobs on C MuJoCo. It gets only jobs that it can begin at once, so that the remaining ones can still be
-        handed over."""
+        """Run jobs on C MuJoCo. C MuJoCo gets only jobs that it can begin at once, so that the remaining ones can still
+        be handed over."""
         mujoco = self._engine._mujoco
         stream = JobStream[_Numbered]()
 

@@ -26,14 +26,14 @@ DIMENSIONLESS: Final = "1"
 """Unit of counts, indices and factors."""
 
 TEXT: Final = ""
-"""Unit of columns that have no quantity: texts, and yes or no."""
+"""Unit of columns that have no quantity: texts and booleans."""
 
 RESTLESS_M_S: Final = 0.01
 RISING_M_S2: Final = 0.5
 """Forces on tops count in a step if it begins with a box faster than ``RESTLESS_M_S`` and accelerates a box upwards by
-more than ``RISING_M_S2``. In other steps they count only at looks for quiet (docs/rules.md, section 7). Forces in the
-steps left out exceed a weight by at most a twentieth, since boxes press with more than their weight only while they are
-accelerated upwards."""
+more than ``RISING_M_S2``. In other steps they count only at looks for quiet (docs/rules.md, section 7). In the steps
+that are left out, forces exceed the weight on a top by at most a twentieth, since boxes press with more than their
+weight only while they are accelerated upwards."""
 
 GONE_TILT: Final = 1.25
 GONE_DESCENT: Final = 1.5

@@ -51,7 +51,7 @@ class EpisodeStep:
 
 
 class Episodes:
-    """n episodes side by side. Every pallet belongs to one of them.
+    """n episodes side by side. Every pallet belongs to one of the episodes.
 
     Args:
         given: options of ``PalletizingOptions`` and arguments of ``petmjx.Pallets``.

@@ -150,7 +150,7 @@ class PalletizingVecEnv(VecEnv):  # type: ignore[misc, unused-ignore]  # where S
         return [wrapper_class is Monitor for _ in self._rows(indices)]
 
     def _rows(self, indices: Any) -> list[int]:
-        """The numbers of environments. Negative numbers count from the end, as in a list. A mask is no list of numbers.
+        """The numbers of environments. Negative numbers count from the end, as in a list. A boolean mask is refused.
 
         Raises:
             InputError: the indices are neither a whole number nor a list of them, an environment does not exist, or it

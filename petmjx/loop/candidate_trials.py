@@ -32,7 +32,7 @@ _AT_ONCE: Final = 1024
 """Largest number of worlds with errors or drives that are simulated at a time."""
 
 _NAME = "candidate"
-"""Stands for a plan's id in random numbers. So all candidates have the same errors, and can be compared."""
+"""Replaces a plan's id when random numbers are drawn. So all candidates have the same errors, and can be compared."""
 
 
 MOST_ERRORS_DRAWN: Final = 2**31
@@ -62,8 +62,8 @@ class Errors:
 
 
 class PlacingErrors:
-    """The errors of ``petmjx score --confidence`` for boxes that are put onto pallets for good: of place, rotation,
-    size and mass. The friction of a pallet stays unchanged."""
+    """The errors of ``petmjx score --confidence`` for boxes that are put onto pallets permanently: errors of place,
+    rotation, size and mass. The friction of a pallet stays unchanged."""
 
     def __init__(self, sim: Simulation) -> None:
         self._sweep = confidence_sweep(1, None, dict(sim))
@@ -164,7 +164,7 @@ def driven_results(
 def shares(
     open_worlds: OpenWorlds, worlds: Sequence[int], boxes: NextBoxes, errors: Errors, drive: Drive | None
 ) -> FloatArray:
-    """(m,) stable share of the worlds with errors, without invalid worlds."""
+    """(m,) share of the valid worlds with errors that are stable."""
     parts = []
     for rows in _chunks(len(worlds), max(_AT_ONCE // len(errors), 1)):
         row_worlds = [worlds[row] for row in rows]

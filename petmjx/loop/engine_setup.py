@@ -77,7 +77,8 @@ def ready_engine(requested_engine: str | Engine, of_run: dict[str, Any], *, gpu:
 
 
 class Closable:
-    """Base of objects that hold an engine until they are closed. Use after that raises an InputError of one line."""
+    """Base of objects that hold an engine until they are closed. An object that is used after that raises an InputError
+    of one line."""
 
     _is_closed = False
 

@@ -38,7 +38,7 @@ wrong unit."""
 
 SMALLEST_KG_M2: Final = 1e-12
 LARGEST_KG_M2: Final = 1e6
-"""Largest moment of inertia, kg·m². Any box of an allowed size and mass has a smaller one."""
+"""Largest moment of inertia, kg·m². Any box of an allowed size and mass has smaller moments."""
 
 UNIT_WITHIN: Final = 0.01
 """Largest difference of a quaternion's length from 1: quaternions from a camera are rounded. They are normalised."""

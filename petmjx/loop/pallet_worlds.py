@@ -42,7 +42,7 @@ class PalletWorlds:
         self.margin: FloatArray = np.full(n, self._bare)
         self.apart_mm: FloatArray = np.zeros((n, most_boxes))
         self.placing = False
-        self._error: NDArray[np.int64] = np.zeros((n, most_boxes), np.int64)  # of each box: the argument of ``place``
+        self._error: NDArray[np.int64] = np.zeros((n, most_boxes), np.int64)  # each box's ``error``
         self._strength: FloatArray = np.zeros((n, most_boxes))
         self._before: NDArray[np.int64] = np.full(n, -1, np.int64)  # number of boxes in world n + i; -1: unused
         self.worlds = engine.open([EmptyCarrier(sim).scene] * (2 * n + 1), sim, most_boxes)

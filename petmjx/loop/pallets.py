@@ -376,7 +376,7 @@ class Pallets(Closable):
     def height_map(self, cell_mm: float = 10.0, pallet: Any = None) -> FloatArray:
         """(m, x, y) height of the highest planned top over each cell of the carrier, mm; 0: there is no box.
 
-        A box covers a cell if it covers more than the edge of the cell.
+        A box that only touches the edge of a cell does not cover the cell.
         """
         with self._using(worlds=False):
             rows = pallets_of(pallet, self.n)

@@ -8,12 +8,12 @@ box stands beyond doubt under two conditions. Its weight, and the loads of all b
 their bearings; and no other load may be near an edge.
 
 A box falls beyond doubt if its weight acts well outside its bearing, and no body is near enough to catch it before it
-has turned too far. Boxes beside it can hold it only by friction, which is limited, since only the friction under the
-box presses it against them. Boxes of the pallet that have moved are enlarged by the distance that they have moved. All
-other placements are undecided.
+has turned too far. Its neighbours can hold the falling box only by friction. This friction is limited, since only the
+friction under the falling box presses it against its neighbours. Boxes of the pallet that have moved count as larger by
+the distance that they have moved. All other placements are undecided.
 
 The bounds hold for rigid boxes, and for usual thresholds of verdicts (``decidable``). The margins are chosen so that
-simulations agree: ``python -m benchmarks loop bounds`` compares.
+simulations agree with the bounds; ``python -m benchmarks loop bounds`` compares both.
 """
 
 from __future__ import annotations
@@ -58,7 +58,7 @@ HANGING_SHARE: Final = 0.05
 side. A box with this distance turns within a second, so no rule takes it for a box at rest."""
 
 HANGING_MM: Final = 10.0
-"""The same distance in millimetres; the larger of the two counts."""
+"""As ``HANGING_SHARE``, but in millimetres. The larger one of the two distances counts."""
 
 TURN_DEG: Final = 25.0
 GONE_MM: Final = 30.0
@@ -79,7 +79,7 @@ SAME_WAY: Final = 1e-6
 """Two directions count as the same if their cosine differs from 1 by less than this."""
 
 MOST_BEARERS: Final = 4
-"""Largest number of boxes below a box for which the bounds decide."""
+"""The bounds decide only for boxes that rest on at most this number of boxes."""
 
 MOST_CORNERS: Final = 4 * MOST_BEARERS
 
@@ -375,8 +375,8 @@ class _Rests:
     def _may_be_caught(self, turns: _Turns, least: FloatArray, friction: float) -> NDArray[np.bool_]:
         """(r,) whether something may catch boxes before they have turned too far.
 
-        The middle comes down by ``turns.outside`` times the sine. Its sideways motion, half the height times the sine,
-        cannot be relied on alone, since the edge may slide.
+        The middle comes down by ``turns.outside`` times the sine of the angle. Its sideways motion, half the height
+        times the sine, is not sufficient on its own, since the edge may slide.
 
         Args:
             least, friction: see ``_turn_straight`` and ``falls``.

@@ -136,8 +136,8 @@ def pack(
         n, seed: number and seed of the generated orders.
         packer: ``physical`` or ``learned``.
         look_ahead: number of next boxes that ``learned`` sees; None: 1.
-        workers: number of processes for the search. The plans do not depend on it. Scripts that use more than one
-            process need ``if __name__ == "__main__":``.
+        workers: number of processes for the search. The plans do not depend on this number. Scripts that use more than
+            one process need ``if __name__ == "__main__":``.
         on_bad_order: function that is called with the error of an unusable order, which is then skipped; None: the
             error is raised.
         target: carrier for orders whose file does not name one: ``euro-pallet``, ``rollcontainer``, or sizes in mm such

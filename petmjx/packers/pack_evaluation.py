@@ -93,7 +93,7 @@ class Trial:
         return not self.judged.stands or most < options.least_share
 
     def is_whole(self, options: PhysicalOptions) -> bool:
-        """Whether all its worlds have been requested."""
+        """Whether all worlds of the packing have been requested."""
         return self.n_requested > options.worlds
 
     @property

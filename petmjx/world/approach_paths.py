@@ -36,8 +36,8 @@ MOST_WAY_S: Final = 2.0
 """Longest duration of an approach, s. A box whose approach would take longer, because it starts high, moves faster."""
 
 MOST_STUCK_S: Final = 0.5
-"""Longest time for which a hand holds a box after the end of the path, s, if the box does not come to rest. Setting the
-box down may take up to the same time again."""
+"""Longest time for which a hand holds a box after the end of the path, s, if the box does not come to rest. After that,
+setting the box down may take up to the same time."""
 
 AT_PLACE_M: Final = 0.0002
 """A box has arrived once it is within this distance of the end of its path, m. The distance allows for contacts, which
@@ -67,7 +67,8 @@ MOST_TILTED: Final = 0.5
 failure."""
 
 MOST_SIDESTEPS: Final = 8
-"""Largest number of times that the start of a path is moved aside. If it is still not free, it is moved up instead."""
+"""Largest number of times that the start of a path is moved aside. If the start is still not free, it is moved up
+instead."""
 
 ASIDE_SHARE: Final = 2.0
 """Largest move aside, as a multiple of the distance to the side at which a box starts. It is larger than 1, since the

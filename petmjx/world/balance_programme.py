@@ -4,9 +4,9 @@ Statics does not determine how a box shares its load among several supports. Wit
 edge of its supports, while with other shares all loads are inside. If such shares exist, rigid boxes stand. The
 unknowns are forces at the corners of all contact areas of boxes with several supports. The forces must push and balance
 every box. The programme picks feasible forces so that the load nearest to an edge is as far inside as possible. If no
-forces keep all loads inside, it makes loads go as little beyond edges as possible. (Forces of this kind: Livesley 1978,
-"Limit analysis of structures formed from rigid blocks", International Journal for Numerical Methods in Engineering
-12(12).)
+forces keep all loads inside, the programme minimises how far loads go beyond edges. (Forces of this kind: Livesley
+1978, "Limit analysis of structures formed from rigid blocks", International Journal for Numerical Methods in
+Engineering 12(12).)
 
 A box on one support passes its whole load to this support. Such a box adds edges to the programme, but no unknown
 forces.
@@ -81,14 +81,14 @@ def _fixed_forces(bearing: Bearing, placed: NDArray[np.bool_]) -> tuple[NDArray[
     does not depend on these forces.
 
     A force at a contact is in the load of the box below and, as long as boxes have one support, in the loads of the
-    boxes further below. Own weights are passed on by the same rule.
+    boxes further below. The boxes' own weights are passed on by the same rule.
     """
     n = len(placed)
     one = placed & (bearing.n_supports == 1)
     below = np.full(n, -1)
     below[bearing.upper] = bearing.lower
     below[~one] = -1
-    reach = np.zeros((n + 1, n), bool)  # the last row is the carrier's
+    reach = np.zeros((n + 1, n), bool)  # the last row belongs to the carrier
     order = np.argsort(-bearing.level, kind="stable")
     for box in order[placed[order]].tolist():
         reach[box] = reach[below[box]]
@@ -172,7 +172,7 @@ def _edges_of(bearing: Bearing, boxes: IntArray) -> tuple[IntArray, FloatArray, 
 def _least(
     cost: FloatArray, rows: FloatArray, least: FloatArray, most: FloatArray, bound: FloatArray
 ) -> FloatArray | None:
-    """The x that minimises ``cost @ x`` subject to least ≤ rows @ x ≤ most and 0 ≤ x ≤ bound, by HiGHS; None if it
+    """The x that minimises ``cost @ x`` subject to least ≤ rows @ x ≤ most and 0 ≤ x ≤ bound, by HiGHS; None if HiGHS
     gives up."""
     # SciPy takes a second to load, and few plans need it.
     from scipy.optimize import Bounds, LinearConstraint, milp

@@ -53,9 +53,9 @@ class Body:
     def of_boards(cls, center: FloatArray, half_size: FloatArray, mass: FloatArray, friction: FloatArray) -> Body:
         """A body made of boards. Each board is a solid box.
 
-        The edges of the boards count as the principal axes of the body. Products of inertia are neglected, although
-        boards may be unbalanced: for a pallet without one of its outer deck boards, these products are a few per cent
-        of the moments. The principal axes would matter only if the carrier turned, and the carrier stands on the floor.
+        The edges of the boards count as the principal axes of the body. Boards may be unbalanced, but products of
+        inertia are neglected: for a pallet without one of its outer deck boards, these products are a few per cent of
+        the moments. The principal axes would matter only if the carrier turned, and the carrier stands on the floor.
 
         Args:
             center: (s, 3) centres of the boards, m.

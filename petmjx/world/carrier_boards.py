@@ -118,8 +118,8 @@ def _pet_eur() -> Pallet:
 def _rollcontainer_grid() -> Pallet:
     """The base of a roll container: 14 bars of 8 mm with gaps of 53 mm, on four tubes of 30 mm; 200 mm high, 25 kg.
 
-    It is a typical base, not that of a certain maker: no source was found for the bars. Its extents are those of the
-    target ``rollcontainer``. Castors are modelled as blocks; like the feet of a pallet, they do not roll.
+    It is a typical base, not the product of a certain maker: no source was found for the bars. Its extents are those of
+    the target ``rollcontainer``. Castors are modelled as blocks; like the feet of a pallet, they do not roll.
     """
     length, width, bar, tube, castor, top = 800.0, 700.0, 8.0, 30.0, 60.0, 200.0
     under = top - bar - tube

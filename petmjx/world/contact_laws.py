@@ -79,7 +79,7 @@ DEPTHS_M = np.geomspace(1e-9, 1e3, 2000)
 
 
 def is_stiff(physics: Physics) -> bool:
-    """Whether contacts are as stiff at their onset as beyond the width. This is so in attempts 6 and 7."""
+    """Whether contacts are as stiff at their onset as beyond the width. Attempts 6 and 7 have such contacts."""
     return physics.solimp[0] >= MOST_IMPEDANCE
 
 
@@ -96,7 +96,7 @@ def pulls_m_s2(solref: tuple[float, float], solimp: Triple, timestep_s: float) -
     low, high = np.minimum(solimp[:2], MOST_IMPEDANCE)
     x = np.minimum(DEPTHS_M / solimp[2], 1.0)
     impedance = low + (high - low) * np.where(x < 0.5, 2 * x**2, 1 - 2 * (1 - x) ** 2)
-    # negative values give stiffness and damping directly
+    # negative values of solref are stiffness and damping themselves
     stiffness = -time_s if time_s < 0 else 1 / (max(time_s, 2 * timestep_s) * damping) ** 2
     pulls: FloatArray = stiffness / high**2 * impedance**2 * DEPTHS_M / (1 - impedance)
     return np.maximum.accumulate(pulls)
@@ -126,8 +126,8 @@ friction does not jump if boxes creep (petmjx.Quiet calls a box quiet at far sma
 
 RELAXATION: Final = 0.8
 """Share of the change of an excess that one iteration applies. Applying the whole change converges only if μ² times the
-ratio of the inverse masses along tangent and normal is below 1. This excludes tall boxes with friction above 0.5. With
-this share the iteration converges for values up to 1.5, and nearly as quickly."""
+ratio of the inverse masses along tangent and normal is below 1. It would not converge for tall boxes with friction
+above 0.5. With this share, the iteration converges if this product is at most 1.5, and nearly as quickly."""
 
 ENOUGH_M_S2: Final = 0.1
 """The iteration ends when no normal reference acceleration changes by more than this: a hundredth of gravity. With a

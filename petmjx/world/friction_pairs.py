@@ -1,9 +1,9 @@
 """Tables of friction and landings for pairs of surfaces, and the surfaces of a plan's world.
 
-Usually, the friction between two shapes is the larger of their own coefficients. A table is used if this is not so.
-Each shape has a surface, numbered from 1. The table holds the coefficient of sliding friction for each pair of
-surfaces. The floor, and all shapes without a surface of their own, have surface 0. Surfaces follow from the materials
-of boxes and boards, and from the friction that boards have of their own.
+Usually, the friction between two shapes is the larger of their own coefficients. A table is used if other coefficients
+are given for pairs. Each shape has a surface, numbered from 1. The table holds the coefficient of sliding friction for
+each pair of surfaces. The floor, and all shapes without a surface of their own, have surface 0. Surfaces follow from
+the materials of boxes and boards, and from the friction that boards have of their own.
 """
 
 from __future__ import annotations

@@ -176,9 +176,9 @@ def _declare_pairs(
 ) -> None:
     """Declare a contact pair between each geom of ``these`` and each of ``other_partners``.
 
-    Pairs are declared if friction has a time constant of its own: MuJoCo allows this only for declared pairs. All other
-    values are the same as without a declaration: the larger friction of two geoms counts, unless the table of their
-    surfaces has an entry.
+    Pairs are declared if friction has a time constant of its own: MuJoCo allows this only for declared pairs. Apart
+    from this, contacts are the same as without a declaration. The larger friction of two geoms counts, unless the table
+    of their surfaces has an entry.
     """
     if not physics.has_own_friction:
         return

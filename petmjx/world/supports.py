@@ -50,7 +50,7 @@ class Boxes:
         target: (n, 3) planned middles, m.
         half_size: (n, 3) m.
         mass: (n,) kg.
-        mass_center: (n, 3) from the middle, m.
+        mass_center: (n, 3) vector from a box's middle to its centre of mass, m.
         carrier_mass: (n,) mass of the carrier of each box's scene, kg.
         held: (n, 2, 2) largest distance beyond the supports at which a wall still holds a load, at the low and the high
             end of x and y, m.
@@ -260,8 +260,8 @@ class Bearing:
 
     @cached_property
     def rectangles(self) -> tuple[FloatArray, FloatArray]:
-        """(n, 2) each: for boxes with one support, the low and the high corner of the rectangle in which a load is
-        borne by the support or held by walls, m; NaN for other boxes."""
+        """Two arrays (n, 2): for boxes with one support, the low and the high corner of the rectangle in which a load
+        is borne by the support or held by walls, m; NaN for other boxes."""
         low, high = np.full((len(self.boxes.mass), 2), np.nan), np.full((len(self.boxes.mass), 2), np.nan)
         alone = np.flatnonzero(self.n_supports == 1)
         contact = self.ends[alone]
@@ -281,8 +281,8 @@ class Bearing:
         return self.of_range(number, number + 1)
 
     def of_range(self, begin: int, end: int) -> Bearing:
-        """The bearing of the scenes ``begin`` to ``end`` alone. Its hulls, shares and levels are taken from this
-        bearing, so that they need not be computed again."""
+        """The bearing of the scenes ``begin`` to ``end`` alone. The new bearing takes hulls, shares and levels from
+        this one, so that they need not be computed again."""
         first, last = int(self.boxes.first[begin]), int(self.boxes.first[end])
         rows, contacts = slice(first, last), slice(int(self.ends[first]), int(self.ends[last]))
         values = (getattr(self.boxes, field.name)[rows] for field in fields(self.boxes) if field.name != "first")

@@ -119,7 +119,7 @@ class ChainTable(_Table):
 
 
 class HalfSineTable(_Table):
-    """A shock along any axis. Its strength is a level in g."""
+    """A shock along any axis. The strength of the profile is a level in g."""
 
     kind: Literal["half-sine"]
     duration_ms: Annotated[StrictFloat, Field(gt=0), within(0, 10_000)] = Field(
@@ -161,7 +161,7 @@ class TiltTable(_Table):
 
 
 class TrapezoidTable(_Table):
-    """A horizontal acceleration like that of EUMOS 40509. Its strength is a level in g."""
+    """A horizontal acceleration like that of EUMOS 40509. The strength of the profile is a level in g."""
 
     kind: Literal["trapezoid"]
     ramp_s: LongerThanNothing = Field(_TRAPEZOID.ramp_s, description="length of each ramp, s")
@@ -178,7 +178,7 @@ def _some_axes(axes: str) -> str:
 
 
 class RandomTable(_Table):
-    """Random vibration. Its strength is a scale."""
+    """Random vibration. The strength of the profile is a scale."""
 
     kind: Literal["random"]
     psd: Annotated[Annotated[PsdRows, Tag(LIST)] | Annotated[FileName, Tag(VALUE)], Discriminator(shape)] = Field(
@@ -207,7 +207,7 @@ ProfileTable = Annotated[
     | Annotated[TrapezoidTable, Tag("<trapezoid>")],
     by_entry("kind"),
 ]
-"""A table of any kind. Its entry ``kind`` names the kind."""
+"""A profile table of any kind. Its entry ``kind`` names the kind."""
 
 _TABLES: Final = TypeAdapter(dict[Name, ProfileTable])
 
@@ -221,7 +221,7 @@ def define_profiles(tables: Any, folder: Path) -> dict[str, Profile]:
 
     Raises:
         ValidationError: a field of a table is wrong; the message states which one, and what it should be.
-        InputError: a file that a table names is wrong; the message is of the same form.
+        InputError: a file that a table names is wrong; the message has the same form.
     """
     profiles: dict[str, Profile] = {}
     for name, table in _TABLES.validate_python(tables).items():
