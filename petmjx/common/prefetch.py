@@ -42,7 +42,8 @@ def prefetch(*sources: Generator[Item], most: int) -> Generator[Item]:
                     room.acquire()
                     if closed.is_set():
                         break
-        except BaseException as error:  # kept in no other variable: its traceback holds this frame
+        except BaseException as error:
+            # No other local variable keeps the error, since its traceback keeps this frame and the items alive.
             queue.put(_End(error))
         else:
             queue.put(_End(None))

@@ -38,7 +38,7 @@ AttemptResult = tuple[AnyWorld, Outcome, tuple[Attempt, ...]]
 
 
 class _End:
-    """Marks the end of an engine's outcomes."""
+    """Value that marks the end of an engine's outcomes."""
 
 
 _END: Final = _End()

@@ -152,7 +152,7 @@ class _AttemptRun(Generic[AnyWorld]):
                 closing.callback(self.side_tasks.close)
 
     def _rounds(self, source: WorldSource[AnyWorld]) -> Iterator[WorldResult[AnyWorld]]:
-        """First attempts while there are jobs, then further attempts, until nothing is left."""
+        """Make first attempts while there are jobs, then further attempts, until no world is left."""
         primary = self.engines.primary
         while True:
             self._put_following()

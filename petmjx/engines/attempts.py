@@ -58,7 +58,8 @@ STIFF_QUIET_STEPS = 25
 6,000 small stacks whose verdicts follow from statics, some fell although they should stand: 5 with 15 steps, 4 with 25,
 and 3 with 50. With 50 steps, pallets that tremble take three times as long."""
 
-_EARLY_STOP, _SINKING = int(Flag.EARLY_STOP), int(Flag.SINKING)  # faster to compare than members
+# Numbers are compared several times as fast as members of ``Flag``.
+_EARLY_STOP, _SINKING = int(Flag.EARLY_STOP), int(Flag.SINKING)
 
 _COUNTED_IN_STEPS = ("steps", "landing_steps", "poll_steps", "still_steps", "tremble_steps")
 """Fields of ``Quiet`` that are numbers of steps."""

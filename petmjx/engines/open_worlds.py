@@ -19,7 +19,7 @@ from petmjx.world.job import Drive
 from petmjx.world.scene import OF_BOXES, Scene
 
 MOST_BOXES: Final = 96
-"""Default number of boxes for which an open world has room: that of the smaller worlds of mjx-warp."""
+"""Default number of boxes for which an open world has room: the same as for the smaller worlds of mjx-warp."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -154,7 +154,8 @@ def _check_grown(before: Scene, after: Scene) -> None:
     """Check that the scene ``after`` has all boxes of ``before``, on the same carrier, and further boxes.
 
     Raises:
-        ValueError: the scene does not fulfil this.
+        ValueError: ``after`` lacks one of these boxes, has no further box, or has another carrier or other values for
+            pairs of surfaces.
     """
     n = before.n_boxes
     if after.n_boxes <= n:
@@ -180,9 +181,9 @@ class OpenWorlds(ABC):
 
     A world follows the rules of the placement (docs/rules.md): each of its boxes is placed once the boxes before it are
     at rest. When the last one is at rest, the world pauses, and more boxes can be added. What happens in a world
-    depends only on its scene. It does not depend on other worlds, or on the number of calls in which its boxes were
-    added. So a world whose boxes do not come to rest pauses at the end of a short wait, since more boxes may follow;
-    ``finish`` waits longer.
+    depends only on its scene, not on other worlds, nor on the number of calls in which its boxes were added. So a world
+    whose boxes do not come to rest pauses at the end of a short wait, since more boxes may follow; ``finish`` waits
+    longer.
 
     This class has the checks that all engines share; engines implement the rest.
 

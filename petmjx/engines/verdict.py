@@ -128,7 +128,7 @@ INVALID_FLAGS: Final = (
     (Flag.EXPLOSION, Reason.EXPLOSION),
     (Flag.TIMEOUT, Reason.TIMEOUT),
 )
-"""Flags that make a world invalid, each with its reason. The first one in this order that is set decides."""
+"""Flags that make a world invalid, each with its reason. If several are set, the first one in this order decides."""
 
 _INVALID_BITS: Final = sum(int(bits) for bits, _ in INVALID_FLAGS)
 
@@ -204,8 +204,8 @@ def judge_all(
 
 
 DROPPED_EXCESS: Final = 2.0
-"""Smallest excess of a dropped box. It makes the margin at most -1: the box may end near its place, but a drop always
-counts as beyond the threshold."""
+"""Smallest excess of a dropped box. With this excess, the margin is at most -1: the box may end near its place, but a
+drop always counts as beyond the threshold."""
 
 
 _EPSILON: Final = float(np.finfo(np.float64).eps)
@@ -216,14 +216,14 @@ def margin_of(verdict: Verdict, boxes: BoxMetrics, n_placed: int, thresholds: Th
     placed box.
 
     1: nothing moved; 0: on the threshold; negative: beyond it, at most -1 if a box dropped. In a stable world the
-    margin is never negative, and in an unstable world always. It is NaN for invalid worlds. More: docs/metrics.md,
-    section "Margin".
+    margin is never negative, and in an unstable world always. The margin is NaN for invalid worlds. More:
+    docs/metrics.md, section "Margin".
     """
     return _margins([(verdict, boxes, n_placed)], thresholds)[0]
 
 
 def margins_of(outcomes: Sequence[Outcome], thresholds: Thresholds) -> list[float]:
-    """``margin_of`` each outcome, computed together."""
+    """``margin_of`` for many outcomes, computed together."""
     return _margins([(outcome.verdict, outcome.boxes, outcome.n_placed) for outcome in outcomes], thresholds)
 
 

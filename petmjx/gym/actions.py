@@ -117,7 +117,8 @@ class Actions:
         corners: FloatArray = np.indices(self._cells).reshape(2, -1).T.astype(np.float64) * cell
         self._grid = None if options.actions == CANDIDATES else corners
         self._sides = SIDES if options.sides == ALL or orders.lie else SIDES[:2]
-        most = max(options.n_candidates, options.buffer)  # at least one for each box of the buffer
+        # at least one action for each box of the buffer
+        most = max(options.n_candidates, options.buffer)
         ways = options.open_pallets * options.buffer * len(self._sides)
         self.count = most if self._grid is None else ways * len(corners)
 

@@ -178,7 +178,8 @@ class Palletizing:
         self._counts = jnp.array([len(boxes) for boxes in of_orders], jnp.int32)
         longest = int(self._counts.max()) + self._seen  # the added rows are zeros, visible after an order's end
         rows = [np.column_stack([boxes.size_mm, boxes.mass_kg]) for boxes in of_orders]
-        self._largest = max(float(table.max(initial=0.0)) for table in rows)  # also for ``observation_spec`` in ``jit``
+        # also needed by ``observation_spec``, which may be called in a jitted program
+        self._largest = max(float(table.max(initial=0.0)) for table in rows)
         self._boxes = jnp.array([np.pad(table, ((0, longest - len(table)), (0, 0))) for table in rows], jnp.float32)
 
     def _usable(self, orders: Orders) -> list[Boxes]:

@@ -65,7 +65,8 @@ class BoxTable:
         if gap_mm != self._points.gap_mm:
             self._points = Points(len(self.count), gap_mm)
         points, rows, free_mm = self._points, np.unique(pallets), np.array([gap_mm, gap_mm, 0.0])
-        rows = rows[np.argsort(self.count[rows], kind="stable")]  # pallets with few boxes come together
+        # sorted by number of boxes, so that the pallets of a group have similar numbers of points
+        rows = rows[np.argsort(self.count[rows], kind="stable")]
         while len(rows := rows[points.boxes[rows] < self.count[rows]]):
             for chunk_rows in np.array_split(rows, -(-len(rows) // _AT_ONCE)):
                 low = self.corner_mm[chunk_rows, : int(points.boxes[chunk_rows].max()) + 1]

@@ -42,7 +42,8 @@ class PalletWorlds:
         self.margin: FloatArray = np.full(n, self._bare)
         self.apart_mm: FloatArray = np.zeros((n, most_boxes))
         self.placing = False
-        self._error: NDArray[np.int64] = np.zeros((n, most_boxes), np.int64)  # each box's ``error``
+        # of each box: the arguments ``error`` and ``error_strength`` of ``petmjx.Pallets.place``
+        self._error: NDArray[np.int64] = np.zeros((n, most_boxes), np.int64)
         self._strength: FloatArray = np.zeros((n, most_boxes))
         self._before: NDArray[np.int64] = np.full(n, -1, np.int64)  # number of boxes in world n + i; -1: unused
         self.worlds = engine.open([EmptyCarrier(sim).scene] * (2 * n + 1), sim, most_boxes)

@@ -450,7 +450,8 @@ def _least_of_scenes(built: BuildingLoads, scene: IntArray, first: IntArray) -> 
     """
     least, columns = [_NO_EDGE] * (len(first) - 1), list[list[Any]]()
     numbers: IntArray = scene[:0]
-    for distance in (built.edge_m, np.abs(built.edge_m)):  # furthest beyond; nearest
+    # first the load furthest beyond an edge, then the load nearest to an edge
+    for distance in (built.edge_m, np.abs(built.edge_m)):
         numbers, place = first_least(distance, scene)
         columns.append(built.edge_m[place].tolist())
         columns += [(values[place] - first[numbers]).tolist() for values in (built.box, built.step)]

@@ -103,10 +103,10 @@ class Job:
     little higher (``petmjx.engines.contact_tilt``).
 
     With early stop, a world with errors ends not only when a box has dropped, but also when a box is *lost*: tilted by
-    more than the threshold. Since the largest tilt counts, the verdict is known once a box is lost. The rest would be
-    the most expensive part of the simulation. A large shift does not end the world: a board that tips under one load is
-    level again under the next one. A world with a drive ends when its culprit is lost, since only then is it known how
-    the first box failed.
+    more than the threshold. Since the largest tilt counts, the verdict is known once a box is lost. The remaining time
+    would be the most expensive part of the simulation. A large shift does not end the world: a board that tips under
+    one load is level again under the next one. A world with a drive ends when its culprit is lost, since only then is
+    it known how the first box failed.
 
     ``poses``, (n, 7): middles, m, and orientations (w, x, y, z) of the boxes when the drive begins. The boxes are at
     rest at these poses. So a drive can continue from the poses that another drive left, on any engine. The carrier is

@@ -144,7 +144,7 @@ class PlacementChange:
 
     @cached_property
     def random(self) -> bool:
-        """Whether two replicates would differ."""
+        """Whether two replicates would differ in their placements."""
         values = (getattr(self, entry.name) for entry in fields(self))
         return any(isinstance(value, Distribution) and value.random for value in values)
 

@@ -24,7 +24,7 @@ LEAST_MOMENT_M2: Final = 1e-9
 """Smallest second moment per area, m². If the moment is smaller, the area counts as a line."""
 
 LEAST_STEEP: Final = 1e-14
-"""Smallest square of the slope of the depth. If it is smaller, the depth counts as uniform."""
+"""Smallest square of the slope of the depth. If the square is smaller, the depth counts as uniform."""
 
 _SIGNS: Final = np.array([(-1.0, -1.0), (-1.0, 1.0), (1.0, -1.0), (1.0, 1.0)])
 

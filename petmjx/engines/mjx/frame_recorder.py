@@ -68,8 +68,8 @@ class Recorder:
         return not self._recorded
 
     def add(self, row: int, frames: Frames) -> None:
-        """Append frames of a world. They must be later than the world's earlier frames. They may have columns for more
-        boxes than the world has."""
+        """Append frames of a world. The frames must be later than the world's earlier frames, and may have columns for
+        more boxes than the world has."""
         n = self._jobs[row].scene.n_boxes
         self._recorded[row].append(frames._replace(pose=frames.pose[:, :n], top_force=frames.top_force[:, :n]))
 

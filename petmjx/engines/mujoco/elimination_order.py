@@ -42,7 +42,7 @@ def _may_touch(centre: FloatArray, half: FloatArray, beside_m: float) -> NDArray
 
     Args:
         centre, half: (k, 3) centres and half extents, m.
-        beside_m: largest gap between the two along x and along y, m; with 0, they must overlap there.
+        beside_m: largest gap between two boxes along x and along y, m; with 0, the boxes must overlap along both axes.
     """
     gap = np.abs(centre[:, None] - centre) - (half[:, None] + half)
     return np.asarray((gap < (beside_m, beside_m, NEAR_M)).all(axis=2))

@@ -106,7 +106,7 @@ class TopForceInputs(NamedTuple):
         force: (nefc,) forces of all constraint rows, N.
         place: (ngeom, 3) centres of the geoms, m.
         bodies: (ngeom,) bodies of the geoms, see ``petmjx.world.mujoco_model.geom_bodies``.
-        n_boxes: number of boxes that count, from the first one on.
+        n_boxes: number of boxes whose forces are computed: the first ones.
     """
 
     address: NDArray[np.integer]

@@ -223,7 +223,8 @@ def _check_reachable(address: str) -> None:
 
 
 class Cluster:
-    """One user of this process's cluster. Ray allows one cluster per process. It ends when its last user closes it.
+    """One user of this process's cluster. Ray allows one cluster per process. The cluster ends when its last user
+    closes it.
 
     If the caller's own program has already started Ray, that cluster is used, and is not ended.
 

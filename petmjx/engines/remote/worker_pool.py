@@ -274,8 +274,8 @@ class WorkerPool(Engine):
         self._devices[hello.device] = None
 
     def _start_again(self, hand: _Hand, error: BaseException, most: int) -> None:
-        """Handle a worker that failed to start. If it was to replace a dead worker, whose device may be broken, three
-        starts are tried; if all fail, the run continues with the remaining workers.
+        """Handle a worker that failed to start. If the failed worker was to replace a dead one, whose device may be
+        broken, three starts are tried; if all fail, the run continues with the remaining workers.
 
         Args:
             error: raised after ``most`` tries if no other worker is left, or if no worker has died.
@@ -295,8 +295,8 @@ class WorkerPool(Engine):
     def _bury(
         self, hand: _Hand, deal: Deal, jobs: Sequence[Job], sim: Simulation, progress: Progress
     ) -> Iterator[Outcome]:
-        """Replace a dead worker. Yields outcomes for jobs that are given up. There are none if the worker's engine did
-        not exist yet."""
+        """Replace a dead worker. Yields outcomes for jobs that are given up. There are no such outcomes if the worker's
+        engine did not exist yet."""
         held = [stream.chunk for stream in hand.streams.values()]
         self._deaths += 1
         self._kill(hand)

@@ -25,7 +25,8 @@ from petmjx.options.simulation import Simulation
 from petmjx.world.job import Job
 
 NICE = 5
-"""Niceness of the process's threads. They have a lower priority than the run's threads, which keep a GPU busy."""
+"""Niceness of the process's threads. These threads have a lower priority than the run's threads, which keep a GPU
+busy."""
 
 GRANULE = 96
 """The number of box columns of tables is a multiple of this, so that single worlds of nearly all sizes use the same

@@ -52,12 +52,13 @@ class MjxWarpEngine(Engine):
     """Simulates worlds on Warp's kernels, each at its own pace in a thread block
     (petmjx/engines/warp/kernel_launcher.py).
 
-    It has Newton's method only. C MuJoCo simulates attempts that need another solver (petmjx/engines/attempts.py).
+    This engine has only Newton's method. C MuJoCo simulates attempts that need another solver
+    (petmjx/engines/attempts.py).
 
     Args:
         lanes: largest number of worlds in blocks of one kind; None: as many as the device has room for.
         allow_cpu: run Warp's kernels on the CPU if there is no CUDA device; slow, for tests.
-        most_rows: largest number of worlds whose states are on the device at the same time. It limits the memory for
+        most_rows: largest number of worlds whose states are on the device at the same time. This limits the memory for
             any number of jobs.
         slice_ns: time slice of a call, ns. After each slice, the host finds out which worlds have ended.
 

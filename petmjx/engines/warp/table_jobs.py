@@ -35,8 +35,8 @@ JOIN_ROWS, FEEDBACK_ROWS = 256, 64
 """Number of jobs that are written into a table at a time; and the same number for jobs that follow from outcomes."""
 
 MOST_PROFILE_BYTES: Final = 1 << 30
-"""Largest memory for the profiles of jobs that follow, bytes. It has room for 7,000 different profiles of 20 s. Further
-worlds wait until a profile's row is free."""
+"""Largest memory for the profiles of jobs that follow, bytes. This memory has room for 7,000 different profiles of 20
+s. Further worlds wait until a profile's row is free."""
 
 _SAMPLE_BYTES: Final = 3 * 4
 
