@@ -118,7 +118,7 @@ def _path_errors(path: Path) -> Iterator[None]:
 
 
 def _link(path: Path) -> str:
-    return f"{_name(path)}: is a link; petmjx writes and removes only its own files"
+    return f"{_name(path)}: is a link, and petmjx does not write through links; name another path"
 
 
 def _name(path: Path) -> str:

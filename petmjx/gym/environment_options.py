@@ -131,7 +131,9 @@ class PalletizingOptions:
         reading = order_reading(self.orders_units, self.orders_columns, self.orders_density)
         orders = Orders(self.orders, self.orders_seed, self.articles, reading)
         if self.mask == LOADS and not orders.have_strengths:
-            raise InputError(f"mask: {LOADS} needs strengths of boxes: the column strength_n of orders, or articles")
+            raise InputError(
+                f"mask: {LOADS} needs strengths of boxes; give orders the column strength_n, or pass articles"
+            )
         return orders
 
     @property

@@ -273,7 +273,7 @@ class RandomVibration:
         nyquist_hz = 0.5 / timestep_s
         if top_hz >= nyquist_hz - spacing_hz / 2:
             raise InputError(f"profile {self.name}: PSD reaches {top_hz:g} Hz, but a timestep of {timestep_s:g} s "
-                             f"shows only frequencies below {nyquist_hz:g} Hz")  # fmt: skip
+                             f"represents only frequencies below {nyquist_hz:g} Hz")  # fmt: skip
         band_edges_hz: FloatArray = (np.arange(n_steps // 2 + 2, dtype=np.float64) - 0.5) * spacing_hz
         power_g2 = np.diff(psd_integral(self.psd, band_edges_hz))
         # Sine waves of lower frequencies do not fit into the duration, so their power would be missing.
