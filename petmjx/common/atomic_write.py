@@ -70,6 +70,6 @@ def atomic_write(file: Path) -> Iterator[Path]:
 
 
 def gzip_stream(stream: IO[bytes]) -> gzip.GzipFile:
-    """A gzip stream that writes its compressed bytes to another stream. It stores no file name and no time, so the
-    bytes depend only on the content."""
+    """A gzip stream that writes its compressed bytes to another stream. The stream stores no file name and no time, so
+    its bytes depend only on the content."""
     return gzip.GzipFile(filename="", mode="wb", compresslevel=6, fileobj=stream, mtime=0)

@@ -1,7 +1,7 @@
 """Records that check their own values (``CheckedRecord``), and their one-line error messages.
 
-This is the only module that turns pydantic's errors into lines. It also decides how messages name an option: by its
-flag on the command line, or by its argument in Python.
+This is the only module that turns pydantic's errors into lines. The module also decides how messages name an option: by
+its flag on the command line, or by its argument in Python.
 """
 
 from __future__ import annotations

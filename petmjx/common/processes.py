@@ -19,14 +19,14 @@ from petmjx.common.machine import cpu_threads
 def process_pool(processes: int, *, gpu: bool = True, nice: int = 0) -> ProcessPoolExecutor:
     """A pool of newly started processes. Forked processes would hang if a thread of this process held a lock.
 
-    If this process is killed, the processes of the pool end as well, because of ``_begin``. Otherwise they would wait
-    for tasks for ever.
+    If this process is killed, the processes of the pool end as well, because of ``_begin``. Otherwise, the processes
+    would wait for tasks for ever.
 
     Args:
         gpu: whether the processes see GPUs. A process that sees a GPU takes some of its memory even if it does not use
             the GPU.
-        nice: niceness that is added to the processes, so that this process has priority. It has no effect on systems
-            without niceness.
+        nice: niceness that is added to the processes, so that this process has priority. The value has no effect on
+            systems without niceness.
     """
     return ProcessPoolExecutor(processes, mp_context=get_context("spawn"), initializer=_begin, initargs=(gpu, nice))
 

@@ -253,8 +253,8 @@ class WorldSource(Generic[AnyWorld]):
     """A thread that makes worlds ahead of the engine.
 
     Args:
-        deliver: function that puts a world's job into the stream. It waits while the stream is full, and returns False
-            if the stream is closed.
+        deliver: function that puts a world's job into the stream. The function waits while the stream is full, and
+            returns False if the stream is closed.
         has_room: whether few enough worlds wait for other attempts or engines. Otherwise the source pauses.
     """
 

@@ -34,9 +34,9 @@ def stiffened_physics(physics: Physics, share: float) -> Physics:
     """The same physics with stiffer contacts. Such contacts let light boxes carry heavy ones, and keep slender boxes
     upright.
 
-    Stiffer contacts are as stiff at their onset as beyond the width. They have the largest impedance that MuJoCo
-    accepts, and time constants reduced to ``share``. With a share of a half, contacts are 40 times as stiff as in
-    ``pallet``; with a tenth, 1,000 times.
+    Stiffer contacts are as stiff at their onset as beyond the width. Such contacts have the largest impedance that
+    MuJoCo accepts, and time constants reduced to ``share``. With a share of a half, contacts are 40 times as stiff as
+    in ``pallet``; with a tenth, 1,000 times.
     """
     time_s, damping = physics.solref
     if time_s > 0:
@@ -140,7 +140,7 @@ class _Pairs(NamedTuple):
 
 @lru_cache(maxsize=256)
 def _stack(scene: Scene) -> _Stack:
-    """The ``_Stack`` of a scene. It is cached, since in a sweep many worlds have the same scene."""
+    """The ``_Stack`` of a scene. The result is cached, since in a sweep many worlds have the same scene."""
     return _Stack(scene)
 
 

@@ -257,7 +257,7 @@ class ThreadCosts:
         return replace(self, **{name: factor * getattr(self, name) for name in times})
 
     def seconds(self, work: Work, threads: int) -> float:
-        """Expected time if the worlds are divided among threads, s. It is at least the time of the longest world."""
+        """Expected time if the worlds are divided among threads, s. This time is at least that of the longest world."""
         placing_s, driving_s = self.placing_s(work), self.driving_s(work.boxes, work.drive_steps)
         driving_s = driving_s + work.drive_steps * self.film_s * work.filmed
         thread_s = float((work.as_planned(self.errors) * placing_s + work.shaken * driving_s).sum())
@@ -384,8 +384,8 @@ are fitted to shelf packings of 24 boxes (tests/unit/test_falling_plans.py). The
 drives of 8, 20 and 44 boxes with 1 to 16 turns, each compared with the same drive without film.
 
 Other plans that fall early take less time. Large plans that collapse take up to five times as long. Physics
-``reference`` is not fitted, and other CPUs are slower or faster. Worlds that are simulated again with finer steps are
-not estimated.
+``reference`` is not fitted, and other CPUs are slower or faster. The time for simulating worlds again with finer steps
+is not estimated.
 
 Devices: one H100, without start and compilation. The schedule is adaptive unless stated otherwise. The runs are 10,003
 generated plans, 4,000 with the fixed schedule, 500 and 1,000 plans with confidence 16 (placed exactly), 250 by hand,

@@ -117,7 +117,7 @@ class HandoverEngine(Engine, Generic[Faster]):
         """Whether the jobs that have not begun go to the other engine. If True, the other engine has been made.
 
         Args:
-            waiting: returns the jobs that have not begun.
+            waiting: function that returns the jobs that have not begun.
         """
         slower = self._slower()
         if self._stays or self._worlds < LEAST_WORLDS or slower < SLOWER:

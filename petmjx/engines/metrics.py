@@ -37,8 +37,8 @@ weight only while they are accelerated upwards."""
 
 GONE_TILT: Final = 1.25
 GONE_DESCENT: Final = 1.5
-"""In some trials, the only question is whether the pallet stands. They end at the look for quiet at which a box is
-*gone*: it is tilted by ``GONE_TILT`` times the tilt threshold, or has descended by ``GONE_DESCENT`` times the shift
+"""In some trials, the only question is whether the pallet stands. Such trials end at the look for quiet at which a box
+is *gone*: it is tilted by ``GONE_TILT`` times the tilt threshold, or has descended by ``GONE_DESCENT`` times the shift
 threshold. A box that begins at rest cannot rise again by itself."""
 
 
@@ -124,7 +124,8 @@ class BoxMetric:
         return np.zeros(shape, np.bool_) if self.dtype is np.bool_ else np.full(shape, np.nan)
 
     def world_columns(self) -> list[Column]:
-        """The metric's column of ``worlds``, if any. Its measures are float64, since there are few worlds."""
+        """The metric's column of ``worlds``, if any. The measured values in this column are float64, since there are
+        few worlds."""
         if self.of_world is None:
             return []
         counts = self.of_world.reduction is Reduction.COUNT

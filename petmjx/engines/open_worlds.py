@@ -248,8 +248,8 @@ class OpenWorlds(ABC):
 
         Args:
             until_lost: a fork ends as soon as a box is tilted too far at a sample, as in worlds with errors, or is gone
-                at a look for quiet (``petmjx.engines.metrics.GONE_TILT``). Then it is known that the pallet does not
-                stand, but not how it would end.
+                at a look for quiet (``petmjx.engines.metrics.GONE_TILT``). At that moment it is known that the pallet
+                does not stand, but not how it would end.
 
         Raises:
             ValueError: a world has ended.

@@ -176,10 +176,10 @@ class _Joined:
     """Scenes whose loads and edges are computed together, since the time depends mainly on the number of calls.
 
     Attributes:
-        planned: at least one scene with boxes at their planned places. With each come the number of placed boxes, and
-            whether the smallest distances while the plan is built are needed.
-        elsewhere: further scenes with boxes at other places. With each come the (n, 3) places, m, the number of placed
-            boxes, and the largest gap of ``find_bearing``, m.
+        planned: at least one scene with boxes at their planned places. Each scene comes with the number of placed
+            boxes, and with a flag: whether the smallest distances while the plan is built are needed.
+        elsewhere: further scenes with boxes at other places. Each scene comes with the (n, 3) places, m, the number of
+            placed boxes, and the largest gap of ``find_bearing``, m.
     """
 
     planned: Sequence[tuple[Scene, int, bool]]

@@ -164,7 +164,8 @@ def resolve_engine(
             busier now.
 
     Raises:
-        InputError, EngineUnavailable: see ``make_engine``. InputError also for workers with a user's own engine.
+        InputError, EngineUnavailable: see ``make_engine``. InputError is also raised for workers with a user's own
+            engine.
     """
     requested_engine = options.engine
     if not isinstance(requested_engine, str):

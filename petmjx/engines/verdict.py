@@ -42,7 +42,7 @@ class Reason(StrEnum):
 
 
 class Flag(IntFlag):
-    """Events in a world that the metrics do not show. They are the bits of the column ``flags``."""
+    """Events in a world that the metrics do not show. The flags are the bits of the column ``flags``."""
 
     NONE = 0
     NONFINITE = 1
@@ -103,7 +103,7 @@ class Outcome:
     state: KeptState | EngineState | None = None
     """The settled state, if the job requests it. Outside the engine it is a ``KeptState``."""
     margin: float = math.nan
-    """See :func:`margin_of`; set for all engines by petmjx.engines.outcome_checks."""
+    """The margin (:func:`margin_of`), which petmjx.engines.outcome_checks sets for all engines."""
     plan_edge_m: float = math.nan
     plan_edge_box: int = -1
     rest_edge_m: float = math.nan

@@ -1,6 +1,6 @@
 """``petmjx/Palletizing-v0`` as a vector environment of Stable-Baselines3: n pallets per step on one engine.
 
-The environment provides the masks for MaskablePPO of sb3-contrib. It needs the extra ``sb3``.
+The environment provides the masks for MaskablePPO of sb3-contrib. This module needs the extra ``sb3``.
 """
 
 from __future__ import annotations

@@ -33,7 +33,7 @@ LOOKED_AT: Final = 3
 """Number of cheapest places that are examined per candidate, since some of them have too little support."""
 
 _FAR: Final = 1e9
-"""Cost of a place that does not exist. It also serves as a coordinate beyond every carrier, mm."""
+"""Cost of a place that does not exist. The value also serves as a coordinate beyond every carrier, mm."""
 
 
 class Points(NamedTuple):

@@ -88,9 +88,9 @@ def pallet_scores(
     """Score pallets, further attempts included, while others are still being built: (pallet, outcome), in any order.
 
     Args:
-        following: returns the pallets to score next; it may return none while some still have no score. ``following``
-            is called after each outcome, and may put boxes onto pallets that have their score. The generator ends once
-            ``following`` returns none and all pallets have their score.
+        following: function that returns the pallets to score next; it may return none while some still have no score.
+            ``following`` is called after each outcome, and may put boxes onto pallets that have their score. The
+            generator ends once ``following`` returns none and all pallets have their score.
     """
     progress = Progress()
 

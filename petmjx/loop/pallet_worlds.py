@@ -29,7 +29,8 @@ class PalletWorlds:
         dead: (n,) whether each pallet has fallen.
         margin: (n,) margins of pallets that are at rest and that bounds may decide; −1 for others.
         apart_mm: (n, k) distance of each box from its planned place, mm.
-        placing: whether a thread of the engine is letting pallets come to rest. Then only that thread uses the worlds.
+        placing: whether a thread of the engine is letting pallets come to rest. Meanwhile, only that thread uses the
+            worlds.
     """
 
     def __init__(self, n: int, engine: Engine, sim: Simulation, most_boxes: int) -> None:

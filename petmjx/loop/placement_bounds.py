@@ -4,8 +4,8 @@ The bearing of a box is the convex hull of its contacts with the boxes below, or
 Loads pass from box to box by the pressure plane of ``petmjx.packers.pile_balance``. Rigid boxes stand if there are any
 forces that balance them (the safe theorem of statics; Livesley 1978, "Limit analysis of structures formed from rigid
 blocks", Int. J. for Numerical Methods in Engineering 12, 1853–1871). So on a pallet that rests at its planned places, a
-box stands beyond doubt under two conditions. Its weight, and the loads of all boxes that carry it, must act well inside
-their bearings; and no other load may be near an edge.
+box stands beyond doubt under two conditions. First, the weight of the box, and the loads of all boxes that carry it,
+must act well inside their bearings. Second, no other load may be near an edge.
 
 A box falls beyond doubt if its weight acts well outside its bearing, and no body is near enough to catch it before it
 has turned too far. Its neighbours can hold the falling box only by friction. This friction is limited, since only the
@@ -63,8 +63,8 @@ HANGING_MM: Final = 10.0
 TURN_DEG: Final = 25.0
 GONE_MM: Final = 30.0
 """A box is lost if, before a body catches it, it turns by ``TURN_DEG``, or its middle moves down and sideways by
-``GONE_MM``. Its weight is then farther beyond the edge than at first, so that the box does not come back. These values
-exceed the thresholds by a quarter and by a half."""
+``GONE_MM``. The weight of such a box is then farther beyond the edge than at first, so that the box does not come back.
+These values exceed the thresholds by a quarter and by a half."""
 
 NEAR_MM: Final = 2.0
 """Width of a gap between two boxes that may have closed: boxes of a calm pallet are up to 1 mm off their places."""
@@ -94,8 +94,9 @@ _USUAL: Final = frozenset({Carrier.EURO_PALLET, Carrier.ROLLCONTAINER})
 
 
 def decidable(sim: Simulation) -> bool:
-    """Whether the bounds hold in this simulation. They require rigid boxes that appear at their places, a carrier of
-    one piece without walls, contacts of the preset ``pallet`` or stiffer ones, and thresholds near the usual ones."""
+    """Whether the bounds hold in this simulation. The bounds require rigid boxes that appear at their places, a carrier
+    of one piece without walls, contacts of the preset ``pallet`` or stiffer ones, and thresholds near the usual
+    ones."""
     limits, physics = sim.thresholds, sim.physics
     return (
         sim.carrier in _USUAL
@@ -375,8 +376,8 @@ class _Rests:
     def _may_be_caught(self, turns: _Turns, least: FloatArray, friction: float) -> NDArray[np.bool_]:
         """(r,) whether something may catch boxes before they have turned too far.
 
-        The middle comes down by ``turns.outside`` times the sine of the angle. Its sideways motion, half the height
-        times the sine, is not sufficient on its own, since the edge may slide.
+        The middle comes down by ``turns.outside`` times the sine of the angle. The sideways motion of the middle, half
+        the height times the sine, is not sufficient on its own, since the edge may slide.
 
         Args:
             least, friction: see ``_turn_straight`` and ``falls``.
@@ -411,9 +412,10 @@ class _Rests:
         """(r, k) whether each wall is beside or behind a box that turns straight, and cannot hold it by friction.
 
         A wall presses on the box with at most the friction under the box, μ times the box's weight. Friction at the
-        wall holds the box with at most μ times this force. Its lever arm is at most the distance from the edge to the
-        farthest point at which box and wall touch. A wall behind the box and a wall at its side share the friction
-        under the box, so together they hold at most √2 times as much. Between walls on both sides, a box may be jammed.
+        wall holds the box with at most μ times this force. The lever arm of this friction is at most the distance from
+        the edge to the farthest point at which box and wall touch. A wall behind the box and a wall at its side share
+        the friction under the box, so together they hold at most √2 times as much. Between walls on both sides, a box
+        may be jammed.
 
         Args:
             wall: (r, k) whether each box may touch the turning box.

@@ -148,8 +148,8 @@ class Flow:
         return worlds
 
     def _has_spare(self) -> bool:
-        """Whether the engine has spare capacity for worlds that may not be needed. It has spare capacity near the end
-        of a run, when few orders are left.
+        """Whether the engine has spare capacity for worlds that may not be needed. An engine has spare capacity near
+        the end of a run, when few orders are left.
         """
         return self._searched.ended and self._unanswered < self._at_a_time.worlds
 

@@ -50,9 +50,9 @@ of it."""
 
 LOWERING_RATE_1_S: Final = 400.0
 MOST_LOWERING_PER_STEP: Final = 0.8
-"""A damper sets a box down. Its rate is ``LOWERING_RATE_1_S``, 1/s. Rate × timestep is at most
-``MOST_LOWERING_PER_STEP``, since semi-implicit Euler is stable below 2. The box sinks at a speed of g / 400 s⁻¹,
-25 mm/s. At this speed a contact of ``pallet`` gives way by a quarter of a millimetre."""
+"""A damper sets a box down. The damper's rate is ``LOWERING_RATE_1_S``, 1/s. Rate × timestep is at most
+``MOST_LOWERING_PER_STEP``, since semi-implicit Euler is stable below 2. The box sinks at a speed of g / 400 s⁻¹, 25
+mm/s. At this speed a contact of ``pallet`` gives way by a quarter of a millimetre."""
 
 LOWERING_STEPS: Final = 5
 """Smallest number of steps during which a hand sets a box down. By then, a box without a support sinks faster than a
@@ -60,7 +60,8 @@ box that counts as quiet."""
 
 FREE_M: Final = 0.0003
 """If two boxes overlap by at most this amount, they count as not overlapping, m. The amount is twice the distance by
-which soft contacts may move neighbours that stand flush. It is too small to push neighbours apart visibly."""
+which soft contacts may move neighbours that stand flush. An overlap of this amount is too small to push neighbours
+apart visibly."""
 
 MOST_TILTED: Final = 0.5
 """Tines tilt a box by at most this share of the tilt threshold, so that its release does not count as a first sign of
@@ -71,8 +72,8 @@ MOST_SIDESTEPS: Final = 8
 instead."""
 
 ASIDE_SHARE: Final = 2.0
-"""Largest move aside, as a multiple of the distance to the side at which a box starts. It is larger than 1, since the
-errors of two places may add up."""
+"""Largest move aside, as a multiple of the distance to the side at which a box starts. The multiple is larger than 1,
+since the errors of two places may add up."""
 
 CLEARANCE_M: Final = 0.001
 """A box that has to start above obstacles starts with its bottom this far above them, m."""

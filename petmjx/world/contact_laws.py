@@ -19,7 +19,7 @@ regularisation, and n and t the normal and the tangent. Then the minimum of a sl
     j_n + R_n · f_n = μ · (|j_t| − R_t · |f_t|)
 
 In Coulomb's law the right-hand side is 0. |j_t| is about the reference acceleration that would end the slip,
-|aref_t| = |v_t| · 2 / time constant of friction. So a slip raises the normal force, and sliding boxes hop. They hop
+|aref_t| = |v_t| · 2 / time constant of friction. So a slip raises the normal force, and sliding boxes hop. Boxes hop
 higher the faster they slide, and the shorter the contact's time constant is. De Saxcé's correction removes this effect:
 it lowers the reference acceleration along the normal by the right-hand side (G. de Saxcé and Z.-Q. Feng, "The
 bipotential method", Mathematical and Computer Modelling 28, 1998; V. Acary and B. Brogliato, "Numerical Methods for
@@ -126,7 +126,7 @@ friction does not jump if boxes creep (petmjx.Quiet calls a box quiet at far sma
 
 RELAXATION: Final = 0.8
 """Share of the change of an excess that one iteration applies. Applying the whole change converges only if μ² times the
-ratio of the inverse masses along tangent and normal is below 1. It would not converge for tall boxes with friction
+ratio of the inverse masses along tangent and normal is below 1. So it would not converge for tall boxes with friction
 above 0.5. With this share, the iteration converges if this product is at most 1.5, and nearly as quickly."""
 
 ENOUGH_M_S2: Final = 0.1

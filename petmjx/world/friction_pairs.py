@@ -118,10 +118,10 @@ class Surfaces(NamedTuple):
 def find_surfaces(plan: Plan, sim: Simulation) -> Surfaces | None:
     """The surfaces of a plan's boxes and of its carrier's boards and walls.
 
-    The result is None if neither boxes have materials nor boards have friction of their own. It is also None with
-    pyramidal cones, which have no friction by pairs. Between a box and a board, the friction of the board counts if it
-    has one, otherwise the friction of the two materials. If a box has no material, the larger coefficient of the two
-    shapes counts.
+    The result is None if neither boxes have materials nor boards have friction of their own. The result is also None
+    with pyramidal cones, which have no friction by pairs. Between a box and a board, the friction of the board counts
+    if it has one, otherwise the friction of the two materials. If a box has no material, the larger coefficient of the
+    two shapes counts.
 
     Raises:
         InputError: the friction between two of the materials is unknown, or there are too many surfaces.

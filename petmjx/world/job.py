@@ -55,9 +55,9 @@ class Drive:
     def unit(self, total_mass: float) -> float:
         """Size of one unit of the excitation's samples: in N for forces (see below), 1 m/s² for accelerations.
 
-        The unit of forces is ``total_mass`` (boxes and carrier, kg) × 9.81 m/s². It is the same on all engines, and it
-        does not depend on the gravity of the physics. The reference implementation uses the total weight as the unit,
-        too. A push must not become weaker because boxes weigh less.
+        The unit of forces is ``total_mass`` (boxes and carrier, kg) × 9.81 m/s². This unit is the same on all engines,
+        and it does not depend on the gravity of the physics. The reference implementation uses the total weight as the
+        unit, too. A push must not become weaker because boxes weigh less.
         """
         return total_mass * STANDARD_GRAVITY if self.excitation.kind == FORCE else 1.0
 

@@ -172,8 +172,8 @@ def make_room(
     possible to the original places.
 
     Nearest means that the sum of the squares of all translations is smallest. Two boxes are kept apart along one axis,
-    which is that axis of either box along which they overlap least. They are kept ``CLEAR_M`` apart, or as in the plan
-    if the plan has them nearer or overlapping. So each pair gives one linear inequality for the translations.
+    which is that axis of either box along which they overlap least. Two boxes are kept ``CLEAR_M`` apart, or as in the
+    plan if they are nearer or overlap in the plan. So each pair gives one linear inequality for the translations.
     Hildreth's method (Hildreth 1957, "A quadratic programming procedure", Naval Research Logistics Quarterly 4, 79-85)
     finds the smallest translations, pair by pair. The places in a world do not depend on other worlds.
 

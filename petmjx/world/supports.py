@@ -116,9 +116,9 @@ class Boxes:
 def _held_by_walls(scene: Scene, target: FloatArray) -> FloatArray:
     """(n, 2, 2) as ``Boxes.held`` of a scene with walls, with the boxes at these (n, 3) places, m.
 
-    A box whose load W acts at a distance e beyond an edge tips until it touches the wall on that side. It touches the
-    wall at its own top or at the wall's top, whichever is lower. This point is a height h above the box's bottom. The
-    wall then presses with W·e/h, and the edge must bear this force by friction: so the wall holds the box up to e =
+    A box whose load W acts at a distance e beyond an edge tips until it touches the wall on that side. The box touches
+    the wall at its own top or at the wall's top, whichever is lower. This point is a height h above the box's bottom.
+    The wall then presses with W·e/h, and the edge must bear this force by friction: so the wall holds the box up to e =
     µ·h. The wall counts as smooth, and the support of the box as fixed.
     """
     room, half = scene.carrier.room, scene.half_size
@@ -398,8 +398,8 @@ class Bearing:
 
     @cached_property
     def shares(self) -> FloatArray:
-        """(k, 3, 3) matrix for each of the contacts ``together``. It maps the load of the upper box (mass and moments)
-        to the part that reaches the lower body at this contact."""
+        """(k, 3, 3) matrix for each of the contacts ``together``. The matrix maps the load of the upper box (mass and
+        moments) to the part that reaches the lower body at this contact."""
         boxes, upper = self.boxes, self.upper[self.together]
         # Places are relative to the upper box's centre and in units of its lengths. This keeps the 3 × 3 systems well
         # conditioned.

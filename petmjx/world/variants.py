@@ -231,7 +231,7 @@ far above the planned bottom of the upper one, m. The upper box is then set down
 the lower box counts as a wall beside the upper one."""
 
 MOST_SPREADS: Final = 5.0
-"""Largest error that is assumed, in standard deviations from the mean. One normal error in 2 million exceeds it."""
+"""Largest error that is assumed, in standard deviations from the mean. One normal error in 2 million is larger."""
 
 _SAME_HEIGHT_M = 1e-9
 

@@ -99,7 +99,7 @@ class Recorder:
 
         Args:
             world: the last state of the world: one row, on the host.
-            time_s: returns the time after a step, s.
+            time_s: function that returns the time after a step, s.
         """
         frames = self._recorded.pop(row, None)
         if frames is None:

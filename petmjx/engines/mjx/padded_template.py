@@ -53,8 +53,8 @@ def padded_template(
     iterations: int,
     line_search_iterations: int,
 ) -> mujoco.MjModel:
-    """Compile the template: floor, a carrier of ``boards`` shapes, ``capacity`` boxes. Its sizes are nominal; overrides
-    replace them.
+    """Compile the template: floor, a carrier of ``boards`` shapes, ``capacity`` boxes. The template's sizes are
+    nominal; overrides replace them.
 
     Args:
         boards: number of shapes of the carrier; with 0, nothing touches the carrier.

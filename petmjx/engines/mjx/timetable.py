@@ -1,8 +1,8 @@
 """The timetable of a run in whole steps. The steps are the same as in the reference implementation.
 
 MuJoCo's clock is a float64 running sum of the timestep. An event happens after the first step at which ``time − earlier
-time ≥ interval``. The batched engines count steps as integers. These tables give them the results of the float64
-comparisons.
+time ≥ interval``. The batched engines count steps as integers. These tables give these engines the results of the
+float64 comparisons.
 """
 
 from __future__ import annotations

@@ -25,7 +25,7 @@ _FLOOR_STIFFNESS = 396.0
 
 
 def add_waiting(spec: mujoco.MjSpec, physics: Physics) -> None:
-    """Add the body that represents waiting boxes. Its stop comes before all boxes in the model."""
+    """Add the body that represents waiting boxes. The body's stop comes before all boxes in the model."""
     body = spec.worldbody.add_body(name=_NAME, pos=[0.0, 0.0, -_PARKING_M])
     body.mass = _MASS_KG
     body.inertia = np.ones(3)

@@ -33,7 +33,7 @@ GRANULE = 96
 programs."""
 
 _BUILDING = threading.Lock()
-"""Held while an engine is being built, since the first engine starts JAX and Warp."""
+"""A lock that is held while an engine is being built, since the first engine starts JAX and Warp."""
 
 
 READY = -1
@@ -87,7 +87,7 @@ def answer_to(
 
     Args:
         engines: name → engine of this thread; a missing engine is built and added.
-        stops: returns whether the outcome is no longer needed.
+        stops: function that returns whether the outcome is no longer needed.
         granule: the number of box columns of tables is a multiple of this; None: the engine's usual granule.
     """
     outcome, progress = None, Progress(pauses=True)

@@ -49,7 +49,7 @@ class Call:
 
     Attributes:
         threads: number of threads of a block.
-        arguments: returns the kernel's arguments, given the number of the first block.
+        arguments: function that returns the kernel's arguments, given the number of the first block.
     """
 
     kernel: Any

@@ -24,7 +24,7 @@ class Queues:
 
     Args:
         sizes: largest number of boxes of each size, in the order of the queues.
-        size_of: returns the size of a job's world.
+        size_of: function that returns the size of a job's world.
         rows: number of rows of the table.
         depth_first: whether all worlds that start from a state come first.
     """

@@ -169,7 +169,8 @@ class Programs:
 
 
 _COMPILING = Lock()
-"""Held while any program is compiled. Warp does not promise that two threads may load the same kernel at once."""
+"""A lock that is held while any program is compiled. Warp does not promise that two threads may load the same kernel at
+once."""
 
 
 def load_usual_kernels(sim: Simulation) -> None:

@@ -126,7 +126,7 @@ class TableSlices:
         waits: whether each slice waits for the outcomes of the previous slice, since the host must fetch frames of
             recorded worlds.
         pools: enlarges buffers.
-        rollout_for: returns the rollout for the table; None if memory has run out.
+        rollout_for: function that returns the rollout for the table; None if memory has run out.
     """
 
     def __init__(

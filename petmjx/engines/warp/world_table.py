@@ -22,7 +22,7 @@ from petmjx.options.simulation import Simulation
 from petmjx.world.job import Excitation, Job
 
 MAX_GROWTH = 8
-"""Largest factor by which buffers grow. Buffers double with each overflow. A world that needs larger ones is
+"""Largest factor by which buffers grow. Buffers double with each overflow. A world that needs larger buffers is
 invalid."""
 
 OVERFLOW_BITS = int(Flag.CONTACT_OVERFLOW | Flag.CONSTRAINT_OVERFLOW | Flag.OTHER_OVERFLOW)

@@ -13,7 +13,7 @@ from petmjx.world.job import Excitation
 from petmjx.world.random_streams import WorldKey
 
 MAX_PROFILE_S = 3600.0
-"""Longest duration of a profile, s. Its samples are held in memory: 24 bytes per step."""
+"""Longest duration of a profile, s. The samples of a profile are held in memory: 24 bytes per step."""
 
 
 class Strength(StrEnum):
