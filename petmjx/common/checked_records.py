@@ -330,7 +330,7 @@ def read_toml(path: Path) -> dict[str, Any]:
     if (kind := foreign_kind(data)) is not None:
         raise InputError(f"{printable(str(path))}: {kind.partition(':')[0]}, not TOML")
     if _MANY_PARTS.search(data):
-        raise InputError(f"{path}: not valid TOML: a key of more than {_MOST_PARTS} parts")
+        raise InputError(f"{path}: not valid TOML: a key has more than {_MOST_PARTS} parts")
     try:
         return tomllib.loads(data.decode("utf-8-sig"))
     except UnicodeDecodeError:

@@ -168,7 +168,7 @@ class AttemptRunner(Generic[AnyWorld]):
                 arrivals.append((stream.answered(answer.job), answer))
             except KeyError:
                 raise RuntimeError(
-                    f"engine {engine.name} returned two outcomes for job {answer.job}, or was not given this job"
+                    f"engine {engine.name} returned two outcomes for job {answer.job}, or had no such job"
                 ) from None
             # Up to MOST_TOGETHER outcomes are checked together. No outcome is delayed: only outcomes that are ready now
             # are added.

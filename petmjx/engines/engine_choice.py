@@ -124,5 +124,5 @@ def check_options(name: str, **options: Any) -> None:
             raise InputError(f"only the engine mujoco can limit the time of a world; {name} steps many worlds together")
         owners = " and ".join(engine for engine in ENGINES if has_option(engine, option))
         other = {"threads": "lanes", "lanes": "threads"}[option]
-        its_own = f"; the engine {name} has {other}" if has_option(name, other) else ""
-        raise InputError(f"{option} belong to the engines {owners}{its_own}")
+        its_own = f"; the engine {name} has the option {other}" if has_option(name, other) else ""
+        raise InputError(f"{option} are an option of the engines {owners}{its_own}")

@@ -91,7 +91,7 @@ def level_of(options: object, n: int, *others: str) -> FloatArray | None:
         raise InputError(f"options must be a dict, {shown_value(options)}")
     names = ("level", *others)
     if unknown := [name for name in options if name not in names]:
-        raise InputError(f"options: unknown {unknown[0]!r}; an environment has {' and '.join(names)}")
+        raise InputError(f"options: unknown option {unknown[0]!r}; an environment has {' and '.join(names)}")
     if options.get("level") is None:
         return None
     try:

@@ -293,7 +293,9 @@ class Episodes:
             raise InputError(f"level must be a number from 0 to 1, or {len(rows)} of them, {shown_value(level)}")
         levels = [number_of(value, "level", 0.0, 1.0) for value in values.tolist()]
         if self.options.curriculum is None:
-            raise InputError("level: the environment has no curriculum, so its episodes are the same at all levels")
+            raise InputError(
+                "level: the environment has no curriculum, so its episodes are the same at all levels; leave level out"
+            )
         self.level[rows] = levels
 
     def picture(self, row: int) -> NDArray[np.uint8]:

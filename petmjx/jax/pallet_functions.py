@@ -106,7 +106,7 @@ def try_all(
 def _pallets(state: State) -> int:
     """The number of pallets of a state. Raises InputError for any other object."""
     if not isinstance(getattr(state, "n", None), int):
-        raise InputError(f"state must be what petmjx.jax.empty or petmjx.jax.place returned, {shown_value(state)}")
+        raise InputError(f"state must be a state from petmjx.jax.empty or petmjx.jax.place, {shown_value(state)}")
     return int(state.n)
 
 

@@ -284,7 +284,7 @@ def _scenes(boxes: Mapping[str, FloatArray], ground: Ground, sim: Simulation) ->
     if "inertia_kg_m2" in boxes:
         equal = inertia_box(boxes["inertia_kg_m2"], mass)
         if not np.isfinite(equal).all():
-            raise InputError("inertia_kg_m2 must be that of a body: no moment may exceed the sum of the two others")
+            raise InputError("inertia_kg_m2 must be possible for a body: no moment may exceed the sum of the other two")
     return tuple(
         Scene(
             half_size=half_size[world],

@@ -203,7 +203,7 @@ def orders_of(
     integer_of(seed, "seed", 0)
     if orders is not None:
         if n is not None:
-            raise InputError("n is for drawn orders, but a file of orders is given")
+            raise InputError("n is the number of generated orders; leave it out if a file of orders is given")
         if isinstance(orders, SupportsArrow):
             return read_order_frame(orders, on_bad_order, reading)
         return read_orders(path_of(orders, "orders"), on_bad_order, reading)
@@ -227,7 +227,7 @@ def reading_of(
     of_files = {name: options[name] for name in OF_ORDERS if options.get(name) is not None}
     left = {name: value for name, value in options.items() if name not in OF_ORDERS}
     if not are_read and (idle := next(iter([*of_files, *(["target"] if target is not None else [])]), None)):
-        raise InputError(f"{idle} is for a file of orders, but these orders are drawn")
+        raise InputError(f"{idle} applies only to a file of orders, but these orders are generated")
     return OrderReading.of(RunOptions(**of_files), target) if are_read else None, left
 
 

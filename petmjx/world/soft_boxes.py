@@ -128,7 +128,7 @@ def check_soft(scene: Scene) -> None:
         raise InputError("soft: soft boxes appear at their places, so placing must be exact")
     if scene.mass_center is not None and scene.mass_center[scene.soft].any():
         box = int(np.flatnonzero(scene.soft & scene.mass_center.any(axis=1))[0])
-        raise InputError(f"soft: a soft box has its centre of mass in the middle, but box {box} has it elsewhere")
+        raise InputError(f"soft: the centre of mass of a soft box must be in its middle, but that of box {box} is not")
     soft_friction(scene)
 
 

@@ -281,7 +281,7 @@ def test_what_is_wrong_is_one_line_that_names_the_argument(engine: Engine) -> No
         (lambda: Pallets(0), "n must be at least 1"),
         (lambda: Pallets(carrier="footprint"), "carrier: footprint depends on the whole plan"),
         (lambda: Pallets(schedule="fixed"), "schedule must be adaptive if boxes are added one by one"),
-        (lambda: Pallets(check="static"), "check: pallets need check one-by-one"),
+        (lambda: Pallets(check="static"), "check must be one-by-one"),
         (lambda: Pallets(engine="mjx"), "engine must be one of mujoco"),
         (lambda: Pallets(engine="mjx-jax"), "engine mjx-jax has no open worlds"),
         (lambda: Pallets(resume=True), "resume: pallets have no such option"),

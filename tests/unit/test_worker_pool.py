@@ -248,7 +248,7 @@ def test_auto_counts_what_the_cluster_has(tmp_path: Path) -> None:
         ({"workers": 0}, "workers must be auto or a whole number from 1 to 4,096, got 0"),
         ({"workers": "many"}, "workers must be auto or a whole number from 1 to 4,096, got 'many'"),
         ({"workers": True}, "workers must be auto"),
-        ({"workers": 1, "lanes": 16}, "lanes belong to the engines mjx-jax and mjx-warp"),
+        ({"workers": 1, "lanes": 16}, "lanes are an option of the engines mjx-jax and mjx-warp"),
         ({"ray": "ray://head:10001"}, "ray must be HOST:PORT of a cluster's head, or auto"),
         ({"ray": "head"}, "ray must be HOST:PORT of a cluster's head, or auto"),
         ({"ray": "127.0.0.1:1"}, "ray: this process is already in another cluster, so it cannot join 127.0.0.1:1"),

@@ -105,16 +105,16 @@ class ChainTable(_Table):
             links.append((member, link.offset_s, link.scale))
         # chains of chains grow fast, so their windows are counted before they are made
         if sum(len(member.windows) for member, _, _ in links) > MAX_WINDOWS:
-            raise complaint(f"has more than {MAX_WINDOWS:,} windows", name, "of")
+            raise complaint(f"must have at most {MAX_WINDOWS:,} windows", name, "of")
         chained = chain(name, links, _USERS, replaces=self.overlap == "replace")
         pushing_s = sum(window.duration_s for window in chained.windows)
         if pushing_s > MAX_PUSH_S:
             raise complaint(f"must push for at most {MAX_PUSH_S:g} s in all, got {pushing_s:g} s", name, "of")
         if chained.end_s > MAX_PROFILE_S:
-            raise complaint(f"takes {chained.end_s:g} s, more than {MAX_PROFILE_S:g} s", name, "of")
+            raise complaint(f"must take at most {MAX_PROFILE_S:g} s, got {chained.end_s:g} s", name, "of")
         strongest = max(abs(component) for window in chained.windows for component in window.vector)
         if not strongest <= MAX_FORCE:
-            raise complaint(f"has a force of {strongest:g} total weights, more than {MAX_FORCE:g}", name, "of")
+            raise complaint(f"must have forces of at most {MAX_FORCE:g} total weights, got {strongest:g}", name, "of")
         return chained
 
 
