@@ -30,7 +30,7 @@ def set_up_warp() -> None:
     if warp.config.kernel_cache_dir is None:
         warp.config.kernel_cache_dir = str(cache_folder("warp"))
     if warp.config.enable_tiles_in_stack_memory:
-        warp.config.enable_tiles_in_stack_memory = None  # Warp then decides: on x86, off the stack
+        warp.config.enable_tiles_in_stack_memory = None  # Warp then decides; on x86 it keeps tiles off the stack
     if warp.config.log_level == warp.LOG_INFO:
         warp.config.log_level = warp.LOG_ERROR
     if not cuda_devices():

@@ -222,7 +222,7 @@ def penetration_excluded(outcomes: Sequence[Outcome], scenes: Sequence[Scene], s
 
 
 def _failed_otherwise(outcome: Outcome, limit_m: float) -> bool:
-    """Whether the reason of a world is not a shift, or is a shift that is not only straight down."""
+    """Whether a world failed for another reason than a shift, or by a shift that is not only straight down."""
     if outcome.reason is not Reason.SHIFT:
         return True
     shift = outcome.boxes.shift_m[: outcome.n_placed]

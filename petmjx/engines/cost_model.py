@@ -28,7 +28,8 @@ generated plans and of 63 third-party plans of 16 to 241 boxes. Physics ``refere
 steps."""
 
 SOFT_STARTS = 2 * SOFT_START_STEPS
-"""Number of steps before the first box of a placement. Soft starts are not part of the schedule."""
+"""Number of steps of the soft starts, which come before the first box of a placement. These steps are not part of the
+schedule."""
 
 QUIET_STEPS = 220
 """Steps until a pallet is quiet with the adaptive schedule, if boxes are not placed one by one. Static checks of 45 to

@@ -226,8 +226,8 @@ class Actions:
         side: NDArray[np.intp],
         pallet: NDArray[np.intp],
     ) -> tuple[NDArray[np.intp], NDArray[np.int64]]:
-        """For each place, (c,) its episode and (c,) the number of its action. A number of ``count`` or more means that
-        the place has no action. Candidates are numbered box by box, the lowest places first. Cells are numbered by
+        """Two arrays (c,): the episode of each place, and the number of its action. A number of ``count`` or more means
+        that the place has no action. Candidates are numbered box by box, the lowest places first. Cells are numbered by
         pallet, box, side and cell."""
         source = places.row[chosen]
         row = at[source]

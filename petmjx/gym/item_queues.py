@@ -94,7 +94,7 @@ class Queues:
         return self._next, self._first, self._behind, self.counts, self.left_out
 
     def seen(self, rows: NDArray[np.int64]) -> tuple[FloatArray, FloatArray, NDArray[np.bool_]]:
-        """The ``parts_of`` the visible boxes, (m, k, …). Values are 0 after the last box."""
+        """The visible boxes, split by ``parts_of`` into arrays (m, k, …). Values are 0 after the last box."""
         return parts_of(self._next[rows[:, None], self._first[rows, None] + np.arange(self._seen)])
 
     def _go_on(self, rows: NDArray[np.int64], count: NDArray[np.int64]) -> None:

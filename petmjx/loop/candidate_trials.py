@@ -36,7 +36,7 @@ _NAME = "candidate"
 
 
 MOST_ERRORS_DRAWN: Final = 2**31
-"""Upper limit of the numbers of single boxes' errors: all numbers are smaller."""
+"""The numbers of single boxes' errors are all smaller than this."""
 
 
 class Errors:

@@ -52,7 +52,7 @@ class Boxes:
         size_mm: (k, 3) length, width and height; ``mass_kg``: (k,).
         strength_n: (k,) the load that each box can carry on its top, N; NaN: unknown.
         upright: (k, 3) whether the box's length, width and height may be vertical; None: only the height may.
-        name: id of the order in its source; "": it has none.
+        name: id of the order in its source; "": the order has no id.
     """
 
     size_mm: FloatArray

@@ -48,8 +48,8 @@ bear more than its middle. A load up to 0.28 of the width from the middle leans 
 OUTWARD: Final = 0.6
 """If the pressed share is below ``EDGE_SHARE``, the pressure also moves outwards, towards the deepest line. The
 pressure moves by this factor times (``EDGE_SHARE`` / share − 1) of the distance to that line. At a quarter of the face,
-the pressure reaches the deepest line. The lean is then 12 F / (k·L). At this lean, only the points at one edge bear, of
-the nine points of Simpson's rule."""
+the pressure reaches the deepest line. The lean is then 12 F / (k·L). At this lean, of the nine points of Simpson's
+rule, only those at one edge bear load."""
 
 FACE_COSINE: Final = 0.5
 """Two faces press on one another if the cosine between the normal of one and the reversed normal of the other is at

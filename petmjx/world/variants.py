@@ -217,7 +217,7 @@ MIN_SIZE_FRACTION = 0.1
 """Smallest size that can be drawn, as a share of the planned size: every extent of a box must stay positive."""
 
 LARGEST_SIZE_M = 7.0
-"""Largest size that can be drawn, m: boxes that are not yet placed hang 8 m apart."""
+"""Largest size that can be drawn, m. The limit is needed since boxes that are not yet placed hang 8 m apart."""
 
 MIN_MASS_FRACTION = 0.1
 """Smallest mass that can be drawn, as a share of the nominal mass: MuJoCo refuses bodies without mass."""

@@ -37,9 +37,10 @@ class Worlds(NamedTuple):
     (cos, sin). ``profile_steps`` is the number of samples of the drive. ``drive_steps`` is the number of steps until
     the world's end, unless the world rests earlier. ``allowed_sway``, m, is the drive's allowed sway.
 
-    Ends: ``settles``: the placement ends in a settled state, for a drive or to keep. ``ends_when_lost``: see
-    ``has_errors`` of ``petmjx.world.job.Job``. ``pauses``: when its boxes are at rest, the world waits for further
-    boxes (petmjx/engines/open_worlds.py). ``ends_when_gone``: the world is a trial, which ends when a box is gone.
+    Ends: ``settles``: the placement ends in a settled state, from which a drive starts or which is kept.
+    ``ends_when_lost``: see ``has_errors`` of ``petmjx.world.job.Job``. ``pauses``: when its boxes are at rest, the
+    world waits for further boxes (petmjx/engines/open_worlds.py). ``ends_when_gone``: the world is a trial, which ends
+    when a box is gone.
 
     Placing: ``start`` is the release pose of a box if its ``support`` is at its planned place. The release follows the
     support by at most ``most_followed``, m (petmjx/world/release_places.py). ``appears``: all boxes begin at ``start``.

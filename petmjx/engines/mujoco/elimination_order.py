@@ -22,7 +22,7 @@ apart because of the size reduction, and a few of them stand on boxes of differe
 
 
 def body_order(scene: Scene, n_boxes: int, contacts: NDArray[np.integer], shaken: bool) -> NDArray[np.intp]:
-    """(n_boxes,) the first boxes, in the cheapest order of their bodies.
+    """(n_boxes,) the first boxes of the plan, in that order of their bodies for which factorisations are cheapest.
 
     MuJoCo eliminates the last body first. The carrier, which touches a whole layer, is always the first body.
 

@@ -42,7 +42,7 @@ READY = -1
 
 @dataclass(frozen=True)
 class Task:
-    """A world to simulate on the engine with this name. ``sim`` and ``job`` are arguments of ``Engine.run``."""
+    """A world, and the name of the engine that simulates it. ``sim`` and ``job`` are arguments of ``Engine.run``."""
 
     number: int
     engine: str
