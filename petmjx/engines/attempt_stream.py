@@ -85,7 +85,8 @@ def score_worlds(
     ``check_pool``: a pool that several calls use one after the other; None: a call with many worlds starts its own.
 
     An error of an engine with a fallback does not end the run: the fallback simulates the unanswered worlds. An error
-    at a further attempt does not end the run, either. Without a fallback, its worlds are invalid by ``failed``.
+    at a further attempt does not end the run, either. Without a fallback, the worlds of such an attempt are invalid,
+    with the reason ``failed``.
 
     Raises:
         RuntimeError: the engine did not answer every job exactly once.

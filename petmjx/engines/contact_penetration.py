@@ -98,8 +98,8 @@ def contact_penetration_m(scene: Scene, physics: Physics, top_force_n: FloatArra
 
 
 def may_penetrate(scene: Scene, sim: Simulation) -> bool:
-    """Whether boxes descend far enough to count (``has_penetrated``) if each box carries everything above it. If not, a
-    world of this plan sinks only by chance."""
+    """Whether boxes descend far enough to count (``has_penetrated``) if each box carries everything above it. If boxes
+    do not, a world of this plan sinks only by chance."""
     most_n = np.full(scene.n_boxes, scene.total_mass * sim.physics.gravity_m_s2)
     bound_m = BOUND_SHARE * sim.thresholds.shift_m
     return bool((contact_penetration_m(scene, sim.physics, most_n, enough_m=bound_m) > bound_m).any())

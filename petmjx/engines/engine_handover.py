@@ -55,8 +55,8 @@ class HandoverEngine(Engine, Generic[Faster]):
 
     Args:
         mujoco: the engine with which the run begins.
-        make_faster: makes the other engine. If it raises ``EngineUnavailable`` or ``InputError``, the run stays with
-            ``mujoco``.
+        make_faster: function that makes the other engine. If the function raises ``EngineUnavailable`` or
+            ``InputError``, the run stays with ``mujoco``.
         costs: costs of both engines; ``costs.kernel_start_s`` is the time until the other engine starts to simulate.
     """
 

@@ -37,7 +37,7 @@ class Curriculum:
 
     @classmethod
     def of(cls, options: PalletizingOptions) -> Self:
-        """The curriculum of an environment. If none is set, all levels are equal.
+        """The curriculum of an environment. Without a curriculum, all levels are equal.
 
         Raises:
             InputError: an entry is unknown, or is not two numbers within its range.

@@ -205,7 +205,7 @@ class Episodes:
         return {"error": np.array(numbers, np.int64), "error_strength": self._errors[rows]}
 
     def _look(self, rows: NDArray[np.int64]) -> None:
-        """Find the actions of episodes. If an episode has none, the boxes that may come next are left out."""
+        """Find the actions of episodes. If an episode has no action, the boxes that may come next are left out."""
         while len(rows):
             self._actions.fill(self.table, rows, *self._queues.seen(rows))
             stuck = rows[~self.table.legal[rows].any(axis=1)]

@@ -111,7 +111,7 @@ def _pallets(state: State) -> int:
 
 
 def _of_kind(values: Any, name: str, kind: Any, kind_name: str) -> jax.Array:
-    """The values as an array. Raises InputError if their type is not of this kind."""
+    """The values as an array. Raises InputError if the type of the values is not of this kind."""
     try:
         array = jnp.asarray(values)
     except (TypeError, ValueError) as error:

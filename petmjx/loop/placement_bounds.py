@@ -115,7 +115,7 @@ def decidable(sim: Simulation) -> bool:
 
 def boxes_apart_mm(readings: Readings, thresholds: Thresholds) -> FloatArray:
     """(m, k) largest distance of any corner of each box from its planned position, mm. 0: the box rests at its planned
-    place, has no shift that counts, and was never tilted."""
+    place, that is, its shift is below the floor of shifts, and its tilt was always below ``CALM_DEG``."""
     with np.errstate(invalid="ignore"):  # columns without boxes hold NaN
         m, k = readings.max_tilt_deg.shape
         tilted = np.fmax(readings.max_tilt_deg, tilt_deg(readings.quat.reshape(-1, 4)).reshape(m, k))
@@ -271,8 +271,8 @@ class _Rests:
     """How m boxes rest on the bodies below them. Each box is on a pallet that has some of its first boxes.
 
     Attributes:
-        low, high: (m, k, 3) lowest and highest corners of the pallets' boxes, mm; ``here``: (m, k) whether each of them
-            stands on the pallet.
+        low, high: (m, k, 3) lowest and highest corners of the pallets' boxes, mm; ``here``: (m, k) whether each of
+            these boxes stands on the pallet.
         start, end: (m, 3) lowest and highest corners of the boxes themselves.
         under: (m, k) whether each box touches the base from below; ``on_carrier``: (m,) whether the base is on the
             carrier.

@@ -234,7 +234,7 @@ def free_begin(
     """(3,) where a box starts so that it overlaps no other box, m: at ``begin`` if there is room, else to the side of
     it, else above it.
 
-    The box moves aside from the first box that it overlaps, along x or y, whichever overlap is smaller. This is
+    The box moves aside from the first box that it overlaps, along x or y, whichever overlap is smaller. This move is
     repeated at most ``MOST_SIDESTEPS`` times. If the box would have to move aside by more than ``most_m``, or still
     overlaps a box, it moves up from ``begin`` instead. ``begin`` is between the carrier's walls, and moves of up to
     ``most_m`` stay between them.

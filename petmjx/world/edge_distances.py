@@ -123,7 +123,7 @@ def below_several(bearing: Bearing, among: NDArray[np.bool_]) -> NDArray[np.bool
     supports.
 
     Args:
-        among: (n,) mask of the boxes with several supports to consider; other boxes are ignored.
+        among: (n,) mask: of the boxes with several supports, only these are considered.
     """
     return bearing.all_below(among & (bearing.n_supports > 1))
 

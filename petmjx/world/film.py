@@ -62,7 +62,7 @@ def spring_rate_1_s(timestep_s: float) -> float:
 
 
 _FILMS: Final = WeakKeyDictionary[Scene, Film]()
-"""Films of scenes that are in use. Legs of a chain may share a scene."""
+"""Cached films, by scene. A film is kept as long as its scene is in use. Legs of a chain may share a scene."""
 
 
 def film_of(scene: Scene) -> Film:

@@ -44,8 +44,8 @@ _FLOOR_COLOUR = (0.55, 0.57, 0.60, 1.0)
 class HeldCarrier:
     """The pose in which a carrier is clamped: pos (3,), m, and quat (4,), (w, x, y, z).
 
-    The carrier is a static body. With ``mocap`` it is a mocap body, whose pose is stored in a world's data, so that
-    worlds can share a model.
+    The carrier is a static body. With ``mocap``, the carrier is a mocap body, whose pose is stored in a world's data,
+    so that worlds can share a model.
     """
 
     pos: FloatArray
