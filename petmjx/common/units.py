@@ -1,4 +1,5 @@
-"""Conversion of units, which happens only here. Inside petmjx all values are in SI units; plans are in millimetres."""
+"""Conversions of units, which happen only in this module. Inside petmjx all values are in SI units; plans are in
+millimetres."""
 
 from __future__ import annotations
 

@@ -3,7 +3,7 @@
 The supports of a box give way, and more on the side on which the load acts. So the box turns by an angle: the
 difference of the depths on its two sides, divided by the width between them. The load above, at its height, therefore
 moves towards the edge. Let r be the share of the load on the far side of a base of width w. Then the load acts r·w from
-the edge. If nothing had given way, it would act at the distance
+the edge. If nothing had given way, the load would act at the distance
 
     e(r) = r·w + h·(x(1 − r) − x(r)) / w
 

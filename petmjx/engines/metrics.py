@@ -31,7 +31,7 @@ TEXT: Final = ""
 RESTLESS_M_S: Final = 0.01
 RISING_M_S2: Final = 0.5
 """Forces on tops count in a step if it begins with a box faster than ``RESTLESS_M_S`` and accelerates a box upwards by
-more than ``RISING_M_S2``. In other steps they count only at looks for quiet (docs/rules.md, section 7). In the steps
+more than ``RISING_M_S2``. In other steps, forces count only at looks for quiet (docs/rules.md, section 7). In the steps
 that are left out, forces exceed the weight on a top by at most a twentieth, since boxes press with more than their
 weight only while they are accelerated upwards."""
 

@@ -180,7 +180,7 @@ class OpenWorlds(ABC):
     named twice, or a scene is missing).
 
     A world follows the rules of the placement (docs/rules.md): each of its boxes is placed once the boxes before it are
-    at rest. When the last one is at rest, the world pauses, and more boxes can be added. What happens in a world
+    at rest. When the last box is at rest, the world pauses, and more boxes can be added. What happens in a world
     depends only on its scene, not on other worlds, nor on the number of calls in which its boxes were added. So a world
     whose boxes do not come to rest pauses at the end of a short wait, since more boxes may follow; ``finish`` waits
     longer.

@@ -106,7 +106,7 @@ def _solved_loads(
     load: FloatArray,
     weights: FloatArray,
 ) -> tuple[FloatArray, FloatArray] | None:
-    """(n, 3) loads, in which those of the boxes ``changed`` come from the programme, and (n,) their distances beyond
+    """(n, 3) loads, with those of the boxes ``changed`` taken from the programme, and (n,) their distances beyond
     edges; None: no solution.
 
     The unknowns are the forces at the four corners of each contact; the distance of each load outside its edges;

@@ -41,8 +41,9 @@ contacts have reference accelerations: the relative accelerations that the two b
 hard. In ``pallet``, contacts are nearly hard. So two bodies in contact accelerate relative to one another by the
 reference acceleration, whatever their masses. The law:
 
-- A box begins to land in the step in which one of its contacts closes faster than ``FAST_M_S``. If it lands on another
-  box, the box below lands, too. The velocities of both boxes before that step are remembered for ``lasts_steps``.
+- A box begins to land in the step in which one of its contacts closes faster than ``FAST_M_S``. If a box lands on
+  another box, the box below lands, too. The velocities of both boxes before that step are remembered for
+  ``lasts_steps``.
 - v is the speed at which a contact closes. v₀ is the speed at which it would close with the remembered velocities. At
   the end of a landing, the contact should open at e·v₀ (Newton's law of impact; e is ``restitution``, or the value for
   the pair of materials), plus the speed that lifts the box out of the depth that it has reached. The contact is
@@ -115,8 +116,8 @@ def cone_factor(physics: Physics, one: FloatArray | float, two: FloatArray | flo
 
 
 SLACK_M_S2: Final = 5.0
-"""Excess that stays uncorrected, m/s²: that of a slip of 1 cm/s with a time constant of friction of 4 ms. Left
-uncorrected, it raises a contact by less than a hundredth of a millimetre, which is within the contact's soft onset.
+"""Excess that stays uncorrected, m/s²: that of a slip of 1 cm/s with a time constant of friction of 4 ms. This excess,
+left uncorrected, raises a contact by less than a hundredth of a millimetre, which is within the contact's soft onset.
 With this slack, pallets at rest are bit-identical with and without the correction. Stiff contacts have no soft onset,
 and therefore no slack."""
 

@@ -49,8 +49,8 @@ class Drive:
     rest_s: float = 1.0
     """Time to come to rest after the last sample of the excitation, s."""
     allowed_sway_m: float = 0.0
-    """A culprit that tilts too far counts as lost only once it has swayed by this distance, m. Until then, the test may
-    still be passed."""
+    """A culprit that tilts too far counts as lost only once it has swayed by this distance, m. Until then, the pallet
+    may still pass the test."""
 
     def unit(self, total_mass: float) -> float:
         """Size of one unit of the excitation's samples: in N for forces (see below), 1 m/s² for accelerations.

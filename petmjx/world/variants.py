@@ -4,8 +4,9 @@ A variant has two halves. Its *placement* holds the changes that act while boxes
 sizes, placement errors). Its *drive* shakes the finished pallet (profile, strength, direction). Worlds of a plan with
 the same ``placement_key`` share one placement: each starts from its settled state.
 
-The scenes of many variants of a plan are made together (``apply_all``). A scene then takes a twentieth of a
-millisecond. Made one by one, a scene takes ten times as long: as long as a GPU needs to simulate a small world.
+The scenes of many variants of a plan are made together (``apply_all``). Making a scene then takes a twentieth of a
+millisecond. If scenes are made one by one, it takes ten times as long: as long as a GPU needs to simulate a small
+world.
 """
 
 from __future__ import annotations

@@ -35,7 +35,7 @@ def solve(model: Any, data: Any) -> Any:
 
 @contextmanager
 def _real_roots() -> Iterator[None]:
-    """In programs that are traced inside this context, the roots in the points of the line search are real numbers."""
+    """A context. In programs that are traced inside it, the roots in the points of the line search are real numbers."""
     point = _point_class()
     original, descriptor = point.create, vars(point)["create"]
 

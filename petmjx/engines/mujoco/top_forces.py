@@ -22,9 +22,9 @@ VERTICAL_COSINE = math.cos(math.radians(45.0))
 def contact_normal_and_tangents(data: mujoco.MjData, pyramidal: bool) -> tuple[NDArray[np.intp], FloatArray]:
     """Forces of the contacts that have constraint rows.
 
-    Pyramidal rows are forces along the four edges of the cone. The normal part is their sum, and each tangential part
-    is the difference of its two edges × friction. Elliptic rows are the force itself. All contacts have condim 3.
-    Source: as in ``petmjx.engines.mjx.top_forces.contact_force_z``.
+    Pyramidal rows are forces along the four edges of the cone. The normal part is the sum of these forces, and each
+    tangential part is the difference of the forces along two edges × friction. Elliptic rows are the components of the
+    force itself. All contacts have condim 3. Source: as in ``petmjx.engines.mjx.top_forces.contact_force_z``.
 
     Returns:
         (k,) indices of these contacts, and (k, 3) forces of geom 1 on geom 2 in the contact frame (normal, tangents),

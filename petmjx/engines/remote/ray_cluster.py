@@ -55,8 +55,8 @@ _SKIPPED_LINES = "RAY_DEDUP_LOGS_SKIP_REGEX"
 
 
 def import_ray() -> Any:
-    """Import the package Ray. If it was not imported before, Ray will not report dead workers on standard output, which
-    is only for results.
+    """Import the package Ray. If the package was not imported before, Ray will not report dead workers on standard
+    output, which is only for results.
 
     Raises:
         EngineUnavailable: Ray is not installed, or cannot be imported.
