@@ -80,8 +80,9 @@ class AttemptRecipe:
     """True: the attempt keeps the verdict, and only sets ``Flag.TIMESTEP`` if it finds a different one."""
 
     most_boxes: int | None = None
-    """Worlds with more boxes than this keep their verdict, if they have one, and the flag. With stiff contacts, steps
-    of hundreds of boxes take tens of milliseconds, and the leaning boxes are only a small part of the pallet."""
+    """Worlds with more boxes than this do not make the attempt: they keep their verdict, if they have one, and
+    ``Flag.SINKING``. With stiff contacts, steps of hundreds of boxes take tens of milliseconds, and the leaning boxes
+    are only a small part of the pallet."""
     soft: bool = False
     """True: all boxes are flex bodies from the beginning (petmjx/world/soft_boxes.py)."""
 
