@@ -22,10 +22,10 @@ def prefetch(*sources: Generator[Item], most: int) -> Generator[Item]:
     """Yield the items of generators, while threads make further items in advance. The items of one generator keep their
     order; those of several come as they are made.
 
-    The threads start when the first item is requested. They make items until ``most`` of them wait in the queue, and
-    then each thread makes one more. An error of a generator is raised after all items that were made before it. Closing
-    the result closes each generator in its thread, and returns when the threads have ended. A generator is closed when
-    it has made its next item.
+    The threads start when the first item is requested. The threads make items until ``most`` items wait in the queue,
+    and then each thread makes one more. An error of a generator is raised after all items that were made before it.
+    Closing the result closes each generator in its thread, and returns when the threads have ended. A generator is
+    closed when it has made its next item.
 
     Args:
         most: number of items that may wait before the threads pause.
@@ -42,7 +42,8 @@ def prefetch(*sources: Generator[Item], most: int) -> Generator[Item]:
                     room.acquire()
                     if closed.is_set():
                         break
-        except BaseException as error:  # no other local keeps the error: its traceback holds this frame and the items
+        except BaseException as error:
+            # No other local variable keeps the error, since its traceback keeps this frame and the items alive.
             queue.put(_End(error))
         else:
             queue.put(_End(None))
