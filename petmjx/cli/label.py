@@ -125,5 +125,7 @@ def label(
     for name, found in card["baselines"].items():
         print(f"{name}: finds {found['standing_found']:.1%} of what stands, {found['falling_found']:.1%} of what falls")
     if empty := [split for split, numbers in card["splits"].items() if not numbers["labels"]]:
-        print(f"note: too few orders for {' and '.join(empty)}: give more labels (-n) or more orders")
+        all_used = sum(numbers["orders"] for numbers in card["splits"].values()) >= source.count
+        cure = "give more orders" if all_used else "give more labels (-n) or more orders"
+        print(f"note: too few orders for {' and '.join(empty)}: {cure}")
     print(f"{printable(str(out))}: README.md and card.json say what is in it")

@@ -96,7 +96,7 @@ def read_within(
         names = schema.names if columns is None else list(columns)
         for name in names:
             if pa.types.is_nested(schema.field(name).type):
-                raise ValueError(f"the column {printable_name(name)} has lists or tables in it")
+                raise ValueError(f"the column {printable_name(name)} holds lists or tables, which are not supported")
         texts = [name for name in names if _is_text(schema.field(name).type)]
         by_prefix = set(_columns_by_prefix(metadata))
         # texts stay dictionary codes until their lengths are known; but Arrow cannot read prefix-coded texts as codes

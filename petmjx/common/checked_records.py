@@ -1,7 +1,7 @@
 """Records that check their own values (``CheckedRecord``), and their one-line error messages.
 
-This is the only module that turns pydantic's errors into lines. It also knows how messages name an option: by its flag
-on the command line, or by its argument in Python.
+This is the only module that turns pydantic's errors into lines. The module also decides how messages name an option: by
+its flag on the command line, or by its argument in Python.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from types import UnionType
 from typing import Any, Final, Self, Union, get_args, get_origin
 
 from pydantic import AfterValidator, BaseModel, ConfigDict, Discriminator, ValidationError, model_validator
-from pydantic._internal._model_construction import ModelMetaclass  # no public module has it
+from pydantic._internal._model_construction import ModelMetaclass  # no public module exports this name
 from pydantic_core import InitErrorDetails, PydanticCustomError
 
 from petmjx.common.errors import InputError
@@ -220,7 +220,7 @@ def complaint(text: str, *path: str | int) -> ValidationError:
 
     Args:
         text: the text after the field's path: "must be > 0", or with a colon ": unknown field".
-        path: from the validated value to the field.
+        path: the keys that lead from the validated value to the field.
     """
     kind = PydanticCustomError(_COMPLAINT, "{text}", {"text": text})
     return ValidationError.from_exception_data("value", [InitErrorDetails(type=kind, loc=path, input=None)])
@@ -330,13 +330,13 @@ def read_toml(path: Path) -> dict[str, Any]:
     if (kind := foreign_kind(data)) is not None:
         raise InputError(f"{printable(str(path))}: {kind.partition(':')[0]}, not TOML")
     if _MANY_PARTS.search(data):
-        raise InputError(f"{path}: not valid TOML: a key of more than {_MOST_PARTS} parts")
+        raise InputError(f"{path}: not valid TOML: a key has more than {_MOST_PARTS} parts")
     try:
         return tomllib.loads(data.decode("utf-8-sig"))
     except UnicodeDecodeError:
         raise InputError(f"{path}: not valid TOML: not UTF-8 text") from None
     except RecursionError:
-        raise InputError(f"{path}: not valid TOML: lists or tables in too many levels") from None
+        raise InputError(f"{path}: not valid TOML: lists or tables are nested too deeply") from None
     except ValueError as error:  # a whole number with too many digits also raises it
         raise InputError(f"{path}: not valid TOML: {reason(error)}") from None
 

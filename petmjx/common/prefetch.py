@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import atexit
 import threading
-from collections.abc import Generator
+from collections.abc import Generator, Sequence
 from contextlib import closing
 from dataclasses import dataclass
 from queue import SimpleQueue
@@ -22,10 +22,10 @@ def prefetch(*sources: Generator[Item], most: int) -> Generator[Item]:
     """Yield the items of generators, while threads make further items in advance. The items of one generator keep their
     order; those of several come as they are made.
 
-    The threads start when the first item is requested. They make items until ``most`` of them wait in the queue, and
-    then each thread makes one more. An error of a generator is raised after all items that were made before it. Closing
-    the result closes each generator in its thread, and returns when the threads have ended. A generator is closed when
-    it has made its next item.
+    The threads start when the first item is requested. The threads make items until ``most`` items wait in the queue,
+    and then each thread makes one more. An error of a generator is raised after all items that were made before it.
+    Closing the result closes each generator in its thread, and returns when the threads have ended. A generator is
+    closed when it has made its next item.
 
     Args:
         most: number of items that may wait before the threads pause.
@@ -42,7 +42,8 @@ def prefetch(*sources: Generator[Item], most: int) -> Generator[Item]:
                     room.acquire()
                     if closed.is_set():
                         break
-        except BaseException as error:  # no other local keeps the error: its traceback holds this frame and the items
+        except BaseException as error:
+            # No other local variable keeps the error, since its traceback keeps this frame and the items alive.
             queue.put(_End(error))
         else:
             queue.put(_End(None))
@@ -57,10 +58,10 @@ def prefetch(*sources: Generator[Item], most: int) -> Generator[Item]:
     def end() -> None:
         closed.set()
         room.release(len(threads))
-        for thread, end_event in zip(threads, end_events, strict=True):
-            if thread.ident is not None:
-                _wait_for(end_event)
-                thread.join()
+        started = [thread for thread in threads if thread.ident is not None]
+        _wait_for(end_events[: len(started)])
+        for thread in started:
+            thread.join()
 
     atexit.register(end)  # a thread inside JAX aborts the process when Python ends
     n_running = len(threads)
@@ -82,18 +83,21 @@ def prefetch(*sources: Generator[Item], most: int) -> Generator[Item]:
             finally:
                 del error
     finally:
-        end()
-        atexit.unregister(end)
+        try:
+            end()
+        finally:
+            atexit.unregister(end)
 
 
-def _wait_for(ended: threading.Event) -> None:
-    """Wait until the thread has ended, however often the wait is interrupted.
+def _wait_for(ended: Sequence[threading.Event]) -> None:
+    """Wait until all threads have ended, however often the wait is interrupted.
 
-    Until the thread has ended, no other code may use its objects. ``Thread.join`` does not ensure this: after an
+    Until the threads have ended, no other code may use their objects. ``Thread.join`` does not ensure this: after an
     interruption, it regards the thread as ended.
     """
     try:
-        ended.wait()
+        for event in ended:
+            event.wait()
     except BaseException:
         _wait_for(ended)
         raise

@@ -38,7 +38,7 @@ AttemptResult = tuple[AnyWorld, Outcome, tuple[Attempt, ...]]
 
 
 class _End:
-    """Marks the end of an engine's outcomes."""
+    """Value that marks the end of an engine's outcomes."""
 
 
 _END: Final = _End()
@@ -149,7 +149,7 @@ class AttemptRunner(Generic[AnyWorld]):
                     raise
                 refused = isinstance(error, PetmjxError) or self.engines.fallback is None
                 if self.attempt.number == 1 and refused:
-                    raise  # the user can correct the cause: worlds that the engine refuses, or the user's own engine
+                    raise  # the user can change the refused worlds, or mend an engine without a fallback
                 if not stream.taken:  # the engine would refuse the jobs again
                     stream.take(sys.maxsize, least=1)
                 unanswered = list(stream.in_flight.values())
@@ -168,7 +168,7 @@ class AttemptRunner(Generic[AnyWorld]):
                 arrivals.append((stream.answered(answer.job), answer))
             except KeyError:
                 raise RuntimeError(
-                    f"engine {engine.name} answered job {answer.job} twice, or was never given this job"
+                    f"engine {engine.name} returned two outcomes for job {answer.job}, or had no such job"
                 ) from None
             # Up to MOST_TOGETHER outcomes are checked together. No outcome is delayed: only outcomes that are ready now
             # are added.
@@ -180,7 +180,9 @@ class AttemptRunner(Generic[AnyWorld]):
             self._follow(stream, arrivals)
         yield from self.checked_results(arrivals, engine_name, checked=checked)
         if stream.in_flight:
-            raise RuntimeError(f"engine {engine.name} did not answer {len(stream.in_flight)} of {stream.taken} jobs")
+            raise RuntimeError(
+                f"engine {engine.name} returned no outcome for {len(stream.in_flight)} of {stream.taken} jobs"
+            )
         return []
 
     def _follow(self, stream: JobStream[Any], arrivals: Sequence[Any]) -> None:
@@ -244,5 +246,5 @@ class AttemptRunner(Generic[AnyWorld]):
         changed."""
         if checked.verdict is before.verdict:
             return before
-        self.engines.note(f"{world.name}: {before.verdict}, and {checked.verdict} at half the timestep")
+        self.engines.note(f"{world.name}: {before.verdict}, but {checked.verdict} at half the timestep")
         return replace(before, flags=before.flags | Flag.TIMESTEP)

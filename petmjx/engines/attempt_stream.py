@@ -31,15 +31,15 @@ from petmjx.options.simulation import Simulation, Solver
 from petmjx.world.job import Job
 
 MOST_PENDING: Final = 13 * GROUP_WORLDS["mjx-warp"] // 8
-"""Largest number of worlds in a list, for an engine that takes no stream. Also the number of waiting further attempts
-at which the source pauses."""
+"""Largest number of worlds in a list, for an engine that takes no stream. The source also pauses when this number of
+further attempts is waiting."""
 
 PENDING_BOXES: Final = 1 << 20
 """The source pauses while the pending jobs have this many boxes: their scenes take 130 MB."""
 
 FIRST_WORLDS: Final = 1600
 """Number of worlds with which a GPU begins. The GPU's blocks for worlds of few boxes (``small_world_blocks``) are then
-busy; the other worlds join them."""
+busy; the other worlds join them later."""
 
 PAUSE_S: Final = 0.02
 """While the source waits for other attempts, it checks them at intervals of this length, s."""
@@ -84,8 +84,9 @@ def score_worlds(
 
     ``check_pool``: a pool that several calls use one after the other; None: a call with many worlds starts its own.
 
-    An error of an engine with a fallback does not end the run: the fallback simulates the unanswered worlds. Nor does
-    an error at a further attempt: without a fallback these worlds are invalid by ``failed``.
+    An error of an engine with a fallback does not end the run: the fallback simulates the unanswered worlds. An error
+    at a further attempt does not end the run, either. Without a fallback, the worlds of such an attempt are invalid,
+    with the reason ``failed``.
 
     Raises:
         RuntimeError: the engine did not answer every job exactly once.
@@ -152,7 +153,7 @@ class _AttemptRun(Generic[AnyWorld]):
                 closing.callback(self.side_tasks.close)
 
     def _rounds(self, source: WorldSource[AnyWorld]) -> Iterator[WorldResult[AnyWorld]]:
-        """First attempts while there are jobs, then further attempts, until nothing is left."""
+        """Make first attempts while there are jobs, then further attempts, until no world is left."""
         primary = self.engines.primary
         while True:
             self._put_following()
@@ -253,8 +254,8 @@ class WorldSource(Generic[AnyWorld]):
     """A thread that makes worlds ahead of the engine.
 
     Args:
-        deliver: function that puts a world's job into the stream. It waits while the stream is full, and returns False
-            if the stream is closed.
+        deliver: function that puts a world's job into the stream. The function waits while the stream is full, and
+            returns False if the stream is closed.
         has_room: whether few enough worlds wait for other attempts or engines. Otherwise the source pauses.
     """
 
@@ -308,7 +309,7 @@ class _SideTasks(Generic[AnyWorld]):
     sim: Simulation
     engines: Engines
     lent: CheckPool[Pending[AnyWorld]] | None = None
-    """A pool of processes that the caller lends. It is kept for later runs."""
+    """A pool of processes that the caller lends. The pool is kept for later runs."""
     check_pool: CheckPool[Pending[AnyWorld]] | None = None
     first: AttemptRunner[AnyWorld] | None = None
     """The attempt whose outcomes the pool checks."""
@@ -323,8 +324,8 @@ class _SideTasks(Generic[AnyWorld]):
 
     def prepare(self, jobs: Sequence[Job], retries: Sequence[AttemptRecipe]) -> None:
         """At the beginning of a large run: start the pool, and the process for attempts that few worlds need. The
-        process simulates one box first, since a kernel may have to be compiled. This takes as long as simulating many
-        worlds."""
+        process simulates one box first, since a kernel may have to be compiled. Compiling takes as long as simulating
+        many worlds."""
         self.check_pool = self.check_pool or self.lent or check_pool_for(self.engines.primary, len(jobs))
         name = BESIDE.get(self.engines.primary.name)
         if name is None or len(jobs) < LARGE:
@@ -375,7 +376,7 @@ class _SideTasks(Generic[AnyWorld]):
         self, runner: AttemptRunner[AnyWorld], pending: Pending[AnyWorld], engine: str, answer: Answer
     ) -> Iterator[AttemptResult[AnyWorld] | None]:
         """The world with the outcome of an answer. For a world without an outcome, the fallback is tried beside the
-        run. If the fallback has no outcome either, it simulates the world in this process."""
+        run. If the fallback returns no outcome either, it simulates the world again, in the run's own process."""
         fallback = self.engines.fallback
         if answer.outcome is not None:
             self.engines.progress.world_steps += answer.outcome.n_steps

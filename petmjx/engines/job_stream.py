@@ -11,7 +11,7 @@ from typing import Any, Final, Generic, NamedTuple, TypeVar
 from petmjx.world.job import Job
 
 WAIT_S: Final = 0.25
-"""Longest wait without a look for signals, s: a signal just before a wait is noticed only after the wait."""
+"""Longest wait without an interruption, s. A signal that arrives just before a wait is noticed only after it."""
 
 Tag = TypeVar("Tag")
 
@@ -111,8 +111,8 @@ class JobStream(Generic[Tag]):
             self._changed.notify_all()
 
     def pause(self, paused: bool = True) -> None:
-        """Declare whether the source waits for something other than the engine. While it does,
-        nobody waits for jobs.
+        """Declare whether the source waits for something other than the engine. Meanwhile, ``take`` does not wait for
+        further jobs.
         """
         with self._changed:
             self._paused = paused
@@ -176,7 +176,7 @@ class JobStream(Generic[Tag]):
             self._changed.notify_all()
 
     def wait_for_following(self, in_flight: Collection[int]) -> bool:
-        """Wait for a moment until a job follows from an outcome. Called by an engine without worlds, in a thread other
+        """Wait briefly for a job that follows from an outcome. Called by an engine without worlds, in a thread other
         than the one that takes its outcomes.
 
         Args:

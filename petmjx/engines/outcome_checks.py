@@ -1,6 +1,6 @@
 """Checks of outcomes, the same for all engines. They find verdicts that soft contacts may have decided, boxes that came
 to rest otherwise than planned, and loads so near the edges of their supports that the verdict is on a knife's edge.
-They also compute the margin.
+The checks also compute the margin.
 
 If an engine runs in workers, each worker checks its own outcomes: for small worlds, the checks would be almost half of
 the work of the run's own process.
@@ -30,8 +30,9 @@ from petmjx.world.scene import Scene
 from petmjx.world.supports import TOUCH_M, Bearing, bearings_of
 
 LEANS_DEG: Final = 2.0
-"""A box of a stable world leans if its tilt at rest is larger. At this tilt a box of half a metre is 17 mm lower on one
-side. In worlds without the flag for leaning, soft contacts alone tilt no box by a tenth of this."""
+"""A box of a stable world counts as leaning if its tilt at rest is larger than this, degrees. At this tilt a box of
+half a metre is 17 mm lower on one side. In worlds without the flag for leaning, soft contacts alone tilt no box by even
+a tenth of this."""
 
 LOWER_M: Final = 0.005
 """A box that lies lower than planned by more than this counts as leaning, too: soft contacts may give way by as much
@@ -83,8 +84,8 @@ def _leaning(outcomes: Sequence[Outcome]) -> list[NDArray[np.bool_]]:
 
 def note_edges(outcomes: Sequence[Outcome], jobs: Sequence[Job], sim: Simulation) -> None:
     """Fill in the smallest distances of loads from edges: by the plan, at rest and while the plan is built. Also fill
-    in the distances of all boxes, and two flags: ``Flag.KNIFE_EDGE``, which any box may set, and ``Flag.SINKING`` for
-    worlds that may have tipped over because contacts are soft.
+    in the distances of all boxes and two flags. Any box may set ``Flag.KNIFE_EDGE``; ``Flag.SINKING`` is set for worlds
+    that may have tipped over because contacts are soft.
 
     Distances at rest are computed for worlds that stand and were not shaken, in which the carrier is still at its
     place. Distances while the plan is built are computed for plans whose boxes are placed in order and without errors.
@@ -155,7 +156,7 @@ def note_edges(outcomes: Sequence[Outcome], jobs: Sequence[Job], sim: Simulation
 
 
 def edges_again(scene: Scene, outcome: Outcome) -> Iterator[KnifeEdge]:
-    """All distances of loads from edges that ``note_edges`` examined. They include two that have no column: the
+    """All distances of loads from edges that ``note_edges`` examined. The result includes two that have no column: the
     distances of own weights, and the nearest distance while the plan is built."""
     in_order, at_rest = not np.isnan(outcome.build_edge_m), not np.isnan(outcome.rest_edge_m)
     joined = _Joined([(scene, outcome.n_placed, in_order)])
@@ -175,10 +176,10 @@ class _Joined:
     """Scenes whose loads and edges are computed together, since the time depends mainly on the number of calls.
 
     Attributes:
-        planned: at least one scene with boxes at their planned places. With each come the number of placed boxes, and
-            whether the smallest distances while the plan is built are needed.
-        elsewhere: further scenes with boxes at other places. With each come the (n, 3) places, m, the number of placed
-            boxes, and the largest gap of ``find_bearing``, m.
+        planned: at least one scene with boxes at their planned places. Each scene comes with the number of placed
+            boxes, and with a flag: whether the smallest distances while the plan is built are needed.
+        elsewhere: further scenes with boxes at other places. Each scene comes with the (n, 3) places, m, the number of
+            placed boxes, and the largest gap of ``find_bearing``, m.
     """
 
     planned: Sequence[tuple[Scene, int, bool]]

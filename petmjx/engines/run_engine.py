@@ -41,7 +41,7 @@ class UserEngine(Engine):
     since the user owns it.
 
     Args:
-        threads: the option of the run. It is used in the name of the device if the engine has no name for it.
+        threads: the option of the run. The number is used in the name of the device if the engine itself gives no name.
     """
 
     def __init__(self, engine: MinimalEngine, threads: int | None) -> None:
@@ -81,7 +81,7 @@ class UserEngine(Engine):
 @contextmanager
 def engine_warmup(options: RunOptions, plans: object, sim: Simulation) -> Iterator[WorkerStartup | None]:
     """Prepares the engine while plans are read. If ``mjx-warp`` will be the engine of this process, this starts JAX and
-    Warp on the GPU and compiles kernels. If workers are requested, it starts them and yields them for
+    Warp on the GPU and compiles kernels. If workers are requested, they are started, and yielded for
     ``resolve_engine``. These starts consist mostly of waiting, so plans are read meanwhile."""
     if options.asked_workers is not None and isinstance(options.engine, str):
         from petmjx.engines.remote.worker_choice import WorkerStartup  # most runs have no workers
@@ -160,10 +160,12 @@ def resolve_engine(
         costs: costs of the engines; None: the measured ones, scaled to the speed of this machine.
         ahead: workers that ``engine_warmup`` has already started for these options.
         hands_over: whether an engine that ``auto`` chooses may hand worlds over to another one (``HandoverEngine``).
-        earlier: the engine of the run before it was resumed. ``auto`` keeps it, although the machine may be busier now.
+        earlier: the engine of the run before it was resumed. ``auto`` keeps this engine, although the machine may be
+            busier now.
 
     Raises:
-        InputError, EngineUnavailable: see ``make_engine``. InputError also for workers with a user's own engine.
+        InputError, EngineUnavailable: see ``make_engine``. InputError is also raised for workers with a user's own
+            engine.
     """
     requested_engine = options.engine
     if not isinstance(requested_engine, str):
@@ -172,7 +174,9 @@ def resolve_engine(
                 f"engine must be a name or an object with a name and a method run, {shown_value(requested_engine)}"
             )
         if options.asked_workers is not None:
-            raise InputError("workers need an engine by name: each of them builds its own")
+            raise InputError(
+                "workers need the name of an engine, not an engine object: each worker builds its own engine"
+            )
         return UserEngine(requested_engine, options.threads), Choice(requested_engine.name, "given")
     if options.asked_workers is not None:
         from petmjx.engines.remote.worker_choice import resolve_workers  # most runs have no workers

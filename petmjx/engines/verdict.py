@@ -42,7 +42,7 @@ class Reason(StrEnum):
 
 
 class Flag(IntFlag):
-    """Events in a world that the metrics do not show. They are the bits of the column ``flags``."""
+    """Events in a world that the metrics do not show. The flags are the bits of the column ``flags``."""
 
     NONE = 0
     NONFINITE = 1
@@ -103,7 +103,7 @@ class Outcome:
     state: KeptState | EngineState | None = None
     """The settled state, if the job requests it. Outside the engine it is a ``KeptState``."""
     margin: float = math.nan
-    """See :func:`margin_of`; set for all engines by petmjx.engines.outcome_checks."""
+    """The margin (:func:`margin_of`), which petmjx.engines.outcome_checks sets for all engines."""
     plan_edge_m: float = math.nan
     plan_edge_box: int = -1
     rest_edge_m: float = math.nan
@@ -128,7 +128,7 @@ INVALID_FLAGS: Final = (
     (Flag.EXPLOSION, Reason.EXPLOSION),
     (Flag.TIMEOUT, Reason.TIMEOUT),
 )
-"""Flags that make a world invalid, each with its reason. The first one in this order that is set decides."""
+"""Flags that make a world invalid, each with its reason. If several are set, the first one in this order decides."""
 
 _INVALID_BITS: Final = sum(int(bits) for bits, _ in INVALID_FLAGS)
 
@@ -204,8 +204,8 @@ def judge_all(
 
 
 DROPPED_EXCESS: Final = 2.0
-"""Smallest excess of a dropped box. It makes the margin at most -1: the box may end near its place, but a drop always
-counts as beyond the threshold."""
+"""Smallest excess of a dropped box. With this excess, the margin is at most -1: the box may end near its place, but a
+drop always counts as beyond the threshold."""
 
 
 _EPSILON: Final = float(np.finfo(np.float64).eps)
@@ -216,14 +216,14 @@ def margin_of(verdict: Verdict, boxes: BoxMetrics, n_placed: int, thresholds: Th
     placed box.
 
     1: nothing moved; 0: on the threshold; negative: beyond it, at most -1 if a box dropped. In a stable world the
-    margin is never negative, and in an unstable world always. It is NaN for invalid worlds. More: docs/metrics.md,
-    section "Margin".
+    margin is never negative, and in an unstable world always. The margin is NaN for invalid worlds. More:
+    docs/metrics.md, section "Margin".
     """
     return _margins([(verdict, boxes, n_placed)], thresholds)[0]
 
 
 def margins_of(outcomes: Sequence[Outcome], thresholds: Thresholds) -> list[float]:
-    """``margin_of`` each outcome, computed together."""
+    """``margin_of`` for many outcomes, computed together."""
     return _margins([(outcome.verdict, outcome.boxes, outcome.n_placed) for outcome in outcomes], thresholds)
 
 

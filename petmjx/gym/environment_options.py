@@ -23,10 +23,10 @@ CENTRE: Final = "centre"
 OF_ORDER: Final = "order"
 ALL: Final = "all"
 MOST_OPEN: Final = 64
-"""Largest number of pallets in an episode. A robot could not reach more."""
+"""Largest number of pallets in an episode. A robot could not reach more pallets."""
 MOST_ERRORS: Final = 10.0
-"""Largest multiple of the errors of a common robot: 20 mm, beyond which a box no longer stands where it was meant
-to."""
+"""Largest multiple of the errors of a common robot. This multiple gives errors of 20 mm. With larger ones, a box would
+no longer stand where it was meant to."""
 SUPPORT: Final = {f"support_{100 * share:.0f}": share for share in SUPPORT_SHARES}
 MASKS: Final = (GEOMETRY, *SUPPORT, CENTRE, SURE, PHYSICS, LOADS)
 
@@ -131,7 +131,9 @@ class PalletizingOptions:
         reading = order_reading(self.orders_units, self.orders_columns, self.orders_density)
         orders = Orders(self.orders, self.orders_seed, self.articles, reading)
         if self.mask == LOADS and not orders.have_strengths:
-            raise InputError(f"mask: {LOADS} needs strengths of boxes: the column strength_n of orders, or articles")
+            raise InputError(
+                f"mask: {LOADS} needs strengths of boxes; give orders the column strength_n, or pass articles"
+            )
         return orders
 
     @property

@@ -20,7 +20,8 @@ LEFT: Final = 20.0
 are typical loads and masses in orders of groceries (docs/loop.md)."""
 
 LARGEST_N: Final = 1e6
-"""Largest force in observations: larger forces are replaced by it. A pallet of 100 t presses with this force."""
+"""Largest force in observations, N. Larger forces are replaced by this value. A pallet of 100 t presses with this
+force."""
 
 _LENGTHS: Final = ("x", "y", "z", "length_x", "length_y", "height")
 

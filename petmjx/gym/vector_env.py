@@ -72,8 +72,8 @@ class PalletizingVectorEnv(VectorEnv[Observation, NDArray[np.int64], NDArray[Any
         """Begin all episodes, or those for which ``options["reset_mask"]``, (n,), is true.
 
         Args:
-            options: besides ``reset_mask`` also ``level``, from 0 to 1, one number or (n,): the level of the curriculum
-                from these episodes on.
+            options: ``reset_mask``, and ``level``, which sets the level of the curriculum from these episodes on: one
+                number or (n,), from 0 to 1.
             seed: seed of the first environment; each further environment has the next number. Or a list with a seed for
                 each.
         """

@@ -1,5 +1,5 @@
-"""Pallets on ``mjx-warp``, for jitted programs. The pytree is their state on the device, and the kernel runs inside the
-program."""
+"""Pallets on ``mjx-warp``, for jitted programs. The pytree is the state of the pallets on the device, and the kernel
+runs inside the program."""
 
 from __future__ import annotations
 

@@ -91,6 +91,9 @@ class LabelParts:
         parts, n_rows, next_episode = self._tables.parts, 0, 0
         for file in parts.files(TABLE):
             episodes = parts.read(file, ["episode"])["episode"]
+            with open_for_arrow(file) as stream:
+                if not pq.read_schema(stream).equals(_PART_SCHEMA):
+                    raise InputError(f"{file}: labels of another version of petmjx; {label_cure()}")
             n_rows += len(episodes)
             next_episode = (pc.max(episodes).as_py() or 0) + 1
         if (n_rows, next_episode) != (self.n_labels, self.next_episode):

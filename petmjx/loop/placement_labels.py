@@ -278,29 +278,29 @@ class _Schedule:
         self._labeller, self._count = labeller, count
         self._most_waiting = MOST_EPISODES * sum(map(len, labeller.groups))
         self._waiting: deque[Episode] = deque()
-        """Episodes in order; the first ones are taken when they are over."""
+        """Episodes in order that are not over, or that wait for an earlier one."""
+        self._ended: list[list[Label]] = []
         self.n_made = 0
-        self._begun, self._n_taken, self._n_barren = first, 0, 0
+        self._begun, self._n_ended, self._n_barren = first, 0, 0
         self._lock = Lock()
 
     @property
     def is_complete(self) -> bool:
         """Whether all episodes are over, and none will begin."""
         with self._lock:
-            return self._n_lacking() <= 0 and all(episode.is_over for episode in self._waiting)
+            return self._n_lacking() <= 0 and not self._waiting
 
     def begin(self, most: int) -> list[Episode]:
         """Begin at most this many episodes. None begins if running episodes are expected to give enough labels, if no
         order has a box with a place, or if too many episodes wait for an earlier one."""
         begun: list[Episode] = []
         with self._lock:
-            is_behind = len(self._waiting) > self._most_waiting and not self._waiting[0].is_over
-            n_lacking = 0 if is_behind else self._n_lacking()
-            while len(begun) < most and n_lacking > 0:
+            n_lacking = self._n_lacking()
+            while len(begun) < most and n_lacking > 0 and len(self._waiting) <= self._most_waiting:
                 begun.append(self._labeller.begun(self._begun))
                 n_lacking -= begun[-1].n_expected
                 self._begun += 1
-            self._waiting += begun
+                self._waiting.append(begun[-1])
         return begun
 
     def note_label(self) -> None:
@@ -308,25 +308,27 @@ class _Schedule:
         with self._lock:
             self.n_made += 1
 
-    def note_over(self, episode: Episode) -> None:
-        """Note that an episode is over."""
-        with self._lock:
-            self._n_barren = 0 if episode.labels else self._n_barren + 1
-
     def take_ended(self) -> list[list[Label]]:
-        """The labels of the first episodes that have not been taken, as long as these are over."""
-        taken = []
+        """The labels of episodes that are over, in order, each episode once."""
         with self._lock:
-            while self._waiting and self._waiting[0].is_over:
-                taken.append(self._waiting.popleft().labels)
-                self._n_taken += len(taken[-1])
+            self._end_first()
+            taken, self._ended = self._ended, []
         return taken
 
     def _n_lacking(self) -> float:
         """Number of labels that further episodes have to give. 0: no order has a box with a place."""
+        self._end_first()
         if self._n_barren >= 2 * self._labeller.orders.count:
             return 0
-        return self._count - self._n_taken - sum(episode.n_expected for episode in self._waiting)
+        return self._count - self._n_ended - sum(episode.n_expected for episode in self._waiting)
+
+    def _end_first(self) -> None:
+        """Move the labels of the first episodes that are over to ``_ended``."""
+        while self._waiting and self._waiting[0].is_over:
+            labels = self._waiting.popleft().labels
+            self._n_barren = 0 if labels else self._n_barren + 1
+            self._n_ended += len(labels)
+            self._ended.append(labels)
 
 
 class _Packing:
@@ -392,7 +394,7 @@ class _Packing:
     def _end_over(self, rows: Iterable[int]) -> None:
         for row in rows:
             if row in self.running and self.running[row].is_over:
-                self._schedule.note_over(self.running.pop(row))
+                del self.running[row]
 
     def add(self, row: int, outcome: Outcome) -> None:
         """Label the last placement on a pallet."""

@@ -19,9 +19,10 @@ from petmjx.packers.packing_state import Packing, Taste
 from petmjx.plans.order_generator import Item
 
 TASTES: Final = (Taste(), Taste(per_height=0.6), Taste(per_overhang=0.0), Taste(per_base_side=1.0))
-"""Sets of weights for the rule. The first set is the best of 50 random sets on the first 40 orders of seed 0, by volume
-utilisation and boxes left out; similar sets are about as good. If a set leaves boxes out, the next set is tried. In 600
-orders of seed 0, the first set leaves out 35 boxes from 10 orders; all sets together leave out no box."""
+"""Sets of weights for the rule that rates candidates. The first set is the best of 50 random sets on the first 40
+orders of seed 0, by volume utilisation and boxes left out; similar sets are about as good. If a set leaves boxes out,
+the next set is tried. In 600 orders of seed 0, the first set leaves out 35 boxes from 10 orders; all sets together
+leave out no box."""
 
 
 def pack_balanced(items: Sequence[Item], extent_mm: tuple[float, float]) -> list[PlacedBox]:

@@ -108,7 +108,7 @@ def fills_for(start: Packing) -> Fills:
 
 
 class _SearchNode(NamedTuple):
-    """A packing that the next step may extend, and its full packing."""
+    """A packing that the next step may extend, and the full packing that filling it up gives."""
 
     packing: Packing
     filled: RankedPacking

@@ -142,7 +142,7 @@ class ItemStream(Packing):
 S = TypeVar("S", bound=ItemStream)
 
 Chooses = Callable[[S], NextCandidate | None]
-"""Function that makes one step of a packer. It returns a candidate, or None if no visible box has a place."""
+"""Function that makes one step of a packer. The function returns a candidate, or None if no visible box has a place."""
 
 
 def pack_stream(stream: S, chooses: Chooses[S]) -> list[PlacedBox]:

@@ -48,8 +48,8 @@ class Evaluation:
 
     @property
     def share(self) -> float:
-        """Share of the worlds with errors in which the plan stands. Without such worlds: 1 if the plan stands when
-        placed exactly, else 0.
+        """Share of the worlds with errors in which the plan stands. Without worlds with errors, the share is 1 if the
+        plan stands when placed exactly, else 0.
         """
         return self.n_standing / self.n_worlds if self.n_worlds else float(self.stands)
 
@@ -93,7 +93,7 @@ class Trial:
         return not self.judged.stands or most < options.least_share
 
     def is_whole(self, options: PhysicalOptions) -> bool:
-        """Whether all its worlds have been requested."""
+        """Whether all worlds of the packing have been requested."""
         return self.n_requested > options.worlds
 
     @property

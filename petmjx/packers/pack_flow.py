@@ -40,8 +40,8 @@ CPU: Final = Orders(4, 16, 0, 1024)
 GPU: Final = Orders(64, 1024, 256, 8192)
 
 GRANULE: Final = 96
-"""Capacities of tables, in boxes, are multiples of this. If it were smaller, more orders would not fit into the present
-tables. Such an order, and all orders after it, must wait until the worlds of the earlier orders have ended."""
+"""Capacities of tables, in boxes, are multiples of this. With a smaller granule, more orders would not fit into the
+present tables. Such an order, and all orders after it, must wait until the worlds of the earlier orders have ended."""
 
 FEW_ALONE: Final = 16
 """Upper limit of ``Orders.few`` if the simulating process also searches."""
@@ -148,8 +148,8 @@ class Flow:
         return worlds
 
     def _has_spare(self) -> bool:
-        """Whether the engine has spare capacity for worlds that may not be needed. It has spare capacity near the end
-        of a run, when few orders are left.
+        """Whether the engine has spare capacity for worlds that may not be needed. An engine has spare capacity near
+        the end of a run, when few orders are left.
         """
         return self._searched.ended and self._unanswered < self._at_a_time.worlds
 

@@ -31,7 +31,8 @@ class Begin(IntEnum):
 class Answer(IntEnum):
     """Answers about a balance.
 
-    ``UNKNOWN``: Python must decide whether the box itself tips over. ``NEAR``: a box below is too close to its limit.
+    ``UNKNOWN``: Python must decide whether the box itself tips over. ``NEAR``: the load of a box below acts too close
+    to its limit.
     """
 
     TIPS, KEEPS, UNKNOWN, NEAR = range(4)

@@ -36,7 +36,7 @@ def pack_physical(
     Args:
         orders: pairs of an id and an order.
         how: options of ``petmjx.score`` for the simulation.
-        workers: number of processes for the search. It does not affect the plans.
+        workers: number of processes for the search. This number does not affect the plans.
         look_ahead: number of next boxes that the packer ``learned`` sees. If it is given, the packing of ``learned`` is
             simulated instead of those of the search. None: the search is used.
 

@@ -4,9 +4,9 @@ Statics does not determine how a box shares its load among several supports. Wit
 edge of its supports, while with other shares all loads are inside. If such shares exist, rigid boxes stand. The
 unknowns are forces at the corners of all contact areas of boxes with several supports. The forces must push and balance
 every box. The programme picks feasible forces so that the load nearest to an edge is as far inside as possible. If no
-forces keep all loads inside, it makes loads go as little beyond edges as possible. (Forces of this kind: Livesley 1978,
-"Limit analysis of structures formed from rigid blocks", International Journal for Numerical Methods in Engineering
-12(12).)
+forces keep all loads inside, the programme minimises how far loads go beyond edges. (Forces of this kind: Livesley
+1978, "Limit analysis of structures formed from rigid blocks", International Journal for Numerical Methods in
+Engineering 12(12).)
 
 A box on one support passes its whole load to this support. Such a box adds edges to the programme, but no unknown
 forces.
@@ -24,7 +24,7 @@ from petmjx.world.load_sharing import IntArray
 from petmjx.world.supports import Bearing
 
 FAR_M: Final = 0.1
-"""Loads are not moved further inside than this."""
+"""If all loads are at least this far inside their edges, m, the programme does not move them further inside."""
 
 BEYOND_M: Final = 1e-6
 """A load counts as beyond an edge only if the programme leaves it farther outside than this, m. The solver's own
@@ -55,8 +55,8 @@ def balanced_loads(
     passed, fixed = _fixed_forces(bearing, placed)
     several = np.flatnonzero(placed & (bearing.n_supports > 1))
     together = np.flatnonzero((placed & (bearing.n_supports > 1))[bearing.upper])
-    # the loads that depend on how a box with several supports shares its load: those of boxes below it, and formally
-    # its own
+    # the loads that change if a box with several supports shares its load differently: the loads of the boxes below it.
+    # Its own load counts as one of them, since the equations contain it.
     of_box = np.zeros((len(several), len(placed)), bool)
     np.logical_or.at(of_box, np.searchsorted(several, bearing.upper[together]), passed[together])
     of_box[np.arange(len(several)), several] = True
@@ -81,14 +81,14 @@ def _fixed_forces(bearing: Bearing, placed: NDArray[np.bool_]) -> tuple[NDArray[
     does not depend on these forces.
 
     A force at a contact is in the load of the box below and, as long as boxes have one support, in the loads of the
-    boxes further below. Own weights are passed on by the same rule.
+    boxes further below. The boxes' own weights are passed on by the same rule.
     """
     n = len(placed)
     one = placed & (bearing.n_supports == 1)
     below = np.full(n, -1)
     below[bearing.upper] = bearing.lower
     below[~one] = -1
-    reach = np.zeros((n + 1, n), bool)  # the last row is the carrier's
+    reach = np.zeros((n + 1, n), bool)  # the last row belongs to the carrier
     order = np.argsort(-bearing.level, kind="stable")
     for box in order[placed[order]].tolist():
         reach[box] = reach[below[box]]
@@ -106,7 +106,7 @@ def _solved_loads(
     load: FloatArray,
     weights: FloatArray,
 ) -> tuple[FloatArray, FloatArray] | None:
-    """(n, 3) loads, in which those of the boxes ``changed`` come from the programme, and (n,) their distances beyond
+    """(n, 3) loads, with those of the boxes ``changed`` taken from the programme, and (n,) their distances beyond
     edges; None: no solution.
 
     The unknowns are the forces at the four corners of each contact; the distance of each load outside its edges;
@@ -127,7 +127,7 @@ def _solved_loads(
     reach = np.repeat(passed[contacts].T[changed], 4, axis=1)
     place, normal, offset = _edges_of(bearing, changed)
     offset = offset - normal @ middle
-    # rows of edges are in metres at the previous load, so that the solver's tolerance is in metres, too
+    # rows of edges are divided by the previous loads, so that these rows, and the solver's tolerance, are in metres
     edges = np.zeros((len(place), least + 1))
     edges[:, :f] = reach[place] * (normal @ corner[1:] - offset[:, None]) / weight[place, None]
     edges[np.arange(len(place)), outside + place], edges[:, least] = 1.0, -1.0
@@ -172,7 +172,7 @@ def _edges_of(bearing: Bearing, boxes: IntArray) -> tuple[IntArray, FloatArray, 
 def _least(
     cost: FloatArray, rows: FloatArray, least: FloatArray, most: FloatArray, bound: FloatArray
 ) -> FloatArray | None:
-    """The x that minimises ``cost @ x`` subject to least ≤ rows @ x ≤ most and 0 ≤ x ≤ bound, by HiGHS; None if it
+    """The x that minimises ``cost @ x`` subject to least ≤ rows @ x ≤ most and 0 ≤ x ≤ bound, by HiGHS; None if HiGHS
     gives up."""
     # SciPy takes a second to load, and few plans need it.
     from scipy.optimize import Bounds, LinearConstraint, milp

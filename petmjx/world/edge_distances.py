@@ -31,7 +31,7 @@ from petmjx.world.scene import Scene
 from petmjx.world.supports import Bearing, add_rows, bearing_of, ranges
 
 ROUNDING_M: Final = 1e-9
-"""A load beyond an edge by less than this lies on the edge: rounding errors of sums of millimetres."""
+"""A load beyond an edge by less than this, m, counts as on the edge, since sums of millimetres have rounding errors."""
 
 
 class Edges(NamedTuple):
@@ -41,7 +41,7 @@ class Edges(NamedTuple):
 
     Attributes:
         by_weight: (n,) distances of the boxes' own weights alone.
-        by_load: (n,) distances of their loads.
+        by_load: (n,) distances of the boxes' loads, which include their own weights.
     """
 
     by_weight: FloatArray
@@ -49,9 +49,9 @@ class Edges(NamedTuple):
 
     @property
     def least(self) -> FloatArray:
-        """(n,) the smaller of both distances. Exception: if a box would tip over by its own weight, but its load holds
-        it down, the distance of the load counts. Whether such a box could be placed at all is checked elsewhere
-        (``building_edges``)."""
+        """(n,) the smaller one of ``by_weight`` and ``by_load`` of each box. Exception: if a box would tip over by its
+        own weight, but its load holds it down, the distance of the load counts. Whether such a box could be placed at
+        all is checked elsewhere (``building_edges``)."""
         held = (self.by_weight < 0) & (self.by_load >= 0)
         nearer: FloatArray = np.where(held, self.by_load, np.fmin(self.by_weight, self.by_load))
         return nearer
@@ -123,7 +123,7 @@ def below_several(bearing: Bearing, among: NDArray[np.bool_]) -> NDArray[np.bool
     supports.
 
     Args:
-        among: (n,) the boxes that count.
+        among: (n,) mask: of the boxes with several supports, only these are considered.
     """
     return bearing.all_below(among & (bearing.n_supports > 1))
 
@@ -135,7 +135,7 @@ edges are left out, since only a programme could prove it."""
 
 
 class BuildingLoads(NamedTuple):
-    """Loads after placements: p sorted pairs of a box and a placed box that changes its load.
+    """Loads after placements: p sorted pairs of a box and a box whose placement changes the load of the first.
 
     Attributes:
         box: (p,) the box that has the load.
@@ -200,7 +200,8 @@ def building_edges(bearing: Bearing, placed: Sequence[int]) -> list[LeastBuildin
 
 def steps_beyond(scene: Scene, box: int) -> tuple[int, int]:
     """The first placement after which the load of a box is beyond an edge while a plan is built, and the first later
-    one after which the load is inside again. Both are numbers of the placed boxes, -1 for none."""
+    one after which the load is inside again. A placement is given by the number of the placed box; -1: there is
+    none."""
     built = building_loads_of(bearing_in_order(bearing_of(scene)), [scene.n_boxes])
     steps, edge = built.step[built.box == box], built.edge_m[built.box == box]
     beyond = np.flatnonzero(edge < 0)
@@ -211,8 +212,8 @@ def steps_beyond(scene: Scene, box: int) -> tuple[int, int]:
 
 
 def bearing_in_order(bearing: Bearing) -> Bearing:
-    """A bearing without supports that are placed after the box that they bear: when they come, this box has already
-    fallen.
+    """A bearing without supports that are placed after the box that they bear: when they are placed, this box has
+    already fallen.
     """
     before = bearing.lower < bearing.upper
     if before.all():
@@ -272,7 +273,7 @@ def _shared_parts(bearing: Bearing, keys: IntArray, parts: FloatArray) -> tuple[
     keys, and (k, 3) parts. A key is the number of the bearing box · n + the number of the box whose weight it is.
 
     Args:
-        keys, parts: the same for weights that reach boxes with several supports undivided.
+        keys, parts: keys and parts of the weights that are still undivided when they reach boxes with several supports.
     """
     n = len(bearing.boxes.mass)
     between = np.flatnonzero(bearing.lower != CARRIER)
@@ -350,7 +351,7 @@ def _without_pulls(bearing: Bearing, begins: IntArray, step: IntArray, load: Flo
     above = above[np.count_nonzero(bearing.lower == CARRIER) :]
     first_above = np.cumsum(n_above) - n_above
     key = np.repeat(np.arange(n), count) * n + step  # keys increase
-    # forces at the contacts of corrected boxes: one force for each load of the box
+    # forces at the contacts of corrected boxes: at each contact, one force for each load of the upper box
     size = np.where(pulled[bearing.upper], count[bearing.upper], 0)
     first, forces = np.cumsum(size) - size, np.zeros((size.sum(), 3))
     weights, boxes = bearing.weights[:, :3].copy(), np.flatnonzero(pulled)
@@ -379,13 +380,13 @@ def _without_pulls(bearing: Bearing, begins: IntArray, step: IntArray, load: Flo
 def _contact_pushes(
     bearing: Bearing, owner: IntArray, load: FloatArray, rows: IntArray, contact: IntArray
 ) -> FloatArray:
-    """(k, 3) the forces at contacts under loads.
+    """(k, 3) the forces with which loads press at contacts.
 
     Args:
         owner: (p,) the box that has each load.
         load: (p, 3) the loads.
         rows: (k,) number of the load that presses at each contact.
-        contact: (k,) the contacts: for each load, all contacts of its box.
+        contact: (k,) numbers of contacts, load by load: for each load, all contacts on which its box rests.
     """
     force = load.take(rows, axis=0)
     several = np.flatnonzero((bearing.n_supports[owner] > 1)[rows])
@@ -436,7 +437,7 @@ def balanced_after(bearing: Bearing, built: BuildingLoads, step: int) -> tuple[I
 
 
 def _least(built: BuildingLoads) -> LeastBuildingEdge:
-    """The smallest distance of one scene."""
+    """The smallest distance of a load from an edge in one scene."""
     return _least_of_scenes(built, np.zeros(len(built.box), np.intp), np.array([0, 0]))[0]
 
 
@@ -449,7 +450,8 @@ def _least_of_scenes(built: BuildingLoads, scene: IntArray, first: IntArray) -> 
     """
     least, columns = [_NO_EDGE] * (len(first) - 1), list[list[Any]]()
     numbers: IntArray = scene[:0]
-    for distance in (built.edge_m, np.abs(built.edge_m)):  # first the furthest beyond, then the nearest
+    # first the load furthest beyond an edge, then the load nearest to an edge
+    for distance in (built.edge_m, np.abs(built.edge_m)):
         numbers, place = first_least(distance, scene)
         columns.append(built.edge_m[place].tolist())
         columns += [(values[place] - first[numbers]).tolist() for values in (built.box, built.step)]

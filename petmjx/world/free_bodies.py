@@ -55,7 +55,7 @@ class Ground:
         """
         physics, boards, extent = sim.physics, pallet(sim.carrier), extent_m(sim.carrier)
         if extent is None:
-            raise ValueError("its extent depends on the plan")
+            raise ValueError("the carrier's extent depends on the plan")
         if boards is not None:
             body = body_of(boards, physics)
         else:

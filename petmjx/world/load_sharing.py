@@ -106,7 +106,7 @@ def _projected_planes(to_cone: FloatArray, owner: IntArray, begins: IntArray, un
     for _ in range(_MOST_STEPS):
         residual = np.add.reduceat(np.einsum("cji,cj->ci", to_cone, projected), begins) - unit_loads
         off = np.abs(residual).max(axis=1)
-        # each box stops on its own, so that its forces do not depend on other boxes
+        # the iteration of each box ends by itself, so that its forces do not depend on other boxes
         goes_on &= ~((off <= _EXACT) | ((before / 2 <= off) & (off <= _ENOUGH)))
         if not goes_on.any():
             break

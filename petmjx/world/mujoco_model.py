@@ -44,8 +44,8 @@ _FLOOR_COLOUR = (0.55, 0.57, 0.60, 1.0)
 class HeldCarrier:
     """The pose in which a carrier is clamped: pos (3,), m, and quat (4,), (w, x, y, z).
 
-    The carrier is a static body. With ``mocap`` it is a mocap body, whose pose is stored in a world's data, so that
-    worlds can share a model.
+    The carrier is a static body. With ``mocap``, the carrier is a mocap body, whose pose is stored in a world's data,
+    so that worlds can share a model.
     """
 
     pos: FloatArray
@@ -176,9 +176,9 @@ def _declare_pairs(
 ) -> None:
     """Declare a contact pair between each geom of ``these`` and each of ``other_partners``.
 
-    Pairs are declared if friction has a time constant of its own: MuJoCo allows this only for declared pairs. All other
-    values are the same as without a declaration: the larger friction of two geoms counts, unless the table of their
-    surfaces has an entry.
+    Pairs are declared if friction has a time constant of its own: MuJoCo allows this only for declared pairs. Apart
+    from this, contacts are the same as without a declaration. The larger friction of two geoms counts, unless the table
+    of their surfaces has an entry.
     """
     if not physics.has_own_friction:
         return
@@ -281,7 +281,8 @@ def _set_inertia(body: mujoco.MjsBody, scene: Scene, physics: Physics, number: i
     in the last digits, and the reference implementation uses them."""
     mass = scene.carrier.mass if number == CARRIER else float(scene.mass[number])
     carrier = scene.carrier
-    # a carrier keeps the mass of an open wall; its only other shape is then not at the centre of mass
+    # A carrier keeps the mass of a wall that is opened. If only one shape remains, it is not at the carrier's centre of
+    # mass.
     of_one = len(carrier.half_size) == 1 and not carrier.shape_pos.any()
     solid = scene.inertia_box is None and of_one and not scene.pieces
     if solid and scene.mass_center is None and not physics.skin_m:
@@ -315,7 +316,8 @@ def _add_geom(
 
 
 _MEMORY_BYTES = 1 << 24
-"""Memory per box: faces made of points have up to a hundred contacts each. The system allocates only the used part."""
+"""Memory that MuJoCo reserves for each box, bytes. Faces of soft boxes have up to a hundred contacts each. The
+operating system allocates only the used part."""
 
 
 def soft_spec(

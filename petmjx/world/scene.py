@@ -1,7 +1,7 @@
 """Scenes. A scene describes one world physically, in SI units: its bodies, their shapes and their places.
 
-A scene is made from a plan; in sweeps, a variant changes it. Engines see scenes, never plans. Only the scene numbers
-shapes and bodies: all other code uses its indices.
+A scene is made from a plan; in sweeps, a variant changes it. Engines see scenes, never plans. Only the scene assigns
+numbers to shapes and bodies; all other code uses these numbers.
 """
 
 from __future__ import annotations
@@ -64,7 +64,7 @@ class Scene:
     Attributes:
         half_size: (n, 3) half extents, m.
         mass: (n,) masses, kg.
-        target: (n, 3) planned places, m. Shifts are measured from them.
+        target: (n, 3) planned places, m. Shifts are measured from these places.
         start_pos: (n, 3) release places, m; equal to ``target`` in the nominal variant.
         start_quat: (n, 4) orientations (w, x, y, z) at release.
         friction: (n, 3) sliding, torsional and rolling coefficients.
@@ -139,7 +139,7 @@ class Scene:
 
     @cached_property
     def total_mass(self) -> float:
-        """Mass of boxes and carrier, kg. Force profiles use it as their unit."""
+        """Mass of boxes and carrier, kg. The unit of force profiles follows from this mass."""
         return float(self.mass.sum() + self.carrier.mass)
 
     @cached_property

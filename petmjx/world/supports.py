@@ -50,7 +50,7 @@ class Boxes:
         target: (n, 3) planned middles, m.
         half_size: (n, 3) m.
         mass: (n,) kg.
-        mass_center: (n, 3) from the middle, m.
+        mass_center: (n, 3) vector from a box's middle to its centre of mass, m.
         carrier_mass: (n,) mass of the carrier of each box's scene, kg.
         held: (n, 2, 2) largest distance beyond the supports at which a wall still holds a load, at the low and the high
             end of x and y, m.
@@ -116,9 +116,9 @@ class Boxes:
 def _held_by_walls(scene: Scene, target: FloatArray) -> FloatArray:
     """(n, 2, 2) as ``Boxes.held`` of a scene with walls, with the boxes at these (n, 3) places, m.
 
-    A box whose load W acts at a distance e beyond an edge tips until it touches the wall on that side. It touches the
-    wall at its own top or at the wall's top, whichever is lower. This point is a height h above the box's bottom. The
-    wall then presses with W·e/h, and the edge must bear this force by friction: so the wall holds the box up to e =
+    A box whose load W acts at a distance e beyond an edge tips until it touches the wall on that side. The box touches
+    the wall at its own top or at the wall's top, whichever is lower. This point is a height h above the box's bottom.
+    The wall then presses with W·e/h, and the edge must bear this force by friction: so the wall holds the box up to e =
     µ·h. The wall counts as smooth, and the support of the box as fixed.
     """
     room, half = scene.carrier.room, scene.half_size
@@ -260,8 +260,8 @@ class Bearing:
 
     @cached_property
     def rectangles(self) -> tuple[FloatArray, FloatArray]:
-        """(n, 2) each: for boxes with one support, the low and the high corner of the rectangle in which a load is
-        borne by the support or held by walls, m; NaN for other boxes."""
+        """Two arrays (n, 2): for boxes with one support, the low and the high corner of the rectangle in which a load
+        is borne by the support or held by walls, m; NaN for other boxes."""
         low, high = np.full((len(self.boxes.mass), 2), np.nan), np.full((len(self.boxes.mass), 2), np.nan)
         alone = np.flatnonzero(self.n_supports == 1)
         contact = self.ends[alone]
@@ -281,8 +281,8 @@ class Bearing:
         return self.of_range(number, number + 1)
 
     def of_range(self, begin: int, end: int) -> Bearing:
-        """The bearing of the scenes ``begin`` to ``end`` alone. Its hulls, shares and levels are taken from this
-        bearing, so that they need not be computed again."""
+        """The bearing of the scenes ``begin`` to ``end`` alone. The new bearing takes hulls, shares and levels from
+        this one, so that they need not be computed again."""
         first, last = int(self.boxes.first[begin]), int(self.boxes.first[end])
         rows, contacts = slice(first, last), slice(int(self.ends[first]), int(self.ends[last]))
         values = (getattr(self.boxes, field.name)[rows] for field in fields(self.boxes) if field.name != "first")
@@ -381,8 +381,8 @@ class Bearing:
 
     @cached_property
     def borne_together(self) -> list[IntArray]:
-        """For each group of ``levels`` the contacts of its boxes with several supports, including contacts with
-        the carrier."""
+        """For each group of ``levels``: the contacts of those of its boxes that have several supports, including
+        contacts with the carrier."""
         groups = []
         upper = self.upper[self.together]
         for between in self.levels:
@@ -398,8 +398,8 @@ class Bearing:
 
     @cached_property
     def shares(self) -> FloatArray:
-        """(k, 3, 3) matrix for each of the contacts ``together``. It maps the load of the upper box (mass and moments)
-        to the part that reaches the lower body at this contact."""
+        """(k, 3, 3) matrix for each of the contacts ``together``. The matrix maps the load of the upper box (mass and
+        moments) to the part that reaches the lower body at this contact."""
         boxes, upper = self.boxes, self.upper[self.together]
         # Places are relative to the upper box's centre and in units of its lengths. This keeps the 3 × 3 systems well
         # conditioned.
@@ -435,7 +435,7 @@ def spans(count: IntArray, chosen: IntArray) -> IntArray:
 
 
 def ranges(first: IntArray, count: IntArray) -> IntArray:
-    """The numbers of ranges, one after the other: ``count`` numbers from ``first`` on of each."""
+    """The numbers first, first + 1, … of several ranges, range after range. ``count`` has the length of each range."""
     numbers: IntArray = np.arange(count.sum()) + np.repeat(first - (np.cumsum(count) - count), count)
     return numbers
 

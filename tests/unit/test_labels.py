@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 import pandas as pd
+import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 
@@ -128,6 +129,16 @@ def test_a_long_order_among_short_ones_ends_no_set() -> None:
         for beside in others:
             assert (alone["episode"], alone["step"]) == (beside["episode"], beside["step"])
             np.testing.assert_array_equal(alone["corner_mm"], beside["corner_mm"])
+
+
+def test_orders_without_a_place_end_no_set() -> None:
+    """While one pallet gets the box of an order that fits, others go through many orders of which no box fits."""
+    sizes = {"length_mm": 400, "width_mm": 300, "weight_kg": 3}
+    rows = [{"order_id": 0, "height_mm": 200, **sizes}] + 6 * [{"order_id": 1, "height_mm": 2500, **sizes}]
+    for pallets, groups in ((8, 1), (5, 2)):
+        labeller = Labeller(Orders(pd.DataFrame(rows)), pallets=pallets, groups=groups, **MUJOCO)
+        labels = list(labeller.labels(20))
+        assert [label["episode"] for label in labels] == [*range(0, 40, 2)]
 
 
 def test_labels_have_shares_of_worlds_with_errors() -> None:
@@ -265,6 +276,16 @@ def unfinished(tmp_path_factory: pytest.TempPathFactory) -> Path:
         with pytest.raises(RuntimeError):
             write_labels(one, 60, out, source=folder / "orders.csv")
     return out
+
+
+def test_labels_of_another_version_are_not_resumed(begun: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    schema = pq.read_schema(next((begun / "parts").rglob("*.parquet")))
+    masses = pa.field("mass_kg", pa.list_(pa.float32()))
+    other = schema.set(schema.get_field_index("mass_kg"), masses)
+    monkeypatch.setattr("petmjx.loop.label_parts._PART_SCHEMA", other)
+    orders = begun.parent / "orders.csv"
+    with pytest.raises(InputError, match=r"labels of another version of petmjx; make the labels again"):
+        write_labels(labeller_of(orders), 60, begun, source=orders, resume=True)
 
 
 def labeller_of(orders: Path, **reading: Any) -> Labeller:

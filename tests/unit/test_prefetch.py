@@ -82,18 +82,19 @@ def test_an_error_holds_nothing_of_the_generator() -> None:
 
 
 def test_an_interrupt_does_not_end_the_wait_for_the_thread() -> None:
-    """Else another run would take what the thread still works with."""
-    closing, interrupted, done = threading.Event(), threading.Event(), threading.Event()
+    """Else another run would take what the threads still work with. The second thread takes longer than the first."""
+    closing, interrupted = threading.Event(), threading.Event()
+    done: list[float] = []
 
-    def slow() -> Generator[int]:
+    def slow(seconds: float) -> Generator[int]:
         try:
             while True:
                 yield 0
         finally:
             closing.set()
             interrupted.wait(60)
-            time.sleep(0.2)
-            done.set()
+            time.sleep(seconds)
+            done.append(seconds)
 
     def interrupt() -> None:
         closing.wait()
@@ -102,14 +103,14 @@ def test_an_interrupt_does_not_end_the_wait_for_the_thread() -> None:
             os.kill(os.getpid(), signal.SIGINT)
         interrupted.set()
 
-    ahead = prefetch(slow(), most=1)
+    ahead = prefetch(slow(0.1), slow(0.3), most=1)
     next(ahead)
     threading.Thread(target=interrupt).start()
     before = signal.signal(signal.SIGINT, signal.default_int_handler)
     try:
         with pytest.raises(KeyboardInterrupt):
             ahead.close()
-        assert done.is_set()
+        assert done == [0.1, 0.3]
     finally:
         signal.signal(signal.SIGINT, before)
 
@@ -127,3 +128,13 @@ def test_to_close_it_closes_the_generator_and_ends_its_thread(most: int) -> None
     never = Numbers(3)
     prefetch(never.all(), most=most).close()
     assert never.made == 0
+
+
+def test_items_of_several_generators_come_as_they_are_made() -> None:
+    first, second = Numbers(30), Numbers(20)
+    items = list(prefetch(((0, item) for item in first.all()), ((1, item) for item in second.all()), most=2))
+    assert [item for source, item in items if source == 0] == [*range(30)]
+    assert [item for source, item in items if source == 1] == [*range(20)]
+    failing = prefetch(Numbers(10**9).all(), Numbers(0, MemoryError("none left")).all(), most=2)
+    with pytest.raises(MemoryError, match="none left"):
+        list(failing)

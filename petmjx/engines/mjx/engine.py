@@ -64,7 +64,7 @@ class ProgramKey:
 
 @dataclass(frozen=True)
 class Program:
-    """``BatchRollout.chunk`` as compiled program, with the model that it steps."""
+    """``BatchRollout.chunk`` as a compiled program, with the model that it steps."""
 
     model: PaddedModel
     chunk: Any
@@ -131,7 +131,7 @@ class MjxJaxEngine(Engine):
                     if not self._simulate(batch, sim, progress):
                         if most > 1:
                             most = max(room // 2, 1)
-                            progress.message = f"out of device memory, again with {most} worlds at once"
+                            progress.message = f"out of device memory: trying again with {most} worlds at once"
                             continue
                         batch = _load(jobs, batch_jobs, room, capacity, sim)
                         batch.give_up(rows, Flag.OUT_OF_MEMORY)

@@ -20,6 +20,6 @@ MOST_THREADS: Final = 8
 
 
 def gather_rows(arrays: Iterable[NDArray[Any]], source: NDArray[np.int64]) -> list[NDArray[Any]]:
-    """The rows with the numbers ``source`` of each array. Many of these numbers are equal."""
+    """For each array, the rows whose numbers are in ``source``. Many of these numbers are equal."""
     threads = MOST_THREADS if len(source) >= MANY else 1
     return on_threads(partial(np.take, indices=source, axis=0), [*arrays], threads)

@@ -1,7 +1,7 @@
 """The rules of a run, applied after each step of all worlds: sampling, placing, resting, ending (docs/rules.md).
 
-They are pure functions of states. This module does not depend on how a step is computed. The engine ``mujoco`` has its
-own implementation of the same rules.
+The rules are pure functions of states. This module does not depend on how a step is computed. The engine ``mujoco`` has
+its own implementation of the same rules.
 """
 
 from __future__ import annotations
@@ -255,7 +255,8 @@ class Rules:
         tilted = looked & (tilt > limits.tilt_deg)
         lost = dropped | (tilted & worlds.ends_when_lost[:, None])
         if looks:
-            first = jnp.arange(self.capacity)[None] == m.culprit[:, None]  # the culprit found at an earlier look
+            # marks the box that is the culprit of an earlier look
+            first = jnp.arange(self.capacity)[None] == m.culprit[:, None]
             lost |= tilted & first & (m.sway(pos) >= worlds.allowed_sway[:, None])
         stopped = lost.any(-1) & self.sim.early_stop & ~last
         flags = jnp.where(exploded, int(Flag.EXPLOSION), 0) | jnp.where(stopped, int(Flag.EARLY_STOP), 0)

@@ -87,8 +87,8 @@ class Metrics(NamedTuple):
         return jnp.sqrt(((pos[..., :2] - self.sway_anchor) ** 2).sum(-1))
 
     def has_failed(self, thresholds: Thresholds) -> Bool[Array, " world"]:
-        """Whether a box has failed irreversibly: it has dropped, or was tilted too far at a look. A shift is not
-        irreversible: it is judged at rest, and may decrease until then."""
+        """Whether a box has failed irreversibly: it has dropped, or was tilted too far at a look. A shift does not
+        count as irreversible, since it is judged at rest and may decrease until then."""
         failed = (self.drop_step >= 0) | (self.max_tilt > thresholds.tilt_deg)
         return (self.culprit >= 0) & failed.any(-1)
 

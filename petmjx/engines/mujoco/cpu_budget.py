@@ -54,7 +54,7 @@ class Budget:
         self.slow, self._last_s = now_s - self._last_s >= SLOW_S, now_s
         if now_s - self._begin_s <= self._most_s:
             return False
-        if not self._is_exact:  # most worlds end before this
+        if not self._is_exact:  # few worlds need the exact limit
             self._is_exact = True
             soft = self._job.scene.soft is not None
             expected_s = float(MEASURED.of_jobs([self._job], self._sim)[0])

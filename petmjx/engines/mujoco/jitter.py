@@ -36,8 +36,8 @@ class Jitter:
     away_m: FloatArray | float = 0.0
 
     def which(self, n: int) -> NDArray[np.bool_]:
-        """(n,) whether each of the n placed boxes trembles. Right after a placement no box counts as trembling, since
-        it is not yet known.
+        """(n,) whether each of the n placed boxes trembles. Right after a placement, no box counts as trembling, since
+        too few looks have been taken.
         """
         return self.boxes if len(self.boxes) == n else np.zeros(n, bool)
 

@@ -1,4 +1,4 @@
-"""Contact law of landing boxes on C MuJoCo. It stops boxes that arrive fast, or lets them bounce. The law:
+"""Contact law of landing boxes on C MuJoCo. The law stops boxes that arrive fast, or lets them bounce. The law:
 petmjx/world/contact_laws.py."""
 
 from __future__ import annotations

@@ -218,7 +218,7 @@ class OracleMetrics:
         """
         n = self._scene.n_boxes
         placed = slice(n_placed)
-        with np.errstate(invalid="ignore"):  # poses of a world with NaN
+        with np.errstate(invalid="ignore"):  # poses may contain NaN
             np.fmax(self.max_tilt_deg[placed], tilt_deg(quat[placed]), out=self.max_tilt_deg[placed])
         rest_force_n = self._rest_sum_n / self._rest_steps if came_to_end and self._rest_steps else np.full(n, np.nan)
         return BoxMetrics.measured(

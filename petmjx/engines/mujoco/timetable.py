@@ -46,7 +46,7 @@ class Waits:
 
     @property
     def _is_plain_static(self) -> bool:
-        """Whether this is a static check without a drive. Its length is the option ``duration_s``."""
+        """Whether this is a static check without a drive. The length of such a check is the option ``duration_s``."""
         return self._static and not self.settles
 
     def begin(self, step: int, n_boxes: int, all_placed: bool, restless: bool) -> None:

@@ -1,4 +1,4 @@
-"""Deals chunks of jobs to workers, and deals the jobs of dead workers again. It does not depend on Ray."""
+"""Deals chunks of jobs to workers, and deals the jobs of dead workers again. This module does not depend on Ray."""
 
 from __future__ import annotations
 
@@ -42,8 +42,8 @@ class Deal:
     are needed to keep all workers busy, since the device is nearly idle at the end of each chunk.
 
     The first death of a worker may have an outside cause, so its jobs are dealt again like other jobs. Jobs whose
-    worker has died twice wait until no other jobs are left. Then they run in small pieces of √n jobs, and after another
-    death one by one. A job that was alone in a worker when the worker died is given up.
+    worker has died twice wait until no other jobs are left. Then these jobs run in small pieces of √n jobs, and after
+    another death one by one. A job that was alone in a worker when the worker died is given up.
 
     Args:
         costs: (n,) expected time of each job, in any unit.

@@ -216,7 +216,9 @@ class WorkerPool(Engine):
                     elif report is None:
                         missing = set(hand.streams.pop(ref).chunk.jobs) & deal.unanswered
                         if missing:
-                            raise RuntimeError(f"engine {self.name} did not answer {count_text(len(missing), 'job')}")
+                            raise RuntimeError(
+                                f"engine {self.name} returned no outcome for {count_text(len(missing), 'job')}"
+                            )
                     else:
                         yield from self._bury(hand, deal, jobs, sim, progress)
             progress.message = before
@@ -231,7 +233,7 @@ class WorkerPool(Engine):
         resources = {"num_cpus": place.cpus, "num_gpus": place.gpus}
         remote = self._ray.remote(Worker).options(**resources, max_concurrency=place.slots, max_restarts=0)
         threads = place.slots if self.name == "mujoco" else None
-        thorough = self.name != "mjx-warp" or self._deaths > 0  # a device may be broken
+        thorough = self.name != "mjx-warp" or self._deaths > 0  # after a death, the device may be broken
         options = {"check_pool": self._check_pool, "thorough": thorough}
         actor = remote.remote(self._recipe, os.environ.get("PETMJX_CACHE_DIR"), threads, **options)
         return _Hand(place, actor, actor.hello.remote(), working=thorough)
@@ -272,8 +274,8 @@ class WorkerPool(Engine):
         self._devices[hello.device] = None
 
     def _start_again(self, hand: _Hand, error: BaseException, most: int) -> None:
-        """Handle a worker that failed to start. If it was to replace a dead worker, whose device may be broken, three
-        starts are tried; if all fail, the run continues with the remaining workers.
+        """Handle a worker that failed to start. If the failed worker was to replace a dead one, whose device may be
+        broken, three starts are tried; if all fail, the run continues with the remaining workers.
 
         Args:
             error: raised after ``most`` tries if no other worker is left, or if no worker has died.
@@ -293,8 +295,8 @@ class WorkerPool(Engine):
     def _bury(
         self, hand: _Hand, deal: Deal, jobs: Sequence[Job], sim: Simulation, progress: Progress
     ) -> Iterator[Outcome]:
-        """Replace a dead worker. Yields outcomes for jobs that are given up. There are none if the worker's engine did
-        not exist yet."""
+        """Replace a dead worker. Yields outcomes for jobs that are given up. There are no such outcomes if the worker's
+        engine did not exist yet."""
         held = [stream.chunk for stream in hand.streams.values()]
         self._deaths += 1
         self._kill(hand)
@@ -306,7 +308,7 @@ class WorkerPool(Engine):
             self._deadly[id(jobs[index].scene)] = jobs[index].scene
             progress.worlds_done += 1
             yield failed_outcome(
-                index, jobs[index], sim, "the worker that simulated this world alone died, like others before"
+                index, jobs[index], sim, "the worker died while it simulated only this world, as did earlier workers"
             )
 
     # Chunks.
@@ -352,7 +354,7 @@ class WorkerPool(Engine):
             try:
                 deal.answered(index)
             except KeyError:
-                raise RuntimeError(f"engine {self.name} answered job {index} twice") from None
+                raise RuntimeError(f"engine {self.name} returned two outcomes for job {index}") from None
             progress.worlds_done += 1
             outcome.job = index
             yield outcome

@@ -106,7 +106,8 @@ class CheckPool(Generic[Key]):
         Args:
             jobs: the job of each outcome.
             wait: whether to wait for all outcomes.
-            until: returns whether other work is due. Outcomes not checked by then are returned by later calls.
+            until: function that returns whether other work is due. Outcomes not checked by then are returned by later
+                calls.
         """
         if keyed_outcomes:
             self._begin([key for key, _ in keyed_outcomes], ([outcome for _, outcome in keyed_outcomes], jobs, sim))

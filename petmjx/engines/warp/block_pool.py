@@ -28,7 +28,7 @@ class BlockPools:
 
     Args:
         lanes: largest number of worlds of a size at the same time; None: the number for which the device has room.
-        blocks: returns the number of blocks of a launch.
+        blocks: function that returns the number of blocks of a launch.
     """
 
     def __init__(self, lanes: int | None, blocks: Callable[[Launch], int]) -> None:

@@ -18,13 +18,13 @@ from petmjx.world.job import Job
 class Queues:
     """A queue for each size of worlds. The longest worlds come first, so that the last worlds to end are short.
 
-    Worlds that have a leg of a chain behind them come before all others, the latest first. So worlds complete their
-    journey all the time, and the host makes their rows during the simulation. If length alone decided, the short last
-    legs of all worlds would come at the end.
+    Worlds that have completed a leg of a chain come before all others; among them, the world that was queued last comes
+    first. So worlds complete their chains all the time, and the host makes their rows during the simulation. If length
+    alone decided, the short last legs of all worlds would come at the end.
 
     Args:
         sizes: largest number of boxes of each size, in the order of the queues.
-        size_of: returns the size of a job's world.
+        size_of: function that returns the size of a job's world.
         rows: number of rows of the table.
         depth_first: whether all worlds that start from a state come first.
     """

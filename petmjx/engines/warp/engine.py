@@ -39,7 +39,8 @@ GPU_SLICE_NS = 100_000_000
 calls."""
 
 MIN_BLOCKS = 16
-"""With fewer thread blocks than this, no useful amount of memory is saved."""
+"""Smallest number of thread blocks to which a pool is reduced if memory is short. Fewer blocks would save hardly any
+more memory."""
 
 
 def _half_pool(pool: BlockPool) -> BlockPool:
@@ -51,12 +52,13 @@ class MjxWarpEngine(Engine):
     """Simulates worlds on Warp's kernels, each at its own pace in a thread block
     (petmjx/engines/warp/kernel_launcher.py).
 
-    It has Newton's method only. C MuJoCo simulates attempts that need another solver (petmjx/engines/attempts.py).
+    This engine has only Newton's method. C MuJoCo simulates attempts that need another solver
+    (petmjx/engines/attempts.py).
 
     Args:
         lanes: largest number of worlds in blocks of one kind; None: as many as the device has room for.
         allow_cpu: run Warp's kernels on the CPU if there is no CUDA device; slow, for tests.
-        most_rows: largest number of worlds whose states are on the device at the same time. It limits the memory for
+        most_rows: largest number of worlds whose states are on the device at the same time. This limits the memory for
             any number of jobs.
         slice_ns: time slice of a call, ns. After each slice, the host finds out which worlds have ended.
 
@@ -166,7 +168,7 @@ class MjxWarpEngine(Engine):
         apart = [stream_numbers[sizes == size] for size in np.unique(sizes)]
         for part in apart if len(apart) > 1 else np.array_split(stream_numbers, 2):
             if len(part):
-                progress.message = f"out of device memory, again with {len(part)} of the worlds"
+                progress.message = f"out of device memory: trying again with {len(part)} of the worlds"
                 jobs = self._table_jobs(JobStream.of([lost[stream_number] for stream_number in part.tolist()]))
                 for outcome in self._outcomes(jobs, sim, progress):
                     if outcome is not None:
@@ -239,7 +241,7 @@ class MjxWarpEngine(Engine):
                         return None
                 self._drop()  # kept rollouts of other sizes may take the memory: try again without them
                 lanes = sum(pool.lanes for pool in pools)
-                run.progress.message = f"out of device memory, again with {lanes} lanes"
+                run.progress.message = f"out of device memory: trying again with {lanes} lanes"
             else:
                 self._kept[launches] = (key, rollout)
                 return rollout

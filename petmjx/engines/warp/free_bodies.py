@@ -49,7 +49,7 @@ def paths(
     """See ``petmjx.engines.protocol.Engine.paths``.
 
     Args:
-        blocks: returns the number of thread blocks of a launch.
+        blocks: function that returns the number of thread blocks of a launch.
         slice_ns: duration of a call, ns.
         most_rows: largest number of worlds whose states are on the device at the same time.
     """

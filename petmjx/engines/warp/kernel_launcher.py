@@ -1,11 +1,11 @@
 """Launcher of mjx-warp's kernels: a JAX call in which each world advances at its own pace.
 
 Thread blocks for worlds of one size form a block pool, which has its own kernel (petmjx/engines/warp/block_launch.py).
-All pools run at the same time on the same tables. A block takes a world from its pool's queue. It steps this world
-until the world ends, its drive begins, or the time slice is over. Then it takes the next world. No world waits for
-another: a world costs only the work on its own boxes, and a step takes only as long as the world's own solver needs.
-States are in the tables of petmjx/engines/mjx/world_state.py, and an interrupted world continues in the next call. So
-results do not depend on the blocks, on the order of worlds, or on the duration of a slice.
+All pools run at the same time on the same tables. A block takes a world from its pool's queue. The block steps this
+world until the world ends, its drive begins, or the time slice is over. Then it takes the next world. No world waits
+for another: a world costs only the work on its own boxes, and a step takes only as long as the world's own solver
+needs. States are in the tables of petmjx/engines/mjx/world_state.py, and an interrupted world continues in the next
+call. So results do not depend on the blocks, on the order of worlds, or on the duration of a slice.
 """
 
 from __future__ import annotations

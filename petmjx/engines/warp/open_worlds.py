@@ -126,7 +126,7 @@ class WarpWorlds(OpenWorlds):
 
     def _new_box(self, before: Stacks, boxes: NextBoxes, rows: int) -> NewBox:
         if before.mass.shape[1] >= self.width and np.isfinite(before.mass[:, self.width - 1]).any():
-            raise ValueError(f"each world has room for {self.width} boxes, and one world is full")
+            raise ValueError(f"each world has room for {self.width} boxes, and one is full; use a larger most_boxes")
         return new_box(before, boxes, self._blank, self._sim, rows)
 
     def _try_scenes(
@@ -244,7 +244,9 @@ class WarpWorlds(OpenWorlds):
         self._know(scenes)
         most = max(scene.n_boxes for scene in scenes)
         if most > self.width:
-            raise ValueError(f"each world has room for {self.width} boxes, but one has {most}")
+            raise ValueError(
+                f"each world has room for {self.width} boxes, but one scene has {most}; use a larger most_boxes"
+            )
         boards = max(len(scene.carrier.half_size) for scene in scenes)
         if boards > self.boards:
             raise ValueError(f"there is room for carriers of {self.boards} boards, but one carrier has {boards}")

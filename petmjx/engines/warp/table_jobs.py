@@ -35,8 +35,8 @@ JOIN_ROWS, FEEDBACK_ROWS = 256, 64
 """Number of jobs that are written into a table at a time; and the same number for jobs that follow from outcomes."""
 
 MOST_PROFILE_BYTES: Final = 1 << 30
-"""Largest memory for the profiles of jobs that follow, bytes. It has room for 7,000 different profiles of 20 s. Further
-worlds wait until a profile's row is free."""
+"""Largest memory for the profiles of jobs that follow, bytes. This memory has room for 7,000 different profiles of 20
+s. Further worlds wait until a profile's row is free."""
 
 _SAMPLE_BYTES: Final = 3 * 4
 
@@ -165,7 +165,7 @@ class TableJobs:
         return not apart and not table.fits(job)
 
     def wait_for_following(self) -> bool:
-        """Wait for a moment until a job follows from an outcome. Returns whether jobs may still follow."""
+        """Wait briefly for a job that follows from an outcome. Returns whether jobs may still follow."""
         return self._stream.wait_for_following(self.in_flight)
 
     def answered(self, stream_number: int) -> None:

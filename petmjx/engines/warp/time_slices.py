@@ -126,7 +126,7 @@ class TableSlices:
         waits: whether each slice waits for the outcomes of the previous slice, since the host must fetch frames of
             recorded worlds.
         pools: enlarges buffers.
-        rollout_for: returns the rollout for the table; None if memory has run out.
+        rollout_for: function that returns the rollout for the table; None if memory has run out.
     """
 
     def __init__(
@@ -205,7 +205,9 @@ class TableSlices:
             if growth is None:
                 table.give_up(some, Flag.NONE)
                 continue
-            table.run.progress.message = f"{len(some)} worlds overflowed their buffers, on with {growth}× as large ones"
+            table.run.progress.message = (
+                f"{len(some)} worlds overflowed their buffers: continuing with {growth}× the buffers"
+            )
             table.retry(some)
             table.table = table.table._replace(status=table.table.status.at[some].set(Status.RUNNING))
         self._rollout = self._rollout_for(table)

@@ -99,7 +99,7 @@ class Model:
     ls_iterations: int  # largest number of iterations of the solver's line search
 
     queue: int  # the queue from which these blocks take worlds
-    most_idle: int  # largest number of lanes without a world; above it, the others stop for this call
+    most_idle: int  # largest number of lanes without a world; above it, the other lanes stop for this call
     most_placed: int  # largest number of boxes; if a world has more, it moves to other blocks in the next call
     npairmax: int  # largest number of pairs of near geoms of a world
     nconmax: int  # largest number of contacts of a world

@@ -22,7 +22,8 @@ from petmjx.options.simulation import Simulation
 from petmjx.world.job import Excitation, Job
 
 MAX_GROWTH = 8
-"""Largest factor by which buffers grow. They double with each overflow. A world that needs larger ones is invalid."""
+"""Largest factor by which buffers grow. Buffers double with each overflow. A world that needs larger buffers is
+invalid."""
 
 OVERFLOW_BITS = int(Flag.CONTACT_OVERFLOW | Flag.CONSTRAINT_OVERFLOW | Flag.OTHER_OVERFLOW)
 
@@ -88,7 +89,7 @@ class RunningWorlds(NamedTuple):
 class WorldTable(Batch):
     """Worlds of all sizes on the device, and the buffers for their frames.
 
-    ``jobs`` has the latest job of each row that was ever used.
+    ``jobs`` has the job that each used row got last.
 
     Attributes:
         stream_numbers: stream number of each row's job.
