@@ -153,13 +153,14 @@ def _walls(low: FloatArray, high: FloatArray) -> Iterator[_Wall]:
 
 
 def _met_length(wall: _Wall, others: list[_Wall], tolerance_mm: float) -> float:
-    """The length of a wall on which parallel walls of boxes above stand, mm."""
+    """The total length of the parts of a wall on which parallel walls of boxes above stand, mm."""
     near_spans = [other.span for other in others if other.axis == wall.axis and abs(other.at - wall.at) <= tolerance_mm]
     return _covered_length(wall.span, near_spans)
 
 
 def _over(wall: _Wall, areas: list[tuple[FloatArray, FloatArray]], tolerance_mm: float) -> float:
-    """The length of a wall that lies over areas, mm. An area is given by its lowest and highest corners."""
+    """The length of the parts of a wall that lie over some of the areas, mm. Each area is given by its lowest and
+    highest corners."""
     under = []
     for low, high in areas:
         if low[1 - wall.axis] - tolerance_mm <= wall.at <= high[1 - wall.axis] + tolerance_mm:

@@ -138,7 +138,7 @@ def answer(
 
 
 def _stable(slack: FloatArray, criterion: Criterion) -> NDArray[np.int8]:
-    """``YES`` or ``NO`` by the sign of the slack; NaN gives ``NO``. If the criterion ``ends``, boxes after the first
+    """``YES`` or ``NO`` by the sign of the slack; NaN gives ``NO``. If ``Criterion.ends`` is set, boxes after the first
     failing one get ``NOT_ASKED``."""
     rounding = _ROUNDING[criterion.unit]
     stable = (slack > rounding if criterion.strict else slack >= -rounding).astype(np.int8)
@@ -206,11 +206,11 @@ LEAST_CORNERS: Final = 3
 
 CORNER_AREA_PAPER: Final = (0.60, 0.80, 0.95)
 CORNER_AREA_CODE: Final = (0.50, 0.85, 0.95)
-"""Shares required for boxes with four borne corners, with three, and with fewer, according to the paper and to its
-authors' code."""
+"""Required shares of the base for boxes with four borne corners, with three, and with fewer: first from the paper that
+proposes this criterion, then from its authors' code."""
 
 LEAST_TOLERABLE_G: Final = 0.5
-"""Acceleration sideways and rearward on the road, g. Source: EN 12195-1:2010."""
+"""Acceleration that a load on the road must withstand sideways and rearward, g. Source: EN 12195-1:2010."""
 
 
 def tolerable_acceleration_g(contacts: PlanContacts, hulls: Hulls, friction: float) -> FloatArray:
@@ -280,7 +280,7 @@ def load_points(contacts: PlanContacts) -> dict[str, float]:
         ]
     )
     middle = edges.mean(axis=0) if on_carrier.any() else np.full(2, np.inf)
-    left = np.clip((middle - low[:, :2]) / contacts.size_mm[:, :2], 0.0, 1.0)  # share left of the middle, along x and y
+    left = np.clip((middle - low[:, :2]) / contacts.size_mm[:, :2], 0.0, 1.0)  # share before the middle, along x and y
     quadrants = [contacts.mass_kg @ (x * y) for x in (left[:, 0], 1 - left[:, 0]) for y in (left[:, 1], 1 - left[:, 1])]
     above = ~np.isin(np.arange(contacts.n_boxes), contacts.upper[on_carrier])
     upper, lower = contacts.upper[~on_carrier], contacts.lower[~on_carrier]

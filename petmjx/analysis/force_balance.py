@@ -106,7 +106,7 @@ def largest_slack(forces: Entries, share: FloatArray, row_sums: FloatArray, limi
         limits: (q, f); None: no limits.
 
     Returns:
-        The slack; −inf if there is no such s, however small.
+        The slack s; −inf if no s, however far below 0, fulfils the conditions.
 
     Raises:
         PetmjxError: HiGHS found no answer.
@@ -293,7 +293,7 @@ class _VerticalSystem:
         self._value[1] *= -1
 
     def slack(self, boxes: IntArray) -> float:
-        """The largest slack of a structure of several boxes, all of them placed."""
+        """The largest slack of a structure of two or more placed boxes."""
         place = np.full(len(self._weight), -1)
         place[boxes] = np.arange(len(boxes))
         chosen = np.flatnonzero(place[self._upper] >= 0)
@@ -376,7 +376,7 @@ def friction_slack(
 
 
 def _columns(entries: Entries, chosen: IntArray, n: int) -> Entries:
-    """The entries of a sparse matrix that lie in the chosen columns, of n columns. The chosen columns are
+    """The entries that lie in the chosen columns of a sparse matrix with n columns. The chosen columns are
     renumbered."""
     position = np.full(n, -1)
     position[chosen] = np.arange(len(chosen))

@@ -149,7 +149,7 @@ def load_slack(
     distance = hulls.distance(below, point)
     slack = np.full(contacts.n_boxes, np.inf)
     with np.errstate(invalid="ignore"):
-        np.minimum.at(slack, placed, distance)  # NaN prevails
+        np.minimum.at(slack, placed, distance)  # one NaN makes the minimum NaN
     return slack
 
 
@@ -213,8 +213,8 @@ def bearing_of(contacts: PlanContacts) -> Bearing:
 
 
 def _pulls(contacts: PlanContacts, built: BuildingLoads) -> bool:
-    """Whether, after any placement, a support would have to pull under an even bedding. If so, the loads differ from
-    the loads with supports that only push."""
+    """Whether there is a placement after which a support would have to pull under an even bedding. If so, the loads
+    differ from those with supports that can only push."""
     linear = _loads_on_boxes(contacts, even_bedding).cumsum(axis=1)[built.box, built.step]
     pushed = built.load * (1.0, MM_PER_M, MM_PER_M)
     return not np.allclose(linear, pushed, rtol=_SAME, atol=_SAME * np.abs(pushed).max(initial=0.0))

@@ -54,7 +54,8 @@ FLIPS: Final = tuple(
 """Columns of ``flips`` that a notebook shows."""
 
 GROUPS: Final = ("same verdict", "both stable")
-"""The groups of worlds in which metrics are compared. After a collapse, metrics are chaotic."""
+"""The groups of worlds in which metrics are compared. In worlds that collapse, metrics differ chaotically, so "both
+stable" is a separate group."""
 
 
 @dataclass(frozen=True, eq=False)

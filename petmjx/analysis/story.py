@@ -466,7 +466,7 @@ def _leans(story: Story) -> str:
 
 
 def first_box_in_words(story: Story) -> str:
-    """A sentence on which box failed first, when and why; "" if no box failed."""
+    """A sentence that states which box failed first, when and why; "" if no box failed."""
     box = story.outcome.culprit
     if box < 0:
         return ""

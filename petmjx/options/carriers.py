@@ -95,8 +95,8 @@ _SHORTEST_MM, _LONGEST_MM, _HIGHEST_MM = 200.0, 6000.0, 1500.0
 200 means that sizes were given in cm, inches or metres. A pallet is 100 to 170 mm high, and the base of a roll
 container about 200 mm."""
 _THINNEST_MM: Final = 0.001
-"""Smallest extent of a board. Even a board that is given in metres is larger than this number. So such a board passes
-this check, and the check of the whole carrier can suggest the unit."""
+"""Smallest extent of a board, mm. If a user gives a board in metres by mistake, its numbers are still above this limit.
+So the board passes this check, and the check of the whole carrier can suggest the right unit."""
 _LIGHTEST_KG, _HEAVIEST_KG = 1.0, 5000.0
 """Limits of a carrier's mass. A cardboard carrier weighs 2 kg. A carrier 1,000 times lighter than its load would sink
 into its soft contacts."""

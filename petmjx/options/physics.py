@@ -169,7 +169,7 @@ class Physics(CheckedRecord):
     @classmethod
     def _from_preset(cls, values: Any) -> Any:
         """Accept a preset's name, or a table that changes a preset."""
-        if values == CUSTOM:  # the word "custom" alone gives no values
+        if values == CUSTOM:  # the name "custom" alone does not define any values
             raise ValueError(f"must be {' or '.join(PHYSICS)}, or a table of values, {shown_value(values)}")
         if isinstance(values, str):
             values = {"name": values}

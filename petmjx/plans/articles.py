@@ -114,7 +114,7 @@ class Article:
     stiffness_n_mm: float | None = None
 
     def filled_up(self, other: Article) -> Article:
-        """A copy whose missing values are filled from another entry."""
+        """A copy of this entry in which missing values are taken from another entry."""
         values = {field.name: value for field in fields(self) if (value := getattr(self, field.name)) is not None}
         return replace(other, **values)
 
@@ -123,8 +123,8 @@ class Article:
 class Articles:
     """Properties by article, by product group and by material.
 
-    Each property is taken from the article. If the article does not have it, it is taken from the product group, and
-    else from the material.
+    Each property is taken from the article. A property that the article lacks is taken from the product group; a
+    property that both lack is taken from the material.
     """
 
     by_article: Mapping[str, Article]

@@ -149,7 +149,8 @@ _UNIT_MARK: Final = re.compile(
     r"[\[(\{<]\s*([^\])}>]*?)\s*[\])}>]|/\s*([a-zµ]+)\s*$|\bin\s+([a-z]+)\s*$", re.IGNORECASE
 )
 _SCALE: Final = re.compile(r"\bscale\b", re.IGNORECASE)
-"""Sizes of unit cubes in scenes of three.js and Unity, in which no other field is a size."""
+"""Names of scale factors. In scenes of three.js and Unity, boxes are scaled unit cubes, so the factors are their
+sizes."""
 _INDEX: Final = re.compile(r"\[(\d+)\]")
 _ORDER: Final = re.compile(
     r"(?<![a-z])([lwhbdtap])\s*[x×*/,;]\s*([lwhbdtap])\s*[x×*/,;]\s*([lwhbdtap])(?![a-z])", re.IGNORECASE
@@ -411,7 +412,7 @@ _FIRST: Final[tuple[Kind, ...]] = (
 
 
 def _kind_of(tail: list[str], path: list[str]) -> Kind | None:
-    """The meaning of a name that contains no axis."""
+    """The kind of a column whose name contains no axis."""
     words = set(tail)
     joined = "".join(tail)
     if joined == "m":

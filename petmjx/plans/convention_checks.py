@@ -52,13 +52,13 @@ mistake, it makes it in all plans. By chance, one in 300 plans with three floati
 swapped."""
 
 _LEAST_FILLED: Final = 0.3
-"""If a convention explains a plan, boxes must fill at least this share of the plan's bounding box. Without this rule,
-larger coordinates would explain any plan, since they separate even boxes that really overlap."""
+"""A convention explains a plan only if boxes then fill at least this share of the plan's bounding box. Without this
+rule, larger coordinates would explain any plan, since they separate even boxes that really overlap."""
 
 _MM3_PER_M3: Final = 1e9
 
 _MOST_ROUNDS: Final = 5
-"""Largest number of passes over the turned boxes. Most rows are right after two."""
+"""Largest number of passes over the turned boxes. Two passes are usually enough."""
 
 _Layout = tuple[FloatArray, FloatArray]
 """Corners and sizes, (n, 3) each, mm, in packing order."""
@@ -69,8 +69,8 @@ class Convention:
     """A convention other than petmjx's, in which an odd plan is read as a trial.
 
     Attributes:
-        looks: how plans in this convention look, for messages.
-        advice: how to correct the plan, for messages. ``{lowest}`` stands for the z of the lowest box, ``{x}`` and
+        looks: text for messages: how plans in this convention look.
+        advice: text for messages: how to correct the plan. ``{lowest}`` stands for the z of the lowest box, ``{x}`` and
             ``{y}`` for the middle of the carrier, mm.
         read: function that converts corners and sizes to petmjx's convention. None: the convention does not change
             corners and sizes.
@@ -78,7 +78,7 @@ class Convention:
             lowest box does not float.
         of_turned: whether ``read`` is applied only to boxes that their orientation turns. All other boxes are not
             changed.
-        of_some: whether ``read`` is applied only to those turned boxes that overlap fewer boxes afterwards.
+        of_some: whether ``read`` changes only those turned boxes that overlap fewer boxes after the change.
         least_share: the convention is considered only if at least this share of the boxes above the carrier floats or
             overlaps, and one of them by more than ``_SMALL_MM``.
     """
@@ -131,8 +131,8 @@ _SMALL_MM: Final = 20.0
 """Gaps and overlaps up to this size come from sheets, rounded heights or careless packers, not from a convention."""
 
 _WALL: Final = Convention(*_YZ, lambda corner, size: (corner[:, [0, 2, 1]], size[:, [0, 2, 1]]), least_share=_MOST)
-"""The convention of a wall or a row of boxes whose heights are all in y. No box floats or overlaps, but the plan is too
-long."""
+"""The convention of a plan in which y and z are swapped, and whose boxes form a single wall or row. In such a plan no
+box floats or overlaps, but the plan reaches beyond the carrier."""
 
 LAYOUTS: Final[tuple[Convention, ...]] = (
     Convention(*_TURNED, lambda corner, size: (corner, size[:, [1, 0, 2]]), least_odd=1, of_turned=True),
@@ -215,7 +215,8 @@ class _Search:
             self._add(unit[0], plan, unit[1])
             if unit[0].read is not None:
                 corner, size = unit[0].read(plan.corner_mm, plan.size_mm)
-                # ``kinds`` are dropped, because the size of a kind of pallet is fixed, and must not be converted.
+                # ``kinds`` are left out: the sizes of a kind of pallet are fixed, so a plan with converted sizes would
+                # be refused.
                 plan = replace(plan, corner_mm=corner, size_mm=size, kinds=())
                 odd = check_layout(plan.plan_id, plan.source, corner, size, self.extent_mm)
         if odd is None:

@@ -29,7 +29,7 @@ class NoGeometry(InputError):
 
 
 class NoBoxes(NoGeometry):
-    """A file has no boxes at all, so it may be of another kind."""
+    """A file has no boxes at all, so it is perhaps not a file of plans or orders."""
 
 
 def is_csv(path: Path) -> bool:
@@ -137,7 +137,7 @@ def other_encoding(text: str) -> str:
         return ""  # the other bytes are UTF-8, so the text is damaged
     try:
         read = text.encode("utf-8", "surrogateescape").decode("cp1252")
-    except UnicodeEncodeError:  # a surrogate that JSON wrote as an escape is no byte
+    except UnicodeEncodeError:  # a surrogate from an escape in JSON does not stand for a byte of the file
         return ""
     except UnicodeDecodeError:
         return ": save the file as UTF-8"

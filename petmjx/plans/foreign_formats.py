@@ -131,7 +131,7 @@ def sources_of_bytes(data: bytes | bytearray, path: Path) -> list[BoxSource]:
 
 
 def sources_of_tables(file: RawFile) -> list[BoxSource]:
-    """Turn tables into lists of boxes. Tables with the same header become parts of one list."""
+    """Turn tables into lists of boxes. Tables with the same header are joined into one list."""
     groups: dict[tuple[str, ...], list[RawTable]] = {}
     for table in file.tables:
         groups.setdefault(table.header, []).append(table)
@@ -682,7 +682,7 @@ def sources_of_frame(frame: Any) -> list[BoxSource]:
             table = pa.table(frame)
             header = tuple(table.column_names)
             rows = list(zip(*(column.to_pylist() for column in table.columns), strict=True))
-    except Exception as error:  # an object that is no table may raise anything
+    except Exception as error:  # for an object that is no table, Arrow may raise any exception
         raise NoBoxes(f"is no table: {type(error).__name__}") from None
     places = [f"row {number}" for number in range(len(rows))]
     raw = RawTable(tuple(distinct_names(header)), rows, places, decimal_of(rows))

@@ -130,7 +130,7 @@ def plans_of_sources(
     parts = [plans for plans in (first, second) if plans is not None]
     best = min(parts, key=lambda plans: plans.reading.cost, default=None)
     if best is None or (len(parts) == 2 and abs(parts[0].reading.cost - parts[1].reading.cost) < TIE):
-        return _plans_of(chosen, sources, path, source, wishes)  # its error names the number with two meanings
+        return _plans_of(chosen, sources, path, source, wishes)  # its error names the ambiguous number
     return best
 
 
@@ -372,7 +372,7 @@ class _Builder:
             lost = self._plans_with_lost(names)
             single_name = self.of_one if len(plans) == 1 and not lost else None
             reading, candidate = single_name or choose_reading(self.columns, plans, self.wishes, lost)
-        except InputError:  # no row is good, or the rest is implausible because rows are missing
+        except InputError:  # no row is good, or the good rows are implausible without the bad ones
             if self.boxes.table.lost:
                 place, fault = self.boxes.table.lost[0]
                 raise InputError(f"{place}: {fault}") from None

@@ -57,8 +57,8 @@ _COUNTED: Final = _PIECES | word_set(
     "nb nbr nombre n no num number of ordered order total gesamt totale bestellt bestellmenge de di anz "
     "pro per commandes pedidas ordinati zamowione pick picked"
 )
-"""A column has quantities if its name has a word of ``_PIECES`` and only words of ``_COUNTED``, its cells are whole
-numbers, and no other column is named as a quantity."""
+"""A column has quantities if four conditions hold: its name has a word of ``_PIECES``; all words of its name are in
+``_COUNTED``; its cells are whole numbers; and no other column is named as a quantity."""
 _QUANTITY: Final = word_set("qta bestellmenge bestellt ordered commande pedida ordinata zamowiono need demand bedarf")
 """Names that by themselves mean a column of quantities."""
 _NO_QUANTITY: Final = word_set(
@@ -76,7 +76,7 @@ _ORDERS: Final = word_set(
     "entrega consegna dostawa"
 )
 _NUMBERED: Final = word_set("nr no number nummer numero n id num sales purchase customer kunden name code deg")
-"""A column has orders if its name has a word of ``_ORDERS``, and otherwise only words of ``_NUMBERED``."""
+"""A column has ids of orders if its name has a word of ``_ORDERS``, and all its other words are in ``_NUMBERED``."""
 _ARTICLE: Final = word_set("indeks towar goods ware good mercancia merce marchandise")
 _TYPE: Final = word_set("type typ kind name code")
 _PIECE: Final = word_set("box carton karton case item package")
@@ -267,8 +267,8 @@ class _ItemExtraction(Extraction):
     def role(
         self, role: str, kind: str, *, within: set[int] | None = None, without: set[int] | None = None
     ) -> int | None:
-        """The column of a role: the column that an option names, else the first column of its kind; None if the role
-        has no column."""
+        """The column of a role: the column that an option names, else the first column whose name means this role; None
+        if the role has no column."""
         name = self.chosen.get(role)
         if name is not None:
             return None if name == IGNORED else self.table.header.index(name)

@@ -38,14 +38,14 @@ SET_KG_M3: Final = 200.0
 similar."""
 EURO: Final = "euro-pallet"
 _PALLET_MM: Final = (300.0, 1700.0)
-"""Limits of the sides of a container that may be a pallet. A container outside them is not a pallet, and its boxes are
-packed on a Euro pallet."""
+"""Limits of the sides of a container that may be a pallet. A container with other sides is not a pallet, so its boxes
+are packed on a Euro pallet instead."""
 
 _LENGTH_PRIOR: Final = {"mm": 0.0, "cm": 0.0, "m": 0.0, "in": 0.7, "ft": 3.0}
 _MASS_PRIOR: Final = {"kg": 0.0, "g": 0.0, "lb": 0.7, "t": 3.0}
 _MIXED: Final = 1.5
-"""Cost of a mixed system of units (inches with kilograms, or pounds with metric lengths), if no names give the
-units."""
+"""Cost of a reading that mixes systems of units (inches with kilograms, or pounds with metric lengths), if no names
+give the units."""
 _DENSEST_KG_M3: Final = 1e6
 """Densities above this come from damaged weights, and are no evidence of a unit."""
 _BIN_PRIOR: Final = {"mm": 0.0, "cm": 0.0, "dm": 0.0}
@@ -54,8 +54,8 @@ _LIST_PRIOR: Final = {"cm": -1.5, "mm": 0.0, "m": 0.0}
 """Possible units of lists of lengths. The unit is cm, as in RoboBPP's lists, unless the sizes indicate another unit."""
 ROW_LEAD: Final = 0.75
 """A weight in a row usually is that of a single box. If the reading as weights of whole rows has a cost that is lower
-by at least this, both readings are possible. An example is a row of ten boxes, each of which would have 1,500 kg/m³ if
-the weight were that of one box."""
+by at least this, both readings are possible. For example, a row has ten boxes, and each of them would have 1,500 kg/m³
+if the weight were that of one box."""
 _WATER_KG_M3: Final = 1000.0
 _RELATIVE: Final = 1.5
 """Densities up to this value are relative to water."""
@@ -109,7 +109,7 @@ class ForeignOrders:
     Attributes:
         orders: (id, order) of each good order, in the order of the file.
         refused: (id, line) of each refused order.
-        line: how the file was read; "" if the file left nothing to choose and nothing is unused.
+        line: how the file was read; "" if no choice had to be made and no column is unused.
     """
 
     orders: tuple[tuple[str, Order], ...]

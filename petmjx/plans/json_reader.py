@@ -24,7 +24,7 @@ _UTF8_MARK: Final = b"\xef\xbb\xbf"
 def read_text_bytes(path: Path) -> tuple[bytearray, str | None]:
     """The text of a file as bytes, and an error about the whole file (None if there is none).
 
-    Gzip is recognised by content, not by name. Memory holds the packed and the unpacked bytes once each.
+    Gzip is recognised by content, not by name. Memory holds one copy of the packed bytes and one of the unpacked bytes.
 
     Raises:
         OSError: the file cannot be read, is not a regular file, or is too large.
@@ -144,7 +144,7 @@ def scan_plans(data: bytes | bytearray, of: str = "plan id → placements", noun
     """Yield every entry in a file's bytes, in order.
 
     Args:
-        of: what the file's object should contain, for messages.
+        of: text for messages: what the file's object should contain.
         noun: name of an entry in messages.
 
     Raises:

@@ -27,8 +27,8 @@ def first_loose(plan: Plan) -> int:
     """The first box, in packing order, whose centre of mass is not over its supports; n if there is none.
 
     The supports of a box are the highest tops of earlier boxes under it, or the carrier. The centre of mass is over the
-    supports if it lies within the bounding rectangle of their contact areas. A rule with the convex hull of the contact
-    areas would be stricter.
+    supports if it lies within the bounding rectangle of their contact areas. The convex hull of the contact areas can
+    be smaller than this rectangle, so a rule with the hull would find more loose boxes.
     """
     low, high = plan.corner_mm, plan.corner_mm + plan.size_mm
     along = [shared_length(low[:, axis], high[:, axis]) for axis in (0, 1)]

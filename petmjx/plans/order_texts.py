@@ -135,7 +135,8 @@ def _flags_at(line: _Line) -> int | None:
 
 
 def _is_thpack(lines: Sequence[_Line]) -> bool:
-    """Whether lines are container loading problems: a container, the number of types, and a line per type."""
+    """Whether lines have the form of container loading problems: a container, the number of box types, and a line per
+    type."""
     first = next(
         (number for number, line in enumerate(lines[: _LINES_BEFORE + 1]) if _flags_at(line) is not None), None
     )

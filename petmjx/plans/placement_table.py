@@ -50,7 +50,7 @@ _NUMBER: Final = r"^[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?$"
 _SHORT_WHOLE: Final = r"^[+-]?(\d{1,18}|[1-8]\d{18})$"
 _WHOLE: Final = re.compile(r"[+-]?[0-9]+")
 _MOST_EXACT: Final = 2.0**53
-"""float64 represents every whole number up to this one exactly."""
+"""Largest n for which float64 represents all whole numbers from 0 to n exactly."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -548,7 +548,8 @@ class _TableReader:
         return f", rows {first} and {second}: sequence {numbers[twice[0]]} is there twice"
 
     def _fault_of_rows(self, rows: NDArray[np.int64]) -> str:
-        """The fault of bad rows: if several rows lack values, all missing values; otherwise the first fault."""
+        """The error text for a plan with bad rows. If several rows lack values, the text names all missing values;
+        otherwise it names the first fault."""
         numbers = self.table.numbers
         needed = {name: empty[rows] for name, empty in self._missing.items() if name not in _MAY_LACK}
         missing = {name: numbers[rows[empty]].tolist() for name, empty in needed.items() if empty.any()}

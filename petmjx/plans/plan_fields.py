@@ -51,8 +51,8 @@ class SparseField(NamedTuple):
 
     Attributes:
         low, high: limits of the number.
-        unit: its unit in names of columns in files.
-        units: its unit in sentences.
+        unit: its unit, spelled as in names of columns.
+        units: its unit, spelled as in sentences.
         reaches_results: whether results depend on the field.
     """
 

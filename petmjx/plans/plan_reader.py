@@ -58,7 +58,7 @@ FRAME: Final = "data frame"
 OBJECT: Final = "python"
 """Names of a data frame, and of any other object, in messages."""
 _MOSTLY_OWN: Final = 4
-"""A table with more than this number of petmjx's own column names is read as a table in petmjx's own form."""
+"""A table that has more of petmjx's own column names than this is read as a table in petmjx's own form."""
 _SUFFIXES: Final = (".json", ".json.gz", *CSV_SUFFIXES, PARQUET_SUFFIX, ".jsonl", ".xlsx", ".ods", ".npy", ".npz")
 
 
@@ -341,8 +341,8 @@ class _PlanLoader:
         return None
 
     def _take_foreign(self, source: str, read: Callable[[Wishes, Path | None], ForeignPlans]) -> None:
-        """Add the plans of a file or object in another tool's form. If two readings tie, the caller is asked if it can
-        answer.
+        """Add the plans of a file or object in another tool's form. If two readings tie, the user is asked which one is
+        right, provided that the caller can ask (``CHOOSER``).
 
         Args:
             read: function that reads the plans. Its arguments are the options of the caller (``Wishes``) and the file

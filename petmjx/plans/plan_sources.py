@@ -105,7 +105,8 @@ def _with_articles(plan_set: PlanSet, file: Path, strict: bool) -> PlanSet:
 
 
 def _idle_rows(articles: Articles, plans: Sequence[Plan], name: str) -> list[str]:
-    """A list with one line about the rows of a table of articles that match no box; empty if every row matches a box.
+    """A list with at most one line: about the rows of a table of articles that match no box. Empty if every row matches
+    a box.
 
     Args:
         plans: the plans before and after the table is applied, since the materials of boxes may come from the table

@@ -222,7 +222,8 @@ _OF_COLUMNS: Final = (
     (("along",), "--columns", lambda reading: f"{', '.join(reading.along)} along x, y, z"),
     (("columns",), "--columns", _column_words),
 )
-"""The fields about columns. If other fields differ too, a difference in these fields is only a consequence of that."""
+"""The fields about columns. If two readings also differ in other fields, a difference in these fields is only a
+consequence, so it is not mentioned."""
 
 
 def tie_text(readings: Sequence[Reading], weak: bool) -> str:
