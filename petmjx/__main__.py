@@ -20,7 +20,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """
     try:
         from petmjx.cli import main as run
-    except KeyboardInterrupt:  # Ctrl-C came before anything could be interrupted
+    except KeyboardInterrupt:  # Ctrl-C was pressed while modules were being imported
         print("petmjx: interrupted", file=sys.stderr)
         return 130
     return run(arguments)

@@ -160,10 +160,11 @@ def sweep(
 
     Args:
         file: a sweep file, or the name of a ready-made sweep such as ``eumos``.
-        plans: as for :func:`score`. They replace the plans that the sweep file names. None: all plans of the file.
+        plans: as for :func:`score`. Plans given here replace the plans that the sweep file names. None: all plans of
+            the file.
         watcher: as for :func:`score`.
         progress: in a script, print the progress of the run on standard error every few seconds.
-        batching: how many states and worlds are held in memory. It does not affect the results.
+        batching: how many states and worlds are held in memory. This option does not affect the results.
         options: fields of ``petmjx.Simulation``, which replace those of the sweep file, and fields of
             ``petmjx.RunOptions``.
 

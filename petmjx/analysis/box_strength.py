@@ -49,8 +49,8 @@ from petmjx.runs.chain_summary import is_chain
 from petmjx.world.carrier_boards import pallet
 
 MOST_GAP_MM: Final = 5.0
-"""Largest gap below a box across which the box still counts as standing on the body below. Placed boxes are lowered
-onto that body."""
+"""Largest gap below a box across which the box still counts as standing on the body below. A placed box is lowered onto
+the body below."""
 
 LEAST_SHARED_MM: Final = 1.0
 """If two boxes overlap by less than this length along an axis, neither stands on the other."""
@@ -242,8 +242,8 @@ entry need a run with intervals of forces."""
 _OVER: Final = dict(
     zip(("overloaded", "surely_overloaded", "possibly_overloaded", "overloaded_at_peak"), _SHARES.values(), strict=True)
 )
-"""Column of ``plans`` → column of ``boxes`` that decides it. The column of ``plans`` is true for a world if any of its
-boxes has a share above 1 in the column of ``boxes``."""
+"""Column of ``plans`` → the column of ``boxes`` from which it is computed. The column of ``plans`` is true for a world
+if any of its boxes has a share above 1 in the column of ``boxes``."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -357,7 +357,7 @@ def _plans_of(results: RunResults, plans: PlanSource | None) -> Mapping[str, Pla
     """The plans of a run by id.
 
     Raises:
-        InputError: a plan is missing or differs.
+        InputError: a plan is missing, or differs from the simulated plan.
     """
     records = Manifest.read(results.parts, results.info).plans
     plans_again = find_plans(results, records, set(results.worlds["plan_id"]), plans)

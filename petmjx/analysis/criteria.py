@@ -79,7 +79,7 @@ class CriterionInputs:
     @cached_property
     def balance(self) -> tuple[FloatArray, FloatArray]:
         """Slacks of force balance, as two arrays (n,): without leaning and with leaning. The second array is NaN unless
-        ``leans``."""
+        ``leans`` is set."""
         return balance_slack(self.contacts, self.hulls, self.friction, self.leans)
 
 
@@ -181,8 +181,8 @@ def _union_area(contacts: PlanContacts, box: int) -> float:
 
 
 def corners_supported(contacts: PlanContacts) -> IntArray:
-    """(n,) number of bottom corners, of four, that lie on a support within the tolerance. The edge of a support
-    counts."""
+    """(n,) number of bottom corners, of four, that lie on a support within the tolerance. A corner on the edge of a
+    support counts as lying on it."""
     count: IntArray = contacts.borne_corners(np.ones(len(contacts.upper), dtype=bool)).sum(axis=1)
     return count
 
@@ -261,8 +261,8 @@ def load_points(contacts: PlanContacts) -> dict[str, float]:
     proportion to a value:
 
     - height: all points if the centre of mass is at half of the load's height or lower, none if it is at the top;
-    - quadrants: the mass over the lightest quadrant of the footprint, divided by a quarter of the load's mass. Boxes
-      are cut at the middle lines. A load gets no points if nothing lies on the carrier;
+    - quadrants: the mass over the lightest quadrant of the footprint, divided by a quarter of the load's mass. A box
+      that lies across a middle line is divided there. A load gets no points if nothing lies on the carrier;
     - fill: volume of the boxes, divided by the volume of the load's bounding box;
     - interlock: among the boxes above the first layer, the share that lies on two boxes or more; all points if there is
       only one layer;
@@ -453,7 +453,7 @@ CRITERIA: Final = (
         ),
         number="tolerable acceleration, g",
         threshold=LEAST_TOLERABLE_G,
-        usual=False,  # this criterion is for transport, not for standing
+        usual=False,  # this criterion is about transport, not about standing still
     ),
     Criterion(
         "load_points",

@@ -262,8 +262,8 @@ def criteria(
     Args:
         plans: as for ``petmjx.score``. None: the plans of the run; without a run, the bundled samples.
         run: a run of the same plans, or its folder. The criteria are compared with the verdicts of this run. If a plan
-            has several worlds, its nominal world counts. In the run of a chain, a plan counts as standing if it arrives
-            often enough (``p_arrives``).
+            has several worlds, the verdict of its nominal world is used. In the run of a chain, a plan counts as
+            standing if it arrives often enough (``p_arrives``).
         out: a folder for the tables, as Parquet and CSV.
         overwrite: whether existing tables may be replaced.
         limit: largest number of plans to evaluate.

@@ -174,12 +174,12 @@ def best_threshold(number: FloatArray, stands: NDArray[np.bool_]) -> tuple[float
         return float("nan"), 0.0
     standing = np.bincount(owner, weights=stands[has_number], minlength=len(values))
     falling = np.bincount(owner, minlength=len(values)) - standing
-    # a cut accepts all values above it
+    # each threshold tried lies between two values, and accepts all values above it
     hit, false = (counts[::-1].cumsum()[::-1][1:] for counts in (standing, falling))
     n_standing = int(stands.sum())
     cells = np.stack([hit, false, n_standing - hit, len(stands) - n_standing - false], axis=-1)
     mcc = scores(cells.astype(np.int64))[2]
-    if not mcc.max() > 0:  # written with "not" so that NaN also ends here
+    if not mcc.max() > 0:  # "not >" instead of "<=", so that NaN also returns here
         return float("nan"), 0.0
     best = np.flatnonzero(mcc >= mcc.max() - 1e-12)
     cut = int(best[len(best) // 2])

@@ -192,12 +192,13 @@ def balance_slack(
     leaning on neighbours.
 
     Each array ends with the first box after which the stack is not balanced; later boxes are NaN. A box without support
-    is NaN as well. Such a box counts as not balanced, although friction at its sides could hold it if its neighbours
+    gets NaN as well. Such a box counts as not balanced, although friction at its sides could hold it if its neighbours
     pressed on it.
 
     Args:
         friction: coefficients of friction.
-        lean: whether boxes may press on neighbours that they touch side by side. If not, the second array is NaN.
+        lean: whether boxes may press on neighbours that they touch side by side. If they may not, the second array is
+            NaN.
     """
     without = _Stack(contacts, friction)
     ways = [without, _Stack(contacts, friction, find_sides(contacts))] if lean else [without]
@@ -222,7 +223,7 @@ class _Stack:
         self._contacts, self._friction, self._sides = contacts, friction, sides
 
     def place(self, box: int, vertical: float, structures: _Structures) -> None:
-        """Place a box. ``vertical`` is its slack with vertical forces alone."""
+        """Place a box. ``vertical`` is the slack of the box's structure with vertical forces alone."""
         slack = vertical
         if slack < NO_SLACK:
             structure = structures.of(box)

@@ -47,7 +47,7 @@ def runs_by_packer(runs: Sequence[Run] | Mapping[str, Run]) -> dict[str, RunResu
         InputError: there are fewer than two runs, two runs have the same name, or a folder has no run.
     """
     if isinstance(runs, str | Path | RunResults):
-        runs = [runs]  # a text is also a sequence, namely of letters
+        runs = [runs]  # a text would pass as a sequence of letters
     runs_by_name = runs if isinstance(runs, Mapping) else None
     sources: list[Any] = (
         list(runs_by_name.values()) if runs_by_name else list_of(runs, "runs", object, "runs or folders")

@@ -201,7 +201,8 @@ class PlanContacts:
         return on_carrier
 
     def borne_corners(self, chosen: NDArray[np.bool_]) -> NDArray[np.bool_]:
-        """(n, 4) whether each bottom corner lies on something, within the tolerance. The edge of a surface counts.
+        """(n, 4) whether each bottom corner lies on something, within the tolerance. A corner on the edge of a surface
+        counts as lying on it.
 
         Args:
             chosen: (c,) mask of the contacts that count.
@@ -397,7 +398,7 @@ def find_touch_points(scene: Scene, physics: Physics, pos: FloatArray, quat: Flo
     geom = np.asarray(contact.geom).astype(np.int64)
     frame = np.asarray(contact.frame).reshape(-1, 3, 3)
     centre_z = data.geom_xpos[:, 2].copy()
-    centre_z[0] = -np.inf  # the floor is lower than everything
+    centre_z[0] = -np.inf  # the floor is below all boxes and the carrier
     body = geom_bodies(model, range(scene.n_boxes))[geom]
     lower, sign, on_top = pressed_box(body, centre_z[geom], frame[:, 0, 2])
     gap_m = np.asarray(contact.dist) - np.asarray(contact.includemargin) + LYING_GAP_M

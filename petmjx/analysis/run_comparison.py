@@ -220,7 +220,7 @@ def _with_pose_differences(boxes: pd.DataFrame) -> pd.DataFrame:
     distance = np.linalg.norm(rows("b", *position) - rows("a", *position), axis=1)
     q_a, q_b = rows("a", *quaternion), rows("b", *quaternion)
     # The angle is 4·asin(|q_a ∓ q_b| / 2), with the sign of the shorter chord.
-    # Unlike acos, this is exact for small angles.
+    # Unlike acos, this formula is exact for small angles.
     chord = np.minimum(np.linalg.norm(q_a - q_b, axis=1), np.linalg.norm(q_a + q_b, axis=1))
     angle = np.degrees(4 * np.arcsin(np.clip(chord / 2, 0, 1)))
     return boxes.assign(position_m_a=0.0, position_m_b=distance, orientation_deg_a=0.0, orientation_deg_b=angle)

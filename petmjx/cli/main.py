@@ -182,7 +182,7 @@ def _inside(error: Exception) -> str:
 
 
 def _report(message: str, code: ExitCode) -> int:
-    """Print one line to standard error. With --debug, the traceback comes before it."""
+    """Print one line to standard error. With --debug, the traceback is printed before this line."""
     with suppress(OSError):  # standard error may be closed
         if _SETTINGS.debug and code not in _BY_SIGNAL.values():
             import traceback

@@ -161,7 +161,7 @@ def _draw(story: Story, files: list[Path], look: dict[str, Any]) -> None:
             bars: list[ProgressSink] = []
 
             def count(done: int, total: int, shown: ExitStack = shown, bars: list[ProgressSink] = bars) -> None:
-                if not bars:  # only films report a length, once they begin
+                if not bars:  # only films call this function, from their first frame on
                     bars.append(shown.enter_context(progress(total, "frame")))
                 bars[0].update(done)
 

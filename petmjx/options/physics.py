@@ -144,19 +144,20 @@ class Physics(CheckedRecord):
     def carrier_skin_m(self) -> float:
         """Distance by which the collider enlarges the carrier, m.
 
-        It is larger than the skin of boxes. So if a box stands flush with the carrier's edge, its face is inside the
-        enlarged carrier, and the collider finds the box's corners (docs/validation.md).
+        The carrier's skin is larger than the skin of boxes. So if a box stands flush with the carrier's edge, its face
+        is inside the enlarged carrier, and the collider finds the box's corners (docs/validation.md).
         """
         return 2 * self.skin_m
 
     @property
     def has_landings(self) -> bool:
-        """Whether landings have their own contact law (petmjx/world/contact_laws.py). Only elliptic cones allow one."""
+        """Whether landings have their own contact law (petmjx/world/contact_laws.py). Only elliptic cones allow a
+        separate contact law."""
         return self.cone is Cone.ELLIPTIC and self.landing_s > 0
 
     @property
     def has_own_friction(self) -> bool:
-        """Whether friction has its own time constant. Only elliptic cones allow one."""
+        """Whether friction has its own time constant. Only elliptic cones allow a separate time constant."""
         return self.cone is Cone.ELLIPTIC and any(self.solreffriction)
 
     @computed_field(description="name of the preset that has these values, or custom")  # type: ignore[prop-decorator]  # pydantic's own way

@@ -311,7 +311,7 @@ class RunOptions(CheckedRecord):
     @property
     def asked_workers(self) -> int | str | None:
         """The workers that the user has requested: ``workers``, or ``auto`` if only a cluster is named. None: no
-        workers, so the run stays in this process.
+        workers; the whole run is computed in this process.
         """
         return AUTO if self.workers is None and self.ray is not None else self.workers
 

@@ -478,15 +478,15 @@ class Extraction:
                 corners = Geometry(second - first, first, _XYZ, "", "", "corner", True, ends, prior + 0.2)
                 geometries.append(corners)
         for name in geometries[0].columns.values() if geometries else ():
-            self.numbers(header.index(name), LENGTH_UNITS)  # this reports bad cells with the column's name
+            self.numbers(header.index(name), LENGTH_UNITS)  # called only to report bad cells under the column's name
         return geometries
 
     def array_extras(self, geometries: Sequence[Geometry]) -> tuple[Turns | None, int | None, bool]:
         """Interpret the further columns without names. Returns rotations, the column of weights, and whether the
         weights are densities.
 
-        Whole numbers from 0 to 5 are rotations. Numbers up to ``_DENSEST`` are densities relative to water. All others
-        are weights.
+        A column of whole numbers from 0 to 5 holds rotations. A column of numbers up to ``_DENSEST`` holds densities
+        relative to water. A column of larger numbers holds weights.
         """
         header = self.table.header
         used = {header.index(name) for name in geometries[0].columns.values()} if geometries else set()
@@ -634,7 +634,7 @@ class Extraction:
 
 
 _DENSEST: Final = 1.5
-"""Largest density, relative to water, in a column without a name. No carton is as dense."""
+"""Largest density, relative to water, in a column without a name. No carton reaches this density."""
 _LEVEL: Final = 2e-3
 """Largest deviation of a rotation matrix from right angles: 3.6°. Poses are written with three digits."""
 

@@ -44,7 +44,7 @@ HEAVIEST_KG_M3: Final = 20_000.0
 _USUAL_KG_M3: Final = 300.0
 _USUAL_M3: Final = 0.015
 """Usual density and volume of a carton, from BED-BPP's orders. Masses in grams and lengths in centimetres both make
-plans a thousand times too dense. The usual volume shows which of the two it is."""
+plans a thousand times too dense. The usual volume shows which of the two units is wrong."""
 
 LEAST_SHARE: Final = 0.25
 """Smallest share of the plans with odd layouts that a convention must explain to be reported. If a packer makes a

@@ -25,11 +25,11 @@ class SupportsArrow(Protocol):
 
 
 class NoGeometry(InputError):
-    """A file has no columns with the sizes and places of boxes."""
+    """Raised if a file has no columns with the sizes and places of boxes."""
 
 
 class NoBoxes(NoGeometry):
-    """A file has no boxes at all, so it is perhaps not a file of plans or orders."""
+    """Raised if a file has no boxes at all, so it is perhaps not a file of plans or orders."""
 
 
 def is_csv(path: Path) -> bool:
@@ -60,7 +60,7 @@ _COLUMN: Final = re.compile(rb"(plan_id|sequence|article|(length|width|height|we
 these column names is recognised as a table."""
 
 _JSON: Final = re.compile(rb"\s*+(\{\s*+[\"}]|\[\s*+[\"\[{\]])")
-"""The beginning of JSON. No header of a table begins like this."""
+"""The beginning of JSON. No header of a table begins with these characters."""
 
 _SEPARATOR_MARK: Final = re.compile(rb"\s*\"?sep=.\"?[\s;,]*", re.IGNORECASE)
 

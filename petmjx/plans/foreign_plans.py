@@ -358,8 +358,8 @@ class _Builder:
         self.places = self.boxes.table.places
         self.notes: list[str] = [*columns.source.notes, *self.boxes.table.notes, *self.boxes.left_out]
         self.faults: dict[int, str] = {}
-        self.decks: set[int] = set()  # rows that are pallets under boxes
-        self.of_one: tuple[Reading, Candidate] | None = None  # the choice if all boxes are one plan
+        self.decks: set[int] = set()  # rows that describe a pallet, not a box
+        self.of_one: tuple[Reading, Candidate] | None = None  # the chosen reading if all boxes are one plan
         self.counters: set[str] = set()  # columns used as packing order
 
     def plans(self) -> ForeignPlans:

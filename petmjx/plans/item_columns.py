@@ -34,7 +34,7 @@ _KINDS: Final[dict[str, Kind]] = {
     "quantity": "quantity", "layers": "layers", "per layer": "quantity", "total weight": "weight",
 }  # fmt: skip
 MOST_PIECES: Final = 100_000
-"""Largest quantity of a row."""
+"""Largest number of boxes that one row of a table may stand for."""
 
 _TOTAL: Final = word_set(
     "total totale gesamt gesamtgewicht summe totalgewicht positionsgewicht zeilengewicht razem laczna calkowita sum "
@@ -82,13 +82,15 @@ _TYPE: Final = word_set("type typ kind name code")
 _PIECE: Final = word_set("box carton karton case item package")
 """Names of columns with articles, such as "Box type"."""
 _ORDER: Final = word_set("order orders ordre")
-"""Names of columns that may have a packing order or customers' orders. The values decide which it is."""
+"""Names of columns that may have a packing order or customers' orders. The values in such a column decide which of the
+two it has."""
 
 
 STRENGTH: Final = "strength_n"
 UPRIGHT: Final = "upright"
 BOX_PROPERTIES: Final = (STRENGTH, UPRIGHT)
-"""Columns that only environments read (``for_episodes``). They are recognised only by these names."""
+"""Columns that only environments read (``for_episodes``). These columns are recognised only if they have exactly these
+names."""
 SIZE_LETTERS: Final = "lwh"
 """Letters in the column ``upright``: length, width, height."""
 

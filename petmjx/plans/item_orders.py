@@ -73,7 +73,7 @@ _NUMBERED: Final = (THPACK.name, MPV.name, LENGTHS.name, DELI.name, SIZES.name)
 
 @dataclass(frozen=True)
 class OrderReading:
-    """Options of a caller for reading a file of orders. BED-BPP's own form needs none.
+    """Options of a caller for reading a file of orders. Files in BED-BPP's own form need no such options.
 
     Attributes:
         wishes: columns, units and density. Empty values are chosen by plausibility.

@@ -129,8 +129,8 @@ class DuplicateFieldObject(dict[str, Any]):
 
 
 class MalformedPlans(InputError):
-    """A text is not JSON, or not an object. The error names the plan, the line and the column (in bytes), both from
-    1."""
+    """Raised if a text is not JSON, or not an object. The error names the plan, the line and the column (in bytes),
+    both from 1."""
 
 
 class Entry(NamedTuple):
@@ -195,7 +195,7 @@ def _decoded_id(data: bytes | bytearray, key: re.Match[bytes], where: str) -> An
 
 
 def _decoded_value(data: bytes | bytearray, begin: int, window: int, where: str) -> tuple[Any, int]:
-    """Decode one JSON value. Returns it and the position of its end.
+    """Decode one JSON value. Returns the value and the position of its end.
 
     The decoder receives a window of the text, and a larger window if the value does not fit. Small windows save time
     and memory: the decoder's errors count the lines of all text in the window, and text that is not ASCII takes up to

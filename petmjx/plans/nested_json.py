@@ -279,7 +279,7 @@ _LEAST_COLUMNS: Final = 5
 
 def _columnar(value: Mapping[str, Any]) -> list[dict[str, Any]] | None:
     """The rows of an object that stores them by column: lists of the same length, or pandas' forms (``columns`` and
-    ``data``, or objects with one value per row). None if it is no such object."""
+    ``data``, or objects with one value per row). None if the object has another form."""
     names, data = value.get("columns"), value.get("data")
     if isinstance(names, list) and isinstance(data, list) and data and all(isinstance(row, list) for row in data):
         if all(isinstance(name, str) for name in names) and all(len(row) == len(names) for row in data):
@@ -308,7 +308,8 @@ _LEAST_NUMBERS: Final = 6
 
 
 def _rows_of_numbers(value: Sequence[Any]) -> list[dict[str, Any]] | None:
-    """The rows of a list of lists of numbers: sizes, coordinates and more, or matrices. None if it is no such list."""
+    """The rows of a list of lists of numbers: sizes, coordinates and more, or matrices. None if the list has another
+    form."""
     if not value or not all(isinstance(row, list | tuple) for row in value):
         return None
     first = value[0]

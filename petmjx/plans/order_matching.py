@@ -63,7 +63,7 @@ class Matching:
             properties.
         by_size: (n,) whether the box was matched by size and mass, because the box or the item has neither id nor
             article.
-        sheets: (n,) whether the box is an interlayer sheet. Orders need not have these.
+        sheets: (n,) whether the box is an interlayer sheet. Orders need not contain sheets.
         n_items: the number m of items.
     """
 
@@ -306,7 +306,8 @@ def _measures_of(items: tuple[Item, ...]) -> FloatArray:
 
 
 MOST_LISTED: Final = 10_000
-"""Largest number of plans, orders or errors that are listed one by one. The counts include all of them."""
+"""Largest number of plans, orders or errors that are listed one by one. Counts also cover the plans, orders and errors
+that are not listed."""
 
 MOST_ARTICLES: Final = 5
 """Largest number of articles that a line names."""
@@ -395,7 +396,7 @@ def check_orders(
         path: the file, gzipped or not.
         plans: all plans of the run, with distinct ids.
         takes: function that returns whether the plan or order with an id is in this shard.
-        all_plans: whether ``plans`` has all plans. If not, orders without a plan are not counted.
+        all_plans: whether ``plans`` has all plans. If some are missing, orders without a plan are not counted.
         strict: whether to raise at the first unusable order, instead of leaving it out of the comparison.
         articles: the user's table of articles, for properties that the orders do not give.
 

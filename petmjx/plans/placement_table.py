@@ -3,7 +3,8 @@
 A table has one row per placement. ``sequence`` is the packing order, so rows may come in any order. For each unusable
 plan or row, there is one line of text.
 
-For speed, whole columns are converted and checked in C. Python checks single values and rows only if that fails.
+For speed, whole columns are converted and checked in C. Python checks single values and rows only if one of these
+checks fails.
 """
 
 from __future__ import annotations
@@ -60,7 +61,7 @@ class InputColumn:
     Attributes:
         values: an Arrow array; or Python objects, if they have several types.
         is_text: whether numbers are stored as text, as in CSV. Empty text is then a missing value.
-        decimal: the decimal mark of numbers stored as text. If it is a comma, numbers have no points.
+        decimal: the decimal mark of numbers stored as text. If the decimal mark is a comma, numbers have no points.
     """
 
     values: pa.Array | Sequence[Any]
@@ -256,7 +257,7 @@ PlanFields = dict[str, Any]
 
 
 class TableError(InputError):
-    """A whole table cannot be used.
+    """Raised if a whole table cannot be used.
 
     Attributes:
         n_known: number of columns with petmjx's names.
@@ -276,7 +277,7 @@ class RefusedPlan(NamedTuple):
 
 
 class LostRow(NamedTuple):
-    """A row that cannot be read. ``plan_id`` is None if it is unknown."""
+    """A row that cannot be read. ``plan_id`` is None if the row's plan is unknown."""
 
     number: int
     plan_id: str | None

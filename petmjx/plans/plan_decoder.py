@@ -222,7 +222,7 @@ def _triples(values: Iterable[tuple[float, float, float]], count: int) -> FloatA
 
 
 _DEFAULTS: Final[dict[str, Any]] = {field.name: field.default for field in fields(Plan)}
-_SET_FIELD: Final = object.__setattr__  # since the class is frozen
+_SET_FIELD: Final = object.__setattr__  # the only means of setting a field, since the class is frozen
 
 
 def _plan(

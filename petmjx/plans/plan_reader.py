@@ -92,8 +92,9 @@ def load_plans(
             that are directly in it are read, sorted by name.
         limit: number of good plans after which reading stops.
         strict: whether to raise an error instead of skipping anything.
-        max_boxes: largest number of boxes. Plans with more are skipped.
-        carrier_extent_mm: extent of the carrier along x and y. Boxes that reach beyond it are reported as outside.
+        max_boxes: largest number of boxes. Plans with more boxes are skipped.
+        carrier_extent_mm: extent of the carrier along x and y. Boxes that reach beyond this extent are reported as
+            outside.
             None: the extent of the plan's boxes.
         units: unit of the plans' lengths (mm, cm, m or in) and unit of their masses (kg, g, lb or t), such as "cm,g";
             None: mm and kg, or for files of other tools the most plausible units.
@@ -244,7 +245,7 @@ class _PlanLoader:
     unread: UnreadFields = field(default_factory=UnreadFields)
     unlisted: int = 0
     n_plans: int = 0
-    """Number of plans so far, usable or not."""
+    """Number of usable and unusable plans that were read so far."""
     most_skipped: int = MOST_LINES
 
     @property
@@ -399,7 +400,7 @@ class _PlanLoader:
 
         Args:
             otherwise: function that reads the text as a file of another tool, if it has none of petmjx's forms. The
-                function returns why it failed, or None.
+                function returns an error text if it could not read the text, else None.
         """
         from petmjx.plans.placement_table import TableError
 
@@ -553,7 +554,8 @@ def _kind_of_text(data: bytearray, named: bool) -> str | None:
     """The error text for a text that does not begin like JSON; None for JSON, including damaged JSON.
 
     Args:
-        named: whether the file has the name of a JSON file. If not, only tables are distinguished from damaged JSON.
+        named: whether the file has the name of a JSON file. If it has another name, only tables are distinguished from
+            damaged JSON.
     """
     if looks_like_table(data):
         return "looks like a table as text: it is read as one if its name ends in .csv or .tsv"

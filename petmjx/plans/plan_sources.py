@@ -67,7 +67,7 @@ def usable_plans(plans: PlanSource | None, sim: Simulation, options: RunOptions)
 
 
 def are_files(plans: PlanSource | None) -> bool:
-    """Whether plans are read from files. The result is also true for the bundled plans (None)."""
+    """Whether plans are read from files. Also true for the bundled plans (``plans`` is None)."""
     if isinstance(plans, PlanSet | Plan | SupportsArrow):
         return False
     given = [plans] if plans is None or isinstance(plans, str | PathLike) else plans

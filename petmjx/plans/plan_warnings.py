@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 
 
 def shared_length(low: FloatArray, high: FloatArray) -> FloatArray:
-    """(…, n, n) overlap of each pair of boxes along an axis. A negative value is the gap between them.
+    """(…, n, n) overlap of each pair of boxes along an axis. A negative value is the gap between the two boxes.
 
     Args:
         low, high: (…, n) lower and upper ends of the boxes along the axis.

@@ -44,7 +44,7 @@ def save_plans(plans: Plan | Iterable[Plan], path: str | os.PathLike[str]) -> No
     """Write plans to one file. The file's suffix determines the format: ``.json``, ``.csv`` (both also ``.gz``) or
     ``.parquet``.
 
-    The file never appears half-written. Reading it gives exactly the same numbers.
+    The file never appears half-written. Reading the file gives exactly the same numbers.
 
     Raises:
         InputError: the suffix is unknown, there is no plan, two plans have the same id, or the file cannot be written.

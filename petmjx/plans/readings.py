@@ -182,7 +182,7 @@ class Wishes:
 
 
 class AmbiguousFile(InputError):
-    """A file has two possible readings. The message names both, and the option that decides between them.
+    """Raised if a file has two possible readings. The message names both, and the option that decides between them.
 
     Attributes:
         readings: the possible readings, most plausible first.

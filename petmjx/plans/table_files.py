@@ -33,7 +33,8 @@ def parse_csv(data: bytearray, cut_off: bool = False) -> Table:
     """Read the table in a CSV text with a header. The separator is whichever of comma, semicolon and tab is most
     frequent in the text.
 
-    If the separator is the semicolon, numbers may have a decimal comma. If one number has, no number may have a point.
+    If the separator is the semicolon, numbers may have a decimal comma. If one number has a decimal comma, no number
+    may have a point.
 
     Args:
         data: UTF-8 text.

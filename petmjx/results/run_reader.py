@@ -196,7 +196,7 @@ class RunResults:
             return Simulation()
 
     def doubts(self, name: str) -> list[str]:
-        """A line that the run, called ``name``, is not finished; an empty list if it is."""
+        """A list with one line if the run, called ``name``, is not finished; else an empty list."""
         return [f"{name} is not finished ({self.unfinished})"] if self.unfinished else []
 
     @cached_property

@@ -57,7 +57,7 @@ SECONDS_PER_PART: Final = 60.0
 """Longest time that a finished world waits until its part is written, even if no other world finishes."""
 
 MOST_WAITING_BYTES: Final = 4 * BYTES_PER_PART
-"""Memory that worlds waiting to be written may take. While they take more, ``add`` blocks."""
+"""Memory that worlds waiting to be written may take. If waiting worlds take more, ``add`` blocks."""
 
 RETRY_S: Final = 10.0
 """Time between a write error and the next attempt, s. On a full disk, at most one part is packed in this time."""
@@ -78,7 +78,7 @@ class _Request(NamedTuple):
 
 
 class _CutShortError(Exception):
-    """A request was dropped because the run was interrupted."""
+    """Raised if a request was dropped because the run was interrupted."""
 
 
 class RunWriter(RunInfo):
@@ -243,7 +243,7 @@ class RunWriter(RunInfo):
         self._ask(lambda: self._adopt(parts, ranked))
 
     def write_summary(self, answers: pa.Table) -> None:
-        """Write a sweep's table ``summary`` (petmjx.results.schema.summary_table). An earlier one is replaced.
+        """Write a sweep's table ``summary`` (petmjx.results.schema.summary_table). An earlier table is replaced.
 
         Raises:
             PetmjxError: the file cannot be written.
@@ -387,7 +387,7 @@ class RunWriter(RunInfo):
             raise failure
 
     def _write_part(self, begin: int) -> None:
-        """Write waiting rows, from row ``begin`` on, as a part. If that fails, the worlds keep waiting."""
+        """Write waiting rows, from row ``begin`` on, as a part. If the write fails, the worlds keep waiting."""
         rows = self._rows[begin : begin + self._worlds_per_part]
         number = self.parts.next_number(*OF_WORLDS)
         digests: dict[Path, str] = {}

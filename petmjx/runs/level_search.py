@@ -36,14 +36,14 @@ def failure_mode(outcome: Outcome, tilt_deg: float = DEFAULT_TILT_DEG) -> str:
 
 @dataclass(frozen=True)
 class Probe:
-    """The values of a world that a search needs. The row of each test in ``worlds`` stores the same values, so that a
-    search can be resumed.
+    """The result of one test of a search. The test's row in ``worlds`` stores the same values, so that a search can be
+    resumed.
 
     Attributes:
         culprit: the box that failed first; −1: none.
         mode: the mode of failure (`failure_mode`).
         moving: whether boxes were still moving when the world ended, so that a longer wait may change the verdict.
-        values: columns that the sweep adds to ``worlds``.
+        values: the world's values in the columns that the sweep adds to ``worlds``.
     """
 
     verdict: Verdict

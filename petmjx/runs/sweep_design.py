@@ -233,7 +233,8 @@ class Design:
         return (replicate,)
 
     def _sampled(self) -> Iterator[Variant]:
-        """Variants drawn from the axes. They are the same for all plans. Each variant has its own replicate number."""
+        """Variants drawn from the axes. These variants are the same for all plans. Each variant has its own replicate
+        number."""
         axes = [*self._axes(placement=True), *self._axes(placement=False)]
         for number in range(1, (self.sweep.sample or 0) + 1):
             key = WorldKey(self.sweep.seed, "", number)

@@ -259,8 +259,8 @@ class SweepRun:
         )
 
     def _note_work(self, plan: Plan, count: int = 1) -> None:
-        """Record for the progress that ``count`` placements, drives or legs of a plan are done, or will not be
-        simulated."""
+        """Count ``count`` placements, drives or legs of a plan as done, for the progress display. They have ended, or
+        will not be simulated."""
         self._work_done += count * plan.n_boxes
         if self._work:
             self.progress.work_share = self._work_done / self._work
@@ -451,16 +451,15 @@ class SweepRun:
                 if missing_now := [test for test in tests if test not in probes]:
                     missing[which] = set(missing_now)
                     return [self._driving(searches[which][0], variant(*test), test) for test in missing_now]
-                # Only the two worlds at the bounds of an item's search can still become its answer.
-                # All others are dropped.
+                # Only the two worlds at the bounds of an item's search can still become the item's answer.
+                # All other worlds are dropped.
                 now = {test: tested.pop(test) for test in {*tests, *bisection.bounds(which)} if test in tested}
                 bisection.record(tests, [now[test] for test in tests])
                 tested.update((test, now[test]) for test in bisection.bounds(which) if test in now)
             return []
 
         ready_drives: list[DriveWorld] = []
-        # A list, not a generator, because the engine reads its source of worlds in another thread, which must not
-        # search.
+        # A list, because a generator would run the search in the thread in which the engine reads its worlds.
         first = [drive for which in range(len(searches)) for drive in next_drives(which)]
         for test, world in self._drive(first, partial(_drained, ready_drives)):
             which, _ = test

@@ -119,8 +119,8 @@ class SweepPlan(Design):
                 if missing := [side.value for side in leg.open_walls if side not in sides]:
                     reason = f"the carrier has no wall {missing[0]!r}; simulation.walls or another carrier gives it one"
                     raise InputError(f"{file}: legs[{place}].open_walls: {reason}")
-        # Excitations are made once here, before the run begins, to raise the error about frequencies that are too high
-        # for the timestep.
+        # Excitations are made here once, so that a frequency too high for the timestep is refused before the run
+        # begins.
         for profile in self.sweep.profiles.values():
             try:
                 profile.excitation(self.sweep.simulation.physics.timestep_s)
@@ -128,7 +128,8 @@ class SweepPlan(Design):
                 raise InputError(f"{file}: {error}") from None
 
     def _has_time(self, plan: Plan) -> bool:
-        """Whether the run is long enough for a profile to begin. If not, the plan is added to ``skipped``."""
+        """Whether the run is long enough for a profile to begin. If it is too short, the plan is added to
+        ``skipped``."""
         left = self._drive_steps_left(plan)
         if left is None or left > 0:
             return True

@@ -34,7 +34,7 @@ _DOUBTS: Final = {
 mark."""
 
 _STANDARD_AXES: Final = ("profile", "direction_deg", "level_g", "scale")
-"""Columns of axes that have their own columns in all tables, and columns of searched quantities."""
+"""Columns of searched quantities, and of those axes that every table shows in a separate column."""
 
 _PROFILE: Final = TableColumn("profile", "left", least=11, middle=True)
 

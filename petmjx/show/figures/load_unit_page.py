@@ -87,7 +87,7 @@ def write_load_unit_pages(run: RunResults, plans: Mapping[str, Plan], path: Path
 
 
 def sentence(row: Mapping[Any, Any]) -> str:
-    """The answer as one sentence. ``row`` is a row of ``arrivals``."""
+    """One sentence about a plan's chance to arrive. ``row`` is a row of ``arrivals``."""
     judged = row["n_worlds"] - row["n_invalid"]
     if not judged:
         return "No world has a verdict."

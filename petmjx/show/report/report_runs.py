@@ -76,9 +76,9 @@ class ReportRun:
 
     @cached_property
     def worlds(self) -> pd.DataFrame:
-        """The worlds that are shown, one row each, sorted by plan and variant. Usually these are all worlds. For a
-        score with confidence, only the nominal worlds are shown; for a chain, only the worlds that have errors and no
-        remedy.
+        """The worlds that are shown, one row each, sorted by plan and variant. Usually all worlds of the run are shown.
+        For a score with confidence, only the nominal worlds are shown; for a chain, only the worlds that have errors
+        and no remedy.
 
         Additional columns: ``height_m`` and ``mass_kg`` of the plan (NaN if the plan was not found), and
         ``first_article``, the article of the first box to fail ("" if none failed).
