@@ -410,7 +410,7 @@ def _nominal_worlds(worlds: pd.DataFrame, run: RunResults, plans: Sequence[Plan]
     counts = {plan.plan_id: plan.n_boxes for plan in plans}
     common = worlds[worlds["plan_id"].isin(list(counts))]
     if common.empty:
-        raise InputError(f"{run.path}: has none of the {count_text(len(plans), 'plan')}")
+        raise InputError(f"{run.path}: simulated none of the {count_text(len(plans), 'plan')}")
     other = common[common["n_boxes"] != common["plan_id"].map(counts)]
     if len(other):
         first = other.iloc[0]

@@ -63,7 +63,7 @@ def runs_by_packer(runs: Sequence[Run] | Mapping[str, Run]) -> dict[str, RunResu
             raise InputError(f"runs: a name must be text that can be printed, got {printable_name(name)!r}")
     for run in loaded_runs:
         if run.info.get("config", {}).get("command") == "sweep":
-            raise InputError(f"{run.path}: is a sweep; packers are compared by scores")
+            raise InputError(f"{run.path}: is a sweep; packers are compared by runs of petmjx score")
         if run.worlds.duplicated(["plan_id", "variant"]).any():
             raise InputError(f"{run.path}: has the same plan and variant more than once; cannot be compared")
     return dict(zip(names, loaded_runs, strict=True))

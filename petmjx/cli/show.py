@@ -108,7 +108,7 @@ def _show_repair(
     from petmjx.show.table_layout import print_renderables
 
     if set(files) != {"html"} or has_more:
-        raise InputError("--repair needs --html alone: it draws no films, pictures or variants")
+        raise InputError("--repair writes only the page --html FILE; drop films, pictures and --variant")
     of_simulation, of_run = sorted_options(options)
     reading = RunOptions(**{name: value for name, value in of_run.items() if name in OF_READING})
     plan_set = usable_plans(plans_in_place(source or None, reading.strict), Simulation(**of_simulation), reading)

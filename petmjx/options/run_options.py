@@ -300,7 +300,7 @@ class RunOptions(CheckedRecord):
     @model_validator(mode="after")
     def _kept_what_is_asked(self) -> Self:
         if self.force_intervals and not self.keeps_boxes:
-            raise complaint("are columns of the table boxes, which the option keep leaves out", "force_intervals")
+            raise complaint("adds columns to the table boxes, which the option keep leaves out", "force_intervals")
         return self
 
     @property

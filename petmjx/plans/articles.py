@@ -173,7 +173,7 @@ def read_articles(path: str | Path) -> Articles:
         for where, row in rows:  # rows are read one at a time, since a million rows as dictionaries take a gigabyte
             key, value, article = _article(f"{name}: {where}", row)
             if value in articles[key]:
-                raise InputError(f"{name}: {where}: {key} {printable_name(value)} is there twice")
+                raise InputError(f"{name}: {where}: {key} {printable_name(value)} occurs twice")
             articles[key][value] = article
             if sum(map(len, articles.values())) > MOST_ARTICLES:
                 raise InputError(f"{name}: has more than {MOST_ARTICLES:,} articles")
@@ -266,7 +266,7 @@ def _csv_rows(file: Path, name: str) -> Iterator[tuple[str, dict[str, Any]]]:
     if fault is not None:
         raise InputError(f"{name}: {fault.partition(';')[0]}")
     if looks_like_json(data):
-        raise InputError(f"{name}: is JSON: a table of articles is TOML, CSV or Parquet")
+        raise InputError(f"{name}: is JSON, but a table of articles must be TOML, CSV or Parquet")
     try:
         text = data.decode()
     except UnicodeDecodeError:

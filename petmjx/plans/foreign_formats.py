@@ -542,7 +542,7 @@ def _sources_of_arrays(arrays: Mapping[str, Any]) -> list[BoxSource]:
         sources.append(BoxSource(BoxList(table, name, tuple(parts), containers), ARRAY))
     if not sources:
         shapes = ", ".join(f"{name or 'array'} {getattr(array, 'shape', ())}" for name, array in arrays.items())
-        raise InputError(f"holds no array of boxes (n, 6 to 64): {printable_name(shapes)}")
+        raise InputError(f"holds no array of boxes, whose shape must be (n, 6 to 64): {printable_name(shapes)}")
     return _as_plans(sources)
 
 
@@ -633,7 +633,9 @@ def _scene(text: str) -> BoxSource:
         rows.append((name, *map(float, size), matrix.tolist(), float(model.body_mass[body])))
         places.append(f"body {name}")
     if other_bodies:
-        raise InputError(f"is a MuJoCo scene with free bodies that are not one box each: {first_names(other_bodies)}")
+        raise InputError(
+            f"is a MuJoCo scene in which these free bodies are not single boxes: {first_names(other_bodies)}"
+        )
     if not rows:
         raise InputError("is a MuJoCo scene without a free body that is one box")
     notes = []

@@ -107,7 +107,7 @@ def _with_articles(sources: Sequence[BoxSource], items: Path | None) -> BoxSourc
             for table in filter(has_sizes_of_items, tables):
                 if (joined := with_items_of(source, table, name)) is not None:
                     return joined
-        raise InputError(f"{name}: its items are not those of the orders")
+        raise InputError(f"{name}: its items do not match the orders")
     for source in lines:
         for table in sources:
             if "quantity" not in table.boxes.kinds and table.boxes.has_sizes:

@@ -169,7 +169,7 @@ def _with_items(sources: Sequence[BoxSource], path: Path | None, items: Path | N
         tables = sources_of_bytes(bytes_of(items), items)
         joined = with_items_of(best, tables[0], printable(str(items)))
         if joined is None:
-            raise InputError(f"{printable(str(items))}: its items are not those of the boxes")
+            raise InputError(f"{printable(str(items))}: its items do not match the boxes")
         return joined
     if best.boxes.has_places and not best.boxes.has_sizes:
         for other in sources[1:]:
@@ -770,9 +770,7 @@ class _Builder:
                 return f"{self.places[row]}: {name} must be a whole number, got {value:g}"
             if value in first_rows:
                 plans = "" if self.columns.plan else "; several plans? then name their column: --columns plan=NAME"
-                return (
-                    f"{self.places[first_rows[value]]} and {self.places[row]}: {name} {value:g} is there twice{plans}"
-                )
+                return f"{self.places[first_rows[value]]} and {self.places[row]}: {name} {value:g} occurs twice{plans}"
             first_rows[value] = row
         return None
 

@@ -194,12 +194,13 @@ def _thpack(lines: Sequence[_Line]) -> BoxSource:
         if position - begin < n_types:
             where = lines[position].place if position < len(lines) else "the end"
             raise InputError(
-                f"{lines[begin - 1].place}: has {count_text(n_types, 'box type')}, but {where} comes "
-                f"after {position - begin:,} of them"
+                f"{lines[begin - 1].place}: announces {count_text(n_types, 'box type')}, but only "
+                f"{position - begin:,} before {where}"
             )
         if position < len(lines) and _flags_at(lines[position]) is not None and len(lines[position]) >= 7:
             raise InputError(
-                f"{lines[position].place}: is a box type in excess of the {n_types:,} in {lines[begin - 1].place}"
+                f"{lines[position].place}: is one box type more than the {n_types:,} that {lines[begin - 1].place} "
+                "announces"
             )
     if (
         len(lines[0]) == 1
@@ -207,7 +208,8 @@ def _thpack(lines: Sequence[_Line]) -> BoxSource:
         and (n_problems := lines[0].whole(0, "the number of problems")) != problem
     ):
         raise InputError(
-            f"{lines[0].place}: has {count_text(n_problems, 'problem')}, but the file contains {problem:,} (truncated?)"
+            f"{lines[0].place}: announces {count_text(n_problems, 'problem')}, but the file contains {problem:,} "
+            "(truncated?)"
         )
     notes = []
     if laid:
@@ -265,7 +267,7 @@ def _bin_packing(lines: Sequence[_Line]) -> BoxSource | None:
         body = lines[begin : begin + n_boxes]
         if len(body) < n_boxes:
             raise InputError(
-                f"{lines[position].place}: has {count_text(n_boxes, 'box', 'boxes')}, but the file ends "
+                f"{lines[position].place}: announces {count_text(n_boxes, 'box', 'boxes')}, but the file ends "
                 f"after {len(body):,}"
             )
         part = str(problem)

@@ -319,7 +319,7 @@ def sorted_columns(names: Sequence[str]) -> tuple[dict[str, int], list[str]]:
         if plain not in NEEDED and plain not in OPTIONAL:
             unread.append(name)
         elif plain in positions:
-            raise TableError(f"column {plain} is there twice", len(positions), is_own=len(positions) > 1)
+            raise TableError(f"column {plain} occurs twice", len(positions), is_own=len(positions) > 1)
         else:
             positions[plain] = index
     missing = [name for name in NEEDED if name not in positions]
@@ -546,7 +546,7 @@ class _TableReader:
         if not len(twice):
             return None
         first, second = self.table.numbers[self._order[begin + twice[0] : begin + twice[0] + 2]]
-        return f", rows {first} and {second}: sequence {numbers[twice[0]]} is there twice"
+        return f", rows {first} and {second}: sequence {numbers[twice[0]]} occurs twice"
 
     def _fault_of_rows(self, rows: NDArray[np.int64]) -> str:
         """The error text for a plan with bad rows. If several rows lack values, the text names all missing values;

@@ -53,7 +53,9 @@ def usable_plans(plans: PlanSource | None, sim: Simulation, options: RunOptions)
     if not (usual or plans is None or isinstance(plans, str | PathLike | SupportsArrow)):
         given: Any = [plans] if isinstance(plans, Plan) else list_of(plans, "plans", object, _SOURCES)
         if any(isinstance(plan, Plan) for plan in given):
-            raise InputError("units and anchor are for files and data frames; Plan.from_boxes takes them, too")
+            raise InputError(
+                "units and anchor apply only to files and data frames; for plan objects, give them to Plan.from_boxes"
+            )
         plans = given
     gathered = gather_plans(plans, sim, options)
     earlier_lines = plans.conventions if isinstance(plans, PlanSet) else ()

@@ -57,7 +57,7 @@ def save_plans(plans: Plan | Iterable[Plan], path: str | os.PathLike[str]) -> No
     ids: set[str] = set()
     for plan in chosen:
         if plan.plan_id in ids:
-            raise InputError(f"{printable(str(file))}: plan {printable_name(plan.plan_id)} is there twice")
+            raise InputError(f"{printable(str(file))}: plan {printable_name(plan.plan_id)} occurs twice")
         ids.add(plan.plan_id)
     write(chosen, file)
 

@@ -526,7 +526,7 @@ def distinct_names(names: Sequence[str]) -> list[str]:
         name = name or f"column {number}"
         name_counts[name] += 1
         if name_counts[name] == 2 and column_meanings([name])[0] is not None:
-            raise InputError(f"column {printable_name(name)} is there twice")
+            raise InputError(f"column {printable_name(name)} occurs twice")
         distinct.append(name if name_counts[name] == 1 else f"{name} again")
     return distinct
 

@@ -113,7 +113,7 @@ def check_archive(data: bytes | bytearray) -> None:
     except zipfile.BadZipFile as error:
         raise InputError("is not a whole workbook or archive") from error
     if total > allowed_bytes(len(data)):
-        raise InputError("unpacks to too much for a file of plans")
+        raise InputError("unpacks to more bytes than a file of plans may have")
 
 
 def _tables_of_sheets(sheets: dict[str, list[list[Any]]]) -> list[RawTable]:

@@ -254,7 +254,7 @@ class RunResults:
             InputError: the run did not keep the table ``boxes``.
         """
         if not self.keeps_boxes:
-            raise InputError(f"{self.where}: the run kept no boxes (keep {WORLDS})")
+            raise InputError(f"{self.where}: the run was made with keep {WORLDS}, so it has no table boxes")
         return self._read("boxes")
 
     @property

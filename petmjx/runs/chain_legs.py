@@ -160,7 +160,7 @@ def _check_event(event: Event, defined: Mapping[str, Profile], path: tuple[str |
                 raise complaint(f"contradicts profile {profile.name!r}, which has {has}", *path, name)
         for name in (Strength.LEVEL, Strength.SCALE):
             if isinstance(drawn := getattr(event, name), Range) and not drawn.continuous:
-                raise complaint("is drawn between from and to: it has no step or count", *path, name)
+                raise complaint("is drawn at random between from and to: leave out step and count", *path, name)
         if profile.strength is Strength.LEVEL and event.level is None:
             raise complaint(f"is missing: profile {profile.name!r} has a level in g", *path, "level")
 

@@ -72,7 +72,9 @@ def write_load_unit_pages(run: RunResults, plans: Mapping[str, Plan], path: Path
             f"{run.path}: is not complete ({n_worlds:,} of {expected}): continue with {option('--resume', 'True')}"
         )
     if not is_chain(run.info) or run.summary is None:
-        raise InputError(f"{run.path}: a page to send is about a chain: petmjx score PLANS --chain NAME")
+        raise InputError(
+            f"{run.path}: is not the run of a chain, so it has no PDF pages; petmjx score PLANS --chain NAME makes one"
+        )
     rows = [row for row in arrivals(run.summary).to_dict("records") if row["plan_id"] in plans]
     if not rows:
         raise InputError(f"{run.path}: none of its plans was found: name their files")

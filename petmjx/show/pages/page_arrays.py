@@ -85,7 +85,7 @@ def block(columns: Mapping[str, NDArray[Any] | PackedArray]) -> str:
         packed = column if isinstance(column, PackedArray) else PackedArray(column)
         values = np.ascontiguousarray(packed.values)
         if values.dtype.name not in _TYPES:
-            raise ValueError(f"{name}: {values.dtype} has no place in a page")
+            raise ValueError(f"{name}: a page cannot hold arrays of {values.dtype}")
         entry: dict[str, Any] = {"name": name, "type": values.dtype.name, "shape": values.shape, "at": len(body)}
         if packed.scale is not None:
             entry |= {"scale": packed.scale, "offset": packed.offset}
