@@ -53,8 +53,8 @@ def _takes_options(*records: type[CheckedRecord]) -> Callable[[Function], Functi
 
 @contextmanager
 def _watching(watcher: Watcher | None, progress: bool) -> Iterator[Watcher | None]:
-    """Yield the watcher of a run. If a watcher is given, it is used. Otherwise, a notebook gets a progress bar.
-    Elsewhere, ``progress`` gives a watcher that prints lines on standard error; without ``progress``, there is no
+    """Yield the watcher of a run. A watcher from the caller is used unchanged. Otherwise, a notebook gets a progress
+    bar. Elsewhere, ``progress`` gives a watcher that prints lines on standard error; without ``progress``, there is no
     watcher (None).
 
     Raises:

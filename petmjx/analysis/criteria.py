@@ -1,9 +1,9 @@
 """Closed-form criteria of static stability for one plan.
 
 ``CRITERIA`` lists the criteria by name, each with its condition and its slack. Tables, columns and docs are generated
-from this list. ``CriterionInputs`` holds the contacts of a plan, and computes values that several criteria use only
-once. This module has the criteria that depend on a box's base alone: the borne share of the base, and the number of
-borne corners.
+from this list. ``CriterionInputs`` holds the contacts of a plan, and computes each value that several criteria share
+only once. This module has the criteria that depend on a box's base alone: the borne share of the base, and the number
+of borne corners.
 
 docs/extending.md explains how to add a criterion.
 """
@@ -150,7 +150,7 @@ def _stable(slack: FloatArray, criterion: Criterion) -> NDArray[np.int8]:
 def support_share(contacts: PlanContacts) -> FloatArray:
     """(n,) borne area / base area; 0 for a box that lies on nothing.
 
-    If supports overlap each other, as in invalid plans, their common area counts once.
+    If supports overlap each other, as in invalid plans, their common area is counted only once.
     """
     area = (contacts.high_mm - contacts.low_mm).prod(axis=1)
     borne = np.bincount(contacts.upper, weights=area, minlength=contacts.n_boxes)
@@ -217,8 +217,9 @@ def tolerable_acceleration_g(contacts: PlanContacts, hulls: Hulls, friction: flo
     """(n,) the smallest horizontal acceleration, in g, at which a box or the load placed so far begins to slide or tip.
 
     The box and the load count as rigid bodies. A body slides when the acceleration in g reaches the coefficient of
-    friction. A body tips when the acceleration in g reaches a / h. Here a is the distance of the centre from the edge,
-    and h the height of the centre above it. Both conditions follow from statics, and are also those of EN 12195-1.
+    friction. A body tips when the acceleration in g reaches a / h. Here a is the horizontal distance of the centre from
+    the tipping edge, and h the height of the centre above this edge. Both conditions follow from statics, and are also
+    those of EN 12195-1.
     """
     half_mm = contacts.centre_mm[:, 2] - contacts.corner_mm[:, 2]
     of_box = hulls.distance(np.arange(contacts.n_boxes), contacts.centre_mm[:, :2]) / half_mm
@@ -464,10 +465,11 @@ CRITERIA: Final = (
         lambda inputs: load_points_slack(inputs.contacts),
         number="points",
         threshold=LEAST_POINTS,
-        usual=False,  # this is a rule of thumb about the finished load
+        usual=False,  # this criterion is a rule of thumb about the finished load
     ),
 )
-"""All criteria, in the order of tables: first criteria about the base of a box, last criteria about the whole stack."""
+"""All criteria, in the order in which tables list them: criteria about the base of a box come first, and criteria about
+the whole stack last."""
 
 NAMES: Final = tuple(criterion.name for criterion in CRITERIA)
 _UNNAMED: Final = tuple(criterion.name for criterion in CRITERIA if criterion.usual)

@@ -80,7 +80,7 @@ def plans_frame(plans: Sequence[Plan], answers: Sequence[Answers], criteria: Seq
     for number, criterion in enumerate(criteria):
         failed = stable[:, number] == NO
         first = np.minimum.reduceat(np.where(failed, box, never), starts)
-        # Boxes without an answer are ignored. If a box failed without having a slack, its plan has no smallest slack.
+        # Boxes without an answer are ignored. If a box fails but has no slack, its plan has no smallest slack.
         with np.errstate(invalid="ignore"):
             least = np.minimum.reduceat(np.where(stable[:, number] == NOT_ASKED, np.inf, slack[:, number]), starts)
         columns[criterion.name] = first == never
@@ -239,7 +239,7 @@ def check_criteria_free(folder: Path, overwrite: bool, *, judged: bool, inputs: 
 
 
 CHUNK: Final = 16
-"""Number of plans that a process receives at a time. The force balance of this many plans takes half a second."""
+"""Number of plans that a process receives at a time. Their force balance takes half a second."""
 
 
 def criteria(

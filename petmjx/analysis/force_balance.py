@@ -7,20 +7,19 @@ times that force. A stack is balanced if there are such forces whose sum and mom
 
 The slack is dimensionless. If a box is supported at n corners of its contact areas, each corner must carry at least s /
 n of the box's own weight. The slack is the largest s for which the stack is balanced. At 1, every box rests evenly on
-all its corners. At 0, some box is about to tip. Below 0, a box would have to be glued, with a strength that grows with
--s. For a box with a free top there is a closed form: take the ray from the middle of the box's corners through the
-box's centre to the edge of their hull. The slack is 1 minus the position of the centre on this ray, where 0 is the
-middle and 1 the edge.
+all its corners. At 0, some box is about to tip. Below 0, a box would have to be glued to its support; the glue needs
+more strength the further s is below 0. For a box with a free top there is a closed form: take the ray from the middle
+of the box's corners through the box's centre to the edge of their hull. The slack is 1 minus the position of the centre
+on this ray, where 0 is the middle and 1 the edge.
 
 A placement only affects the structure of the new box: the boxes that are connected to it by contacts. Three shortcuts,
 which do not change the result, save time:
 
 - A box with all four corners on the carrier is in balance whatever presses on its top, because vertical forces from
-  below can always balance the load. A box known to be in balance counts as part of the carrier, and so separates
-  structures.
+  below can always balance the load. Such a box is treated as part of the carrier, so structures end at it.
 - If vertical forces alone balance the boxes, a solution is found. Friction, horizontal forces and heights are
-  considered only if they do not. Friction can help, for example when another box lies across a box and its neighbour,
-  and so holds the box. The slack is then the larger one of the slacks without and with friction.
+  considered only if no vertical forces do so. Friction can help, for example when another box lies across a box and its
+  neighbour, and so holds the box. The slack is then the larger one of the slacks without and with friction.
 - For a structure of one box, the closed form above gives the slack without a linear programme.
 
 With ``lean``, boxes that touch side by side may press on each other, and boxes may press on walls, by default without
@@ -160,7 +159,8 @@ def least_and_most(sums: FloatArray, forces: Entries, row_sums: FloatArray) -> F
 def _least_cost_solution(
     costs: FloatArray, entries: Entries, rows: tuple[FloatArray, FloatArray], bounds: tuple[FloatArray, FloatArray]
 ) -> FloatArray | None:
-    """The x with the smallest ``costs @ x`` whose rows and values are within bounds; None if there is none.
+    """The x with the smallest ``costs @ x`` among all x within the bounds of rows and values; None if there is no such
+    x.
 
     HiGHS solves the programme. HiGHS is called through SciPy's ``milp`` without integer variables, which has half the
     overhead of ``linprog``.

@@ -48,8 +48,8 @@ def intervals_at_rest(scene: Scene, physics: Physics, boxes: BoxMetrics) -> Floa
 
 
 def force_intervals(scene: Scene, physics: Physics, pos: FloatArray, quat: FloatArray) -> FloatArray:
-    """(n, 2) smallest and largest force on the top of each box, N. NaN if no forces balance the boxes connected to it,
-    or if the solver finds no answer.
+    """(n, 2) smallest and largest force on the top of each box, N. NaN for a box if no forces balance the boxes that
+    are connected to it, or if the solver finds no answer.
 
     Args:
         scene: sizes, masses and friction, and the carrier, which is at its planned place.

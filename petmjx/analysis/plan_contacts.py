@@ -253,8 +253,8 @@ def find_contacts(
     """Find the contacts of a plan: the rectangles on which its boxes lie, and the bodies below.
 
     Args:
-        tolerance_mm: gaps and overlaps in height up to this size count as touching, and contacts narrower than this do
-            not count. The default is also the tolerance of the warnings about plans: half of the last digit of whole
+        tolerance_mm: gaps and overlaps in height up to this size count as touching, and contacts narrower than this are
+            ignored. The default is also the tolerance of the warnings about plans: half of the last digit of whole
             millimetres.
         deck_mm: (b, 2, 2) lowest and highest corner along x and y of each board of the carrier's deck; None: the
             carrier extends under all boxes.

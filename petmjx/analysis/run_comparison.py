@@ -1,7 +1,8 @@
 """Compares two runs of the same worlds: whether their verdicts agree, and by how much their metrics differ.
 
 Run b is compared with run a. For forces, differences relative to a are also computed: |b - a| / max(a, 10 N). The
-minimum of 10 N is about the weight of a 1 kg box, because ratios of smaller forces do not matter for a pallet.
+divisor is at least 10 N, about the weight of a box of 1 kg, because ratios of smaller forces do not matter for a
+pallet.
 """
 
 from __future__ import annotations
@@ -67,8 +68,8 @@ class Comparison:
         n_common: number of worlds in both runs.
         confusion: (3, 3) number of worlds by their verdict in a (rows) and in b (columns).
         flips: worlds with different verdicts. Columns: verdict, reason and culprit in both runs, and by how much the
-            world exceeds the thresholds of shift, tilt and acceleration (negative: it is below them). The sign of these
-            excesses is opposite to that of the column ``margin`` in the table ``worlds``.
+            world exceeds the thresholds of shift, tilt and acceleration (negative: the world is below the threshold).
+            The sign of these excesses is opposite to that of the column ``margin`` in the table ``worlds``.
         worlds, boxes: differences of metrics, one row per metric and group. Columns: ``metric``, ``unit``, ``group``,
             ``n``; ``mean`` of b - a (null for ``SIGNLESS`` metrics); ``median``, ``p95`` and ``largest`` of |b - a|;
             and the world with the largest difference: ``plan_id``, ``variant`` (and ``box``), with the two values ``a``

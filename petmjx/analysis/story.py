@@ -152,7 +152,8 @@ class Story:
         outcome: verdict, first box, and metrics of each box.
         history: the frames. The last frame has the poses of ``outcome.boxes``.
         engine: the engine that simulated the world.
-        variant: index of the variant, and its values by column. 0 and empty if the plan has only one world.
+        variant: index of the variant, and the variant's values by column. If the plan has only one world, the index is
+            0 and there are no values.
         drive: the drive that shakes the world.
         options: the options of the simulation (``petmjx.Simulation``), by field, as in ``run.json``.
         note: an important remark for readers, such as that the world was simulated on another engine than the run's; ""
@@ -369,7 +370,7 @@ boxes that dropped."""
 
 
 def thresholds_of(story: Story) -> Thresholds:
-    """The limits that decided the verdict."""
+    """The limits with which the verdict was decided."""
     return Thresholds(**story.options.get("thresholds", {}))
 
 

@@ -18,9 +18,9 @@ HIGHEST_RESTITUTION: Final = 0.9
 """Largest allowed restitution. Cardboard has 0.1 to 0.3, and in single tosses up to 0.6."""
 
 LANDING_S: Final = 0.003
-"""Time in which the preset ``pallet`` stops a box that lands. With this time, boxes that fall 10 to 300 mm penetrate
-less than 1 to 9 mm. A landing takes one and a half steps of 2 ms, which is enough to resolve it. No measured stiffness
-of landing cartons is known."""
+"""Time in which the preset ``pallet`` stops a box that lands. With this value, a box that falls 10 mm penetrates its
+support by less than 1 mm, and a box that falls 300 mm by less than 9 mm. A landing takes one and a half steps of 2 ms,
+which are enough for an accurate landing. No measured stiffness of landing cartons is known."""
 
 SHORTEST_LANDING_S: Final = 0.0002
 LONGEST_LANDING_S: Final = 0.02

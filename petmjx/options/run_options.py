@@ -316,8 +316,8 @@ class RunOptions(CheckedRecord):
         return AUTO if self.workers is None and self.ray is not None else self.workers
 
     def takes(self, plan_id: str) -> bool:
-        """Whether a plan is in this run's shard. The plan's id alone decides this, so all worlds of a plan are in the
-        same shard."""
+        """Whether a plan is in this run's shard. The shard of a plan depends only on the plan's id, so all worlds of a
+        plan are in the same shard."""
         if self.shard is None:
             return True
         share, shares = (int(number) for number in self.shard.split("/"))

@@ -324,7 +324,7 @@ def _has_decimal_commas(text: str) -> bool:
     try:
         numeric = [at for at, field in enumerate(next(rows, [])) if field.strip().lower() in _NUMBERS]
         return any(_COMMA_NUMBER.match(row[at]) for row in rows for at in numeric if at < len(row))
-    except csv.Error:  # the fault is reported for its row when the table is read
+    except csv.Error:  # the fault of a bad row is reported when the table is read
         return False
 
 

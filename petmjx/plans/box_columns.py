@@ -114,8 +114,8 @@ class BoxColumns:
         weight_unit: unit according to the name or the cells; "": none is given.
         weight_is_density: whether ``weight`` is a density, relative to water or in kg/m³.
         plan, article, item_id, group: (n,) names; None: no column has them.
-        sequence: (n,) packing order; None: no column has it. A running number is not a packing order, since it may
-            count in any order.
+        sequence: (n,) packing order; None: no column has it. A column of running numbers is not taken as a packing
+            order, since boxes may be numbered in any order.
         counters: columns of whole numbers that may be a packing order because of their names ("Nr", "Pick"): name →
             (n,) numbers; NaN for cells that are not whole numbers.
         columns: role → name of its column, for all roles except sizes and places.
@@ -257,7 +257,7 @@ class Extraction:
     # Geometry.
 
     def columns_of(self, *kinds: str) -> dict[str, list[int]]:
-        """Axis → the columns for this axis whose meaning is of one of these kinds and describes boxes."""
+        """Axis → the columns for this axis that describe boxes and whose meaning is of one of these kinds."""
         by_axis: dict[str, list[int]] = {}
         for index, meaning in enumerate(self.meanings):
             if meaning is not None and meaning.kind in kinds and not meaning.of_container:

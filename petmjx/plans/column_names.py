@@ -259,7 +259,7 @@ _COUNTER: Final = re.compile(
 
 
 def may_count(name: str) -> bool:
-    """Whether a column with this name may number the boxes, in any order: "N°", "Lfd. Nr.", "#", "Pick"."""
+    """Whether a column with this name may hold numbers of boxes, in any order: "N°", "Lfd. Nr.", "#", "Pick"."""
     return bool(_COUNTER.match(" ".join(re.findall(r"[a-z]+|#", plain_text(name.rpartition("[")[0] or name).lower()))))
 
 
@@ -380,7 +380,8 @@ def _geometry(tail: list[str], path: list[str], index: str, of_sharp: bool) -> C
 
 
 def _order_axis(words: set[str], index: int) -> str:
-    """The axis of a member of a list of sizes: in WHD, the second one is the height; in other lists, "1"."""
+    """The axis of one member of a list of sizes. In a list called WHD, the second member is the height; in a list
+    without such a name, its axis is "1"."""
     order = _orders(words)
     return order[index] if index < len(order) else str(index)
 

@@ -1,8 +1,9 @@
 """Detects plans in other conventions: centres given as corners, metres as millimetres, or y and z swapped.
 
-A plan is odd if boxes float or overlap. An odd plan is read in other conventions. If it is no longer odd in one of
-them, the plan probably follows this convention. Plans whose boxes really are odd are odd in every convention. If all
-lengths or all masses have a wrong unit, the layout looks right; such a unit is recognised by the density of the boxes.
+A plan is odd if boxes float or overlap. An odd plan is read in other conventions. If the plan is no longer odd in one
+of these conventions, it probably follows that convention. Plans whose boxes really are odd are odd in every convention.
+If all lengths or all masses have a wrong unit, the layout looks right; such a unit is recognised by the density of the
+boxes.
 """
 
 from __future__ import annotations
@@ -47,9 +48,9 @@ _USUAL_M3: Final = 0.015
 plans a thousand times too dense. The usual volume shows which of the two units is wrong."""
 
 LEAST_SHARE: Final = 0.25
-"""Smallest share of the plans with odd layouts that a convention must explain to be reported. If a packer makes a
-mistake, it makes it in all plans. By chance, one in 300 plans with three floating boxes looks as if y and z were
-swapped."""
+"""Smallest share of the plans with odd layouts that a convention must explain to be reported. A packer that uses
+another convention uses it in all its plans. By chance, one in 300 plans with three floating boxes looks as if y and z
+were swapped."""
 
 _LEAST_FILLED: Final = 0.3
 """A convention explains a plan only if boxes then fill at least this share of the plan's bounding box. Without this
@@ -74,8 +75,8 @@ class Convention:
             ``{y}`` for the middle of the carrier, mm.
         read: function that converts corners and sizes to petmjx's convention. None: the convention does not change
             corners and sizes.
-        least_odd: smallest number of floating boxes and overlaps in a plan that this convention may explain, if the
-            lowest box does not float.
+        least_odd: smallest number of floating boxes and overlaps that a plan must have before this convention may
+            explain it. Used only if the lowest box does not float.
         of_turned: whether ``read`` is applied only to boxes that their orientation turns. All other boxes are not
             changed.
         of_some: whether ``read`` changes only those turned boxes that overlap fewer boxes after the change.
@@ -382,7 +383,7 @@ def _is_wall_lying(plan: Plan, odd: PlanWarnings, extent_mm: tuple[float, float]
 
 
 def _from_the_middle(plan: Plan, way: Convention | None, extent_mm: tuple[float, float]) -> bool:
-    """Whether all boxes are on the carrier if the origin is the carrier's middle."""
+    """Whether all boxes would be on the carrier if the origin of the plan were the carrier's middle."""
     corner, size = plan.corner_mm, plan.size_mm
     if way is not None and way.read is not None:
         corner, size = way.layout_of(plan)

@@ -112,7 +112,8 @@ def looks_like_own_json(data: bytes | bytearray) -> bool:
 
 
 def is_of_other_tools(data: bytes | bytearray) -> bool:
-    """Whether bytes that are not UTF-8 text in one of petmjx's forms may be a sheet, an array or a scene."""
+    """Whether bytes may be a sheet, an array or a scene of another tool. The bytes are known not to be UTF-8 text in
+    one of petmjx's forms."""
     return bytes(data[:6]).startswith(_OTHER_TOOLS) or _SCENE.search(data, 0, _LOOKED_AT_TEXT) is not None
 
 

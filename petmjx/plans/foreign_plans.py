@@ -71,9 +71,9 @@ _OF_PALLETS: Final = word_set(
     "pallet pallets palette paletten palet paleta pale palety bancale bancali pal palno palnr palletno palletid palid "
     "lu hu su sscc lpn uld stop unit nosnik ladungstrager ladetrager ladeeinheit carrier container bin"
 )
-"""Words for pallets in names of columns that ``column_names`` does not know."""
+"""Words that mean a pallet in names of columns. Used for names that ``column_names`` does not know."""
 _MATCHED: Final = 0.9
-"""A table of items belongs to the boxes if at least this share of the boxes has an item in it."""
+"""A table of items belongs to the boxes if at least this share of the boxes has an item in the table."""
 PACK: Final = "pack them first: petmjx samples --orders {file} -o plans.json"
 
 
@@ -163,7 +163,7 @@ def _plans_of(
 
 
 def _with_items(sources: Sequence[BoxSource], path: Path | None, items: Path | None) -> BoxSource:
-    """The list of boxes with places. Sizes and weights that it lacks are added from a table of items."""
+    """The list of boxes that have places. Missing sizes and weights are added from a table of items."""
     best = sources[0]
     if items is not None:
         tables = sources_of_bytes(bytes_of(items), items)
@@ -775,8 +775,8 @@ class _Builder:
         return None
 
     def _order_note(self, orders: Sequence[str], names: Sequence[str]) -> str:
-        """Returns the source of the packing order ("sequence", "rows" or "height"). Adds a note if it does not come
-        from a column."""
+        """Returns the source of the packing order ("sequence", "rows" or "height"). Adds a note if no column gives the
+        packing order."""
         sorted_plans = [name for name, order in zip(names, orders, strict=False) if order == "height"]
         if sorted_plans:
             plans_text = "" if len(orders) == 1 else f" in {first_names(sorted_plans, 3)}"

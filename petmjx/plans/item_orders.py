@@ -1,7 +1,7 @@
 """Turns items, given by column, into orders (``orders_of_items``): chooses units, masses, quantities and targets.
 
-If column names do not give the unit, sizes and densities decide it. A file with two possible readings is refused. Items
-without weights get the mass that an assumed density gives.
+If column names do not give a unit, sizes and densities decide which unit is used. A file with two possible readings is
+refused. Items without weights get the mass that an assumed density gives.
 """
 
 from __future__ import annotations
@@ -47,7 +47,7 @@ _MIXED: Final = 1.5
 """Cost of a reading that mixes systems of units (inches with kilograms, or pounds with metric lengths), if no names
 give the units."""
 _DENSEST_KG_M3: Final = 1e6
-"""Densities above this come from damaged weights, and are no evidence of a unit."""
+"""Densities above this value come from damaged weights, so they are no evidence for or against a unit."""
 _BIN_PRIOR: Final = {"mm": 0.0, "cm": 0.0, "dm": 0.0}
 """Possible units of test problems. In such problems, the side of a bin is 10 or 100 units, which stand for 1 m."""
 _LIST_PRIOR: Final = {"cm": -1.5, "mm": 0.0, "m": 0.0}
@@ -194,7 +194,7 @@ class _OrderBuilder:
 
     def _lost(self, names: Sequence[str]) -> dict[str, str]:
         """Name of each order that lacks a row → place and fault of the row. A lost row may belong to the order before
-        it or to the order after it, so both lack it."""
+        it or to the order after it, so both orders are refused."""
         numbers = [_number_of(place) for place in self.table.places]
         lost: dict[str, str] = {}
         for place, fault in self.table.lost:

@@ -254,8 +254,8 @@ def _n_bytes(text: str, n_characters: int) -> int:
 
 
 def any_integer(digits: str) -> int | float:
-    """Convert an integer of any length. If it is too large for float64, it becomes infinite, and a later check refuses
-    it as not finite."""
+    """Convert an integer of any length. An integer too large for float64 becomes infinite, and a later check refuses it
+    as not finite."""
     return int(digits) if len(digits) < 400 else float(digits)
 
 

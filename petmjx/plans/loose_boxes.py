@@ -17,10 +17,10 @@ MOST_LOOKED_AT: Final = 200
 would be delayed."""
 
 _LEVEL_MM: Final = 3.0
-"""A box is borne by the highest top under it, and by all tops that are lower by at most this."""
+"""A box is borne by the highest top under it, and by all tops that are lower by at most this length."""
 
 _BESIDE_MM: Final = 1.0
-"""If two boxes overlap by at most this along x or y, they stand beside each other."""
+"""If two boxes overlap by at most this length along x or y, they stand beside each other."""
 
 
 def first_loose(plan: Plan) -> int:

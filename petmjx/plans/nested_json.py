@@ -45,7 +45,7 @@ _HOLDERS: Final = word_set(
 )
 _PRINTED_SIZES: Final = re.compile(r"\(?\s*([\d.]+)\s*[x×]\s*([\d.]+)\s*[x×]\s*([\d.]+)")
 _LISTED: Final = 16
-"""Largest number of members of a list that become separate fields: a 4×4 matrix has 16."""
+"""A list with at most this number of members becomes separate fields: a 4×4 matrix has 16 members."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -262,8 +262,8 @@ _FORM_WORDS: Final = word_set(
 
 
 def _is_plan_key(value: Mapping[str, Any]) -> bool:
-    """Whether the names of an object's fields are names of plans. They are if every field holds a list, and no field's
-    name has a word that names a form."""
+    """Whether the names of an object's fields are names of plans. The names are taken as names of plans if every field
+    holds a list, and no name has a word of ``_FORM_WORDS``."""
     lists = [inner for inner in value.values() if isinstance(inner, list) and inner]
     if len(lists) != len(value) or not lists:
         return False
@@ -430,7 +430,7 @@ def _parts(members: Sequence[_Member]) -> list[str]:
 
 
 def _only_name(around: Sequence[tuple[str, Mapping[str, Any]]]) -> str:
-    """The name of a file's only plan; "" if nothing names it."""
+    """The name of a file's only plan; "" if no field gives a name."""
     for _, holder in reversed(around):
         for name in _NAMES[:10]:
             if (text := _name_text(holder.get(name))) != "":

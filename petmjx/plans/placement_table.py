@@ -292,7 +292,7 @@ class Table:
         columns: name in `NEEDED` or `OPTIONAL` → column of n rows.
         unread: names of columns that are not read.
         numbers: (n,) the number of each row, for messages.
-        lost: rows that could not be read, and are missing in the columns.
+        lost: rows that could not be read, and so are missing from ``columns``.
         cut_off: whether the table ends prematurely, so that the last plan may lack rows.
     """
 

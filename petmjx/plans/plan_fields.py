@@ -18,9 +18,9 @@ from petmjx.plans.file_formats import number_hint, other_encoding
 
 SMALLEST_MM: Final = 1.0
 LARGEST_MM: Final = 4_000.0
-"""Limits of the sizes of items. A value beyond them has the wrong unit or a damaged digit. The upper limit of 4 m also
-keeps waiting boxes apart: boxes that wait to be placed hang at least 8 m apart, and the diagonal of a cube of 4 m is
-6.9 m, so the bounding spheres of two such cubes do not touch."""
+"""Limits of the sizes of items. A value outside these limits has the wrong unit or a damaged digit. The upper limit of
+4 m also keeps waiting boxes apart: boxes that wait to be placed hang at least 8 m apart, and the diagonal of a cube of
+4 m is 6.9 m, so the bounding spheres of two such cubes do not touch."""
 FARTHEST_MM: Final = 20_000.0
 """Limit of coordinates. Boxes that wait to be placed hang at least 50 m high, far above all places of a plan."""
 SMALLEST_KG: Final = 0.001

@@ -292,8 +292,8 @@ class _PlanLoader:
         self._count_unlisted(FRAME)
 
     def _read_foreign_parquet(self, source: str, path: Path) -> InputError | None:
-        """Read a Parquet file with other column names than petmjx's. Returns why it cannot be read; None if it was
-        read."""
+        """Read a Parquet file with other column names than petmjx's. Returns the reason if it cannot be read, else
+        None."""
         from petmjx.plans.table_files import parquet_frame
 
         try:
@@ -302,8 +302,8 @@ class _PlanLoader:
             return error
 
     def _read_foreign_frame(self, frame: SupportsArrow, source: str = FRAME) -> InputError | None:
-        """Read a data frame with other column names than petmjx's. Returns why it cannot be read; None if it was
-        read."""
+        """Read a data frame with other column names than petmjx's. Returns the reason if it cannot be read, else
+        None."""
         from petmjx.plans.foreign_formats import sources_of_frame
         from petmjx.plans.foreign_plans import plans_of_sources
 
@@ -330,7 +330,7 @@ class _PlanLoader:
         self._count_unlisted(OBJECT)
 
     def _read_foreign(self, source: str, path: Path, data: bytes | bytearray) -> InputError | None:
-        """Read a file of another tool. Returns why it cannot be read; None if it was read."""
+        """Read a file of another tool. Returns the reason if it cannot be read, else None."""
         from petmjx.plans.foreign_plans import read_foreign
 
         try:
@@ -540,7 +540,7 @@ class _PlanLoader:
 
 
 def _likelier(own: TableError, other: InputError) -> InputError:
-    """Which error to report for a table that could be read neither as petmjx's nor as another tool's.
+    """The error to report for a table that could be read neither as a table of petmjx nor as one of another tool.
 
     Another tool's table needs fewer columns than petmjx's. So the error of the reader for other tools is reported: a
     bad cell, or two possible readings. The columns that petmjx's own form lacks are reported only if sizes or places
@@ -554,8 +554,8 @@ def _kind_of_text(data: bytearray, named: bool) -> str | None:
     """The error text for a text that does not begin like JSON; None for JSON, including damaged JSON.
 
     Args:
-        named: whether the file has the name of a JSON file. If it has another name, only tables are distinguished from
-            damaged JSON.
+        named: whether the file has the name of a JSON file. If the file has another name, only tables are distinguished
+            from damaged JSON.
     """
     if looks_like_table(data):
         return "looks like a table as text: it is read as one if its name ends in .csv or .tsv"

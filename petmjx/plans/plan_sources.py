@@ -170,7 +170,7 @@ def _distinct_plan_ids(plan_set: PlanSet, options: RunOptions) -> PlanSet:
     "ID#2".
 
     In files, an id identifies a single plan, so a second plan with this id is skipped (petmjx.plans.plan_reader). But a
-    caller that passes plan objects expects a result for each of them.
+    caller that passes plan objects expects a result for each object.
     """
     given = plan_set.plans[: options.limit]
     plan_ids = {plan.plan_id for plan in given}

@@ -170,7 +170,7 @@ def _parse_columns(
         return None
     size = np.ascontiguousarray(numbers[:3].T) * given.length_mm
     mass = numbers[3] * given.mass_kg
-    # comparisons with NaN are false, so these ranges also exclude NaN
+    # comparisons with NaN are false, so these checks of ranges also refuse NaN
     in_range = (
         ((size >= SMALLEST_MM) & (size <= LARGEST_MM)).all()
         and ((mass >= SMALLEST_KG) & (mass <= LARGEST_KG)).all()

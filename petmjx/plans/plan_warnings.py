@@ -62,8 +62,8 @@ def meets(
 
     Args:
         low, high: (…, n) lower and upper ends of the boxes along an axis.
-        tolerance: the upper end may be above the lower end by at most this.
-        most_gap: the upper end may be below the lower end by at most this; None: by at most ``tolerance``.
+        tolerance: largest length by which the upper end may be above the lower end.
+        most_gap: largest length by which the upper end may be below the lower end; None: ``tolerance``.
     """
     over = high[..., :, None] - low[..., None, :]
     touching: NDArray[np.bool_] = (over <= tolerance) & (

@@ -202,7 +202,7 @@ def _rules(geometry: Geometry, columns: BoxColumns, wishes: Wishes) -> list[tupl
 
 def _sizes_by_article(columns: BoxColumns, geometry: Geometry) -> str:
     """Whether sizes are those of the placed box or those of the item. Boxes of one article in different orientations
-    show this. "" if it is unknown."""
+    show which of the two is true. "" if this is unknown."""
     turns, names = columns.turns, columns.article
     if turns is None or names is None:
         return ""

@@ -91,7 +91,8 @@ class Reading:
         notes: lines about values that were added or left out.
         unused: names of the columns that are not used.
         odd: lines about values that are improbable in every reading.
-        cost: cost of the reading, which is high if it is implausible; layout_cost: the cost without names and units.
+        cost: cost of the reading; an implausible reading has a high cost. layout_cost: the part of the cost that does
+            not come from names and units.
         evidence: the numbers on which the cost is based.
         alternatives: other readings with a similar cost, most plausible first.
     """

@@ -1,5 +1,5 @@
-"""A lock that lets only one run at a time write into a folder. The lock ends when its process ends, even if it is
-killed.
+"""A lock that lets only one run at a time write into a folder. The lock ends when the process that holds it ends, even
+if the process is killed.
 
 The package ``filelock`` is no alternative. It accepts any file of the lock's name as a lock, does not tell which
 process holds the lock, and, on file systems without locks, leaves its file behind after a kill.

@@ -45,8 +45,8 @@ if TYPE_CHECKING:
     import pandas as pd
 
 _NAMES_WORLDS: Final = {"histories": "frames", "frames": "frames", "contacts": "frames"}
-"""To find the worlds of a part, another table's part of the same number is read. This mapping gives that other table;
-for a table without an entry, it is ``worlds``."""
+"""To find the worlds of a part, another table's part of the same number is read. This mapping gives that other table. A
+table without an entry uses ``worlds``."""
 
 
 def world_row(run: RunResults, plan_id: str, variant: int) -> dict[str, Any] | None:

@@ -59,7 +59,7 @@ class Parts:
         return sorted((self.folder / table / name for name in self.digests.get(table, ())), key=part_number)
 
     def read(self, file: Path, columns: Sequence[str] | None = None) -> pa.Table:
-        """Read one of these files as a table, or some of its columns.
+        """Read one of the run's files as a table, or some of its columns.
 
         Raises:
             InputError: the file is missing, was changed after the run wrote it, lacks one of the columns, or was

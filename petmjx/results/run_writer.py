@@ -153,7 +153,7 @@ class RunWriter(RunInfo):
         self._worlds_per_part, self._seconds_per_part = worlds_per_part, seconds_per_part
         # the queues are implemented in C: interrupting the main thread leaves none of them locked or half changed
         self._queue: SimpleQueue[Row | _Request] = SimpleQueue()
-        self._room: SimpleQueue[None] = SimpleQueue()  # this queue receives an entry after each attempt at writing
+        self._room: SimpleQueue[None] = SimpleQueue()  # receives an entry after each attempt at writing
         self._thread = threading.Thread(target=self._work, name="petmjx-writer", daemon=True)
         self._added_bytes = 0  # changed only by the thread that adds worlds
         self._cut_short = False  # set only by the main thread
@@ -362,7 +362,7 @@ class RunWriter(RunInfo):
 
     def _write_waiting(self, last: bool = False) -> None:
         """Write everything that waits. If this is the ``last`` write, a run in memory stays in memory, and a run
-        without worlds gets an empty part, so that readers find the columns.
+        without worlds gets an empty part, so that readers find the names of the columns.
 
         Raises:
             PetmjxError: something cannot be written.

@@ -198,8 +198,8 @@ def _specs(legs: Sequence[Leg], remedy: Remedy | None, defined: Mapping[str, Pro
 
 
 def in_a_row(name: str, drives: Sequence[Drive], pause_s: float, timestep_s: float) -> Excitation:
-    """Joins drives of accelerations, with pauses between them, into one excitation. Without drives, the excitation is
-    one pause."""
+    """Joins drives of accelerations, with pauses between the drives, into one excitation. Without drives, the
+    excitation is one pause."""
     pause = np.zeros((seconds_to_steps(pause_s, timestep_s), 3))
     if not drives:
         return Excitation(name, ACCELERATION, pause if len(pause) else np.zeros((1, 3)))

@@ -109,8 +109,9 @@ class Bisection:
 
     Args:
         levels: (n_levels,) levels in ascending order, in g or as a scale.
-        at_rest: for each item, the probe of its world before any profile. An item that does not stand is finished at
-            once, with no level survived. If ``levels[0]`` is 0, an item that stands at rest has survived level 0.
+        at_rest: for each item, the probe of its world before any profile. If this world does not stand, the search for
+            the item ends at once, with no level survived. If ``levels[0]`` is 0, an item that stands at rest has
+            survived level 0.
         sections: number of levels of an item that are tested at the same time, ≥ 1; 1 is plain bisection.
 
     Attributes:
@@ -166,7 +167,7 @@ class Bisection:
         """Record the results of tests. For each item, all requested levels must be recorded together; any number of
         items is allowed.
 
-        An invalid world counts as not survived; its mode is the reason why it is invalid.
+        The level of an invalid world counts as not survived; its mode is the reason why the world is invalid.
         """
         if len(tests) != len(worlds):
             raise ValueError("record needs one answer for each test")

@@ -379,7 +379,7 @@ def load_sweep(path: str | Path, plans_given: bool = False, simulation: Mapping[
     """Read and check a sweep file.
 
     Args:
-        plans_given: whether the caller gives plans. If so, the file need not name plans, and the plans that it names
+        plans_given: whether the caller gives plans. Then the file need not name plans, and plans that the file names
             need not exist.
         simulation: fields of ``Simulation`` that override those of the file.
 

@@ -145,9 +145,9 @@ def slide_m(
 def hopeless_profiles(sweep: Sweep) -> list[str]:
     """A line for each profile that makes every unsecured load slide farther than the shift threshold.
 
-    If the sweep has several strengths, the line names the smallest of them that does so. A line depends only on
-    accelerations, which are the same for all plans. Searches get no lines, since they find this strength themselves.
-    Runs with ``total_time_factor`` get no lines either, since they may end before the load slides that far.
+    If the sweep has several strengths, the line names the smallest strength with which this happens. A line depends
+    only on accelerations, which are the same for all plans. Searches get no lines, since they find this strength
+    themselves. Runs with ``total_time_factor`` get no lines either, since they may end before the load slides that far.
     """
     sim, axes = sweep.simulation, sweep.axes
     if sweep.search is not None or sim.total_time_factor is not None:

@@ -405,7 +405,7 @@ def turns_table(summary: pd.DataFrame) -> FittedTable:
 
 
 _SAME_LEVEL_G: Final = 1e-9
-"""Levels that differ by less than this are the same, since 0.1 + 0.2 is not exactly 0.3."""
+"""Levels that differ by less than this value count as equal, since 0.1 + 0.2 is not exactly 0.3."""
 
 
 def _doubts(summary: pd.DataFrame, column: str) -> pd.Series[bool]:

@@ -201,7 +201,8 @@ def _film(run: RunResults, plan: Plan, slides_g: float) -> str:
     wrapped load slides (formula in docs/wrap.md).
 
     Args:
-        slides_g: acceleration from which the load slides without film, g, which is its friction with the carrier.
+        slides_g: smallest acceleration at which the load slides without film, g. It equals the coefficient of friction
+            between load and carrier.
     """
     sim = Simulation.read(run.info["config"]["simulation"])
     legs = [leg for leg in run.info["config"]["sweep"]["legs"] if leg.get("wrap_turns") is not None]

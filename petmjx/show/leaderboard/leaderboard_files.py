@@ -142,7 +142,8 @@ def _board_in(folder: Path) -> Mapping[str, Any] | None:
 
 
 def _own_of(board: Mapping[str, Any]) -> Iterator[str]:
-    """The board's own files, from its list. Without a list, they are the files of the board's packers and stories."""
+    """The board's own files, from its list. If the board has no list, its own files are those of its packers and
+    stories."""
     if not board:
         return
     listed = board.get(FILES)
