@@ -254,7 +254,7 @@ class Loads:
         run: the run's folder.
         boxes: one row per box of each world: ``load_share`` and the values from which it is computed.
         plans: one row per world: whether a box is ``overloaded`` at rest or ``overloaded_at_peak``, and the boxes with
-            the largest shares. If the run has intervals of forces, also ``surely_overloaded`` and
+            the largest shares. If the run has intervals of forces, there are also the columns ``surely_overloaded`` and
             ``possibly_overloaded``.
         notes: lines that warn about an unfinished run, about articles without strength, and about forces at rest after
             a drive with film.

@@ -281,7 +281,8 @@ def load_points(contacts: PlanContacts) -> dict[str, float]:
         ]
     )
     middle = edges.mean(axis=0) if on_carrier.any() else np.full(2, np.inf)
-    left = np.clip((middle - low[:, :2]) / contacts.size_mm[:, :2], 0.0, 1.0)  # share before the middle, along x and y
+    # (n, 2) for x and y: the share of each box that is on the lower side of the middle
+    left = np.clip((middle - low[:, :2]) / contacts.size_mm[:, :2], 0.0, 1.0)
     quadrants = [contacts.mass_kg @ (x * y) for x in (left[:, 0], 1 - left[:, 0]) for y in (left[:, 1], 1 - left[:, 1])]
     above = ~np.isin(np.arange(contacts.n_boxes), contacts.upper[on_carrier])
     upper, lower = contacts.upper[~on_carrier], contacts.lower[~on_carrier]
@@ -322,7 +323,7 @@ class Criterion:
         slack_of: function that computes (n,) the slacks of a plan's boxes; NaN if a box has none.
         strict: whether a box with a slack of 0 is unstable.
         number: name of the quantity that is compared with the threshold; "" if the criterion has no threshold.
-        threshold: threshold of this quantity. The slack is quantity − threshold.
+        threshold: the value with which the quantity ``number`` is compared. The slack is quantity − threshold.
         ends: whether boxes after the first one that fails get no answer.
         usual: whether the criterion is evaluated by default.
     """

@@ -99,9 +99,9 @@ def largest_slack(forces: Entries, share: FloatArray, row_sums: FloatArray, limi
     """The largest s ≤ ``EVEN`` for which ``forces @ (share·s + g) = row_sums``, with g ≥ 0 and ``limits @ g ≤ 0``.
 
     Args:
-        forces: (r, f) contribution of each force to each row.
+        forces: (r, f) contribution of each of f forces to each of r rows. A row is one equation of balance.
         share: (f,) force that must be carried per unit of slack.
-        row_sums: (r,) required sum of each row.
+        row_sums: (r,) the value that each row must have.
         limits: (q, f); None: no limits.
 
     Returns:
@@ -136,8 +136,8 @@ def least_and_most(sums: FloatArray, forces: Entries, row_sums: FloatArray) -> F
 
     Args:
         sums: (m, f) factors of the forces in each sum.
-        forces: (r, f) contribution of each force to each row.
-        row_sums: (r,) required sum of each row.
+        forces: (r, f) contribution of each of f forces to each of r rows. A row is one equation of balance.
+        row_sums: (r,) the value that each row must have.
 
     Returns:
         (m, 2) smallest and largest value of each sum; None if no forces balance.

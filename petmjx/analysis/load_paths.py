@@ -241,7 +241,7 @@ def even_bedding(contacts: PlanContacts) -> FloatArray:
     above."""
     upper = contacts.upper
     # Places are measured from the upper box's centre, as multiples of the box's lengths.
-    # This keeps the 3 × 3 systems well conditioned.
+    # These units keep the 3 × 3 systems well conditioned.
     origin, scale = contacts.centre_mm[upper, :2], contacts.size_mm[upper, :2]
     moments = _area_moments((contacts.low_mm - origin) / scale, (contacts.high_mm - origin) / scale)
     total_moments = _sums(moments, upper, contacts.n_boxes)[upper]

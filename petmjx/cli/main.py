@@ -86,7 +86,7 @@ def application(words: Sequence[str] = ()) -> typer.Typer:
         help="Scores the stability of pallet packing plans by physics, many thousands at a time.",
         epilog="Exit codes: 0 success, whatever the verdicts are; 1 internal failure; 2 unusable input or options; 130 "
         "interrupted (143 by SIGTERM, 129 by SIGHUP).",
-        rich_markup_mode=None,  # rich leaves only 24 of 80 columns for the descriptions
+        rich_markup_mode=None,  # otherwise rich would leave only 24 of 80 columns for the descriptions
         context_settings={"help_option_names": ["--help", "-h"], "max_content_width": WIDTH},
     )
     app.callback()(options)

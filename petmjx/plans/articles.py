@@ -158,7 +158,7 @@ def read_articles(path: str | Path) -> Articles:
     """
     file, name = Path(path), printable(str(path))
     try:
-        has_own_reader = is_csv(file) or file.suffix.lower() == ".toml"  # these readers recognise foreign files
+        has_own_reader = is_csv(file) or file.suffix.lower() == ".toml"  # these readers recognise other formats
         if not has_own_reader and (foreign := foreign_kind_of(file)) is not None:
             raise InputError(f"{name}: {foreign}")
         if file.suffix.lower() == ".toml":

@@ -164,8 +164,9 @@ class ColumnMeaning:
 
     Attributes:
         kind: role of the column.
-        axis: axis of a size or a position; "": no axis. Sizes have length, width, height, depth, or x, y, z (``dx``,
-            ``LX``). Positions have x, y, z, or the word for a size. Members of a list have "0", "1", "2".
+        axis: axis of a size or a position; "": no axis. The axis of a size is length, width, height or depth, or x, y
+            or z (``dx``, ``LX``). The axis of a position is x, y or z, or the word for a size. The axis of a member of
+            a list is "0", "1" or "2".
         unit: name of the unit in ``LENGTH_UNITS`` or ``MASS_UNITS``; "": no unit.
         anchor: for positions, the point according to the name (``centre``, ``base-centre``, ``corner``); "": none is
             given.

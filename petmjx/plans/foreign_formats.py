@@ -256,7 +256,7 @@ def _without_corner_posts(boxes: BoxList) -> tuple[BoxList, int]:
 
 
 def rows_of(boxes: BoxList, kept: Sequence[int]) -> BoxList:
-    """Some rows of a list of boxes."""
+    """The same list of boxes, with only the rows at the indices ``kept``."""
     table = replace(
         boxes.table,
         rows=[boxes.table.rows[index] for index in kept],
@@ -597,7 +597,7 @@ def _scene(text: str) -> BoxSource:
     Raises:
         InputError: MuJoCo cannot parse it, or no free body is a box.
     """
-    import mujoco  # MuJoCo knows all of MJCF: defaults, angles, densities
+    import mujoco  # MuJoCo itself interprets all of MJCF: defaults, angles, densities
 
     try:
         model = mujoco.MjModel.from_xml_string(text)

@@ -201,7 +201,7 @@ def _with_articles_beside(best: BoxSource, path: Path) -> BoxSource:
         try:
             source = sources_of_bytes(bytes_of(file), file)[0]
         except InputError:
-            continue  # the file does not hold these items
+            continue  # this file has no items for the boxes
         if source.boxes.has_sizes and (completed := with_items_of(best, source, file.name)) is not None:
             joined.append(completed)
     return joined[0] if len(joined) == 1 else best

@@ -92,7 +92,7 @@ BOX_PROPERTIES: Final = (STRENGTH, UPRIGHT)
 """Columns that only environments read (``for_episodes``). These columns are recognised only if they have exactly these
 names."""
 SIZE_LETTERS: Final = "lwh"
-"""Letters in the column ``upright``: length, width, height."""
+"""The letters that the column ``upright`` may have: l for length, w for width, h for height."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -127,7 +127,7 @@ def order_source(data: bytes | bytearray) -> BoxSource | None:
 def _flags_at(line: _Line) -> int | None:
     """Position of the length in the line of a box type. The position is recognised by the marks 0 and 1 after the
     sizes. None if the line has no such marks."""
-    for begin in (1, 0):  # with or without the number of the type
+    for begin in (1, 0):  # the line may begin with the number of the type
         marks = line.words[begin + 1 : begin + 6 : 2]
         if len(line) >= begin + 7 and len(marks) == 3 and sum(mark in ("0", "1") for mark in marks) >= 2:
             return begin

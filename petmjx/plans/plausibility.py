@@ -115,7 +115,7 @@ that its packer placed wrongly, and because in a plan with few boxes, one odd bo
 
 
 def _odd_cost(odd: NDArray[np.bool_], weight: float) -> float:
-    """Cost of boxes that are odd for one reason.
+    """Cost of a layout because some of its boxes are odd for one reason, such as overlap.
 
     Args:
         weight: cost if all boxes are odd.

@@ -541,7 +541,7 @@ class RunWriter(RunInfo):
             with contextlib.nullcontext() if cause is None else contextlib.suppress(PetmjxError):
                 self._write_info()
             if cause is not None and not self._in_memory:
-                with contextlib.suppress(OSError):  # delete a part of an unfinished write, which readers might find
+                with contextlib.suppress(OSError):  # an unfinished write may have left a file: delete it
                     self._tables.drop_others()
         finally:
             self._leave()

@@ -239,7 +239,7 @@ def after(before: Outcome, leg: Outcome, timestep_s: float) -> Outcome:
     if history is not None and before.history is not None:
         history = before.history.then(_later(history, since_s))
     edges: dict[str, Any] = {}
-    if leg.verdict is Verdict.STABLE:  # a leg does not change the plan's edges (``note_edges``)
+    if leg.verdict is Verdict.STABLE:  # a leg does not change edge distances in the plan
         largest["plan_edge_m"] = old.plan_edge_m
         edges = {name: getattr(before, name) for name in _EDGES}
     return replace(

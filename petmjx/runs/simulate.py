@@ -228,7 +228,8 @@ class _Run:
                 ends_s.append(time.monotonic())
                 if watcher is not None:
                     watcher.world_done(world)
-            # The engine retires before the last rows are written, because its workers take a second or two to end.
+            # The engine begins to end before the last rows are written, because its workers take a second or two to
+            # end.
             self.engine.retire()
             writer.timings.update(
                 study.timings(), compile_s=self.progress.compile_s, last_permille_s=_last_permille_s(ends_s)

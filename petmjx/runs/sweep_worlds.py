@@ -119,8 +119,7 @@ class SweepPlan(Design):
                 if missing := [side.value for side in leg.open_walls if side not in sides]:
                     reason = f"the carrier has no wall {missing[0]!r}; simulation.walls or another carrier gives it one"
                     raise InputError(f"{file}: legs[{place}].open_walls: {reason}")
-        # Excitations are made here once, so that a frequency too high for the timestep is refused before the run
-        # begins.
+        # Excitations are made here to refuse, before the run begins, a frequency too high for the timestep.
         for profile in self.sweep.profiles.values():
             try:
                 profile.excitation(self.sweep.simulation.physics.timestep_s)
@@ -366,8 +365,8 @@ class SweepPlan(Design):
 
     @property
     def _displaced(self) -> int:
-        """Number of placements per plan in which boxes appear at places with errors, and in which the schedule
-        waits."""
+        """Number of placements per plan in which boxes appear at places with errors and the schedule waits until the
+        pallet is quiet."""
         sim = self.sweep.simulation
         waits = sim.check is Check.ONE_BY_ONE and sim.schedule is Schedule.ADAPTIVE
         if "placing" in self.sweep.axes:

@@ -71,7 +71,7 @@ class ReportRun:
 
     @property
     def what(self) -> str:
-        """The word for a world that users know."""
+        """The noun for a row in texts for users: "plan" for scores, "world" for sweeps and chains."""
         return "plan" if self.kind in (Kind.SCORE, Kind.CONFIDENCE) else "world"
 
     @cached_property
