@@ -18,8 +18,8 @@ which do not change the result, save time:
 - A box with all four corners on the carrier is in balance whatever presses on its top, because vertical forces from
   below can always balance the load. Such a box is treated as part of the carrier, so structures end at it.
 - If vertical forces alone balance the boxes, a solution is found. Friction, horizontal forces and heights are
-  considered only if no vertical forces do so. Friction can help, for example when another box lies across a box and its
-  neighbour, and so holds the box. The slack is then the larger one of the slacks without and with friction.
+  considered only if no vertical forces balance the boxes. Friction can help, for example when another box lies across a
+  box and its neighbour, and so holds the box. The slack is then the larger one of the slacks without and with friction.
 - For a structure of one box, the closed form above gives the slack without a linear programme.
 
 With ``lean``, boxes that touch side by side may press on each other, and boxes may press on walls, by default without

@@ -137,9 +137,9 @@ N_CORNERS: Final = 4
 class PlanContacts:
     """The contacts of one plan: c rectangles on which boxes lie, sorted by the box above.
 
-    A box lies on the carrier if its bottom is not above the carrier's top. Its whole base then lies on the carrier,
-    since the carrier is assumed to extend under all boxes. On a carrier made of boards, a box lies on the deck boards
-    that it overlaps along x and y; each board makes a separate area.
+    A box lies on the carrier if its bottom is not above the carrier's top. The whole base of such a box lies on the
+    carrier, since the carrier is assumed to extend under all boxes. On a carrier made of boards, a box lies on the deck
+    boards that it overlaps along x and y; each board makes a separate area.
 
     A box lies on another box if that box was placed before it, its bottom is at the height of the other box's top, and
     the two overlap along x and y. A box that is pushed in later under another box bears nothing, because the upper box

@@ -89,7 +89,7 @@ class RunWriter(RunInfo):
     disk error, the thread tries again every ``RETRY_S``; ``add`` raises the error once ``MOST_WAITING_BYTES`` are
     waiting.
 
-    Rows are written in the order in which worlds finish. Within a part they are sorted by rank
+    Rows are written in the order in which worlds finish. Within a part, rows are sorted by rank
     (petmjx.results.plan_order).
 
     Args:

@@ -129,7 +129,8 @@ _FRAME_KEY = (
 
 
 def _vector(name: str, unit: str, text: str, parts: str = "xyz", end: str = "") -> list[pa.Field]:
-    """A column for each component of a vector, such as ``pos_x_m``: ``name``, the component, and the suffix ``end``."""
+    """A column for each component of a vector. Its name consists of ``name``, the component and the suffix ``end``, as
+    in ``pos_x_m``."""
     return [_column(f"{name}_{part}{end}", pa.float64(), unit, f"{text}, {part}") for part in parts]
 
 

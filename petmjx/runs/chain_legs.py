@@ -219,7 +219,7 @@ def with_sustained_force(leg: Outcome, before: BoxMetrics) -> Outcome:
 
 
 def after(before: Outcome, leg: Outcome, timestep_s: float) -> Outcome:
-    """The outcome of a world after one more leg, with metrics and times that count from the first placement.
+    """The outcome of a world after one more leg, with metrics and times that are measured from the first placement on.
 
     Largest values cover the whole journey, including the largest force at rest (``sustained_top_force_n``). The poses
     of the boxes and ``rest_top_force_n`` are taken at the end of the leg.

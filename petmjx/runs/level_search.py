@@ -109,9 +109,9 @@ class Bisection:
 
     Args:
         levels: (n_levels,) levels in ascending order, in g or as a scale.
-        at_rest: for each item, the probe of its world before any profile. If this world does not stand, the search for
-            the item ends at once, with no level survived. If ``levels[0]`` is 0, an item that stands at rest has
-            survived level 0.
+        at_rest: for each item, the probe of its world before any profile. If an item's world does not stand at rest,
+            the search for the item ends at once, with no level survived. If ``levels[0]`` is 0, an item that stands at
+            rest has survived level 0.
         sections: number of levels of an item that are tested at the same time, ≥ 1; 1 is plain bisection.
 
     Attributes:

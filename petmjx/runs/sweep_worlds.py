@@ -75,7 +75,7 @@ class SweepPlan(Design):
     Args:
         plans: the plans of the sweep; after construction, only plans that can be simulated.
         allow_large: accept more than a million worlds.
-        strict: refuse plans that would be skipped.
+        strict: raise an error instead of skipping a plan.
 
     Attributes:
         skipped: plans that are not simulated, because ``total_time_factor`` would end their run before the profile

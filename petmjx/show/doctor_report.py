@@ -139,7 +139,7 @@ def _cache(kind: Kind) -> str:
 
 
 def doctor_table(report: Report, why_no_pictures: str) -> Table:
-    """A table with two columns. Long lines in the second column are wrapped.
+    """The report as a table with two columns. Long lines in the second column are wrapped.
 
     Args:
         why_no_pictures: why nothing can be drawn on this machine; "" if pictures and films can be drawn.

@@ -57,7 +57,7 @@ class BoardFolder:
         names: the files that will be written, from :func:`names_of`.
         packers: names of the packers that will be scored into the folder.
         inputs: files and folders that are read.
-        overwrite: whether to replace an existing board. An unfinished board is continued even without it.
+        overwrite: whether to replace an existing board. An unfinished board is continued even without this option.
 
     Attributes:
         board_files: the board's own files, as paths relative to its folder.

@@ -72,7 +72,7 @@ def _rates(runs: Sequence[ReportRun], common: pd.DataFrame) -> Markup:
 
 def _won_and_lost(runs: Sequence[ReportRun], common: pd.DataFrame) -> tuple[Markup, Markup]:
     """For each pair of runs, the worlds that stand in only one of the two runs. Only worlds with a verdict in both runs
-    count.
+    are compared.
 
     Returns:
         A chart, and a table with the differences of the shares.
