@@ -233,8 +233,8 @@ class _Stack:
 
 
 class _Structures:
-    """The structures of placed boxes. A structure is a group of boxes that are connected by contacts. Boxes grounded on
-    the carrier belong to none, and so separate structures."""
+    """The structures of placed boxes. A structure is a group of boxes that are connected by contacts. A box grounded on
+    the carrier belongs to no structure, so structures end at it."""
 
     def __init__(self, contacts: PlanContacts, hulls: Hulls) -> None:
         self._contacts = contacts

@@ -106,7 +106,7 @@ def plans_of(runs: Mapping[str, RunResults], against: OrderComparison | None = N
         ``plan_id``, ``packer``, ``order_boxes`` of the order, ``verdict`` (possibly ``missing``), ``reason``,
         ``margin``, ``digest``, and the columns of ``MEASURES``. ``as_ordered`` is the number of boxes of the plan that
         were ordered, have the size and mass in the order, and are on the order's target. Each ordered box is counted at
-        most once. Null if unknown. ``listed`` tells whether ratings count the order. ``compared`` tells whether the
+        most once. Null if unknown. ``listed`` tells whether the order enters ratings. ``compared`` tells whether the
         order has a valid verdict for every packer. If all runs are chains, there is also ``p_arrives``.
     """
     table = _worlds_of(runs)

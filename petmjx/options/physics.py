@@ -198,7 +198,7 @@ PHYSICS["reference"] = Physics(
     skin_m=0.0,
     falls_into_place=True,
 )
-"""The presets. ``reference`` is PET-Physics. With ``pallet``, pallets come to rest (docs/validation.md). For this, it
-has elliptic cones, an impedance that rises from 0.1 to 0.999 within 0.1 mm, and friction that yields 250 times less
-than with MuJoCo's defaults. ``pallet`` also has the friction of cardboard on a wooden pallet (CTU Code, Annex 7,
-Appendix 2)."""
+"""The presets. ``reference`` is PET-Physics. With ``pallet``, pallets come to rest (docs/validation.md). For this
+purpose, ``pallet`` has elliptic cones, an impedance that rises from 0.1 to 0.999 within 0.1 mm, and friction that
+yields 250 times less than with MuJoCo's defaults. ``pallet`` also has the friction of cardboard on a wooden pallet (CTU
+Code, Annex 7, Appendix 2)."""

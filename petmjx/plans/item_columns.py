@@ -498,7 +498,7 @@ def _orders_in(work: _ItemExtraction, index: int) -> list[str] | None:
 
 
 def with_rows(source: BoxSource, kept: NDArray[np.bool_], notes: tuple[str, ...] = ()) -> BoxSource:
-    """A source with only some of its rows, and with more notes.
+    """The same source with only the kept rows, and with further notes.
 
     Args:
         kept: (n,) True for the rows that are kept.

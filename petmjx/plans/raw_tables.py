@@ -249,7 +249,7 @@ def tables_of_rows(
     Args:
         begin: number of the first row, for messages.
         title: name of the sheet.
-        lost: rows that were already lost earlier.
+        lost: rows that an earlier step could not read.
 
     Raises:
         InputError: there is no table.

@@ -288,7 +288,7 @@ def _units_of(best: _Judged, columns: BoxColumns, wishes: Wishes) -> list[tuple[
 
 
 _TRIED: Final = ("mm", "cm", "m", "in")
-"""Units of lengths that are tried. Two of them are a tie if boxes and load fit a carrier in both."""
+"""Units of lengths that are tried. Two such units are a tie if boxes and load fit a carrier in both units."""
 _THIN, _DENSE = 20.0, 2000.0
 """A unit of masses is plausible if it gives a density, in kg/m³, between these two values: those of crisps and of
 bricks."""

@@ -27,7 +27,7 @@ run can lock the file."""
 _OURS: Final = re.compile(rb"\d*\n?")
 
 _NO_LOCKS: Final = (errno.ENOSYS, errno.ENOTSUP, errno.ENOLCK)
-"""Errors of file systems without locks."""
+"""Error numbers that file systems without locks return."""
 
 
 @contextlib.contextmanager
