@@ -20,7 +20,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """
     try:
         from petmjx.cli import main as run
-    except KeyboardInterrupt:  # Ctrl-C came before anything could be interrupted
+    except KeyboardInterrupt:  # Ctrl-C was pressed while modules were being imported
         print("petmjx: interrupted", file=sys.stderr)
         return 130
     return run(arguments)
@@ -29,9 +29,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
 def command() -> NoReturn:
     """The command ``petmjx``: run the command line, and end the process with its exit code.
 
-    Python's normal exit frees the memory of a run object by object. For 10,003 plans that took 0.2 s, and longer when
-    programs of a GPU were loaded. So the process exits without freeing this memory; functions registered with
-    ``atexit`` are still called. The garbage collector searches for cycles only rarely.
+    Python's normal exit frees the memory of a run object by object. For 10,003 plans, freeing memory took 0.2 s, and
+    longer when programs of a GPU were loaded. So the process exits without freeing this memory; functions registered
+    with ``atexit`` are still called. The garbage collector searches for cycles only rarely.
     """
     collect_rarely()
     code = main()

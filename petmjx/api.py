@@ -53,8 +53,8 @@ def _takes_options(*records: type[CheckedRecord]) -> Callable[[Function], Functi
 
 @contextmanager
 def _watching(watcher: Watcher | None, progress: bool) -> Iterator[Watcher | None]:
-    """Yield the watcher of a run. If a watcher is given, it is used. Otherwise, a notebook gets a progress bar.
-    Elsewhere, ``progress`` gives a watcher that prints lines on standard error; without ``progress``, there is no
+    """Yield the watcher of a run. A watcher from the caller is used unchanged. Otherwise, a notebook gets a progress
+    bar. Elsewhere, ``progress`` gives a watcher that prints lines on standard error; without ``progress``, there is no
     watcher (None).
 
     Raises:
@@ -160,10 +160,11 @@ def sweep(
 
     Args:
         file: a sweep file, or the name of a ready-made sweep such as ``eumos``.
-        plans: as for :func:`score`. They replace the plans that the sweep file names. None: all plans of the file.
+        plans: as for :func:`score`. Plans given here replace the plans that the sweep file names. None: all plans of
+            the file.
         watcher: as for :func:`score`.
         progress: in a script, print the progress of the run on standard error every few seconds.
-        batching: how many states and worlds are held in memory. It does not affect the results.
+        batching: how many states and worlds are held in memory. This option does not affect the results.
         options: fields of ``petmjx.Simulation``, which replace those of the sweep file, and fields of
             ``petmjx.RunOptions``.
 

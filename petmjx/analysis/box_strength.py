@@ -49,8 +49,8 @@ from petmjx.runs.chain_summary import is_chain
 from petmjx.world.carrier_boards import pallet
 
 MOST_GAP_MM: Final = 5.0
-"""Largest gap below a box across which the box still counts as standing on the body below. Placed boxes are lowered
-onto that body."""
+"""Largest gap below a box across which the box still counts as standing on the body below. A placed box is lowered onto
+the body below."""
 
 LEAST_SHARED_MM: Final = 1.0
 """If two boxes overlap by less than this length along an axis, neither stands on the other."""
@@ -153,13 +153,14 @@ def _walls(low: FloatArray, high: FloatArray) -> Iterator[_Wall]:
 
 
 def _met_length(wall: _Wall, others: list[_Wall], tolerance_mm: float) -> float:
-    """The length of a wall on which parallel walls of boxes above stand, mm."""
+    """The total length of the parts of a wall on which parallel walls of boxes above stand, mm."""
     near_spans = [other.span for other in others if other.axis == wall.axis and abs(other.at - wall.at) <= tolerance_mm]
     return _covered_length(wall.span, near_spans)
 
 
 def _over(wall: _Wall, areas: list[tuple[FloatArray, FloatArray]], tolerance_mm: float) -> float:
-    """The length of a wall that lies over areas, mm. An area is given by its lowest and highest corners."""
+    """The length of the parts of a wall that lie over some of the areas, mm. Each area is given by its lowest and
+    highest corners."""
     under = []
     for low, high in areas:
         if low[1 - wall.axis] - tolerance_mm <= wall.at <= high[1 - wall.axis] + tolerance_mm:
@@ -241,8 +242,8 @@ entry need a run with intervals of forces."""
 _OVER: Final = dict(
     zip(("overloaded", "surely_overloaded", "possibly_overloaded", "overloaded_at_peak"), _SHARES.values(), strict=True)
 )
-"""Column of ``plans`` → column of ``boxes`` that decides it. The column of ``plans`` is true for a world if any of its
-boxes has a share above 1 in the column of ``boxes``."""
+"""Column of ``plans`` → the column of ``boxes`` from which it is computed. The column of ``plans`` is true for a world
+if any of its boxes has a share above 1 in the column of ``boxes``."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -253,7 +254,7 @@ class Loads:
         run: the run's folder.
         boxes: one row per box of each world: ``load_share`` and the values from which it is computed.
         plans: one row per world: whether a box is ``overloaded`` at rest or ``overloaded_at_peak``, and the boxes with
-            the largest shares. If the run has intervals of forces, also ``surely_overloaded`` and
+            the largest shares. If the run has intervals of forces, there are also the columns ``surely_overloaded`` and
             ``possibly_overloaded``.
         notes: lines that warn about an unfinished run, about articles without strength, and about forces at rest after
             a drive with film.
@@ -356,7 +357,7 @@ def _plans_of(results: RunResults, plans: PlanSource | None) -> Mapping[str, Pla
     """The plans of a run by id.
 
     Raises:
-        InputError: a plan is missing or differs.
+        InputError: a plan is missing, or differs from the simulated plan.
     """
     records = Manifest.read(results.parts, results.info).plans
     plans_again = find_plans(results, records, set(results.worlds["plan_id"]), plans)

@@ -1,9 +1,9 @@
 """Closed-form criteria of static stability for one plan.
 
 ``CRITERIA`` lists the criteria by name, each with its condition and its slack. Tables, columns and docs are generated
-from this list. ``CriterionInputs`` holds the contacts of a plan, and computes values that several criteria use only
-once. This module has the criteria that depend on a box's base alone: the borne share of the base, and the number of
-borne corners.
+from this list. ``CriterionInputs`` holds the contacts of a plan, and computes each value that several criteria share
+only once. This module has the criteria that depend on a box's base alone: the borne share of the base, and the number
+of borne corners.
 
 docs/extending.md explains how to add a criterion.
 """
@@ -79,7 +79,7 @@ class CriterionInputs:
     @cached_property
     def balance(self) -> tuple[FloatArray, FloatArray]:
         """Slacks of force balance, as two arrays (n,): without leaning and with leaning. The second array is NaN unless
-        ``leans``."""
+        ``leans`` is set."""
         return balance_slack(self.contacts, self.hulls, self.friction, self.leans)
 
 
@@ -138,7 +138,7 @@ def answer(
 
 
 def _stable(slack: FloatArray, criterion: Criterion) -> NDArray[np.int8]:
-    """``YES`` or ``NO`` by the sign of the slack; NaN gives ``NO``. If the criterion ``ends``, boxes after the first
+    """``YES`` or ``NO`` by the sign of the slack; NaN gives ``NO``. If ``Criterion.ends`` is set, boxes after the first
     failing one get ``NOT_ASKED``."""
     rounding = _ROUNDING[criterion.unit]
     stable = (slack > rounding if criterion.strict else slack >= -rounding).astype(np.int8)
@@ -150,7 +150,7 @@ def _stable(slack: FloatArray, criterion: Criterion) -> NDArray[np.int8]:
 def support_share(contacts: PlanContacts) -> FloatArray:
     """(n,) borne area / base area; 0 for a box that lies on nothing.
 
-    If supports overlap each other, as in invalid plans, their common area counts once.
+    If supports overlap each other, as in invalid plans, their common area is counted only once.
     """
     area = (contacts.high_mm - contacts.low_mm).prod(axis=1)
     borne = np.bincount(contacts.upper, weights=area, minlength=contacts.n_boxes)
@@ -181,8 +181,8 @@ def _union_area(contacts: PlanContacts, box: int) -> float:
 
 
 def corners_supported(contacts: PlanContacts) -> IntArray:
-    """(n,) number of bottom corners, of four, that lie on a support within the tolerance. The edge of a support
-    counts."""
+    """(n,) number of bottom corners, of four, that lie on a support within the tolerance. A corner on the edge of a
+    support counts as lying on it."""
     count: IntArray = contacts.borne_corners(np.ones(len(contacts.upper), dtype=bool)).sum(axis=1)
     return count
 
@@ -206,19 +206,20 @@ LEAST_CORNERS: Final = 3
 
 CORNER_AREA_PAPER: Final = (0.60, 0.80, 0.95)
 CORNER_AREA_CODE: Final = (0.50, 0.85, 0.95)
-"""Shares required for boxes with four borne corners, with three, and with fewer, according to the paper and to its
-authors' code."""
+"""Required shares of the base for boxes with four borne corners, with three, and with fewer: first from the paper that
+proposes this criterion, then from its authors' code."""
 
 LEAST_TOLERABLE_G: Final = 0.5
-"""Acceleration sideways and rearward on the road, g. Source: EN 12195-1:2010."""
+"""Acceleration that a load on the road must withstand sideways and rearward, g. Source: EN 12195-1:2010."""
 
 
 def tolerable_acceleration_g(contacts: PlanContacts, hulls: Hulls, friction: float) -> FloatArray:
     """(n,) the smallest horizontal acceleration, in g, at which a box or the load placed so far begins to slide or tip.
 
     The box and the load count as rigid bodies. A body slides when the acceleration in g reaches the coefficient of
-    friction. A body tips when the acceleration in g reaches a / h. Here a is the distance of the centre from the edge,
-    and h the height of the centre above it. Both conditions follow from statics, and are also those of EN 12195-1.
+    friction. A body tips when the acceleration in g reaches a / h. Here a is the horizontal distance of the centre from
+    the tipping edge, and h the height of the centre above this edge. Both conditions follow from statics, and are also
+    those of EN 12195-1.
     """
     half_mm = contacts.centre_mm[:, 2] - contacts.corner_mm[:, 2]
     of_box = hulls.distance(np.arange(contacts.n_boxes), contacts.centre_mm[:, :2]) / half_mm
@@ -261,8 +262,8 @@ def load_points(contacts: PlanContacts) -> dict[str, float]:
     proportion to a value:
 
     - height: all points if the centre of mass is at half of the load's height or lower, none if it is at the top;
-    - quadrants: the mass over the lightest quadrant of the footprint, divided by a quarter of the load's mass. Boxes
-      are cut at the middle lines. A load gets no points if nothing lies on the carrier;
+    - quadrants: the mass over the lightest quadrant of the footprint, divided by a quarter of the load's mass. A box
+      that lies across a middle line is divided there. A load gets no points if nothing lies on the carrier;
     - fill: volume of the boxes, divided by the volume of the load's bounding box;
     - interlock: among the boxes above the first layer, the share that lies on two boxes or more; all points if there is
       only one layer;
@@ -280,7 +281,8 @@ def load_points(contacts: PlanContacts) -> dict[str, float]:
         ]
     )
     middle = edges.mean(axis=0) if on_carrier.any() else np.full(2, np.inf)
-    left = np.clip((middle - low[:, :2]) / contacts.size_mm[:, :2], 0.0, 1.0)  # share left of the middle, along x and y
+    # (n, 2) for x and y: the share of each box that is on the lower side of the middle
+    left = np.clip((middle - low[:, :2]) / contacts.size_mm[:, :2], 0.0, 1.0)
     quadrants = [contacts.mass_kg @ (x * y) for x in (left[:, 0], 1 - left[:, 0]) for y in (left[:, 1], 1 - left[:, 1])]
     above = ~np.isin(np.arange(contacts.n_boxes), contacts.upper[on_carrier])
     upper, lower = contacts.upper[~on_carrier], contacts.lower[~on_carrier]
@@ -321,7 +323,7 @@ class Criterion:
         slack_of: function that computes (n,) the slacks of a plan's boxes; NaN if a box has none.
         strict: whether a box with a slack of 0 is unstable.
         number: name of the quantity that is compared with the threshold; "" if the criterion has no threshold.
-        threshold: threshold of this quantity. The slack is quantity − threshold.
+        threshold: the value with which the quantity ``number`` is compared. The slack is quantity − threshold.
         ends: whether boxes after the first one that fails get no answer.
         usual: whether the criterion is evaluated by default.
     """
@@ -453,7 +455,7 @@ CRITERIA: Final = (
         ),
         number="tolerable acceleration, g",
         threshold=LEAST_TOLERABLE_G,
-        usual=False,  # this criterion is for transport, not for standing
+        usual=False,  # this criterion is about transport, not about standing still
     ),
     Criterion(
         "load_points",
@@ -464,10 +466,11 @@ CRITERIA: Final = (
         lambda inputs: load_points_slack(inputs.contacts),
         number="points",
         threshold=LEAST_POINTS,
-        usual=False,  # this is a rule of thumb about the finished load
+        usual=False,  # this criterion is a rule of thumb about the finished load
     ),
 )
-"""All criteria, in the order of tables: first criteria about the base of a box, last criteria about the whole stack."""
+"""All criteria, in the order in which tables list them: criteria about the base of a box come first, and criteria about
+the whole stack last."""
 
 NAMES: Final = tuple(criterion.name for criterion in CRITERIA)
 _UNNAMED: Final = tuple(criterion.name for criterion in CRITERIA if criterion.usual)

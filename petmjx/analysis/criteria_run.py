@@ -80,7 +80,7 @@ def plans_frame(plans: Sequence[Plan], answers: Sequence[Answers], criteria: Seq
     for number, criterion in enumerate(criteria):
         failed = stable[:, number] == NO
         first = np.minimum.reduceat(np.where(failed, box, never), starts)
-        # Boxes without an answer are ignored. If a box failed without having a slack, its plan has no smallest slack.
+        # Boxes without an answer are ignored. If a box fails but has no slack, its plan has no smallest slack.
         with np.errstate(invalid="ignore"):
             least = np.minimum.reduceat(np.where(stable[:, number] == NOT_ASKED, np.inf, slack[:, number]), starts)
         columns[criterion.name] = first == never
@@ -239,7 +239,7 @@ def check_criteria_free(folder: Path, overwrite: bool, *, judged: bool, inputs: 
 
 
 CHUNK: Final = 16
-"""Number of plans that a process receives at a time. The force balance of this many plans takes half a second."""
+"""Number of plans that a process receives at a time. Their force balance takes half a second."""
 
 
 def criteria(
@@ -262,8 +262,8 @@ def criteria(
     Args:
         plans: as for ``petmjx.score``. None: the plans of the run; without a run, the bundled samples.
         run: a run of the same plans, or its folder. The criteria are compared with the verdicts of this run. If a plan
-            has several worlds, its nominal world counts. In the run of a chain, a plan counts as standing if it arrives
-            often enough (``p_arrives``).
+            has several worlds, the verdict of its nominal world is used. In the run of a chain, a plan counts as
+            standing if it arrives often enough (``p_arrives``).
         out: a folder for the tables, as Parquet and CSV.
         overwrite: whether existing tables may be replaced.
         limit: largest number of plans to evaluate.
@@ -410,7 +410,7 @@ def _nominal_worlds(worlds: pd.DataFrame, run: RunResults, plans: Sequence[Plan]
     counts = {plan.plan_id: plan.n_boxes for plan in plans}
     common = worlds[worlds["plan_id"].isin(list(counts))]
     if common.empty:
-        raise InputError(f"{run.path}: has none of the {count_text(len(plans), 'plan')}")
+        raise InputError(f"{run.path}: simulated none of the {count_text(len(plans), 'plan')}")
     other = common[common["n_boxes"] != common["plan_id"].map(counts)]
     if len(other):
         first = other.iloc[0]

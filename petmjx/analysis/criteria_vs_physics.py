@@ -153,7 +153,8 @@ def best_thresholds(
 
 
 def in_first_half(plan_ids: Sequence[str], seed: int) -> NDArray[np.bool_]:
-    """(n,) a fair coin toss for each plan, determined by its id and the seed."""
+    """(n,) whether each plan belongs to the first half. A hash of the plan's id and the seed decides to which half it
+    belongs, like a fair coin."""
     key = seed.to_bytes(8, "little")
     coins = [hashlib.blake2b(name.encode(), digest_size=1, key=key).digest()[0] & 1 for name in plan_ids]
     return np.array(coins, dtype=bool)
@@ -173,12 +174,12 @@ def best_threshold(number: FloatArray, stands: NDArray[np.bool_]) -> tuple[float
         return float("nan"), 0.0
     standing = np.bincount(owner, weights=stands[has_number], minlength=len(values))
     falling = np.bincount(owner, minlength=len(values)) - standing
-    # a cut accepts all values above it
+    # each threshold tried lies between two values, and accepts all values above it
     hit, false = (counts[::-1].cumsum()[::-1][1:] for counts in (standing, falling))
     n_standing = int(stands.sum())
     cells = np.stack([hit, false, n_standing - hit, len(stands) - n_standing - false], axis=-1)
     mcc = scores(cells.astype(np.int64))[2]
-    if not mcc.max() > 0:  # written with "not" so that NaN also ends here
+    if not mcc.max() > 0:  # "not >" instead of "<=", so that NaN also returns here
         return float("nan"), 0.0
     best = np.flatnonzero(mcc >= mcc.max() - 1e-12)
     cut = int(best[len(best) // 2])

@@ -7,20 +7,19 @@ times that force. A stack is balanced if there are such forces whose sum and mom
 
 The slack is dimensionless. If a box is supported at n corners of its contact areas, each corner must carry at least s /
 n of the box's own weight. The slack is the largest s for which the stack is balanced. At 1, every box rests evenly on
-all its corners. At 0, some box is about to tip. Below 0, a box would have to be glued, with a strength that grows with
--s. For a box with a free top there is a closed form: take the ray from the middle of the box's corners through the
-box's centre to the edge of their hull. The slack is 1 minus the position of the centre on this ray, where 0 is the
-middle and 1 the edge.
+all its corners. At 0, some box is about to tip. Below 0, a box would have to be glued to its support; the glue needs
+more strength the further s is below 0. For a box with a free top there is a closed form: take the ray from the middle
+of the box's corners through the box's centre to the edge of their hull. The slack is 1 minus the position of the centre
+on this ray, where 0 is the middle and 1 the edge.
 
 A placement only affects the structure of the new box: the boxes that are connected to it by contacts. Three shortcuts,
 which do not change the result, save time:
 
 - A box with all four corners on the carrier is in balance whatever presses on its top, because vertical forces from
-  below can always balance the load. A box known to be in balance counts as part of the carrier, and so separates
-  structures.
+  below can always balance the load. Such a box is treated as part of the carrier, so structures end at it.
 - If vertical forces alone balance the boxes, a solution is found. Friction, horizontal forces and heights are
-  considered only if they do not. Friction can help, for example when another box lies across a box and its neighbour,
-  and so holds the box. The slack is then the larger one of the slacks without and with friction.
+  considered only if no vertical forces balance the boxes. Friction can help, for example when another box lies across a
+  box and its neighbour, and so holds the box. The slack is then the larger one of the slacks without and with friction.
 - For a structure of one box, the closed form above gives the slack without a linear programme.
 
 With ``lean``, boxes that touch side by side may press on each other, and boxes may press on walls, by default without
@@ -100,13 +99,13 @@ def largest_slack(forces: Entries, share: FloatArray, row_sums: FloatArray, limi
     """The largest s ≤ ``EVEN`` for which ``forces @ (share·s + g) = row_sums``, with g ≥ 0 and ``limits @ g ≤ 0``.
 
     Args:
-        forces: (r, f) contribution of each force to each row.
+        forces: (r, f) contribution of each of f forces to each of r rows. A row is one equation of balance.
         share: (f,) force that must be carried per unit of slack.
-        row_sums: (r,) required sum of each row.
+        row_sums: (r,) the value that each row must have.
         limits: (q, f); None: no limits.
 
     Returns:
-        The slack; −inf if there is no such s, however small.
+        The slack s; −inf if no s, however far below 0, fulfils the conditions.
 
     Raises:
         PetmjxError: HiGHS found no answer.
@@ -137,8 +136,8 @@ def least_and_most(sums: FloatArray, forces: Entries, row_sums: FloatArray) -> F
 
     Args:
         sums: (m, f) factors of the forces in each sum.
-        forces: (r, f) contribution of each force to each row.
-        row_sums: (r,) required sum of each row.
+        forces: (r, f) contribution of each of f forces to each of r rows. A row is one equation of balance.
+        row_sums: (r,) the value that each row must have.
 
     Returns:
         (m, 2) smallest and largest value of each sum; None if no forces balance.
@@ -160,7 +159,8 @@ def least_and_most(sums: FloatArray, forces: Entries, row_sums: FloatArray) -> F
 def _least_cost_solution(
     costs: FloatArray, entries: Entries, rows: tuple[FloatArray, FloatArray], bounds: tuple[FloatArray, FloatArray]
 ) -> FloatArray | None:
-    """The x with the smallest ``costs @ x`` whose rows and values are within bounds; None if there is none.
+    """The x with the smallest ``costs @ x`` among all x within the bounds of rows and values; None if there is no such
+    x.
 
     HiGHS solves the programme. HiGHS is called through SciPy's ``milp`` without integer variables, which has half the
     overhead of ``linprog``.
@@ -192,12 +192,13 @@ def balance_slack(
     leaning on neighbours.
 
     Each array ends with the first box after which the stack is not balanced; later boxes are NaN. A box without support
-    is NaN as well. Such a box counts as not balanced, although friction at its sides could hold it if its neighbours
+    gets NaN as well. Such a box counts as not balanced, although friction at its sides could hold it if its neighbours
     pressed on it.
 
     Args:
         friction: coefficients of friction.
-        lean: whether boxes may press on neighbours that they touch side by side. If not, the second array is NaN.
+        lean: whether boxes may press on neighbours that they touch side by side. If they may not, the second array is
+            NaN.
     """
     without = _Stack(contacts, friction)
     ways = [without, _Stack(contacts, friction, find_sides(contacts))] if lean else [without]
@@ -222,7 +223,7 @@ class _Stack:
         self._contacts, self._friction, self._sides = contacts, friction, sides
 
     def place(self, box: int, vertical: float, structures: _Structures) -> None:
-        """Place a box. ``vertical`` is its slack with vertical forces alone."""
+        """Place a box. ``vertical`` is the slack of the box's structure with vertical forces alone."""
         slack = vertical
         if slack < NO_SLACK:
             structure = structures.of(box)
@@ -232,8 +233,8 @@ class _Stack:
 
 
 class _Structures:
-    """The structures of placed boxes. A structure is a group of boxes that are connected by contacts. Boxes grounded on
-    the carrier belong to none, and so separate structures."""
+    """The structures of placed boxes. A structure is a group of boxes that are connected by contacts. A box grounded on
+    the carrier belongs to no structure, so structures end at it."""
 
     def __init__(self, contacts: PlanContacts, hulls: Hulls) -> None:
         self._contacts = contacts
@@ -293,7 +294,7 @@ class _VerticalSystem:
         self._value[1] *= -1
 
     def slack(self, boxes: IntArray) -> float:
-        """The largest slack of a structure of several boxes, all of them placed."""
+        """The largest slack of a structure of two or more placed boxes."""
         place = np.full(len(self._weight), -1)
         place[boxes] = np.arange(len(boxes))
         chosen = np.flatnonzero(place[self._upper] >= 0)
@@ -376,7 +377,7 @@ def friction_slack(
 
 
 def _columns(entries: Entries, chosen: IntArray, n: int) -> Entries:
-    """The entries of a sparse matrix that lie in the chosen columns, of n columns. The chosen columns are
+    """The entries that lie in the chosen columns of a sparse matrix with n columns. The chosen columns are
     renumbered."""
     position = np.full(n, -1)
     position[chosen] = np.arange(len(chosen))

@@ -48,8 +48,8 @@ def intervals_at_rest(scene: Scene, physics: Physics, boxes: BoxMetrics) -> Floa
 
 
 def force_intervals(scene: Scene, physics: Physics, pos: FloatArray, quat: FloatArray) -> FloatArray:
-    """(n, 2) smallest and largest force on the top of each box, N. NaN if no forces balance the boxes connected to it,
-    or if the solver finds no answer.
+    """(n, 2) smallest and largest force on the top of each box, N. NaN for a box if no forces balance the boxes that
+    are connected to it, or if the solver finds no answer.
 
     Args:
         scene: sizes, masses and friction, and the carrier, which is at its planned place.
@@ -76,7 +76,7 @@ def _without_programme(touching: TouchPoints, weight: FloatArray) -> FloatArray:
     for box in range(n_boxes):
         box_contacts = (ends == box).any(axis=0)
         on_top = touching.pressed[box_contacts] == box
-        # groups of boxes that are connected without this box
+        # groups of boxes that stay connected if this box is removed
         group = _groups(ends[:, ~box_contacts], n_boxes + 1)
         other = group[ends[:, box_contacts].sum(axis=0) - box]
         above = np.unique(other[on_top])
@@ -86,7 +86,8 @@ def _without_programme(touching: TouchPoints, weight: FloatArray) -> FloatArray:
 
 
 def _hanging_together(touching: TouchPoints, n_boxes: int) -> IntArray:
-    """(n,) for each box the number of its group. Boxes that are connected by contacts have the same number."""
+    """(n,) number of the group to which each box belongs. Boxes that are connected by contacts belong to the same
+    group."""
     ends = np.stack([touching.first, touching.second])
     return _groups(ends[:, (ends != CARRIER).all(axis=0)], n_boxes)
 
@@ -104,10 +105,11 @@ def _groups(pairs: IntArray, n: int) -> IntArray:
 def _of_part(
     touching: TouchPoints, boxes: IntArray, known: FloatArray, weight: FloatArray, centre_m: FloatArray
 ) -> FloatArray:
-    """(b, 2) the intervals of boxes that are connected by contacts, in mean weights.
+    """(b, 2) smallest and largest force on the top of each of b boxes, in units of the mean weight of all boxes.
+    Contacts connect these b boxes to one group.
 
     Args:
-        known: (b, 2) the intervals that need no linear programme; NaN for the other boxes.
+        known: (b, 2) the results that need no linear programme; NaN for the other boxes.
     """
     place = np.full(len(weight) + 1, CARRIER)  # index CARRIER is the last entry
     place[boxes] = np.arange(len(boxes))

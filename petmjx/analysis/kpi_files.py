@@ -116,6 +116,6 @@ def _is_our_workbook(file: Path) -> bool:
         with zipfile.ZipFile(file) as parts, parts.open("docProps/core.xml") as properties:
             return f">{_CREATOR}<".encode() in properties.read(_MOST_PROPERTIES)
     # These errors mean that the file is no zip file, is encrypted, or uses another compression.
-    # So petmjx did not write it.
+    # So petmjx did not write the file.
     except (OSError, ValueError, KeyError, zipfile.BadZipFile, NotImplementedError, RuntimeError):
         return False

@@ -189,7 +189,7 @@ def _name(plan: Plan, placements: Sequence[Placement], order: Order) -> None:
 
 def _sequence_faults(indices: Sequence[int], choice: int, n_boxes: int) -> Iterator[str]:
     """Yield faults in the sequence of an online packer, which chooses among the next ``choice`` items. Items that the
-    packer leaves out are not counted among them."""
+    packer leaves out do not count as next items."""
     if len(indices) < n_boxes:
         return
     waiting = sorted(indices)

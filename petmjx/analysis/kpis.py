@@ -7,9 +7,9 @@ together with the columns that petmjx adds. ``COLUMNS`` lists the columns of the
 ``environment/space_3d.py`` and ``environment/cuboid.py``). For each square millimetre of the target, the evaluator
 stores which box was placed there last and how high its top is. The upper box lies on every box that is stored somewhere
 under it, unless that box's top is more than 5 mm below the bottom of the upper box. The support of the upper box is the
-sum of its common areas with these boxes, as a share of its base. If it lies on no box, it counts as standing on the
-target, with support 1. BED-BPP's method has three consequences: if two supporting boxes overlap, their common area
-counts twice; a box that is pushed in under another box supports it; and a floating box counts as standing on the
+sum of its common areas with these boxes, as a share of its base. A box that lies on no other box counts as standing on
+the target, with support 1. BED-BPP's method has three consequences: if two supporting boxes overlap, their common area
+is counted twice; a box that is pushed in under another box supports it; and a floating box counts as standing on the
 target. In plans without overlapping and floating boxes, the support is the share of the base that lies on something.
 """
 

@@ -4,8 +4,8 @@
 below fall. Source: Gao, Wang, Kong, Chong (2025), "Online 3D Bin Packing with Fast Stability Validation and Stable
 Rearrangement Planning", arXiv 2507.09123. A box on the carrier can be loaded anywhere on its top. The polygon of any
 other box is the hull of its contact areas, limited to the polygons of the boxes below. The box stands if its centre is
-in its own polygon. If so, no later box can tip it, so loads need not be considered. The paper also allows for an
-uncertain centre of mass; here the density of boxes is uniform.
+in its own polygon. In this case no later box can tip the box, so loads need not be considered. The paper also allows
+for an uncertain centre of mass; here the density of boxes is uniform.
 
 **Criteria that pass loads down** determine whether the resultant of a box's weight and of the loads above it stays over
 its supports. Each box is checked when it is placed, and all boxes below it are checked again. The two criteria differ
@@ -24,10 +24,10 @@ in how a box distributes its load over its supports:
   whole weight on every box directly below, and pass nothing further down.)
 
 Both rules are linear in the load. So the weight of each box is passed down separately, and the load on a box after any
-placement is a sum over the boxes placed so far. Supports cannot pull, however. If an even bedding would pull, the
-supports push with the least energy of their springs (petmjx.world.load_sharing). If a resultant of the bedding lies
-beyond an edge, a linear programme determines whether other forces keep all resultants inside
-(petmjx.world.balance_programme).
+placement is a sum over the boxes placed so far. Supports cannot pull, however. If an even bedding would pull, forces
+that only push are used instead: those with the least energy of the supports' springs (petmjx.world.load_sharing). If a
+resultant of the bedding lies beyond an edge, a linear programme determines whether other forces keep all resultants
+inside (petmjx.world.balance_programme).
 """
 
 from __future__ import annotations
@@ -149,7 +149,7 @@ def load_slack(
     distance = hulls.distance(below, point)
     slack = np.full(contacts.n_boxes, np.inf)
     with np.errstate(invalid="ignore"):
-        np.minimum.at(slack, placed, distance)  # NaN prevails
+        np.minimum.at(slack, placed, distance)  # one NaN makes the minimum NaN
     return slack
 
 
@@ -213,8 +213,8 @@ def bearing_of(contacts: PlanContacts) -> Bearing:
 
 
 def _pulls(contacts: PlanContacts, built: BuildingLoads) -> bool:
-    """Whether, after any placement, a support would have to pull under an even bedding. If so, the loads differ from
-    the loads with supports that only push."""
+    """Whether there is a placement after which a support would have to pull under an even bedding. If so, the loads
+    differ from those with supports that can only push."""
     linear = _loads_on_boxes(contacts, even_bedding).cumsum(axis=1)[built.box, built.step]
     pushed = built.load * (1.0, MM_PER_M, MM_PER_M)
     return not np.allclose(linear, pushed, rtol=_SAME, atol=_SAME * np.abs(pushed).max(initial=0.0))
@@ -241,7 +241,7 @@ def even_bedding(contacts: PlanContacts) -> FloatArray:
     above."""
     upper = contacts.upper
     # Places are measured from the upper box's centre, as multiples of the box's lengths.
-    # This keeps the 3 × 3 systems well conditioned.
+    # These units keep the 3 × 3 systems well conditioned.
     origin, scale = contacts.centre_mm[upper, :2], contacts.size_mm[upper, :2]
     moments = _area_moments((contacts.low_mm - origin) / scale, (contacts.high_mm - origin) / scale)
     total_moments = _sums(moments, upper, contacts.n_boxes)[upper]

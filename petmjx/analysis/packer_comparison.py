@@ -2,7 +2,7 @@
 
 Orders are paired, since each order is packed by every packer. Only orders with a valid verdict for every packer are
 compared. Orders without a plan, and orders with an invalid world, are counted separately. ``share_at_worst`` is the
-share of standing plans if all these orders counted as plans that fall.
+share of standing plans if each of these orders is counted as a plan that falls.
 """
 
 from __future__ import annotations

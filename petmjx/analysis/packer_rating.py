@@ -2,8 +2,9 @@
 
 The rating has the same form as BED-BPP's (docs/kpis.md), but uses the verdict of the simulation. Three things add
 nothing to the rating: a plan that does not stand, an order that has no plan or whose world is invalid, and a box that
-was left out. So neither risky nor overly cautious plans win. A box counts once, if it was ordered and has the size and
-mass in the order. With orders, the rating of a packer depends only on its own plans and on the orders.
+was left out. So neither risky nor overly cautious plans win. A box counts only if it was ordered and has the size and
+mass in the order; each ordered box counts at most once. With orders, the rating of a packer depends only on its own
+plans and on the orders.
 """
 
 from __future__ import annotations

@@ -47,7 +47,7 @@ def runs_by_packer(runs: Sequence[Run] | Mapping[str, Run]) -> dict[str, RunResu
         InputError: there are fewer than two runs, two runs have the same name, or a folder has no run.
     """
     if isinstance(runs, str | Path | RunResults):
-        runs = [runs]  # a text is also a sequence, namely of letters
+        runs = [runs]  # a text would pass as a sequence of letters
     runs_by_name = runs if isinstance(runs, Mapping) else None
     sources: list[Any] = (
         list(runs_by_name.values()) if runs_by_name else list_of(runs, "runs", object, "runs or folders")
@@ -63,7 +63,7 @@ def runs_by_packer(runs: Sequence[Run] | Mapping[str, Run]) -> dict[str, RunResu
             raise InputError(f"runs: a name must be text that can be printed, got {printable_name(name)!r}")
     for run in loaded_runs:
         if run.info.get("config", {}).get("command") == "sweep":
-            raise InputError(f"{run.path}: is a sweep; packers are compared by scores")
+            raise InputError(f"{run.path}: is a sweep; packers are compared by runs of petmjx score")
         if run.worlds.duplicated(["plan_id", "variant"]).any():
             raise InputError(f"{run.path}: has the same plan and variant more than once; cannot be compared")
     return dict(zip(names, loaded_runs, strict=True))
@@ -105,9 +105,9 @@ def plans_of(runs: Mapping[str, RunResults], against: OrderComparison | None = N
     Returns:
         ``plan_id``, ``packer``, ``order_boxes`` of the order, ``verdict`` (possibly ``missing``), ``reason``,
         ``margin``, ``digest``, and the columns of ``MEASURES``. ``as_ordered`` is the number of boxes of the plan that
-        were ordered, have the size and mass in the order, and are on the order's target. An ordered box counts once.
-        Null if unknown. ``listed`` tells whether ratings count the order. ``compared`` tells whether the order has a
-        valid verdict for every packer. If all runs are chains, there is also ``p_arrives``.
+        were ordered, have the size and mass in the order, and are on the order's target. Each ordered box is counted at
+        most once. Null if unknown. ``listed`` tells whether the order enters ratings. ``compared`` tells whether the
+        order has a valid verdict for every packer. If all runs are chains, there is also ``p_arrives``.
     """
     table = _worlds_of(runs)
     sizes = None if against is None else against.sizes
@@ -166,10 +166,10 @@ def _carrier(runs: Mapping[str, RunResults]) -> Carrier | OwnCarrier:
 
 
 def _target_area_m2(by_order: Any, carrier: Carrier | OwnCarrier) -> FloatArray:
-    """The area of the target for each row. For an order, the area is the same for all packers.
-
-    This is the area of the carrier. With ``footprint`` it is that of the smallest target of BED-BPP on which the plans
-    of all packers fit; if none is large enough, it is the area of the common extent of the plans.
+    """The area of the target for each row, m². For an order, the area is the same for all packers. Usually it is the
+    area of the carrier. With the carrier ``footprint``, it is the area of the smallest target of BED-BPP on which the
+    plans of all packers fit. If none is large enough, it is the area of the smallest rectangle that holds each of the
+    plans.
     """
     x, y = (by_order[f"extent_{axis}_m"].transform("max").to_numpy(np.float64) for axis in "xy")
     area: FloatArray = x * y

@@ -137,9 +137,9 @@ N_CORNERS: Final = 4
 class PlanContacts:
     """The contacts of one plan: c rectangles on which boxes lie, sorted by the box above.
 
-    A box lies on the carrier if its bottom is not above the carrier's top. Its whole base then lies on the carrier,
-    since the carrier is assumed to extend under all boxes. On a carrier made of boards, a box lies on the deck boards
-    that it overlaps along x and y; each board makes a separate area.
+    A box lies on the carrier if its bottom is not above the carrier's top. The whole base of such a box lies on the
+    carrier, since the carrier is assumed to extend under all boxes. On a carrier made of boards, a box lies on the deck
+    boards that it overlaps along x and y; each board makes a separate area.
 
     A box lies on another box if that box was placed before it, its bottom is at the height of the other box's top, and
     the two overlap along x and y. A box that is pushed in later under another box bears nothing, because the upper box
@@ -201,7 +201,8 @@ class PlanContacts:
         return on_carrier
 
     def borne_corners(self, chosen: NDArray[np.bool_]) -> NDArray[np.bool_]:
-        """(n, 4) whether each bottom corner lies on something, within the tolerance. The edge of a surface counts.
+        """(n, 4) whether each bottom corner lies on something, within the tolerance. A corner on the edge of a surface
+        counts as lying on it.
 
         Args:
             chosen: (c,) mask of the contacts that count.
@@ -252,8 +253,8 @@ def find_contacts(
     """Find the contacts of a plan: the rectangles on which its boxes lie, and the bodies below.
 
     Args:
-        tolerance_mm: gaps and overlaps in height up to this size count as touching, and contacts narrower than this do
-            not count. The default is also the tolerance of the warnings about plans: half of the last digit of whole
+        tolerance_mm: gaps and overlaps in height up to this size count as touching, and contacts narrower than this are
+            ignored. The default is also the tolerance of the warnings about plans: half of the last digit of whole
             millimetres.
         deck_mm: (b, 2, 2) lowest and highest corner along x and y of each board of the carrier's deck; None: the
             carrier extends under all boxes.
@@ -397,7 +398,7 @@ def find_touch_points(scene: Scene, physics: Physics, pos: FloatArray, quat: Flo
     geom = np.asarray(contact.geom).astype(np.int64)
     frame = np.asarray(contact.frame).reshape(-1, 3, 3)
     centre_z = data.geom_xpos[:, 2].copy()
-    centre_z[0] = -np.inf  # the floor is lower than everything
+    centre_z[0] = -np.inf  # the floor is below all boxes and the carrier
     body = geom_bodies(model, range(scene.n_boxes))[geom]
     lower, sign, on_top = pressed_box(body, centre_z[geom], frame[:, 0, 2])
     gap_m = np.asarray(contact.dist) - np.asarray(contact.includemargin) + LYING_GAP_M

@@ -1,7 +1,8 @@
 """Compares two runs of the same worlds: whether their verdicts agree, and by how much their metrics differ.
 
 Run b is compared with run a. For forces, differences relative to a are also computed: |b - a| / max(a, 10 N). The
-minimum of 10 N is about the weight of a 1 kg box, because ratios of smaller forces do not matter for a pallet.
+divisor is at least 10 N, about the weight of a box of 1 kg, because ratios of smaller forces do not matter for a
+pallet.
 """
 
 from __future__ import annotations
@@ -54,7 +55,8 @@ FLIPS: Final = tuple(
 """Columns of ``flips`` that a notebook shows."""
 
 GROUPS: Final = ("same verdict", "both stable")
-"""The groups of worlds in which metrics are compared. After a collapse, metrics are chaotic."""
+"""The groups of worlds in which metrics are compared. In worlds that collapse, metrics differ chaotically, so "both
+stable" is a separate group."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -66,8 +68,8 @@ class Comparison:
         n_common: number of worlds in both runs.
         confusion: (3, 3) number of worlds by their verdict in a (rows) and in b (columns).
         flips: worlds with different verdicts. Columns: verdict, reason and culprit in both runs, and by how much the
-            world exceeds the thresholds of shift, tilt and acceleration (negative: it is below them). The sign of these
-            excesses is opposite to that of the column ``margin`` in the table ``worlds``.
+            world exceeds the thresholds of shift, tilt and acceleration (negative: the world is below the threshold).
+            The sign of these excesses is opposite to that of the column ``margin`` in the table ``worlds``.
         worlds, boxes: differences of metrics, one row per metric and group. Columns: ``metric``, ``unit``, ``group``,
             ``n``; ``mean`` of b - a (null for ``SIGNLESS`` metrics); ``median``, ``p95`` and ``largest`` of |b - a|;
             and the world with the largest difference: ``plan_id``, ``variant`` (and ``box``), with the two values ``a``
@@ -219,7 +221,7 @@ def _with_pose_differences(boxes: pd.DataFrame) -> pd.DataFrame:
     distance = np.linalg.norm(rows("b", *position) - rows("a", *position), axis=1)
     q_a, q_b = rows("a", *quaternion), rows("b", *quaternion)
     # The angle is 4·asin(|q_a ∓ q_b| / 2), with the sign of the shorter chord.
-    # Unlike acos, this is exact for small angles.
+    # Unlike acos, this formula is exact for small angles.
     chord = np.minimum(np.linalg.norm(q_a - q_b, axis=1), np.linalg.norm(q_a + q_b, axis=1))
     angle = np.degrees(4 * np.arcsin(np.clip(chord / 2, 0, 1)))
     return boxes.assign(position_m_a=0.0, position_m_b=distance, orientation_deg_a=0.0, orientation_deg_b=angle)

@@ -84,8 +84,8 @@ def _subject(story: Story, box: int) -> str:
 
 
 def events(story: Story) -> list[Event]:
-    """The events in order of time. The last one is the end of the simulation. Drops beyond ``MOST_DROPS`` are combined
-    into one event."""
+    """The events in order of time. The last event is the end of the simulation. Drops beyond ``MOST_DROPS`` are
+    combined into one event."""
     timeline = [*_placements(story), *_shaking_events(story), *_first_sign(story), *_drops(story)]
     timeline.sort(key=lambda event: event.time_s)
     end_s = max(story.outcome.sim_time_s, float(story.history.time_s[-1]))
@@ -150,9 +150,10 @@ class Story:
         plan: the plan.
         scene: the numbers that define the world, including the changes of the variant.
         outcome: verdict, first box, and metrics of each box.
-        history: the frames. The last one has the poses of ``outcome.boxes``.
+        history: the frames. The last frame has the poses of ``outcome.boxes``.
         engine: the engine that simulated the world.
-        variant: index of the variant, and its values by column. 0 and empty if the plan has only one world.
+        variant: index of the variant, and the variant's values by column. If the plan has only one world, the index is
+            0 and there are no values.
         drive: the drive that shakes the world.
         options: the options of the simulation (``petmjx.Simulation``), by field, as in ``run.json``.
         note: an important remark for readers, such as that the world was simulated on another engine than the run's; ""
@@ -215,8 +216,8 @@ def tell(
             nominal variant.
         interval_s: time between two frames, s, by default 0.05. There is also a frame at each placement and at the end.
         details: whether to record accelerations, penetrations and contacts as well; by default yes. Only the engine
-            ``mujoco`` can record them. If the run has a recording, it is used unchanged unless ``interval_s`` or
-            ``details`` is given.
+            ``mujoco`` can record these details. If the run has a recording, it is used unchanged unless ``interval_s``
+            or ``details`` is given.
         options: fields of ``petmjx.Simulation`` and of ``petmjx.RunOptions``; only allowed without a run.
 
     Raises:
@@ -277,7 +278,7 @@ def _recorded_story(run: RunResults, worlds: SweepPlan, index: int) -> Story | N
     outcome = read_outcome(run, plan.plan_id, index)
     if history is None or outcome is None:
         return None
-    boxes = replace(outcome.boxes, pos=history.pos[-1], quat=history.quat[-1])  # the history has full precision
+    boxes = replace(outcome.boxes, pos=history.pos[-1], quat=history.quat[-1])  # recorded with full precision
     group, variant = worlds.find(plan.plan_id, index)
     row = world_row(run, plan.plan_id, index) or {}
     return Story(
@@ -369,7 +370,7 @@ boxes that dropped."""
 
 
 def thresholds_of(story: Story) -> Thresholds:
-    """The limits that decided the verdict."""
+    """The limits with which the verdict was decided."""
     return Thresholds(**story.options.get("thresholds", {}))
 
 
@@ -422,7 +423,7 @@ def _knife_edge(story: Story) -> str:
     nearest = nearest_edge(table_edges, outcome.verdict)
     if nearest is None:  # the tables do not have the edge, for example if the load is a box's own weight
         nearest = nearest_edge(recomputed_edges, outcome.verdict) or nearest_edge([*table_edges, *recomputed_edges])
-    else:  # the tables do not tell whether it is the box's own weight
+    else:  # the tables do not tell whether the load is the box's own weight
         nearest = next((edge for edge in recomputed_edges if is_same_edge(edge, nearest)), nearest)
     if nearest is None:
         return "A load acts at the edge of its support: a tenth of a millimetre may change the verdict."
@@ -466,7 +467,7 @@ def _leans(story: Story) -> str:
 
 
 def first_box_in_words(story: Story) -> str:
-    """A sentence on which box failed first, when and why; "" if no box failed."""
+    """A sentence that states which box failed first, when and why; "" if no box failed."""
     box = story.outcome.culprit
     if box < 0:
         return ""

@@ -144,8 +144,8 @@ def takes(
         fields: names of fields of the two records. If empty, all fields are used.
         without: fields that are left out.
         simulated: heading of the options of ``Simulation``.
-        more: further records with their headings. Their fields replace the fields of ``Simulation`` with the same
-            names.
+        more: further records with their headings. The fields of these records replace fields of ``Simulation`` with the
+            same names.
     """
     record_fields = {name for record, _ in more for name in record.model_fields}
     records: list[tuple[type[CheckedRecord], str]] = [(Simulation, simulated), *more, (RunOptions, HOW_IT_RUNS)]

@@ -65,11 +65,11 @@ def compare(
     if len(runs) != 2:
         raise InputError(f"compare takes two runs, got {len(runs)}; --packers takes more")
     if out is not None:
-        raise InputError("--out is for --packers; --json prints a comparison of two runs")
+        raise InputError("--out needs --packers; for two runs without it, --json prints the comparison")
     if orders is not None:
         raise InputError("--orders needs --packers")
     if files:
-        raise InputError(f"{files[0]}: a figure compares packers: use --packers")
+        raise InputError(f"{files[0]}: a figure needs --packers, because it compares packers")
     from petmjx.analysis.run_comparison import compare_runs
     from petmjx.show.compare_tables import comparison_tables
 

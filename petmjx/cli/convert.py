@@ -81,7 +81,7 @@ def _convert_orders(files: list[Path], out: Path, target: str | None, options: d
     from petmjx.plans.order_reader import read_orders
 
     if is_csv(out) or is_parquet_name(out):
-        raise InputError(f"{printable(str(out))}: orders are written as JSON")
+        raise InputError(f"{printable(str(out))}: orders are written as JSON, so name a .json file")
     if len(files) > 1:
         raise InputError("--orders: name one file")
     if idle := next((name for name in options if name not in OF_ORDERS), None):

@@ -79,7 +79,7 @@ def criteria(
 
     files = figure_files(pdf, svg, png, overwrite, plans, run)
     if files and run is None:
-        raise InputError(f"{files[0]}: a figure compares criteria with a run: name it with --run DIR")
+        raise InputError(f"{files[0]}: a figure needs --run DIR, because it compares criteria with a run")
     bar = None
     with ExitStack() as until_done:
 

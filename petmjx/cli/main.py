@@ -86,7 +86,7 @@ def application(words: Sequence[str] = ()) -> typer.Typer:
         help="Scores the stability of pallet packing plans by physics, many thousands at a time.",
         epilog="Exit codes: 0 success, whatever the verdicts are; 1 internal failure; 2 unusable input or options; 130 "
         "interrupted (143 by SIGTERM, 129 by SIGHUP).",
-        rich_markup_mode=None,  # rich leaves only 24 of 80 columns for the descriptions
+        rich_markup_mode=None,  # otherwise rich would leave only 24 of 80 columns for the descriptions
         context_settings={"help_option_names": ["--help", "-h"], "max_content_width": WIDTH},
     )
     app.callback()(options)
@@ -182,7 +182,7 @@ def _inside(error: Exception) -> str:
 
 
 def _report(message: str, code: ExitCode) -> int:
-    """Print one line to standard error. With --debug, the traceback comes before it."""
+    """Print one line to standard error. With --debug, the traceback is printed before this line."""
     with suppress(OSError):  # standard error may be closed
         if _SETTINGS.debug and code not in _BY_SIGNAL.values():
             import traceback

@@ -98,7 +98,7 @@ def stoppable() -> Iterator[None]:
         yield
     finally:
         _STATE.is_stoppable = False
-        if last_s == -math.inf:  # after a signal, the process is about to end, and more may follow
+        if last_s == -math.inf:  # after a signal, the process is about to end, and further signals may follow
             for number, handler in before.items():
                 signal.signal(number, handler)
 

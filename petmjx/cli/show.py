@@ -108,7 +108,7 @@ def _show_repair(
     from petmjx.show.table_layout import print_renderables
 
     if set(files) != {"html"} or has_more:
-        raise InputError("--repair needs --html alone: it draws no films, pictures or variants")
+        raise InputError("--repair writes only the page --html FILE; drop films, pictures and --variant")
     of_simulation, of_run = sorted_options(options)
     reading = RunOptions(**{name: value for name, value in of_run.items() if name in OF_READING})
     plan_set = usable_plans(plans_in_place(source or None, reading.strict), Simulation(**of_simulation), reading)
@@ -161,7 +161,7 @@ def _draw(story: Story, files: list[Path], look: dict[str, Any]) -> None:
             bars: list[ProgressSink] = []
 
             def count(done: int, total: int, shown: ExitStack = shown, bars: list[ProgressSink] = bars) -> None:
-                if not bars:  # only films report a length, once they begin
+                if not bars:  # only films call this function, from their first frame on
                     bars.append(shown.enter_context(progress(total, "frame")))
                 bars[0].update(done)
 

@@ -95,16 +95,16 @@ _SHORTEST_MM, _LONGEST_MM, _HIGHEST_MM = 200.0, 6000.0, 1500.0
 200 means that sizes were given in cm, inches or metres. A pallet is 100 to 170 mm high, and the base of a roll
 container about 200 mm."""
 _THINNEST_MM: Final = 0.001
-"""Smallest extent of a board. Even a board that is given in metres is larger than this number. So such a board passes
-this check, and the check of the whole carrier can suggest the unit."""
+"""Smallest extent of a board, mm. If a user gives a board in metres by mistake, its numbers are still above this limit.
+So the board passes this check, and the check of the whole carrier can suggest the right unit."""
 _LIGHTEST_KG, _HEAVIEST_KG = 1.0, 5000.0
 """Limits of a carrier's mass. A cardboard carrier weighs 2 kg. A carrier 1,000 times lighter than its load would sink
 into its soft contacts."""
 _LIGHTEST_KG_M3, _HEAVIEST_KG_M3 = 5.0, 12_000.0
 """Limits of a board's density. Foam has 15 kg/m³, wood 400 to 800 kg/m³, steel 7,850 kg/m³ and lead 11,340 kg/m³."""
 _LEVEL_MM: Final = 10.0
-"""A board counts as part of the top if it bears no other board and ends less than this below the carrier's highest
-point. The top must be level."""
+"""The top of a carrier must be level. A board that bears no other board counts as part of the top if its upper face is
+less than this length below the carrier's highest point."""
 _ROUNDING_MM: Final = 1e-6
 _UNITS: Final = ((1000.0, "metres"), (25.4, "inches"), (10.0, "centimetres"))
 _USUAL_MM: Final = (300.0, 2500.0)
@@ -376,7 +376,7 @@ def extent_m(carrier: Carrier | OwnCarrier) -> tuple[float, float] | None:
 
 
 def walls_of(carrier: Carrier | OwnCarrier, walls: Walls) -> Walls:
-    """The walls of a carrier. A field of the walls comes from the user; if the user does not give it, from the carrier;
-    and else from ``USUAL``. Only ``friction`` may be None."""
+    """The walls of a carrier. Each field of the walls has the user's value. A field that the user does not give has the
+    carrier's value, or else the value of ``USUAL``. Only ``friction`` may be None."""
     of_carrier = carrier.walls if isinstance(carrier, OwnCarrier) else WALLS_OF_CARRIERS.get(carrier, USUAL)
     return walls.or_of(of_carrier).or_of(USUAL)

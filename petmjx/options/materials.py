@@ -133,7 +133,8 @@ def landing_between(one: str, other: str, user_pairs: Sequence[LandingPair]) -> 
     of ``Physics`` applies.
 
     Args:
-        user_pairs: the user's pairs. They take precedence over petmjx's values, and later pairs over earlier ones.
+        user_pairs: the user's pairs. A user's pair takes precedence over petmjx's value, and a later pair over an
+            earlier one.
     """
     pair = _pair(one, other)
     user_pair = next((entry for entry in reversed(user_pairs) if entry.key == pair), None)
@@ -148,7 +149,8 @@ def friction_between(one: str, other: str, user_pairs: Sequence[FrictionPair]) -
     Names are compared without case and white space around them.
 
     Args:
-        user_pairs: the user's pairs. They take precedence over petmjx's values, and later pairs over earlier ones.
+        user_pairs: the user's pairs. A user's pair takes precedence over petmjx's value, and a later pair over an
+            earlier one.
     """
     pair = _pair(one, other)
     frictions = [friction_pair.friction for friction_pair in user_pairs if friction_pair.key == pair]

@@ -18,9 +18,9 @@ HIGHEST_RESTITUTION: Final = 0.9
 """Largest allowed restitution. Cardboard has 0.1 to 0.3, and in single tosses up to 0.6."""
 
 LANDING_S: Final = 0.003
-"""Time in which the preset ``pallet`` stops a box that lands. With this time, boxes that fall 10 to 300 mm penetrate
-less than 1 to 9 mm. A landing takes one and a half steps of 2 ms, which is enough to resolve it. No measured stiffness
-of landing cartons is known."""
+"""Time in which the preset ``pallet`` stops a box that lands. With this value, a box that falls 10 mm penetrates its
+support by less than 1 mm, and a box that falls 300 mm by less than 9 mm. A landing takes one and a half steps of 2 ms,
+which are enough for an accurate landing. No measured stiffness of landing cartons is known."""
 
 SHORTEST_LANDING_S: Final = 0.0002
 LONGEST_LANDING_S: Final = 0.02
@@ -144,19 +144,20 @@ class Physics(CheckedRecord):
     def carrier_skin_m(self) -> float:
         """Distance by which the collider enlarges the carrier, m.
 
-        It is larger than the skin of boxes. So if a box stands flush with the carrier's edge, its face is inside the
-        enlarged carrier, and the collider finds the box's corners (docs/validation.md).
+        The carrier's skin is larger than the skin of boxes. So if a box stands flush with the carrier's edge, its face
+        is inside the enlarged carrier, and the collider finds the box's corners (docs/validation.md).
         """
         return 2 * self.skin_m
 
     @property
     def has_landings(self) -> bool:
-        """Whether landings have their own contact law (petmjx/world/contact_laws.py). Only elliptic cones allow one."""
+        """Whether landings have their own contact law (petmjx/world/contact_laws.py). Only elliptic cones allow a
+        separate contact law."""
         return self.cone is Cone.ELLIPTIC and self.landing_s > 0
 
     @property
     def has_own_friction(self) -> bool:
-        """Whether friction has its own time constant. Only elliptic cones allow one."""
+        """Whether friction has its own time constant. Only elliptic cones allow a separate time constant."""
         return self.cone is Cone.ELLIPTIC and any(self.solreffriction)
 
     @computed_field(description="name of the preset that has these values, or custom")  # type: ignore[prop-decorator]  # pydantic's own way
@@ -169,7 +170,7 @@ class Physics(CheckedRecord):
     @classmethod
     def _from_preset(cls, values: Any) -> Any:
         """Accept a preset's name, or a table that changes a preset."""
-        if values == CUSTOM:  # the word "custom" alone gives no values
+        if values == CUSTOM:  # the name "custom" alone does not define any values
             raise ValueError(f"must be {' or '.join(PHYSICS)}, or a table of values, {shown_value(values)}")
         if isinstance(values, str):
             values = {"name": values}
@@ -197,7 +198,7 @@ PHYSICS["reference"] = Physics(
     skin_m=0.0,
     falls_into_place=True,
 )
-"""The presets. ``reference`` is PET-Physics. With ``pallet``, pallets come to rest (docs/validation.md). For this, it
-has elliptic cones, an impedance that rises from 0.1 to 0.999 within 0.1 mm, and friction that yields 250 times less
-than with MuJoCo's defaults. ``pallet`` also has the friction of cardboard on a wooden pallet (CTU Code, Annex 7,
-Appendix 2)."""
+"""The presets. ``reference`` is PET-Physics. With ``pallet``, pallets come to rest (docs/validation.md). For this
+purpose, ``pallet`` has elliptic cones, an impedance that rises from 0.1 to 0.999 within 0.1 mm, and friction that
+yields 250 times less than with MuJoCo's defaults. ``pallet`` also has the friction of cardboard on a wooden pallet (CTU
+Code, Annex 7, Appendix 2)."""

@@ -300,7 +300,7 @@ class RunOptions(CheckedRecord):
     @model_validator(mode="after")
     def _kept_what_is_asked(self) -> Self:
         if self.force_intervals and not self.keeps_boxes:
-            raise complaint("are columns of the table boxes, which the option keep leaves out", "force_intervals")
+            raise complaint("adds columns to the table boxes, which the option keep leaves out", "force_intervals")
         return self
 
     @property
@@ -311,13 +311,13 @@ class RunOptions(CheckedRecord):
     @property
     def asked_workers(self) -> int | str | None:
         """The workers that the user has requested: ``workers``, or ``auto`` if only a cluster is named. None: no
-        workers, so the run stays in this process.
+        workers; the whole run is computed in this process.
         """
         return AUTO if self.workers is None and self.ray is not None else self.workers
 
     def takes(self, plan_id: str) -> bool:
-        """Whether a plan is in this run's shard. The plan's id alone decides this, so all worlds of a plan are in the
-        same shard."""
+        """Whether a plan is in this run's shard. The shard of a plan depends only on the plan's id, so all worlds of a
+        plan are in the same shard."""
         if self.shard is None:
             return True
         share, shares = (int(number) for number in self.shard.split("/"))

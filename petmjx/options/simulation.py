@@ -325,8 +325,8 @@ class Simulation(CheckedRecord):
     def may_carry(self) -> bool:
         """Whether a hand or tines may place boxes.
 
-        If the user has chosen a kind of placing, it decides. With ``auto``, a hand may place boxes unless boxes fall
-        into their places or the schedule does not wait for a hand.
+        A kind of placing that the user has chosen gives the answer. With ``auto``, a hand may place boxes unless boxes
+        fall into their places or the schedule does not wait for a hand.
         """
         if self.placing.name is not Way.AUTO:
             return self.placing.carries
@@ -337,6 +337,7 @@ class Simulation(CheckedRecord):
     def waits_for_rest(self) -> bool:
         """Whether creeping boxes delay the next box (schedule adaptive), a profile and the end of the world.
 
-        Never with pyramidal cones: with them, every box creeps a little (benchmarks/notebook/performance.md).
+        With pyramidal cones, creeping boxes never delay anything, because every box then creeps a little
+        (benchmarks/notebook/performance.md).
         """
         return self.physics.cone is Cone.ELLIPTIC

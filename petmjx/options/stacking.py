@@ -19,7 +19,7 @@ HUMIDITY_LOSS: Final = ((50, 0.0), (60, 0.10), (70, 0.20), (80, 0.32), (90, 0.52
 Association, as a maker of boxes reproduces it (http://www.richbox.com/about_boxes/target_compression.asp)."""
 
 TIME_LOSS: Final = ((10.0, 0.37), (30.0, 0.40), (90.0, 0.45), (180.0, 0.50))
-"""Days under a load → the share of its strength that a box loses. Source: the same."""
+"""Days under a load → the share of its strength that a box loses. Source: the same table."""
 
 PRESS_DAYS: Final = 1.0 / 1440
 """How long a box in a press bears its load, in days: one minute, during which the box loses no strength. From one

@@ -80,7 +80,7 @@ class Walls(CheckedRecord):
     @field_validator("sides", "open", mode="before")
     @classmethod
     def _from_text(cls, value: Any) -> Any:
-        if isinstance(value, str):  # the value comes from a command line
+        if isinstance(value, str):  # a command line gives the sides as text
             return tuple(side.strip() for side in value.split(",") if side.strip())
         return value
 

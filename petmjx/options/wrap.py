@@ -33,5 +33,5 @@ class Wrap(CheckedRecord):
 
     @property
     def holds(self) -> bool:
-        """Whether there is any film."""
+        """Whether any film is around the pallet."""
         return self.turns > 0

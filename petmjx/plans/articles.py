@@ -114,7 +114,7 @@ class Article:
     stiffness_n_mm: float | None = None
 
     def filled_up(self, other: Article) -> Article:
-        """A copy whose missing values are filled from another entry."""
+        """A copy of this entry in which missing values are taken from another entry."""
         values = {field.name: value for field in fields(self) if (value := getattr(self, field.name)) is not None}
         return replace(other, **values)
 
@@ -123,8 +123,8 @@ class Article:
 class Articles:
     """Properties by article, by product group and by material.
 
-    Each property is taken from the article. If the article does not have it, it is taken from the product group, and
-    else from the material.
+    Each property is taken from the article. A property that the article lacks is taken from the product group; a
+    property that both lack is taken from the material.
     """
 
     by_article: Mapping[str, Article]
@@ -158,7 +158,7 @@ def read_articles(path: str | Path) -> Articles:
     """
     file, name = Path(path), printable(str(path))
     try:
-        has_own_reader = is_csv(file) or file.suffix.lower() == ".toml"  # these readers recognise foreign files
+        has_own_reader = is_csv(file) or file.suffix.lower() == ".toml"  # these readers recognise other formats
         if not has_own_reader and (foreign := foreign_kind_of(file)) is not None:
             raise InputError(f"{name}: {foreign}")
         if file.suffix.lower() == ".toml":
@@ -173,7 +173,7 @@ def read_articles(path: str | Path) -> Articles:
         for where, row in rows:  # rows are read one at a time, since a million rows as dictionaries take a gigabyte
             key, value, article = _article(f"{name}: {where}", row)
             if value in articles[key]:
-                raise InputError(f"{name}: {where}: {key} {printable_name(value)} is there twice")
+                raise InputError(f"{name}: {where}: {key} {printable_name(value)} occurs twice")
             articles[key][value] = article
             if sum(map(len, articles.values())) > MOST_ARTICLES:
                 raise InputError(f"{name}: has more than {MOST_ARTICLES:,} articles")
@@ -266,7 +266,7 @@ def _csv_rows(file: Path, name: str) -> Iterator[tuple[str, dict[str, Any]]]:
     if fault is not None:
         raise InputError(f"{name}: {fault.partition(';')[0]}")
     if looks_like_json(data):
-        raise InputError(f"{name}: is JSON: a table of articles is TOML, CSV or Parquet")
+        raise InputError(f"{name}: is JSON, but a table of articles must be TOML, CSV or Parquet")
     try:
         text = data.decode()
     except UnicodeDecodeError:
@@ -324,7 +324,7 @@ def _has_decimal_commas(text: str) -> bool:
     try:
         numeric = [at for at, field in enumerate(next(rows, [])) if field.strip().lower() in _NUMBERS]
         return any(_COMMA_NUMBER.match(row[at]) for row in rows for at in numeric if at < len(row))
-    except csv.Error:  # the fault is reported for its row when the table is read
+    except csv.Error:  # the fault of a bad row is reported when the table is read
         return False
 
 

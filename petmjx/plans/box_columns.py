@@ -38,7 +38,7 @@ ROLES: Final = (
 """Roles that the option ``columns`` can assign to a column. ``sizes`` and ``position`` are three numbers in one
 column."""
 IGNORED: Final = "-"
-"""If this is given instead of a column's name, no column has the role."""
+"""If a user gives this instead of a column's name, no column has the role."""
 
 _ON_AXES: Final = {"0": "x", "1": "y", "2": "z", "length": "x", "width": "y", "height": "z", "depth": "z"}
 _XYZ: Final = ("x", "y", "z")
@@ -50,7 +50,7 @@ _SIZE_SETS: Final = (
 
 
 def role_of(axis: str) -> str:
-    """The role of a column of sizes along an axis (``Geometry.axes``)."""
+    """The role of a column that holds the sizes along this axis (one of ``Geometry.axes``)."""
     return {"0": "1st size", "1": "2nd size", "2": "3rd size"}.get(axis, axis if axis in _WORDS else f"{axis} size")
 
 
@@ -66,7 +66,7 @@ class Geometry:
         anchor: the point of a box according to the names; "": none is given.
         placed: whether the sizes are known to be those of the box as placed.
         columns: role → name of its column.
-        prior: how unlikely the choice is in itself; 0: usual.
+        prior: how unlikely this choice of columns is, before any numbers are considered; 0: usual.
         turn: (n, 3, 3) rotations of poses; None: no poses.
         named_up: the vertical axis according to the names of places; "": none is given.
     """
@@ -114,8 +114,8 @@ class BoxColumns:
         weight_unit: unit according to the name or the cells; "": none is given.
         weight_is_density: whether ``weight`` is a density, relative to water or in kg/m³.
         plan, article, item_id, group: (n,) names; None: no column has them.
-        sequence: (n,) packing order; None: no column has it. A running number is not a packing order, since it may
-            count in any order.
+        sequence: (n,) packing order; None: no column has it. A column of running numbers is not taken as a packing
+            order, since boxes may be numbered in any order.
         counters: columns of whole numbers that may be a packing order because of their names ("Nr", "Pick"): name →
             (n,) numbers; NaN for cells that are not whole numbers.
         columns: role → name of its column, for all roles except sizes and places.
@@ -257,7 +257,7 @@ class Extraction:
     # Geometry.
 
     def columns_of(self, *kinds: str) -> dict[str, list[int]]:
-        """Axis → the columns for this axis whose meaning is of one of these kinds and describes boxes."""
+        """Axis → the columns for this axis that describe boxes and whose meaning is of one of these kinds."""
         by_axis: dict[str, list[int]] = {}
         for index, meaning in enumerate(self.meanings):
             if meaning is not None and meaning.kind in kinds and not meaning.of_container:
@@ -478,15 +478,15 @@ class Extraction:
                 corners = Geometry(second - first, first, _XYZ, "", "", "corner", True, ends, prior + 0.2)
                 geometries.append(corners)
         for name in geometries[0].columns.values() if geometries else ():
-            self.numbers(header.index(name), LENGTH_UNITS)  # this reports bad cells with the column's name
+            self.numbers(header.index(name), LENGTH_UNITS)  # called only to report bad cells under the column's name
         return geometries
 
     def array_extras(self, geometries: Sequence[Geometry]) -> tuple[Turns | None, int | None, bool]:
         """Interpret the further columns without names. Returns rotations, the column of weights, and whether the
         weights are densities.
 
-        Whole numbers from 0 to 5 are rotations. Numbers up to ``_DENSEST`` are densities relative to water. All others
-        are weights.
+        A column of whole numbers from 0 to 5 holds rotations. A column of numbers up to ``_DENSEST`` holds densities
+        relative to water. A column of larger numbers holds weights.
         """
         header = self.table.header
         used = {header.index(name) for name in geometries[0].columns.values()} if geometries else set()
@@ -529,7 +529,7 @@ class Extraction:
 
     def filled_down(self, names: list[str] | None, column: str, least_rows: float = 1.0) -> list[str] | None:
         """(n,) the name of the plan or order of each row. Blank cells below a name, as in sheets with merged cells, get
-        this name. If there are blank cells, each name must be written only once, in the first row of its block.
+        this name. If there are blank cells, each name must occur only once, in the first row of its block.
 
         Args:
             names: texts of the cells; None: there is no column.
@@ -626,7 +626,7 @@ class Extraction:
                 np.int64,
             )
         if sum(allowed) * 2 <= len(filled_cells):
-            return None  # the cells have other words, so sizes are assumed to be as placed
+            return None  # no rule knows the words in the cells, so sizes are assumed to be as placed
         for row, ok in enumerate(allowed):
             if not ok:
                 self.bad(row, index, _shown_turn(cells[row], kind))
@@ -634,7 +634,7 @@ class Extraction:
 
 
 _DENSEST: Final = 1.5
-"""Largest density, relative to water, in a column without a name. No carton is as dense."""
+"""Largest density, relative to water, in a column without a name. No carton reaches this density."""
 _LEVEL: Final = 2e-3
 """Largest deviation of a rotation matrix from right angles: 3.6°. Poses are written with three digits."""
 
@@ -662,8 +662,8 @@ def _role_of(meaning: ColumnMeaning) -> str:
 
 
 def _same_prefix(header: Sequence[str], picked: Sequence[Sequence[int]]) -> list[tuple[int, ...]]:
-    """Three columns that belong to the same object, such as ``dimensions.width`` and its siblings. If no three columns
-    do, the first column of each size."""
+    """Three columns that belong to the same object, such as ``dimensions.length``, ``dimensions.width`` and
+    ``dimensions.height``. If there are no three such columns, the first column of each size."""
     by_prefix: dict[str, list[int]] = {}
     for number, columns in enumerate(picked):
         for index in columns:
@@ -689,8 +689,8 @@ def _matrix_of(cell: Any) -> FloatArray | None:
 
 
 def _bad_member(cell: Any) -> str:
-    """The fault of a matrix, for messages: the index, from 0, of its first member that is not a number; "" if the shape
-    is wrong."""
+    """The text for messages about a bad matrix: the index, from 0, of its first member that is not a number; "" if the
+    shape of the matrix is wrong."""
     flat = [value for row in cell for value in (row if isinstance(row, list | tuple) else (row,))] if cell else []
     for index, value in enumerate(flat):
         number = cell_number(value)

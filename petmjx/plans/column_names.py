@@ -149,7 +149,8 @@ _UNIT_MARK: Final = re.compile(
     r"[\[(\{<]\s*([^\])}>]*?)\s*[\])}>]|/\s*([a-zµ]+)\s*$|\bin\s+([a-z]+)\s*$", re.IGNORECASE
 )
 _SCALE: Final = re.compile(r"\bscale\b", re.IGNORECASE)
-"""Sizes of unit cubes in scenes of three.js and Unity, in which no other field is a size."""
+"""Names of scale factors. In scenes of three.js and Unity, boxes are scaled unit cubes, so the factors are their
+sizes."""
 _INDEX: Final = re.compile(r"\[(\d+)\]")
 _ORDER: Final = re.compile(
     r"(?<![a-z])([lwhbdtap])\s*[x×*/,;]\s*([lwhbdtap])\s*[x×*/,;]\s*([lwhbdtap])(?![a-z])", re.IGNORECASE
@@ -163,8 +164,9 @@ class ColumnMeaning:
 
     Attributes:
         kind: role of the column.
-        axis: axis of a size or a position; "": no axis. Sizes have length, width, height, depth, or x, y, z (``dx``,
-            ``LX``). Positions have x, y, z, or the word for a size. Members of a list have "0", "1", "2".
+        axis: axis of a size or a position; "": no axis. The axis of a size is length, width, height or depth, or x, y
+            or z (``dx``, ``LX``). The axis of a position is x, y or z, or the word for a size. The axis of a member of
+            a list is "0", "1" or "2".
         unit: name of the unit in ``LENGTH_UNITS`` or ``MASS_UNITS``; "": no unit.
         anchor: for positions, the point according to the name (``centre``, ``base-centre``, ``corner``); "": none is
             given.
@@ -258,7 +260,7 @@ _COUNTER: Final = re.compile(
 
 
 def may_count(name: str) -> bool:
-    """Whether a column with this name may number the boxes, in any order: "N°", "Lfd. Nr.", "#", "Pick"."""
+    """Whether a column with this name may hold numbers of boxes, in any order: "N°", "Lfd. Nr.", "#", "Pick"."""
     return bool(_COUNTER.match(" ".join(re.findall(r"[a-z]+|#", plain_text(name.rpartition("[")[0] or name).lower()))))
 
 
@@ -379,7 +381,8 @@ def _geometry(tail: list[str], path: list[str], index: str, of_sharp: bool) -> C
 
 
 def _order_axis(words: set[str], index: int) -> str:
-    """The axis of a member of a list of sizes: in WHD, the second one is the height; in other lists, "1"."""
+    """The axis of one member of a list of sizes. In a list called WHD, the second member is the height; in a list
+    without such a name, its axis is "1"."""
     order = _orders(words)
     return order[index] if index < len(order) else str(index)
 
@@ -411,7 +414,7 @@ _FIRST: Final[tuple[Kind, ...]] = (
 
 
 def _kind_of(tail: list[str], path: list[str]) -> Kind | None:
-    """The meaning of a name that contains no axis."""
+    """The kind of a column whose name contains no axis."""
     words = set(tail)
     joined = "".join(tail)
     if joined == "m":

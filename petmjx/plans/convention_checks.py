@@ -1,8 +1,9 @@
 """Detects plans in other conventions: centres given as corners, metres as millimetres, or y and z swapped.
 
-A plan is odd if boxes float or overlap. An odd plan is read in other conventions. If it is no longer odd in one of
-them, the plan probably follows this convention. Plans whose boxes really are odd are odd in every convention. If all
-lengths or all masses have a wrong unit, the layout looks right; such a unit is recognised by the density of the boxes.
+A plan is odd if boxes float or overlap. An odd plan is read in other conventions. If the plan is no longer odd in one
+of these conventions, it probably follows that convention. Plans whose boxes really are odd are odd in every convention.
+If all lengths or all masses have a wrong unit, the layout looks right; such a unit is recognised by the density of the
+boxes.
 """
 
 from __future__ import annotations
@@ -44,21 +45,21 @@ HEAVIEST_KG_M3: Final = 20_000.0
 _USUAL_KG_M3: Final = 300.0
 _USUAL_M3: Final = 0.015
 """Usual density and volume of a carton, from BED-BPP's orders. Masses in grams and lengths in centimetres both make
-plans a thousand times too dense. The usual volume shows which of the two it is."""
+plans a thousand times too dense. The usual volume shows which of the two units is wrong."""
 
 LEAST_SHARE: Final = 0.25
-"""Smallest share of the plans with odd layouts that a convention must explain to be reported. If a packer makes a
-mistake, it makes it in all plans. By chance, one in 300 plans with three floating boxes looks as if y and z were
-swapped."""
+"""Smallest share of the plans with odd layouts that a convention must explain to be reported. A packer that uses
+another convention uses it in all its plans. By chance, one in 300 plans with three floating boxes looks as if y and z
+were swapped."""
 
 _LEAST_FILLED: Final = 0.3
-"""If a convention explains a plan, boxes must fill at least this share of the plan's bounding box. Without this rule,
-larger coordinates would explain any plan, since they separate even boxes that really overlap."""
+"""A convention explains a plan only if boxes then fill at least this share of the plan's bounding box. Without this
+rule, larger coordinates would explain any plan, since they separate even boxes that really overlap."""
 
 _MM3_PER_M3: Final = 1e9
 
 _MOST_ROUNDS: Final = 5
-"""Largest number of passes over the turned boxes. Most rows are right after two."""
+"""Largest number of passes over the turned boxes. Two passes are usually enough."""
 
 _Layout = tuple[FloatArray, FloatArray]
 """Corners and sizes, (n, 3) each, mm, in packing order."""
@@ -69,16 +70,16 @@ class Convention:
     """A convention other than petmjx's, in which an odd plan is read as a trial.
 
     Attributes:
-        looks: how plans in this convention look, for messages.
-        advice: how to correct the plan, for messages. ``{lowest}`` stands for the z of the lowest box, ``{x}`` and
+        looks: text for messages: how plans in this convention look.
+        advice: text for messages: how to correct the plan. ``{lowest}`` stands for the z of the lowest box, ``{x}`` and
             ``{y}`` for the middle of the carrier, mm.
         read: function that converts corners and sizes to petmjx's convention. None: the convention does not change
             corners and sizes.
-        least_odd: smallest number of floating boxes and overlaps in a plan that this convention may explain, if the
-            lowest box does not float.
+        least_odd: smallest number of floating boxes and overlaps that a plan must have before this convention may
+            explain it. Used only if the lowest box does not float.
         of_turned: whether ``read`` is applied only to boxes that their orientation turns. All other boxes are not
             changed.
-        of_some: whether ``read`` is applied only to those turned boxes that overlap fewer boxes afterwards.
+        of_some: whether ``read`` changes only those turned boxes that overlap fewer boxes after the change.
         least_share: the convention is considered only if at least this share of the boxes above the carrier floats or
             overlaps, and one of them by more than ``_SMALL_MM``.
     """
@@ -131,8 +132,8 @@ _SMALL_MM: Final = 20.0
 """Gaps and overlaps up to this size come from sheets, rounded heights or careless packers, not from a convention."""
 
 _WALL: Final = Convention(*_YZ, lambda corner, size: (corner[:, [0, 2, 1]], size[:, [0, 2, 1]]), least_share=_MOST)
-"""The convention of a wall or a row of boxes whose heights are all in y. No box floats or overlaps, but the plan is too
-long."""
+"""The convention of a plan in which y and z are swapped, and whose boxes form a single wall or row. In such a plan no
+box floats or overlaps, but the plan reaches beyond the carrier."""
 
 LAYOUTS: Final[tuple[Convention, ...]] = (
     Convention(*_TURNED, lambda corner, size: (corner, size[:, [1, 0, 2]]), least_odd=1, of_turned=True),
@@ -215,7 +216,7 @@ class _Search:
             self._add(unit[0], plan, unit[1])
             if unit[0].read is not None:
                 corner, size = unit[0].read(plan.corner_mm, plan.size_mm)
-                # ``kinds`` are dropped, because the size of a kind of pallet is fixed, and must not be converted.
+                # ``kinds`` are left out: pallets have fixed sizes, so a plan with converted sizes would be refused.
                 plan = replace(plan, corner_mm=corner, size_mm=size, kinds=())
                 odd = check_layout(plan.plan_id, plan.source, corner, size, self.extent_mm)
         if odd is None:
@@ -381,7 +382,7 @@ def _is_wall_lying(plan: Plan, odd: PlanWarnings, extent_mm: tuple[float, float]
 
 
 def _from_the_middle(plan: Plan, way: Convention | None, extent_mm: tuple[float, float]) -> bool:
-    """Whether all boxes are on the carrier if the origin is the carrier's middle."""
+    """Whether all boxes would be on the carrier if the origin of the plan were the carrier's middle."""
     corner, size = plan.corner_mm, plan.size_mm
     if way is not None and way.read is not None:
         corner, size = way.layout_of(plan)

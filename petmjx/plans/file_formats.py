@@ -25,11 +25,11 @@ class SupportsArrow(Protocol):
 
 
 class NoGeometry(InputError):
-    """A file has no columns with the sizes and places of boxes."""
+    """Raised if a file has no columns with the sizes and places of boxes."""
 
 
 class NoBoxes(NoGeometry):
-    """A file has no boxes at all, so it may be of another kind."""
+    """Raised if a file has no boxes at all, so it is perhaps not a file of plans or orders."""
 
 
 def is_csv(path: Path) -> bool:
@@ -60,7 +60,7 @@ _COLUMN: Final = re.compile(rb"(plan_id|sequence|article|(length|width|height|we
 these column names is recognised as a table."""
 
 _JSON: Final = re.compile(rb"\s*+(\{\s*+[\"}]|\[\s*+[\"\[{\]])")
-"""The beginning of JSON. No header of a table begins like this."""
+"""The beginning of JSON. No header of a table begins with these characters."""
 
 _SEPARATOR_MARK: Final = re.compile(rb"\s*\"?sep=.\"?[\s;,]*", re.IGNORECASE)
 
@@ -112,7 +112,8 @@ def looks_like_own_json(data: bytes | bytearray) -> bool:
 
 
 def is_of_other_tools(data: bytes | bytearray) -> bool:
-    """Whether bytes that are not UTF-8 text in one of petmjx's forms may be a sheet, an array or a scene."""
+    """Whether bytes may be a sheet, an array or a scene of another tool. The bytes are known not to be UTF-8 text in
+    one of petmjx's forms."""
     return bytes(data[:6]).startswith(_OTHER_TOOLS) or _SCENE.search(data, 0, _LOOKED_AT_TEXT) is not None
 
 
@@ -137,7 +138,7 @@ def other_encoding(text: str) -> str:
         return ""  # the other bytes are UTF-8, so the text is damaged
     try:
         read = text.encode("utf-8", "surrogateescape").decode("cp1252")
-    except UnicodeEncodeError:  # a surrogate that JSON wrote as an escape is no byte
+    except UnicodeEncodeError:  # a surrogate from an escape in JSON does not stand for a byte of the file
         return ""
     except UnicodeDecodeError:
         return ": save the file as UTF-8"

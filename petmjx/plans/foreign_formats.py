@@ -131,7 +131,7 @@ def sources_of_bytes(data: bytes | bytearray, path: Path) -> list[BoxSource]:
 
 
 def sources_of_tables(file: RawFile) -> list[BoxSource]:
-    """Turn tables into lists of boxes. Tables with the same header become parts of one list."""
+    """Turn tables into lists of boxes. Tables with the same header are joined into one list."""
     groups: dict[tuple[str, ...], list[RawTable]] = {}
     for table in file.tables:
         groups.setdefault(table.header, []).append(table)
@@ -256,7 +256,7 @@ def _without_corner_posts(boxes: BoxList) -> tuple[BoxList, int]:
 
 
 def rows_of(boxes: BoxList, kept: Sequence[int]) -> BoxList:
-    """Some rows of a list of boxes."""
+    """The same list of boxes, with only the rows at the indices ``kept``."""
     table = replace(
         boxes.table,
         rows=[boxes.table.rows[index] for index in kept],
@@ -542,7 +542,7 @@ def _sources_of_arrays(arrays: Mapping[str, Any]) -> list[BoxSource]:
         sources.append(BoxSource(BoxList(table, name, tuple(parts), containers), ARRAY))
     if not sources:
         shapes = ", ".join(f"{name or 'array'} {getattr(array, 'shape', ())}" for name, array in arrays.items())
-        raise InputError(f"holds no array of boxes (n, 6 to 64): {printable_name(shapes)}")
+        raise InputError(f"holds no array of boxes, whose shape must be (n, 6 to 64): {printable_name(shapes)}")
     return _as_plans(sources)
 
 
@@ -597,7 +597,7 @@ def _scene(text: str) -> BoxSource:
     Raises:
         InputError: MuJoCo cannot parse it, or no free body is a box.
     """
-    import mujoco  # MuJoCo knows all of MJCF: defaults, angles, densities
+    import mujoco  # MuJoCo itself interprets all of MJCF: defaults, angles, densities
 
     try:
         model = mujoco.MjModel.from_xml_string(text)
@@ -633,7 +633,9 @@ def _scene(text: str) -> BoxSource:
         rows.append((name, *map(float, size), matrix.tolist(), float(model.body_mass[body])))
         places.append(f"body {name}")
     if other_bodies:
-        raise InputError(f"is a MuJoCo scene with free bodies that are not one box each: {first_names(other_bodies)}")
+        raise InputError(
+            f"is a MuJoCo scene in which these free bodies are not single boxes: {first_names(other_bodies)}"
+        )
     if not rows:
         raise InputError("is a MuJoCo scene without a free body that is one box")
     notes = []
@@ -682,7 +684,7 @@ def sources_of_frame(frame: Any) -> list[BoxSource]:
             table = pa.table(frame)
             header = tuple(table.column_names)
             rows = list(zip(*(column.to_pylist() for column in table.columns), strict=True))
-    except Exception as error:  # an object that is no table may raise anything
+    except Exception as error:  # for an object that is no table, Arrow may raise any exception
         raise NoBoxes(f"is no table: {type(error).__name__}") from None
     places = [f"row {number}" for number in range(len(rows))]
     raw = RawTable(tuple(distinct_names(header)), rows, places, decimal_of(rows))

@@ -107,7 +107,7 @@ def _with_articles(sources: Sequence[BoxSource], items: Path | None) -> BoxSourc
             for table in filter(has_sizes_of_items, tables):
                 if (joined := with_items_of(source, table, name)) is not None:
                     return joined
-        raise InputError(f"{name}: its items are not those of the orders")
+        raise InputError(f"{name}: its items do not match the orders")
     for source in lines:
         for table in sources:
             if "quantity" not in table.boxes.kinds and table.boxes.has_sizes:
@@ -172,7 +172,7 @@ def _sheet_of_deli(data: bytes | bytearray) -> BoxSource | None:
     try:
         book = load_workbook(io.BytesIO(data), read_only=True, data_only=True)
         rows = list(book.worksheets[0].iter_rows(values_only=True))
-    except Exception:  # a damaged workbook may raise anything; the first reader reports it
+    except Exception:  # a damaged workbook may raise any exception; the first reader reports the damage
         return None
     head = next((number for number, row in enumerate(rows[:60]) if set(_DELI) <= set(row)), None)
     if head is None:

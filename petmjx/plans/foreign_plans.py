@@ -71,9 +71,9 @@ _OF_PALLETS: Final = word_set(
     "pallet pallets palette paletten palet paleta pale palety bancale bancali pal palno palnr palletno palletid palid "
     "lu hu su sscc lpn uld stop unit nosnik ladungstrager ladetrager ladeeinheit carrier container bin"
 )
-"""Words for pallets in names of columns that ``column_names`` does not know."""
+"""Words that mean a pallet in names of columns. Used for names that ``column_names`` does not know."""
 _MATCHED: Final = 0.9
-"""A table of items belongs to the boxes if at least this share of the boxes has an item in it."""
+"""A table of items belongs to the boxes if at least this share of the boxes has an item in the table."""
 PACK: Final = "pack them first: petmjx samples --orders {file} -o plans.json"
 
 
@@ -130,7 +130,7 @@ def plans_of_sources(
     parts = [plans for plans in (first, second) if plans is not None]
     best = min(parts, key=lambda plans: plans.reading.cost, default=None)
     if best is None or (len(parts) == 2 and abs(parts[0].reading.cost - parts[1].reading.cost) < TIE):
-        return _plans_of(chosen, sources, path, source, wishes)  # its error names the number with two meanings
+        return _plans_of(chosen, sources, path, source, wishes)  # its error names the ambiguous number
     return best
 
 
@@ -163,13 +163,13 @@ def _plans_of(
 
 
 def _with_items(sources: Sequence[BoxSource], path: Path | None, items: Path | None) -> BoxSource:
-    """The list of boxes with places. Sizes and weights that it lacks are added from a table of items."""
+    """The list of boxes that have places. Missing sizes and weights are added from a table of items."""
     best = sources[0]
     if items is not None:
         tables = sources_of_bytes(bytes_of(items), items)
         joined = with_items_of(best, tables[0], printable(str(items)))
         if joined is None:
-            raise InputError(f"{printable(str(items))}: its items are not those of the boxes")
+            raise InputError(f"{printable(str(items))}: its items do not match the boxes")
         return joined
     if best.boxes.has_places and not best.boxes.has_sizes:
         for other in sources[1:]:
@@ -201,7 +201,7 @@ def _with_articles_beside(best: BoxSource, path: Path) -> BoxSource:
         try:
             source = sources_of_bytes(bytes_of(file), file)[0]
         except InputError:
-            continue  # the file does not hold these items
+            continue  # this file has no items for the boxes
         if source.boxes.has_sizes and (completed := with_items_of(best, source, file.name)) is not None:
             joined.append(completed)
     return joined[0] if len(joined) == 1 else best
@@ -358,8 +358,8 @@ class _Builder:
         self.places = self.boxes.table.places
         self.notes: list[str] = [*columns.source.notes, *self.boxes.table.notes, *self.boxes.left_out]
         self.faults: dict[int, str] = {}
-        self.decks: set[int] = set()  # rows that are pallets under boxes
-        self.of_one: tuple[Reading, Candidate] | None = None  # the choice if all boxes are one plan
+        self.decks: set[int] = set()  # rows that describe a pallet, not a box
+        self.of_one: tuple[Reading, Candidate] | None = None  # the chosen reading if all boxes are one plan
         self.counters: set[str] = set()  # columns used as packing order
 
     def plans(self) -> ForeignPlans:
@@ -372,7 +372,7 @@ class _Builder:
             lost = self._plans_with_lost(names)
             single_name = self.of_one if len(plans) == 1 and not lost else None
             reading, candidate = single_name or choose_reading(self.columns, plans, self.wishes, lost)
-        except InputError:  # no row is good, or the rest is implausible because rows are missing
+        except InputError:  # no row is good, or the good rows are implausible without the bad ones
             if self.boxes.table.lost:
                 place, fault = self.boxes.table.lost[0]
                 raise InputError(f"{place}: {fault}") from None
@@ -770,15 +770,13 @@ class _Builder:
                 return f"{self.places[row]}: {name} must be a whole number, got {value:g}"
             if value in first_rows:
                 plans = "" if self.columns.plan else "; several plans? then name their column: --columns plan=NAME"
-                return (
-                    f"{self.places[first_rows[value]]} and {self.places[row]}: {name} {value:g} is there twice{plans}"
-                )
+                return f"{self.places[first_rows[value]]} and {self.places[row]}: {name} {value:g} occurs twice{plans}"
             first_rows[value] = row
         return None
 
     def _order_note(self, orders: Sequence[str], names: Sequence[str]) -> str:
-        """Returns the source of the packing order ("sequence", "rows" or "height"). Adds a note if it does not come
-        from a column."""
+        """Returns the source of the packing order ("sequence", "rows" or "height"). Adds a note if no column gives the
+        packing order."""
         sorted_plans = [name for name, order in zip(names, orders, strict=False) if order == "height"]
         if sorted_plans:
             plans_text = "" if len(orders) == 1 else f" in {first_names(sorted_plans, 3)}"

@@ -34,7 +34,7 @@ _KINDS: Final[dict[str, Kind]] = {
     "quantity": "quantity", "layers": "layers", "per layer": "quantity", "total weight": "weight",
 }  # fmt: skip
 MOST_PIECES: Final = 100_000
-"""Largest quantity of a row."""
+"""Largest number of boxes that one row of a table may stand for."""
 
 _TOTAL: Final = word_set(
     "total totale gesamt gesamtgewicht summe totalgewicht positionsgewicht zeilengewicht razem laczna calkowita sum "
@@ -57,8 +57,8 @@ _COUNTED: Final = _PIECES | word_set(
     "nb nbr nombre n no num number of ordered order total gesamt totale bestellt bestellmenge de di anz "
     "pro per commandes pedidas ordinati zamowione pick picked"
 )
-"""A column has quantities if its name has a word of ``_PIECES`` and only words of ``_COUNTED``, its cells are whole
-numbers, and no other column is named as a quantity."""
+"""A column has quantities if four conditions hold: its name has a word of ``_PIECES``; all words of its name are in
+``_COUNTED``; its cells are whole numbers; and no other column is named as a quantity."""
 _QUANTITY: Final = word_set("qta bestellmenge bestellt ordered commande pedida ordinata zamowiono need demand bedarf")
 """Names that by themselves mean a column of quantities."""
 _NO_QUANTITY: Final = word_set(
@@ -76,21 +76,23 @@ _ORDERS: Final = word_set(
     "entrega consegna dostawa"
 )
 _NUMBERED: Final = word_set("nr no number nummer numero n id num sales purchase customer kunden name code deg")
-"""A column has orders if its name has a word of ``_ORDERS``, and otherwise only words of ``_NUMBERED``."""
+"""A column has ids of orders if its name has a word of ``_ORDERS``, and all its other words are in ``_NUMBERED``."""
 _ARTICLE: Final = word_set("indeks towar goods ware good mercancia merce marchandise")
 _TYPE: Final = word_set("type typ kind name code")
 _PIECE: Final = word_set("box carton karton case item package")
 """Names of columns with articles, such as "Box type"."""
 _ORDER: Final = word_set("order orders ordre")
-"""Names of columns that may have a packing order or customers' orders. The values decide which it is."""
+"""Names of columns that may have a packing order or customers' orders. The values in such a column decide which of the
+two it has."""
 
 
 STRENGTH: Final = "strength_n"
 UPRIGHT: Final = "upright"
 BOX_PROPERTIES: Final = (STRENGTH, UPRIGHT)
-"""Columns that only environments read (``for_episodes``). They are recognised only by these names."""
+"""Columns that only environments read (``for_episodes``). These columns are recognised only if they have exactly these
+names."""
 SIZE_LETTERS: Final = "lwh"
-"""Letters in the column ``upright``: length, width, height."""
+"""The letters that the column ``upright`` may have: l for length, w for width, h for height."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -267,8 +269,8 @@ class _ItemExtraction(Extraction):
     def role(
         self, role: str, kind: str, *, within: set[int] | None = None, without: set[int] | None = None
     ) -> int | None:
-        """The column of a role: the column that an option names, else the first column of its kind; None if the role
-        has no column."""
+        """The column of a role: the column that an option names, else the first column whose name means this role; None
+        if the role has no column."""
         name = self.chosen.get(role)
         if name is not None:
             return None if name == IGNORED else self.table.header.index(name)
@@ -485,7 +487,7 @@ def _weight(work: _ItemExtraction, columns: dict[str, str]) -> tuple[FloatArray 
 
 def _orders_in(work: _ItemExtraction, index: int) -> list[str] | None:
     """(n,) customers' orders from a column called "order". The column counts as one of customers' orders if some of its
-    values are repeated or are not numbers. If not, it is a packing order, and the result is None."""
+    values are repeated or are not numbers. Otherwise the column is a packing order, and the result is None."""
     if not _ORDER.intersection(words_of(work.table.header[index])) or "sequence" in work.fixed:
         return None
     cells = [cell_text(cell) for cell in work.cells(index)]
@@ -496,7 +498,7 @@ def _orders_in(work: _ItemExtraction, index: int) -> list[str] | None:
 
 
 def with_rows(source: BoxSource, kept: NDArray[np.bool_], notes: tuple[str, ...] = ()) -> BoxSource:
-    """A source with only some of its rows, and with more notes.
+    """The same source with only the kept rows, and with further notes.
 
     Args:
         kept: (n,) True for the rows that are kept.

@@ -1,7 +1,7 @@
 """Turns items, given by column, into orders (``orders_of_items``): chooses units, masses, quantities and targets.
 
-If column names do not give the unit, sizes and densities decide it. A file with two possible readings is refused. Items
-without weights get the mass that an assumed density gives.
+If column names do not give a unit, sizes and densities decide which unit is used. A file with two possible readings is
+refused. Items without weights get the mass that an assumed density gives.
 """
 
 from __future__ import annotations
@@ -38,24 +38,24 @@ SET_KG_M3: Final = 200.0
 similar."""
 EURO: Final = "euro-pallet"
 _PALLET_MM: Final = (300.0, 1700.0)
-"""Limits of the sides of a container that may be a pallet. A container outside them is not a pallet, and its boxes are
-packed on a Euro pallet."""
+"""Limits of the sides of a container that may be a pallet. A container with other sides is not a pallet, so its boxes
+are packed on a Euro pallet instead."""
 
 _LENGTH_PRIOR: Final = {"mm": 0.0, "cm": 0.0, "m": 0.0, "in": 0.7, "ft": 3.0}
 _MASS_PRIOR: Final = {"kg": 0.0, "g": 0.0, "lb": 0.7, "t": 3.0}
 _MIXED: Final = 1.5
-"""Cost of a mixed system of units (inches with kilograms, or pounds with metric lengths), if no names give the
-units."""
+"""Cost of a reading that mixes systems of units (inches with kilograms, or pounds with metric lengths), if no names
+give the units."""
 _DENSEST_KG_M3: Final = 1e6
-"""Densities above this come from damaged weights, and are no evidence of a unit."""
+"""Densities above this value come from damaged weights, so they are no evidence for or against a unit."""
 _BIN_PRIOR: Final = {"mm": 0.0, "cm": 0.0, "dm": 0.0}
 """Possible units of test problems. In such problems, the side of a bin is 10 or 100 units, which stand for 1 m."""
 _LIST_PRIOR: Final = {"cm": -1.5, "mm": 0.0, "m": 0.0}
 """Possible units of lists of lengths. The unit is cm, as in RoboBPP's lists, unless the sizes indicate another unit."""
 ROW_LEAD: Final = 0.75
 """A weight in a row usually is that of a single box. If the reading as weights of whole rows has a cost that is lower
-by at least this, both readings are possible. An example is a row of ten boxes, each of which would have 1,500 kg/m³ if
-the weight were that of one box."""
+by at least this, both readings are possible. For example, a row has ten boxes, and each of them would have 1,500 kg/m³
+if the weight were that of one box."""
 _WATER_KG_M3: Final = 1000.0
 _RELATIVE: Final = 1.5
 """Densities up to this value are relative to water."""
@@ -73,7 +73,7 @@ _NUMBERED: Final = (THPACK.name, MPV.name, LENGTHS.name, DELI.name, SIZES.name)
 
 @dataclass(frozen=True)
 class OrderReading:
-    """Options of a caller for reading a file of orders. BED-BPP's own form needs none.
+    """Options of a caller for reading a file of orders. Files in BED-BPP's own form need no such options.
 
     Attributes:
         wishes: columns, units and density. Empty values are chosen by plausibility.
@@ -109,7 +109,7 @@ class ForeignOrders:
     Attributes:
         orders: (id, order) of each good order, in the order of the file.
         refused: (id, line) of each refused order.
-        line: how the file was read; "" if the file left nothing to choose and nothing is unused.
+        line: how the file was read; "" if no choice had to be made and no column is unused.
     """
 
     orders: tuple[tuple[str, Order], ...]
@@ -194,7 +194,7 @@ class _OrderBuilder:
 
     def _lost(self, names: Sequence[str]) -> dict[str, str]:
         """Name of each order that lacks a row → place and fault of the row. A lost row may belong to the order before
-        it or to the order after it, so both lack it."""
+        it or to the order after it, so both orders are refused."""
         numbers = [_number_of(place) for place in self.table.places]
         lost: dict[str, str] = {}
         for place, fault in self.table.lost:

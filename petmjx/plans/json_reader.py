@@ -24,7 +24,7 @@ _UTF8_MARK: Final = b"\xef\xbb\xbf"
 def read_text_bytes(path: Path) -> tuple[bytearray, str | None]:
     """The text of a file as bytes, and an error about the whole file (None if there is none).
 
-    Gzip is recognised by content, not by name. Memory holds the packed and the unpacked bytes once each.
+    Gzip is recognised by content, not by name. Memory holds one copy of the packed bytes and one of the unpacked bytes.
 
     Raises:
         OSError: the file cannot be read, is not a regular file, or is too large.
@@ -129,8 +129,8 @@ class DuplicateFieldObject(dict[str, Any]):
 
 
 class MalformedPlans(InputError):
-    """A text is not JSON, or not an object. The error names the plan, the line and the column (in bytes), both from
-    1."""
+    """Raised if a text is not JSON, or not an object. The error names the plan, the line and the column (in bytes),
+    both from 1."""
 
 
 class Entry(NamedTuple):
@@ -144,7 +144,7 @@ def scan_plans(data: bytes | bytearray, of: str = "plan id → placements", noun
     """Yield every entry in a file's bytes, in order.
 
     Args:
-        of: what the file's object should contain, for messages.
+        of: text for messages: what the file's object should contain.
         noun: name of an entry in messages.
 
     Raises:
@@ -195,7 +195,7 @@ def _decoded_id(data: bytes | bytearray, key: re.Match[bytes], where: str) -> An
 
 
 def _decoded_value(data: bytes | bytearray, begin: int, window: int, where: str) -> tuple[Any, int]:
-    """Decode one JSON value. Returns it and the position of its end.
+    """Decode one JSON value. Returns the value and the position of its end.
 
     The decoder receives a window of the text, and a larger window if the value does not fit. Small windows save time
     and memory: the decoder's errors count the lines of all text in the window, and text that is not ASCII takes up to
@@ -254,8 +254,8 @@ def _n_bytes(text: str, n_characters: int) -> int:
 
 
 def any_integer(digits: str) -> int | float:
-    """Convert an integer of any length. If it is too large for float64, it becomes infinite, and a later check refuses
-    it as not finite."""
+    """Convert an integer of any length. An integer too large for float64 becomes infinite, and a later check refuses it
+    as not finite."""
     return int(digits) if len(digits) < 400 else float(digits)
 
 

@@ -40,7 +40,8 @@ def write_plans(
 
 
 def write_orders(path: Path | str, orders: Iterable[tuple[str, Order]]) -> None:
-    """Write (id, order) pairs as BED-BPP's orders, one line per item. Reading them gives exactly the same numbers.
+    """Write (id, order) pairs as BED-BPP's orders, one line per item. Reading the written orders gives exactly the same
+    numbers.
 
     Raises:
         InputError: there is no order, or the file cannot be written.

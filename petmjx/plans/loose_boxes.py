@@ -17,18 +17,18 @@ MOST_LOOKED_AT: Final = 200
 would be delayed."""
 
 _LEVEL_MM: Final = 3.0
-"""A box is borne by the highest top under it, and by all tops that are lower by at most this."""
+"""A box is borne by the highest top under it, and by all tops that are lower by at most this length."""
 
 _BESIDE_MM: Final = 1.0
-"""If two boxes overlap by at most this along x or y, they stand beside each other."""
+"""If two boxes overlap by at most this length along x or y, they stand beside each other."""
 
 
 def first_loose(plan: Plan) -> int:
     """The first box, in packing order, whose centre of mass is not over its supports; n if there is none.
 
     The supports of a box are the highest tops of earlier boxes under it, or the carrier. The centre of mass is over the
-    supports if it lies within the bounding rectangle of their contact areas. A rule with the convex hull of the contact
-    areas would be stricter.
+    supports if it lies within the bounding rectangle of their contact areas. The convex hull of the contact areas can
+    be smaller than this rectangle, so a rule with the hull would find more loose boxes.
     """
     low, high = plan.corner_mm, plan.corner_mm + plan.size_mm
     along = [shared_length(low[:, axis], high[:, axis]) for axis in (0, 1)]

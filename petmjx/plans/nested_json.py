@@ -45,7 +45,7 @@ _HOLDERS: Final = word_set(
 )
 _PRINTED_SIZES: Final = re.compile(r"\(?\s*([\d.]+)\s*[x×]\s*([\d.]+)\s*[x×]\s*([\d.]+)")
 _LISTED: Final = 16
-"""Largest number of members of a list that become separate fields: a 4×4 matrix has 16."""
+"""A list with at most this number of members becomes separate fields: a 4×4 matrix has 16 members."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -262,8 +262,8 @@ _FORM_WORDS: Final = word_set(
 
 
 def _is_plan_key(value: Mapping[str, Any]) -> bool:
-    """Whether the names of an object's fields are names of plans. They are if every field holds a list, and no field's
-    name has a word that names a form."""
+    """Whether the names of an object's fields are names of plans. The names are taken as names of plans if every field
+    holds a list, and no name has a word of ``_FORM_WORDS``."""
     lists = [inner for inner in value.values() if isinstance(inner, list) and inner]
     if len(lists) != len(value) or not lists:
         return False
@@ -279,7 +279,7 @@ _LEAST_COLUMNS: Final = 5
 
 def _columnar(value: Mapping[str, Any]) -> list[dict[str, Any]] | None:
     """The rows of an object that stores them by column: lists of the same length, or pandas' forms (``columns`` and
-    ``data``, or objects with one value per row). None if it is no such object."""
+    ``data``, or objects with one value per row). None if the object has another form."""
     names, data = value.get("columns"), value.get("data")
     if isinstance(names, list) and isinstance(data, list) and data and all(isinstance(row, list) for row in data):
         if all(isinstance(name, str) for name in names) and all(len(row) == len(names) for row in data):
@@ -308,7 +308,8 @@ _LEAST_NUMBERS: Final = 6
 
 
 def _rows_of_numbers(value: Sequence[Any]) -> list[dict[str, Any]] | None:
-    """The rows of a list of lists of numbers: sizes, coordinates and more, or matrices. None if it is no such list."""
+    """The rows of a list of lists of numbers: sizes, coordinates and more, or matrices. None if the list has another
+    form."""
     if not value or not all(isinstance(row, list | tuple) for row in value):
         return None
     first = value[0]
@@ -429,7 +430,7 @@ def _parts(members: Sequence[_Member]) -> list[str]:
 
 
 def _only_name(around: Sequence[tuple[str, Mapping[str, Any]]]) -> str:
-    """The name of a file's only plan; "" if nothing names it."""
+    """The name of a file's only plan; "" if no field gives a name."""
     for _, holder in reversed(around):
         for name in _NAMES[:10]:
             if (text := _name_text(holder.get(name))) != "":

@@ -100,9 +100,10 @@ class Item:
             middle.
         stiffness_n_mm: as in ``Plan``; None: rigid.
         kind: "box", "sheet" or "" (a box).
-        strength_n: load that the box can bear on its top, N; None: unknown. Written files of orders do not contain it.
+        strength_n: load that the box can bear on its top, N; None: unknown. Written files of orders do not contain this
+            field.
         upright: the letters, among l, w and h, of the sizes that may be vertical; "": only the height. Written files do
-            not contain it.
+            not contain this field.
     """
 
     article: str

@@ -7,8 +7,8 @@ compared in any orientation.
 
 Properties of goods belong to the order, not to the packer: a box that differs from its item in centre of mass,
 stiffness or kind counts as different, as if its size differed. The properties of an item are taken from the order, else
-from the user's table of articles (:func:`with_properties`). If neither gives any, the item's centre of mass is in its
-middle, and the item is rigid.
+from the user's table of articles (:func:`with_properties`). If neither gives properties, the item's centre of mass is
+in its middle, and the item is rigid.
 
 ``check_orders`` compares plans with a file of orders. The comparison finds items that were left out, boxes that were
 not ordered, and boxes with another size or mass than ordered.
@@ -39,13 +39,14 @@ if TYPE_CHECKING:  # importing Articles at run time would load Arrow
     from petmjx.plans.articles import Articles
 
 SIZE_TOLERANCE_MM: Final = 0.5
-"""Sizes that differ by at most this are equal: orders have whole millimetres, and packers may round to them."""
+"""Sizes that differ by at most this length count as equal: orders have whole millimetres, and packers may round to
+them."""
 
 MASS_TOLERANCE: Final = 0.001
-"""Masses that differ by at most this share of the order's mass are equal."""
+"""Masses that differ by at most this share of the ordered mass count as equal."""
 
 MASS_TOLERANCE_KG: Final = 0.0005
-"""Masses that differ by at most this are equal, too: half a gram, since small masses are rounded."""
+"""Masses that differ by at most this mass count as equal, too: half a gram, since small masses are rounded."""
 
 _ROUNDING: Final = 1e-9
 """Allowance for rounding in float64: a difference that equals a tolerance exactly may be computed as slightly
@@ -59,11 +60,11 @@ class Matching:
     Attributes:
         item: (n,) the item of each box; −1: the box was not ordered, or its items are already matched by other boxes.
         resized: (n,) whether the box differs from its item in size, mass, centre of mass, stiffness or kind.
-        same_size: (n,) whether a ``resized`` box has the size and mass of its item, so that it differs only in other
-            properties.
+        same_size: (n,) whether a ``resized`` box has the size and mass of its item, so that the box differs only in
+            other properties.
         by_size: (n,) whether the box was matched by size and mass, because the box or the item has neither id nor
             article.
-        sheets: (n,) whether the box is an interlayer sheet. Orders need not have these.
+        sheets: (n,) whether the box is an interlayer sheet. Orders need not contain sheets.
         n_items: the number m of items.
     """
 
@@ -105,7 +106,7 @@ class _MatchKey(NamedTuple):
     """One rule of matching: boxes and items with the same key match.
 
     Attributes:
-        key: function that returns the key of a box or an item; None: it has no key, and does not match.
+        key: function that returns the key of a box or an item; None: the box or item has no key, and matches nothing.
         boxes, items: functions that tell whether a box, or an item, takes part in the rule.
         named: whether the key alone identifies the item, even if the size of the box differs.
     """
@@ -222,7 +223,8 @@ def _equal_measures(box: FloatArray, item: FloatArray) -> NDArray[np.bool_]:
 
 
 def _equal_centres(box: FloatArray, item: FloatArray) -> NDArray[np.bool_]:
-    """Whether boxes have their centres of mass at the same points as their items, in any orientation of the box.
+    """Whether the centre of mass of each box is at the same point as that of its item, in at least one orientation of
+    the box.
 
     Args:
         box, item: (…, 6) lengths, widths and heights, and centres of mass along them, mm.
@@ -306,7 +308,8 @@ def _measures_of(items: tuple[Item, ...]) -> FloatArray:
 
 
 MOST_LISTED: Final = 10_000
-"""Largest number of plans, orders or errors that are listed one by one. The counts include all of them."""
+"""Largest number of plans, orders or errors that are listed one by one. Counts also cover the plans, orders and errors
+that are not listed."""
 
 MOST_ARTICLES: Final = 5
 """Largest number of articles that a line names."""
@@ -395,7 +398,7 @@ def check_orders(
         path: the file, gzipped or not.
         plans: all plans of the run, with distinct ids.
         takes: function that returns whether the plan or order with an id is in this shard.
-        all_plans: whether ``plans`` has all plans. If not, orders without a plan are not counted.
+        all_plans: whether ``plans`` has all plans. If some are missing, orders without a plan are not counted.
         strict: whether to raise at the first unusable order, instead of leaving it out of the comparison.
         articles: the user's table of articles, for properties that the orders do not give.
 

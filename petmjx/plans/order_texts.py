@@ -127,7 +127,7 @@ def order_source(data: bytes | bytearray) -> BoxSource | None:
 def _flags_at(line: _Line) -> int | None:
     """Position of the length in the line of a box type. The position is recognised by the marks 0 and 1 after the
     sizes. None if the line has no such marks."""
-    for begin in (1, 0):  # with or without the number of the type
+    for begin in (1, 0):  # the line may begin with the number of the type
         marks = line.words[begin + 1 : begin + 6 : 2]
         if len(line) >= begin + 7 and len(marks) == 3 and sum(mark in ("0", "1") for mark in marks) >= 2:
             return begin
@@ -135,7 +135,8 @@ def _flags_at(line: _Line) -> int | None:
 
 
 def _is_thpack(lines: Sequence[_Line]) -> bool:
-    """Whether lines are container loading problems: a container, the number of types, and a line per type."""
+    """Whether lines have the form of container loading problems: a container, the number of box types, and a line per
+    type."""
     first = next(
         (number for number, line in enumerate(lines[: _LINES_BEFORE + 1]) if _flags_at(line) is not None), None
     )
@@ -193,12 +194,13 @@ def _thpack(lines: Sequence[_Line]) -> BoxSource:
         if position - begin < n_types:
             where = lines[position].place if position < len(lines) else "the end"
             raise InputError(
-                f"{lines[begin - 1].place}: has {count_text(n_types, 'box type')}, but {where} comes "
-                f"after {position - begin:,} of them"
+                f"{lines[begin - 1].place}: announces {count_text(n_types, 'box type')}, but only "
+                f"{position - begin:,} before {where}"
             )
         if position < len(lines) and _flags_at(lines[position]) is not None and len(lines[position]) >= 7:
             raise InputError(
-                f"{lines[position].place}: is a box type in excess of the {n_types:,} in {lines[begin - 1].place}"
+                f"{lines[position].place}: is one box type more than the {n_types:,} that {lines[begin - 1].place} "
+                "announces"
             )
     if (
         len(lines[0]) == 1
@@ -206,7 +208,8 @@ def _thpack(lines: Sequence[_Line]) -> BoxSource:
         and (n_problems := lines[0].whole(0, "the number of problems")) != problem
     ):
         raise InputError(
-            f"{lines[0].place}: has {count_text(n_problems, 'problem')}, but the file contains {problem:,} (truncated?)"
+            f"{lines[0].place}: announces {count_text(n_problems, 'problem')}, but the file contains {problem:,} "
+            "(truncated?)"
         )
     notes = []
     if laid:
@@ -264,7 +267,7 @@ def _bin_packing(lines: Sequence[_Line]) -> BoxSource | None:
         body = lines[begin : begin + n_boxes]
         if len(body) < n_boxes:
             raise InputError(
-                f"{lines[position].place}: has {count_text(n_boxes, 'box', 'boxes')}, but the file ends "
+                f"{lines[position].place}: announces {count_text(n_boxes, 'box', 'boxes')}, but the file ends "
                 f"after {len(body):,}"
             )
         part = str(problem)

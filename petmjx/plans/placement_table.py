@@ -3,7 +3,8 @@
 A table has one row per placement. ``sequence`` is the packing order, so rows may come in any order. For each unusable
 plan or row, there is one line of text.
 
-For speed, whole columns are converted and checked in C. Python checks single values and rows only if that fails.
+For speed, whole columns are converted and checked in C. Python checks single values and rows only if one of these
+checks fails.
 """
 
 from __future__ import annotations
@@ -50,7 +51,7 @@ _NUMBER: Final = r"^[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?$"
 _SHORT_WHOLE: Final = r"^[+-]?(\d{1,18}|[1-8]\d{18})$"
 _WHOLE: Final = re.compile(r"[+-]?[0-9]+")
 _MOST_EXACT: Final = 2.0**53
-"""float64 represents every whole number up to this one exactly."""
+"""Largest n for which float64 represents all whole numbers from 0 to n exactly."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -60,7 +61,7 @@ class InputColumn:
     Attributes:
         values: an Arrow array; or Python objects, if they have several types.
         is_text: whether numbers are stored as text, as in CSV. Empty text is then a missing value.
-        decimal: the decimal mark of numbers stored as text. If it is a comma, numbers have no points.
+        decimal: the decimal mark of numbers stored as text. If the decimal mark is a comma, numbers have no points.
     """
 
     values: pa.Array | Sequence[Any]
@@ -256,7 +257,7 @@ PlanFields = dict[str, Any]
 
 
 class TableError(InputError):
-    """A whole table cannot be used.
+    """Raised if a whole table cannot be used.
 
     Attributes:
         n_known: number of columns with petmjx's names.
@@ -276,7 +277,7 @@ class RefusedPlan(NamedTuple):
 
 
 class LostRow(NamedTuple):
-    """A row that cannot be read. ``plan_id`` is None if it is unknown."""
+    """A row that cannot be read. ``plan_id`` is None if the row's plan is unknown."""
 
     number: int
     plan_id: str | None
@@ -291,7 +292,7 @@ class Table:
         columns: name in `NEEDED` or `OPTIONAL` → column of n rows.
         unread: names of columns that are not read.
         numbers: (n,) the number of each row, for messages.
-        lost: rows that could not be read, and are missing in the columns.
+        lost: rows that could not be read, and so are missing from ``columns``.
         cut_off: whether the table ends prematurely, so that the last plan may lack rows.
     """
 
@@ -318,7 +319,7 @@ def sorted_columns(names: Sequence[str]) -> tuple[dict[str, int], list[str]]:
         if plain not in NEEDED and plain not in OPTIONAL:
             unread.append(name)
         elif plain in positions:
-            raise TableError(f"column {plain} is there twice", len(positions), is_own=len(positions) > 1)
+            raise TableError(f"column {plain} occurs twice", len(positions), is_own=len(positions) > 1)
         else:
             positions[plain] = index
     missing = [name for name in NEEDED if name not in positions]
@@ -545,10 +546,11 @@ class _TableReader:
         if not len(twice):
             return None
         first, second = self.table.numbers[self._order[begin + twice[0] : begin + twice[0] + 2]]
-        return f", rows {first} and {second}: sequence {numbers[twice[0]]} is there twice"
+        return f", rows {first} and {second}: sequence {numbers[twice[0]]} occurs twice"
 
     def _fault_of_rows(self, rows: NDArray[np.int64]) -> str:
-        """The fault of bad rows: if several rows lack values, all missing values; otherwise the first fault."""
+        """The error text for a plan with bad rows. If several rows lack values, the text names all missing values;
+        otherwise it names the first fault."""
         numbers = self.table.numbers
         needed = {name: empty[rows] for name, empty in self._missing.items() if name not in _MAY_LACK}
         missing = {name: numbers[rows[empty]].tolist() for name, empty in needed.items() if empty.any()}

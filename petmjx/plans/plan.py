@@ -38,7 +38,7 @@ class Plan:
         mass_center_mm: (n, 3) centres of mass relative to the middles of the boxes, along x, y and z; None: they are
             all in the middles.
         approach_deg: (n,) horizontal direction in which each box moves to its place, in degrees from +x towards +y;
-            NaN: free for this box; None: free for all boxes. The direction is used when boxes are carried
+            NaN: this box may move in any direction; None: all boxes may. The direction is used when boxes are carried
             (``petmjx.options.placing``).
         stiffness_n_mm: (n,) stiffness of the box in a press: force on its top divided by the compression, N/mm; NaN:
             the box is rigid; None: all boxes are rigid.

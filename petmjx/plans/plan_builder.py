@@ -111,7 +111,7 @@ def _joined(of_pallets: Sequence[Any], of_loads: Sequence[Any]) -> Any:
 
 
 def _filled(values: Any, usual: Any, count: int) -> Any:
-    """The given values; if there are none, ``count`` times the usual value."""
+    """The plan's values; if it has none, the usual value ``count`` times."""
     return np.array([usual] * count) if values is None else values
 
 
@@ -135,7 +135,7 @@ def _columns_of_arrays(arrays: Mapping[str, Any], where: str) -> dict[str, Any]:
             continue
         try:
             values = np.asarray(arrays[argument])
-        except Exception:  # converting an object of any class may raise anything
+        except Exception:  # converting an object of an unknown class may raise any exception
             raise InputError(
                 f"{where}: {argument} must be an array of numbers, {shown_value(arrays[argument])}"
             ) from None
@@ -163,7 +163,7 @@ def _of_items(columns: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def _length(values: Any, name: str) -> int:
-    with suppress(Exception):  # taking an object's length may raise anything
+    with suppress(Exception):  # the length of an object of an unknown class may raise any exception
         if not isinstance(values, str | bytes):
             return len(values)
     raise InputError(f"{name} must be a list of values, one for each box, {shown_value(values)}")

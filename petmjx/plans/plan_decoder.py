@@ -43,7 +43,7 @@ _Name = Annotated[str, msgspec.Meta(max_length=LONGEST_NAME)]
 class _Item(
     msgspec.Struct,
     forbid_unknown_fields=True,
-    gc=False,  # records form no cycles, so the garbage collector would visit each of them several times in vain
+    gc=False,  # records form no cycles, so the garbage collector would examine each of them for nothing
     rename={"length": "length/mm", "width": "width/mm", "height": "height/mm", "weight": "weight/kg"},
 ):
     article: _Name
@@ -114,7 +114,7 @@ def decode_entries(data: bytes | bytearray, options: DecoderOptions) -> list[Rea
         return None
     texts = list(values.values())  # these texts refer to the caller's memory
     colons = [bytes(text).count(b":") for text in texts]
-    # A repeated id would lose an entry. So each colon of the text must belong to an entry that was found.
+    # If an id were repeated, one of its entries would be lost. So each colon of the text must belong to a known entry.
     if data.count(b":") != sum(colons) + len(texts) + sum(plan_id.count(":") for plan_id in values):
         return None
     if max((memoryview(text).nbytes for text in texts), default=0) > LONGEST_VALUE:
@@ -222,7 +222,7 @@ def _triples(values: Iterable[tuple[float, float, float]], count: int) -> FloatA
 
 
 _DEFAULTS: Final[dict[str, Any]] = {field.name: field.default for field in fields(Plan)}
-_SET_FIELD: Final = object.__setattr__  # since the class is frozen
+_SET_FIELD: Final = object.__setattr__  # the only means of setting a field, since the class is frozen
 
 
 def _plan(

@@ -18,9 +18,9 @@ from petmjx.plans.file_formats import number_hint, other_encoding
 
 SMALLEST_MM: Final = 1.0
 LARGEST_MM: Final = 4_000.0
-"""Limits of the sizes of items. A value beyond them has the wrong unit or a damaged digit. The upper limit of 4 m also
-keeps waiting boxes apart: boxes that wait to be placed hang at least 8 m apart, and the diagonal of a cube of 4 m is
-6.9 m, so the bounding spheres of two such cubes do not touch."""
+"""Limits of the sizes of items. A value outside these limits has the wrong unit or a damaged digit. The upper limit of
+4 m also keeps waiting boxes apart: boxes that wait to be placed hang at least 8 m apart, and the diagonal of a cube of
+4 m is 6.9 m, so the bounding spheres of two such cubes do not touch."""
 FARTHEST_MM: Final = 20_000.0
 """Limit of coordinates. Boxes that wait to be placed hang at least 50 m high, far above all places of a plan."""
 SMALLEST_KG: Final = 0.001
@@ -51,8 +51,8 @@ class SparseField(NamedTuple):
 
     Attributes:
         low, high: limits of the number.
-        unit: its unit in names of columns in files.
-        units: its unit in sentences.
+        unit: its unit, spelled as in names of columns.
+        units: its unit, spelled as in sentences.
         reaches_results: whether results depend on the field.
     """
 
@@ -68,8 +68,8 @@ SPARSE: Final = {
     "stiffness_n_mm": SparseField(0.01, 1e6, "N/mm", "N/mm"),
     "strength_n": SparseField(0.01, 1e9, "N", "N", reaches_results=False),
 }
-"""The fields with numbers that placements may lack. A plan has a field of the same name. The stiffness of corrugated
-boxes is 100 to 500 N/mm."""
+"""The fields with numbers that placements may lack. Each of them is also a field of ``Plan``. The stiffness of
+corrugated boxes is 100 to 500 N/mm."""
 
 SHEET: Final = "sheet"
 PALLETS: Final[Mapping[str, tuple[float, float, float]]] = {

@@ -58,7 +58,7 @@ FRAME: Final = "data frame"
 OBJECT: Final = "python"
 """Names of a data frame, and of any other object, in messages."""
 _MOSTLY_OWN: Final = 4
-"""A table with more than this number of petmjx's own column names is read as a table in petmjx's own form."""
+"""A table that has more of petmjx's own column names than this is read as a table in petmjx's own form."""
 _SUFFIXES: Final = (".json", ".json.gz", *CSV_SUFFIXES, PARQUET_SUFFIX, ".jsonl", ".xlsx", ".ods", ".npy", ".npz")
 
 
@@ -92,8 +92,9 @@ def load_plans(
             that are directly in it are read, sorted by name.
         limit: number of good plans after which reading stops.
         strict: whether to raise an error instead of skipping anything.
-        max_boxes: largest number of boxes. Plans with more are skipped.
-        carrier_extent_mm: extent of the carrier along x and y. Boxes that reach beyond it are reported as outside.
+        max_boxes: largest number of boxes. Plans with more boxes are skipped.
+        carrier_extent_mm: extent of the carrier along x and y. Boxes that reach beyond this extent are reported as
+            outside.
             None: the extent of the plan's boxes.
         units: unit of the plans' lengths (mm, cm, m or in) and unit of their masses (kg, g, lb or t), such as "cm,g";
             None: mm and kg, or for files of other tools the most plausible units.
@@ -244,7 +245,7 @@ class _PlanLoader:
     unread: UnreadFields = field(default_factory=UnreadFields)
     unlisted: int = 0
     n_plans: int = 0
-    """Number of plans so far, usable or not."""
+    """Number of usable and unusable plans that were read so far."""
     most_skipped: int = MOST_LINES
 
     @property
@@ -291,8 +292,8 @@ class _PlanLoader:
         self._count_unlisted(FRAME)
 
     def _read_foreign_parquet(self, source: str, path: Path) -> InputError | None:
-        """Read a Parquet file with other column names than petmjx's. Returns why it cannot be read; None if it was
-        read."""
+        """Read a Parquet file with other column names than petmjx's. Returns the reason if it cannot be read, else
+        None."""
         from petmjx.plans.table_files import parquet_frame
 
         try:
@@ -301,8 +302,8 @@ class _PlanLoader:
             return error
 
     def _read_foreign_frame(self, frame: SupportsArrow, source: str = FRAME) -> InputError | None:
-        """Read a data frame with other column names than petmjx's. Returns why it cannot be read; None if it was
-        read."""
+        """Read a data frame with other column names than petmjx's. Returns the reason if it cannot be read, else
+        None."""
         from petmjx.plans.foreign_formats import sources_of_frame
         from petmjx.plans.foreign_plans import plans_of_sources
 
@@ -329,7 +330,7 @@ class _PlanLoader:
         self._count_unlisted(OBJECT)
 
     def _read_foreign(self, source: str, path: Path, data: bytes | bytearray) -> InputError | None:
-        """Read a file of another tool. Returns why it cannot be read; None if it was read."""
+        """Read a file of another tool. Returns the reason if it cannot be read, else None."""
         from petmjx.plans.foreign_plans import read_foreign
 
         try:
@@ -341,8 +342,8 @@ class _PlanLoader:
         return None
 
     def _take_foreign(self, source: str, read: Callable[[Wishes, Path | None], ForeignPlans]) -> None:
-        """Add the plans of a file or object in another tool's form. If two readings tie, the caller is asked if it can
-        answer.
+        """Add the plans of a file or object in another tool's form. If two readings tie, the user is asked which one is
+        right, provided that the caller can ask (``CHOOSER``).
 
         Args:
             read: function that reads the plans. Its arguments are the options of the caller (``Wishes``) and the file
@@ -399,7 +400,7 @@ class _PlanLoader:
 
         Args:
             otherwise: function that reads the text as a file of another tool, if it has none of petmjx's forms. The
-                function returns why it failed, or None.
+                function returns an error text if it could not read the text, else None.
         """
         from petmjx.plans.placement_table import TableError
 
@@ -539,7 +540,7 @@ class _PlanLoader:
 
 
 def _likelier(own: TableError, other: InputError) -> InputError:
-    """Which error to report for a table that could be read neither as petmjx's nor as another tool's.
+    """The error to report for a table that could be read neither as a table of petmjx nor as one of another tool.
 
     Another tool's table needs fewer columns than petmjx's. So the error of the reader for other tools is reported: a
     bad cell, or two possible readings. The columns that petmjx's own form lacks are reported only if sizes or places
@@ -553,7 +554,8 @@ def _kind_of_text(data: bytearray, named: bool) -> str | None:
     """The error text for a text that does not begin like JSON; None for JSON, including damaged JSON.
 
     Args:
-        named: whether the file has the name of a JSON file. If not, only tables are distinguished from damaged JSON.
+        named: whether the file has the name of a JSON file. If the file has another name, only tables are distinguished
+            from damaged JSON.
     """
     if looks_like_table(data):
         return "looks like a table as text: it is read as one if its name ends in .csv or .tsv"

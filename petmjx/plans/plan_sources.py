@@ -53,7 +53,9 @@ def usable_plans(plans: PlanSource | None, sim: Simulation, options: RunOptions)
     if not (usual or plans is None or isinstance(plans, str | PathLike | SupportsArrow)):
         given: Any = [plans] if isinstance(plans, Plan) else list_of(plans, "plans", object, _SOURCES)
         if any(isinstance(plan, Plan) for plan in given):
-            raise InputError("units and anchor are for files and data frames; Plan.from_boxes takes them, too")
+            raise InputError(
+                "units and anchor apply only to files and data frames; for plan objects, give them to Plan.from_boxes"
+            )
         plans = given
     gathered = gather_plans(plans, sim, options)
     earlier_lines = plans.conventions if isinstance(plans, PlanSet) else ()
@@ -67,7 +69,7 @@ def usable_plans(plans: PlanSource | None, sim: Simulation, options: RunOptions)
 
 
 def are_files(plans: PlanSource | None) -> bool:
-    """Whether plans are read from files. The result is also true for the bundled plans (None)."""
+    """Whether plans are read from files. Also true for the bundled plans (``plans`` is None)."""
     if isinstance(plans, PlanSet | Plan | SupportsArrow):
         return False
     given = [plans] if plans is None or isinstance(plans, str | PathLike) else plans
@@ -105,7 +107,8 @@ def _with_articles(plan_set: PlanSet, file: Path, strict: bool) -> PlanSet:
 
 
 def _idle_rows(articles: Articles, plans: Sequence[Plan], name: str) -> list[str]:
-    """A list with one line about the rows of a table of articles that match no box; empty if every row matches a box.
+    """A list with at most one line: about the rows of a table of articles that match no box. Empty if every row matches
+    a box.
 
     Args:
         plans: the plans before and after the table is applied, since the materials of boxes may come from the table
@@ -167,7 +170,7 @@ def _distinct_plan_ids(plan_set: PlanSet, options: RunOptions) -> PlanSet:
     "ID#2".
 
     In files, an id identifies a single plan, so a second plan with this id is skipped (petmjx.plans.plan_reader). But a
-    caller that passes plan objects expects a result for each of them.
+    caller that passes plan objects expects a result for each object.
     """
     given = plan_set.plans[: options.limit]
     plan_ids = {plan.plan_id for plan in given}

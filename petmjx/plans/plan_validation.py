@@ -52,7 +52,7 @@ _NUMBERS: Final = {int, float}
 
 
 class PlanError(InputError):
-    """A plan is refused. The text is the whole line, with file, plan, placement, field and value."""
+    """Raised if a plan is refused. The text is the whole line, with file, plan, placement, field and value."""
 
 
 def parse_plan(
@@ -69,7 +69,7 @@ def parse_plan(
     Args:
         source: name of the file in messages.
         value: the decoded JSON value of the plan.
-        max_boxes: largest number of boxes. A plan with more is refused, never truncated.
+        max_boxes: largest number of boxes. A plan with more boxes is refused, never truncated.
         names: names read so far (item ids, articles, groups, materials), kept so that equal names share one string. In
             BED-BPP, each name occurs about 20 times.
         unread: counter to which the ignored fields of a good plan are added.
@@ -170,7 +170,7 @@ def _parse_columns(
         return None
     size = np.ascontiguousarray(numbers[:3].T) * given.length_mm
     mass = numbers[3] * given.mass_kg
-    # comparisons with NaN are false, so these ranges also exclude NaN
+    # comparisons with NaN are false, so these checks of ranges also refuse NaN
     in_range = (
         ((size >= SMALLEST_MM) & (size <= LARGEST_MM)).all()
         and ((mass >= SMALLEST_KG) & (mass <= LARGEST_KG)).all()

@@ -1,8 +1,8 @@
 """Warnings about odd plans (``PlanWarnings``): boxes that overlap, float, or are outside the carrier.
 
-Packing algorithms do produce such plans, and the simulation shall judge them. So odd boxes are only counted, and the
-plan is not refused. The functions use arrays of one plan: ``corner_mm`` and ``size_mm``, both (n, 3), with rows in
-packing order and sizes as placed.
+Packing algorithms do produce such plans, and the simulation decides whether they stand. So odd boxes are only counted,
+and the plan is not refused. The functions use arrays of one plan: ``corner_mm`` and ``size_mm``, both (n, 3), with rows
+in packing order and sizes as placed.
 
 ``shared_length`` computes by how much two boxes overlap along an axis, and ``meets`` whether the top of one is at the
 bottom of the other. Callers add further conditions: the order of placement, the carrier, or a smallest width.
@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 
 
 def shared_length(low: FloatArray, high: FloatArray) -> FloatArray:
-    """(…, n, n) overlap of each pair of boxes along an axis. A negative value is the gap between them.
+    """(…, n, n) overlap of each pair of boxes along an axis. A negative value is the gap between the two boxes.
 
     Args:
         low, high: (…, n) lower and upper ends of the boxes along the axis.
@@ -62,8 +62,8 @@ def meets(
 
     Args:
         low, high: (…, n) lower and upper ends of the boxes along an axis.
-        tolerance: the upper end may be above the lower end by at most this.
-        most_gap: the upper end may be below the lower end by at most this; None: by at most ``tolerance``.
+        tolerance: largest length by which the upper end may be above the lower end.
+        most_gap: largest length by which the upper end may be below the lower end; None: ``tolerance``.
     """
     over = high[..., :, None] - low[..., None, :]
     touching: NDArray[np.bool_] = (over <= tolerance) & (
@@ -255,7 +255,7 @@ def _gaps(
     The support of a box is the highest box whose bottom is below its own, or the carrier's top.
 
     If a box reaches into another box from below, the upper box counts as overlapping, not as floating. A box that is
-    placed before the box under it counts as floating, because it would fall when boxes are placed one by one.
+    placed before the box under it counts as floating, because it would fall before that box arrives.
     """
     bottom, top = low[2], high[2]
     # Rows are supporting boxes, columns are upper boxes. Supporting boxes come earlier in packing order.

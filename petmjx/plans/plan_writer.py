@@ -44,7 +44,7 @@ def save_plans(plans: Plan | Iterable[Plan], path: str | os.PathLike[str]) -> No
     """Write plans to one file. The file's suffix determines the format: ``.json``, ``.csv`` (both also ``.gz``) or
     ``.parquet``.
 
-    The file never appears half-written. Reading it gives exactly the same numbers.
+    The file never appears half-written. Reading the file gives exactly the same numbers.
 
     Raises:
         InputError: the suffix is unknown, there is no plan, two plans have the same id, or the file cannot be written.
@@ -57,7 +57,7 @@ def save_plans(plans: Plan | Iterable[Plan], path: str | os.PathLike[str]) -> No
     ids: set[str] = set()
     for plan in chosen:
         if plan.plan_id in ids:
-            raise InputError(f"{printable(str(file))}: plan {printable_name(plan.plan_id)} is there twice")
+            raise InputError(f"{printable(str(file))}: plan {printable_name(plan.plan_id)} occurs twice")
         ids.add(plan.plan_id)
     write(chosen, file)
 

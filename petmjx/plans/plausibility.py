@@ -38,8 +38,8 @@ _PALLETS: Final = 10
 """Number of pallets, which come first in this list. The other carriers are considered only if the file names them."""
 _DECK_SPREAD: Final = 0.6
 _LARGE_MM: Final = 1000.0
-"""The footprint of a load is evidence only for carriers that are at least this long. A smaller carrier is no larger
-than two cartons."""
+"""The footprint of a load counts as evidence only for carriers at least this long. Smaller carriers are no larger than
+two cartons, so a footprint of their size may be chance."""
 _NEAR: Final = 0.03
 """Largest relative difference between a deck and a usual deck."""
 
@@ -107,14 +107,15 @@ def layout_cost(layout: Layout) -> tuple[float, str, tuple[int, int, int, float]
 
 
 _NEGATIVE: Final = 1.0
-"""Cost of corners with negative coordinates if no container is known. The origin is then not a corner of the deck."""
+"""Cost of a reading in which corners of boxes have negative coordinates and no container is known. In such a reading,
+the origin is not a corner of the deck."""
 _FIRST_ODD, _MORE_ODD = 3.0, 1.5
 """Largest cost of the first odd box, and of each further one. The cost is limited, because one plan in 20 has a box
 that its packer placed wrongly, and because in a plan with few boxes, one odd box is a large share."""
 
 
 def _odd_cost(odd: NDArray[np.bool_], weight: float) -> float:
-    """Cost of boxes that are odd for one reason.
+    """Cost of a layout because some of its boxes are odd for one reason, such as overlap.
 
     Args:
         weight: cost if all boxes are odd.

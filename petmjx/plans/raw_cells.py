@@ -17,8 +17,8 @@ from petmjx.plans.file_formats import number_hint
 from petmjx.plans.plan_fields import LARGEST_MM
 
 GROUPED: Final = "grouped"
-"""Stands for the decimal sign of a column in which no number has decimals, so that points and commas only separate
-thousands."""
+"""This value replaces the decimal sign of a column in which no number has decimals. Points and commas in such a column
+only separate thousands."""
 
 
 class CellNumber(NamedTuple):
@@ -144,7 +144,7 @@ def thousands_faults(cells: Sequence[Any], decimal: str, unit: str, are_sizes: b
 
     "1.200" could mean 1200 if three conditions hold. First, all points of the column are followed by three digits.
     Second, no number would be too large if it were a thousand times larger. Third, the column also has numbers without
-    a point, or the sizes would otherwise be thinner than boxes are.
+    a point, or "1.200" as 1.2 would make boxes thinner than real boxes.
 
     Args:
         unit: unit of numbers that have no unit in their cell.

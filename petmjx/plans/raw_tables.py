@@ -29,7 +29,7 @@ MOST_COLUMNS: Final = 1_000
 _SEARCHED_ROWS: Final = 60
 """Number of rows at the beginning of a table in which the header is searched for."""
 _LEAST_KNOWN: Final = 2
-"""Smallest number of known names in a header."""
+"""A row counts as a header only if at least this number of its cells are known names."""
 _DELIMITERS: Final = (",", ";", "\t", "|")
 _SPACES: Final = " "
 """A separator that stands for any white space between fields, as in printed tables."""
@@ -100,7 +100,7 @@ def decoded_text(data: bytes | bytearray) -> tuple[str, str]:
     texts = {
         name: raw.decode(code, "replace") for name, code in (("Windows-1252", "cp1252"), ("Windows-1250", "cp1250"))
     }
-    best = max(texts, key=lambda name: _known_in_lines(texts[name]))  # max returns the first if several are equal
+    best = max(texts, key=lambda name: _known_in_lines(texts[name]))  # if several are equal, max returns the first
     return texts[best], best
 
 
@@ -200,7 +200,7 @@ def _spaced_fields(lines: Sequence[str]) -> Iterator[list[str]]:
         counts = Counter(len(row) for row in rows if len(row) > 1)
         return max(counts.values(), default=0)
 
-    yield from max(ways, key=alike)  # max returns the first if several are equal
+    yield from max(ways, key=alike)  # if several are equal, max returns the first
 
 
 def _delimiter_of(text: str) -> str:
@@ -247,9 +247,9 @@ def tables_of_rows(
     """The tables in rows of cells. The header of each table is searched for. Rows that are only numbers have no header.
 
     Args:
-        begin: number of the first row.
+        begin: number of the first row, for messages.
         title: name of the sheet.
-        lost: rows that were already lost earlier.
+        lost: rows that an earlier step could not read.
 
     Raises:
         InputError: there is no table.
@@ -526,7 +526,7 @@ def distinct_names(names: Sequence[str]) -> list[str]:
         name = name or f"column {number}"
         name_counts[name] += 1
         if name_counts[name] == 2 and column_meanings([name])[0] is not None:
-            raise InputError(f"column {printable_name(name)} is there twice")
+            raise InputError(f"column {printable_name(name)} occurs twice")
         distinct.append(name if name_counts[name] == 1 else f"{name} again")
     return distinct
 

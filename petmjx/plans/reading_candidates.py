@@ -130,7 +130,8 @@ def _ups(geometry: Geometry, columns: BoxColumns, wishes: Wishes) -> list[tuple[
 def _pairs(
     geometry: Geometry, up: str, columns: BoxColumns, wishes: Wishes
 ) -> list[tuple[tuple[int, int, int], float]]:
-    """Yield (which size lies along the file's first, second and third axis, prior)."""
+    """Pairs (assignment, prior). An assignment has the indices of the sizes that lie along the file's first, second and
+    third axis; the prior is its cost."""
     axes = geometry.axes
     if len(wishes.along) == 3:
         names = [role_of(axis) for axis in axes]
@@ -154,7 +155,7 @@ def _pairs(
                 usual_level = ["length", "depth"]
             swapped = level != usual_level
             prior = 2.0 if swapped else 0.0
-        elif pair == (0, 1, 2):  # this pairing takes the sizes in the order of the axes, whatever their names
+        elif pair == (0, 1, 2):  # this pairing follows the order of the axes, not the names of the sizes
             listed = _order_in_file(columns, axes) == axes
             prior = 0.0 if columns.source.form.rule == "py3dbp" else 0.6 if "depth" in axes and listed else 3.0
         else:
@@ -201,7 +202,7 @@ def _rules(geometry: Geometry, columns: BoxColumns, wishes: Wishes) -> list[tupl
 
 def _sizes_by_article(columns: BoxColumns, geometry: Geometry) -> str:
     """Whether sizes are those of the placed box or those of the item. Boxes of one article in different orientations
-    show this. "" if it is unknown."""
+    show which of the two is true. "" if this is unknown."""
     turns, names = columns.turns, columns.article
     if turns is None or names is None:
         return ""

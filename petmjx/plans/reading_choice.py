@@ -28,20 +28,21 @@ from petmjx.plans.reading_candidates import Candidate, candidates, layout_of
 from petmjx.plans.readings import AmbiguousFile, Evidence, Reading, Wishes, tie_text
 
 TIE: Final = 1.5
-"""Readings whose costs differ by less than this are a tie. Costs behave like negative log likelihoods: a difference of
-1.5 corresponds to odds of 4 to 1."""
+"""Two readings whose costs differ by less than this value are a tie. Costs behave like negative log likelihoods: a
+difference of 1.5 corresponds to odds of 4 to 1."""
 _FEW_BOXES, _FEW_MORE = 6, 0.8
-"""In files with few boxes, costs that differ by this much more are still a tie, because a wrong reading of three boxes
-is often by chance as plausible as the right one."""
+"""In files with few boxes, the limit of a tie is raised by this amount, because a wrong reading of three boxes is often
+as plausible as the right one by chance."""
 WEAK: Final = 5.0
-"""A reading is weak if the cost of its layout exceeds this. The cost reaches this value if a fifth of the boxes
-overlap, or if a quarter float."""
+"""A reading is weak if the cost of its layout exceeds this value. A layout has this cost if a fifth of its boxes
+overlap, or if a quarter of them float."""
 WEAK_LEAD: Final = 3.0
-"""A weak reading wins only if its cost is lower than that of every other reading by at least this. If a plan really has
-odd boxes, other readings make it even odder."""
+"""A weak reading wins only if its cost is lower than the cost of every other reading by at least this value. If a plan
+really has odd boxes, other readings make it even odder."""
 _MOST_BOXES: Final = 400
 _MOST_PLANS: Final = 12
-"""Largest numbers of boxes and of plans that are used to judge readings. The chosen reading applies to all boxes."""
+"""Largest number of boxes, and largest number of plans, that are used to judge readings. The chosen reading applies to
+all boxes."""
 
 _LOWEST_UNIT_COST: Final = -2.5
 """Smallest possible cost of units: the cost for boxes of usual sizes and densities on a usual carrier."""
@@ -279,7 +280,7 @@ def _units_of(best: _Judged, columns: BoxColumns, wishes: Wishes) -> list[tuple[
             other_units = [cheapest[unit] for unit in equal if unit != first[1]]
             rivals = other_units if not _are_converted(best, first[1], [entry[1] for entry in other_units]) else []
         elif most > 1:
-            rivals = []  # the load fills a pallet in this unit only
+            rivals = []  # the load fills a pallet only if lengths are in this unit
     if not rivals and LENGTH_UNITS[first[1]] == LENGTH_UNITS["in"]:
         rivals = [entry for entry in costs[1:] if entry[1] == first[1] and {first[2], entry[2]} == {"kg", "lb"}]
         rivals = [entry for entry in rivals if _THIN < entry[3] < _DENSE]
@@ -287,9 +288,10 @@ def _units_of(best: _Judged, columns: BoxColumns, wishes: Wishes) -> list[tuple[
 
 
 _TRIED: Final = ("mm", "cm", "m", "in")
-"""Units of lengths that are tried. Two of them are a tie if boxes and load fit a carrier in both."""
+"""Units of lengths that are tried. Two such units are a tie if boxes and load fit a carrier in both units."""
 _THIN, _DENSE = 20.0, 2000.0
-"""A unit of masses is plausible if the density, in kg/m³, is between these values: crisps and bricks."""
+"""A unit of masses is plausible if it gives a density, in kg/m³, between these two values: those of crisps and of
+bricks."""
 _CONVERTED, _NOT_CONVERTED = 0.95, 0.6
 """Lengths were converted to a unit if, read in this unit, at least the first share of them are whole millimetres, and,
 read in any other unit, at most the second share."""

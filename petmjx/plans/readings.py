@@ -91,7 +91,8 @@ class Reading:
         notes: lines about values that were added or left out.
         unused: names of the columns that are not used.
         odd: lines about values that are improbable in every reading.
-        cost: cost of the reading, which is high if it is implausible; layout_cost: the cost without names and units.
+        cost: cost of the reading; an implausible reading has a high cost. layout_cost: the part of the cost that does
+            not come from names and units.
         evidence: the numbers on which the cost is based.
         alternatives: other readings with a similar cost, most plausible first.
     """
@@ -182,7 +183,7 @@ class Wishes:
 
 
 class AmbiguousFile(InputError):
-    """A file has two possible readings. The message names both, and the option that decides between them.
+    """Raised if a file has two possible readings. The message names both, and the option that decides between them.
 
     Attributes:
         readings: the possible readings, most plausible first.
@@ -222,7 +223,8 @@ _OF_COLUMNS: Final = (
     (("along",), "--columns", lambda reading: f"{', '.join(reading.along)} along x, y, z"),
     (("columns",), "--columns", _column_words),
 )
-"""The fields about columns. If other fields differ too, a difference in these fields is only a consequence of that."""
+"""The fields about columns. If two readings also differ in other fields, a difference in these fields is only a
+consequence, so it is not mentioned."""
 
 
 def tie_text(readings: Sequence[Reading], weak: bool) -> str:

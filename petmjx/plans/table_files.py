@@ -33,7 +33,8 @@ def parse_csv(data: bytearray, cut_off: bool = False) -> Table:
     """Read the table in a CSV text with a header. The separator is whichever of comma, semicolon and tab is most
     frequent in the text.
 
-    If the separator is the semicolon, numbers may have a decimal comma. If one number has, no number may have a point.
+    If the separator is the semicolon, numbers may have a decimal comma. If one number has a decimal comma, no number
+    may have a point.
 
     Args:
         data: UTF-8 text.
@@ -89,8 +90,8 @@ class _CsvReader:
     def __init__(self, delimiter: str, names: list[str], plan_column: int) -> None:
         self.lost: list[LostRow] = []
         self._lost_numbers: list[int] = []
-        """Numbers of the rows that Arrow could not use. Rows are counted in the text that Arrow received, without its
-        damaged lines."""
+        """The numbers (positions) of the rows that Arrow could not use. Rows are counted in the text that Arrow
+        received, without its damaged lines."""
         self._plans_with_lost: set[str | None] = set()
         self._delimiter, self._names, self._plan_column = delimiter, names, plan_column
 
@@ -160,7 +161,7 @@ class _CsvReader:
         return bytearray(b"\n").join(good_lines), np.array(damaged, dtype=np.int64)
 
     def _line_fault(self, line: bytearray) -> str | None:
-        """Why a line cannot be a complete row; None if it can be one."""
+        """The reason why a line cannot be a complete row; None if the line can be a complete row."""
         if not _is_utf8(line):
             text = line.decode("utf-8", "surrogateescape")
             try:

@@ -22,7 +22,7 @@ def tables_of_xlsx(data: bytes | bytearray) -> list[RawTable]:
     Raises:
         InputError: the file is damaged or too large, or contains no table. The error does not name the file.
     """
-    from openpyxl import load_workbook  # loading it takes a third of a second
+    from openpyxl import load_workbook  # loading openpyxl takes a third of a second
 
     check_archive(data)
     try:
@@ -31,7 +31,7 @@ def tables_of_xlsx(data: bytes | bytearray) -> list[RawTable]:
         book.close()
     except InputError:
         raise
-    except Exception as error:  # openpyxl may raise anything for a damaged workbook
+    except Exception as error:  # openpyxl may raise any exception for a damaged workbook
         raise InputError(f"is not a whole workbook (.xlsx): {type(error).__name__}") from error
     return _tables_of_sheets(sheets)
 
@@ -113,7 +113,7 @@ def check_archive(data: bytes | bytearray) -> None:
     except zipfile.BadZipFile as error:
         raise InputError("is not a whole workbook or archive") from error
     if total > allowed_bytes(len(data)):
-        raise InputError("unpacks to too much for a file of plans")
+        raise InputError("unpacks to more bytes than a file of plans may have")
 
 
 def _tables_of_sheets(sheets: dict[str, list[list[Any]]]) -> list[RawTable]:

@@ -40,7 +40,7 @@ def documented_table(frame: pd.DataFrame, name: str, described: Described) -> pa
 def write_documented_tables(
     folder: Path, tables: Iterable[tuple[str, pd.DataFrame, Described]], others: Mapping[str, Write] | None = None
 ) -> None:
-    """Write tables as ``NAME.parquet`` and ``NAME.csv`` into a folder. Either all of them are written or none.
+    """Write tables as ``NAME.parquet`` and ``NAME.csv`` into a folder. Either all files are written, or none.
 
     The folder is made if missing. Existing files are replaced, so call :func:`check_tables_free` first.
 

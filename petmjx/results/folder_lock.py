@@ -1,5 +1,5 @@
-"""A lock that lets only one run at a time write into a folder. The lock ends when its process ends, even if it is
-killed.
+"""A lock that lets only one run at a time write into a folder. The lock ends when the process that holds it ends, even
+if the process is killed.
 
 The package ``filelock`` is no alternative. It accepts any file of the lock's name as a lock, does not tell which
 process holds the lock, and, on file systems without locks, leaves its file behind after a kill.
@@ -21,13 +21,13 @@ from petmjx.common.checked_records import option
 from petmjx.common.errors import InputError
 
 LOCK_FILE: Final = ".lock"
-"""File in the run's folder while a run writes. After a run was killed the file is no longer locked, so the next run can
-lock it."""
+"""Name of the file that locks a run's folder while a run writes into it. If a run is killed, its lock ends, so the next
+run can lock the file."""
 
 _OURS: Final = re.compile(rb"\d*\n?")
 
 _NO_LOCKS: Final = (errno.ENOSYS, errno.ENOTSUP, errno.ENOLCK)
-"""Errors of file systems without locks."""
+"""Error numbers that file systems without locks return."""
 
 
 @contextlib.contextmanager
@@ -35,7 +35,8 @@ def held_folder_lock(folder: Path) -> Iterator[bool]:
     """Lock a folder for one run. Yields whether its file system supports locks.
 
     Raises:
-        InputError: another run is writing into the folder, or something else has the name of the lock file.
+        InputError: another run is writing into the folder, or a folder, a link or a foreign file has the name of the
+            lock file.
         OSError: the folder is not writable.
     """
     descriptor = _lock_descriptor(folder)

@@ -115,7 +115,7 @@ _WXYZ: Final = "wxyz"
 
 @dataclass(frozen=True, eq=False)
 class RecordedWorld:
-    """A recorded world. ``rank`` is its position in the order of the run."""
+    """A recorded world. ``rank`` is the world's position in the order of the run."""
 
     plan_id: str
     variant: int

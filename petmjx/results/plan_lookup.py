@@ -131,7 +131,7 @@ def plans_of(run: RunResults, strict: bool = False) -> PlanSet:
         raise InputError(skipped[0].message)
     if not lookup.plans:
         first = f"; the first: {skipped[0].message}" if skipped else ""
-        raise InputError(f"{run.path}: the run keeps none of its plans{first}")
+        raise InputError(f"{run.path}: none of the run's plans can be found{first}")
     return PlanSet([lookup.plans[plan_id] for plan_id in records if plan_id in lookup.plans], skipped)
 
 

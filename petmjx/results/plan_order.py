@@ -28,7 +28,7 @@ _MOST_VARIANTS: Final = 1 << 32
 
 class WorldRanks:
     """The rank of each world of a run. In a whole run whose plans all have the same variants, ranks are 0, 1, 2, …
-    without gaps. In a search they have gaps.
+    without gaps. In a search, ranks have gaps.
 
     Args:
         plan_ids: all plans in the order of the input, including plans of other shards. Plans that are not listed come

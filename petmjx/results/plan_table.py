@@ -1,7 +1,8 @@
 """The table ``placements`` of a run: all fields of its plans, with one row per box.
 
 With this table, a run can be shown and reported from its folder alone, even if the files of its plans were deleted or
-the folder was moved. Null means that the plan does not have the field. NaN is a value of a field.
+the folder was moved. Null means that the plan does not have the field. NaN is stored as NaN, because it is a possible
+value of some fields.
 """
 
 from __future__ import annotations
@@ -84,7 +85,7 @@ def kept_plans(parts: Parts, records: Mapping[str, PlanRecord], wanted: Collecti
     for plan_id, rows in _by_plan(table):
         try:
             plan = _plan(plan_id, records[plan_id].source, rows)
-        except InputError:  # somebody has edited the rows
+        except InputError:  # the rows were edited after the run
             continue
         if plan_digest(plan) == records[plan_id].digest:
             plans[plan_id] = plan

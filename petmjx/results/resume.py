@@ -38,7 +38,7 @@ class CompletedWorlds:
     def __init__(self, parts: Parts | None = None, columns: Sequence[str] = ()) -> None:
         for boxes in parts.files("boxes") if parts is not None else ():
             if not boxes.is_file():
-                raise InputError(f"{boxes}: missing, though the worlds of this part are there")
+                raise InputError(f"{boxes}: missing, although the table worlds has this part")
         tables = parts.table("worlds", [*_COLUMNS, *columns]) if parts is not None else []
         self._table = pa.concat_tables(tables) if tables else None
         self._spans: dict[str, tuple[int, int]] = {}
@@ -137,10 +137,10 @@ def resume_state(
             warnings.append(f"resumed with {name} {version}; earlier worlds were simulated with {before or 'none'}")
     parts = parts.with_worlds()
     lacking = parts.lacking_boxes() if info["config"].get("keep") != WORLDS else []
-    if lacking:  # petmjx before 0.3 left such folders when a merge was interrupted
+    if lacking:  # petmjx before 0.3 left folders without boxes when a merge was interrupted
         if parts.files("frames"):
             raise InputError(
-                f"{folder / 'boxes' / part_name(lacking[0])}: missing, though the worlds of this part are there; "
+                f"{folder / 'boxes' / part_name(lacking[0])}: missing, although the table worlds has this part; "
                 f"simulate the run again, with {option('--overwrite', 'True')}"
             )
         before = sum(len(table) for table in parts.table("worlds", ("variant",)))

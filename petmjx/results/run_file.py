@@ -99,7 +99,7 @@ _OPTIONAL: Final = ("orders", "digest")
 
 def run_digest(info: Mapping[str, Any]) -> str:
     """Digest of all entries of a ``run.json`` except ``digest``. Neither the order of entries nor white space affects
-    it."""
+    the digest."""
     other_entries = {name: value for name, value in info.items() if name != "digest"}
     text = json.dumps(other_entries, sort_keys=True, ensure_ascii=True)
     return hashlib.blake2b(text.encode(), digest_size=DIGEST_BYTES).hexdigest()

@@ -210,7 +210,7 @@ def _listed_parts(run_file: Path) -> frozenset[Path] | None:
 
 
 def _is_part_of(table: str, file: Path) -> bool:
-    """Whether the file's metadata names it as a part of this table, of any run."""
+    """Whether the file's metadata state that the file is a part of this table, no matter of which run."""
     try:
         with open_for_arrow(file) as stream:
             metadata = pq.read_schema(stream).metadata or {}
@@ -265,7 +265,7 @@ def _hidden_path(path: Path) -> Path:
 
 def _write(path: Path, write: Write) -> str:
     """Write a new file and flush it to disk; returns its digest."""
-    # Nobody can place a file or a link there first: the name cannot be guessed, and an existing file is never opened.
+    # Nobody can put a file or a link at this path before: its name is random, and existing files are never opened.
     open_flags = os.O_RDWR | os.O_CREAT | os.O_EXCL | os.O_NOFOLLOW | os.O_CLOEXEC
     with open(os.open(path, open_flags, 0o666), "w+b") as file:
         write(file)

@@ -27,7 +27,8 @@ class RunInfo:
         warnings: warnings about the whole run, without repetitions.
         odd_plans: a line for each plan with overlapping, floating or outside boxes.
         timings: seconds by name.
-        earlier_s: timings of the earlier run that this one resumes. ``timings`` are added to them.
+        earlier_s: timings of the earlier run that this one resumes. ``run.json`` gets the sums of ``timings`` and
+            ``earlier_s``.
         head: entries whose values are known when the run begins.
     """
 

@@ -24,11 +24,11 @@ from petmjx.results.run_tables import Parts
 from petmjx.results.schema import plans_schema
 
 DIGEST_BYTES: Final = 8
-"""Length of a plan's digest. A digest has 2^64 possible values. Among a million plans, two different plans have the
-same digest in one of 30 million runs."""
+"""Length of a plan's digest. A digest has 2^64 possible values. In a run of a million plans, the chance that two
+different plans have the same digest is one in 30 million."""
 
 MOST_NAMED: Final = 4
-"""Largest number of differences that a message names. Further ones are only counted."""
+"""Largest number of differences that a message names. Further differences are only counted."""
 
 
 def plan_digest(plan: Plan) -> str:
@@ -177,7 +177,7 @@ class Manifest:
         """The differences from an earlier manifest, in one line; empty if there are none.
 
         Args:
-            without: settings in which the two may differ.
+            without: settings that are not compared.
         """
         settings = {name: value for name, value in _settings_of_command(self.settings).items() if name not in without}
         differences = [
@@ -204,8 +204,9 @@ _NOTHING: Final = object()
 
 
 def _settings_of_command(settings: Mapping[str, Any]) -> Mapping[str, Any]:
-    """Rename settings to the names that the command uses. For a score, the number of worlds and the errors replace the
-    sweep from which they come. If an entry is written only when its option is on, a missing entry counts as false."""
+    """Rename settings to the names that the command uses. For a score, the entry ``sweep`` is replaced by two entries:
+    ``confidence``, the number of worlds, and ``errors``. If an entry is written only when its option is on, a missing
+    entry counts as false."""
     settings = {"force_intervals": False, "keep": ALL, **settings}
     if isinstance(simulation := settings.get("simulation"), Mapping):
         settings["simulation"] = _with_later_fields(simulation)
@@ -241,7 +242,7 @@ def differing_settings(was: Any, now: Any, path: str = "") -> Iterator[tuple[str
     if isinstance(was, Mapping) and isinstance(now, Mapping):
         for name in dict.fromkeys((*was, *now)):
             if name == "errors" and not path and not (name in was and name in now):
-                continue  # only one of the two has confidence; that difference is reported elsewhere
+                continue  # only one of the two runs has confidence; another entry reports this difference
             inner = f"{path}.{name}" if path else str(name)
             yield from differing_settings(was.get(name, _NOTHING), now.get(name, _NOTHING), inner)
     elif _are_tables(was) and _are_tables(now) and len(was) == len(now):

@@ -45,8 +45,8 @@ if TYPE_CHECKING:
     import pandas as pd
 
 _NAMES_WORLDS: Final = {"histories": "frames", "frames": "frames", "contacts": "frames"}
-"""To find the worlds of a part, another table's part of the same number is read. This mapping gives that other table;
-for a table without an entry, it is ``worlds``."""
+"""To find the worlds of a part, another table's part of the same number is read. This mapping gives that other table. A
+table without an entry uses ``worlds``."""
 
 
 def world_row(run: RunResults, plan_id: str, variant: int) -> dict[str, Any] | None:
@@ -196,7 +196,7 @@ class RunResults:
             return Simulation()
 
     def doubts(self, name: str) -> list[str]:
-        """A line that the run, called ``name``, is not finished; an empty list if it is."""
+        """A list with one line if the run, called ``name``, is not finished; else an empty list."""
         return [f"{name} is not finished ({self.unfinished})"] if self.unfinished else []
 
     @cached_property
@@ -254,7 +254,7 @@ class RunResults:
             InputError: the run did not keep the table ``boxes``.
         """
         if not self.keeps_boxes:
-            raise InputError(f"{self.where}: the run kept no boxes (keep {WORLDS})")
+            raise InputError(f"{self.where}: the run was made with keep {WORLDS}, so it has no table boxes")
         return self._read("boxes")
 
     @property

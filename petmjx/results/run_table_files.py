@@ -71,7 +71,7 @@ class Tables:
                 try:
                     yield path, copy_file(file, path)
                 except FileNotFoundError:
-                    raise InputError(f"{file}: missing, though the worlds of this part are there") from None
+                    raise InputError(f"{file}: missing, although the table worlds has this part") from None
 
     def drop_others(self) -> None:
         """Delete the parts that do not belong to the run."""

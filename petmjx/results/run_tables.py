@@ -23,8 +23,8 @@ MOST_AT_ONCE: Final = 8
 """Number of parts that are read at the same time."""
 
 LISTED: Final = "parts"
-"""Entry of ``run.json``: table → file name → digest. Files that are not listed were left by a killed run, and are not
-read."""
+"""Entry of ``run.json``: table → file name → digest. Files that the entry does not list were left by a killed run, and
+are not read."""
 
 
 FREE_BYTES: Final = 256 << 20
@@ -59,7 +59,7 @@ class Parts:
         return sorted((self.folder / table / name for name in self.digests.get(table, ())), key=part_number)
 
     def read(self, file: Path, columns: Sequence[str] | None = None) -> pa.Table:
-        """Read one of these files as a table, or some of its columns.
+        """Read one of the run's files as a table, or some of its columns.
 
         Raises:
             InputError: the file is missing, was changed after the run wrote it, lacks one of the columns, or was
@@ -101,19 +101,19 @@ class Parts:
             self.check(file)
 
     def plus(self, digests: Mapping[Path, str]) -> Parts:
-        """These files and some new files, given with their digests."""
+        """The files of this object and some new files, which are given with their digests."""
         listed = {table: dict(files) for table, files in self.digests.items()}
         for file, digest in digests.items():
             listed.setdefault(file.parent.name, {})[file.name] = digest
         return Parts(self.folder, listed, {*self._checked, *digests})
 
     def without(self, *tables: str) -> Parts:
-        """These files except those of the given tables."""
+        """The files of this object, except those of the given tables."""
         remaining = {table: dict(files) for table, files in self.digests.items() if table not in tables}
         return Parts(self.folder, remaining, set(self._checked))
 
     def without_numbers(self, numbers: Collection[int]) -> Parts:
-        """These files, except the parts of worlds that have the given numbers."""
+        """The files of this object, except the parts of worlds that have the given numbers."""
         removed_names = {part_name(number) for number in numbers}
         remaining = {
             table: {
@@ -124,8 +124,8 @@ class Parts:
         return Parts(self.folder, remaining, set(self._checked))
 
     def with_worlds(self) -> Parts:
-        """These files except those whose part of ``worlds`` was deleted. A user deletes such a part in order to
-        simulate its worlds again.
+        """The files of this object, except those whose part of ``worlds`` was deleted. A user deletes such a part in
+        order to simulate its worlds again.
         """
         missing_names = {file.name for file in self.files("worlds") if not file.exists()}
         if not missing_names or self.files("frames"):  # it is unknown which histories belong to the deleted worlds
@@ -224,6 +224,6 @@ def open_part(file: Path) -> Iterator[pq.ParquetFile]:
         with open_for_arrow(file) as stream, pq.ParquetFile(stream) as parquet:
             yield parquet
     except FileNotFoundError:
-        raise InputError(f"{file}: missing, though the worlds of this part are there") from None
+        raise InputError(f"{file}: missing, although the table worlds has this part") from None
     except (pa.ArrowException, OSError) as error:
         raise InputError(f"{file}: damaged part, it is not a whole Parquet file") from error

@@ -57,7 +57,7 @@ SECONDS_PER_PART: Final = 60.0
 """Longest time that a finished world waits until its part is written, even if no other world finishes."""
 
 MOST_WAITING_BYTES: Final = 4 * BYTES_PER_PART
-"""Memory that worlds waiting to be written may take. While they take more, ``add`` blocks."""
+"""Memory that worlds waiting to be written may take. If waiting worlds take more, ``add`` blocks."""
 
 RETRY_S: Final = 10.0
 """Time between a write error and the next attempt, s. On a full disk, at most one part is packed in this time."""
@@ -78,7 +78,7 @@ class _Request(NamedTuple):
 
 
 class _CutShortError(Exception):
-    """A request was dropped because the run was interrupted."""
+    """Raised if a request was dropped because the run was interrupted."""
 
 
 class RunWriter(RunInfo):
@@ -89,7 +89,7 @@ class RunWriter(RunInfo):
     disk error, the thread tries again every ``RETRY_S``; ``add`` raises the error once ``MOST_WAITING_BYTES`` are
     waiting.
 
-    Rows are written in the order in which worlds finish. Within a part they are sorted by rank
+    Rows are written in the order in which worlds finish. Within a part, rows are sorted by rank
     (petmjx.results.plan_order).
 
     Args:
@@ -153,7 +153,7 @@ class RunWriter(RunInfo):
         self._worlds_per_part, self._seconds_per_part = worlds_per_part, seconds_per_part
         # the queues are implemented in C: interrupting the main thread leaves none of them locked or half changed
         self._queue: SimpleQueue[Row | _Request] = SimpleQueue()
-        self._room: SimpleQueue[None] = SimpleQueue()  # this queue receives an entry after each attempt at writing
+        self._room: SimpleQueue[None] = SimpleQueue()  # receives an entry after each attempt at writing
         self._thread = threading.Thread(target=self._work, name="petmjx-writer", daemon=True)
         self._added_bytes = 0  # changed only by the thread that adds worlds
         self._cut_short = False  # set only by the main thread
@@ -243,7 +243,7 @@ class RunWriter(RunInfo):
         self._ask(lambda: self._adopt(parts, ranked))
 
     def write_summary(self, answers: pa.Table) -> None:
-        """Write a sweep's table ``summary`` (petmjx.results.schema.summary_table). An earlier one is replaced.
+        """Write a sweep's table ``summary`` (petmjx.results.schema.summary_table). An earlier table is replaced.
 
         Raises:
             PetmjxError: the file cannot be written.
@@ -362,7 +362,7 @@ class RunWriter(RunInfo):
 
     def _write_waiting(self, last: bool = False) -> None:
         """Write everything that waits. If this is the ``last`` write, a run in memory stays in memory, and a run
-        without worlds gets an empty part, so that readers find the columns.
+        without worlds gets an empty part, so that readers find the names of the columns.
 
         Raises:
             PetmjxError: something cannot be written.
@@ -387,7 +387,7 @@ class RunWriter(RunInfo):
             raise failure
 
     def _write_part(self, begin: int) -> None:
-        """Write waiting rows, from row ``begin`` on, as a part. If that fails, the worlds keep waiting."""
+        """Write waiting rows, from row ``begin`` on, as a part. If the write fails, the worlds keep waiting."""
         rows = self._rows[begin : begin + self._worlds_per_part]
         number = self.parts.next_number(*OF_WORLDS)
         digests: dict[Path, str] = {}
@@ -541,7 +541,7 @@ class RunWriter(RunInfo):
             with contextlib.nullcontext() if cause is None else contextlib.suppress(PetmjxError):
                 self._write_info()
             if cause is not None and not self._in_memory:
-                with contextlib.suppress(OSError):  # delete a part of an unfinished write, which readers might find
+                with contextlib.suppress(OSError):  # an unfinished write may have left a file: delete it
                     self._tables.drop_others()
         finally:
             self._leave()

@@ -129,7 +129,8 @@ _FRAME_KEY = (
 
 
 def _vector(name: str, unit: str, text: str, parts: str = "xyz", end: str = "") -> list[pa.Field]:
-    """A column for each component, named ``name_x``, … with the suffix ``end``."""
+    """A column for each component of a vector. Its name consists of ``name``, the component and the suffix ``end``, as
+    in ``pos_x_m``."""
     return [_column(f"{name}_{part}{end}", pa.float64(), unit, f"{text}, {part}") for part in parts]
 
 
@@ -164,7 +165,7 @@ _CONTACT_COLUMNS = (
 
 
 _NUMBER = _counts(number="number of the plan among those given, from 0, counting skipped ones")
-"""The column of ``plans`` by which its rows are sorted."""
+"""The column of the table ``plans`` by which the table is sorted."""
 
 _EXTENT_COLUMNS = (
     _column("volume_m3", pa.float64(), "m^3", "sum of its boxes' volumes"),

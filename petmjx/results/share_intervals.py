@@ -51,7 +51,7 @@ def wilson_interval(
     share = k / n_or_one
     centre = (share + z * z / (2 * n_or_one)) / (1 + z * z / n_or_one)
     half = z / (1 + z * z / n_or_one) * np.sqrt(share * (1 - share) / n_or_one + z * z / (4 * n_or_one * n_or_one))
-    # at shares of 0 and 1 the bound is exactly that share; rounding must not change it
+    # for a share of 0 or 1, one bound is exactly the share, and rounding must not change this bound
     low = np.where((total == 0) | (k == 0), 0.0, centre - half)
     high = np.where((total == 0) | (k == total), 1.0, centre + half)
     return low, high

@@ -30,7 +30,7 @@ _OF_OUTCOME: Final = ("engine", "solver", "attempt", "n_boxes", "n_placed", "ver
 
 
 def _block_columns() -> list[Column]:
-    """Metrics that have a value for each box. The schema of ``boxes`` determines which of them are written."""
+    """Metrics that have a value for each box. The schema of ``boxes`` determines which of these metrics are written."""
     return [*box_columns(), *FORCE_INTERVAL]
 
 

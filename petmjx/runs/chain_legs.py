@@ -97,7 +97,7 @@ class Remedy(CheckedRecord):
 
 
 def _ends(strength: float | Range[Any]) -> tuple[float, float | None]:
-    """``scale`` and ``scale_to`` of a drive."""
+    """The values ``scale`` and ``scale_to`` of a drive."""
     return (strength.low, strength.high) if isinstance(strength, Range) else (strength, None)
 
 
@@ -160,7 +160,7 @@ def _check_event(event: Event, defined: Mapping[str, Profile], path: tuple[str |
                 raise complaint(f"contradicts profile {profile.name!r}, which has {has}", *path, name)
         for name in (Strength.LEVEL, Strength.SCALE):
             if isinstance(drawn := getattr(event, name), Range) and not drawn.continuous:
-                raise complaint("is drawn between from and to: it has no step or count", *path, name)
+                raise complaint("is drawn at random between from and to: leave out step and count", *path, name)
         if profile.strength is Strength.LEVEL and event.level is None:
             raise complaint(f"is missing: profile {profile.name!r} has a level in g", *path, "level")
 
@@ -198,8 +198,8 @@ def _specs(legs: Sequence[Leg], remedy: Remedy | None, defined: Mapping[str, Pro
 
 
 def in_a_row(name: str, drives: Sequence[Drive], pause_s: float, timestep_s: float) -> Excitation:
-    """Joins drives of accelerations, with pauses between them, into one excitation. Without drives, the excitation is
-    one pause."""
+    """Joins drives of accelerations, with pauses between the drives, into one excitation. Without drives, the
+    excitation is one pause."""
     pause = np.zeros((seconds_to_steps(pause_s, timestep_s), 3))
     if not drives:
         return Excitation(name, ACCELERATION, pause if len(pause) else np.zeros((1, 3)))
@@ -219,7 +219,7 @@ def with_sustained_force(leg: Outcome, before: BoxMetrics) -> Outcome:
 
 
 def after(before: Outcome, leg: Outcome, timestep_s: float) -> Outcome:
-    """The outcome of a world after one more leg, with metrics and times that count from the first placement.
+    """The outcome of a world after one more leg, with metrics and times that are measured from the first placement on.
 
     Largest values cover the whole journey, including the largest force at rest (``sustained_top_force_n``). The poses
     of the boxes and ``rest_top_force_n`` are taken at the end of the leg.
@@ -239,7 +239,7 @@ def after(before: Outcome, leg: Outcome, timestep_s: float) -> Outcome:
     if history is not None and before.history is not None:
         history = before.history.then(_later(history, since_s))
     edges: dict[str, Any] = {}
-    if leg.verdict is Verdict.STABLE:  # the plan's edges stay (``petmjx.engines.outcome_checks.note_edges``)
+    if leg.verdict is Verdict.STABLE:  # a leg does not change edge distances in the plan
         largest["plan_edge_m"] = old.plan_edge_m
         edges = {name: getattr(before, name) for name in _EDGES}
     return replace(

@@ -96,7 +96,9 @@ def confidence_sweep(
     if exact_too:
         carried = error_sweep.simulation.placing.for_errors
         if not (error_sweep.simulation.may_carry and carried.carries):
-            raise InputError("exact_too compares with boxes that are carried: it needs placing auto, hand or tines")
+            raise InputError(
+                "exact_too needs placing auto, hand or tines, because it compares with boxes that are carried"
+            )
         axes = {**axes, PLACING: Axis(PLACING, (carried.name.value, Way.EXACT.value))}
     return error_sweep.model_copy(update={"nominal": True, "replicates": n_worlds, "axes": axes})
 

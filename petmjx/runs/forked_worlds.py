@@ -86,7 +86,8 @@ Test = tuple[int, int]
 
 @dataclass(frozen=True, eq=False)
 class DriveWorld(World):
-    """A drive from a settled placement, as a world that the engine simulates. ``test`` is the search's test."""
+    """A drive from a settled placement, as a world that the engine simulates. ``test``: the test of a search for which
+    this drive is simulated; None: no search."""
 
     settled: SettledPlacement
     change: Variant

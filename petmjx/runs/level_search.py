@@ -36,14 +36,14 @@ def failure_mode(outcome: Outcome, tilt_deg: float = DEFAULT_TILT_DEG) -> str:
 
 @dataclass(frozen=True)
 class Probe:
-    """The values of a world that a search needs. The row of each test in ``worlds`` stores the same values, so that a
-    search can be resumed.
+    """The result of one test of a search. The test's row in ``worlds`` stores the same values, so that a search can be
+    resumed.
 
     Attributes:
         culprit: the box that failed first; −1: none.
         mode: the mode of failure (`failure_mode`).
         moving: whether boxes were still moving when the world ended, so that a longer wait may change the verdict.
-        values: columns that the sweep adds to ``worlds``.
+        values: the world's values in the columns that the sweep adds to ``worlds``.
     """
 
     verdict: Verdict
@@ -109,8 +109,9 @@ class Bisection:
 
     Args:
         levels: (n_levels,) levels in ascending order, in g or as a scale.
-        at_rest: for each item, the probe of its world before any profile. An item that does not stand is finished at
-            once, with no level survived. If ``levels[0]`` is 0, an item that stands at rest has survived level 0.
+        at_rest: for each item, the probe of its world before any profile. If an item's world does not stand at rest,
+            the search for the item ends at once, with no level survived. If ``levels[0]`` is 0, an item that stands at
+            rest has survived level 0.
         sections: number of levels of an item that are tested at the same time, ≥ 1; 1 is plain bisection.
 
     Attributes:
@@ -166,7 +167,7 @@ class Bisection:
         """Record the results of tests. For each item, all requested levels must be recorded together; any number of
         items is allowed.
 
-        An invalid world counts as not survived; its mode is the reason why it is invalid.
+        The level of an invalid world counts as not survived; its mode is the reason why the world is invalid.
         """
         if len(tests) != len(worlds):
             raise ValueError("record needs one answer for each test")

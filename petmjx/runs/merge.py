@@ -53,7 +53,7 @@ def merge_runs(shards: Iterable[str | Path], out: str | Path, *, overwrite: bool
     for run, manifest in zip(runs, manifests, strict=True):
         differs = manifest.difference_from(manifests[0], without=("shard",))
         if differs:
-            raise InputError(f"{run.path}: not of the same run as {runs[0].path} ({differs})")
+            raise InputError(f"{run.path}: is not of the same run as {runs[0].path} ({differs})")
     merged_manifest = Manifest({**manifests[0].settings, "shard": None}, manifests[0].plans, lambda: _placements(runs))
     _check_worlds(runs, merged_manifest)
     orders = _orders(runs)

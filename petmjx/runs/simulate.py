@@ -123,7 +123,7 @@ def simulate(
         plan_set = replace(plan_set, skipped=[*plan_set.skipped, *later_inputs], notes=notes)
         records = records_of(study.everything, plan_set.numbers)
     earlier = engine_of_run(options.out) if options.resume and options.out is not None else None
-    hands_over = not options.record_details  # no handover: only C MuJoCo records these details
+    hands_over = not options.record_details  # no other engine may take over worlds: only C MuJoCo records these details
     with engine_for(options, study.work, ahead, hands_over=hands_over, earlier=earlier) as (engine, choice):
         recording = recording_of(options, choice.name, study.everything)
         run = _Run(study, options, plan_set, records, orders, engine, choice, recording, intervals)
@@ -228,7 +228,8 @@ class _Run:
                 ends_s.append(time.monotonic())
                 if watcher is not None:
                     watcher.world_done(world)
-            # The engine retires before the last rows are written, because its workers take a second or two to end.
+            # The engine begins to end before the last rows are written, because its workers take a second or two to
+            # end.
             self.engine.retire()
             writer.timings.update(
                 study.timings(), compile_s=self.progress.compile_s, last_permille_s=_last_permille_s(ends_s)

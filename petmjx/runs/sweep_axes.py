@@ -142,7 +142,7 @@ class Range(CheckedRecord, Generic[Number]):
 
 
 class DrawnRange(Range[Positive]):
-    """A range of levels or scales of a chain. Each world draws one value from the range."""
+    """A range of levels or scales in a chain. For each world, one value is drawn from the range."""
 
     low: Positive = Field(alias="from", description="the least value that is drawn")
     high: Positive = Field(alias="to", description="the largest value that is drawn")
@@ -256,7 +256,7 @@ Heights = OneOrMore[Annotated[_Table | _Height, Discriminator(shape)]]
 
 
 def _up_to(largest: float) -> AfterValidator:
-    """A check that errors lie within ±``largest``. The allowed range is narrower than the range for errors of
+    """A validator: errors must lie within ±``largest``. The allowed range is narrower than the range for errors of
     positions."""
 
     def check(setting: Any) -> Any:

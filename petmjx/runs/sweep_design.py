@@ -21,8 +21,8 @@ from petmjx.world.random_streams import WorldKey
 from petmjx.world.variants import Distribution, DriveSpec, LegSpec, PlacementChange, PlacementKey, Variant
 
 MOST_KEPT: Final = 100_000
-"""Up to this number of variants, they are made once and kept for all plans; a variant takes 1 kB. If there are more,
-they are made again for each plan."""
+"""Up to this number of variants, they are made once and kept for all plans; a variant takes 1 kB. A larger number of
+variants is made again for each plan."""
 
 REMEDY: Final = "remedy"
 """Column of ``worlds`` with the name of the remedy, in a chain."""
@@ -150,8 +150,8 @@ class Design:
                 yield replace(placement, index=index, replicate=replicate, parameters=parameters, legs=legs)
 
     def _axes(self, placement: bool) -> list[Axis]:
-        """The axes of placements or, if ``placement`` is false, the axes of drives. The order is that of nesting, which
-        may differ from the order in the file."""
+        """The axes of placements or, if ``placement`` is false, the axes of drives. The axes are in the order of
+        nesting, which may differ from their order in the file."""
         axes = self.sweep.axes
         return [axes[name] for name, kind in AXIS_KINDS.items() if name in axes and kind.placement is placement]
 
@@ -233,7 +233,8 @@ class Design:
         return (replicate,)
 
     def _sampled(self) -> Iterator[Variant]:
-        """Variants drawn from the axes. They are the same for all plans. Each variant has its own replicate number."""
+        """Variants drawn from the axes. These variants are the same for all plans. Each variant has its own replicate
+        number."""
         axes = [*self._axes(placement=True), *self._axes(placement=False)]
         for number in range(1, (self.sweep.sample or 0) + 1):
             key = WorldKey(self.sweep.seed, "", number)

@@ -264,7 +264,9 @@ class Sweep(CheckedRecord):
         if self.search is not None:
             raise ValueError('[search] contradicts mode = "sample": a search needs the full grid of the other axes')
         if self.replicates > 1:
-            raise complaint('contradicts mode = "sample": every sample has random numbers of its own', "replicates")
+            raise complaint(
+                'contradicts mode = "sample": every sample already has its own random numbers', "replicates"
+            )
         return self
 
     @model_validator(mode="after")
@@ -300,7 +302,7 @@ class Sweep(CheckedRecord):
             )
         for name, axis in self.axes.items():
             if not axis.kind.placement:
-                raise _contradiction(name, "legs: the events of a leg say what shakes the pallet")
+                raise _contradiction(name, "legs: the events of the legs determine what shakes the pallet")
             if len(axis.values) > 1:
                 raise complaint(f"must be one value in a chain, got {len(axis.values)}", "axes", name)
         turns = next((place for place, leg in enumerate(self.legs) if leg.wrap_turns is not None), None)
@@ -377,7 +379,7 @@ def load_sweep(path: str | Path, plans_given: bool = False, simulation: Mapping[
     """Read and check a sweep file.
 
     Args:
-        plans_given: whether the caller gives plans. If so, the file need not name plans, and the plans that it names
+        plans_given: whether the caller gives plans. Then the file need not name plans, and plans that the file names
             need not exist.
         simulation: fields of ``Simulation`` that override those of the file.
 

@@ -259,8 +259,8 @@ class SweepRun:
         )
 
     def _note_work(self, plan: Plan, count: int = 1) -> None:
-        """Record for the progress that ``count`` placements, drives or legs of a plan are done, or will not be
-        simulated."""
+        """Count ``count`` placements, drives or legs of a plan as done, for the progress display. They have ended, or
+        will not be simulated."""
         self._work_done += count * plan.n_boxes
         if self._work:
             self.progress.work_share = self._work_done / self._work
@@ -298,8 +298,8 @@ class SweepRun:
         return [settled_by_group[id(group)] for group in groups]
 
     def _can_be_driven(self, settled: SettledPlacement) -> bool:
-        """Whether drives of a placement are simulated. With early stop the placement must stand; without it, it must be
-        valid."""
+        """Whether drives of a placement are simulated. With early stop the placement must stand; without early stop it
+        only has to be valid."""
         outcome = settled.outcome
         shaken = outcome.verdict is Verdict.STABLE if self.sim.early_stop else outcome.verdict is not Verdict.INVALID
         return shaken and outcome.state is not None
@@ -410,8 +410,7 @@ class SweepRun:
         return ended, LegStart(begin.settled, further, number, outcome) if further else None
 
     def _end(self, world: LegWorld, outcome: Outcome, n_steps: int) -> LegEnd:
-        """For a world that does not stand: the leg in which it ended. ``n_steps`` is the number of steps of its last
-        leg."""
+        """The leg in which a world that does not stand ended. ``n_steps`` is the number of steps of its last leg."""
         if world.begin.settled.outcome.verdict is not Verdict.STABLE:
             return LegEnd(PLACING, 0.0)
         return LegEnd(world.leg.name, outcome.sim_time_s - n_steps * self.sim.physics.timestep_s)
@@ -451,16 +450,15 @@ class SweepRun:
                 if missing_now := [test for test in tests if test not in probes]:
                     missing[which] = set(missing_now)
                     return [self._driving(searches[which][0], variant(*test), test) for test in missing_now]
-                # Only the two worlds at the bounds of an item's search can still become its answer.
-                # All others are dropped.
+                # Only the two worlds at the bounds of an item's search can still become the item's answer.
+                # All other worlds are dropped.
                 now = {test: tested.pop(test) for test in {*tests, *bisection.bounds(which)} if test in tested}
                 bisection.record(tests, [now[test] for test in tests])
                 tested.update((test, now[test]) for test in bisection.bounds(which) if test in now)
             return []
 
         ready_drives: list[DriveWorld] = []
-        # A list, not a generator, because the engine reads its source of worlds in another thread, which must not
-        # search.
+        # A list, because a generator would run the search in the thread in which the engine reads its worlds.
         first = [drive for which in range(len(searches)) for drive in next_drives(which)]
         for test, world in self._drive(first, partial(_drained, ready_drives)):
             which, _ = test
@@ -516,9 +514,9 @@ class SweepRun:
         return True
 
     def _recorded_rest(self, group: PlacementGroup, number: int) -> Probe:
-        """The outcome of a placement, as far as completed worlds show it. A placement that did not stand has a single
-        world, which has no steps. A failed test may have no steps either, but then the results also have the other
-        first tests of the search.
+        """The outcome of a placement, as far as it follows from completed worlds. A placement that did not stand has a
+        single world, which has no steps. A failed test may have no steps either, but then the results also have the
+        other first tests of the search.
         """
         row = self._row(group, number, 0)
         first = self._bisection([Probe(Verdict.STABLE)]).next_tests(0)

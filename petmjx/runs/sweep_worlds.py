@@ -75,7 +75,7 @@ class SweepPlan(Design):
     Args:
         plans: the plans of the sweep; after construction, only plans that can be simulated.
         allow_large: accept more than a million worlds.
-        strict: refuse plans that would be skipped.
+        strict: raise an error instead of skipping a plan.
 
     Attributes:
         skipped: plans that are not simulated, because ``total_time_factor`` would end their run before the profile
@@ -119,8 +119,7 @@ class SweepPlan(Design):
                 if missing := [side.value for side in leg.open_walls if side not in sides]:
                     reason = f"the carrier has no wall {missing[0]!r}; simulation.walls or another carrier gives it one"
                     raise InputError(f"{file}: legs[{place}].open_walls: {reason}")
-        # Excitations are made once here, before the run begins, to raise the error about frequencies that are too high
-        # for the timestep.
+        # Excitations are made here to refuse, before the run begins, a frequency too high for the timestep.
         for profile in self.sweep.profiles.values():
             try:
                 profile.excitation(self.sweep.simulation.physics.timestep_s)
@@ -128,7 +127,8 @@ class SweepPlan(Design):
                 raise InputError(f"{file}: {error}") from None
 
     def _has_time(self, plan: Plan) -> bool:
-        """Whether the run is long enough for a profile to begin. If not, the plan is added to ``skipped``."""
+        """Whether the run is long enough for a profile to begin. If it is too short, the plan is added to
+        ``skipped``."""
         left = self._drive_steps_left(plan)
         if left is None or left > 0:
             return True
@@ -365,8 +365,8 @@ class SweepPlan(Design):
 
     @property
     def _displaced(self) -> int:
-        """Number of placements per plan in which boxes appear at places with errors, and in which the schedule
-        waits."""
+        """Number of placements per plan in which boxes appear at places with errors and the schedule waits until the
+        pallet is quiet."""
         sim = self.sweep.simulation
         waits = sim.check is Check.ONE_BY_ONE and sim.schedule is Schedule.ADAPTIVE
         if "placing" in self.sweep.axes:

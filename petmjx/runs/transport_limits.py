@@ -1,6 +1,6 @@
 """Limits of transport tests: the limits of EUMOS 40509:2020, and the profiles that no unsecured load survives.
 
-A profile is hopeless if any load, whatever the plan, slides farther than the shift threshold.
+A profile is hopeless if every load slides farther than the shift threshold, whatever the plan.
 """
 
 from __future__ import annotations
@@ -101,9 +101,9 @@ def slide_m(
 
     The model is Coulomb's friction. The block stays in place while the carrier's horizontal acceleration is at most
     friction × (gravity + vertical acceleration). At a larger acceleration, the block slides, and friction acts against
-    the sliding. Friction then has this value, which falls to ``kinetic`` times it when the block slides fast. The
-    result is exact for an acceleration along one line that is constant within each step, except for steps in which the
-    block stops or its friction changes.
+    the sliding. Friction then has this largest value. For a block that slides fast, it falls to ``kinetic`` times this
+    value. The result is exact for an acceleration along one line that is constant within each step, except for steps in
+    which the block stops or its friction changes.
 
     A whole load slides about as far, or farther. On a load that touches only the carrier's top, the horizontal force is
     at most friction × the vertical force, as on the block. So the centre of mass of a load, and with it at least one
@@ -145,9 +145,9 @@ def slide_m(
 def hopeless_profiles(sweep: Sweep) -> list[str]:
     """A line for each profile that makes every unsecured load slide farther than the shift threshold.
 
-    If the sweep has several strengths, the line names the smallest of them that does so. A line depends only on
-    accelerations, which are the same for all plans. Searches get no lines, since they find this strength themselves.
-    Runs with ``total_time_factor`` get no lines either, since they may end before the load slides that far.
+    If the sweep has several strengths, the line names the smallest strength with which this happens. A line depends
+    only on accelerations, which are the same for all plans. Searches get no lines, since they find this strength
+    themselves. Runs with ``total_time_factor`` get no lines either, since they may end before the load slides that far.
     """
     sim, axes = sweep.simulation, sweep.axes
     if sweep.search is not None or sim.total_time_factor is not None:

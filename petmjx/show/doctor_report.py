@@ -79,7 +79,7 @@ def _check_mujoco() -> str:
     engine = make_engine("mujoco", threads=1)
     [outcome] = engine.run([Job(build_scene(_one_box(), sim))], sim)
     if outcome.verdict is not Verdict.STABLE:
-        raise RuntimeError(f"a single box came out {outcome.verdict.value} {outcome.reason.value}")
+        raise RuntimeError(f"the test with a single box ended {outcome.verdict.value} {outcome.reason.value}")
     return f"{count_text(cpu_threads(), 'CPU thread')}; a single box stands after {count_text(outcome.n_steps, 'step')}"
 
 
@@ -139,7 +139,7 @@ def _cache(kind: Kind) -> str:
 
 
 def doctor_table(report: Report, why_no_pictures: str) -> Table:
-    """A table with two columns. Long lines in the second column are wrapped.
+    """The report as a table with two columns. Long lines in the second column are wrapped.
 
     Args:
         why_no_pictures: why nothing can be drawn on this machine; "" if pictures and films can be drawn.

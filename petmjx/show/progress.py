@@ -109,7 +109,7 @@ class _Bar(RichProgress):
     """A progress bar, with a message in the line below."""
 
     def __init__(self, total: int | None, what: str, console: Console) -> None:
-        self._message = ""  # set first, since the bar reads it when it is created
+        self._message = ""  # set before the bar is created, since the bar reads it then
         pace = self._pace = Throughput(total, what)
         count, rate, left = _Words(lambda: pace.count), _Words(lambda: pace.rate), _Words(lambda: pace.left)
         super().__init__(count, BarColumn(), rate, left, console=console)

@@ -236,8 +236,8 @@ def _add_end(table: Table, info: Mapping[str, Any], what: str, done: int) -> Non
 
 
 def _edge_cells(row: Mapping[Any, Any], of_boxes: pd.DataFrame | None) -> tuple[str, str]:
-    """How far a load is from an edge, mm, and the number of the box on which it lies. The load is that which set the
-    flag ``knife-edge``. If the flag is not set, it is the load that is nearest to an edge.
+    """How far a load is from an edge, mm, and the number of the box on which it lies. If the flag ``knife-edge`` is
+    set, the load is the one that set it. If not, it is the load that is nearest to an edge.
 
     Args:
         row: the row of the world.

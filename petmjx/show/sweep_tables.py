@@ -34,7 +34,7 @@ _DOUBTS: Final = {
 mark."""
 
 _STANDARD_AXES: Final = ("profile", "direction_deg", "level_g", "scale")
-"""Columns of axes that have their own columns in all tables, and columns of searched quantities."""
+"""Columns of searched quantities, and of those axes that every table shows in a separate column."""
 
 _PROFILE: Final = TableColumn("profile", "left", least=11, middle=True)
 
@@ -405,7 +405,7 @@ def turns_table(summary: pd.DataFrame) -> FittedTable:
 
 
 _SAME_LEVEL_G: Final = 1e-9
-"""Levels that differ by less than this are the same, since 0.1 + 0.2 is not exactly 0.3."""
+"""Levels that differ by less than this value count as equal, since 0.1 + 0.2 is not exactly 0.3."""
 
 
 def _doubts(summary: pd.DataFrame, column: str) -> pd.Series[bool]:

@@ -40,8 +40,8 @@ class TableColumn:
 class FittedTable:
     """A table without rules between its cells that is never wider than the terminal.
 
-    If the terminal is too narrow, texts are cut first. If that does not suffice, spare columns are left out, and a line
-    below the table names them. Numbers are cut only if even the remaining columns do not fit.
+    If the terminal is too narrow, texts are cut first. If the table is then still too wide, spare columns are left out,
+    and a line below the table names them. Numbers are cut only if even the remaining columns do not fit.
     """
 
     def __init__(self, *columns: TableColumn, title: str = "", caption: str = "") -> None:

@@ -108,7 +108,7 @@ def test_compare_of_simulators_points_to_packers(results: Path, capsys: pytest.C
     ("arguments", "text"),
     [
         (("compare", "{0}"), "compare takes two runs, got 1; --packers takes more"),
-        (("compare", "{0}", "{0}", "-o", "x"), "--out is for --packers"),
+        (("compare", "{0}", "{0}", "-o", "x"), "--out needs --packers"),
         (("compare", "{0}", "{0}", "--orders", "x"), "--orders needs --packers"),
         (("compare", "--packers", "{0}"), "give at least two runs to compare"),
         (("compare", "--packers", "A={0}", "{0}"), "compare --packers: give each a name (NAME=PATH), or none"),

@@ -174,7 +174,7 @@ def test_how_boxes_are_placed_is_an_axis_of_sweeps(tmp_path: Path) -> None:
 def test_exact_too_is_about_boxes_that_are_carried() -> None:
     with pytest.raises(InputError, match="exact_too needs confidence"):
         score(exact_too=True)
-    with pytest.raises(InputError, match="exact_too compares with boxes that are carried: it needs placing auto"):
+    with pytest.raises(InputError, match="exact_too needs placing auto, hand or tines"):
         score(confidence=4, exact_too=True, placing="exact")
 
 

@@ -220,7 +220,7 @@ def test_a_run_remembers_how_its_plans_were_read() -> None:
 
 
 def test_units_and_anchor_are_refused_where_they_say_nothing() -> None:
-    with pytest.raises(InputError, match=r"^units and anchor are for files and data frames"):
+    with pytest.raises(InputError, match=r"^units and anchor apply only to files and data frames"):
         petmjx.score((plan for plan in [SOUND]), units="cm")
     with pytest.raises(InputError, match=r"^units must be one of mm, .* got 'cm,m'$"):
         petmjx.load_plans(bundled_path(), units="cm,m")

@@ -119,7 +119,7 @@ def test_a_figure_of_criteria(tmp_path: Path) -> None:
 def test_what_has_no_figure_is_one_line(tmp_path: Path, packers: list[Path]) -> None:
     file = tmp_path / "x.svg"
     refused: list[tuple[Any, Path, str]] = [
-        (_Summarised(None), file, "run: no figure of this run"),
+        (_Summarised(None), file, "run: this run has no figure"),
         (
             CriteriaResults(pd.DataFrame(), pd.DataFrame(), None, None, {"criteria": []}),
             file,
@@ -150,7 +150,7 @@ def test_the_command_line_draws_packers(packers: list[Path], capsys: pytest.Capt
     assert "packers.parquet: exists already" in capsys.readouterr().err
     file = file.with_name("other.pdf")
     assert main(["compare", a, b, "--pdf", str(file)]) == 2
-    assert "use --packers" in capsys.readouterr().err
+    assert "needs --packers" in capsys.readouterr().err
     assert main(["figure", a, "--pdf", "x.png"]) == 2
     assert "must end in .pdf" in capsys.readouterr().err
     assert main(["figure", a]) == 2

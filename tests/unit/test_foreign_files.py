@@ -59,8 +59,8 @@ KINDS = {
     "workbook.json": (workbook(), "is a workbook without a table of boxes"),
     "old.xls": (b"\xd0\xcf\x11\xe0\xa1\xb1\x1a\xe1" + bytes(99), "is an Excel workbook of the old kind (.xls): "),
     "sheet.ods": (archive("mimetypeapplication/vnd.oasis.opendocument.spreadsheet"), "is not a whole workbook (.ods)"),
-    "a.npy": (array(), "holds no array of boxes (n, 6 to 64): array (3, 4)"),
-    "a.npz": (arrays(), "holds no array of boxes (n, 6 to 64): a (3,)"),
+    "a.npy": (array(), "holds no array of boxes, whose shape must be (n, 6 to 64): array (3, 4)"),
+    "a.npz": (arrays(), "holds no array of boxes, whose shape must be (n, 6 to 64): a (3,)"),
     "a.zip": (archive("plans.json"), "is a ZIP archive: unpack it"),
     "a.pkl": (pickle.dumps([1]), "is a Python pickle, which is never read"),
     "scene.xml": (b'<?xml version="1.0"?>\n<mujoco/>', "is a MuJoCo scene without a free body that is one box"),
@@ -120,7 +120,7 @@ def test_workbooks_and_tables_in_place_of_other_files(tmp_path: Path) -> None:
     with pytest.raises(InputError, match=r"p.csv: lacks the sizes of items; there are id, n"):
         list(read_orders(tmp_path / "p.csv"))
     (tmp_path / "a.csv").write_text('{"articles": {}}')
-    with pytest.raises(InputError, match="is JSON: a table of articles is TOML, CSV or Parquet"):
+    with pytest.raises(InputError, match="is JSON, but a table of articles must be TOML, CSV or Parquet"):
         read_articles(tmp_path / "a.csv")
 
 

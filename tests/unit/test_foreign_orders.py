@@ -203,7 +203,7 @@ def test_sizes_of_articles_from_another_sheet_or_file(tmp_path: Path) -> None:
         assert near(orders["A1"], [SMALL, SMALL, LARGE])
         assert near(orders["A2"], [LARGE] * 3)
     (tmp_path / "other.csv").write_text("name,length,width,height\nx,1,2,3\ny,1,2,3\n")
-    with pytest.raises(InputError, match=r"other.csv: its items are not those of the orders"):
+    with pytest.raises(InputError, match=r"other.csv: its items do not match the orders"):
         list(read_orders(tmp_path / "lines.xlsx", reading=OrderReading(items=tmp_path / "other.csv")))
     with pytest.raises(InputError, match=r"lines.xlsx: lacks the sizes of items; .*; --items FILE names a file"):
         list(read_orders(tmp_path / "lines.xlsx"))
@@ -390,14 +390,18 @@ def test_the_only_row_is_named_when_it_is_damaged(row: str, message: str, tmp_pa
 PROBLEMS: dict[str, tuple[str, str, str]] = {
     "size": (" 1 108 0", " 1 1o8 0", 'order thpack1-1, line 5: length must be a number, got "1o8"'),
     "mark": (" 1 108 0", " 1 108 2", "line 5: marks of upright sizes must be 0 or 1, got 2"),
-    "types": (" 587 233 220\n 1\n", " 587 233 220\n 2\n", "line 9: has 2 box types, but the end comes after 1 of them"),
-    "more types": (" 587 233 220\n 2\n", " 587 233 220\n 1\n", "line 6: is a box type in excess of the 1 in line 4"),
+    "types": (" 587 233 220\n 1\n", " 587 233 220\n 2\n", "line 9: announces 2 box types, but only 1 before the end"),
+    "more types": (
+        " 587 233 220\n 2\n",
+        " 587 233 220\n 1\n",
+        "line 6: is one box type more than the 1 that line 4 announces",
+    ),
     "container": (
         "1 2502505\n 587 233 220",
         "1 2502505\n 587 x 220",
         "line 3: must be length, width and height of the",
     ),
-    "truncated": (" 2\n 1 25", " 3\n 1 25", "line 1: has 3 problems, but the file contains 2"),
+    "truncated": (" 2\n 1 25", " 3\n 1 25", "line 1: announces 3 problems, but the file contains 2"),
     "no quantity": ("45 1 3\n", "45 1 3.5\n", "line 10: quantity must be a whole number"),
 }
 
@@ -584,7 +588,7 @@ def test_bad_rows_of_orders_for_episodes_are_named(text: str, message: str, tmp_
         Orders(tmp_path / "own.csv")
     twice = pd.DataFrame([[600, 400, 200, 8, 9]], columns=[*BOXES, "weight_kg"])
     for frame, fault in (
-        (twice, "column weight_kg is there twice"),
+        (twice, "column weight_kg occurs twice"),
         (pd.DataFrame({**BOXES, "length_mm": [600 + 1j, 5]}), "row 0: length_mm must be a number, got complex"),
         (pd.DataFrame({**BOXES, "weight_kg": [True, False]}), "row 0: weight_kg must be a number, got true"),
         (pd.DataFrame({**BOXES, "strength_n": ["x", 5]}), 'order orders, row 0: strength_n must be a number, got "x"'),

@@ -17,7 +17,7 @@ from petmjx.analysis.kpi_stability import read_stability
 from petmjx.show.run_tables import run_tables
 
 PLANS = [make_plan(f"p{k}", stack(1 + k % 3)) for k in range(6)]
-NOT_KEPT = r"the run kept no boxes \(keep worlds\)"
+NOT_KEPT = "the run was made with keep worlds, so it has no table boxes"
 
 
 def score(out: Path | None, keep: Any = "worlds", **options: Any) -> petmjx.RunResults:
@@ -100,6 +100,6 @@ def test_what_is_about_boxes_says_so(
         console.print(part)
     assert re.search(r"p1 +2 unstable drop .* 1 ", capsys.readouterr().out)
     with pytest.raises(
-        petmjx.InputError, match="force_intervals are columns of the table boxes, which the option keep leaves out"
+        petmjx.InputError, match="force_intervals adds columns to the table boxes, which the option keep leaves out"
     ):
         score(None, force_intervals=True)

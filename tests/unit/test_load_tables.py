@@ -101,7 +101,7 @@ def test_rows_that_are_refused(row: str, message: str) -> None:
             "article,strenght_n\nmilk,5\n",
             "row 2: unknown field strenght_n; there are article, product_group, ",
         ),
-        ("a.csv", "article,strength_n\nmilk,5\nmilk,6\n", "row 3: article milk is there twice"),
+        ("a.csv", "article,strength_n\nmilk,5\nmilk,6\n", "row 3: article milk occurs twice"),
         (
             "a.toml",
             "[milk]\nstrength_n = 5\n",

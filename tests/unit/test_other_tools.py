@@ -92,7 +92,7 @@ def test_boxes_without_weights_have_a_density(tmp_path: Path) -> None:
 def test_a_packing_order_that_repeats_is_no_plan(tmp_path: Path) -> None:
     rows = [row | {"step": number} for row, number in zip(tower(), (1, 2, 2), strict=True)]
     (skipped,) = petmjx.load_plans(write(tmp_path / "load.json", rows)).skipped
-    assert "plan load, [1] and [2]: step 2 is there twice; several plans?" in skipped.message
+    assert "plan load, [1] and [2]: step 2 occurs twice; several plans?" in skipped.message
 
 
 def test_bed_bpp_in_centimetres_keeps_the_order_of_its_list(tmp_path: Path) -> None:

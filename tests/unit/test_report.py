@@ -331,7 +331,7 @@ def test_grids_have_their_answers(tmp_path: Path, monkeypatch: pytest.MonkeyPatc
     assert f"<title>0.2: {100 * shares[0.2]:.1f} %, 95 %:" in body
     monkeypatch.setattr(plan_rows, "MOST_OF_SWEEP", 11)
     html = page_of(folder)
-    assert "has 12 worlds, too many for a table. It has one row a plan" in checked(html)
+    assert "has 12 worlds, too many for a table. It has one row per plan" in checked(html)
     page_rows, table = table_rows([opened])
     assert page_rows.summed_up == [opened]
     assert info_of(html)["n"] == len(table) == worlds["plan_id"].nunique() == 2
@@ -416,5 +416,5 @@ def test_a_page_to_send_is_about_each_plan_of_a_chain(tmp_path: Path) -> None:
     with pytest.raises(InputError, match=r"is not complete \(1 of 6 worlds\): continue with resume=True"):
         write_load_unit_pages(partial, {}, out)
     score = petmjx.score(plans, engine="mujoco")
-    with pytest.raises(InputError, match="a page to send is about a chain"):
+    with pytest.raises(InputError, match="is not the run of a chain"):
         write_load_unit_pages(score, {}, out)

@@ -159,7 +159,7 @@ def test_a_gap_is_told_and_a_duplicate_refused() -> None:
     plan_set = read(row("A", 1), row("A", 3), row("B", 2), row("C", 7), row("C", 8), row("C", 7))
     assert ids(plan_set) == ["A", "B"]
     assert plan_set.notes == ["plans.csv: sequence has gaps in 2 plans (A, B); are rows missing?"]
-    assert messages(plan_set) == ["plans.csv: plan C, rows 5 and 7: sequence 7 is there twice"]
+    assert messages(plan_set) == ["plans.csv: plan C, rows 5 and 7: sequence 7 occurs twice"]
 
 
 def test_orientation_swaps_length_and_width() -> None:
@@ -310,8 +310,8 @@ def test_damaged_csv() -> None:
         (HEADER, "holds no plan"),
         ("x" * 200_000, "not CSV: field larger than field limit"),
         (f"{HEADER}\0\n{row()}", "column z_mm is missing"),
-        (f"{HEADER},z_mm\n{row()},1", "column z_mm is there twice"),
-        (f"{HEADER},length/mm\n{row()},1", "column length_mm is there twice"),
+        (f"{HEADER},z_mm\n{row()},1", "column z_mm occurs twice"),
+        (f"{HEADER},length/mm\n{row()},1", "column length_mm occurs twice"),
         ('{"A": []}\n1', "is JSON: it is read as such if its name ends in .json"),
     ],
 )

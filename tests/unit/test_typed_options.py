@@ -58,6 +58,6 @@ def test_an_empty_argument_is_no_path(arguments: tuple[str, ...], capsys: pytest
 
 def test_plans_of_one_id_are_not_written() -> None:
     plan = make_plan("g")
-    with pytest.raises(petmjx.InputError, match=r"^out\.csv: plan g is there twice$"):
+    with pytest.raises(petmjx.InputError, match=r"^out\.csv: plan g occurs twice$"):
         petmjx.save_plans([plan, plan], "out.csv")
     assert not Path("out.csv").exists()

@@ -50,7 +50,7 @@ def figure(results: PackerComparison | CriteriaResults | RunResults, *files: str
     check_figures(paths)
     with paper_style():
         for path in paths:
-            drawn = _drawn_figure(results)  # the figure is drawn again for each file, since writing changes it
+            drawn = _drawn_figure(results)  # the figure is drawn again for each file, since writing a figure changes it
             with atomic_write(path) as temporary:
                 write(drawn, temporary, path.suffix.lower().removeprefix("."))
     return paths

@@ -20,7 +20,7 @@ DOTS_PER_INCH: Final = 200
 
 SETTINGS: Final[Any] = {
     "svg.fonttype": "none",  # letters are stored as text instead of outlines
-    "svg.hashsalt": "petmjx",  # ids are the same each time
+    "svg.hashsalt": "petmjx",  # ids in SVG files are the same each time
     "pdf.fonttype": 42,  # fonts are TrueType, which journals require
     "font.family": "DejaVu Sans",  # this font is part of matplotlib
     "text.parse_math": False,  # a $ in a name does not begin a formula

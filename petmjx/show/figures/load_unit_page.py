@@ -72,7 +72,9 @@ def write_load_unit_pages(run: RunResults, plans: Mapping[str, Plan], path: Path
             f"{run.path}: is not complete ({n_worlds:,} of {expected}): continue with {option('--resume', 'True')}"
         )
     if not is_chain(run.info) or run.summary is None:
-        raise InputError(f"{run.path}: a page to send is about a chain: petmjx score PLANS --chain NAME")
+        raise InputError(
+            f"{run.path}: is not the run of a chain, so it has no PDF pages; petmjx score PLANS --chain NAME makes one"
+        )
     rows = [row for row in arrivals(run.summary).to_dict("records") if row["plan_id"] in plans]
     if not rows:
         raise InputError(f"{run.path}: none of its plans was found: name their files")
@@ -87,7 +89,7 @@ def write_load_unit_pages(run: RunResults, plans: Mapping[str, Plan], path: Path
 
 
 def sentence(row: Mapping[Any, Any]) -> str:
-    """The answer as one sentence. ``row`` is a row of ``arrivals``."""
+    """One sentence about a plan's chance to arrive. ``row`` is a row of ``arrivals``."""
     judged = row["n_worlds"] - row["n_invalid"]
     if not judged:
         return "No world has a verdict."
@@ -199,7 +201,8 @@ def _film(run: RunResults, plan: Plan, slides_g: float) -> str:
     wrapped load slides (formula in docs/wrap.md).
 
     Args:
-        slides_g: acceleration from which the load slides without film, g, which is its friction with the carrier.
+        slides_g: smallest acceleration at which the load slides without film, g. It equals the coefficient of friction
+            between load and carrier.
     """
     sim = Simulation.read(run.info["config"]["simulation"])
     legs = [leg for leg in run.info["config"]["sweep"]["legs"] if leg.get("wrap_turns") is not None]

@@ -55,7 +55,9 @@ def draw_answers(run: RunResults) -> Any:
     """
     summary = run.summary
     if summary is None:
-        raise InputError(f"{run.path}: no figure of this run; sweeps and scores with {option('--confidence')} have one")
+        raise InputError(
+            f"{run.path}: this run has no figure; only sweeps and scores with {option('--confidence')} have one"
+        )
     if "axis" in summary:
         return _shares(summary)
     if "profile" in summary:

@@ -57,7 +57,7 @@ class BoardFolder:
         names: the files that will be written, from :func:`names_of`.
         packers: names of the packers that will be scored into the folder.
         inputs: files and folders that are read.
-        overwrite: whether to replace an existing board. An unfinished board is continued even without it.
+        overwrite: whether to replace an existing board. An unfinished board is continued even without this option.
 
     Attributes:
         board_files: the board's own files, as paths relative to its folder.
@@ -142,7 +142,8 @@ def _board_in(folder: Path) -> Mapping[str, Any] | None:
 
 
 def _own_of(board: Mapping[str, Any]) -> Iterator[str]:
-    """The board's own files, from its list. Without a list, they are the files of the board's packers and stories."""
+    """The board's own files, from its list. If the board has no list, its own files are those of its packers and
+    stories."""
     if not board:
         return
     listed = board.get(FILES)

@@ -41,7 +41,7 @@ def quantised_column(values: NDArray[np.floating[Any]], steps: bool = False) -> 
 
     Args:
         values: floats of any shape. Infinities become NaN.
-        steps: whether to store differences along axis 0, which suits values that change slowly along it.
+        steps: whether to store differences along axis 0. This suits values that change slowly along this axis.
     """
     finite = np.isfinite(values)
     low, high = (float(values[finite].min()), float(values[finite].max())) if finite.any() else (0.0, 0.0)
@@ -85,7 +85,7 @@ def block(columns: Mapping[str, NDArray[Any] | PackedArray]) -> str:
         packed = column if isinstance(column, PackedArray) else PackedArray(column)
         values = np.ascontiguousarray(packed.values)
         if values.dtype.name not in _TYPES:
-            raise ValueError(f"{name}: {values.dtype} has no place in a page")
+            raise ValueError(f"{name}: a page cannot hold arrays of {values.dtype}")
         entry: dict[str, Any] = {"name": name, "type": values.dtype.name, "shape": values.shape, "at": len(body)}
         if packed.scale is not None:
             entry |= {"scale": packed.scale, "offset": packed.offset}

@@ -20,8 +20,8 @@ _TONES: Final = (0.0, 0.45, -0.4)
 
 RAMP_COLOURS: Final = 64
 
-# A path through the colour space OKLab (Ottosson, "A perceptual color space for image processing", 2020), from dark
-# blue through green to yellow.
+# The ramp is a path through the colour space OKLab, from dark blue through green to yellow.
+# Source of OKLab: Ottosson, "A perceptual color space for image processing", 2020.
 # Lightness grows evenly, so the order of values is visible even without hues.
 _LIGHTNESS: Final = (0.36, 0.93)
 _HUE_DEG: Final = (278.0, 103.0)

@@ -23,7 +23,7 @@ _FAR_SHARE: Final = 0.5
 """A box is not framed if its distance from the pallet exceeds both ``_FAR_M`` and this share of the pallet's height."""
 _LOST_M: Final = 50.0
 """Boxes farther away than this are not drawn. Boxes this far away occur in simulations that became numerically
-unstable. If they were drawn, all other positions would be stored less precisely."""
+unstable. If such boxes were drawn, all other positions would be stored less precisely."""
 _ARROW_M: Final = 0.45
 """Room to the left of the carrier for the arrow of gravity (petmjx/show/pages/static/arrows.js)."""
 

@@ -29,14 +29,14 @@ HELD_S: Final = 2.0
 """How long a film shows its last frame, s."""
 
 USUAL_LONGEST_S: Final = 20.0
-"""Largest length of a film if no speed is given, s. Such a film runs in real time, or faster if it would otherwise be
-longer than this."""
+"""Largest length of a film if no speed is given, s. Such a film runs in real time, or faster if it would last longer
+than this in real time."""
 
 MOST_FRAMED: Final = 400
 """Largest number of frames to which the camera of a film is fitted."""
 
 GIF_COLOURS: Final = 255
-"""Number of colours in a GIF. The last one of 256 is reserved for pixels that do not change."""
+"""Number of colours in a GIF. The last of the 256 colours is reserved for pixels that do not change."""
 
 
 def film_times(story: Story, speed: float, fps: float) -> list[float]:

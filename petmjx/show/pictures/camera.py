@@ -15,7 +15,8 @@ from petmjx.common.text import printable_name
 from petmjx.common.units import FloatArray, deg_to_rad
 
 FIELD_OF_VIEW_DEG: Final = 24.0
-"""Vertical angle of view, as with a 56 mm lens on 24 × 36 mm film. Vertical edges look nearly parallel with it."""
+"""Vertical angle of view, as with a 56 mm lens on 24 × 36 mm film. With this angle, vertical edges look nearly
+parallel."""
 
 NEAREST_M: Final = 0.3
 """Smallest distance from the camera to a framed point, m."""

@@ -36,7 +36,7 @@ _FLOOR_HALF_M: Final = 60.0
 
 _TOWARDS_CAMERA: Final = 1.5e-3
 """Edges are drawn nearer to the camera than their faces, by this share of the distance, and smaller by the same share.
-So they cover the same pixels, but lie in front of the faces."""
+So the edges cover the same pixels as before, but lie in front of the faces."""
 
 _SEE_THROUGH: Final = 0.24
 """Opacity of boxes when contact forces are drawn."""

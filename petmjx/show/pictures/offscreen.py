@@ -152,7 +152,7 @@ def _gl_context(size: tuple[int, int]) -> Any:
             warnings.simplefilter("ignore")  # hides GLFW's warnings: the same problems raise an error below
             context = importlib.import_module(f"mujoco.{name}").GLContext(*size)
         context.make_current()
-    except Exception as error:  # PyOpenGL and drivers may raise almost anything
+    except Exception as error:  # PyOpenGL and drivers may raise almost any exception
         raise InputError(f"no OpenGL that draws without a display ({name}: {one_line(error)}): {_ADVICE}") from error
     return context
 

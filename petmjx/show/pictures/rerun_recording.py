@@ -61,7 +61,7 @@ def _boxes(rr: Any, story: Story, colours: Colouring, poses: Poses) -> Any:
 
 
 def _carrier(rr: Any, story: Story, poses: Poses) -> Iterator[tuple[str, Any]]:
-    """The boards of the carrier; and its walls, drawn as frames so that they hide no box."""
+    """The boards of the carrier, and its walls, which are drawn as frames because solid walls would hide boxes."""
     carrier = story.scene.carrier
     centers, _, half_sizes = carrier.shapes_at(poses.carrier_pos, poses.carrier_quat)
     boards, walls = slice(carrier.n_boards), slice(carrier.n_boards, None)

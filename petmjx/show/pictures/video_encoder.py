@@ -71,4 +71,4 @@ def h264_encoder(path: Path, size: tuple[int, int], fps: float) -> Iterator[Call
 
 
 class _EncoderExit(Exception):
-    """ffmpeg exited before the film was complete."""
+    """Raised if ffmpeg exited before the film was complete."""

@@ -151,7 +151,8 @@ class Bar:
 
 
 def bars(title: str, rows: Sequence[Bar], *, width: int = WIDTH, names: int = 130) -> Markup:
-    """A bar chart with the names on the left. Long names are cut; the whole name appears when the mouse is over it.
+    """A bar chart with the names on the left. Long names are cut; the whole name appears when the mouse is over the cut
+    name.
 
     Args:
         names: width of the names, pixels.
@@ -222,7 +223,7 @@ def stacked_bars(title: str, rows: Sequence[tuple[str, Sequence[tuple[str, int, 
 
 
 def _row_name(name: str, y: float) -> Markup:
-    """The name of a row. If it is cut, the whole text appears when the mouse is over it."""
+    """The name of a row. If the name is cut, the whole text appears when the mouse is over the name."""
     letters = MOST_LETTERS
     short = name if len(name) <= letters else name[: letters - 1] + "…"
     return element("text", element("title", name), short, x=0, y=y, class_="halo")

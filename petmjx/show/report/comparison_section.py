@@ -72,7 +72,7 @@ def _rates(runs: Sequence[ReportRun], common: pd.DataFrame) -> Markup:
 
 def _won_and_lost(runs: Sequence[ReportRun], common: pd.DataFrame) -> tuple[Markup, Markup]:
     """For each pair of runs, the worlds that stand in only one of the two runs. Only worlds with a verdict in both runs
-    count.
+    are compared.
 
     Returns:
         A chart, and a table with the differences of the shares.
@@ -178,7 +178,7 @@ def _flips(runs: Sequence[ReportRun], pair: Comparison) -> Markup:
     a, b = (run.name for run in runs)
     caption = f"Flipped verdicts ({len(flips):,})"
     caption += f": the first {MOST_FLIPS}" if len(flips) > MOST_FLIPS else ""
-    within = None if pair.other_plans else pair.flips_within  # it is meaningful only for equal plans
+    within = None if pair.other_plans else pair.flips_within  # ``flips_within`` has a meaning only for equal plans
     note = (
         "" if within is None else f"Each has a margin within ±{three_digits(within)} of a threshold in one of the runs."
     )

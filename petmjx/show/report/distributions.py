@@ -48,7 +48,8 @@ class Quantity:
         return values.where(np.isfinite(values))
 
     def scale(self, values: pd.Series) -> Scale:
-        """An axis for these values. The axis contains all values, and its lower end is that of this metric."""
+        """An axis for these values. The axis contains all values. Its lower end is the lower end that this metric
+        defines."""
         return Scale.over(values.to_numpy(), log_from=self.log_from, lowest=self.lowest, zero=True)
 
     def across(self, values: pd.Series) -> Scale:

@@ -112,8 +112,8 @@ def _of_run(run: ReportRun) -> dict[str, Any]:
 
 
 def _summed_up(runs: Sequence[ReportRun]) -> list[str]:
-    """A line about the rows of each run that has too many worlds for one row each."""
-    row = "one row a plan: its world with the least margin, and the share of its worlds that stand"
+    """A line for each run that has too many worlds for a table with one row per world."""
+    row = "one row per plan: its world with the smallest margin, and the share of its worlds that stand"
     return [f"{run.name} has {len(run.worlds):,} worlds, too many for a table. It has {row}." for run in runs]
 
 

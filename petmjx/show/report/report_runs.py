@@ -71,14 +71,14 @@ class ReportRun:
 
     @property
     def what(self) -> str:
-        """The word for a world that users know."""
+        """The noun for a row in texts for users: "plan" for scores, "world" for sweeps and chains."""
         return "plan" if self.kind in (Kind.SCORE, Kind.CONFIDENCE) else "world"
 
     @cached_property
     def worlds(self) -> pd.DataFrame:
-        """The worlds that are shown, one row each, sorted by plan and variant. Usually these are all worlds. For a
-        score with confidence, only the nominal worlds are shown; for a chain, only the worlds that have errors and no
-        remedy.
+        """The worlds that are shown, one row each, sorted by plan and variant. Usually all worlds of the run are shown.
+        For a score with confidence, only the nominal worlds are shown; for a chain, only the worlds that have errors
+        and no remedy.
 
         Additional columns: ``height_m`` and ``mass_kg`` of the plan (NaN if the plan was not found), and
         ``first_article``, the article of the first box to fail ("" if none failed).
