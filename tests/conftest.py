@@ -43,6 +43,9 @@ if os.environ.get("PETMJX_TEST_GPU") != "1":
 os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
 sys.dont_write_bytecode = False
 
+# Runs of tests need not outlive a power failure, and a test with a hundred small runs waits for the disk for seconds.
+os.fsync = lambda descriptor: None
+
 # The same examples on each machine, however slow it is.
 if importlib.util.find_spec("hypothesis") is not None:
     from hypothesis import HealthCheck, settings
