@@ -25,6 +25,7 @@ from support.job_streams import feedback_stream
 from support.plans import make_scene
 from support.tiny_worlds import (
     LONG_NS,
+    OWN_NS,
     SHORT,
     SOME_NS,
     STEP_NS,
@@ -122,10 +123,6 @@ def test_memory_that_runs_out_while_buffers_grow_ends_what_is_not_at_its_end(
     assert large.reason is Reason.OUT_OF_MEMORY
     assert (waits.reason is Reason.OUT_OF_MEMORY) == grows
     assert_same(ended, crowd["hand-one-box"])
-
-
-OWN_NS = 1
-"""Programs are kept by the length of their slices, so these belong to ``FailingRollout`` alone."""
 
 
 class FailingRollout(Rollout):
