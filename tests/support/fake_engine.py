@@ -49,7 +49,7 @@ def end_without_physics(world: WorldRun) -> Outcome:
     a rule says how a world ends.
 
     A plan stands if its upper boxes lie within 170 mm of one another. In a drive it stands up to a level that depends
-    on the number of its boxes and on their mass.
+    on the number of its boxes, on their mass and on the direction.
     """
     job, scene = world._job, world._job.scene
     if isinstance(job.start, SettledState) and (end_outcome := job.start.ended_as(world._stream_number)) is not None:
@@ -57,7 +57,8 @@ def end_without_physics(world: WorldRun) -> Outcome:
     places = scene.start_pos
     stands = bool(np.ptp(places[:, 0]) < 0.17)
     if job.drive is not None:
-        stands = stands and bool(job.drive.scale < 0.2 * scene.n_boxes / (1 + scene.total_mass / 100))
+        largest = 0.2 * scene.n_boxes / (1 + scene.total_mass / 100) * (1 + 0.5 * np.cos(job.drive.yaw_rad))
+        stands = stands and bool(job.drive.scale < largest)
     ending = {} if stands else {"reason": Reason.SHIFT, "culprit": scene.n_boxes - 1, "first_sign_s": 0.5}
     verdict = Verdict.STABLE if stands else Verdict.UNSTABLE
     outcome = make_outcome(
