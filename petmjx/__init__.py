@@ -98,7 +98,7 @@ _HOME = {
 """Public name → the module that defines it."""
 
 _RENAMED = {"Told": "PlacementResults"}
-"""Names of version 0.2 → today's names. Old names still work but warn; the next version removes them."""
+"""Names of version 0.2 → present names. Old names still work, but issue a warning; the next version removes them."""
 
 __all__ = [
     "PHYSICS",

@@ -16,7 +16,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command line and return its exit code.
 
     Args:
-        arguments: the arguments without the program's name; None: those of the process.
+        arguments: the arguments without the program's name; None: the arguments of the process.
     """
     try:
         from petmjx.cli import main as run
@@ -30,8 +30,8 @@ def command() -> NoReturn:
     """The command ``petmjx``: run the command line, and end the process with its exit code.
 
     Python's normal exit frees the memory of a run object by object. For 10,003 plans that took 0.2 s, and longer when
-    programs of a GPU were loaded. So the process exits without freeing it; functions registered with ``atexit`` are
-    still called. The garbage collector searches for cycles only rarely.
+    programs of a GPU were loaded. So the process exits without freeing this memory; functions registered with
+    ``atexit`` are still called. The garbage collector searches for cycles only rarely.
     """
     collect_rarely()
     code = main()

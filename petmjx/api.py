@@ -53,8 +53,9 @@ def _takes_options(*records: type[CheckedRecord]) -> Callable[[Function], Functi
 
 @contextmanager
 def _watching(watcher: Watcher | None, progress: bool) -> Iterator[Watcher | None]:
-    """Yield the watcher of a run: the given one if there is one, else a progress bar in a notebook. Elsewhere, with
-    ``progress``, yield a watcher that prints lines on standard error; without it, yield None.
+    """Yield the watcher of a run. If a watcher is given, it is used. Otherwise, a notebook gets a progress bar.
+    Elsewhere, ``progress`` gives a watcher that prints lines on standard error; without ``progress``, there is no
+    watcher (None).
 
     Raises:
         InputError: the given object lacks a method of a watcher.

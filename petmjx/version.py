@@ -4,5 +4,5 @@ __all__ = ["__version__"]
 
 try:
     from petmjx._version import __version__  # the build writes this module (pyproject.toml)
-except ImportError:  # this checkout was never installed
+except ImportError:  # the checkout was never installed
     __version__ = "0.2.0.dev0"

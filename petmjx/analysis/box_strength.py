@@ -62,8 +62,8 @@ class Walls(NamedTuple):
     """The walls of n boxes, as shares of the length of each box's walls.
 
     Attributes:
-        met: (n,) share on which walls of the boxes above stand; 1 if no box stands on it.
-        hanging: (n,) share that has no support, beyond the edges of the bodies that bear the box.
+        met: (n,) share on which walls of the boxes above stand; 1 if no box stands on the box.
+        hanging: (n,) unsupported share: the part of the walls beyond the edges of the bodies that bear the box.
         over_gaps: (n,) share that is over gaps between the boards of the deck.
         on_deck: (n,) whether a box stands on the carrier, directly or on a sheet.
     """
@@ -98,7 +98,7 @@ def walls_of(
             met[box] = sum(_met_length(wall, lines, tolerance_mm) for wall in walls) / perimeter
         below = [(low[other, :2], high[other, :2]) for other in np.flatnonzero(on[box])]
         if on_carrier[box] and extent_mm is None:
-            continue  # the carrier has the extents of the plan
+            continue  # without given extents, the carrier is as large as the plan, so no wall hangs over
         if on_carrier[box] and extent_mm is not None:
             below.append((np.zeros(2), np.array(extent_mm)))
         if not below:
@@ -112,8 +112,8 @@ def walls_of(
 
 
 def _stands_on(plan: Plan, low: FloatArray, high: FloatArray) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
-    """(n, n) whether the row's box stands on the column's, directly or through sheets; (n,) whether it stands on the
-    carrier."""
+    """Two arrays: (n, n) whether the row's box stands on the column's box, directly or through sheets; and (n,) whether
+    a box stands on the carrier."""
     beside = (shared_length(low[:, 0], high[:, 0]) > LEAST_SHARED_MM) & (
         shared_length(low[:, 1], high[:, 1]) > LEAST_SHARED_MM
     )
@@ -235,13 +235,14 @@ _SHARES: Final = {
     "rest_top_force_high_n": "load_share_high",
     _PEAK: "peak_share",
 }
-"""Force on a box → column with its share of the strength. The second and the third entry need a run with intervals."""
+"""Column with a force on a box → column with this force as a share of the box's strength. The second and the third
+entry need a run with intervals of forces."""
 
 _OVER: Final = dict(
     zip(("overloaded", "surely_overloaded", "possibly_overloaded", "overloaded_at_peak"), _SHARES.values(), strict=True)
 )
-"""Column of ``plans`` → the column of ``boxes`` that decides it: whether a box of the world has a share above 1
-there."""
+"""Column of ``plans`` → column of ``boxes`` that decides it. The column of ``plans`` is true for a world if any of its
+boxes has a share above 1 in the column of ``boxes``."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -254,11 +255,11 @@ class Loads:
         plans: one row per world: whether a box is ``overloaded`` at rest or ``overloaded_at_peak``, and the boxes with
             the largest shares. If the run has intervals of forces, also ``surely_overloaded`` and
             ``possibly_overloaded``.
-        notes: lines about an unfinished run, about articles without strength, and about forces at rest after a drive
-            with film.
+        notes: lines that warn about an unfinished run, about articles without strength, and about forces at rest after
+            a drive with film.
         stacking: the losses of strength that were used.
-        ways: for the run of a chain, how likely each plan is to arrive, and to arrive without crushed boxes, with each
-            remedy; None: the run is not that of a chain.
+        ways: for the run of a chain: how likely each plan is to arrive with each remedy, and to arrive without crushed
+            boxes; None: the run is not that of a chain.
     """
 
     run: Path
@@ -310,16 +311,17 @@ def loads(
 
     Args:
         run: a run's folder, or the result of ``petmjx.score``.
-        articles: a table of strengths (``petmjx.plans.articles.read_articles``). Boxes without an entry have the
-            strength from the plan, or else from the run's table. None: only those two are used.
-        plans: the plans of the run, which have the sizes, places and product groups; None: the files that the run
+        articles: a table of strengths (``petmjx.plans.articles.read_articles``). A box without an entry gets the
+            strength from the plan, or else from the run's own table of articles. None: only the plan and the run's
+            table are used.
+        plans: the plans of the run, from which sizes, places and product groups are read; None: the files that the run
             names.
         stacking: how much strength boxes lose by stacking, as a ``petmjx.options.stacking.Stacking`` or as a mapping
             that sets some of its fields.
 
     Raises:
-        InputError: there is no run, the table of articles or an option is unusable, no box has a known strength, or the
-            plans differ from those of the run.
+        InputError: there is no run, the table of articles or an option is unusable, no box has a known strength, or a
+            plan differs from the plan in the run.
     """
     losses = stacking if isinstance(stacking, Stacking) else Stacking.read(stacking or {})
     results = run if isinstance(run, RunResults) else load_run(run)
@@ -379,7 +381,8 @@ _STRENGTH: Final = ("press_strength_n", *_FACTORS, "strength_n", "time_factor", 
 def _strengths(
     plans: Iterable[Plan], articles: Articles, losses: Stacking, carrier: Carrier | OwnCarrier
 ) -> tuple[pd.DataFrame, Counter[str]]:
-    """The strength of each box except sheets; and for each article without strength, the number of its boxes."""
+    """Two results: the strength of each box, except sheets; and, for each article without a known strength, its number
+    of boxes."""
     parts: list[pd.DataFrame] = []
     missing: Counter[str] = Counter()
     for plan in plans:
@@ -413,8 +416,8 @@ def _remaining_share(loss: float, factor: float = 1.0) -> float:
 
 
 def _factors(plan: Plan, losses: Stacking, carrier: Carrier | OwnCarrier) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Three arrays (4, n) with the ``_FACTORS`` of each box's strength: for the nominal, the largest and the smallest
-    losses."""
+    """The four ``_FACTORS`` of each box's strength, as three arrays (4, n): for the nominal, the largest and the
+    smallest losses."""
     extent, boards = extent_m(carrier), pallet(carrier)
     extent_mm = None if extent is None else (MM_PER_M * extent[0], MM_PER_M * extent[1])
     walls = walls_of(plan, extent_mm, None if boards is None else boards.deck_mm, losses.wall_tolerance_mm)
@@ -484,7 +487,7 @@ def _notes(missing: Counter[str]) -> list[str]:
 
 
 def _film_notes(results: RunResults) -> list[str]:
-    """A note on the forces at rest of worlds that were shaken while wrapped in film."""
+    """A note about forces at rest, if worlds were shaken while wrapped in film."""
     wrap = results.info.get("config", {}).get("simulation", {}).get("wrap") or {}
     turns = results.worlds.get("wrap_turns", pd.Series([wrap.get("turns") or 0]))
     if not (turns > 0).any() or "profile" not in results.worlds:

@@ -78,7 +78,7 @@ class CriterionInputs:
 
     @cached_property
     def balance(self) -> tuple[FloatArray, FloatArray]:
-        """Two arrays (n,) with the slacks of force balance, without and with leaning. The second is NaN unless
+        """Slacks of force balance, as two arrays (n,): without leaning and with leaning. The second array is NaN unless
         ``leans``."""
         return balance_slack(self.contacts, self.hulls, self.friction, self.leans)
 
@@ -88,13 +88,13 @@ NO: Final = 0
 NOT_ASKED: Final = -1
 
 _ROUNDING: Final = {"mm": ON_EDGE_MM, "1": -NO_SLACK}
-"""Unit → rounding error: slacks above minus this value count as 0. Shares of areas in mm² have rounding errors of
-1e-16."""
+"""Unit → rounding error. A negative slack that is closer to 0 than this error counts as 0. Shares of areas in mm² have
+rounding errors of 1e-16."""
 
 
 @dataclass(frozen=True, eq=False)
 class Answers:
-    """The answers of c criteria for n boxes, each at the time when it is placed.
+    """The answers of c criteria for n boxes, each box at the time when it is placed.
 
     Attributes:
         n_supports: (n,) number of areas on which the box lies (``PlanContacts.n_supports``).
@@ -161,7 +161,7 @@ def support_share(contacts: PlanContacts) -> FloatArray:
 
 
 def _with_overlaps(contacts: PlanContacts) -> IntArray:
-    """Boxes with contact rectangles that overlap each other."""
+    """Numbers of the boxes whose contact rectangles overlap each other."""
     if not (contacts.n_supports > 1).any():
         return np.zeros(0, dtype=np.int64)
     is_overlap = np.equal.outer(contacts.upper, contacts.upper)
@@ -188,7 +188,7 @@ def corners_supported(contacts: PlanContacts) -> IntArray:
 
 
 def corner_and_area_slack(share: FloatArray, corners: IntArray, least: tuple[float, float, float]) -> FloatArray:
-    """(n,) borne share minus the share that is required for the box's number of borne corners.
+    """(n,) borne share of the base, minus the share that is required for the number of borne corners.
 
     Args:
         least: shares required for boxes with four borne corners, with three, and with fewer.
@@ -214,12 +214,11 @@ LEAST_TOLERABLE_G: Final = 0.5
 
 
 def tolerable_acceleration_g(contacts: PlanContacts, hulls: Hulls, friction: float) -> FloatArray:
-    """(n,) the smallest horizontal acceleration at which a box, or the load placed so far, begins to slide or to tip,
-    g.
+    """(n,) the smallest horizontal acceleration, in g, at which a box or the load placed so far begins to slide or tip.
 
-    The box and the load count as rigid bodies. They slide when the acceleration in g reaches the coefficient of
-    friction. They tip when it reaches the distance of the centre from the edge divided by the height of the centre
-    above it. These conditions follow from statics, and EN 12195-1 has the same ones.
+    The box and the load count as rigid bodies. A body slides when the acceleration in g reaches the coefficient of
+    friction. A body tips when the acceleration in g reaches a / h. Here a is the distance of the centre from the edge,
+    and h the height of the centre above it. Both conditions follow from statics, and are also those of EN 12195-1.
     """
     half_mm = contacts.centre_mm[:, 2] - contacts.corner_mm[:, 2]
     of_box = hulls.distance(np.arange(contacts.n_boxes), contacts.centre_mm[:, :2]) / half_mm
@@ -254,15 +253,16 @@ overhang, and heavy boxes below. The seller publishes these numbers and ``LEAST_
 of ``load_points`` are assumptions: each is linear between the best and the worst possible value."""
 
 LEAST_POINTS: Final = 75.0
-"""From this number of points on, the seller calls a load stable."""
+"""The seller calls a load stable if it has at least this number of points."""
 
 
 def load_points(contacts: PlanContacts) -> dict[str, float]:
-    """The points of a whole load, by the names of ``MOST_POINTS``. Each number of points is proportional to a value:
+    """The points of a whole load, by the names of ``MOST_POINTS``. Points are given for six properties, each in
+    proportion to a value:
 
     - height: all points if the centre of mass is at half of the load's height or lower, none if it is at the top;
-    - quadrants: the mass over the lightest quadrant of the footprint, divided by a quarter of the mass. Boxes are cut
-      at the middle lines. A load gets no points if nothing lies on the carrier;
+    - quadrants: the mass over the lightest quadrant of the footprint, divided by a quarter of the load's mass. Boxes
+      are cut at the middle lines. A load gets no points if nothing lies on the carrier;
     - fill: volume of the boxes, divided by the volume of the load's bounding box;
     - interlock: among the boxes above the first layer, the share that lies on two boxes or more; all points if there is
       only one layer;
@@ -296,8 +296,8 @@ def load_points(contacts: PlanContacts) -> dict[str, float]:
 
 
 def load_points_slack(contacts: PlanContacts) -> FloatArray:
-    """(n,) points of the whole load minus ``LEAST_POINTS``, for its last box only. Before that the load has no
-    score."""
+    """(n,) points of the whole load minus ``LEAST_POINTS``. Only the last box of a plan has a value, because an
+    unfinished load has no score."""
     slack = np.full(contacts.n_boxes, sum(MOST_POINTS.values()) - LEAST_POINTS)
     slack[-1] = sum(load_points(contacts).values()) - LEAST_POINTS
     return slack
@@ -320,7 +320,7 @@ class Criterion:
         source: where the criterion comes from.
         slack_of: function that computes (n,) the slacks of a plan's boxes; NaN if a box has none.
         strict: whether a box with a slack of 0 is unstable.
-        number: name of the quantity to which the threshold applies; "" if there is none.
+        number: name of the quantity that is compared with the threshold; "" if the criterion has no threshold.
         threshold: threshold of this quantity. The slack is quantity − threshold.
         ends: whether boxes after the first one that fails get no answer.
         usual: whether the criterion is evaluated by default.
@@ -440,7 +440,7 @@ CRITERIA: Final = (
         DIMENSIONLESS,
         "McKee, Gander, Wachuta 1963, or strengths of the user's",
         lambda inputs: strength_slack(inputs.contacts, inputs.strength_n, even_bedding),
-        usual=False,  # without known strengths, it accepts all plans
+        usual=False,  # without known strengths, this criterion accepts all plans
     ),
     Criterion(
         "tolerable_acceleration",
@@ -467,7 +467,7 @@ CRITERIA: Final = (
         usual=False,  # this is a rule of thumb about the finished load
     ),
 )
-"""All criteria in the order of tables: first those of the base, last those of the whole stack."""
+"""All criteria, in the order of tables: first criteria about the base of a box, last criteria about the whole stack."""
 
 NAMES: Final = tuple(criterion.name for criterion in CRITERIA)
 _UNNAMED: Final = tuple(criterion.name for criterion in CRITERIA if criterion.usual)

@@ -80,7 +80,7 @@ def plans_frame(plans: Sequence[Plan], answers: Sequence[Answers], criteria: Seq
     for number, criterion in enumerate(criteria):
         failed = stable[:, number] == NO
         first = np.minimum.reduceat(np.where(failed, box, never), starts)
-        # Boxes without an answer are ignored. A plan has no smallest slack if a box failed without having a slack.
+        # Boxes without an answer are ignored. If a box failed without having a slack, its plan has no smallest slack.
         with np.errstate(invalid="ignore"):
             least = np.minimum.reduceat(np.where(stable[:, number] == NOT_ASKED, np.inf, slack[:, number]), starts)
         columns[criterion.name] = first == never
@@ -90,7 +90,7 @@ def plans_frame(plans: Sequence[Plan], answers: Sequence[Answers], criteria: Seq
 
 
 def documented_boxes(criteria: Sequence[Criterion]) -> Described:
-    """The columns of ``boxes``."""
+    """The columns of the table ``boxes``."""
     columns = dict(_PLAN_ID)
     columns["box"] = (DIMENSIONLESS, "index of the box in packing order, from 0")
     columns["item_id"] = (TEXT, "id of the item in the plan")
@@ -108,7 +108,7 @@ def documented_boxes(criteria: Sequence[Criterion]) -> Described:
 
 
 def documented_plans(criteria: Sequence[Criterion]) -> Described:
-    """The columns of ``plans``."""
+    """The columns of the table ``plans``."""
     columns = dict(_PLAN_ID)
     columns["n_boxes"] = (DIMENSIONLESS, "boxes of the plan")
     columns["support_share"] = (DIMENSIONLESS, "least borne share of a base")
@@ -123,7 +123,7 @@ def documented_plans(criteria: Sequence[Criterion]) -> Described:
 
 
 def criteria_vs_physics_columns() -> Described:
-    """The columns of ``judged``."""
+    """The columns of the table ``judged``."""
     columns = {"criterion": (TEXT, "name of the criterion"), "n_plans": (DIMENSIONLESS, "plans with a valid verdict")}
     for cell in CELLS:
         says, stands = cell.split("_")
@@ -140,7 +140,7 @@ def criteria_vs_physics_columns() -> Described:
 
 
 def documented_thresholds() -> Described:
-    """The columns of ``thresholds``. The threshold is in the unit that its row states."""
+    """The columns of the table ``thresholds``. Each row states the unit of its threshold."""
     in_row = "as in the column unit"
     columns = {
         "criterion": (TEXT, "name of the criterion"),
@@ -223,7 +223,8 @@ class CriteriaResults:
 
 
 def check_criteria_free(folder: Path, overwrite: bool, *, judged: bool, inputs: Iterable[Path] = ()) -> None:
-    """Check that the files of criteria may be written into a folder, before minutes are spent on computing them.
+    """Check that the files of criteria may be written into a folder. This check is made before the criteria are
+    computed, which may take minutes.
 
     Args:
         judged: whether the criteria are compared with a run.
@@ -238,7 +239,7 @@ def check_criteria_free(folder: Path, overwrite: bool, *, judged: bool, inputs: 
 
 
 CHUNK: Final = 16
-"""Number of plans that a process receives at a time. Their force balance takes half a second."""
+"""Number of plans that a process receives at a time. The force balance of this many plans takes half a second."""
 
 
 def criteria(
@@ -261,8 +262,8 @@ def criteria(
     Args:
         plans: as for ``petmjx.score``. None: the plans of the run; without a run, the bundled samples.
         run: a run of the same plans, or its folder. The criteria are compared with the verdicts of this run. If a plan
-            has several worlds, its nominal world counts. For a chain, a plan counts as standing if it arrives often
-            enough.
+            has several worlds, its nominal world counts. In the run of a chain, a plan counts as standing if it arrives
+            often enough (``p_arrives``).
         out: a folder for the tables, as Parquet and CSV.
         overwrite: whether existing tables may be replaced.
         limit: largest number of plans to evaluate.
@@ -382,8 +383,9 @@ def _ask(plans: Sequence[Plan], options: CriteriaOptions) -> list[Answers]:
 
 
 def _judging_worlds(run: RunResults, plans: Sequence[Plan], p_arrives: float) -> pd.DataFrame:
-    """One row for each plan of the run: its nominal world. For a chain, the row states whether the plan arrives often
-    enough; its reason is the weakest leg, and its margin is the share that arrives minus the required share.
+    """One row for each plan of the run, for its nominal world. In the run of a chain, the verdict states whether the
+    plan arrives often enough, the reason is the weakest leg, and the margin is the share that arrives minus the
+    required share.
 
     Raises:
         InputError: as for ``_nominal_worlds``.
@@ -403,7 +405,7 @@ def _nominal_worlds(worlds: pd.DataFrame, run: RunResults, plans: Sequence[Plan]
     """The nominal worlds of the run, one for each plan, if these plans were simulated.
 
     Raises:
-        InputError: the run has none of these plans, or one of them has another number of boxes in the run.
+        InputError: the run has none of these plans, or a plan does not have the same number of boxes in the run.
     """
     counts = {plan.plan_id: plan.n_boxes for plan in plans}
     common = worlds[worlds["plan_id"].isin(list(counts))]

@@ -22,15 +22,16 @@ from petmjx.engines.verdict import Verdict
 from petmjx.results.share_intervals import DEFAULT_CONFIDENCE
 
 N_BOOTSTRAP: Final = 4000
-"""Number of bootstrap samples of the plans. With it, the bounds of the intervals vary by about 1 % of their width."""
+"""Number of bootstrap samples of the plans. With this number, the bounds of an interval vary by about 1 % of its
+width."""
 
 CELLS: Final = ("accepted_stands", "accepted_falls", "refused_stands", "refused_falls")
-"""The cells of the confusion matrix. A name states the answer of the criterion, then that of physics."""
+"""The cells of the confusion matrix. A name states first the answer of the criterion, then the answer of physics."""
 
 SCORES: Final = ("precision", "recall", "mcc")
 
 ARRIVES: Final = ("arrives_accepted", "arrives_refused")
-"""Columns for the run of a chain: the mean P(arrives) of the plans that a criterion accepts, and of those that it
+"""Columns for the run of a chain: the mean P(arrives) of the plans that a criterion accepts, and of the plans that it
 refuses."""
 
 
@@ -46,8 +47,8 @@ def judge(plans: pd.DataFrame, worlds: pd.DataFrame, criteria: Sequence[Criterio
     Returns:
         One row per criterion: ``criterion``, ``n_plans``, the counts ``CELLS``, and each of ``SCORES`` with ``_low``
         and ``_high`` (95 % bootstrap over plans). ``same_first_box`` is the number of refused falling plans for which
-        the criterion and physics name the same first box. If ``worlds`` has the column ``share``, of a chain, there are
-        also the means ``ARRIVES`` of that share.
+        the criterion and physics name the same first box. If ``worlds`` has the column ``share`` (in the run of a
+        chain), each row also has the means ``ARRIVES`` of this share.
     """
     judged = with_physics(plans, worlds)
     stands = judged["stands"].to_numpy(dtype=bool)
@@ -79,7 +80,7 @@ def with_physics(plans: pd.DataFrame, worlds: pd.DataFrame) -> pd.DataFrame:
 def score_columns(accepted: NDArray[np.bool_], stands: NDArray[np.bool_], seed: int) -> dict[str, float]:
     """The counts of the confusion matrix, and the scores with their intervals.
 
-    The bootstrap draws plans with replacement. Only the four counts matter, so it draws them directly from a
+    The bootstrap draws plans with replacement. Since only the four counts matter, they are drawn directly from a
     multinomial distribution.
     """
     cells = confusion(accepted, stands)
@@ -120,8 +121,8 @@ def scores(cells: NDArray[np.int64]) -> tuple[FloatArray, FloatArray, FloatArray
 def best_thresholds(
     plans: pd.DataFrame, worlds: pd.DataFrame, criteria: Sequence[Criterion], seed: int = 0
 ) -> pd.DataFrame:
-    """For each criterion that has a threshold, the threshold that agrees best with physics. It is fitted on one half of
-    the plans and tested on the other half.
+    """For each criterion that has a threshold, the threshold that agrees best with physics. Each threshold is fitted on
+    one half of the plans and tested on the other half.
 
     The half to which a plan belongs depends only on its id and the seed.
 
@@ -159,8 +160,8 @@ def in_first_half(plan_ids: Sequence[str], seed: int) -> NDArray[np.bool_]:
 
 
 def best_threshold(number: FloatArray, stands: NDArray[np.bool_]) -> tuple[float, float]:
-    """The threshold t for which ``number >= t`` has the largest MCC, and that MCC. A number that is NaN is never
-    accepted.
+    """The threshold t for which the rule ``number >= t`` has the largest MCC, and this MCC. The rule never accepts a
+    number that is NaN.
 
     The threshold lies halfway between the two numbers that it separates. If several thresholds are equally good, the
     middle one is used. The threshold is NaN if no threshold has MCC > 0: if all numbers are equal, all plans stand, all
@@ -177,7 +178,7 @@ def best_threshold(number: FloatArray, stands: NDArray[np.bool_]) -> tuple[float
     n_standing = int(stands.sum())
     cells = np.stack([hit, false, n_standing - hit, len(stands) - n_standing - false], axis=-1)
     mcc = scores(cells.astype(np.int64))[2]
-    if not mcc.max() > 0:  # this is also true if the largest is NaN
+    if not mcc.max() > 0:  # written with "not" so that NaN also ends here
         return float("nan"), 0.0
     best = np.flatnonzero(mcc >= mcc.max() - 1e-12)
     cut = int(best[len(best) // 2])

@@ -1,10 +1,10 @@
-"""Which boxes are crushed, at rest or at the peak: surely, possibly, or not. Also the share of pallets that arrive
-whole.
+"""Which boxes are crushed, at rest or at the peak: surely, possibly, or not. Also computes the share of pallets that
+arrive without crushed boxes.
 
 Strengths are not exact: the losses through stacking, moisture and time have a spread. Forces at rest are not exact
 either if a box has several supports. So a box is *surely* overloaded if the smallest possible force exceeds the largest
-possible strength. It is *possibly* overloaded if the largest possible force exceeds the smallest possible strength.
-docs/loads.md explains this to users.
+possible strength. A box is *possibly* overloaded if the largest possible force exceeds the smallest possible strength.
+docs/loads.md explains crushing to users.
 """
 
 from __future__ import annotations
@@ -70,7 +70,7 @@ def with_crush_shares(boxes: pd.DataFrame, time_factors: tuple[float, float]) ->
         np.fmax(rest, sustained) if name not in boxes else boxes[name].fillna(rest)
         for name in ("rest_top_force_low_n", "rest_top_force_high_n")
     )
-    if SUSTAINED in boxes:  # intervals cover the end of the chain only
+    if SUSTAINED in boxes:  # force intervals exist only for the end of the chain
         most = np.fmax(most, sustained)
     low, high = boxes["strength_low_n"], boxes["strength_high_n"]
     shortest, longest = time_factors
@@ -81,7 +81,7 @@ def with_crush_shares(boxes: pd.DataFrame, time_factors: tuple[float, float]) ->
 
 
 def crushed_worlds(boxes: pd.DataFrame) -> pd.DataFrame:
-    """For each world, the columns ``PLAN_UNITS``."""
+    """The columns ``PLAN_UNITS``, with one row per world."""
     marked = boxes[_KEY].assign(
         surely=boxes["crush_share_low"] > 1,
         possibly=boxes["crush_share_high"] > 1,

@@ -5,28 +5,30 @@ Sources: Liu, Deng, Wang, Liu, Liu (2024), "StableLego: stability analysis of bl
 Transactions on Graphics 28(5). At each corner of each contact area, a pressing force acts, and friction of at most μ
 times that force. A stack is balanced if there are such forces whose sum and moment are zero on every box.
 
-The slack is dimensionless. If a box has n corners under it, each of them must carry at least s / n of the box's own
-weight. The slack is the largest s for which the stack is balanced. At 1, every box rests evenly on all its corners. At
-0, some box is about to tip. Below 0, a box would have to be glued, with a strength that grows with -s. For a box with a
-free top there is a closed form: on the ray from the middle of the box's corners through its centre to the hull's edge,
-the slack is 1 minus the position of the centre, as a share of the ray.
+The slack is dimensionless. If a box is supported at n corners of its contact areas, each corner must carry at least s /
+n of the box's own weight. The slack is the largest s for which the stack is balanced. At 1, every box rests evenly on
+all its corners. At 0, some box is about to tip. Below 0, a box would have to be glued, with a strength that grows with
+-s. For a box with a free top there is a closed form: take the ray from the middle of the box's corners through the
+box's centre to the edge of their hull. The slack is 1 minus the position of the centre on this ray, where 0 is the
+middle and 1 the edge.
 
-A placement only affects the structure of the new box: the boxes that are connected to it by contacts. Three exact
-shortcuts are used:
+A placement only affects the structure of the new box: the boxes that are connected to it by contacts. Three shortcuts,
+which do not change the result, save time:
 
-- A box with all four corners on the carrier is in balance whatever presses on its top, because vertical forces below it
-  can always answer. A box known to be in balance counts as part of the carrier, and so separates structures.
-- If vertical forces alone balance the boxes, they are already a solution. So friction, and with it horizontal forces
-  and heights, is considered only if they do not. Friction may then help, for example when a box is held by another box
-  that lies across it and its neighbour. The slack is then the slack with friction, if that is larger.
+- A box with all four corners on the carrier is in balance whatever presses on its top, because vertical forces from
+  below can always balance the load. A box known to be in balance counts as part of the carrier, and so separates
+  structures.
+- If vertical forces alone balance the boxes, a solution is found. Friction, horizontal forces and heights are
+  considered only if they do not. Friction can help, for example when another box lies across a box and its neighbour,
+  and so holds the box. The slack is then the larger one of the slacks without and with friction.
 - For a structure of one box, the closed form above gives the slack without a linear programme.
 
 With ``lean``, boxes that touch side by side may press on each other, and boxes may press on walls, by default without
-friction. Leaning is an option because forces that are possible need not arise: with friction at its sides, any box
-could hang between two neighbours that press on it, even if nothing makes them press.
+friction. Leaning is only an option, because a force that is possible need not arise. With friction at its sides, any
+box could hang between two neighbours that press on it, even if nothing makes the neighbours press.
 
-petmjx.analysis.force_intervals also uses the linear programmes, and ``wrenches``, which computes the force and moment
-on bodies from forces at points.
+petmjx.analysis.force_intervals uses the linear programmes of this module, and ``wrenches``, which computes forces and
+moments on bodies from forces at points.
 """
 
 from __future__ import annotations
@@ -80,7 +82,7 @@ EVEN: Final = 1.0
 
 
 class Entries(NamedTuple):
-    """The k entries of a sparse matrix that are not 0. Each field has the shape (k,)."""
+    """The k entries of a sparse matrix that are not 0. Each field of this record has the shape (k,)."""
 
     value: FloatArray
     row: IntArray
@@ -130,8 +132,8 @@ def largest_slack(forces: Entries, share: FloatArray, row_sums: FloatArray, limi
 
 
 def least_and_most(sums: FloatArray, forces: Entries, row_sums: FloatArray) -> FloatArray | None:
-    """For several sums of forces, the smallest and the largest value, over all forces g ≥ 0 with ``forces @ g =
-    row_sums``.
+    """The smallest and the largest possible value of several sums of forces. All forces g ≥ 0 with ``forces @ g =
+    row_sums`` are possible.
 
     Args:
         sums: (m, f) factors of the forces in each sum.
@@ -160,7 +162,7 @@ def _least_cost_solution(
 ) -> FloatArray | None:
     """The x with the smallest ``costs @ x`` whose rows and values are within bounds; None if there is none.
 
-    HiGHS solves the programme. It is called through SciPy's ``milp`` without integer variables, which has half the
+    HiGHS solves the programme. HiGHS is called through SciPy's ``milp`` without integer variables, which has half the
     overhead of ``linprog``.
 
     Raises:
@@ -186,12 +188,12 @@ NO_SLACK: Final = -1e-6
 def balance_slack(
     contacts: PlanContacts, hulls: Hulls, friction: Friction, lean: bool = False
 ) -> tuple[FloatArray, FloatArray]:
-    """For each box, the slack of its structure just after its placement: two arrays (n,), without and with leaning on
-    neighbours.
+    """The slack of each box's structure just after the box has been placed, as two arrays (n,): without and with
+    leaning on neighbours.
 
     Each array ends with the first box after which the stack is not balanced; later boxes are NaN. A box without support
-    is NaN as well. It counts as not balanced, although friction at its sides could hold it if its neighbours pressed on
-    it.
+    is NaN as well. Such a box counts as not balanced, although friction at its sides could hold it if its neighbours
+    pressed on it.
 
     Args:
         friction: coefficients of friction.
@@ -211,7 +213,8 @@ def balance_slack(
 
 
 class _Stack:
-    """One rule of balance, with or without leaning, applied placement by placement until the stack fails."""
+    """A stack that is built box by box. One rule of balance, with or without leaning, is applied after each placement,
+    until the stack fails."""
 
     def __init__(self, contacts: PlanContacts, friction: Friction, sides: Sides | None = None) -> None:
         self.slack = np.full(contacts.n_boxes, np.nan)
@@ -229,8 +232,8 @@ class _Stack:
 
 
 class _Structures:
-    """The structures of placed boxes: groups that are connected by contacts. Grounded boxes on the carrier separate
-    them."""
+    """The structures of placed boxes. A structure is a group of boxes that are connected by contacts. Boxes grounded on
+    the carrier belong to none, and so separate structures."""
 
     def __init__(self, contacts: PlanContacts, hulls: Hulls) -> None:
         self._contacts = contacts
@@ -246,7 +249,7 @@ class _Structures:
         return joined
 
     def with_box(self, box: int) -> float:
-        """Slack of the box's structure with vertical forces alone, after the box has been placed."""
+        """Add a box, and return the slack of its structure with vertical forces alone."""
         if self._grounded[box]:
             return 1.0
         supports = self._contacts.lower[self._starts[box] : self._starts[box + 1]]
@@ -272,8 +275,9 @@ def _slack_alone(contacts: PlanContacts, hulls: Hulls) -> FloatArray:
 class _VerticalSystem:
     """Force and moments on every box from the vertical forces at corners. Each structure uses a part of this system.
 
-    Each corner of a contact presses the box above upwards and the body below downwards. A box has three rows: its force
-    and its two moments about its own centre, in mean weights and metres.
+    Each corner of a contact presses the box above upwards and the body below downwards. A box has three rows: its
+    vertical force and its two moments about its own centre. The force is in units of the mean weight, and the moments
+    in mean weight times metre.
     """
 
     def __init__(self, contacts: PlanContacts) -> None:
@@ -306,7 +310,8 @@ class _VerticalSystem:
 
 
 _DIRECTIONS = 5
-"""Number of forces at a point: pressure, and friction in both directions along each of the two other axes."""
+"""Number of forces at a point: one of pressure, and four of friction, in both directions along each of the two other
+axes."""
 
 
 class Friction(NamedTuple):
@@ -339,11 +344,11 @@ class _Points(NamedTuple):
 def friction_slack(
     contacts: PlanContacts, structure: NDArray[np.bool_], newest: int, friction: Friction, sides: Sides | None = None
 ) -> float:
-    """Slack of a structure with friction. All bodies that touch the structure must be in balance as well.
+    """Slack of a structure with friction. All bodies that touch the structure must also be in balance.
 
     Friction must lie in the pyramid |fx| + |fy| ≤ μ f, which is inside the cone. So a stack that is balanced here is
-    also balanced with the cone. If the slack is not 0, friction is limited to μ times the part of a corner's force that
-    exceeds its required share. This does not affect the sign of the slack.
+    also balanced with the cone. Friction is limited to μ times the part of a corner's force that exceeds the corner's
+    required share. This limit does not affect the sign of the slack.
 
     Args:
         structure: (n,) boxes whose corners must carry the required share.
@@ -371,7 +376,8 @@ def friction_slack(
 
 
 def _columns(entries: Entries, chosen: IntArray, n: int) -> Entries:
-    """The entries in the chosen ones of n columns. These columns are renumbered."""
+    """The entries of a sparse matrix that lie in the chosen columns, of n columns. The chosen columns are
+    renumbered."""
     position = np.full(n, -1)
     position[chosen] = np.arange(len(chosen))
     column = position[entries.column]

@@ -3,11 +3,11 @@
 Statics does not determine how three supports share a load, and a simulation's answer depends on the stiffness of its
 contacts. Here the forces at all points at which boxes touch (petmjx.analysis.plan_contacts) are unknowns. Contact
 forces press, friction is at most μ times the pressure, and the force and the moment on every box are zero. Two linear
-programmes per box give the smallest and the largest force on its top. They are not needed for boxes on which statics
+programmes per box give the smallest and the largest force on its top. No programme is needed for a box on which statics
 determines the force.
 
 Friction is limited by the pyramid around the cone, |f₁|, |f₂| ≤ μ f, so that the interval contains all forces that the
-cone allows. (The criteria determine whether forces exist. They use the pyramid inside the cone.)
+cone allows. (The criteria, which determine whether balancing forces exist, use the pyramid inside the cone.)
 """
 
 from __future__ import annotations
@@ -42,7 +42,7 @@ def need_scipy() -> None:
 
 
 def intervals_at_rest(scene: Scene, physics: Physics, boxes: BoxMetrics) -> FloatArray | None:
-    """The :func:`force_intervals` of a world in its final poses; None if the world has no forces at rest."""
+    """The :func:`force_intervals` of a world in its final poses. None if the world has no forces at rest."""
     at_rest = np.column_stack([boxes.rest_top_force_n, boxes.pos, boxes.quat])
     return force_intervals(scene, physics, boxes.pos, boxes.quat) if np.isfinite(at_rest).all() else None
 
@@ -67,8 +67,8 @@ def force_intervals(scene: Scene, physics: Physics, pos: FloatArray, quat: Float
 
 
 def _without_programme(touching: TouchPoints, weight: FloatArray) -> FloatArray:
-    """(n, 2) intervals that need no linear programme: 0 for a free top; the weight of the boxes above if they rest on
-    this box alone. NaN for all other boxes."""
+    """(n, 2) intervals that need no linear programme. For a free top, both bounds are 0. If a box alone bears all boxes
+    above it, both bounds are their weight. For all other boxes, the interval is NaN."""
     n_boxes = len(weight)
     intervals = np.full((n_boxes, 2), np.nan)
     ends = np.stack([touching.first, touching.second])

@@ -20,7 +20,7 @@ from petmjx.results.documented_tables import check_tables_free, has_keys
 from petmjx.results.run_folder import csv, parquet, text, write_together
 
 _CREATOR: Final = "petmjx"
-"""Creator in the properties of a workbook. It shows that petmjx wrote the workbook."""
+"""Creator in the properties of a workbook, which shows that petmjx wrote the workbook."""
 _MOST_PROPERTIES: Final = 1 << 16
 
 _ARROW: Final = {"object": pa.string(), "int64": pa.int64(), "Int64": pa.int64()}
@@ -115,7 +115,7 @@ def _is_our_workbook(file: Path) -> bool:
     try:
         with zipfile.ZipFile(file) as parts, parts.open("docProps/core.xml") as properties:
             return f">{_CREATOR}<".encode() in properties.read(_MOST_PROPERTIES)
-    # These errors mean that the file is no zip file, is encrypted, or is compressed in another way. So petmjx did not
-    # write it.
+    # These errors mean that the file is no zip file, is encrypted, or uses another compression.
+    # So petmjx did not write it.
     except (OSError, ValueError, KeyError, zipfile.BadZipFile, NotImplementedError, RuntimeError):
         return False

@@ -58,7 +58,7 @@ def read_stability(folders: Sequence[Path], plans: Collection[Plan]) -> Stabilit
     """Read the stability of plans from runs.
 
     Raises:
-        InputError: a folder has no run, has a sweep, or has a run in which a plan of the same id differs.
+        InputError: a folder has no run or has a sweep, or a plan in a run differs from the plan with the same id.
     """
     if not folders:
         command = "petmjx score PLANS --check static --out DIR, then --run DIR"
@@ -98,7 +98,7 @@ def _check_same(run: RunResults, plans: Iterable[Plan]) -> None:
 
 
 def _verdicts(run: RunResults) -> dict[str, str]:
-    """The verdicts of the nominal worlds of a run, by plan id."""
+    """Verdicts of a run's nominal worlds, by plan id."""
     columns = ("plan_id", "variant", "verdict")
     tables = run.parts.table("worlds", columns)
     worlds = pa.concat_tables(tables).filter(pc.field("variant") == 0) if tables else None

@@ -1,8 +1,8 @@
 """Writes a submission to BED-BPP's leaderboard, after checking its name and its plans.
 
-The name has the form ``{DATE}_{SURNAME}_{ALGORITHM}_{TASK}.json``. The tasks are those of the leaderboard's page
-(floriankagerer.github.io/leaderboard). Either all items are known (offline), or they arrive one after the other
-(O3DBP), or p items are known and the packer chooses one of the next s (O3DBP-p-s).
+The name has the form ``{DATE}_{SURNAME}_{ALGORITHM}_{TASK}.json``. The leaderboard's page
+(floriankagerer.github.io/leaderboard) defines the tasks: either all items are known (offline), or items arrive one
+after the other (O3DBP), or p items are known and the packer chooses one of the next s (O3DBP-p-s).
 """
 
 from __future__ import annotations
@@ -93,7 +93,7 @@ def parse_name(text: str, today: Callable[[], datetime.date] = datetime.date.tod
 def write_submission(
     name: str, folder: Path, plans: Mapping[str, Plan], orders: Mapping[str, Order], unusable: int = 0
 ) -> Path:
-    """Check that plans are a valid submission, and write them. Items are written as they are in the orders.
+    """Check that plans are a valid submission, and write them. Items are written with the same fields as in the orders.
 
     Args:
         name: see :func:`parse_name`.
@@ -135,8 +135,8 @@ def write_submission(
 
 
 def _faults(plan: Plan, placements: Sequence[Placement], order: Order, choice: int | None) -> Iterator[str]:
-    """Yield the faults because of which a plan cannot be submitted. As a side effect, assigns to each placement its
-    item of the order."""
+    """Yield the faults because of which a plan cannot be submitted. As a side effect, each placement gets its item of
+    the order."""
     _name(plan, placements, order)
     has_ids = any(plan.item_ids)
     free: dict[tuple[str, str], list[int]] = defaultdict(list)
@@ -175,7 +175,7 @@ def _faults(plan: Plan, placements: Sequence[Placement], order: Order, choice: i
 
 
 def _name(plan: Plan, placements: Sequence[Placement], order: Order) -> None:
-    """Name boxes that have neither id nor article after the items that match them by size and mass."""
+    """Give each box that has neither id nor article the name of an item that has the same size and mass."""
     unnamed = [box for box, names in enumerate(zip(plan.item_ids, plan.articles, strict=True)) if not any(names)]
     if not unnamed:
         return

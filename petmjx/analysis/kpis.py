@@ -3,14 +3,14 @@
 The definitions are those of bed-bpp-env (e7459bf), ``evaluation/packing_plan_evaluator.py``. docs/kpis.md lists them
 together with the columns that petmjx adds. ``COLUMNS`` lists the columns of the table.
 
-``direct_support`` determines support in the same way as BED-BPP's evaluator (bed-bpp-env e7459bf,
+``direct_support`` determines support by the same method as BED-BPP's evaluator (bed-bpp-env e7459bf,
 ``environment/space_3d.py`` and ``environment/cuboid.py``). For each square millimetre of the target, the evaluator
-stores which box was placed there last and how high its top is. A box lies on every box that is stored somewhere under
-it and whose top is at most 5 mm below the bottom of the upper box, or higher. The support of a box is the sum of its
-common areas with these boxes, as a share of its base. A box without such boxes counts as standing on the target, with
-support 1. This has three consequences: where two supporting boxes overlap, their common area counts twice; a box that
-is pushed in under another box supports it; and a floating box counts as standing on the target. In plans without
-overlapping and floating boxes, the support is the share of the base that lies on something.
+stores which box was placed there last and how high its top is. The upper box lies on every box that is stored somewhere
+under it, unless that box's top is more than 5 mm below the bottom of the upper box. The support of the upper box is the
+sum of its common areas with these boxes, as a share of its base. If it lies on no box, it counts as standing on the
+target, with support 1. BED-BPP's method has three consequences: if two supporting boxes overlap, their common area
+counts twice; a box that is pushed in under another box supports it; and a floating box counts as standing on the
+target. In plans without overlapping and floating boxes, the support is the share of the base that lies on something.
 """
 
 from __future__ import annotations
@@ -98,10 +98,10 @@ COLUMNS: Final = (
     KpiColumn("stable_pal_ratio", "Float64", "1", "stable × share of the ordered boxes that begin at or below 2.0 m"),
     KpiColumn("n_stable_pal_items", "Int64", "1", "stable × ordered boxes that begin at or below 2.0 m"),
 )
-"""The columns: first BED-BPP's, then those that petmjx adds."""
+"""The columns: first BED-BPP's columns, then the columns that petmjx adds."""
 
 MEANS: Final = tuple(column.name for column in COLUMNS if column.mean)
-"""Columns whose means are shown."""
+"""Columns whose means are printed."""
 
 
 HEIGHT_TOLERANCE_MM: Final = 5.0
@@ -152,7 +152,8 @@ def direct_support(corner_mm: FloatArray, size_mm: FloatArray, extent_mm: tuple[
 
 
 class _Cells(NamedTuple):
-    """The cells of the target along one axis: their number, and for each box the range of cells that it covers."""
+    """The cells of the target along one axis: the number of cells, and for each box the range of cells that it
+    covers."""
 
     number: int
     first: NDArray[np.int64]
@@ -169,8 +170,8 @@ SCORED_HEIGHT_MM: Final = 2_000.0
 """The leaderboard ignores boxes whose bottom is above this height."""
 
 _EDGE_MM: Final = 1.0
-"""BED-BPP's evaluator measures the height of the pile too low by this length, since it uses the last whole millimetre
-inside a box."""
+"""The height of the pile is smaller by this length in BED-BPP's evaluator, because the evaluator uses the last whole
+millimetre inside a box."""
 
 Paths = str | PathLike[str] | Sequence[str | PathLike[str]]
 
@@ -224,9 +225,9 @@ def kpis(
     Args:
         plans: as for ``petmjx.score``.
         orders: file of orders, in BED-BPP's form or any other. An order belongs to the plan with the same id.
-        run: folders of runs in which these plans were simulated. The verdicts come from the first run. ``kpi_6``
-            applies BED-BPP's rule to the first run with check ``static``.
-        assume_stable: whether all plans count as stable, so that ``kpi_6`` is 1. Only without runs.
+        run: folders of runs in which these plans were simulated. The verdicts come from the first run. ``kpi_6`` comes
+            from BED-BPP's rule, applied to the first run with check ``static``.
+        assume_stable: whether all plans count as stable, so that ``kpi_6`` is 1. Allowed only without runs.
         strict: whether to raise at the first unusable plan or order, instead of leaving it out.
 
     Raises:
@@ -261,10 +262,10 @@ def kpis(
 
 
 def kpis_of(plan: Plan, order: Order, matching: Matching | None = None) -> dict[str, Any]:
-    """The columns of one plan, except those that depend on its stability.
+    """The values of one plan in all columns, except columns that depend on its stability.
 
     Args:
-        matching: how its boxes match the order, if already known.
+        matching: how the plan's boxes match the order, if already known.
     """
     matching = matching or match(plan, order)
     ordered = counts_of(matching)
@@ -365,8 +366,8 @@ def _notes(plans: Mapping[str, Plan], orders: Mapping[str, Order]) -> list[str]:
 def _odd_boxes(
     plans: Mapping[str, Plan], orders: Mapping[str, Order], matchings: Mapping[str, Matching]
 ) -> Iterator[str]:
-    """Two lines: on boxes that were not ordered, with the first plan that has any, and on boxes that were matched by
-    size alone."""
+    """Up to two lines: one on boxes that were not ordered, which names the first plan that has any; and one on boxes
+    that were matched by size alone."""
     odd = OddBoxes()
     for name, matching in matchings.items():
         odd.add(plans[name], orders[name], matching)

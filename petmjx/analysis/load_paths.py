@@ -4,8 +4,8 @@
 below fall. Source: Gao, Wang, Kong, Chong (2025), "Online 3D Bin Packing with Fast Stability Validation and Stable
 Rearrangement Planning", arXiv 2507.09123. A box on the carrier can be loaded anywhere on its top. The polygon of any
 other box is the hull of its contact areas, limited to the polygons of the boxes below. The box stands if its centre is
-in its own polygon. Then no later box can tip it, so loads do not matter. The paper also allows for an uncertain centre
-of mass; here the density of boxes is uniform.
+in its own polygon. If so, no later box can tip it, so loads need not be considered. The paper also allows for an
+uncertain centre of mass; here the density of boxes is uniform.
 
 **Criteria that pass loads down** determine whether the resultant of a box's weight and of the loads above it stays over
 its supports. Each box is checked when it is placed, and all boxes below it are checked again. The two criteria differ
@@ -24,8 +24,8 @@ in how a box distributes its load over its supports:
   whole weight on every box directly below, and pass nothing further down.)
 
 Both rules are linear in the load. So the weight of each box is passed down separately, and the load on a box after any
-placement is a sum over the boxes placed so far. Supports cannot pull, however. Where an even bedding would pull, the
-supports push with the least energy of their springs (petmjx.world.load_sharing). Where a resultant of the bedding lies
+placement is a sum over the boxes placed so far. Supports cannot pull, however. If an even bedding would pull, the
+supports push with the least energy of their springs (petmjx.world.load_sharing). If a resultant of the bedding lies
 beyond an edge, a linear programme determines whether other forces keep all resultants inside
 (petmjx.world.balance_programme).
 """
@@ -103,9 +103,9 @@ _SAME: Final = 1e-9
 def equilibrium_slack(contacts: PlanContacts, hulls: Hulls) -> FloatArray:
     """(n,) ``load_slack`` on an even bedding that can only push, unless another balance keeps all resultants inside.
 
-    If after a placement loads appear to be beyond edges, but depend on how boxes share their loads, then balancing
-    forces are searched for, and their existence decides. After the first placement without such forces, the other
-    placements keep the values of the bedding.
+    After a placement, loads may appear to be beyond edges although they depend on how boxes share their loads. In this
+    case, a linear programme searches for balancing forces, and the box passes if such forces exist. The searches end at
+    the first placement without balancing forces. All placements that were not searched keep the values of the bedding.
     """
     bearing = bearing_of(contacts)
     built = building_loads_of(bearing, [contacts.n_boxes])
@@ -130,11 +130,12 @@ def load_slack(
 ) -> FloatArray:
     """(n,) distance of resultants from the edges of the contact hulls after each box's placement, mm; positive inside.
 
-    The value is the smallest distance over the box and all boxes that bear part of its weight. It is NaN if one of
-    these boxes has no support or is lifted.
+    The value is the smallest distance over the box and all boxes that bear part of its weight. The value is NaN if one
+    of these boxes has no support or is lifted.
 
     Args:
-        pushed: the loads with supports that only push, if the sharing would make some supports pull.
+        pushed: the loads if supports can only push. This argument is needed if ``sharing`` would make some supports
+            pull.
     """
     on_box = _loads_on_boxes(contacts, sharing)
     bears = on_box.any(axis=-1)
@@ -153,12 +154,12 @@ def load_slack(
 
 
 def strength_slack(contacts: PlanContacts, strength_n: FloatArray | None, sharing: Sharing) -> FloatArray:
-    """(n,) the smallest value of 1 − load / strength after each box's placement, over the box and all boxes that bear
-    part of its weight. NaN if the box lies on nothing.
+    """(n,) the smallest value of 1 − load / strength after each box's placement. The minimum is taken over the box and
+    all boxes that bear part of its weight. NaN if the box lies on nothing.
 
     Args:
-        strength_n: (n,) strength of the top of each box, N. NaN means unknown, as does None for all boxes. If it is
-            unknown, no load is too large.
+        strength_n: (n,) strength of the top of each box, N; NaN if unknown. None: all strengths are unknown. On a box
+            of unknown strength, no load is too large.
     """
     slack = np.where(contacts.n_supports > 0, 1.0, np.nan)
     if strength_n is None:
@@ -184,7 +185,8 @@ def _loads_on_boxes(contacts: PlanContacts, sharing: Sharing) -> FloatArray:
     weights = contacts.mass_kg[:, None] * np.c_[np.ones(n), contacts.centre_mm[:, :2]]
     on_box[np.arange(n), np.arange(n)] = weights
     share = sharing(contacts)
-    # contacts are sorted by their upper box, and supports were placed earlier, so the loop goes from the last box down
+    # Contacts are sorted by their upper box, and a box is placed after its supports.
+    # So a loop from the last box to the first passes loads down.
     for contact in range(len(contacts.upper) - 1, -1, -1):
         lower = contacts.lower[contact]
         if lower != CARRIER:
@@ -211,8 +213,8 @@ def bearing_of(contacts: PlanContacts) -> Bearing:
 
 
 def _pulls(contacts: PlanContacts, built: BuildingLoads) -> bool:
-    """Whether an even bedding would pull after some placement. Then the loads differ from those with supports that only
-    push."""
+    """Whether, after any placement, a support would have to pull under an even bedding. If so, the loads differ from
+    the loads with supports that only push."""
     linear = _loads_on_boxes(contacts, even_bedding).cumsum(axis=1)[built.box, built.step]
     pushed = built.load * (1.0, MM_PER_M, MM_PER_M)
     return not np.allclose(linear, pushed, rtol=_SAME, atol=_SAME * np.abs(pushed).max(initial=0.0))
@@ -238,8 +240,8 @@ def even_bedding(contacts: PlanContacts) -> FloatArray:
     """(c, 3, 3) matrices of the even bedding: a pressure that varies linearly over all contact areas of the box
     above."""
     upper = contacts.upper
-    # Places are relative to the upper box's centre and in units of its lengths. This keeps the 3 × 3 systems well
-    # conditioned.
+    # Places are measured from the upper box's centre, as multiples of the box's lengths.
+    # This keeps the 3 × 3 systems well conditioned.
     origin, scale = contacts.centre_mm[upper, :2], contacts.size_mm[upper, :2]
     moments = _area_moments((contacts.low_mm - origin) / scale, (contacts.high_mm - origin) / scale)
     total_moments = _sums(moments, upper, contacts.n_boxes)[upper]

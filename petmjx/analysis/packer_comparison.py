@@ -1,8 +1,8 @@
 """Compares packers by runs of their plans: whose plans stand more often, by how much, and with which confidence.
 
 Orders are paired, since each order is packed by every packer. Only orders with a valid verdict for every packer are
-compared. Orders without a plan and invalid worlds are counted separately. ``share_at_worst`` is the share of standing
-plans if these orders counted as plans that fall.
+compared. Orders without a plan, and orders with an invalid world, are counted separately. ``share_at_worst`` is the
+share of standing plans if all these orders counted as plans that fall.
 """
 
 from __future__ import annotations
@@ -90,11 +90,11 @@ SHOWN: Final = (
     ShownColumn("height_m", "height m", 3),
     ShownColumn("kpi_2", "kpi_2", 3),
 )
-"""Columns of ``packers`` that a notebook shows."""
+"""Columns of the table ``packers`` that a notebook shows."""
 
 
 _ARRIVAL_PAIR: Final = ("p_gain", "p_gain_low", "p_gain_high")
-"""Additional columns of ``pairs`` for runs of chains."""
+"""Additional columns of the table ``pairs`` for runs of chains."""
 
 TABLES: Final = ("packers", "pairs", "reasons", "decided", "plans")
 """Names of the tables of a comparison."""
@@ -107,19 +107,21 @@ class PackerComparison:
     Attributes:
         runs: name of each packer → folder of its run.
         confidence: confidence of all intervals.
-        packers: a row for each packer and size of order (``all`` first): ``size``, ``packer``, number ``n`` of compared
-            orders, ``n_stable``, ``share`` with its Wilson interval ``low``, ``high``; over the compared orders, the
-            means of ``MEASURES`` and, with orders, also of ``KPIS``; ``n_orders`` of this size, of which ``n_invalid``
-            have an invalid world and ``n_missing`` have no plan; ``share_at_worst``. For chains there is also the mean
-            of ``p_arrives``, with its interval ``p_low``, ``p_high`` over orders.
-        pairs: a row for each pair of packers and size: ``a``, ``b``, ``n``; the numbers ``both``, ``only_a``,
-            ``only_b`` and ``neither`` of orders that stand; ``difference`` (share of b − share of a) with Newcombe's
-            interval ``low``, ``high``; ``p`` of McNemar's exact test, and ``p_holm``, corrected for the number of pairs
-            (both only for the size ``all``; other sizes are for inspection, not for tests, and have null). For chains
-            there is also ``p_gain``, the mean over orders of ``p_arrives`` of b − that of a, with its interval
-            ``p_gain_low``, ``p_gain_high``.
-        reasons: for each pair of packers, the number ``n`` of orders that the packer ``lost_by`` loses because its plan
-            falls for a certain ``reason``: ``a``, ``b``, ``lost_by``, ``reason``, ``n``.
+        packers: a row for each packer and size of order (``all`` first). Columns: ``size``; ``packer``; the number
+            ``n`` of compared orders; ``n_stable``; ``share`` with its Wilson interval ``low``, ``high``; the means of
+            ``MEASURES`` over the compared orders and, if orders are given, also of ``KPIS``; the number ``n_orders`` of
+            orders of this size, of which ``n_invalid`` have an invalid world and ``n_missing`` have no plan; and
+            ``share_at_worst``. Chains also have the mean of ``p_arrives``, with its interval ``p_low``, ``p_high`` over
+            orders.
+        pairs: a row for each pair of packers and size. Columns: ``a``, ``b``, ``n``; the numbers of orders that stand
+            for ``both`` packers, ``only_a``, ``only_b`` or ``neither``; ``difference`` (share of b − share of a) with
+            Newcombe's interval ``low``, ``high``; ``p`` of McNemar's exact test; and ``p_holm``, which is corrected for
+            the number of pairs. ``p`` and ``p_holm`` are null except for the size ``all``, because the other sizes are
+            not meant for tests. Chains also have ``p_gain``, the mean over orders of (``p_arrives`` of b −
+            ``p_arrives`` of a), with its interval ``p_gain_low``, ``p_gain_high``.
+        reasons: why a plan of one packer falls although the other packer's plan for the same order stands. A row for
+            each pair ``a``, ``b``, packer ``lost_by`` whose plan falls, and ``reason``, with the number ``n`` of
+            orders.
         decided: orders whose plan stands for only one packer of a pair: ``plan_id``, ``a``, ``b``, ``won_by``,
             ``lost_by``, ``reason``, ``order_boxes``.
         plans: a row for each order and packer (:func:`petmjx.analysis.packer_runs.plans_of`).
@@ -158,7 +160,7 @@ class PackerComparison:
         return {name: getattr(self, name) for name in TABLES}
 
     def to_dict(self) -> dict[str, Any]:
-        """Everything except ``plans``, as plain JSON values. Missing numbers are None."""
+        """Everything except the table ``plans``, as plain JSON values. Missing numbers are None."""
         return dict(to_json({name: value for name, value in vars(self).items() if name != "plans"}))
 
 
@@ -280,7 +282,7 @@ def _pair_row(size: str, a: str, b: str, rows: pd.DataFrame, confidence: float) 
         of = rows[rows["compared"]].pivot(index="plan_id", columns="packer", values=ARRIVES)
         gains = of[b] - of[a] if len(of) else pd.Series(dtype="float64")
         shares |= dict(zip(_ARRIVAL_PAIR, _mean_interval(gains, confidence), strict=True))
-    # The keys have the order of _PAIR_COLUMNS.
+    # The keys must be in the order of _PAIR_COLUMNS.
     return {"size": size, "a": a, "b": b, "n": counts.n, **vars(counts), **shares}
 
 
@@ -299,7 +301,7 @@ def _mean_interval(values: pd.Series, confidence: float) -> tuple[float, float, 
 
 
 def _standing_table(rows: pd.DataFrame) -> pd.DataFrame:
-    """Whether plans stand: a row for each compared order and a column for each packer."""
+    """Whether plans stand, in a table with a row for each compared order and a column for each packer."""
     compared = rows[rows["compared"]]
     stands = compared.assign(stands=compared["verdict"] == Verdict.STABLE.value)
     return stands.pivot(index="plan_id", columns="packer", values="stands").reindex(columns=rows["packer"].unique())

@@ -26,8 +26,8 @@ KPIS: Final = ("kpi_1", "kpi_2", "kpi_4", "kpi_5", "utilisation_2m")
 needs a static check."""
 
 GOODS: Final = ("left_out", "not_ordered", "resized", "as_ordered")
-"""Columns that count boxes: those of :class:`petmjx.plans.order_matching.PlanOrderCounts`, and the number of boxes that
-are as ordered and on the target."""
+"""Columns that count boxes: the fields of :class:`petmjx.plans.order_matching.PlanOrderCounts`, and the number of boxes
+that are as ordered and on the target."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -36,8 +36,8 @@ class OrderComparison:
 
     Attributes:
         sizes: id of each order → number of boxes of the order.
-        rows: a row for each plan that has an order: ``plan_id``, ``packer``, ``GOODS`` and ``KPIS`` (float64; null if a
-            KPI has no value).
+        rows: a row for each plan that has an order, with the columns ``plan_id``, ``packer``, ``GOODS`` and ``KPIS``
+            (float64; null if a KPI has no value).
         notes: lines about each packer's boxes that were not ordered, plans without an order, plans that were not read
             again, orders without any plan, and unusable orders.
     """
@@ -132,7 +132,7 @@ def _articles_of(runs: Mapping[str, RunResults]) -> Articles | None:
 
 
 def _plans_of(run: RunResults, orders: Mapping[str, Order]) -> Mapping[str, Plan]:
-    """Those plans of a run that have an order, as far as they can be read again."""
+    """The plans of a run that have an order. Plans that cannot be read again are missing."""
     records = Manifest.read(run.parts, run.info).plans
     plan_ids = [plan_id for plan_id in dict.fromkeys(run.worlds["plan_id"]) if plan_id in orders]
     return find_plans(run, records, plan_ids).plans

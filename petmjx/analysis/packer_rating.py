@@ -1,9 +1,9 @@
 """A rating of packers by physics: the share of all ordered boxes that lie on plans that stand.
 
 The rating has the same form as BED-BPP's (docs/kpis.md), but uses the verdict of the simulation. Three things add
-nothing: a plan that does not stand, an order that has no plan or whose world is invalid, and a box that was left out.
-So neither risky nor overly cautious plans win. A box counts once, if it was ordered and has the size and mass in the
-order. With orders, the rating of a packer depends only on its own plans and on the orders.
+nothing to the rating: a plan that does not stand, an order that has no plan or whose world is invalid, and a box that
+was left out. So neither risky nor overly cautious plans win. A box counts once, if it was ordered and has the size and
+mass in the order. With orders, the rating of a packer depends only on its own plans and on the orders.
 """
 
 from __future__ import annotations
@@ -72,8 +72,8 @@ def rating_interval(rating: FloatArray, ordered: FloatArray, confidence: float) 
 
     A rating is a mean over orders of values from 0 to 1, weighted by their numbers of boxes. Large orders make the
     rating vary as if there were fewer orders: Kish's effective number, (Σ w)² / Σ w² (Kish 1965, "Survey Sampling",
-    section 11.7). Such a mean varies at most as much as a share, so the interval is wide enough. Unlike a bootstrap
-    interval, it has a width even if all plans stand, or none.
+    section 11.7). A mean of values from 0 to 1 varies at most as much as a share of yes-or-no values, so the interval
+    is wide enough. Unlike a bootstrap interval, it has a width above 0 even if all plans stand or all fall.
 
     Args:
         rating: (p,) ratings from 0 to 1.

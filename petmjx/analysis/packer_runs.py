@@ -47,7 +47,7 @@ def runs_by_packer(runs: Sequence[Run] | Mapping[str, Run]) -> dict[str, RunResu
         InputError: there are fewer than two runs, two runs have the same name, or a folder has no run.
     """
     if isinstance(runs, str | Path | RunResults):
-        runs = [runs]  # a text is also a sequence, of its letters
+        runs = [runs]  # a text is also a sequence, namely of letters
     runs_by_name = runs if isinstance(runs, Mapping) else None
     sources: list[Any] = (
         list(runs_by_name.values()) if runs_by_name else list_of(runs, "runs", object, "runs or folders")
@@ -94,8 +94,8 @@ def check_names(names: Iterable[str]) -> None:
 
 
 def plans_of(runs: Mapping[str, RunResults], against: OrderComparison | None = None) -> pd.DataFrame:
-    """A row for each order and packer, sorted. It covers the caller's orders, and all orders of which a packer has a
-    plan.
+    """A row for each order and packer, sorted. The rows cover the caller's orders, and all orders for which a packer
+    has a plan.
 
     Args:
         against: the comparison of the plans with the caller's orders. None: the caller has no orders, so those of the
@@ -105,9 +105,9 @@ def plans_of(runs: Mapping[str, RunResults], against: OrderComparison | None = N
     Returns:
         ``plan_id``, ``packer``, ``order_boxes`` of the order, ``verdict`` (possibly ``missing``), ``reason``,
         ``margin``, ``digest``, and the columns of ``MEASURES``. ``as_ordered`` is the number of boxes of the plan that
-        were ordered, each counted once, that have the order's size and mass and are on its target; null if unknown.
-        ``listed`` tells whether ratings count the order. ``compared`` tells whether the order has a valid verdict for
-        every packer. If all runs are chains, there is also ``p_arrives``.
+        were ordered, have the size and mass in the order, and are on the order's target. An ordered box counts once.
+        Null if unknown. ``listed`` tells whether ratings count the order. ``compared`` tells whether the order has a
+        valid verdict for every packer. If all runs are chains, there is also ``p_arrives``.
     """
     table = _worlds_of(runs)
     sizes = None if against is None else against.sizes
@@ -166,7 +166,7 @@ def _carrier(runs: Mapping[str, RunResults]) -> Carrier | OwnCarrier:
 
 
 def _target_area_m2(by_order: Any, carrier: Carrier | OwnCarrier) -> FloatArray:
-    """The area of the target for each row. It is the same for all packers of an order.
+    """The area of the target for each row. For an order, the area is the same for all packers.
 
     This is the area of the carrier. With ``footprint`` it is that of the smallest target of BED-BPP on which the plans
     of all packers fit; if none is large enough, it is the area of the common extent of the plans.

@@ -2,8 +2,8 @@
 touch at rest.
 
 ``find_contacts`` and ``find_sides`` use the places in the plan. ``find_touch_points`` uses the final poses of a world,
-and MuJoCo's collider. ``Hulls`` are the convex hulls of the areas on which boxes lie; they compute how far points are
-inside.
+and MuJoCo's collider. ``Hulls`` holds the convex hulls of the areas on which boxes lie, and computes how far points are
+inside them.
 """
 
 from __future__ import annotations
@@ -25,14 +25,14 @@ from petmjx.world.scene import Scene
 from petmjx.world.supports import LEANS_M, TOUCH_M
 
 ON_EDGE_MM: Final = 1e-6
-"""A point at most this far outside counts as being on the edge. This covers the rounding errors of float64 sums of
-millimetres."""
+"""A point at most this far outside counts as being on the edge. This distance covers the rounding errors of float64
+sums of millimetres."""
 
 
 @dataclass(frozen=True, eq=False)
 class Hulls:
-    """One convex polygon for each of n boxes. Its vertices are counter-clockwise, and the last one is repeated until
-    there are e.
+    """One convex polygon for each of n boxes. Its vertices are counter-clockwise. The last vertex is repeated until the
+    polygon has e vertices.
 
     Attributes:
         vertex: (n, e, 2) vertices, mm; NaN if a box has no polygon.
@@ -61,8 +61,8 @@ class Hulls:
         return inside
 
     def reach(self, hull: IntArray, middle: FloatArray, point: FloatArray) -> FloatArray:
-        """(p,) position of points on rays from an inner point of the hull, ``middle`` (p, 2), through the point to the
-        edge: 0 at ``middle``, 1 on the edge, more than 1 outside."""
+        """(p,) position of points on rays. Each ray starts at an inner point of the hull, ``middle`` (p, 2), and passes
+        through the point to the edge. The position is 0 at ``middle``, 1 on the edge, and more than 1 outside."""
         start = self.vertex[hull]
         along = np.roll(start, -1, axis=1) - start
         outward = np.stack([along[..., 1], -along[..., 0]], axis=-1)
@@ -177,7 +177,8 @@ class PlanContacts:
 
     @cached_property
     def centre_mm(self) -> FloatArray:
-        """(n, 3) centres of gravity. They are the centres of the boxes, unless the plan gives others."""
+        """(n, 3) centres of gravity. A centre of gravity is the centre of the box, unless the plan gives another
+        one."""
         centre: FloatArray = self.corner_mm + self.size_mm / 2
         return centre if self.mass_center_mm is None else centre + self.mass_center_mm
 
@@ -188,8 +189,8 @@ class PlanContacts:
 
     @cached_property
     def n_supports(self) -> IntArray:
-        """(n,) number of areas on which each box lies: one per box below it, and for the carrier one, or one per deck
-        board."""
+        """(n,) number of areas on which each box lies: one per box below it, and one for the carrier, or one per deck
+        board below it."""
         return np.bincount(self.upper, minlength=self.n_boxes)
 
     @cached_property
@@ -223,7 +224,7 @@ class Sides:
         first, second: (s,) the two boxes, or ``CARRIER`` for a wall. The second one is on the positive side along the
             axis.
         axis: (s,) 0 for x, 1 for y.
-        low_mm, high_mm: (s, 3) corners of the rectangle. Its extent along its axis is 0.
+        low_mm, high_mm: (s, 3) corners of the rectangle. The rectangle's extent along ``axis`` is 0.
     """
 
     first: IntArray
@@ -338,7 +339,8 @@ def _with_walls(sides: Sides, contacts: PlanContacts, room: Room) -> Sides:
 
 LYING_GAP_M: Final = TOUCH_M
 """Largest gap at which a box still lies on another box, as in the criteria. If three supports have the same height,
-micrometres determine which of them bear the load, and these differ between simulators and between real pallets."""
+micrometres determine which of them bear the load. These micrometres differ between simulators and between real
+pallets."""
 
 SIDE_GAP_M: Final = 1e-5
 """Largest gap at which boxes touch side by side: slightly more than the rounding of a pose in float32. Neighbours that
@@ -385,7 +387,7 @@ def find_touch_points(scene: Scene, physics: Physics, pos: FloatArray, quat: Flo
 
     model = build_spec(scene, physics).compile()
     model.pair_margin[:] += LYING_GAP_M
-    model.geom_margin[:] += LYING_GAP_M / 2  # the collider adds the margins of two geoms
+    model.geom_margin[:] += LYING_GAP_M / 2  # half of the gap, because the collider adds the margins of two geoms
     data = mujoco.MjData(model)
     poses = data.qpos.reshape(-1, 7)[1:]  # the first pose is that of the carrier
     poses[:, :3], poses[:, 3:] = scene.frames(pos, quat), quat

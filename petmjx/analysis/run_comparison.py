@@ -1,7 +1,7 @@
 """Compares two runs of the same worlds: whether their verdicts agree, and by how much their metrics differ.
 
-Run b is compared with run a. For forces there are also differences relative to a: |b - a| / max(a, 10 N). The minimum
-of 10 N is about the weight of a 1 kg box. Ratios of smaller forces are of no importance for the pallet.
+Run b is compared with run a. For forces, differences relative to a are also computed: |b - a| / max(a, 10 N). The
+minimum of 10 N is about the weight of a 1 kg box, because ratios of smaller forces do not matter for a pallet.
 """
 
 from __future__ import annotations
@@ -62,16 +62,17 @@ class Comparison:
     """The result of :func:`compare_runs`.
 
     Attributes:
-        a, b: names of the two runs, which are those of their folders.
+        a, b: names of the two runs, which are the names of their folders.
         n_common: number of worlds in both runs.
         confusion: (3, 3) number of worlds by their verdict in a (rows) and in b (columns).
-        flips: worlds with different verdicts: verdict, reason and culprit in both runs, and by how much the worlds
-            exceed the thresholds of shift, tilt and acceleration (negative: they are below). The column ``margin`` of
-            ``worlds`` has the opposite sign.
-        worlds, boxes: differences of metrics, one row per metric and group: ``metric``, ``unit``, ``group``, ``n``;
-            ``mean`` of b - a with its sign (null for ``SIGNLESS`` metrics); ``median``, ``p95`` and ``largest`` of |b -
-            a|; and where the largest difference is: ``plan_id``, ``variant`` (and ``box``), with the two values ``a``
-            and ``b``. Null if a group has no value of the metric. Only plans that are equal in both runs count.
+        flips: worlds with different verdicts. Columns: verdict, reason and culprit in both runs, and by how much the
+            world exceeds the thresholds of shift, tilt and acceleration (negative: it is below them). The sign of these
+            excesses is opposite to that of the column ``margin`` in the table ``worlds``.
+        worlds, boxes: differences of metrics, one row per metric and group. Columns: ``metric``, ``unit``, ``group``,
+            ``n``; ``mean`` of b - a (null for ``SIGNLESS`` metrics); ``median``, ``p95`` and ``largest`` of |b - a|;
+            and the world with the largest difference: ``plan_id``, ``variant`` (and ``box``), with the two values ``a``
+            and ``b``. Null if a group has no value of the metric. Differences are computed only for plans that are
+            equal in both runs.
         other_plans: ids of plans that both runs have but that differ.
         only_a, only_b: plan_id and variant of the worlds that are in only one of the runs.
         same_reason, same_culprit: among the ``n_not_stable`` worlds that are stable in neither run, the numbers of
@@ -180,8 +181,8 @@ def compare_runs(a: RunResults | str | Path, b: RunResults | str | Path, *, pack
 
 
 def thresholds_of(info: Mapping[str, Any]) -> Thresholds:
-    """The thresholds of a run, or the defaults if it has none. All its options are searched, because older runs store
-    thresholds in another place."""
+    """The thresholds of a run, or the defaults if it has none. All options of the run are searched, because older runs
+    store thresholds in another place."""
     waiting: list[Any] = [info.get("config", {})]
     while waiting:
         entry = waiting.pop(0)
@@ -217,8 +218,8 @@ def _with_pose_differences(boxes: pd.DataFrame) -> pd.DataFrame:
     position, quaternion = ("pos_x_m", "pos_y_m", "pos_z_m"), ("quat_w", "quat_x", "quat_y", "quat_z")
     distance = np.linalg.norm(rows("b", *position) - rows("a", *position), axis=1)
     q_a, q_b = rows("a", *quaternion), rows("b", *quaternion)
-    # The angle is 4·asin(|q_a ∓ q_b| / 2), with the sign of the shorter chord. Unlike acos, this is exact for small
-    # angles.
+    # The angle is 4·asin(|q_a ∓ q_b| / 2), with the sign of the shorter chord.
+    # Unlike acos, this is exact for small angles.
     chord = np.minimum(np.linalg.norm(q_a - q_b, axis=1), np.linalg.norm(q_a + q_b, axis=1))
     angle = np.degrees(4 * np.arcsin(np.clip(chord / 2, 0, 1)))
     return boxes.assign(position_m_a=0.0, position_m_b=distance, orientation_deg_a=0.0, orientation_deg_b=angle)
@@ -233,7 +234,7 @@ def _differences(joined: pd.DataFrame, columns: Sequence[Column], key: Sequence[
         if f"{name}_a" not in joined or f"{name}_b" not in joined:
             continue
         values_a, values_b = (joined[f"{name}_{side}"].to_numpy(dtype=np.float64) for side in "ab")
-        with np.errstate(invalid="ignore"):  # the values may be infinite in both runs
+        with np.errstate(invalid="ignore"):  # both values may be infinite, so their difference is invalid
             signed = values_b - values_a
         if metric != name:
             signed = signed / np.maximum(np.abs(values_a), FORCE_FLOOR_N)

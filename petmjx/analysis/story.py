@@ -152,7 +152,7 @@ class Story:
         outcome: verdict, first box, and metrics of each box.
         history: the frames. The last one has the poses of ``outcome.boxes``.
         engine: the engine that simulated the world.
-        variant: index of the variant, and its values by column; 0 and empty if the plan has only one world.
+        variant: index of the variant, and its values by column. 0 and empty if the plan has only one world.
         drive: the drive that shakes the world.
         options: the options of the simulation (``petmjx.Simulation``), by field, as in ``run.json``.
         note: an important remark for readers, such as that the world was simulated on another engine than the run's; ""
@@ -202,21 +202,22 @@ def tell(
 ) -> Story:
     """Tell the story of one world, frame by frame, from a recording or from a new simulation.
 
-    ``petmjx.tell("s0-000016", "results")`` tells the world that is in the table ``worlds`` of the run in the folder
-    ``results``. A new simulation uses the same options and attempts, and is bit-identical. If the run's engine cannot
-    run on this machine, ``mujoco`` is used instead, and ``Story.note`` states whether the result differs.
+    ``petmjx.tell("s0-000016", "results")`` tells the story of plan ``s0-000016`` in the run in the folder ``results``.
+    A new simulation uses the same options and attempts, and is bit-identical. If the run's engine cannot run on this
+    machine, ``mujoco`` is used instead, and ``Story.note`` states whether the result differs.
 
     Args:
         plan_id: the plan's id; or, without a source, the plan itself.
         source: a run (its folder, or the result of ``petmjx.load_run``), or plans as for ``petmjx.score``; None: the
             bundled plans.
-        plans: where the plans of a run are now, if their files have moved.
+        plans: the files of a run's plans, if they have moved since the run.
         variant: index of the variant as in ``worlds``, for a run with several worlds per plan. The default is the
             nominal variant.
         interval_s: time between two frames, s, by default 0.05. There is also a frame at each placement and at the end.
-        details: whether to record accelerations, penetrations and contacts as well, which only the engine ``mujoco``
-            can; by default yes. A recording is used as it is, unless ``interval_s`` or ``details`` is given.
-        options: without a run, fields of ``petmjx.Simulation`` and of ``petmjx.RunOptions``.
+        details: whether to record accelerations, penetrations and contacts as well; by default yes. Only the engine
+            ``mujoco`` can record them. If the run has a recording, it is used unchanged unless ``interval_s`` or
+            ``details`` is given.
+        options: fields of ``petmjx.Simulation`` and of ``petmjx.RunOptions``; only allowed without a run.
 
     Raises:
         InputError: the plan or variant does not exist, a plan or sweep file is gone or has changed, or options are
@@ -293,7 +294,7 @@ def _recorded_story(run: RunResults, worlds: SweepPlan, index: int) -> Story | N
 
 
 def _engine_of(config: Mapping[str, Any]) -> tuple[Engine, str]:
-    """The engine of a run, or its replacement with a note about the replacement."""
+    """The engine of a run, or another engine with a note on the replacement."""
     name = config.get("engine")
     if name not in ENGINES:
         return make_engine(
@@ -363,11 +364,12 @@ REASONS: Final = {
     Reason.TILT: "a box tilted by more than {tilt:g}°",
     Reason.SHIFT: "a box shifted by more than {shift}",
 }
-"""Reason → a sentence without its full stop. The braces are filled with thresholds and with the boxes that dropped."""
+"""Reason → a sentence without its full stop. The braces in the sentence are placeholders for thresholds and for the
+boxes that dropped."""
 
 
 def thresholds_of(story: Story) -> Thresholds:
-    """The limits by which the verdict was decided."""
+    """The limits that decided the verdict."""
     return Thresholds(**story.options.get("thresholds", {}))
 
 
@@ -412,12 +414,13 @@ def notes_in_words(story: Story) -> list[str]:
 
 
 def _knife_edge(story: Story) -> str:
-    """A sentence on the load that is nearest to an edge, inside or outside: which box it is on, how near, and when."""
+    """A sentence on the load that is nearest to an edge, inside or outside. The sentence names the box, the distance
+    from the edge, and the time."""
     outcome = story.outcome
     table_edges = list(kept_edges(vars(outcome), outcome.boxes.plan_edge_m, outcome.boxes.rest_edge_m))
     recomputed_edges = list(edges_again(story.scene, outcome))
     nearest = nearest_edge(table_edges, outcome.verdict)
-    if nearest is None:  # the edge is not in the tables, as for a box's own weight
+    if nearest is None:  # the tables do not have the edge, for example if the load is a box's own weight
         nearest = nearest_edge(recomputed_edges, outcome.verdict) or nearest_edge([*table_edges, *recomputed_edges])
     else:  # the tables do not tell whether it is the box's own weight
         nearest = next((edge for edge in recomputed_edges if is_same_edge(edge, nearest)), nearest)
@@ -433,8 +436,8 @@ def _knife_edge(story: Story) -> str:
 
 
 def _hangs_over(story: Story) -> list[str]:
-    """Sentences on a box that hangs over while the plan is built, and on the box that comes too late to hold it
-    down."""
+    """Sentences on a box that hangs over while the plan is built, and on the box that would hold it down but is placed
+    too late."""
     outcome = story.outcome
     if not outcome.build_edge_m < 0:
         return []
@@ -476,7 +479,8 @@ def first_box_in_words(story: Story) -> str:
 
 
 def _gap_mm(story: Story, box: int) -> float:
-    """Gap between the bottom of a box, at its planned place, and the bodies below it when it is placed, mm."""
+    """Gap between the bottom of a box at its planned place and the bodies below it, at the time of its placement,
+    mm."""
     in_order = story.options.get("check") != Check.STATIC
     return float(gaps_mm(story.plan.corner_mm, story.plan.size_mm, in_order)[box])
 

@@ -75,8 +75,8 @@ class _Option:
     """A field of a record as an option of a command.
 
     Attributes:
-        path: names of the fields that lead to the field: usually a single name, or for example ``("thresholds",
-            "shift_m")``.
+        path: names that lead to the field: usually only the field's name; for a field of an inner record, for example,
+            ``("thresholds", "shift_m")``.
         section: heading of the option in the help.
     """
 
@@ -100,7 +100,7 @@ class _Option:
 
     @property
     def help(self) -> str:
-        """The field's description (without its remarks about Python), and its default if it can be shown."""
+        """The field's description without its remarks about Python, and the default if it can be shown."""
         text = (self.info.description or "").partition("; in Python")[0]
         value = self.info.default
         if isinstance(value, CheckedRecord):
@@ -134,8 +134,8 @@ def takes(
     simulated: str = SIMULATED,
     more: Sequence[tuple[type[CheckedRecord], str]] = (),
 ) -> Callable[[Command], Command]:
-    """Give a command the options of ``Simulation`` and ``RunOptions``: all of them, all but some, or only those that
-    are named.
+    """Decorator that gives a command the options of ``Simulation`` and ``RunOptions``: all of them, all but some, or
+    only the named ones.
 
     The command receives only the options that were typed, as keyword arguments with the names of the fields. Records
     within records become dictionaries. An error about a field names the option as it was typed.
@@ -188,7 +188,7 @@ def takes(
         with_options.__doc__, with_options.__name__ = command.__doc__, command.__name__
         with_options.__signature__ = signature.replace(parameters=parameters)  # type: ignore[attr-defined]  # what inspect reads
         with_options.__annotations__ = {p.name: p.annotation for p in parameters}
-        return with_options  # type: ignore[return-value]  # called as the signature says
+        return with_options  # type: ignore[return-value]  # typer calls it as the signature states
 
     return decorate
 
@@ -227,7 +227,7 @@ def _flags_of(signature: inspect.Signature) -> dict[str, str]:
     for name, parameter in signature.parameters.items():
         for entry in getattr(parameter.annotation, "__metadata__", ()):
             if isinstance(entry, OptionInfo):
-                words = (entry.default, *(entry.param_decls or ()))  # typer may take a flag for the default
+                words = (entry.default, *(entry.param_decls or ()))  # typer may store a flag as the default
                 names = [word.partition("/")[0] for word in words if isinstance(word, str) and word.startswith("-")]
                 usual = f"--{name.replace('_', '-')}"
                 flags[name] = next((text for text in names if text.startswith("--")), names[0] if names else usual)
@@ -270,7 +270,7 @@ def _setting(text: str, settable: Collection[str]) -> tuple[tuple[str, ...], Any
         raise InputError(f"--set {printable(names[0])}: unknown field; there are {', '.join(settable)}")
     try:
         return names, tomllib.loads(f"value = {value}")["value"]
-    # The text is no TOML, has a number with thousands of digits, or has endlessly nested lists.
+    # The text is not TOML, has a number with thousands of digits, or has lists nested too deeply.
     except (ValueError, RecursionError):
         return names, value.strip()
 
@@ -290,7 +290,7 @@ def _put(tables: dict[str, Any], path: tuple[str, ...], value: Any) -> None:
 
 def _as_typed(line: str, typed: Mapping[str, str]) -> str:
     """Replace the field at the beginning of an error's line by the option as it was typed. A line that names a file is
-    about the content of that file, and is not changed."""
+    not changed, because it is about the content of the file."""
     for path, option in typed.items():
         path_match = re.match(rf"(?:simulation\.|orders_)?{re.escape(path)}(?=[ :])", line)
         if path_match:

@@ -23,11 +23,11 @@ PIPED_WIDTH = 120
 """Number of columns if standard output is a file or a pipe."""
 
 _PLAIN: Final = {"…": "~", "≥": ">=", "≤": "<=", "→": ">", "↓": "v", "×": "x", "°": "o", "²": "2"}
-"""Replacements for characters that an old terminal cannot show. Further such characters become "?"."""
+"""Replacements for characters that an old terminal cannot show. All other such characters become "?"."""
 
 
 def results_console() -> Console:
-    """A console on standard output. It is as wide as the terminal, or ``PIPED_WIDTH`` if there is none."""
+    """A console on standard output. The console is as wide as the terminal, or ``PIPED_WIDTH`` if there is none."""
     from rich.console import Console
 
     piped = "COLUMNS" not in os.environ and not sys.stdout.isatty()
@@ -37,7 +37,7 @@ def results_console() -> Console:
 def prepare_streams() -> None:
     """Make printing safe: open missing standard streams, and replace characters that they cannot encode."""
     for name in ("stdout", "stderr"):
-        if getattr(sys, name) is None:  # the caller has closed it (petmjx … >&-)
+        if getattr(sys, name) is None:  # the caller has closed the stream (petmjx … >&-)
             setattr(sys, name, open(os.devnull, "w", encoding="utf-8"))  # noqa: SIM115  # until the process ends
     codecs.register_error("petmjx", _plainly)
     for stream in (sys.stdout, sys.stderr):

@@ -50,7 +50,7 @@ def label(
         typer.Option(
             "--pallets",
             metavar="N",
-            help="Pallets side by side; labels do not depend on it. [default: 2048 on a GPU, else 64]",
+            help="Pallets side by side; labels do not depend on it. [default: 4096 on a GPU, else 64]",
             show_default=False,
         ),
     ] = None,
@@ -78,7 +78,6 @@ def label(
     petmjx's own estimate are.
     """
     from petmjx.cli.run_command import RunInterrupted
-    from petmjx.common.machine import why_no_warp
     from petmjx.loop.label_files import write_labels
     from petmjx.loop.label_parts import n_unfinished
     from petmjx.loop.order_sources import ENDLESS, Orders, order_reading
@@ -90,11 +89,9 @@ def label(
         raise InputError("--resume contradicts --overwrite: drop one of them")
     reading = order_reading(*(options.pop(name, None) for name in ("units", "columns", "density")))
     source = Orders(ENDLESS if orders is None else orders, integer_of(seed, "--seed", 0), reading=reading)
-    has_gpu = options.get("engine", "auto") in ("auto", "mjx-warp") and why_no_warp() is None
-    side_by_side = (2048 if has_gpu else 64) if pallets is None else integer_of(pallets, "--pallets", 1)
     labeller = Labeller(
         source,
-        pallets=side_by_side,
+        pallets=pallets,
         seed=seed,
         explore=explore,
         errors=errors,
@@ -104,12 +101,14 @@ def label(
     )
     outputs: dict[str, Any] = {"source": orders or ENDLESS, "overwrite": overwrite, "resume": resume}
     n_before = n_unfinished(out) if resume else 0
-    message = f"{count_text(n_before, 'label')} of an earlier command" if n_before else ""
+    earlier = f"{count_text(n_before, 'label')} of an earlier command" if n_before else ""
     try:
         with progress(max(count - n_before, 0), "label") as bar:
-            card = write_labels(
-                labeller, count, out, progress=lambda n_made: bar.update(n_made - n_before, message), **outputs
-            )
+
+            def report(n_made: int) -> None:
+                bar.update(n_made - n_before, earlier if n_made < count else "until the last orders end")
+
+            card = write_labels(labeller, count, out, progress=report, **outputs)
     except KeyboardInterrupt as stop:
         n_kept = n_unfinished(out)
         raise RunInterrupted(
@@ -126,5 +125,7 @@ def label(
     for name, found in card["baselines"].items():
         print(f"{name}: finds {found['standing_found']:.1%} of what stands, {found['falling_found']:.1%} of what falls")
     if empty := [split for split, numbers in card["splits"].items() if not numbers["labels"]]:
-        print(f"note: too few orders for {' and '.join(empty)}: give more labels (-n) or more orders")
+        all_used = sum(numbers["orders"] for numbers in card["splits"].values()) >= source.count
+        cure = "give more orders" if all_used else "give more labels (-n) or more orders"
+        print(f"note: too few orders for {' and '.join(empty)}: {cure}")
     print(f"{printable(str(out))}: README.md and card.json say what is in it")

@@ -94,7 +94,7 @@ def leaderboard(
 
 @contextmanager
 def _bar(name: str) -> Iterator[Watcher]:
-    """Print whose plans are being scored, and show the progress."""
+    """Print the packer whose plans are being scored, and show the progress."""
     from petmjx.show.progress import BarWatcher
 
     print(f"packer {printable_name(name)}", file=sys.stderr)

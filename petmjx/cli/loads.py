@@ -17,7 +17,7 @@ _LOSSES = Stacking()
 
 
 def _loss(condition: str) -> Any:
-    """An option for a share of the strength. It is named after its parameter."""
+    """An option for a share of the strength. The option is named after the parameter of the function."""
     return typer.Option(metavar="SHARE", help=f"Share of the strength that is lost: {condition}.")
 
 

@@ -26,7 +26,7 @@ from petmjx.version import __version__
 
 
 class ExitCode(IntEnum):
-    """Exit codes. They do not depend on verdicts."""
+    """Exit codes. Exit codes do not depend on verdicts."""
 
     OK = 0
     FAILURE = 1
@@ -49,7 +49,7 @@ _USAGE_ERROR: type[Exception] = typer.BadParameter.__base__ or typer.BadParamete
 
 
 _SETTINGS = SimpleNamespace(debug=False)
-"""Values of the options that are written before the command."""
+"""Values of the options that stand before the command."""
 
 _COMMANDS = {
     "score": "Say which packing plans stand.",
@@ -76,7 +76,8 @@ the list of commands."""
 
 
 def application(words: Sequence[str] = ()) -> typer.Typer:
-    """Make the application with the command that the arguments name. If they name none, it has all commands.
+    """Make the application with the command that the arguments name. If the arguments name no command, the application
+    has all commands.
 
     The modules of other commands are not loaded, because loading them takes longer than scoring a few plans.
     """
@@ -89,7 +90,8 @@ def application(words: Sequence[str] = ()) -> typer.Typer:
         context_settings={"help_option_names": ["--help", "-h"], "max_content_width": WIDTH},
     )
     app.callback()(options)
-    command = next((word for word in words if not word.startswith("-")), "")  # options before it take no values
+    # Options before the command take no values, so the first other word is the command.
+    command = next((word for word in words if not word.startswith("-")), "")
     for name in (command,) if command in _COMMANDS else _COMMANDS:
         function = getattr(importlib.import_module(f"petmjx.cli.{name}"), name)
         app.command(name, cls=SectionedCommand, short_help=_COMMANDS[name])(as_typed(function))
@@ -131,7 +133,7 @@ def run_app(make: Callable[[Sequence[str]], typer.Typer], arguments: Sequence[st
     try:
         sys.stdout.flush()
     except OSError:
-        # the remaining output cannot be written; without this, Python would try again at exit and print an error
+        # The remaining output cannot be written. Without this line, Python would try again at exit and print an error.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
     return code
 
@@ -139,9 +141,9 @@ def run_app(make: Callable[[Sequence[str]], typer.Typer], arguments: Sequence[st
 def _run(make: Callable[[Sequence[str]], typer.Typer], arguments: Sequence[str] | None) -> int:
     try:
         command_words = sys.argv[1:] if arguments is None else list(arguments)
-        if "" in command_words:  # an empty path would mean the current folder
+        if "" in command_words:  # refused, because an empty path would mean the current folder
             raise InputError(f"argument {command_words.index('') + 1} is empty; is a shell variable not set?")
-        if "-" in command_words:  # otherwise "-" would be read as the name of a file
+        if "-" in command_words:  # refused, because "-" would be read as the name of a file
             raise InputError(
                 f'argument {command_words.index("-") + 1} is "-", which is not supported: '
                 "name a file, or /dev/stdout for standard output"

@@ -56,7 +56,8 @@ def write_physical(
 
 
 def _left_out(packings: list[Any], *, named: bool) -> Iterator[str]:
-    """A line for each order with boxes left out. For generated orders, only the first ones get a line."""
+    """A line for each order with boxes left out. Of generated orders, only the first orders with left-out boxes get a
+    line."""
     incomplete = [packed for packed in packings if packed.left_out]
     few = incomplete if named else incomplete[:MOST_NAMED]
     for packed in few:

@@ -1,4 +1,4 @@
-"""What ``score`` and ``sweep`` have in common: the folder, the progress bar, Ctrl-C, and the tables at the end."""
+"""The common parts of ``score`` and ``sweep``: the folder, the progress bar, Ctrl-C, and the tables at the end."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ BURST_S: Final = 2.0
 
 
 AGAIN_S: Final = 0.05
-"""Time after which a signal is sent again, in case its exception was lost, s."""
+"""A signal is sent again after this time, s, in case the exception that it raised was lost."""
 
 
 class RunInterrupted(Exception):
@@ -55,7 +55,7 @@ class _StopSignal(KeyboardInterrupt):
 
 
 _STATE = SimpleNamespace(is_stoppable=False, number=None)
-"""Whether a body can be stopped at the moment, and the number of the last signal that stopped one."""
+"""Whether a body can be stopped at the moment, and the number of the last signal that stopped a body."""
 
 
 def last_stop() -> int | None:
@@ -67,8 +67,8 @@ def last_stop() -> int | None:
 @contextmanager
 def stoppable() -> Iterator[None]:
     """Let SIGTERM and SIGHUP end the body like Ctrl-C, once per burst of signals, so that the body can clean up.
-    Signals that are ignored stay ignored (nohup). Every command already runs inside ``stoppable``, so a nested use does
-    nothing.
+    A signal that is ignored remains ignored (nohup). Every command already runs inside ``stoppable``, so a nested use
+    does nothing.
 
     Python ignores exceptions that are raised while an object is finalised, as Ray's objects often are. In that case,
     the signal is sent again.
@@ -98,7 +98,7 @@ def stoppable() -> Iterator[None]:
         yield
     finally:
         _STATE.is_stoppable = False
-        if last_s == -math.inf:  # otherwise the process is about to end, and signals may follow
+        if last_s == -math.inf:  # after a signal, the process is about to end, and more may follow
             for number, handler in before.items():
                 signal.signal(number, handler)
 
@@ -116,7 +116,7 @@ def run_and_show(
     """Execute a run with a progress bar, and print its tables or JSON.
 
     Args:
-        run: function that executes the run. It is called with a watcher and the options, including the folder.
+        run: function that executes the run. Its arguments are a watcher and the options, including the folder.
 
     Raises:
         RunInterrupted: Ctrl-C, SIGTERM or SIGHUP ended the run.

@@ -16,7 +16,7 @@ from petmjx.common.safe_read import FREE_BYTES, MOST_BYTES, allowed_bytes, open_
 from petmjx.common.text import printable_name
 
 _WIDTHS: Final = {"BOOLEAN": 1, "INT32": 4, "INT64": 8, "FLOAT": 4, "DOUBLE": 8, "BYTE_ARRAY": 8}
-"""Type in the file → bytes of a value in memory. For texts, the bytes are those of the offset and the length only."""
+"""Type in the file → bytes of a value in memory. For texts, only the offset and the length are counted."""
 
 _ROWS: Final = 1 << 16
 _FEW_ROWS: Final = 1 << 8
@@ -24,8 +24,8 @@ _FEW_ROWS: Final = 1 << 8
 small."""
 
 _PREFIXED: Final = "DELTA_BYTE_ARRAY"
-"""An encoding of Parquet that stores a text as its remainder, and the length of the prefix that it shares with the text
-before it. So a text may be as long as all texts before it together."""
+"""A Parquet encoding. For each text, it stores the length of the prefix that the text shares with the text before it,
+and the rest of the text. So a text may be as long as all texts before it together."""
 
 
 def open_for_arrow(path: Path) -> pa.NativeFile:
@@ -96,7 +96,7 @@ def read_within(
         names = schema.names if columns is None else list(columns)
         for name in names:
             if pa.types.is_nested(schema.field(name).type):
-                raise ValueError(f"the column {printable_name(name)} has lists or tables in it")
+                raise ValueError(f"the column {printable_name(name)} holds lists or tables, which are not supported")
         texts = [name for name in names if _is_text(schema.field(name).type)]
         by_prefix = set(_columns_by_prefix(metadata))
         # texts stay dictionary codes until their lengths are known; but Arrow cannot read prefix-coded texts as codes
@@ -132,7 +132,7 @@ def _is_text(kind: pa.DataType) -> bool:
 
 
 def _length_of(coded: pa.Array) -> int:
-    """Number of bytes of the texts of a column, which may be dictionary-coded."""
+    """Number of bytes that the texts of a column have. The column may be dictionary-coded."""
     if not pa.types.is_dictionary(coded.type):
         return int(coded.nbytes)
     lengths = np.asarray(pc.binary_length(coded.dictionary).fill_null(0))

@@ -52,7 +52,7 @@ def atomic_write(file: Path) -> Iterator[Path]:
         InputError: the file cannot be written.
     """
     if "\0" in str(file):
-        raise InputError(f"{printable(str(file))}: cannot be written: no file has such a name")
+        raise InputError(f"{printable(str(file))}: cannot be written: no file can have this name")
     target = file.resolve() if file.is_symlink() else file
     direct = file.exists() and not file.is_file()  # /dev/stdout may be a pipe, whose target is no path
     temporary = file if direct else target.with_name(f".{secrets.token_hex(8)}.{target.name}")
@@ -70,6 +70,6 @@ def atomic_write(file: Path) -> Iterator[Path]:
 
 
 def gzip_stream(stream: IO[bytes]) -> gzip.GzipFile:
-    """A gzip stream that writes its compressed bytes to another stream. It stores no file name and no time, so the
-    bytes depend only on the content."""
+    """A gzip stream that writes its compressed bytes to another stream. The stream stores no file name and no time, so
+    its bytes depend only on the content."""
     return gzip.GzipFile(filename="", mode="wb", compresslevel=6, fileobj=stream, mtime=0)

@@ -1,7 +1,7 @@
 """Records that check their own values (``CheckedRecord``), and their one-line error messages.
 
-This is the only module that turns pydantic's errors into lines. It also knows how messages name an option: by its flag
-on the command line, or by its argument in Python.
+This is the only module that turns pydantic's errors into lines. The module also decides how messages name an option: by
+its flag on the command line, or by its argument in Python.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from types import UnionType
 from typing import Any, Final, Self, Union, get_args, get_origin
 
 from pydantic import AfterValidator, BaseModel, ConfigDict, Discriminator, ValidationError, model_validator
-from pydantic._internal._model_construction import ModelMetaclass  # no public module has it
+from pydantic._internal._model_construction import ModelMetaclass  # no public module exports this name
 from pydantic_core import InitErrorDetails, PydanticCustomError
 
 from petmjx.common.errors import InputError
@@ -79,14 +79,14 @@ MOST_TOML_BYTES: Final = 16 << 20
 """Largest size of a TOML file. A list of 100,000 force windows takes half of this limit."""
 _MOST_PARTS: Final = 64
 _MANY_PARTS: Final = re.compile(rb"""(?<![\w"'-])(?:[\w"'-]++[ \t]*+\.[ \t]*+){%d}""" % _MOST_PARTS)
-"""A dotted key with more than ``_MOST_PARTS`` parts. tomllib examines all parts for each part, so a long key would take
-minutes."""
+"""Matches a dotted key with more than ``_MOST_PARTS`` parts. tomllib examines all parts for each part, so a long key
+would take minutes."""
 
 TABLE: Final = "<a table>"
 LIST: Final = "<a list>"
 VALUE: Final = "<a single value>"
-"""Tags of the members of a union, for unions whose member is chosen by the shape of the value. pydantic inserts tags
-into the path of an error; ``describe`` recognises them by their angle brackets and removes them."""
+"""Tags for the members of unions in which the shape of the value decides the member. pydantic inserts tags into the
+path of an error; ``describe`` recognises them by their angle brackets and removes them."""
 
 
 @dataclass(frozen=True)
@@ -137,7 +137,8 @@ class CheckedRecord(BaseModel, metaclass=_OneLine):
     def changed(self, **values: Any) -> Self:
         """A checked copy with other values for some fields.
 
-        If a field is a record, a table given for it changes that record. A table with a ``name`` replaces the record.
+        If a field holds a record, a table as its new value changes only the entries that it names. A table with a
+        ``name`` replaces the whole record.
         """
         return self.read(_fields_with(self, values))
 
@@ -219,7 +220,7 @@ def complaint(text: str, *path: str | int) -> ValidationError:
 
     Args:
         text: the text after the field's path: "must be > 0", or with a colon ": unknown field".
-        path: from the validated value to the field.
+        path: the keys that lead from the validated value to the field.
     """
     kind = PydanticCustomError(_COMPLAINT, "{text}", {"text": text})
     return ValidationError.from_exception_data("value", [InitErrorDetails(type=kind, loc=path, input=None)])
@@ -329,13 +330,13 @@ def read_toml(path: Path) -> dict[str, Any]:
     if (kind := foreign_kind(data)) is not None:
         raise InputError(f"{printable(str(path))}: {kind.partition(':')[0]}, not TOML")
     if _MANY_PARTS.search(data):
-        raise InputError(f"{path}: not valid TOML: a key of more than {_MOST_PARTS} parts")
+        raise InputError(f"{path}: not valid TOML: a key has more than {_MOST_PARTS} parts")
     try:
         return tomllib.loads(data.decode("utf-8-sig"))
     except UnicodeDecodeError:
         raise InputError(f"{path}: not valid TOML: not UTF-8 text") from None
     except RecursionError:
-        raise InputError(f"{path}: not valid TOML: lists or tables in too many levels") from None
+        raise InputError(f"{path}: not valid TOML: lists or tables are nested too deeply") from None
     except ValueError as error:  # a whole number with too many digits also raises it
         raise InputError(f"{path}: not valid TOML: {reason(error)}") from None
 

@@ -22,7 +22,8 @@ from petmjx.common.text import printable
 Kind = Literal["jax", "warp"]
 
 VARIABLES: Final[dict[Kind, str]] = {"jax": "JAX_COMPILATION_CACHE_DIR", "warp": "WARP_CACHE_PATH"}
-"""The environment variable that JAX or Warp itself uses for its folder. It takes precedence over petmjx's variable."""
+"""The environment variable that JAX or Warp itself uses for its folder. This variable takes precedence over petmjx's
+variable."""
 
 
 def wanted_folder(kind: Kind) -> Path:

@@ -1,4 +1,5 @@
-"""Kinds of files that petmjx cannot read, with an error text for each. They are recognised by their first bytes."""
+"""Kinds of files that petmjx cannot read, with an error text for each. These files are recognised by their first
+bytes."""
 
 from __future__ import annotations
 

@@ -21,7 +21,7 @@ from petmjx.common.text import count_text
 from petmjx.version import __version__
 
 PACKAGES = ("mujoco", "mujoco-mjx", "jax", "jaxlib", "warp-lang", "numpy", "pandas", "pyarrow")
-"""Packages whose versions are stored with every result, besides the version of petmjx."""
+"""Packages whose versions are stored with every result, in addition to the version of petmjx."""
 
 _NAME_BYTES = 128
 
@@ -30,7 +30,7 @@ _STARTING_JAX = threading.Lock()
 
 
 def cpu_threads() -> int:
-    """Number of threads that this process may run at the same time: that of its CPU affinity, if the system has one."""
+    """Number of threads that this process may run at the same time, by its CPU affinity if the system has one."""
     if hasattr(os, "sched_getaffinity"):
         return len(os.sched_getaffinity(0))
     return os.cpu_count() or 1
@@ -75,7 +75,7 @@ def cuda_devices() -> tuple[str, ...]:
 
 
 def jax_devices(platform: str | None = None) -> list[Any]:
-    """JAX's devices. JAX is started in such a manner that device memory remains for Warp.
+    """JAX's devices. JAX is started so that device memory remains for Warp.
 
     When JAX first searches for its devices, XLA reserves three quarters of a GPU's memory unless an environment
     variable forbids it. This variable is set only while the devices are listed. If the user has set it, its value
@@ -102,7 +102,7 @@ def jax_devices(platform: str | None = None) -> list[Any]:
 
 
 def package_versions() -> dict[str, str]:
-    """Package → version, for petmjx and the installed packages of ``PACKAGES``, which affect results."""
+    """Package → version, for petmjx and those of ``PACKAGES`` that are installed. These versions affect results."""
     return dict(_package_versions())
 
 
@@ -133,7 +133,7 @@ def device_name(engine: str, threads: int | None = None) -> str:
 
 
 def why_no_warp_at_once() -> str | None:
-    """Why mjx-warp cannot run on this machine, as far as this is known without importing JAX, which takes seconds.
+    """Why mjx-warp cannot run on this machine, as far as this can be known without JAX, whose import takes seconds.
 
     None: no reason is known without JAX.
     """

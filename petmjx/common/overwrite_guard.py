@@ -60,8 +60,8 @@ def _check_folder(folder: Path) -> None:
 
 
 def _check_way(file: Path, folder: Path) -> None:
-    """Check the folders between the named folder and the file. They are petmjx's own, so none may be a link or a
-    file."""
+    """Check the folders between the named folder and the file. These folders are petmjx's own, so none may be a link or
+    a file."""
     between = [parent for parent in file.parents if parent != folder and parent.is_relative_to(folder)]
     for parent in reversed(between):
         with _path_errors(parent):
@@ -79,7 +79,7 @@ def _check(file: Path, overwrite: bool, inputs: Iterable[Path], is_ours: IsOurs 
         except FileNotFoundError:
             return
         if any(_is_read(file, input_path) for input_path in inputs):
-            raise InputError(f"{_name(file)}: is read, so it cannot be written too; name another {kind}")
+            raise InputError(f"{_name(file)}: is an input, so it cannot be written; name another {kind}")
         if stat.S_ISLNK(mode):
             raise InputError(_link(file))
     if stat.S_ISDIR(mode):
@@ -91,9 +91,11 @@ def _check(file: Path, overwrite: bool, inputs: Iterable[Path], is_ours: IsOurs 
             )
         return  # FIFOs and devices that the user named are written to
     if not stat.S_ISREG(mode):
-        raise InputError(f"{_name(file)}: cannot be written: is no regular file")
+        raise InputError(f"{_name(file)}: cannot be written: is not a regular file")
     if not is_ours(file):
-        raise InputError(f"{_name(file)}: was not written by petmjx, and would be replaced; name another folder")
+        raise InputError(
+            f"{_name(file)}: was not written by petmjx, so petmjx does not replace it; name another folder"
+        )
     if not overwrite:
         raise InputError(f"{_name(file)}: exists already; name another folder, or pass {option('--overwrite', 'True')}")
 
@@ -116,7 +118,7 @@ def _path_errors(path: Path) -> Iterator[None]:
 
 
 def _link(path: Path) -> str:
-    return f"{_name(path)}: is a link; petmjx writes and removes only its own files"
+    return f"{_name(path)}: is a link, and petmjx does not write through links; name another path"
 
 
 def _name(path: Path) -> str:

@@ -34,7 +34,8 @@ def ordered_results(
     alone: int | None = None,
     chunk: int = _CHUNK,
 ) -> Iterator[Result]:
-    """Yield the results of ``function`` for all tasks, in the order of the tasks. They do not depend on ``workers``.
+    """Yield the results of ``function`` for all tasks, in the order of the tasks. The results do not depend on
+    ``workers``.
 
     Args:
         function: a function defined in a module (or ``functools.partial`` of one), since other processes import it.

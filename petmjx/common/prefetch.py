@@ -1,10 +1,10 @@
-"""Prefetch: a generator runs in its own thread, ahead of the code that uses its items."""
+"""Prefetch: generators run in their own threads, ahead of the code that uses their items."""
 
 from __future__ import annotations
 
 import atexit
 import threading
-from collections.abc import Generator
+from collections.abc import Generator, Sequence
 from contextlib import closing
 from dataclasses import dataclass
 from queue import SimpleQueue
@@ -18,20 +18,23 @@ class _End:
     error: BaseException | None
 
 
-def prefetch(items: Generator[Item], most: int) -> Generator[Item]:
-    """Yield the items of a generator in order, while a thread makes the following ones.
+def prefetch(*sources: Generator[Item], most: int) -> Generator[Item]:
+    """Yield the items of generators, while threads make further items in advance. The items of one generator keep their
+    order; those of several come as they are made.
 
-    The thread starts when the first item is requested. It makes items until ``most`` of them wait in the queue, and
-    then one more. An error of ``items`` is raised after all items before it have been taken. Closing the result closes
-    ``items`` in the thread, and returns when the thread has ended.
+    The threads start when the first item is requested. The threads make items until ``most`` items wait in the queue,
+    and then each thread makes one more. An error of a generator is raised after all items that were made before it.
+    Closing the result closes each generator in its thread, and returns when the threads have ended. A generator is
+    closed when it has made its next item.
 
     Args:
-        most: number of items that may wait before the thread pauses.
+        most: number of items that may wait before the threads pause.
     """
     queue: SimpleQueue[Any] = SimpleQueue()
-    room, closed, end_event = threading.Semaphore(most), threading.Event(), threading.Event()
+    room, closed = threading.Semaphore(most), threading.Event()
+    end_events = [threading.Event() for _ in sources]
 
-    def run() -> None:
+    def run(items: Generator[Item], end_event: threading.Event) -> None:
         try:
             with closing(items):
                 for item in items:
@@ -39,48 +42,62 @@ def prefetch(items: Generator[Item], most: int) -> Generator[Item]:
                     room.acquire()
                     if closed.is_set():
                         break
-        except BaseException as error:  # no other local keeps the error: its traceback holds this frame and the items
+        except BaseException as error:
+            # No other local variable keeps the error, since its traceback keeps this frame and the items alive.
             queue.put(_End(error))
         else:
             queue.put(_End(None))
         finally:
             end_event.set()
 
-    thread = threading.Thread(target=run, name="petmjx-ahead", daemon=True)
+    threads = [
+        threading.Thread(target=run, args=arguments, name="petmjx-ahead", daemon=True)
+        for arguments in zip(sources, end_events, strict=True)
+    ]
 
     def end() -> None:
         closed.set()
-        room.release()
-        if thread.ident is not None:
-            _wait_for(end_event)
+        room.release(len(threads))
+        started = [thread for thread in threads if thread.ident is not None]
+        _wait_for(end_events[: len(started)])
+        for thread in started:
             thread.join()
 
     atexit.register(end)  # a thread inside JAX aborts the process when Python ends
+    n_running = len(threads)
     try:
-        thread.start()
-        while not isinstance(item := queue.get(), _End):
-            room.release()
-            yield item
-        error = item.error
-        del item
-        try:
-            if error is not None:
-                raise error
-        finally:
-            del error
+        for thread in threads:
+            thread.start()
+        while n_running:
+            item = queue.get()
+            if not isinstance(item, _End):
+                room.release()
+                yield item
+                continue
+            n_running -= 1
+            error = item.error
+            del item
+            try:
+                if error is not None:
+                    raise error
+            finally:
+                del error
     finally:
-        end()
-        atexit.unregister(end)
+        try:
+            end()
+        finally:
+            atexit.unregister(end)
 
 
-def _wait_for(ended: threading.Event) -> None:
-    """Wait until the thread has ended, however often the wait is interrupted.
+def _wait_for(ended: Sequence[threading.Event]) -> None:
+    """Wait until all threads have ended, however often the wait is interrupted.
 
-    Until the thread has ended, no other code may use its objects. ``Thread.join`` does not ensure this: after an
+    Until the threads have ended, no other code may use their objects. ``Thread.join`` does not ensure this: after an
     interruption, it regards the thread as ended.
     """
     try:
-        ended.wait()
+        for event in ended:
+            event.wait()
     except BaseException:
         _wait_for(ended)
         raise

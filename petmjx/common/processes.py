@@ -19,14 +19,14 @@ from petmjx.common.machine import cpu_threads
 def process_pool(processes: int, *, gpu: bool = True, nice: int = 0) -> ProcessPoolExecutor:
     """A pool of newly started processes. Forked processes would hang if a thread of this process held a lock.
 
-    If this process is killed, the processes of the pool end as well, because of ``_begin``. Otherwise they would wait
-    for tasks for ever.
+    If this process is killed, the processes of the pool end as well, because of ``_begin``. Otherwise, the processes
+    would wait for tasks for ever.
 
     Args:
         gpu: whether the processes see GPUs. A process that sees a GPU takes some of its memory even if it does not use
             the GPU.
-        nice: niceness that is added to the processes, so that this process has priority. It has no effect on systems
-            without niceness.
+        nice: niceness that is added to the processes, so that this process has priority. The value has no effect on
+            systems without niceness.
     """
     return ProcessPoolExecutor(processes, mp_context=get_context("spawn"), initializer=_begin, initargs=(gpu, nice))
 
@@ -55,11 +55,11 @@ def _begin(gpu: bool, nice: int) -> None:
 
 
 MOST_THREADS: Final = 2
-"""Default number of threads. More threads wait for Python's global lock. On the host of an H200, places for 2,048
-pallets took 155 ms with one thread, 118 ms with two, 141 ms with eight and 158 ms with sixteen."""
+"""Default number of threads. Additional threads would only wait for Python's global lock. On the host of an H200,
+places for 2,048 pallets took 155 ms with one thread, 118 ms with two, 141 ms with eight and 158 ms with sixteen."""
 
 _FEW: Final = 2
-"""With at most this many pieces, this thread has finished before other threads have started."""
+"""Up to this number of pieces, the calling thread finishes before other threads could start."""
 
 Piece = TypeVar("Piece")
 Result = TypeVar("Result")
@@ -89,8 +89,8 @@ def defer_signals(afterwards: bool) -> Iterator[None]:
     This has no effect outside the main thread, since handlers interrupt only the main thread.
 
     Args:
-        afterwards: whether to deliver a signal that arrived meanwhile. Otherwise it is dropped, because the run is
-            about to end anyway.
+        afterwards: whether to deliver a signal that arrived meanwhile. Otherwise the signal is dropped, because the run
+            is about to end anyway.
     """
     if threading.current_thread() is not threading.main_thread():
         yield

@@ -89,7 +89,8 @@ def one_line(error: BaseException) -> str:
 
 
 def count_text(number: int, noun: str, plural: str | None = None) -> str:
-    """A count with its noun: "1 plan", "2,000 plans". ``plural`` is needed if it is not the noun with an added s."""
+    """A count with its noun: "1 plan", "2,000 plans". ``plural`` is needed if the plural is not the noun with an added
+    s."""
     return f"{number:,} {noun if number == 1 else plural or noun + 's'}"
 
 

@@ -9,7 +9,7 @@ from collections.abc import Callable
 from petmjx.common.text import count_text, three_digits, time_left
 
 MARK_S = 0.1
-"""Smallest time between two marks, s. It limits the number of stored times, even for a million worlds."""
+"""Smallest time between two marks, s. This minimum limits the number of stored times, even for a million worlds."""
 
 
 class Throughput:
@@ -67,8 +67,8 @@ class Throughput:
         """How long the remaining worlds will take: "1 min 20 s left". Empty if the remaining time is unknown, and at
         the end.
 
-        If the work of n worlds remains, the estimate is the time that the latest work of the same amount took. The rate
-        of the whole run would be misleading near the end, when few worlds are left and these are long.
+        If the work of n worlds remains, the estimate is the time in which the most recent work of n worlds was done.
+        The rate of the whole run would be misleading near the end, when few worlds are left and these are long.
         """
         if not self._work or self._total is None or self._done >= self._total:
             return ""

@@ -1,4 +1,5 @@
-"""Conversion of units, which happens only here. Inside petmjx all values are in SI units; plans are in millimetres."""
+"""Conversions of units, which happen only in this module. Inside petmjx all values are in SI units; plans are in
+millimetres."""
 
 from __future__ import annotations
 
@@ -36,7 +37,7 @@ PLAN_UNITS: Final = "mm,kg"
 
 
 def plan_units(text: str) -> tuple[str, str]:
-    """The units of lengths and of masses in a text such as "cm", "g" or "cm,g". If one is missing, it is that of
+    """The units of lengths and of masses in a text such as "cm", "g" or "cm,g". A missing unit is taken from
     ``PLAN_UNITS``.
 
     Raises:
@@ -71,7 +72,7 @@ def seconds_to_steps(duration_s: float, timestep_s: float) -> int:
     """Number of whole steps in a duration, by the reference's rule: ``int(duration / timestep)``.
 
     Truncation is deliberate. 0.7 / 0.002 is 349.99… in float64, so 0.7 s are 349 steps. A run can be compared with the
-    reference to the last digit only if both count in the same manner.
+    reference to the last digit only if both count steps by the same rule.
     """
     return int(duration_s / timestep_s)
 

@@ -1,7 +1,7 @@
 """Set-up of Warp for petmjx: the folder of its compiled kernels (petmjx/common/compile_caches.py), and silence.
 
-The settings apply to the whole process. They are made when petmjx first uses Warp. They remain set, so they also affect
-the caller's own Warp programs. A setting that the caller has changed earlier is not touched.
+The settings apply to the whole process. petmjx makes these settings when it first uses Warp. The settings remain, so
+they also affect the caller's own Warp programs. A setting that the caller has changed earlier is not touched.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ def set_up_warp() -> None:
     if warp.config.kernel_cache_dir is None:
         warp.config.kernel_cache_dir = str(cache_folder("warp"))
     if warp.config.enable_tiles_in_stack_memory:
-        warp.config.enable_tiles_in_stack_memory = None  # Warp then decides: on x86, off the stack
+        warp.config.enable_tiles_in_stack_memory = None  # Warp then decides; on x86 it keeps tiles off the stack
     if warp.config.log_level == warp.LOG_INFO:
         warp.config.log_level = warp.LOG_ERROR
     if not cuda_devices():

@@ -30,7 +30,7 @@ def _no_more() -> None:
 
 
 Pending = tuple[AnyWorld, Outcome | None, tuple[Attempt, ...]]
-"""A world between two attempts, with the outcome of the last one and the records of all before."""
+"""A world between two attempts: the outcome of the last attempt, and the records of all attempts so far."""
 
 
 AttemptResult = tuple[AnyWorld, Outcome, tuple[Attempt, ...]]
@@ -38,7 +38,7 @@ AttemptResult = tuple[AnyWorld, Outcome, tuple[Attempt, ...]]
 
 
 class _End:
-    """Marks the end of an engine's outcomes."""
+    """Value that marks the end of an engine's outcomes."""
 
 
 _END: Final = _End()
@@ -85,7 +85,8 @@ class AttemptRunner(Generic[AnyWorld]):
     """Text of the last error of an engine."""
 
     def run(self, batch: list[Pending[AnyWorld]]) -> Iterator[AttemptResult[AnyWorld] | None]:
-        """Yield world, outcome, and its records with this attempt's record; None in pauses of the engine.
+        """Yield each world with its outcome and the records of its attempts, including this one. Yield None when the
+        engine pauses.
 
         Args:
             batch: the worlds. The list is emptied, since finished worlds would take memory.
@@ -109,7 +110,9 @@ class AttemptRunner(Generic[AnyWorld]):
         return stream
 
     def run_fallback(self, left: list[Pending[AnyWorld]]) -> Iterator[AttemptResult[AnyWorld] | None]:
-        """Run the worlds that an engine left unanswered on its fallback, if any; yields like ``run``."""
+        """Run the worlds that the engine left unanswered on its fallback, if it has one. Worlds that still have no
+        answer fail. Yields as ``run`` does.
+        """
         engine = self.engines.primary
         if left and self.engines.fallback is not None:
             engine = self.engines.fallback
@@ -146,7 +149,7 @@ class AttemptRunner(Generic[AnyWorld]):
                     raise
                 refused = isinstance(error, PetmjxError) or self.engines.fallback is None
                 if self.attempt.number == 1 and refused:
-                    raise  # the user can change the cause: worlds that the engine refuses, or the user's own engine
+                    raise  # the user can change the refused worlds, or mend an engine without a fallback
                 if not stream.taken:  # the engine would refuse the jobs again
                     stream.take(sys.maxsize, least=1)
                 unanswered = list(stream.in_flight.values())
@@ -165,7 +168,7 @@ class AttemptRunner(Generic[AnyWorld]):
                 arrivals.append((stream.answered(answer.job), answer))
             except KeyError:
                 raise RuntimeError(
-                    f"engine {engine.name} answered job {answer.job} twice, or was never given this job"
+                    f"engine {engine.name} returned two outcomes for job {answer.job}, or had no such job"
                 ) from None
             # Up to MOST_TOGETHER outcomes are checked together. No outcome is delayed: only outcomes that are ready now
             # are added.
@@ -177,11 +180,15 @@ class AttemptRunner(Generic[AnyWorld]):
             self._follow(stream, arrivals)
         yield from self.checked_results(arrivals, engine_name, checked=checked)
         if stream.in_flight:
-            raise RuntimeError(f"engine {engine.name} did not answer {len(stream.in_flight)} of {stream.taken} jobs")
+            raise RuntimeError(
+                f"engine {engine.name} returned no outcome for {len(stream.in_flight)} of {stream.taken} jobs"
+            )
         return []
 
     def _follow(self, stream: JobStream[Any], arrivals: Sequence[Any]) -> None:
-        """Put the jobs that follow from the results so far. ``arrivals``: outcomes that are not checked yet."""
+        """Put the jobs that follow from the results so far into the stream. ``arrivals``: outcomes that are not checked
+        yet.
+        """
         self.put_following()
         if not arrivals and (self.check_pool is None or not self.check_pool.has_unanswered):
             stream.followed()
@@ -206,8 +213,8 @@ class AttemptRunner(Generic[AnyWorld]):
 
         Args:
             engine: the engine that made them; empty if each outcome names its engine.
-            checked: whether the engine has checked them.
-            wait: True: wait for all outcomes in the pool; False: some of them follow in later calls.
+            checked: whether the engine has already checked the outcomes.
+            wait: True: wait for all outcomes in the pool; False: later calls return some of them.
             until: as in ``CheckPool.exchanged``.
         """
         if checked:
@@ -239,5 +246,5 @@ class AttemptRunner(Generic[AnyWorld]):
         changed."""
         if checked.verdict is before.verdict:
             return before
-        self.engines.note(f"{world.name}: {before.verdict}, and {checked.verdict} at half the timestep")
+        self.engines.note(f"{world.name}: {before.verdict}, but {checked.verdict} at half the timestep")
         return replace(before, flags=before.flags | Flag.TIMESTEP)

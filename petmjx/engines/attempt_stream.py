@@ -31,22 +31,24 @@ from petmjx.options.simulation import Simulation, Solver
 from petmjx.world.job import Job
 
 MOST_PENDING: Final = 13 * GROUP_WORLDS["mjx-warp"] // 8
-"""Largest number of worlds of a list for an engine that takes no stream, and of waiting further attempts from which on
-the source waits."""
+"""Largest number of worlds in a list, for an engine that takes no stream. The source also pauses when this number of
+further attempts is waiting."""
 
 PENDING_BOXES: Final = 1 << 20
-"""Number of boxes of pending jobs from which on the source waits: 130 MB of scenes."""
+"""The source pauses while the pending jobs have this many boxes: their scenes take 130 MB."""
 
 FIRST_WORLDS: Final = 1600
 """Number of worlds with which a GPU begins. The GPU's blocks for worlds of few boxes (``small_world_blocks``) are then
-busy; the other worlds join them."""
+busy; the other worlds join them later."""
 
 PAUSE_S: Final = 0.02
-"""Time between two looks of a source that waits for other attempts, s."""
+"""While the source waits for other attempts, it checks them at intervals of this length, s."""
 
 
 def check_pool_for(engine: Engine, worlds: int) -> CheckPool[Any] | None:
-    """A pool that checks the outcomes of this many worlds beside an engine; None if not worthwhile."""
+    """A pool that checks the outcomes of this many worlds beside an engine; None if the engine needs none, or if there
+    are too few worlds.
+    """
     return (
         CheckPool.here()
         if engine.name in BESIDE and Capability.CHECKS not in engine.capabilities and worlds >= LARGE
@@ -75,19 +77,20 @@ def score_worlds(
     make beside a GPU (petmjx/engines/attempts.py) begin at once.
 
     ``following`` gives worlds that follow from the results so far, each world exactly once. ``follow`` is called after
-    each outcome. An engine that takes a stream simulates these worlds beside the running ones, any other engine after
-    these have ended.
+    each outcome. An engine that takes a stream simulates these worlds beside the running ones. Any other engine
+    simulates them once the running ones have ended.
 
     ``begin_with``: number of worlds with which a GPU begins. ``bounds``: bounds of all jobs, also of those that follow.
 
     ``check_pool``: a pool that several calls use one after the other; None: a call with many worlds starts its own.
 
-    An error of an engine with a fallback does not end the run: the fallback simulates the unanswered worlds. Nor does
-    an error at a further attempt: without a fallback these worlds are invalid by ``failed``.
+    An error of an engine with a fallback does not end the run: the fallback simulates the unanswered worlds. An error
+    at a further attempt does not end the run, either. Without a fallback, the worlds of such an attempt are invalid,
+    with the reason ``failed``.
 
     Raises:
         RuntimeError: the engine did not answer every job exactly once.
-        InputError: the options ask for soft boxes, which the engine does not have.
+        InputError: the options require soft boxes, but the engine does not support them.
         PetmjxError: the engine refuses the worlds at the first attempt.
         Exception: an error of an engine without a fallback at the first attempt, or of ``worlds``.
     """
@@ -150,7 +153,7 @@ class _AttemptRun(Generic[AnyWorld]):
                 closing.callback(self.side_tasks.close)
 
     def _rounds(self, source: WorldSource[AnyWorld]) -> Iterator[WorldResult[AnyWorld]]:
-        """First attempts while there are jobs, then further attempts, until nothing is left."""
+        """Make first attempts while there are jobs, then further attempts, until no world is left."""
         primary = self.engines.primary
         while True:
             self._put_following()
@@ -209,7 +212,7 @@ class _AttemptRun(Generic[AnyWorld]):
     def _results_of(
         self, attempt: AttemptRecipe, attempt_results: Iterator[AttemptResult[AnyWorld] | None]
     ) -> Iterator[WorldResult[AnyWorld]]:
-        """The final results among these, and those of side tasks that have ended meanwhile."""
+        """The final results among these worlds, and the final results of side tasks that have ended meanwhile."""
         for pending in attempt_results:
             if pending is not None:  # None: the engine pauses
                 yield from self._finish_or_retry(attempt, pending)
@@ -233,7 +236,7 @@ class _AttemptRun(Generic[AnyWorld]):
         it as a side task.
 
         Args:
-            pending: with the attempt's outcome.
+            pending: the world, with the attempt's outcome.
         """
         world, outcome, records = pending
         assert outcome is not None
@@ -251,7 +254,8 @@ class WorldSource(Generic[AnyWorld]):
     """A thread that makes worlds ahead of the engine.
 
     Args:
-        deliver: puts a world's job into the stream, and waits while that is full. False: the stream is closed.
+        deliver: function that puts a world's job into the stream. The function waits while the stream is full, and
+            returns False if the stream is closed.
         has_room: whether few enough worlds wait for other attempts or engines. Otherwise the source pauses.
     """
 
@@ -305,7 +309,7 @@ class _SideTasks(Generic[AnyWorld]):
     sim: Simulation
     engines: Engines
     lent: CheckPool[Pending[AnyWorld]] | None = None
-    """A pool of processes that stays for later runs."""
+    """A pool of processes that the caller lends. The pool is kept for later runs."""
     check_pool: CheckPool[Pending[AnyWorld]] | None = None
     first: AttemptRunner[AnyWorld] | None = None
     """The attempt whose outcomes the pool checks."""
@@ -320,7 +324,8 @@ class _SideTasks(Generic[AnyWorld]):
 
     def prepare(self, jobs: Sequence[Job], retries: Sequence[AttemptRecipe]) -> None:
         """At the beginning of a large run: start the pool, and the process for attempts that few worlds need. The
-        process simulates one box first: a kernel may have to be compiled, which takes as long as many worlds."""
+        process simulates one box first, since a kernel may have to be compiled. Compiling takes as long as simulating
+        many worlds."""
         self.check_pool = self.check_pool or self.lent or check_pool_for(self.engines.primary, len(jobs))
         name = BESIDE.get(self.engines.primary.name)
         if name is None or len(jobs) < LARGE:
@@ -337,7 +342,7 @@ class _SideTasks(Generic[AnyWorld]):
         """Begin an attempt at a world. False if the engine of the run makes the attempt itself."""
         runner = AttemptRunner[AnyWorld](attempt, attempt.apply_to_sim(self.sim), self.engines)
         world, before, _ = pending
-        # if boxes of a plan may sink, they do in all its worlds with errors
+        # if boxes of a plan may sink, all its worlds with errors need the attempt, not only a few
         sank = world.variant != 0 and before is not None and before.verdict is Verdict.INVALID
         few = attempt.few and not (sank and may_penetrate(world.job.scene, self.sim))
         traits = {"doubles": attempt.doubles, "soft": runner.is_soft(world), "few": few}
@@ -360,7 +365,7 @@ class _SideTasks(Generic[AnyWorld]):
         """
         if self._in_flight:
             for answer in self.engines.helper.ended(wait=wait):
-                if answer.number not in self._in_flight:  # the answer is READY, from this run or the run before
+                if answer.number not in self._in_flight:  # this is the answer to READY, of this run or an earlier one
                     continue
                 runner, pending, engine = self._in_flight.pop(answer.number)
                 for answered in self._answered(runner, pending, engine, answer):
@@ -371,7 +376,7 @@ class _SideTasks(Generic[AnyWorld]):
         self, runner: AttemptRunner[AnyWorld], pending: Pending[AnyWorld], engine: str, answer: Answer
     ) -> Iterator[AttemptResult[AnyWorld] | None]:
         """The world with the outcome of an answer. For a world without an outcome, the fallback is tried beside the
-        run. If the fallback has no outcome either, it simulates the world in this process."""
+        run. If the fallback returns no outcome either, it simulates the world again, in the run's own process."""
         fallback = self.engines.fallback
         if answer.outcome is not None:
             self.engines.progress.world_steps += answer.outcome.n_steps

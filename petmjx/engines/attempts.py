@@ -46,18 +46,20 @@ CAREFUL_ITERATIONS = 400
 stops so early that ``pallet`` boxes that should stand slide apart."""
 
 CAREFUL_TOLERANCE = 1e-10
-"""Solver tolerance of a second attempt: a hundredth of MuJoCo's default. Engines clip it to their precision."""
+"""Solver tolerance of a second attempt: a hundredth of MuJoCo's default. Engines of lower precision use a larger
+tolerance."""
 
 NEAR = 0.5
 """Worlds with a smaller absolute margin are checked at half the timestep. The margin of invalid worlds is NaN, so they
 are not checked."""
 
 STIFF_QUIET_STEPS = 25
-"""``Quiet.steps`` in stiff contacts, in which less than a millimetre decides. Of 6,000 small stacks that statics
-decides, some fell although they should stand: 5 with 15 steps, 4 with 25, and 3 with 50. With 50 steps, pallets that
-tremble take three times as long."""
+"""``Quiet.steps`` for attempts with stiff contacts, whose verdicts depend on movements of less than a millimetre. Of
+6,000 small stacks whose verdicts follow from statics, some fell although they should stand: 5 with 15 steps, 4 with 25,
+and 3 with 50. With 50 steps, pallets that tremble take three times as long."""
 
-_EARLY_STOP, _SINKING = int(Flag.EARLY_STOP), int(Flag.SINKING)  # comparing numbers is several times as fast
+# Numbers are compared several times as fast as members of ``Flag``.
+_EARLY_STOP, _SINKING = int(Flag.EARLY_STOP), int(Flag.SINKING)
 
 _COUNTED_IN_STEPS = ("steps", "landing_steps", "poll_steps", "still_steps", "tremble_steps")
 """Fields of ``Quiet`` that are numbers of steps."""
@@ -72,20 +74,22 @@ class AttemptRecipe:
     careful: bool = False
     timestep_divisor: int = 1
     stiff: float | None = None
-    """Share of the usual time constant that contacts get, which makes them stiffer. Used only for worlds whose verdict
-    may come from soft contacts (``Flag.SINKING``)."""
+    """Time constant of contacts, as a share of the usual one. A smaller time constant makes contacts stiffer. Used only
+    for worlds whose verdict may come from soft contacts (``Flag.SINKING``)."""
     checks: bool = False
-    """True: the attempt keeps the verdict. It only sets ``Flag.TIMESTEP`` if it finds a different one."""
+    """True: the attempt keeps the verdict, and only sets ``Flag.TIMESTEP`` if it finds a different one."""
 
     most_boxes: int | None = None
-    """Worlds with more boxes than this keep their verdict, if they have one, and the flag. In stiff contacts, steps of
-    hundreds of boxes take tens of milliseconds, and the leaning boxes are only a small part of the pallet."""
+    """Worlds with more boxes than this do not make the attempt: they keep their verdict, if they have one, and
+    ``Flag.SINKING``. With stiff contacts, steps of hundreds of boxes take tens of milliseconds, and the leaning boxes
+    are only a small part of the pallet."""
     soft: bool = False
     """True: all boxes are flex bodies from the beginning (petmjx/world/soft_boxes.py)."""
 
     doubles: bool = False
     """Whether the attempt needs double precision. One reason: a world may be invalid because of single precision.
-    Another: in contacts of a twentieth of the time constant, boxes sink by less than single precision resolves."""
+    Another reason: in contacts with a twentieth of the time constant, boxes sink by less than single precision
+    resolves."""
 
     few: bool = False
     """Whether only few of many worlds need the attempt. Worlds with errors are an exception, if the plan has boxes that
@@ -173,7 +177,7 @@ _FALLBACK_NOTES: Final = {
     Capability.SHEETS: "worlds with interlayer sheets or pallets among their boxes were simulated on {}",
     Capability.KINETIC_PAIRS: "worlds with kinetic friction by pairs of materials were simulated on {}",
     Capability.FLOAT64: "worlds were simulated again on {}, in double precision",
-    Capability.CG: "worlds were simulated on {}: only it has the solver cg",
+    Capability.CG: "worlds were simulated on {}, the only engine with the solver cg",
 }
 """Capability that an engine lacks → the note about worlds that its fallback simulated."""
 
@@ -240,7 +244,7 @@ class Engines:
         if not few or job.settles:
             return None
         name = BESIDE[self.primary.name]
-        self.note(f"worlds were simulated again on {name}, in stiffer contacts")
+        self.note(f"worlds were simulated again on {name}, with stiffer contacts")
         return name
 
     @cached_property

@@ -31,11 +31,12 @@ LEAST_TIME_CONSTANT_STEPS = 4
 
 
 def stiffened_physics(physics: Physics, share: float) -> Physics:
-    """The same physics with stiffer contacts. They carry heavy boxes on light ones, and keep slender boxes upright.
+    """The same physics with stiffer contacts. Such contacts let light boxes carry heavy ones, and keep slender boxes
+    upright.
 
-    Stiffer contacts are as stiff at their onset as beyond the width. They have the largest impedance that MuJoCo
-    accepts, and this share of the time constants. With a half, they are 40 times as stiff as in ``pallet``; with a
-    tenth, 1,000 times.
+    Stiffer contacts are as stiff at their onset as beyond the width. Such contacts have the largest impedance that
+    MuJoCo accepts, and time constants reduced to ``share``. With a share of a half, contacts are 40 times as stiff as
+    in ``pallet``; with a tenth, 1,000 times.
     """
     time_s, damping = physics.solref
     if time_s > 0:
@@ -71,7 +72,9 @@ def contact_penetration_m(scene: Scene, physics: Physics, top_force_n: FloatArra
     base = float(depth_m(physics, on_floor))
 
     def pulls(top_n: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """(n,) each: a box's part in A · f of a contact on its top, and of a contact below it, m/s²."""
+        """Two arrays (n,): the contribution of each box to A · f (petmjx.world.contact_laws) at a contact on its top,
+        and at a contact below it, m/s².
+        """
         return of_boxes * top_n / mass / CONTACTS_PER_FACE, own_per_kg * (top_n + mass * gravity)
 
     def is_enough(top_n: FloatArray) -> bool:
@@ -95,8 +98,8 @@ def contact_penetration_m(scene: Scene, physics: Physics, top_force_n: FloatArra
 
 
 def may_penetrate(scene: Scene, sim: Simulation) -> bool:
-    """Whether boxes descend far enough to count (``has_penetrated``) if each box carries everything above it. If not, a
-    world of this plan sinks only by chance."""
+    """Whether boxes descend far enough to count (``has_penetrated``) if each box carries everything above it. If boxes
+    do not, a world of this plan sinks only by chance."""
     most_n = np.full(scene.n_boxes, scene.total_mass * sim.physics.gravity_m_s2)
     bound_m = BOUND_SHARE * sim.thresholds.shift_m
     return bool((contact_penetration_m(scene, sim.physics, most_n, enough_m=bound_m) > bound_m).any())
@@ -137,7 +140,7 @@ class _Pairs(NamedTuple):
 
 @lru_cache(maxsize=256)
 def _stack(scene: Scene) -> _Stack:
-    """The ``_Stack`` of a scene. It is cached, since in a sweep many worlds have the same scene."""
+    """The ``_Stack`` of a scene. The result is cached, since in a sweep many worlds have the same scene."""
     return _Stack(scene)
 
 
@@ -160,7 +163,7 @@ def _transitive_closure(over: NDArray[np.bool_]) -> NDArray[np.float32]:
     """(…, n, n) 1 if the column's box is above the row's box, directly or through others, else 0. Boxes are sorted from
     the lowest to the highest."""
     above = np.triu(over, 1).astype(np.float32)
-    while True:  # each product of these matrices of zeros and ones doubles the number of boxes in between
+    while True:  # each product doubles the length of the chains of boxes that are found
         further = np.minimum(above + above @ above, 1.0)
         if np.array_equal(further, above):
             return above
@@ -171,7 +174,7 @@ _SUM_ERROR = 1e-9
 """Largest relative difference between two sums of the same numbers in different orders."""
 
 _MOST_PAIRS = 1 << 17
-"""Number of pairs of boxes that are computed together. A matrix of such numbers takes 1 MB, which fits into caches."""
+"""Number of pairs of boxes that are computed together. A matrix over these pairs takes 1 MB, which fits into caches."""
 
 ON_CARRIER_M = 0.001
 """A box whose planned bottom is below this height stands on the carrier, m."""
@@ -198,9 +201,9 @@ def note_penetration(outcomes: Sequence[Outcome], jobs: Sequence[Job], sim: Simu
 
 
 def penetration_excluded(outcomes: Sequence[Outcome], scenes: Sequence[Scene], sim: Simulation) -> list[bool]:
-    """For each world, whether ``has_penetrated`` is surely False: its boxes did not descend too far, and it did not
-    fail by sinking alone. All worlds are computed together. The other worlds need ``has_penetrated``. For elliptic
-    cones."""
+    """For each world, whether ``has_penetrated`` is certainly False: its boxes did not descend too far, and it did not
+    fail by sinking alone. All worlds are computed together. For all other worlds, ``has_penetrated`` must be computed.
+    Only for elliptic cones."""
     if not outcomes:
         return []
     enough_m = (1 - _SUM_ERROR) * BOUND_SHARE * sim.thresholds.shift_m
@@ -219,7 +222,7 @@ def penetration_excluded(outcomes: Sequence[Outcome], scenes: Sequence[Scene], s
 
 
 def _failed_otherwise(outcome: Outcome, limit_m: float) -> bool:
-    """Whether the reason of a world is not a shift, or is a shift that is not only straight down."""
+    """Whether a world failed for another reason than a shift, or by a shift that is not only straight down."""
     if outcome.reason is not Reason.SHIFT:
         return True
     shift = outcome.boxes.shift_m[: outcome.n_placed]
@@ -227,8 +230,8 @@ def _failed_otherwise(outcome: Outcome, limit_m: float) -> bool:
 
 
 def _most_sinking_m(outcomes: Sequence[Outcome], scenes: Sequence[Scene], physics: Physics) -> FloatArray:
-    """(m,) an upper bound of ``contact_penetration_m`` in each world, m. It is the sum over all boxes, each under the
-    largest force on its top. It needs no pairs of boxes."""
+    """(m,) an upper bound of ``contact_penetration_m`` in each world, m. The bound is the sum over all boxes, each
+    under the largest force on its top. No pairs of boxes are needed."""
     counts = np.array([scene.n_boxes for scene in scenes], np.intp)
     begins = np.cumsum(counts) - counts
     placed = np.arange(counts.sum()) - np.repeat(begins + [outcome.n_placed for outcome in outcomes], counts) < 0
@@ -262,7 +265,7 @@ def _deepest_m(outcomes: Sequence[Outcome], scenes: Sequence[Scene], physics: Ph
         table[is_box] = joined
         return table
 
-    # rows without a box are infinitely high and overlap no box
+    # rows without a box are placed at an infinite height, so that they overlap no box
     place, half = (filled((getattr(scene, name) for scene in scenes), fill) for name, fill in _PLACES)
     order = np.argsort(place[..., 2], axis=1, kind="stable")
     placed = np.arange(counts.max()) < np.array([outcome.n_placed for outcome in outcomes])[:, None]

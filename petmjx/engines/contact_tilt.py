@@ -1,9 +1,9 @@
-"""Contact tilt: how close soft contacts bring piles to tipping over that would stand on hard contacts.
+"""Contact tilt: how close soft contacts bring piles to tipping over, although these piles would stand on hard contacts.
 
 The supports of a box give way, and more on the side on which the load acts. So the box turns by an angle: the
 difference of the depths on its two sides, divided by the width between them. The load above, at its height, therefore
 moves towards the edge. Let r be the share of the load on the far side of a base of width w. Then the load acts r·w from
-the edge. If nothing had given way, it would act at the distance
+the edge. If nothing had given way, the load would act at the distance
 
     e(r) = r·w + h·(x(1 − r) − x(r)) / w
 
@@ -12,7 +12,7 @@ from the edge. h is the height of the load's centre, and x is the depth of a sid
 If boxes below lean, their angle times h is added to the loss.
 
 A column of slender boxes, or a light box under a heavy one, may lose millimetres. No carton does. If this lean may have
-decided a world, the world is simulated again in stiffer contacts (petmjx/engines/attempts.py).
+decided the verdict of a world, the world is simulated again with stiffer contacts (petmjx/engines/attempts.py).
 """
 
 from __future__ import annotations
@@ -42,12 +42,12 @@ next box is placed on them. Among stacks that stand by statics and fall because 
 was 8 times the loss."""
 
 STIFF_SAFETY: Final = 40.0
-"""The multiple in stiffer contacts, in which the loss is a fortieth. Among stacks that fell, the largest distance of a
-load from the edge was 28 times the loss."""
+"""As ``SAFETY``, for stiffer contacts, with which the loss is a fortieth. Among stacks that fell, the largest distance
+of a load from the edge was 28 times the loss."""
 
 SURE: Final = 1.0
-"""The multiple if the plan has a load of the pile beyond an edge. Hard contacts do not hold such a pile either. So soft
-contacts count only if no load would tip over without them."""
+"""As ``SAFETY``, for a pile in which a load is beyond an edge in the plan. Hard contacts do not hold such a pile
+either. So soft contacts are suspected only if another load is within the loss itself."""
 
 KNIFE_EDGE_M: Final = 0.0004
 """A load is surely beyond an edge from this distance on, m: half a millimetre in the plan, less the size reduction of
@@ -104,8 +104,8 @@ def contact_tilt_of(bearing: Bearing, load: FloatArray, edge_m: FloatArray, phys
 
 
 def _tilt_from_below(bearing: Bearing, own_lean: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """(n,) each: the angle by which a box leans because the boxes below lean, and the distance by which its centre
-    moves sideways."""
+    """Two arrays (n,): the angle by which a box leans because the boxes below lean, and the distance by which its
+    centre moves sideways."""
     bottom, middle, half = bearing.boxes.bottom, bearing.boxes.target[:, 2], bearing.boxes.half_size[:, 2]
     below, moved = np.zeros((2, len(own_lean)))
     turned, shift = own_lean.copy(), own_lean * half
@@ -125,12 +125,12 @@ def n_loading(outcome: Outcome) -> int:
 
 
 def places_with_errors(job: Job) -> FloatArray:
-    """(n, 3) positions at which boxes of a world with errors of placement or size count, m. A box counts as lying on
-    all bodies whose gap below it is at most the shift threshold.
+    """(n, 3) positions with which loads are computed in a world with errors of placement or size, m. A box counts as
+    lying on every body that is below it by at most the shift threshold.
 
     In such a world, a box often overlaps a neighbour that is millimetres higher, and is released on the strip that they
-    share. A box does not stand on such a strip: it tips, and leans on the bodies beside the strip. So boxes of these
-    worlds count at their place of release. If only the strip counted, 75 of 167 unstable worlds with errors would be
+    share. A box does not stand on such a strip: it tips, and leans on the bodies beside the strip. So the positions in
+    these worlds are the places of release. If only the strip counted, 75 of 167 unstable worlds with errors would be
     simulated again; with this rule only a few are.
     """
     places: FloatArray = np.c_[job.scene.start_pos[:, :2], job.scene.target[:, 2]]

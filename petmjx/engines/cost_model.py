@@ -24,15 +24,16 @@ from petmjx.world.job import Drive, Job
 
 STEP_SHARE = {Schedule.FIXED: 1.0, Schedule.ADAPTIVE: 0.072}
 """Steps of a schedule as a share of the fixed schedule's steps, for physics ``pallet``. The value is the mean of 2,000
-generated plans and of 63 third-party plans of 16 to 241 boxes. Physics ``reference`` takes three to four times as
-many."""
+generated plans and of 63 third-party plans of 16 to 241 boxes. Physics ``reference`` takes three to four times as many
+steps."""
 
 SOFT_STARTS = 2 * SOFT_START_STEPS
-"""Number of steps before the first box of a placement. Soft starts are not part of the schedule."""
+"""Number of steps of the soft starts, which come before the first box of a placement. These steps are not part of the
+schedule."""
 
 QUIET_STEPS = 220
-"""Steps until a pallet is quiet with the adaptive schedule, if boxes are not placed one by one. In a static check it
-was 150 to 890 steps with 45 to 241 boxes. After EUMOS's profile it was 216, for pallets that stand."""
+"""Steps until a pallet is quiet with the adaptive schedule, if boxes are not placed one by one. Static checks of 45 to
+241 boxes took 150 to 890 such steps. After EUMOS's profile, pallets that stand took 216 steps."""
 
 COST_SHARE = {Schedule.FIXED: 1.0, Schedule.ADAPTIVE: 0.36}
 """The cost of a schedule on a device as a share of the fixed schedule's cost. On the same machine, 10,003 plans took
@@ -57,8 +58,8 @@ STATIC_LANDINGS = 45
 Fitted to checks of 16 to 241 boxes with both schedules."""
 
 SHAKEN_STEPS = 700
-"""Largest number of steps of a drive in which boxes slide or fall. It covers all of EUMOS's profile. Of a tilt's 2,970
-steps, most are at rest. Drives of many seconds without rest take up to ten times as long as expected."""
+"""Largest number of steps of a drive in which boxes slide or fall. This number covers all of EUMOS's profile. Of a
+tilt's 2,970 steps, most are at rest. Drives of many seconds without rest take up to ten times as long as expected."""
 
 STEADY_G, CREEPING = 0.35, 2.0
 """A drive with an acceleration above ``STEADY_G``, in units of 9.81 m/s², shakes a pallet down. After a weaker
@@ -73,12 +74,12 @@ two shelf packers, none of which stands, take 1,730 to 1,910 steps on average. A
 placing."""
 
 STATIC_FALL_STEPS = 600
-"""Largest number of steps in which boxes of a static check fall until one has dropped. It was 480 for ten shelf
+"""Largest number of steps in which boxes of a static check fall until one has dropped. The number was 480 for ten shelf
 packings, with more iterations per step than when single boxes fall."""
 
 BOARDS_COST = 1.25
-"""Cost of a step on a carrier of boards, relative to a slab. It was 1.2 to 1.5 for scores, drives and searches of 5 to
-30 boxes on epal-1 and gma-48x40."""
+"""Cost of a step on a carrier of boards, relative to a slab. The measured cost was 1.2 to 1.5 for scores, drives and
+searches of 5 to 30 boxes on epal-1 and gma-48x40."""
 
 FALL_BOXES = 7
 """Number of boxes that are placed during ``FALL_STEPS``, in the same plans."""
@@ -89,8 +90,8 @@ class Errors:
     """Cost or steps of placements with errors, relative to a placement without errors.
 
     Attributes:
-        displaced: for placements in which boxes appear at places with errors: they slip into each other's gaps.
-        carried: for placements in which boxes are carried to their places.
+        displaced: factor for placements in which boxes appear at places with errors, and slip into each other's gaps.
+        carried: factor for placements in which boxes are carried to their places.
     """
 
     displaced: float
@@ -214,7 +215,9 @@ class Work:
         return STEP_SHARE[self.sim.schedule] * self.fixed_steps
 
     def _placing(self, power: float, *, grows: bool) -> FloatArray:
-        """(n,) box^power × steps of one placement on a device. ``grows``: boxes not yet placed cost nothing."""
+        """(n,) box^power × steps of one placement on a device. ``grows``: whether boxes that are not yet placed cost
+        nothing.
+        """
         share = 1 / (power + 1) if grows and self.sim.check is Check.ONE_BY_ONE else 1.0
         return share * COST_SHARE[self.sim.schedule] * np.asarray(self.boxes, dtype=float) ** power * self.fixed_steps
 
@@ -255,7 +258,7 @@ class ThreadCosts:
         return replace(self, **{name: factor * getattr(self, name) for name in times})
 
     def seconds(self, work: Work, threads: int) -> float:
-        """Expected time if the worlds are divided among threads, s. It is at least the time of the longest world."""
+        """Expected time if the worlds are divided among threads, s. This time is at least that of the longest world."""
         placing_s, driving_s = self.placing_s(work), self.driving_s(work.boxes, work.drive_steps)
         driving_s = driving_s + work.drive_steps * self.film_s * work.filmed
         thread_s = float((work.as_planned(self.errors) * placing_s + work.shaken * driving_s).sum())
@@ -360,7 +363,9 @@ class Costs:
 
 
 def _expected_work(jobs: Sequence[Job], sim: Simulation, errors: Errors) -> tuple[Work, FloatArray, FloatArray]:
-    """The placements of all jobs as planned, (n,) factor of each job for errors, and (n,) steps of each job's drive."""
+    """The work of all jobs if they are placed as planned; (n,) factor by which errors raise the cost of each placement
+    (0 if a job starts from a state); and (n,) steps of each job's drive.
+    """
     placements = np.array([errors.of(job) if job.start is None else 0.0 for job in jobs])
     drive_steps = np.array([expected_drive_steps(job.drive, sim) if job.drive else 0.0 for job in jobs])
     work = Work(sim, [job.scene.n_boxes for job in jobs], drives=int(any(job.settles for job in jobs)))
@@ -379,8 +384,9 @@ by hand), EUMOS's drives and search, tilts, and placement errors. The costs of p
 are fitted to shelf packings of 24 boxes (tests/unit/test_falling_plans.py). The costs of film are fitted to EUMOS's
 drives of 8, 20 and 44 boxes with 1 to 16 turns, each compared with the same drive without film.
 
-Other plans that fall early take less, and large ones that collapse up to five times as long. Physics ``reference`` is
-not fitted, and other CPUs are slower or faster. Worlds that are simulated again with finer steps are not estimated.
+Other plans that fall early take less time. Large plans that collapse take up to five times as long. Physics
+``reference`` is not fitted, and other CPUs are slower or faster. The time for simulating worlds again with finer steps
+is not estimated.
 
 Devices: one H100, without start and compilation. The schedule is adaptive unless stated otherwise. The runs are 10,003
 generated plans, 4,000 with the fixed schedule, 500 and 1,000 plans with confidence 16 (placed exactly), 250 by hand,

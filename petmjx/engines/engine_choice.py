@@ -58,7 +58,8 @@ def choose(
         seconds: engine → expected time, s.
         threads: number of CPU threads that ``mujoco`` or ``mjx-warp-cpu`` would use.
         gpus: number of GPUs that ``mjx-warp`` would use.
-        why_no_gpu: returns the reason why ``mjx-warp`` cannot run, or None. If not given, this machine is checked.
+        why_no_gpu: function that returns the reason why ``mjx-warp`` cannot run, or None. If it is not given, this
+            machine is checked.
         why_no_kernel: as ``why_no_gpu``, for ``mjx-warp-cpu``.
     """
     cpu, gpu = count_text(threads, "CPU thread"), "a GPU" if gpus <= 1 else f"{gpus} GPUs"
@@ -120,8 +121,8 @@ def check_options(name: str, **options: Any) -> None:
         if value is None or has_option(name, option):
             continue
         if option == "world_timeout_s":
-            raise InputError(f"a world's timeout belongs to the engine mujoco; {name} steps worlds side by side")
+            raise InputError(f"only the engine mujoco can limit the time of a world; {name} steps many worlds together")
         owners = " and ".join(engine for engine in ENGINES if has_option(engine, option))
         other = {"threads": "lanes", "lanes": "threads"}[option]
-        its_own = f"; the engine {name} has {other}" if has_option(name, other) else ""
-        raise InputError(f"{option} belong to the engines {owners}{its_own}")
+        its_own = f"; the engine {name} has the option {other}" if has_option(name, other) else ""
+        raise InputError(f"{option} are an option of the engines {owners}{its_own}")

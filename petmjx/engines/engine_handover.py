@@ -1,9 +1,9 @@
 """Engine handover: C MuJoCo, which hands worlds over to the kernels if they take too long.
 
 ``auto`` chooses this engine for little work on a machine without a GPU. The choice follows from an estimate that knows
-only the numbers of boxes. Plans that collapse take many times as long on C MuJoCo, but less so in the kernels. So the
-CPU time of finished worlds is compared with their expected time. If the kernels would finish the remaining worlds
-sooner, compilation included, these worlds go to the kernels.
+only the numbers of boxes. Plans that collapse take many times as long on C MuJoCo; in the kernels, the increase is
+smaller. So the CPU time of finished worlds is compared with their expected time. If the kernels would finish the
+remaining worlds sooner, compilation included, these worlds go to the kernels.
 """
 
 from __future__ import annotations
@@ -55,8 +55,8 @@ class HandoverEngine(Engine, Generic[Faster]):
 
     Args:
         mujoco: the engine with which the run begins.
-        make_faster: makes the other engine. If it raises ``EngineUnavailable`` or ``InputError``, the run stays with
-            ``mujoco``.
+        make_faster: function that makes the other engine. If the function raises ``EngineUnavailable`` or
+            ``InputError``, the run stays with ``mujoco``.
         costs: costs of both engines; ``costs.kernel_start_s`` is the time until the other engine starts to simulate.
     """
 
@@ -117,7 +117,7 @@ class HandoverEngine(Engine, Generic[Faster]):
         """Whether the jobs that have not begun go to the other engine. If True, the other engine has been made.
 
         Args:
-            waiting: returns the jobs that have not begun.
+            waiting: function that returns the jobs that have not begun.
         """
         slower = self._slower()
         if self._stays or self._worlds < LEAST_WORLDS or slower < SLOWER:
@@ -190,8 +190,8 @@ class _Shared(Generic[Faster]):
         return stays or starts_from_own_state or job.scene.soft is not None or not self._first_attempt
 
     def on_mujoco(self) -> Iterator[Outcome]:
-        """Run jobs on C MuJoCo. It gets only jobs that it can begin at once, so that the remaining ones can still be
-        handed over."""
+        """Run jobs on C MuJoCo. C MuJoCo gets only jobs that it can begin at once, so that the remaining ones can still
+        be handed over."""
         mujoco = self._engine._mujoco
         stream = JobStream[_Numbered]()
 

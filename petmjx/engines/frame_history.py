@@ -30,7 +30,7 @@ def history_of(
         pose: (f, n, 7) positions (m) and quaternions of the boxes.
         top_force_n: (f, n) force on top of each box, N.
         carrier_pose: (f, 7) position (m) and quaternion of the carrier.
-        time_s: returns the time after a step, s.
+        time_s: function that returns the time after a step, s.
         driven_from: the step after which the drive began; None: there was no drive.
     """
     absent = np.arange(job.scene.n_boxes) >= placed[:, None]

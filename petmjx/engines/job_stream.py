@@ -11,7 +11,7 @@ from typing import Any, Final, Generic, NamedTuple, TypeVar
 from petmjx.world.job import Job
 
 WAIT_S: Final = 0.25
-"""Longest wait without a look for signals, s: a signal just before a wait is noticed only after the wait."""
+"""Longest wait without an interruption, s. A signal that arrives just before a wait is noticed only after it."""
 
 Tag = TypeVar("Tag")
 
@@ -20,8 +20,8 @@ class JobBounds(NamedTuple):
     """Bounds of all jobs of a run, for an engine that makes room before they come.
 
     Attributes:
-        jobs: most jobs that are ready at once.
-        box_counts: numbers of boxes of their scenes.
+        jobs: largest number of jobs that are ready at the same time.
+        box_counts: all numbers of boxes that the jobs' scenes have.
         drive_steps: samples of the longest drive.
         excitations: number of different excitations; None: as many as worlds.
         wraps: whether film is around the boxes of some drives.
@@ -35,16 +35,16 @@ class JobBounds(NamedTuple):
 
 
 class JobStream(Generic[Tag]):
-    """Jobs in order, with the run's tag of each. Thread-safe.
+    """The jobs of a run in order. Each has a tag, by which the run recognises the job. Thread-safe.
 
     One thread puts the jobs of the run's worlds and waits while the stream is full. The thread that takes outcomes also
-    puts the jobs that follow from outcomes. These are taken first: so few worlds are half done at any time, and few of
-    their states wait in memory. An engine takes jobs when it has capacity.
+    puts the jobs that follow from outcomes. These jobs are taken first, so that few worlds are half done at any time,
+    and few of their states wait in memory. An engine takes jobs when it has capacity.
 
     The stream number of a job is its place among the jobs that were taken since ``begin``.
 
     Args:
-        most_boxes: boxes of the waiting jobs from which on ``put`` waits.
+        most_boxes: ``put`` waits while the waiting jobs have at least this many boxes.
         feedback: whether jobs may follow from outcomes.
         begin_with: number of jobs for which an engine that simulates many at once should wait at first.
         bounds: bounds of all jobs, also of those that follow; None: unknown.
@@ -72,7 +72,7 @@ class JobStream(Generic[Tag]):
 
     @classmethod
     def of(cls, jobs: Iterable[Job] | JobStream[Any]) -> JobStream[Any]:
-        """The stream of a list of jobs, without further ones; a stream is returned as it is."""
+        """A closed stream with a list of jobs. If ``jobs`` is a stream already, it is returned unchanged."""
         if isinstance(jobs, JobStream):
             return jobs
         stream: JobStream[Any] = cls()
@@ -105,13 +105,15 @@ class JobStream(Generic[Tag]):
             return self._open or not bounded
 
     def close(self) -> None:
-        """Say that no more jobs come from the source. Jobs that follow from outcomes may still come."""
+        """Declare that no more jobs come from the source. Jobs that follow from outcomes may still come."""
         with self._changed:
             self._open = False
             self._changed.notify_all()
 
     def pause(self, paused: bool = True) -> None:
-        """Whether the source waits for something other than the engine. Meanwhile nobody waits for jobs."""
+        """Declare whether the source waits for something other than the engine. Meanwhile, ``take`` does not wait for
+        further jobs.
+        """
         with self._changed:
             self._paused = paused
             self._changed.notify_all()
@@ -133,7 +135,7 @@ class JobStream(Generic[Tag]):
             return [self._pop(self._following or self._waiting) for _ in range(min(most, self.ready))]
 
     def take_peeked(self, jobs: Iterable[Job]) -> None:
-        """Take the first jobs of the last ``peek``. Jobs that have followed since then wait."""
+        """Take the first jobs of the last ``peek``. Jobs that were added since then keep waiting."""
         with self._changed:
             for job in jobs:
                 follows = bool(self._following) and self._following[0][0] is job
@@ -145,7 +147,7 @@ class JobStream(Generic[Tag]):
             yield jobs[0]
 
     def peek(self, most: int, *, least: int = 1, wait: bool = False) -> list[Job]:
-        """As ``take``, and the jobs stay in the stream."""
+        """As ``take``, but the jobs stay in the stream."""
         with self._changed:
             ready = chain(self._following, self._waiting) if self._ready(least, wait) else ()
             return [job for job, _ in islice(ready, most)]
@@ -157,7 +159,7 @@ class JobStream(Generic[Tag]):
             return self.ready
 
     def answered(self, stream_number: int) -> Tag:
-        """The tag of a job that has its outcome.
+        """Note that a job has its outcome. Returns the job's tag.
 
         Raises:
             KeyError: the job is not in flight.
@@ -168,14 +170,14 @@ class JobStream(Generic[Tag]):
             return tag
 
     def followed(self) -> None:
-        """The jobs that follow from all outcomes so far have been put."""
+        """Declare that the jobs that follow from all outcomes so far have been put."""
         with self._changed:
             self._unfollowed = 0
             self._changed.notify_all()
 
     def wait_for_following(self, in_flight: Collection[int]) -> bool:
-        """Wait for a moment until a job follows from an outcome. For an engine that has no more worlds, in another
-        thread than the one that takes its outcomes.
+        """Wait briefly for a job that follows from an outcome. Called by an engine without worlds, in a thread other
+        than the one that takes its outcomes.
 
         Args:
             in_flight: stream numbers of the engine's jobs whose outcomes have not been taken. The thread that takes

@@ -19,8 +19,8 @@ an edge (docs/validation.md)."""
 
 NEAR_M: Final = 0.001
 """A load nearer to an edge than this sets the flag, too, if the verdict contradicts statics, m: the world stands with
-the load beyond the edge, or falls with the load inside. (Small worlds that fall are also tried in stiffer contacts:
-petmjx.engines.contact_tilt.)"""
+the load beyond the edge, or falls with the load inside. (Small worlds whose boxes fall are also simulated again with
+stiffer contacts: petmjx.engines.contact_tilt.)"""
 
 _ROUNDING_M: Final = 1e-9
 """Rounding error of tables, m: they store distances of a millimetre as float32."""
@@ -40,7 +40,7 @@ class KnifeEdge(NamedTuple):
         edge_m: distance from the edge, m; positive inside, negative beyond.
         box: the box that has the load.
         when: ``BY_PLAN``, ``AT_REST`` or ``WHILE_BUILT``.
-        step: for ``WHILE_BUILT``, the box after whose placement the load is there; else -1.
+        step: for ``WHILE_BUILT``, the box after whose placement the load acts; else -1.
         own_weight: whether the load is only the box's own weight.
     """
 
@@ -92,12 +92,13 @@ def nearest_edge(edges: Iterable[KnifeEdge], verdict: Verdict | None = None) -> 
 
 
 def sets_flag(edge_m: FloatArray, verdict: Verdict | None, *, rounding_m: float = 0.0) -> NDArray[np.bool_]:
-    """(…) whether loads at these distances from edges set the flag. They do if they are near an edge, or a little less
-    near and on the side that the verdict contradicts. NaN does not set it.
+    """(…) whether loads at these distances from edges set the flag. A load near an edge sets the flag. A load a little
+    farther from an edge sets the flag only if it is on the side that the verdict contradicts. NaN does not set the
+    flag.
 
     Args:
         verdict: verdict of the world; None: the side does not count.
-        rounding_m: largest error of the distances, m; distances count as near up to this amount farther out.
+        rounding_m: largest error of the distances, m; the limit of near distances is larger by this amount.
     """
     away_m = np.abs(edge_m) - rounding_m
     is_near = away_m <= KNIFE_EDGE_M
@@ -114,7 +115,7 @@ def _edge_sets_flag(edge: KnifeEdge, verdict: Verdict) -> bool:
 
 
 def is_same_edge(edge: KnifeEdge, kept: KnifeEdge) -> bool:
-    """Whether a recomputed distance is the one that tables store, of the same box at the same time."""
+    """Whether a recomputed distance equals the one that tables store for the same box at the same time."""
     is_same = (edge.box, edge.when, edge.step) == (kept.box, kept.when, kept.step)
     return is_same and math.isclose(edge.edge_m, kept.edge_m, abs_tol=_SAME_M)
 

@@ -24,13 +24,13 @@ WORTH_S: Final = 2.0
 BOX_MM: Final = (400.0, 300.0, 200.0)
 SIDE, LAYERS, ROUNDS = 3, 3, 2
 """Size of the block of boxes that is simulated to measure the machine: boxes along a side, and layers; and the number
-of rounds. The block stands. The fastest round counts, since other work may have slowed down the other one."""
+of rounds. The block stands. Only the fastest round counts, since other work on the machine may slow down a round."""
 
 REFERENCE_S: Final = 0.04
 """CPU seconds to simulate the test block of boxes on the machine on which ``MEASURED`` was taken."""
 
 SLOWEST, FASTEST = 8.0, 0.125
-"""Bounds of the measured slowness. A value beyond them cannot be the speed of the machine."""
+"""Bounds of the measured slowness. A value beyond these bounds cannot be the speed of the machine."""
 
 
 def costs_here(work: Work, threads: int) -> Costs:
@@ -53,7 +53,7 @@ def slowness() -> float:
 
 
 def block_s() -> float:
-    """CPU time in which this thread builds the test block on C MuJoCo, s."""
+    """CPU time that this thread needs to simulate the test block on C MuJoCo, s."""
     from petmjx.engines.mujoco.world_run import WorldRun  # MuJoCo takes a quarter of a second to import
 
     sim = Simulation()

@@ -26,20 +26,20 @@ DIMENSIONLESS: Final = "1"
 """Unit of counts, indices and factors."""
 
 TEXT: Final = ""
-"""Unit of columns that have no quantity: texts, and yes or no."""
+"""Unit of columns that have no quantity: texts and booleans."""
 
 RESTLESS_M_S: Final = 0.01
 RISING_M_S2: Final = 0.5
 """Forces on tops count in a step if it begins with a box faster than ``RESTLESS_M_S`` and accelerates a box upwards by
-more than ``RISING_M_S2``. In other steps they count only at looks for quiet (docs/rules.md, section 7). Forces in the
-steps left out exceed a weight by at most a twentieth, since boxes press with more than their weight only while they are
-accelerated upwards."""
+more than ``RISING_M_S2``. In other steps, forces count only at looks for quiet (docs/rules.md, section 7). In the steps
+that are left out, forces exceed the weight on a top by at most a twentieth, since boxes press with more than their
+weight only while they are accelerated upwards."""
 
 GONE_TILT: Final = 1.25
 GONE_DESCENT: Final = 1.5
-"""Some trials need to know only whether the pallet stands. They end at the look for quiet at which a box is *gone*: it
-is tilted by ``GONE_TILT`` times the tilt threshold, or has descended by ``GONE_DESCENT`` times the shift threshold. A
-box that begins at rest cannot rise again by itself."""
+"""In some trials, the only question is whether the pallet stands. Such trials end at the look for quiet at which a box
+is *gone*: it is tilted by ``GONE_TILT`` times the tilt threshold, or has descended by ``GONE_DESCENT`` times the shift
+threshold. A box that begins at rest cannot rise again by itself."""
 
 
 class SampleAt(StrEnum):
@@ -102,8 +102,8 @@ class BoxMetric:
         of_world: the column of ``worlds`` that is computed from this metric, if any.
         driven_only: whether only runs with profiles have this metric.
         legs_only: whether only chains of several legs have this metric.
-        compared, relative: as in :class:`Column`. Values of yes or no are compared only as the number of boxes with yes
-            in a world.
+        compared, relative: as in :class:`Column`. For metrics of type bool, only the number of boxes per world for
+            which the metric is true is compared.
     """
 
     attribute: str
@@ -124,7 +124,8 @@ class BoxMetric:
         return np.zeros(shape, np.bool_) if self.dtype is np.bool_ else np.full(shape, np.nan)
 
     def world_columns(self) -> list[Column]:
-        """The metric's column of ``worlds``, if any. Its measures are float64, since there are few worlds."""
+        """The metric's column of ``worlds``, if any. The measured values in this column are float64, since there are
+        few worlds."""
         if self.of_world is None:
             return []
         counts = self.of_world.reduction is Reduction.COUNT

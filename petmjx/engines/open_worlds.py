@@ -19,7 +19,7 @@ from petmjx.world.job import Drive
 from petmjx.world.scene import OF_BOXES, Scene
 
 MOST_BOXES: Final = 96
-"""Default number of boxes for which an open world has room: that of the smaller worlds of mjx-warp."""
+"""Default number of boxes for which an open world has room: the same as for the smaller worlds of mjx-warp."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -147,27 +147,28 @@ def _check_worlds(worlds: Sequence[int], count: int, *, distinct: bool = True) -
 def _check_as_many(worlds: Sequence[int], others: Sized, noun: str) -> None:
     """Raise ValueError unless ``others`` has one entry per world."""
     if len(worlds) != len(others):
-        raise ValueError(f"{len(worlds)} worlds need as many {noun}, and there are {len(others)}")
+        raise ValueError(f"expected {len(worlds)} {noun}, one for each world, got {len(others)}")
 
 
 def _check_grown(before: Scene, after: Scene) -> None:
     """Check that the scene ``after`` has all boxes of ``before``, on the same carrier, and further boxes.
 
     Raises:
-        ValueError: it does not.
+        ValueError: ``after`` lacks one of these boxes, has no further box, or has another carrier or other values for
+            pairs of surfaces.
     """
     n = before.n_boxes
     if after.n_boxes <= n:
         raise ValueError(f"the scene must have more than {n} boxes, but has {after.n_boxes}")
     earlier_part = after.first(n)
     if not all(np.array_equal(getattr(before, name), getattr(earlier_part, name)) for name in OF_BOXES):
-        raise ValueError(f"the first {n} boxes of the scene must be those that the world has")
+        raise ValueError(f"the first {n} boxes of the scene must be the boxes that the world already has")
     if any(not np.array_equal(value, getattr(after.carrier, name)) for name, value in vars(before.carrier).items()):
-        raise ValueError("the scene must have the world's carrier")
+        raise ValueError("the scene must have the same carrier as the world")
     if not np.array_equal(filled_up(before.pair_friction), filled_up(after.pair_friction)):
-        raise ValueError("the scene must have the world's friction of pairs")
+        raise ValueError("the scene must have the same friction for pairs of surfaces as the world")
     if not np.array_equal(filled_up_shares(before.pair_kinetic), filled_up_shares(after.pair_kinetic)):
-        raise ValueError("the scene must have the world's kinetic friction of pairs")
+        raise ValueError("the scene must have the same kinetic friction for pairs of surfaces as the world")
     if not np.array_equal(filled_up_landings(before.pair_landing), filled_up_landings(after.pair_landing)):
         raise ValueError("the scene must have the same landing values for pairs of surfaces as the world")
 
@@ -179,10 +180,10 @@ class OpenWorlds(ABC):
     named twice, or a scene is missing).
 
     A world follows the rules of the placement (docs/rules.md): each of its boxes is placed once the boxes before it are
-    at rest. When the last one is at rest, the world pauses, and more boxes can be added. What happens in a world
-    depends only on its scene. It does not depend on other worlds, or on the number of calls in which its boxes were
-    added. So a world whose boxes do not come to rest pauses at the end of a short wait, since more boxes may follow;
-    ``finish`` waits longer.
+    at rest. When the last box is at rest, the world pauses, and more boxes can be added. What happens in a world
+    depends only on its scene, not on other worlds, nor on the number of calls in which its boxes were added. So a world
+    whose boxes do not come to rest pauses at the end of a short wait, since more boxes may follow; ``finish`` waits
+    longer.
 
     This class has the checks that all engines share; engines implement the rest.
 
@@ -195,7 +196,7 @@ class OpenWorlds(ABC):
 
     def __init__(self, scenes: Sequence[Scene], sim: Simulation) -> None:
         if sim.schedule is Schedule.FIXED:
-            raise ValueError("worlds with the fixed schedule cannot stay open")
+            raise ValueError("open worlds need the adaptive schedule, not the fixed schedule")
         if not scenes:
             raise ValueError("there must be at least one world")
         self._blank = EmptyCarrier(sim)
@@ -242,12 +243,13 @@ class OpenWorlds(ABC):
 
     def try_next(self, worlds: Sequence[int], boxes: NextBoxes, *, until_lost: bool = False) -> Readings:
         """The states that worlds would have once one box was put into each and came to rest. The boxes are placed in
-        forks of the worlds, which are then discarded. A world may be named several times, and must have paused.
+        forks of the worlds. The forks are discarded afterwards. A world may be named several times, and must have
+        paused.
 
         Args:
             until_lost: a fork ends as soon as a box is tilted too far at a sample, as in worlds with errors, or is gone
-                at a look for quiet (``petmjx.engines.metrics.GONE_TILT``). Then it is known that the pallet does not
-                stand, but not how it would end.
+                at a look for quiet (``petmjx.engines.metrics.GONE_TILT``). At that moment it is known that the pallet
+                does not stand, but not how it would end.
 
         Raises:
             ValueError: a world has ended.
@@ -260,8 +262,8 @@ class OpenWorlds(ABC):
     def try_scenes(
         self, worlds: Sequence[int], scenes: Sequence[Scene], drives: Sequence[Drive | None] | None = None
     ) -> list[Outcome]:
-        """Fork worlds with these scenes, and finish the forks as ``finish`` does. Friction, and how new boxes are
-        placed, may differ from the worlds.
+        """Fork worlds with these scenes, and finish the forks as ``finish`` does. The scenes may differ from the worlds
+        in their friction, and in how new boxes are placed.
 
         Raises:
             ValueError: a world has ended.
@@ -312,8 +314,8 @@ class OpenWorlds(ABC):
         themselves do not change. ``Outcome.job`` is the index into ``worlds``.
 
         Each outcome is one simulation, as in ``Engine.run``. Unlike in a score, no world is simulated again with other
-        settings (docs/rules.md, section 9). A placement before a drive that has failed, but without a dropped box,
-        waits as it would without a drive. This wait may be some steps shorter than in a run.
+        settings (docs/rules.md, section 9). If a placement before a drive has failed without a dropped box, it waits as
+        it would without a drive. This wait may be some steps shorter than in a run.
 
         Raises:
             ValueError: a world has no boxes.

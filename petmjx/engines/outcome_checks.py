@@ -1,8 +1,9 @@
-"""Checks of outcomes, the same for all engines: soft contacts, the margin, boxes that came to rest otherwise than
-planned, and distances of loads from the edges of their supports, which show a verdict on a knife's edge.
+"""Checks of outcomes, the same for all engines. They find verdicts that soft contacts may have decided, boxes that came
+to rest otherwise than planned, and loads so near the edges of their supports that the verdict is on a knife's edge.
+The checks also compute the margin.
 
-If an engine runs in workers, each worker checks its own outcomes: for small worlds the checks are almost half of the
-work of the process of the run.
+If an engine runs in workers, each worker checks its own outcomes: for small worlds, the checks would be almost half of
+the work of the run's own process.
 """
 
 from __future__ import annotations
@@ -29,8 +30,9 @@ from petmjx.world.scene import Scene
 from petmjx.world.supports import TOUCH_M, Bearing, bearings_of
 
 LEANS_DEG: Final = 2.0
-"""A box of a stable world leans if its tilt at rest is larger. At this tilt a box of half a metre is 17 mm lower on one
-side. In worlds without the flag for leaning, soft contacts alone tilt no box by a tenth of this."""
+"""A box of a stable world counts as leaning if its tilt at rest is larger than this, degrees. At this tilt a box of
+half a metre is 17 mm lower on one side. In worlds without the flag for leaning, soft contacts alone tilt no box by even
+a tenth of this."""
 
 LOWER_M: Final = 0.005
 """A box that lies lower than planned by more than this counts as leaning, too: soft contacts may give way by as much
@@ -67,7 +69,7 @@ def contact_tilt_boxes(outcome: Outcome) -> np.ndarray[tuple[int], np.dtype[np.i
 
 
 def _leaning(outcomes: Sequence[Outcome]) -> list[NDArray[np.bool_]]:
-    """(n_placed,) which boxes lean, of each world, as ``contact_tilt_boxes``."""
+    """For each world, (n_placed,) which boxes lean or lie lower, by the rule of ``contact_tilt_boxes``."""
     if not outcomes:
         return []
     placed = [outcome.n_placed for outcome in outcomes]
@@ -81,13 +83,14 @@ def _leaning(outcomes: Sequence[Outcome]) -> list[NDArray[np.bool_]]:
 
 
 def note_edges(outcomes: Sequence[Outcome], jobs: Sequence[Job], sim: Simulation) -> None:
-    """Fill in the least distances of loads from edges: by the plan, at rest and while the plan is built. Also fill in
-    the distances of boxes, the flag of a knife's edge, which any box may set, and ``Flag.SINKING`` of worlds that may
-    have tipped over because contacts are soft: these keep their verdict, in case stiffer contacts do not change it.
+    """Fill in the smallest distances of loads from edges: by the plan, at rest and while the plan is built. Also fill
+    in the distances of all boxes and two flags. Any box may set ``Flag.KNIFE_EDGE``; ``Flag.SINKING`` is set for worlds
+    that may have tipped over because contacts are soft.
 
-    Distances at rest count in worlds that stand and were not shaken: there the carrier is at its place. Distances
-    while the plan is built are those of plans whose boxes are placed in order, without errors. Worlds that stand
-    after a further leg of a chain are left out: they have the distances, and the flag, of the leg before.
+    Distances at rest are computed for worlds that stand and were not shaken, in which the carrier is still at its
+    place. Distances while the plan is built are computed for plans whose boxes are placed in order and without errors.
+    Worlds that stand after a further leg of a chain are left out: they keep the distances and the flag of the previous
+    leg.
     """
     scenes, in_order = [job.scene for job in jobs], sim.check is not Check.STATIC
     valid = [
@@ -97,7 +100,7 @@ def note_edges(outcomes: Sequence[Outcome], jobs: Sequence[Job], sim: Simulation
     ]
     if not valid:
         return
-    # drives share a scene
+    # drives from the same placement share a scene, which is examined only once
     keys = [(scenes[k], outcomes[k].n_placed, in_order and not jobs[k].has_errors) for k in valid]
     planned = {key: number for number, key in enumerate(dict.fromkeys(keys))}
     at_rest = [k for k in valid if outcomes[k].verdict is Verdict.STABLE and jobs[k].drive is None]
@@ -153,8 +156,8 @@ def note_edges(outcomes: Sequence[Outcome], jobs: Sequence[Job], sim: Simulation
 
 
 def edges_again(scene: Scene, outcome: Outcome) -> Iterator[KnifeEdge]:
-    """All distances of loads from edges that ``note_edges`` looked at, also distances without a column: of own weights,
-    and the nearest distance while the plan is built."""
+    """All distances of loads from edges that ``note_edges`` examined. The result includes two that have no column: the
+    distances of own weights, and the nearest distance while the plan is built."""
     in_order, at_rest = not np.isnan(outcome.build_edge_m), not np.isnan(outcome.rest_edge_m)
     joined = _Joined([(scene, outcome.n_placed, in_order)])
     if at_rest:
@@ -170,13 +173,13 @@ def edges_again(scene: Scene, outcome: Outcome) -> Iterator[KnifeEdge]:
 
 @dataclass
 class _Joined:
-    """Scenes whose loads and edges are computed at once: the time depends on the number of calls.
+    """Scenes whose loads and edges are computed together, since the time depends mainly on the number of calls.
 
     Attributes:
-        planned: scenes at their planned places, each with the number of placed boxes, and whether the least edges while
-            the plan is built are needed; at least one.
-        elsewhere: further scenes, each with (n, 3) places of its boxes, m, the number of placed boxes, and the largest
-            gap as in ``find_bearing``, m.
+        planned: at least one scene with boxes at their planned places. Each scene comes with the number of placed
+            boxes, and with a flag: whether the smallest distances while the plan is built are needed.
+        elsewhere: further scenes with boxes at other places. Each scene comes with the (n, 3) places, m, the number of
+            placed boxes, and the largest gap of ``find_bearing``, m.
     """
 
     planned: Sequence[tuple[Scene, int, bool]]
@@ -188,8 +191,8 @@ class _Joined:
         return len(self.planned) + len(self.elsewhere) - 1
 
     def edges(self) -> tuple[Bearing, FloatArray, Edges, list[LeastBuildingEdge]]:
-        """The bearing of all scenes, the loads of their boxes, as of ``Bearing.loads``, and their edges; and the least
-        edges while planned scenes are built."""
+        """Four results: the bearing of all scenes, the loads of their boxes (see ``Bearing.loads``), their edges, and
+        the smallest distances from edges while the planned scenes are built."""
         scenes, placed, are_built = zip(*self.planned, strict=True)
         moved, pos, placed_moved, gaps_m = zip(*self.elsewhere, strict=True) if self.elsewhere else ((),) * 4
         bearing = bearings_of(scenes, moved, pos, gaps_m)
@@ -199,5 +202,7 @@ class _Joined:
 
 
 def _least_edge(edge_m: FloatArray, place: int | None, first: int) -> tuple[float, int]:
-    """The least distance of a scene, at this place, and the number of its box; NaN and -1 if there is none."""
+    """The smallest distance of a scene, found at ``place`` among all boxes, and the number of its box; NaN and -1 if
+    there is none.
+    """
     return (np.nan, -1) if place is None else (float(edge_m[place]), place - first)

@@ -21,7 +21,7 @@ from petmjx.world.scene import Scene
 
 GROUP_WORLDS = {"mjx-jax": 8192, "mjx-warp": 32_768}
 """Default number of worlds whose states an engine keeps on its device at the same time. On mjx-warp, a world of 80
-boxes takes 16 kB. A worker with either engine also gets at most this number of jobs at once."""
+boxes takes 16 kB. A worker with one of these engines also gets at most this number of jobs at once."""
 
 
 @dataclass
@@ -33,8 +33,8 @@ class Progress:
         message: what the engine is doing at the moment (compiling, …).
         work_share: share of the run's work that is done, from 0 to 1; None: the share of finished worlds is used. Set
             by the run.
-        at_hand: at least this number of outcomes will follow the last one at once; None if the engine does not report
-            it. It is used only if the engine's ``run`` is marked with ``says_at_hand``.
+        at_hand: lower bound of the number of outcomes that will follow the last one without delay; None if the engine
+            does not report it. The number is used only if the engine's ``run`` is marked with ``says_at_hand``.
         pauses: whether the engine may yield None while no world ends, so that the caller can do other work of the run.
         notes: lines for the results about deviations from the options; each line occurs once.
     """
@@ -125,7 +125,9 @@ PHYSICS: Final[Mapping[str, Capability]] = {
     "mjx-warp": _PAIRS,
     "mjx-warp-cpu": _PAIRS,
 }
-"""Engine → its capabilities, in workers as well. An engine with another name is assumed to have all but soft boxes."""
+"""Engine → its capabilities, in workers as well. An engine with any other name is assumed to have all capabilities
+except soft boxes.
+"""
 
 
 @runtime_checkable
@@ -148,8 +150,8 @@ class StreamEngine(Protocol):
     ) -> Iterator[Outcome]:
         """See ``MinimalEngine``. The stream number of a job is its position among the jobs that the run takes.
 
-        A run takes jobs while it has capacity. It ends when it has no job in flight, and ``JobStream.take`` has no more
-        jobs for it.
+        A run takes jobs while it has capacity. The run ends when it has no job in flight, and ``JobStream.take`` has no
+        more jobs for it.
         """
         ...
 
@@ -162,7 +164,8 @@ class Engine(MinimalEngine, Protocol):
     other threads wait (``RunLock``).
 
     Attributes:
-        devices: number of GPUs that simulate at the same time. The engine gets more worlds at once by this factor.
+        devices: number of GPUs that simulate at the same time. The number of worlds that the engine gets at once is
+            multiplied by this number.
     """
 
     devices: int = 1
@@ -188,7 +191,7 @@ class Engine(MinimalEngine, Protocol):
         return getattr(self.run, "takes_stream", False)
 
     def open(self, scenes: Sequence[Scene], sim: Simulation, most_boxes: int = MOST_BOXES) -> OpenWorlds:
-        """Make worlds that stay open.
+        """Make open worlds, to which boxes can be added.
 
         Args:
             most_boxes: largest number of boxes that a world will ever have. Engines with tables reserve room for this
@@ -198,19 +201,24 @@ class Engine(MinimalEngine, Protocol):
             InputError: this engine has no open worlds.
             ValueError: the schedule is fixed: it sets a world's end before its first box is placed.
         """
-        raise InputError(f"engine {self.name} has no worlds that stay open; use mujoco, mjx-warp or mjx-warp-cpu")
+        raise InputError(
+            f"engine {self.name} has no open worlds, to which boxes can be added; use mujoco, mjx-warp or mjx-warp-cpu"
+        )
 
     def paths(self, bodies: FreeBodies, sim: Simulation) -> FloatArray:
-        """Release boxes in worlds without rules of placement. Contacts and steps are the same as in all worlds.
+        """Release boxes in worlds without rules of placement, and follow them. Contacts and steps are the same as in
+        all other worlds.
 
         Returns:
             (n, s, k, 7) places, m, and orientations of the boxes after each of ``bodies.steps``. NaN after a step in
             which numbers were not finite or buffers were too small.
 
         Raises:
-            InputError: this engine cannot do this.
+            InputError: this engine cannot release boxes.
         """
-        raise InputError(f"engine {self.name} cannot let boxes go; use mujoco, mjx-warp, mjx-warp-cpu or mjx-jax")
+        raise InputError(
+            f"engine {self.name} cannot simulate released boxes; use mujoco, mjx-warp, mjx-warp-cpu or mjx-jax"
+        )
 
     def retire(self) -> None:
         """Start to free the resources that are held between runs, such as workers. Returns at once. No run may

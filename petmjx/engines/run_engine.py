@@ -33,7 +33,7 @@ _OLD_FLAGS: Final = ("takes_more", "takes_parts", "looks", "names_engines")
 """Former attributes of engines, which ``Engine.capabilities`` has replaced."""
 
 WORTH_A_GPU: Final = 4 << 20
-"""Size of plan files, in bytes, from which on ``auto`` will use an available GPU: about 400 plans."""
+"""If plan files have at least this size, in bytes, ``auto`` will use an available GPU: about 400 plans."""
 
 
 class UserEngine(Engine):
@@ -41,7 +41,7 @@ class UserEngine(Engine):
     since the user owns it.
 
     Args:
-        threads: the option of the run. It is used in the name of the device if the engine has no name for it.
+        threads: the option of the run. The number is used in the name of the device if the engine itself gives no name.
     """
 
     def __init__(self, engine: MinimalEngine, threads: int | None) -> None:
@@ -81,7 +81,7 @@ class UserEngine(Engine):
 @contextmanager
 def engine_warmup(options: RunOptions, plans: object, sim: Simulation) -> Iterator[WorkerStartup | None]:
     """Prepares the engine while plans are read. If ``mjx-warp`` will be the engine of this process, this starts JAX and
-    Warp on the GPU and compiles kernels. If workers are requested, it starts them and yields them for
+    Warp on the GPU and compiles kernels. If workers are requested, they are started, and yielded for
     ``resolve_engine``. These starts consist mostly of waiting, so plans are read meanwhile."""
     if options.asked_workers is not None and isinstance(options.engine, str):
         from petmjx.engines.remote.worker_choice import WorkerStartup  # most runs have no workers
@@ -97,7 +97,7 @@ def engine_warmup(options: RunOptions, plans: object, sim: Simulation) -> Iterat
     if _may_be_gpu(options, plans):
         thread = threading.Thread(target=_start_if_gpu, args=(sim,), name="petmjx-start")
         thread.start()
-    # an error in plans is reported at once: nothing waits for the thread, except perhaps the end of the process
+    # nothing waits for the thread, except perhaps the end of the process; so an error in plans is reported at once
     yield None
     if thread is not None:
         thread.join()
@@ -135,7 +135,7 @@ def engine_for(
     hands_over: bool = False,
     earlier: str | None = None,
 ) -> Iterator[tuple[Engine, Choice]]:
-    """``resolve_engine`` as a context, which closes the engine at the end, unless the user gave the engine."""
+    """``resolve_engine`` as a context. At the end, it closes the engine, unless the engine is the user's own."""
     engine, choice = resolve_engine(options, work, ahead=ahead, hands_over=hands_over, earlier=earlier)
     try:
         yield engine, choice
@@ -160,10 +160,12 @@ def resolve_engine(
         costs: costs of the engines; None: the measured ones, scaled to the speed of this machine.
         ahead: workers that ``engine_warmup`` has already started for these options.
         hands_over: whether an engine that ``auto`` chooses may hand worlds over to another one (``HandoverEngine``).
-        earlier: the engine of the run before it was resumed. ``auto`` keeps it, although the machine may be busier now.
+        earlier: the engine of the run before it was resumed. ``auto`` keeps this engine, although the machine may be
+            busier now.
 
     Raises:
-        InputError, EngineUnavailable: see ``make_engine``. InputError also for workers with a user's own engine.
+        InputError, EngineUnavailable: see ``make_engine``. InputError is also raised for workers with a user's own
+            engine.
     """
     requested_engine = options.engine
     if not isinstance(requested_engine, str):
@@ -172,7 +174,9 @@ def resolve_engine(
                 f"engine must be a name or an object with a name and a method run, {shown_value(requested_engine)}"
             )
         if options.asked_workers is not None:
-            raise InputError("workers need an engine by name: each of them builds its own")
+            raise InputError(
+                "workers need the name of an engine, not an engine object: each worker builds its own engine"
+            )
         return UserEngine(requested_engine, options.threads), Choice(requested_engine.name, "given")
     if options.asked_workers is not None:
         from petmjx.engines.remote.worker_choice import resolve_workers  # most runs have no workers

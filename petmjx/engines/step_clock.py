@@ -19,7 +19,7 @@ class Clock:
         return float(self._time[step])
 
     def first_after(self, step: int, interval_s: float) -> int:
-        """The first step at which at least ``interval_s`` have passed since ``step``."""
+        """The first step after which at least ``interval_s`` seconds have passed since ``step``."""
         start = self.time_s(step)
         candidate = step + max(int(interval_s / self._dt) - 2, 0)
         while self.time_s(candidate) - start < interval_s:

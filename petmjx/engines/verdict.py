@@ -42,7 +42,7 @@ class Reason(StrEnum):
 
 
 class Flag(IntFlag):
-    """Events in a world that the metrics do not show. They are the bits of the column ``flags``."""
+    """Events in a world that the metrics do not show. The flags are the bits of the column ``flags``."""
 
     NONE = 0
     NONFINITE = 1
@@ -103,7 +103,7 @@ class Outcome:
     state: KeptState | EngineState | None = None
     """The settled state, if the job requests it. Outside the engine it is a ``KeptState``."""
     margin: float = math.nan
-    """See :func:`margin_of`; set for all engines by petmjx.engines.outcome_checks."""
+    """The margin (:func:`margin_of`), which petmjx.engines.outcome_checks sets for all engines."""
     plan_edge_m: float = math.nan
     plan_edge_box: int = -1
     rest_edge_m: float = math.nan
@@ -111,9 +111,9 @@ class Outcome:
     build_edge_m: float = math.nan
     build_edge_box: int = -1
     build_edge_step: int = -1
-    """The fields above, ``plan_edge_m`` to ``build_edge_step``: the smallest distances of loads from edges, m; the
-    boxes that have these loads; and the box after whose placement ``build_edge_m`` is reached. -1: no box. They are set
-    by petmjx.engines.outcome_checks, and so are the distances of all boxes."""
+    """For the fields above, from ``plan_edge_m`` to ``build_edge_step``: the smallest distances of loads from edges, m;
+    the boxes that have these loads; and the box after whose placement ``build_edge_m`` is reached. -1: no box.
+    petmjx.engines.outcome_checks sets these fields, and the distances of all boxes."""
     message: str = ""
     """The reason why there is no result, in one line, if ``reason`` is ``failed`` or ``timeout``."""
     history: History | None = None
@@ -128,7 +128,7 @@ INVALID_FLAGS: Final = (
     (Flag.EXPLOSION, Reason.EXPLOSION),
     (Flag.TIMEOUT, Reason.TIMEOUT),
 )
-"""Flags that make a world invalid, each with its reason. The first one in this order that is set decides."""
+"""Flags that make a world invalid, each with its reason. If several are set, the first one in this order decides."""
 
 _INVALID_BITS: Final = sum(int(bits) for bits, _ in INVALID_FLAGS)
 
@@ -143,7 +143,8 @@ class Signs(NamedTuple):
 
 
 def failures(boxes: Any, thresholds: Thresholds) -> Iterator[tuple[Reason, Any]]:
-    """(reason, (…, n) whether each box fails for this reason), in the order in which the reasons are checked.
+    """Pairs of a reason and (…, n) flags, which tell whether each box fails for this reason. The pairs are in the order
+    in which reasons are checked.
 
     Args:
         boxes: an object with the fields of ``Signs`` for (…, n) boxes, as arrays of NumPy or JAX.
@@ -164,7 +165,7 @@ def judge(
 ) -> tuple[Verdict, Reason]:
     """The verdict of a world, and its reason. No other function decides verdicts (docs/metrics.md, section "Verdict").
 
-    An engine calls it with its measurements. Callers that learn more about the world later call it again.
+    An engine calls this function with its measurements. Callers that later learn more about the world call it again.
 
     Metrics may come from float32. With the default thresholds, comparisons in float64 and in float32 agree: 20 is exact
     in float32; the float32 nearest to 0.02 is below 0.02, and no other float32 lies between the two.
@@ -203,8 +204,8 @@ def judge_all(
 
 
 DROPPED_EXCESS: Final = 2.0
-"""Smallest excess of a dropped box. It makes the margin at most -1: the box may end near its place, but a drop always
-counts as beyond the threshold."""
+"""Smallest excess of a dropped box. With this excess, the margin is at most -1: the box may end near its place, but a
+drop always counts as beyond the threshold."""
 
 
 _EPSILON: Final = float(np.finfo(np.float64).eps)
@@ -215,14 +216,14 @@ def margin_of(verdict: Verdict, boxes: BoxMetrics, n_placed: int, thresholds: Th
     placed box.
 
     1: nothing moved; 0: on the threshold; negative: beyond it, at most -1 if a box dropped. In a stable world the
-    margin is never negative, and in an unstable world always. It is NaN for invalid worlds. More: docs/metrics.md,
-    section "Margin".
+    margin is never negative, and in an unstable world always. The margin is NaN for invalid worlds. More:
+    docs/metrics.md, section "Margin".
     """
     return _margins([(verdict, boxes, n_placed)], thresholds)[0]
 
 
 def margins_of(outcomes: Sequence[Outcome], thresholds: Thresholds) -> list[float]:
-    """``margin_of`` each outcome, computed together."""
+    """``margin_of`` for many outcomes, computed together."""
     return _margins([(outcome.verdict, outcome.boxes, outcome.n_placed) for outcome in outcomes], thresholds)
 
 

@@ -11,7 +11,8 @@ from petmjx.world.job import Job
 
 
 class NamedJob(Protocol):
-    """A world of any run: its job, and its name in notes. It is simulated once, and again if its outcome is invalid."""
+    """A world of any run: its job, and its name in notes. The world is simulated once, and again if its outcome is
+    invalid."""
 
     @property
     def job(self) -> Job: ...

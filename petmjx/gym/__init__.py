@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 try:
     from gymnasium.envs.registration import register, registry
 except ImportError as error:
-    raise EngineUnavailable("petmjx.gym needs gymnasium, not installed: pip install 'petmjx[gym]'") from error
+    raise EngineUnavailable("petmjx.gym needs gymnasium, which is not installed: pip install 'petmjx[gym]'") from error
 
 ENVIRONMENT: Final = "Palletizing-v0"
 

@@ -23,8 +23,8 @@ mm, its mass in kg, the supported share of its base, and the margin that the pal
 
 UPRIGHT: Final = "upright"
 PALLET: Final = "pallet"
-"""Features of environments in which these can be chosen: which size is vertical (0: height, 1: width, 2: length), and
-the number of the pallet."""
+"""Further features, in environments in which actions choose them: which size is vertical (0: height, 1: width, 2:
+length), and the number of the pallet."""
 
 SIDES: Final = np.array([(0, 1, 2), (1, 0, 2), (0, 2, 1), (2, 0, 1), (1, 2, 0), (2, 1, 0)])
 """(6, 3) for each side on which a box can stand, the sizes along x, y and z (0: length, 1: width, 2: height). The two
@@ -117,13 +117,14 @@ class Actions:
         corners: FloatArray = np.indices(self._cells).reshape(2, -1).T.astype(np.float64) * cell
         self._grid = None if options.actions == CANDIDATES else corners
         self._sides = SIDES if options.sides == ALL or orders.lie else SIDES[:2]
-        most = max(options.n_candidates, options.buffer)  # every box of the buffer gets a share
+        # at least one action for each box of the buffer
+        most = max(options.n_candidates, options.buffer)
         ways = options.open_pallets * options.buffer * len(self._sides)
         self.count = most if self._grid is None else ways * len(corners)
 
     @property
     def asks_physics(self) -> bool:
-        """Whether the mask depends on which placements stand on the pallets."""
+        """Whether the mask depends on whether the pallets would stand after a placement."""
         return self._options.mask in (SURE, PHYSICS, LOADS)
 
     def fill(
@@ -225,9 +226,9 @@ class Actions:
         side: NDArray[np.intp],
         pallet: NDArray[np.intp],
     ) -> tuple[NDArray[np.intp], NDArray[np.int64]]:
-        """(c,) for each chosen place, its episode and the number of its action; a number of ``count`` or more means
-        that it has none. Candidates are numbered box by box, the lowest places first. Cells are numbered by pallet,
-        box, side and cell."""
+        """Two arrays (c,): the episode of each place, and the number of its action. A number of ``count`` or more means
+        that the place has no action. Candidates are numbered box by box, the lowest places first. Cells are numbered by
+        pallet, box, side and cell."""
         source = places.row[chosen]
         row = at[source]
         if self._grid is not None:
@@ -261,6 +262,6 @@ def _in_turn(row: NDArray[np.intp], seen: NDArray[np.intp], most: int) -> NDArra
 
 
 def _ranks(of: NDArray[np.intp]) -> NDArray[np.int64]:
-    """0, 1, 2, … within each group of equal values. Equal values must be adjacent."""
+    """The ranks 0, 1, 2, … of the entries within each group of equal values. Equal values must be adjacent."""
     first = np.flatnonzero(np.diff(of, prepend=-1))
     return np.arange(len(of)) - np.repeat(first, np.diff(first, append=len(of)))

@@ -25,7 +25,7 @@ class Curriculum:
     """Properties of episodes at levels 0 and 1. Between these levels they change linearly.
 
     Attributes:
-        boxes: largest number of boxes of an order, which then has its first boxes only; None: all boxes.
+        boxes: largest number of boxes of an order; all further boxes are dropped. None: all boxes.
         sizes: how different the boxes of an order are. At 0 all have the order's mean size and mass; at 1 they are as
             in the order.
         errors: the strength of errors, as in the option ``errors``.
@@ -37,7 +37,7 @@ class Curriculum:
 
     @classmethod
     def of(cls, options: PalletizingOptions) -> Self:
-        """The curriculum of an environment. If none is set, all levels are equal.
+        """The curriculum of an environment. Without a curriculum, all levels are equal.
 
         Raises:
             InputError: an entry is unknown, or is not two numbers within its range.
@@ -91,7 +91,7 @@ def level_of(options: object, n: int, *others: str) -> FloatArray | None:
         raise InputError(f"options must be a dict, {shown_value(options)}")
     names = ("level", *others)
     if unknown := [name for name in options if name not in names]:
-        raise InputError(f"options: unknown {unknown[0]!r}; an environment has {' and '.join(names)}")
+        raise InputError(f"options: unknown option {unknown[0]!r}; an environment has {' and '.join(names)}")
     if options.get("level") is None:
         return None
     try:

@@ -23,10 +23,10 @@ CENTRE: Final = "centre"
 OF_ORDER: Final = "order"
 ALL: Final = "all"
 MOST_OPEN: Final = 64
-"""Largest number of pallets in an episode. A robot could not reach more."""
+"""Largest number of pallets in an episode. A robot could not reach more pallets."""
 MOST_ERRORS: Final = 10.0
-"""Largest multiple of the errors of a common robot: 20 mm, beyond which a box no longer stands where it was meant
-to."""
+"""Largest multiple of the errors of a common robot. This multiple gives errors of 20 mm. With larger ones, a box would
+no longer stand where it was meant to."""
 SUPPORT: Final = {f"support_{100 * share:.0f}": share for share in SUPPORT_SHARES}
 MASKS: Final = (GEOMETRY, *SUPPORT, CENTRE, SURE, PHYSICS, LOADS)
 
@@ -42,22 +42,22 @@ class PalletizingOptions:
             the fields of ``petmjx.RunOptions``; None: the most plausible reading.
         articles: a table of articles (docs/loads.md), which has the strengths of the orders' boxes.
         look_ahead: number of visible boxes. 1 is online packing; all boxes of an order is offline packing.
-        buffer: number of visible boxes, counted from the first, of which any may be placed next.
+        buffer: number of boxes among which the next box may be chosen: the first ones of the visible boxes.
         actions: ``candidates``: an action is one of the listed places, which have features; ``cells``: an action is a
             box, an orientation and a cell of the carrier.
         n_candidates: largest number of listed places; at least one is listed for each box of the buffer. The list has
             the lowest place of each box, then the second lowest of each, and so on.
         action_cell_mm: side of the cells of actions; ``cell_mm``: side of the cells of maps.
-        mask: which actions on the carrier and below the highest top are legal: ``geometry``: all of them; a criterion
-            of docs/criteria.md (``support_75``, … or ``centre``); ``physics``: actions that stand in a trial; ``sure``:
-            actions that stand beyond doubt, without a trial; or ``loads``: actions that also overload no box.
+        mask: which of the actions on the carrier and below ``max_height_mm`` are legal: ``geometry``: all of them; a
+            criterion of docs/criteria.md (``support_75``, … or ``centre``); ``physics``: actions that stand in a trial;
+            ``sure``: actions that stand beyond doubt, without a trial; or ``loads``: actions that also overload no box.
         max_height_mm: highest top of a box.
         gap_mm: free space between a box and its neighbours along x and y, which a robot needs.
         rewards: weights of terms (``petmjx.loop.rewards.TERMS``).
         most_illegal: number of illegal actions after which an episode is truncated.
         scaled: whether observations are scaled to 0 to 1 (``petmjx.gym.observation_spaces``).
-        sides: on which sides boxes may stand: ``order``: those that the order allows, or only the base if it says
-            nothing; ``all``: all sides.
+        sides: on which sides boxes may stand: ``order``: those that the order allows, or only the base if the order
+            gives none; ``all``: all sides.
         open_pallets: number of pallets of an episode. Each of them may get the next box.
         errors: how inaccurately boxes are placed, as a multiple of the errors of ``petmjx score --confidence``.
         curriculum: properties that change with the level of an episode (``petmjx.gym.curriculum.Curriculum``).
@@ -131,7 +131,9 @@ class PalletizingOptions:
         reading = order_reading(self.orders_units, self.orders_columns, self.orders_density)
         orders = Orders(self.orders, self.orders_seed, self.articles, reading)
         if self.mask == LOADS and not orders.have_strengths:
-            raise InputError(f"mask: {LOADS} needs strengths of boxes: the column strength_n of orders, or articles")
+            raise InputError(
+                f"mask: {LOADS} needs strengths of boxes; give orders the column strength_n, or pass articles"
+            )
         return orders
 
     @property

@@ -32,7 +32,7 @@ _MOST_KINDS: Final = 16
 """Largest number of kinds of boxes behind the next box that one call examines, for each episode."""
 
 PICTURE: Final = (480, 480)
-"""Pixels of a pallet's picture."""
+"""Width and height of a pallet's picture, in pixels."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -51,7 +51,7 @@ class EpisodeStep:
 
 
 class Episodes:
-    """n episodes side by side. Every pallet belongs to one of them.
+    """n episodes side by side. Every pallet belongs to one of the episodes.
 
     Args:
         given: options of ``PalletizingOptions`` and arguments of ``petmjx.Pallets``.
@@ -205,7 +205,7 @@ class Episodes:
         return {"error": np.array(numbers, np.int64), "error_strength": self._errors[rows]}
 
     def _look(self, rows: NDArray[np.int64]) -> None:
-        """Find the actions of episodes. If an episode has none, the boxes that may come next are left out."""
+        """Find the actions of episodes. If an episode has no action, the boxes that may come next are left out."""
         while len(rows):
             self._actions.fill(self.table, rows, *self._queues.seen(rows))
             stuck = rows[~self.table.legal[rows].any(axis=1)]
@@ -293,7 +293,9 @@ class Episodes:
             raise InputError(f"level must be a number from 0 to 1, or {len(rows)} of them, {shown_value(level)}")
         levels = [number_of(value, "level", 0.0, 1.0) for value in values.tolist()]
         if self.options.curriculum is None:
-            raise InputError("level: the environment has no curriculum, so its episodes are the same at all levels")
+            raise InputError(
+                "level: the environment has no curriculum, so its episodes are the same at all levels; leave level out"
+            )
         self.level[rows] = levels
 
     def picture(self, row: int) -> NDArray[np.uint8]:

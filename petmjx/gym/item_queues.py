@@ -73,8 +73,8 @@ class Queues:
 
     def kinds(self, row: int) -> tuple[NDArray[np.intp], FloatArray]:
         """The first box of each kind among the remaining boxes of a queue: (k,) their numbers, in ascending order, and
-        (k, 8) their rows. Boxes of a kind differ at most in strength. The boxes of the queue must have been taken in
-        their sequence."""
+        (k, 8) their rows. Boxes of a kind differ at most in strength. Until this call, boxes must have been taken from
+        the queue only in sequence."""
         boxes = self._boxes[row].rows
         boxes = boxes[len(boxes) - int(self.counts[row]) :]
         first = np.sort(np.unique(np.delete(boxes, _STRENGTH, axis=1), axis=0, return_index=True)[1])
@@ -94,7 +94,7 @@ class Queues:
         return self._next, self._first, self._behind, self.counts, self.left_out
 
     def seen(self, rows: NDArray[np.int64]) -> tuple[FloatArray, FloatArray, NDArray[np.bool_]]:
-        """The ``parts_of`` the visible boxes, (m, k, …). They are 0 after the last box."""
+        """The visible boxes, split by ``parts_of`` into arrays (m, k, …). Values are 0 after the last box."""
         return parts_of(self._next[rows[:, None], self._first[rows, None] + np.arange(self._seen)])
 
     def _go_on(self, rows: NDArray[np.int64], count: NDArray[np.int64]) -> None:

@@ -21,7 +21,7 @@ Map = NDArray[np.float32]
 
 
 class Maps:
-    """The maps of n pallets. Each new box updates them. They have the precision of observations.
+    """The maps of n pallets. Each new box updates them. The maps have the precision of observations.
 
     Attributes:
         heights: (n, x, y) the highest top, mm; ``loads``: (n, x, y) the largest force on a box's top, N.

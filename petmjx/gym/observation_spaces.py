@@ -16,11 +16,12 @@ LOAD_N: Final = 500.0
 BOX_KG: Final = 10.0
 PALLET_KG: Final = 300.0
 LEFT: Final = 20.0
-"""The value ``half`` of each scale x / (x + half), which maps ``half`` to 0.5 and all values to less than 1. These are
-the loads and masses of orders of groceries (docs/loop.md)."""
+"""The value ``half`` of each scale x / (x + half), which maps ``half`` to 0.5 and all values to less than 1. The values
+are typical loads and masses in orders of groceries (docs/loop.md)."""
 
 LARGEST_N: Final = 1e6
-"""Largest force in observations: larger forces are replaced by it. A pallet of 100 t presses with this force."""
+"""Largest force in observations, N. Larger forces are replaced by this value. A pallet of 100 t presses with this
+force."""
 
 _LENGTHS: Final = ("x", "y", "z", "length_x", "length_y", "height")
 

@@ -1,6 +1,6 @@
 """``petmjx/Palletizing-v0`` as a vector environment of Stable-Baselines3: n pallets per step on one engine.
 
-The environment provides the masks for MaskablePPO of sb3-contrib. It needs the extra ``sb3``.
+The environment provides the masks for MaskablePPO of sb3-contrib. This module needs the extra ``sb3``.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ try:
     from stable_baselines3.common.vec_env import VecEnv
 except ImportError as error:
     raise EngineUnavailable(
-        "petmjx.gym.PalletizingVecEnv needs stable_baselines3, not installed: pip install 'petmjx[sb3]'"
+        "petmjx.gym.PalletizingVecEnv needs stable_baselines3, which is not installed: pip install 'petmjx[sb3]'"
     ) from error
 
 
@@ -66,7 +66,8 @@ class PalletizingVecEnv(VecEnv):  # type: ignore[misc, unused-ignore]  # where S
         return observed
 
     def set_options(self, options: Any = None) -> None:
-        """Options of the next reset: a dict for all environments, or a list with a dict for each. They have ``level``.
+        """Options of the next reset: a dict for all environments, or a list with a dict for each. A dict may have the
+        entry ``level``.
 
         Raises:
             InputError: an option is unknown, or a level is no number.
@@ -141,7 +142,7 @@ class PalletizingVecEnv(VecEnv):  # type: ignore[misc, unused-ignore]  # where S
     def env_method(self, method_name: str, *method_args: Any, indices: Any = None, **method_kwargs: Any) -> list[Any]:
         """The results of ``action_masks`` or ``render`` of each environment."""
         if method_name not in self._methods:
-            raise AttributeError(f"an environment has the methods {', '.join(self._methods)}, got {method_name!r}")
+            raise AttributeError(f"an environment has only the methods {', '.join(self._methods)}, got {method_name!r}")
         return [self._methods[method_name](row, *method_args, **method_kwargs) for row in self._rows(indices)]
 
     def env_is_wrapped(self, wrapper_class: type[Any], indices: Any = None) -> list[bool]:
@@ -149,7 +150,7 @@ class PalletizingVecEnv(VecEnv):  # type: ignore[misc, unused-ignore]  # where S
         return [wrapper_class is Monitor for _ in self._rows(indices)]
 
     def _rows(self, indices: Any) -> list[int]:
-        """The numbers of environments. Negative numbers count from the end, as in a list. A mask is no list of numbers.
+        """The numbers of environments. Negative numbers count from the end, as in a list. A boolean mask is refused.
 
         Raises:
             InputError: the indices are neither a whole number nor a list of them, an environment does not exist, or it

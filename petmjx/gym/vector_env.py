@@ -72,10 +72,10 @@ class PalletizingVectorEnv(VectorEnv[Observation, NDArray[np.int64], NDArray[Any
         """Begin all episodes, or those for which ``options["reset_mask"]``, (n,), is true.
 
         Args:
-            options: besides ``reset_mask`` also ``level``, from 0 to 1, one number or (n,): the level of the curriculum
-                from these episodes on.
-            seed: seed of the first environment, while the other environments have the numbers that follow; or a list
-                with a seed for each.
+            options: ``reset_mask``, and ``level``, which sets the level of the curriculum from these episodes on: one
+                number or (n,), from 0 to 1.
+            seed: seed of the first environment; each further environment has the next number. Or a list with a seed for
+                each.
         """
         level = level_of(options, self.num_envs, "reset_mask")
         mask = None if options is None else options.get("reset_mask")

@@ -1,5 +1,5 @@
-"""Pallets on ``mjx-warp``, for jitted programs. The pytree is their state on the device, and the kernel runs inside the
-program."""
+"""Pallets on ``mjx-warp``, for jitted programs. The pytree is the state of the pallets on the device, and the kernel
+runs inside the program."""
 
 from __future__ import annotations
 
@@ -92,7 +92,8 @@ class Device:
         return support, target[:, 2] - jnp.where(support != NOTHING, depth, 0.0)
 
     def placed(self, open_: OpenState, box: NewBox, gets: jax.Array) -> OpenState:
-        """The worlds after each has got one more box and is at rest. Rows without ``gets`` do not change.
+        """The worlds after each of them got one more box and came to rest. Rows for which ``gets`` is false do not
+        change.
 
         Under ``jax.vmap``, the worlds of all states are simulated side by side.
         """
@@ -198,7 +199,7 @@ def empty_device(n: int, sim: Simulation, engine: Engine, most_boxes: int) -> De
     """n empty pallets.
 
     Raises:
-        InputError: the options say that boxes do not just appear at their places.
+        InputError: with these options, boxes do not simply appear at their places.
     """
     blank = EmptyCarrier(sim)
     if not blank.scene.placing.appears:

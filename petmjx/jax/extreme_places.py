@@ -26,14 +26,14 @@ share of its base; how far its weight acts inside the hull of its contacts, mm; 
 loads of all boxes below, mm. The distances are at most 200 mm, and negative outside."""
 
 _PER_ASIDE: Final = 0.01
-"""Cost of a millimetre of distance from the nearest edges, as mm of height. Of equally low places, the outer one comes
-first (``cost_mm`` of petmjx/packers/learned_candidates.py)."""
+"""Cost of a millimetre of distance from the nearest edges, as mm of height. Of equally low places, the one nearest to
+the edges comes first (``cost_mm`` of petmjx/packers/learned_candidates.py)."""
 
 LOOKED_AT: Final = 3
 """Number of cheapest places that are examined per candidate, since some of them have too little support."""
 
 _FAR: Final = 1e9
-"""Cost of a place that does not exist. It also serves as a coordinate beyond every carrier, mm."""
+"""Cost of a place that does not exist. The value also serves as a coordinate beyond every carrier, mm."""
 
 
 class Points(NamedTuple):

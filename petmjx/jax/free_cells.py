@@ -69,10 +69,10 @@ class Cells:
         self.count = TURNS * len(corners)
 
     def no_boxes(self, most: int) -> None:
-        """Nothing: cells need only the boxes of a pile."""
+        """The balance of an empty pile: None, since cells need only the boxes of a pile."""
 
     def put(self, statics: None, row: Array, size_mm: Array, corner_mm: Array, mass_kg: Array, pile: Pile) -> None:
-        """Nothing, also after one more box."""
+        """The balance after one more box: None, as for an empty pile."""
 
     def view(self, pile: Pile, statics: None) -> Pile:
         """The part of ``ways`` that does not depend on the next box."""

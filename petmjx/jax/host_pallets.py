@@ -37,7 +37,7 @@ the two masks."""
 
 
 class Host:
-    """A cache of settled pallets, whose keys are their boxes. A lock admits one thread at a time."""
+    """A cache of settled pallets. The key of a pallet is made from its boxes. A lock admits one thread at a time."""
 
     def __init__(self, n: int, sim: Simulation, engine: Engine, most_boxes: int) -> None:
         self.most_boxes = most_boxes
@@ -138,7 +138,7 @@ class Host:
             raise
 
     def _slot(self, size: NDArray[Any], corner: NDArray[Any], mass: NDArray[Any], count: int, pinned: set[int]) -> int:
-        """The pallet that has these boxes. It is added to ``pinned``, so that it is not reused meanwhile."""
+        """The pallet that has these boxes. The pallet is added to ``pinned``, so that it is not reused meanwhile."""
         keys = [_key(size[:k], corner[:k], mass[:k]) for k in range(count + 1)]
         n_cached = next((k for k in range(count, -1, -1) if keys[k] in self._slots), -1)
         slot = self._slots[keys[n_cached]] if n_cached >= 0 else -1

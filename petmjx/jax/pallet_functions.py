@@ -106,12 +106,12 @@ def try_all(
 def _pallets(state: State) -> int:
     """The number of pallets of a state. Raises InputError for any other object."""
     if not isinstance(getattr(state, "n", None), int):
-        raise InputError(f"state must be what petmjx.jax.empty or petmjx.jax.place returned, {shown_value(state)}")
+        raise InputError(f"state must be a state from petmjx.jax.empty or petmjx.jax.place, {shown_value(state)}")
     return int(state.n)
 
 
 def _of_kind(values: Any, name: str, kind: Any, kind_name: str) -> jax.Array:
-    """The values as an array. Raises InputError if their type is not of this kind."""
+    """The values as an array. Raises InputError if the type of the values is not of this kind."""
     try:
         array = jnp.asarray(values)
     except (TypeError, ValueError) as error:

@@ -38,7 +38,7 @@ ACTIONS: Final = (CELLS, CANDIDATES)
 MOST_CANDIDATES: Final = 512
 
 _DRAWN: Final = 256
-"""Number of orders that replace endless ones, since a program has arrays of fixed sizes."""
+"""An endless source of orders is replaced by this number of its orders, since a program has arrays of fixed sizes."""
 
 _EDGE: Final = 1e-4
 """Tolerance as a share of a cell, in single precision. A box that ends this close to a cell's edge counts as ending
@@ -111,7 +111,7 @@ class Palletizing:
         mask: ``geometry``, or ``support_50`` … ``support_100``.
         gap_mm: free space that a robot needs between a box and its neighbours along x and y.
         inside_mm: how far the load of each box must act inside the hull of its contacts, or a fifth of the shorter side
-            of its base if that is less; 0: anywhere. For candidates only. The packer ``balanced`` uses 20.
+            of its base if that is less; 0: anywhere. For candidates only. The packer ``balanced`` uses 20 mm.
         action_cell_mm, cell_mm: side of the cells of actions, and of maps.
         rewards: weights of reward terms.
         most_illegal: number of illegal actions after which an episode is truncated; an illegal action changes nothing.
@@ -178,7 +178,8 @@ class Palletizing:
         self._counts = jnp.array([len(boxes) for boxes in of_orders], jnp.int32)
         longest = int(self._counts.max()) + self._seen  # the added rows are zeros, visible after an order's end
         rows = [np.column_stack([boxes.size_mm, boxes.mass_kg]) for boxes in of_orders]
-        self._largest = max(float(table.max(initial=0.0)) for table in rows)  # specs in a jitted program need it, too
+        # also needed by ``observation_spec``, which may be called in a jitted program
+        self._largest = max(float(table.max(initial=0.0)) for table in rows)
         self._boxes = jnp.array([np.pad(table, ((0, longest - len(table)), (0, 0))) for table in rows], jnp.float32)
 
     def _usable(self, orders: Orders) -> list[Boxes]:
@@ -198,8 +199,8 @@ class Palletizing:
     # ------------------------------------------------------------------ episodes
 
     def reset(self, key: jax.Array, order: Int[Array, ""] | int | None = None) -> tuple[State, TimeStep[Observation]]:
-        """Start an episode, with an order drawn by ``key``, or with the order of this number (from 0, below
-        ``num_orders``; numbers beyond are those of the first and the last order). The same key gives the same episode.
+        """Start an episode, with an order drawn by ``key``, or with the order number ``order`` (from 0, below
+        ``num_orders``; a number out of range selects the first or the last order). The same key gives the same episode.
 
         Raises:
             InputError: the order is not a whole number.
@@ -297,7 +298,7 @@ class Palletizing:
             ways = self._actions.ways(view, box[:3], box[3])
             return state._replace(ways=ways._replace(legal=ways.legal & ~state.over)), jnp.array(False)
 
-        small = state._replace(pallet=None, statics=None)  # the loop does not change these two
+        small = state._replace(pallet=None, statics=None)  # the loop does not change these two fields
         looked, _ = jax.lax.while_loop(goes_on, look, (small, jnp.array(True)))
         return looked._replace(pallet=state.pallet, statics=state.statics)
 
@@ -340,7 +341,7 @@ class Palletizing:
         )
 
     def _covers(self, state: State) -> Bool[Array, "box x y"]:
-        """Whether each box covers more than the edge of each cell."""
+        """Whether each box covers each cell by more than the tolerance ``_EDGE``."""
         low = jnp.floor(state.corner_mm / self._side + _EDGE)
         high = jnp.ceil((state.corner_mm + state.size_mm) / self._side - _EDGE)
         along = []
@@ -381,7 +382,8 @@ class Palletizing:
 
     @property
     def action_spec(self) -> Spec:
-        """A whole number: that of a candidate, or of a cell, (orientation × cells along x + x) × cells along y + y."""
+        """An action is a whole number: the number of a candidate, or the number of a cell, which is (orientation ×
+        cells along x + x) × cells along y + y."""
         return Spec("action", (), jnp.int32, 0, self.num_actions - 1, self.num_actions)
 
     @property

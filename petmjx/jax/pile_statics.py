@@ -1,4 +1,5 @@
-"""Static balance of a pile, as an array program: ``petmjx.packers.pile_balance`` in single precision. Sources: there.
+"""Static balance of a pile, as an array program: ``petmjx.packers.pile_balance`` in single precision. The docstring of
+that module names the sources.
 
 A load is a vector (F, F·x, F·y), in kg and metres. A box passes its load to the boxes below it as a plane of pressures.
 This plane is linear in the load, so there is a 3 × 3 matrix for each pair of boxes. One more box therefore needs only
@@ -26,7 +27,7 @@ _NO_EDGE: Final = -1e3
 """Offset of the plane of a missing edge, m. Every load is far inside this plane."""
 
 _EXACT: Final = jax.lax.Precision.HIGHEST
-"""Otherwise, GPUs round the factors of products to 10 bits."""
+"""The precision of products. With JAX's default, GPUs round the factors to 10 bits."""
 
 Planes = Float[Array, "*rows 32 3"]
 """Edges (d, n_x, n_y) of hulls. A point p is beyond an edge by d + n · p."""
@@ -163,8 +164,8 @@ def with_box(
 
 
 def _moments(contacts: Contacts) -> tuple[Float[Array, "placement box 3 3"], Float[Array, "placement 3 3"]]:
-    """∫ (1, x, y)ᵀ (1, x, y) dA over each contact, and the inverse of their sum. They are relative to the middle of the
-    base: there, moments are small, so the inverse is exact enough in single precision."""
+    """∫ (1, x, y)ᵀ (1, x, y) dA over each contact, and the inverse of their sum. All values are relative to the middle
+    of the base, since the moments are small there and the inverse is exact enough in single precision."""
     middle, side = (contacts.start + contacts.end) / 2, contacts.end - contacts.start
     area = jnp.where(contacts.bears, side.prod(axis=-1), 0.0)
     x, y = middle[..., 0], middle[..., 1]

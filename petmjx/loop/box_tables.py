@@ -65,7 +65,8 @@ class BoxTable:
         if gap_mm != self._points.gap_mm:
             self._points = Points(len(self.count), gap_mm)
         points, rows, free_mm = self._points, np.unique(pallets), np.array([gap_mm, gap_mm, 0.0])
-        rows = rows[np.argsort(self.count[rows], kind="stable")]  # together, pallets with few boxes have few points
+        # sorted by number of boxes, so that the pallets of a group have similar numbers of points
+        rows = rows[np.argsort(self.count[rows], kind="stable")]
         while len(rows := rows[points.boxes[rows] < self.count[rows]]):
             for chunk_rows in np.array_split(rows, -(-len(rows) // _AT_ONCE)):
                 low = self.corner_mm[chunk_rows, : int(points.boxes[chunk_rows].max()) + 1]
@@ -73,7 +74,7 @@ class BoxTable:
         return points
 
     def box(self, pallets: NDArray[np.int64], number: int) -> Placements:
-        """Box ``number`` of each of these pallets. All of them must have it."""
+        """Box ``number`` of each of these pallets. All of these pallets must have such a box."""
         return Placements(
             self.size_mm[pallets, number], self.corner_mm[pallets, number], self.mass_kg[pallets, number], pallets
         )

@@ -17,7 +17,7 @@ from petmjx.loop.placements import Placements
 from petmjx.packers.pile_balance import SHARE_SLACK, TOUCH_MM
 
 LARGEST_GAP_MM: Final = 1_000.0
-"""Largest free space between boxes. More leaves no room on a pallet."""
+"""Largest free space between boxes. A larger space would leave no room on a pallet."""
 
 _AT_ONCE: Final = 100_000
 """Number of (point, box) pairs that are compared at a time, so that their tables stay in the cache of a core."""

@@ -29,14 +29,14 @@ from petmjx.world.scene import Scene
 from petmjx.world.variants import ZERO, Distribution, Variant, apply
 
 _AT_ONCE: Final = 1024
-"""Most worlds with errors or drives at a time."""
+"""Largest number of worlds with errors or drives that are simulated at a time."""
 
 _NAME = "candidate"
-"""Stands for a plan's id in random numbers. So all candidates have the same errors, and can be compared."""
+"""Replaces a plan's id when random numbers are drawn. So all candidates have the same errors, and can be compared."""
 
 
 MOST_ERRORS_DRAWN: Final = 2**31
-"""Errors of single boxes have numbers below this."""
+"""The numbers of single boxes' errors are all smaller than this."""
 
 
 class Errors:
@@ -62,8 +62,8 @@ class Errors:
 
 
 class PlacingErrors:
-    """The errors of ``petmjx score --confidence`` for boxes that are put onto pallets for good: of place, rotation,
-    size and mass. The friction of a pallet stays unchanged."""
+    """The errors of ``petmjx score --confidence`` for boxes that are put onto pallets permanently: errors of place,
+    rotation, size and mass. The friction of a pallet stays unchanged."""
 
     def __init__(self, sim: Simulation) -> None:
         self._sweep = confidence_sweep(1, None, dict(sim))
@@ -101,7 +101,7 @@ def errors_asked(error: Any, strength: Any, m: int) -> tuple[NDArray[np.int64], 
     """(m,) numbers of errors, and (m,) their strengths.
 
     Raises:
-        InputError: not m whole numbers from 0, or a strength that is negative or no number.
+        InputError: the numbers are not m whole numbers of at least 0, or a strength is negative or not a number.
     """
     numbers = np.asarray(error)
     if (
@@ -109,7 +109,7 @@ def errors_asked(error: Any, strength: Any, m: int) -> tuple[NDArray[np.int64], 
         or numbers.dtype.kind not in "iu"
         or ((numbers < 0) | (numbers >= MOST_ERRORS_DRAWN)).any()
     ):
-        raise InputError(f"error must be {m} whole numbers from 0, {shown_value(error)}")
+        raise InputError(f"error must be {m} whole numbers of at least 0, {shown_value(error)}")
     strengths = np.broadcast_to(np.asarray(strength, object), (m,)).tolist()
     return numbers.astype(np.int64), np.array([number_of(value, "error_strength", 0.0) for value in strengths])
 
@@ -141,7 +141,7 @@ def drive_of(drive: Any, level: Any, direction_deg: Any, sim: Simulation) -> Dri
     (profile,) = profiles
     strength = number_of(level, "level", 0.0)
     if profile.strength is Strength.ANGLE and strength != 1.0:
-        raise InputError(f"level: the profile {drive} has none")
+        raise InputError(f"level: the profile {drive} has no level; leave level out")
     excitation = profile.excitation(sim.physics.timestep_s)
     yaw_rad = deg_to_rad(number_of(direction_deg, "direction_deg"))
     return Drive(excitation, strength, yaw_rad, sim.rest_s, allowed_sway_m(profile))
@@ -164,7 +164,7 @@ def driven_results(
 def shares(
     open_worlds: OpenWorlds, worlds: Sequence[int], boxes: NextBoxes, errors: Errors, drive: Drive | None
 ) -> FloatArray:
-    """(m,) stable share of the worlds with errors, without invalid worlds."""
+    """(m,) share of the valid worlds with errors that are stable."""
     parts = []
     for rows in _chunks(len(worlds), max(_AT_ONCE // len(errors), 1)):
         row_worlds = [worlds[row] for row in rows]

@@ -15,7 +15,7 @@ from petmjx.options.run_options import AUTO, RunOptions
 from petmjx.options.simulation import Check, Schedule, Simulation
 
 MANY_PALLETS: Final = 64
-"""Number of pallets from which on ``auto`` uses an available GPU. Fewer pallets would not keep it busy."""
+"""Smallest number of pallets for which ``auto`` uses an available GPU. Fewer pallets would not keep the GPU busy."""
 
 MOST_PALLETS: Final = 1_000_000
 """Largest number of pallets. A larger number must be a mistake: its arrays alone would fill the memory."""
@@ -29,11 +29,11 @@ def check_open(sim: Simulation) -> None:
     if extent_m(sim.carrier) is None:
         raise InputError(f"carrier: {sim.carrier} depends on the whole plan; name one of a fixed size")
     if sim.has_soft:
-        raise InputError("soft: pallets that stay open have no soft boxes")
+        raise InputError("soft: soft boxes are not supported on pallets to which boxes are added one by one")
     if sim.check is not Check.ONE_BY_ONE:
-        raise InputError(f"check: pallets need check one-by-one, got {sim.check}")
+        raise InputError(f"check must be one-by-one if boxes are added one by one, got {sim.check}")
     if sim.schedule is not Schedule.ADAPTIVE:
-        raise InputError(f"schedule: pallets that stay open need adaptive, got {sim.schedule}")
+        raise InputError(f"schedule must be adaptive if boxes are added one by one, got {sim.schedule}")
 
 
 def open_engine(requested_engine: str | Engine, n: int, of_run: dict[str, Any]) -> tuple[Engine, bool]:
@@ -41,6 +41,12 @@ def open_engine(requested_engine: str | Engine, n: int, of_run: dict[str, Any]) 
     if not isinstance(requested_engine, str) and not hasattr(requested_engine, "open"):
         raise InputError(f"engine must be a name or an engine that has open worlds, {shown_value(requested_engine)}")
     return ready_engine(requested_engine, of_run, gpu=n >= MANY_PALLETS)
+
+
+def chooses_gpu(requested_engine: str | Engine, n: int) -> bool:
+    """Whether this name chooses a GPU for n pallets."""
+    is_auto = requested_engine == AUTO and n >= MANY_PALLETS
+    return requested_engine == "mjx-warp" or (is_auto and why_no_warp() is None)
 
 
 def ready_engine(requested_engine: str | Engine, of_run: dict[str, Any], *, gpu: bool) -> tuple[Engine, bool]:
@@ -71,7 +77,8 @@ def ready_engine(requested_engine: str | Engine, of_run: dict[str, Any], *, gpu:
 
 
 class Closable:
-    """Base of objects that hold an engine until they are closed. Use after that raises an InputError of one line."""
+    """Base of objects that hold an engine until they are closed. An object that is used after that raises an InputError
+    of one line."""
 
     _is_closed = False
 

@@ -28,8 +28,8 @@ PLANE: Final = "plane"
 """Name of the ground that is an infinite plane."""
 
 MANY_WORLDS: Final = 1_000
-"""Number of worlds from which on ``auto`` uses an available GPU. A GPU simulates about this many worlds at a time, but
-each of them more slowly than a CPU thread would."""
+"""Smallest number of worlds for which ``auto`` uses an available GPU. A GPU simulates about this number of worlds at a
+time, but each of them more slowly than a CPU thread would."""
 
 FASTEST_M_S: Final = 100.0
 FASTEST_RAD_S: Final = 1_000.0
@@ -38,7 +38,7 @@ wrong unit."""
 
 SMALLEST_KG_M2: Final = 1e-12
 LARGEST_KG_M2: Final = 1e6
-"""Largest moment of inertia, kg·m². Any box of an allowed size and mass has a smaller one."""
+"""Largest moment of inertia, kg·m². Any box of an allowed size and mass has smaller moments."""
 
 UNIT_WITHIN: Final = 0.01
 """Largest difference of a quaternion's length from 1: quaternions from a camera are rounded. They are normalised."""
@@ -138,9 +138,6 @@ def release(
 
     Raises:
         InputError: an argument is unusable; the message names it.
-        EngineUnavailable: the engine cannot run here.
-    Raises:
-        InputError: an argument is unusable; the line names it.
         EngineUnavailable: the engine cannot run here.
     """
     sim = _options(physics, ground)
@@ -287,7 +284,7 @@ def _scenes(boxes: Mapping[str, FloatArray], ground: Ground, sim: Simulation) ->
     if "inertia_kg_m2" in boxes:
         equal = inertia_box(boxes["inertia_kg_m2"], mass)
         if not np.isfinite(equal).all():
-            raise InputError("inertia_kg_m2 must be that of a body: no moment may exceed the sum of the two others")
+            raise InputError("inertia_kg_m2 must be possible for a body: no moment may exceed the sum of the other two")
     return tuple(
         Scene(
             half_size=half_size[world],

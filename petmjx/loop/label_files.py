@@ -86,7 +86,7 @@ def write_labels(
     Args:
         source: the file of the orders, or ``endless``, for the card.
         resume: go on with the unfinished labels in the folder, if there are any. ``count`` may be larger than before.
-        progress: called with the number of labels that are made.
+        progress: called with the number of labels so far, those of unfinished episodes and earlier commands included.
 
     Returns:
         The card.
@@ -181,13 +181,18 @@ def _make(labeller: Labeller, count: int, parts: LabelParts, progress: Callable[
     """Make the labels that the parts lack, and add them part by part. What is made of whole episodes is added also if
     an error or a signal ends it."""
     waiting: list[Label] = []
-    written_s, reported = time.monotonic(), parts.n_labels
+    written_s, n_before = time.monotonic(), parts.n_labels
+    reported = n_before
+
+    def report(n_made: int) -> None:
+        nonlocal reported
+        if n_before + n_made - reported >= _REPORTED:
+            reported = n_before + n_made
+            progress(min(reported, count))
+
     try:
-        for labels in labeller.episodes(count - parts.n_labels, parts.next_episode):
+        for labels in labeller.episodes(count - parts.n_labels, parts.next_episode, report):
             waiting += labels
-            if (n_made := parts.n_labels + len(waiting)) - reported >= _REPORTED:
-                progress(min(n_made, count))
-                reported = n_made
             if len(waiting) >= _ROWS or time.monotonic() - written_s > SECONDS_PER_PART:
                 parts.add(waiting)
                 waiting, written_s = [], time.monotonic()
@@ -278,8 +283,8 @@ def _head(labeller: Labeller, source: str | Path) -> dict[str, Any]:
             "density": reading.wishes.density_kg_m3,
         },
         "options": labeller.options,
-        "simulation": labeller.pallets.simulation.model_dump(mode="json"),
-        "engine": labeller.pallets.engine,
+        "simulation": labeller.simulation.model_dump(mode="json"),
+        "engine": labeller.engine,
     }
 
 

@@ -91,6 +91,9 @@ class LabelParts:
         parts, n_rows, next_episode = self._tables.parts, 0, 0
         for file in parts.files(TABLE):
             episodes = parts.read(file, ["episode"])["episode"]
+            with open_for_arrow(file) as stream:
+                if not pq.read_schema(stream).equals(_PART_SCHEMA):
+                    raise InputError(f"{file}: labels of another version of petmjx; {label_cure()}")
             n_rows += len(episodes)
             next_episode = (pc.max(episodes).as_py() or 0) + 1
         if (n_rows, next_episode) != (self.n_labels, self.next_episode):
@@ -206,13 +209,15 @@ def table_of(labels: Sequence[Label]) -> pa.Table:
 
 def _lists(values: Sequence[NDArray[Any] | None], kind: pa.DataType) -> pa.Array:
     """An array whose values are lists of numbers, or lists of triples of numbers."""
-    rows = [np.zeros(0) if row is None else np.asarray(row, np.float32) for row in values]
+    items = kind.value_type
+    number = items.value_type if pa.types.is_fixed_size_list(items) else items
+    rows = [np.zeros(0) if row is None else np.asarray(row, number.to_pandas_dtype()) for row in values]
     ends = np.cumsum([0, *(len(row) for row in rows)])
-    flat = pa.array(np.concatenate([row.ravel() for row in rows]).astype(np.float32))
-    items = pa.FixedSizeListArray.from_arrays(flat, 3) if pa.types.is_fixed_size_list(kind.value_type) else flat
+    flat = pa.array(np.concatenate([row.ravel() for row in rows]), number)
+    content = pa.FixedSizeListArray.from_arrays(flat, 3) if pa.types.is_fixed_size_list(items) else flat
     missing = np.array([row is None for row in values])
     offsets = pa.array(ends, pa.int32(), mask=np.append(missing, False))
-    return pa.ListArray.from_arrays(offsets, items, kind)
+    return pa.ListArray.from_arrays(offsets, content, kind)
 
 
 def labels_of(table: pa.Table) -> list[Label]:

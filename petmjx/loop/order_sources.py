@@ -52,7 +52,7 @@ class Boxes:
         size_mm: (k, 3) length, width and height; ``mass_kg``: (k,).
         strength_n: (k,) the load that each box can carry on its top, N; NaN: unknown.
         upright: (k, 3) whether the box's length, width and height may be vertical; None: only the height may.
-        name: id of the order in its source; "": it has none.
+        name: id of the order in its source; "": the order has no id.
     """
 
     size_mm: FloatArray
@@ -68,7 +68,7 @@ class Boxes:
         return np.column_stack([self.size_mm, self.mass_kg, self.strength_n, upright])
 
     def take(self, rows: Any) -> Boxes:
-        """Some of the boxes."""
+        """The boxes in these rows."""
         upright = None if self.upright is None else self.upright[rows]
         return Boxes(self.size_mm[rows], self.mass_kg[rows], self.strength_n[rows], upright, self.name)
 
@@ -88,7 +88,7 @@ class Orders:
         reading: how to read files of orders in forms other than BED-BPP's; None: the most plausible reading.
 
         Attributes:
-            reading: how files of orders are read; that of no options for drawn orders.
+            reading: how files of orders are read; for generated orders, the reading without any options.
             have_strengths: whether the strength of some box may be known.
             lie: whether some box may stand on a side other than its base.
 

@@ -1,4 +1,5 @@
-"""Pictures of standing pallets, drawn in the style of stories. The camera does not move while a pallet grows."""
+"""Pictures of standing pallets, drawn like the scenes of stories (petmjx.analysis.story). The camera does not move
+while a pallet grows."""
 
 from __future__ import annotations
 

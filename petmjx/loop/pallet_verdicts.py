@@ -22,7 +22,8 @@ class SettledEngine(Engine):
     boxes, and simulates all other attempts.
 
     On ``mjx-warp``, a world's results do not depend on how its boxes were put in. On ``mujoco``, waiting boxes are part
-    of a world's model and affect the last digits. So if digits must be exact, no attempt comes from open worlds there.
+    of a world's model and affect the last digits. So on ``mujoco``, no attempt comes from open worlds if digits must be
+    exact.
 
     Args:
         to_the_bit: whether outcomes must be bit-identical to those of a score.
@@ -87,9 +88,9 @@ def pallet_scores(
     """Score pallets, further attempts included, while others are still being built: (pallet, outcome), in any order.
 
     Args:
-        following: returns the pallets to score next; it may return none while some still have no score. It is called
-            after each outcome, and may put boxes onto pallets that have their score. The generator ends once it returns
-            none and all pallets have their score.
+        following: function that returns the pallets to score next; it may return none while some still have no score.
+            ``following`` is called after each outcome, and may put boxes onto pallets that have their score. The
+            generator ends once ``following`` returns none and all pallets have their score.
     """
     progress = Progress()
 

@@ -29,7 +29,8 @@ class PalletWorlds:
         dead: (n,) whether each pallet has fallen.
         margin: (n,) margins of pallets that are at rest and that bounds may decide; −1 for others.
         apart_mm: (n, k) distance of each box from its planned place, mm.
-        placing: whether a thread of the engine is letting pallets come to rest. Then only that thread uses the worlds.
+        placing: whether a thread of the engine is letting pallets come to rest. Meanwhile, only that thread uses the
+            worlds.
     """
 
     def __init__(self, n: int, engine: Engine, sim: Simulation, most_boxes: int) -> None:
@@ -42,7 +43,8 @@ class PalletWorlds:
         self.margin: FloatArray = np.full(n, self._bare)
         self.apart_mm: FloatArray = np.zeros((n, most_boxes))
         self.placing = False
-        self._error: NDArray[np.int64] = np.zeros((n, most_boxes), np.int64)  # of each box: the argument of ``place``
+        # of each box: the arguments ``error`` and ``error_strength`` of ``petmjx.Pallets.place``
+        self._error: NDArray[np.int64] = np.zeros((n, most_boxes), np.int64)
         self._strength: FloatArray = np.zeros((n, most_boxes))
         self._before: NDArray[np.int64] = np.full(n, -1, np.int64)  # number of boxes in world n + i; -1: unused
         self.worlds = engine.open([EmptyCarrier(sim).scene] * (2 * n + 1), sim, most_boxes)

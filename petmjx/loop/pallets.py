@@ -160,8 +160,8 @@ class Pallets(Closable):
                 size and mass, as ``petmjx score --confidence`` draws them. A hand carries the box to its place. None:
                 boxes are placed exactly.
             error_strength: factor on the errors, one number or (m,); 0: the box is placed exactly.
-            meanwhile: a function that is called while the pallets come to rest. It may only call ``places``, ``boxes``
-                and ``height_map``, which already include the new boxes at their planned places.
+            meanwhile: a function that is called while the pallets come to rest. The function may only call ``places``,
+                ``boxes`` and ``height_map``, which already include the new boxes at their planned places.
 
         Raises:
             InputError: a shape, unit or number is wrong; a pallet has fallen, is full, or is named twice; or the number
@@ -341,7 +341,7 @@ class Pallets(Closable):
         with self._using():
             rows = np.flatnonzero(self._boxes.count) if pallet is None else pallets_of(pallet, self.n)
             if not len(rows):
-                raise InputError("pallet: none has boxes")
+                raise InputError("pallet: there is no box on any pallet")
             plans = {row: self.plan(row) for row in rows.tolist()}
             digits = flag_of(to_the_bit, "to_the_bit")
             settled = SettledEngine(self._engine, self._worlds, self.simulation, to_the_bit=digits)
@@ -358,8 +358,9 @@ class Pallets(Closable):
         (pallet, outcome), in any order. On ``mujoco``, last digits differ as with ``to_the_bit=False``.
 
         Args:
-            following: returns the pallets to score next, as in ``pallet_scores``. Their boxes must be placed exactly.
-            names: returns the name of a pallet for notes.
+            following: function that returns the pallets to score next, as in ``pallet_scores``. The boxes of these
+                pallets must be placed exactly.
+            names: function that returns the name of a pallet for notes.
         """
         settled = SettledEngine(self._engine, self._worlds, self.simulation, to_the_bit=False)
 
@@ -376,7 +377,7 @@ class Pallets(Closable):
     def height_map(self, cell_mm: float = 10.0, pallet: Any = None) -> FloatArray:
         """(m, x, y) height of the highest planned top over each cell of the carrier, mm; 0: there is no box.
 
-        A box covers a cell if it covers more than the edge of the cell.
+        A box that only touches the edge of a cell does not cover the cell.
         """
         with self._using(worlds=False):
             rows = pallets_of(pallet, self.n)

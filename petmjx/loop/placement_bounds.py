@@ -4,16 +4,16 @@ The bearing of a box is the convex hull of its contacts with the boxes below, or
 Loads pass from box to box by the pressure plane of ``petmjx.packers.pile_balance``. Rigid boxes stand if there are any
 forces that balance them (the safe theorem of statics; Livesley 1978, "Limit analysis of structures formed from rigid
 blocks", Int. J. for Numerical Methods in Engineering 12, 1853–1871). So on a pallet that rests at its planned places, a
-box stands beyond doubt under two conditions. Its weight, and the loads of all boxes that carry it, must act well inside
-their bearings; and no other load may be near an edge.
+box stands beyond doubt under two conditions. First, the weight of the box, and the loads of all boxes that carry it,
+must act well inside their bearings. Second, no other load may be near an edge.
 
 A box falls beyond doubt if its weight acts well outside its bearing, and no body is near enough to catch it before it
-has turned too far. Boxes beside it can hold it only by friction, which is limited, since only the friction under the
-box presses it against them. Boxes of the pallet that have moved are enlarged by the distance that they have moved. All
-other placements are undecided.
+has turned too far. Its neighbours can hold the falling box only by friction. This friction is limited, since only the
+friction under the falling box presses it against its neighbours. Boxes of the pallet that have moved count as larger by
+the distance that they have moved. All other placements are undecided.
 
 The bounds hold for rigid boxes, and for usual thresholds of verdicts (``decidable``). The margins are chosen so that
-simulations agree: ``python -m benchmarks loop bounds`` compares.
+simulations agree with the bounds; ``python -m benchmarks loop bounds`` compares both.
 """
 
 from __future__ import annotations
@@ -58,13 +58,13 @@ HANGING_SHARE: Final = 0.05
 side. A box with this distance turns within a second, so no rule takes it for a box at rest."""
 
 HANGING_MM: Final = 10.0
-"""The same distance in millimetres; the larger of the two counts."""
+"""As ``HANGING_SHARE``, but in millimetres. The larger one of the two distances counts."""
 
 TURN_DEG: Final = 25.0
 GONE_MM: Final = 30.0
 """A box is lost if, before a body catches it, it turns by ``TURN_DEG``, or its middle moves down and sideways by
-``GONE_MM``. Its weight is then farther beyond the edge than at first, so that the box does not come back. These values
-exceed the thresholds by a quarter and by a half."""
+``GONE_MM``. The weight of such a box is then farther beyond the edge than at first, so that the box does not come back.
+These values exceed the thresholds by a quarter and by a half."""
 
 NEAR_MM: Final = 2.0
 """Width of a gap between two boxes that may have closed: boxes of a calm pallet are up to 1 mm off their places."""
@@ -79,7 +79,7 @@ SAME_WAY: Final = 1e-6
 """Two directions count as the same if their cosine differs from 1 by less than this."""
 
 MOST_BEARERS: Final = 4
-"""Largest number of boxes below a box for which the bounds decide."""
+"""The bounds decide only for boxes that rest on at most this number of boxes."""
 
 MOST_CORNERS: Final = 4 * MOST_BEARERS
 
@@ -94,8 +94,9 @@ _USUAL: Final = frozenset({Carrier.EURO_PALLET, Carrier.ROLLCONTAINER})
 
 
 def decidable(sim: Simulation) -> bool:
-    """Whether the bounds hold in this simulation. They require rigid boxes that appear at their places, a carrier of
-    one piece without walls, contacts of the preset ``pallet`` or stiffer ones, and thresholds near the usual ones."""
+    """Whether the bounds hold in this simulation. The bounds require rigid boxes that appear at their places, a carrier
+    of one piece without walls, contacts of the preset ``pallet`` or stiffer ones, and thresholds near the usual
+    ones."""
     limits, physics = sim.thresholds, sim.physics
     return (
         sim.carrier in _USUAL
@@ -114,7 +115,7 @@ def decidable(sim: Simulation) -> bool:
 
 def boxes_apart_mm(readings: Readings, thresholds: Thresholds) -> FloatArray:
     """(m, k) largest distance of any corner of each box from its planned position, mm. 0: the box rests at its planned
-    place, has no shift that counts, and was never tilted."""
+    place, that is, its shift is below the floor of shifts, and its tilt was always below ``CALM_DEG``."""
     with np.errstate(invalid="ignore"):  # columns without boxes hold NaN
         m, k = readings.max_tilt_deg.shape
         tilted = np.fmax(readings.max_tilt_deg, tilt_deg(readings.quat.reshape(-1, 4)).reshape(m, k))
@@ -270,8 +271,8 @@ class _Rests:
     """How m boxes rest on the bodies below them. Each box is on a pallet that has some of its first boxes.
 
     Attributes:
-        low, high: (m, k, 3) lowest and highest corners of the pallets' boxes, mm; ``here``: (m, k) whether each of them
-            stands on the pallet.
+        low, high: (m, k, 3) lowest and highest corners of the pallets' boxes, mm; ``here``: (m, k) whether each of
+            these boxes stands on the pallet.
         start, end: (m, 3) lowest and highest corners of the boxes themselves.
         under: (m, k) whether each box touches the base from below; ``on_carrier``: (m,) whether the base is on the
             carrier.
@@ -375,8 +376,8 @@ class _Rests:
     def _may_be_caught(self, turns: _Turns, least: FloatArray, friction: float) -> NDArray[np.bool_]:
         """(r,) whether something may catch boxes before they have turned too far.
 
-        The middle comes down by ``turns.outside`` times the sine. Its sideways motion, half the height times the sine,
-        cannot be relied on alone, since the edge may slide.
+        The middle comes down by ``turns.outside`` times the sine of the angle. The sideways motion of the middle, half
+        the height times the sine, is not sufficient on its own, since the edge may slide.
 
         Args:
             least, friction: see ``_turn_straight`` and ``falls``.
@@ -410,10 +411,11 @@ class _Rests:
     def _hold_too_little(self, turns: _Turns, wall: NDArray[np.bool_], friction: float) -> NDArray[np.bool_]:
         """(r, k) whether each wall is beside or behind a box that turns straight, and cannot hold it by friction.
 
-        A wall presses on the box with at most the friction under the box, μ times the box's weight. It holds the box
-        with μ times this force, at a lever from the edge. A wall behind the box and a wall at its side share the
-        friction under the box, so together they hold at most √2 times as much. Between walls on both sides, a box may
-        be jammed.
+        A wall presses on the box with at most the friction under the box, μ times the box's weight. Friction at the
+        wall holds the box with at most μ times this force. The lever arm of this friction is at most the distance from
+        the edge to the farthest point at which box and wall touch. A wall behind the box and a wall at its side share
+        the friction under the box, so together they hold at most √2 times as much. Between walls on both sides, a box
+        may be jammed.
 
         Args:
             wall: (r, k) whether each box may touch the turning box.

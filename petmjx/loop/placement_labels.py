@@ -9,21 +9,26 @@ depends on its number and the seed alone, so a larger set begins with the labels
 from __future__ import annotations
 
 import hashlib
+import time
 from collections import deque
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Generator, Iterable, Iterator, Mapping, Sequence
 from contextlib import closing
 from dataclasses import dataclass, field
 from itertools import chain, islice
+from threading import Lock
 from typing import Any, Final
 
 import numpy as np
 import pyarrow as pa
 
 from petmjx.common.argument_checks import integer_of, number_of
+from petmjx.common.prefetch import prefetch
 from petmjx.engines.verdict import Outcome, Verdict
 from petmjx.loop.candidate_places import Places
+from petmjx.loop.engine_setup import chooses_gpu
 from petmjx.loop.order_sources import Boxes, Orders
 from petmjx.loop.pallets import Pallets
+from petmjx.options.run_options import AUTO
 from petmjx.plans.plan import Plan
 
 SPLITS: Final = {"train": 0.8, "validation": 0.1, "test": 0.1}
@@ -40,7 +45,22 @@ SCORING_SHARE: Final = 8
 holds up no other."""
 
 MOST_EPISODES: Final = 4
-"""Most episodes that wait for an earlier one, whose labels come first, as a multiple of the pallets."""
+"""Largest number of episodes that run or wait for an earlier one, as a multiple of the pallets."""
+
+SURE_SHARE: Final = 0.8
+"""Labels that are counted on for each box that is left. Some boxes have no place, and others are tried twice. If an
+episode began because another one gave too few labels, all would wait for its boxes, one after another."""
+
+GROUPS_ON_GPU: Final = 2
+"""Number of groups of pallets on a GPU. While the GPU simulates one group, the host checks and places the other."""
+
+PALLETS_ON_GPU: Final = 4096
+"""Number of pallets side by side on a GPU. Half as many keep it busy, and the groups take turns."""
+
+PALLETS_ON_CPU: Final = 64
+
+PAUSE_S: Final = 0.02
+"""Time between two looks of a group that waits for episodes of another group, s."""
 
 COLUMNS: Final[dict[str, tuple[pa.DataType, str]]] = {
     "order": (pa.int64(), "number of the order in its source, from 0"),
@@ -48,11 +68,11 @@ COLUMNS: Final[dict[str, tuple[pa.DataType, str]]] = {
     "step": (pa.int32(), "number of the label in its episode"),
     "careful": (pa.bool_(), "whether the place is one of a careful packer's, or any"),
     "size_mm": (
-        pa.list_(pa.list_(pa.float32(), 3)),
+        pa.list_(pa.list_(pa.float64(), 3)),
         "extents of all boxes of the pallet as they stand; the last is new",
     ),
-    "corner_mm": (pa.list_(pa.list_(pa.float32(), 3)), "front-left-bottom corners of the same boxes"),
-    "mass_kg": (pa.list_(pa.float32()), "masses of the same boxes"),
+    "corner_mm": (pa.list_(pa.list_(pa.float64(), 3)), "front-left-bottom corners of the same boxes"),
+    "mass_kg": (pa.list_(pa.float64()), "masses of the same boxes"),
     "stands": (pa.bool_(), "whether a score says that the pallet with the new box is stable; null: it has no verdict"),
     "reason": (pa.string(), "why it is not: drop, tilt or shift, or why there is no verdict"),
     "culprit": (pa.int32(), "the box that failed first, counted from 0; null: none did"),
@@ -109,19 +129,28 @@ class Episode:
         """Whether all boxes were tried."""
         return self.next >= len(self.boxes)
 
+    @property
+    def n_expected(self) -> float:
+        """Number of labels that are counted on."""
+        return len(self.labels) + SURE_SHARE * (len(self.boxes) - self.next)
+
 
 class Labeller:
     """Makes labels.
 
     Args:
         orders: source of boxes.
-        pallets: number of pallets side by side; labels do not depend on it.
+        pallets: number of pallets side by side, on which labels do not depend; None: ``PALLETS_ON_GPU`` or
+            ``PALLETS_ON_CPU``.
+        groups: number of groups into which the pallets are divided, each with a thread of its own; None:
+            ``GROUPS_ON_GPU`` on a GPU, else one.
         explore: share of boxes that go to a random place first.
         errors: number of worlds with errors of each label; None: none.
         max_height_mm: highest top of a box.
         others: of ``petmjx.Pallets``.
 
     Attributes:
+        groups: the pallets of each group.
         options: all other options on which labels depend.
 
     Raises:
@@ -132,7 +161,8 @@ class Labeller:
         self,
         orders: Orders,
         *,
-        pallets: int = 64,
+        pallets: int | None = None,
+        groups: int | None = None,
         seed: int = 0,
         explore: float = 0.5,
         errors: int | None = None,
@@ -143,33 +173,49 @@ class Labeller:
         self._explore = number_of(explore, "explore", 0.0, 1.0)
         self._errors = None if errors is None else integer_of(errors, "errors", 1, 100_000)
         self._highest_mm = number_of(max_height_mm, "max_height_mm", 1.0, 20_000.0)
-        self.pallets = Pallets(integer_of(pallets, "pallets", 1), **others)
-        orders.check_sizes(self.pallets.simulation.size_reduction_mm)
+        engine = others.get("engine", AUTO)
+        if pallets is None:
+            pallets = PALLETS_ON_GPU if chooses_gpu(engine, PALLETS_ON_GPU) else PALLETS_ON_CPU
+        n_pallets = integer_of(pallets, "pallets", 1)
+        if groups is None:
+            groups = GROUPS_ON_GPU if chooses_gpu(engine, n_pallets // GROUPS_ON_GPU) else 1
+        n_groups = min(integer_of(groups, "groups", 1), n_pallets)
+        sizes = [n_pallets // n_groups + (group < n_pallets % n_groups) for group in range(n_groups)]
+        self.groups = [Pallets(size, **others) for size in sizes]
+        self.simulation, self.engine = self.groups[0].simulation, self.groups[0].engine
+        orders.check_sizes(self.simulation.size_reduction_mm)
         self.options = {
             "seed": self._seed,
             "explore": self._explore,
             "errors": self._errors,
             "max_height_mm": self._highest_mm,
-            "most_boxes": self.pallets.most_boxes,
+            "most_boxes": self.groups[0].most_boxes,
         }
 
     def labels(self, count: int) -> Iterator[Label]:
         """The first ``count`` labels, in the order of episodes; none if no box has a place."""
         return islice(chain.from_iterable(self.episodes(count)), count)
 
-    def episodes(self, count: int, first: int = 0) -> Iterator[list[Label]]:
-        """The labels of whole episodes from number ``first`` on, in order, until there are at least ``count``."""
-        packing = _Packing(self, count, first)
+    def episodes(
+        self, count: int, first: int = 0, progress: Callable[[int], object] = lambda n_made: None
+    ) -> Iterator[list[Label]]:
+        """The labels of whole episodes from number ``first`` on, in order, until there are at least ``count``.
+
+        Args:
+            progress: called with the number of labels so far, those of unfinished episodes included.
+        """
+        schedule = _Schedule(self, count, first)
+        packings = [_Packing(self, pallets, schedule).steps() for pallets in self.groups]
         n_yielded = 0
-        with closing(self.pallets.outcomes(packing.next_pallets, packing.name)) as outcomes:
-            for row, outcome in outcomes:
-                packing.add(row, outcome)
-                for labels in packing.take_ended():
+        with closing(prefetch(*packings, most=sum(map(len, self.groups)))) as steps:
+            for _ in steps:
+                progress(schedule.n_made)
+                for labels in schedule.take_ended():
                     yield labels
                     n_yielded += len(labels)
                     if n_yielded >= count:
                         return
-        yield from packing.take_ended()
+        yield from schedule.take_ended()  # episodes whose last boxes have no place
 
     def begun(self, number: int) -> Episode:
         """An episode at its beginning."""
@@ -177,21 +223,19 @@ class Labeller:
         boxes = self.orders.numbered(order)
         return Episode(number, order, split_of(boxes), boxes, np.random.default_rng([self._seed, number]))
 
-    def place(self, running: Mapping[int, Episode]) -> list[int]:
+    def place(self, pallets: Pallets, running: Mapping[int, Episode]) -> list[int]:
         """Place the next box of each of these episodes. Boxes without a place are left out.
 
         Args:
-            running: pallet → its episode.
+            running: row of ``pallets`` → its episode.
 
         Returns:
-            The pallets that have a new box.
+            The rows that have a new box.
         """
         rows = np.array(list(running), np.int64)
         sizes = np.array([episode.boxes.size_mm[episode.next] for episode in running.values()])
         ways = np.stack([sizes, sizes[:, [1, 0, 2]]], axis=1).reshape(-1, 3)
-        places = self.pallets.places(
-            size_mm=ways, pallet=np.repeat(rows, 2), max_height_mm=self._highest_mm, hulls=False
-        )
+        places = pallets.places(size_mm=ways, pallet=np.repeat(rows, 2), max_height_mm=self._highest_mm, hulls=False)
         of_row = np.split(np.arange(len(places.row)), np.searchsorted(places.row // 2, np.arange(1, len(rows))))
         chosen, placed = [], []
         for row, row_places in zip(rows.tolist(), of_row, strict=True):
@@ -214,28 +258,104 @@ class Labeller:
             "pallet": np.array(placed),
         }
         if self._errors is not None:
-            for row, share in zip(placed, self.pallets.try_all(**box, errors=self._errors).share.tolist(), strict=True):
+            for row, share in zip(placed, pallets.try_all(**box, errors=self._errors).share.tolist(), strict=True):
                 running[row].share = share
-        self.pallets.place(**box)
+        pallets.place(**box)
         return placed
 
 
-class _Packing:
-    """The episodes of a call of ``Labeller.labels``, each on its pallet.
+class _Schedule:
+    """Begins episodes one after another, and returns their labels in this order. All groups of pallets share it.
+
+    Args:
+        count: number of labels that are needed; ``first``: number of the first episode.
 
     Attributes:
-        running: pallet → its episode, for episodes that are not over.
-        scoring: pallets whose last placement has no label yet.
+        n_made: number of labels so far, those of unfinished episodes included.
     """
 
     def __init__(self, labeller: Labeller, count: int, first: int) -> None:
+        self._labeller, self._count = labeller, count
+        self._most_waiting = MOST_EPISODES * sum(map(len, labeller.groups))
+        self._waiting: deque[Episode] = deque()
+        """Episodes in order that are not over, or that wait for an earlier one."""
+        self._ended: list[list[Label]] = []
+        self.n_made = 0
+        self._begun, self._n_ended, self._n_barren = first, 0, 0
+        self._lock = Lock()
+
+    @property
+    def is_complete(self) -> bool:
+        """Whether all episodes are over, and none will begin."""
+        with self._lock:
+            return self._n_lacking() <= 0 and not self._waiting
+
+    def begin(self, most: int) -> list[Episode]:
+        """Begin at most this many episodes. None begins if running episodes are expected to give enough labels, if no
+        order has a box with a place, or if too many episodes wait for an earlier one."""
+        begun: list[Episode] = []
+        with self._lock:
+            n_lacking = self._n_lacking()
+            while len(begun) < most and n_lacking > 0 and len(self._waiting) <= self._most_waiting:
+                begun.append(self._labeller.begun(self._begun))
+                n_lacking -= begun[-1].n_expected
+                self._begun += 1
+                self._waiting.append(begun[-1])
+        return begun
+
+    def note_label(self) -> None:
+        """Count a label."""
+        with self._lock:
+            self.n_made += 1
+
+    def take_ended(self) -> list[list[Label]]:
+        """The labels of episodes that are over, in order, each episode once."""
+        with self._lock:
+            self._end_first()
+            taken, self._ended = self._ended, []
+        return taken
+
+    def _n_lacking(self) -> float:
+        """Number of labels that further episodes have to give. 0: no order has a box with a place."""
+        self._end_first()
+        if self._n_barren >= 2 * self._labeller.orders.count:
+            return 0
+        return self._count - self._n_ended - sum(episode.n_expected for episode in self._waiting)
+
+    def _end_first(self) -> None:
+        """Move the labels of the first episodes that are over to ``_ended``."""
+        while self._waiting and self._waiting[0].is_over:
+            labels = self._waiting.popleft().labels
+            self._n_barren = 0 if labels else self._n_barren + 1
+            self._n_ended += len(labels)
+            self._ended.append(labels)
+
+
+class _Packing:
+    """The episodes of one group of pallets.
+
+    Attributes:
+        running: row of the pallets → its episode, for episodes that are not over.
+        scoring: rows whose last placement has no label yet.
+    """
+
+    def __init__(self, labeller: Labeller, pallets: Pallets, schedule: _Schedule) -> None:
         self.running: dict[int, Episode] = {}
         self.scoring: set[int] = set()
-        self._labeller, self._pallets, self._count = labeller, labeller.pallets, count
-        self._waiting: deque[Episode] = deque()
-        """Episodes in order; the first ones are taken when they are over."""
-        self._begun, self._made, self._barren = first, 0, 0
+        self._labeller, self._pallets, self._schedule = labeller, pallets, schedule
         self._fallen: list[int] = []
+
+    def steps(self) -> Generator[None]:
+        """Pack episodes, and yield after each label and each pause, until the schedule is complete."""
+        while True:
+            with closing(self._pallets.outcomes(self.next_pallets, self.name)) as outcomes:
+                for row, outcome in outcomes:
+                    self.add(row, outcome)
+                    yield
+            if self._schedule.is_complete:
+                return
+            time.sleep(PAUSE_S)
+            yield
 
     def name(self, row: int) -> str:
         """The name of a pallet in messages."""
@@ -256,33 +376,24 @@ class _Packing:
             free = {row: episode for row, episode in self.running.items() if row not in self.scoring}
             if not free:
                 return []
-            placed = self._labeller.place(free)
+            placed = self._labeller.place(self._pallets, free)
             self._end_over(free)
             if placed:
                 self.scoring |= {*placed}
-                self._made += len(placed)
                 return placed
 
     def _begin(self) -> None:
-        """Begin episodes on empty pallets, until the labels are enough or no order has a box with a place. While an
-        earlier episode is behind, others go on, but none begins."""
-        n_orders = self._labeller.orders.count
-        if len(self._waiting) > MOST_EPISODES * len(self._pallets) and not self._waiting[0].is_over:
-            return
-        rows = []
-        for row in range(len(self._pallets)):
-            if row not in self.running and self._made < self._count and self._barren < 2 * n_orders:
-                self.running[row] = self._labeller.begun(self._begun)
-                self._waiting.append(self.running[row])
-                self._begun += 1
-                rows.append(row)
+        """Begin episodes on empty pallets, as the schedule allows."""
+        empty = [row for row in range(len(self._pallets)) if row not in self.running]
+        episodes = self._schedule.begin(len(empty))
+        rows = empty[: len(episodes)]
+        self.running |= zip(rows, episodes, strict=True)
         if rows:
             self._pallets.reset(rows)
 
     def _end_over(self, rows: Iterable[int]) -> None:
         for row in rows:
             if row in self.running and self.running[row].is_over:
-                self._barren = 0 if self.running[row].labels else self._barren + 1
                 del self.running[row]
 
     def add(self, row: int, outcome: Outcome) -> None:
@@ -297,6 +408,7 @@ class _Packing:
         label |= {"order": episode.order, "episode": episode.number, "step": len(episode.labels)}
         label |= {"careful": episode.careful, "split": episode.split, "share": episode.share}
         episode.labels.append(label)
+        self._schedule.note_label()
         self.scoring.discard(row)
         if label["stands"] and not pallets.ended[row]:  # a later attempt may stand where the first has fallen
             episode.next, episode.again = episode.next + 1, False
@@ -307,11 +419,6 @@ class _Packing:
             episode.again = not episode.careful and not label["stands"]
             episode.next += not episode.again
         self._end_over([row])
-
-    def take_ended(self) -> Iterator[list[Label]]:
-        """The labels of the first episodes, as long as these are over."""
-        while self._waiting and self._waiting[0].is_over:
-            yield self._waiting.popleft().labels
 
 
 def _any_place(some: Any, rng: np.random.Generator) -> int | None:

@@ -39,7 +39,7 @@ class Placements:
         return len(self.pallet)
 
     def take(self, rows: Any) -> Placements:
-        """Some of the placements."""
+        """The placements in these rows."""
         return Placements(self.size_mm[rows], self.corner_mm[rows], self.mass_kg[rows], self.pallet[rows])
 
 
@@ -116,7 +116,7 @@ def _pallets(pallet: Any, m: int, n: int) -> NDArray[np.int64]:
         return np.zeros(m, np.int64)
     if pallet is None:
         if m != n:
-            raise InputError(f"pallet must say which of {n} pallets each of {m} boxes is for")
+            raise InputError(f"pallet must name one of the {n} pallets for each box")
         return np.arange(n)
     values: NDArray[np.int64] = _as_many(pallets_of(pallet, n), "pallet", m)
     return values

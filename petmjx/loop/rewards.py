@@ -1,4 +1,4 @@
-"""Reward terms by name. Their weights are an option of the environment."""
+"""Reward terms by name. The weights of the terms are an option of the environment."""
 
 from __future__ import annotations
 

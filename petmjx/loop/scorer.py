@@ -135,7 +135,7 @@ class Scorer(Closable):
                 raise InputError(f"plans must be plans or a data frame, {shown_value(plans)}; petmjx.score reads files")
             plans = list_of(plans, "plans", Plan, "plans")
             if not plans:
-                raise InputError("plans: there are none")
+                raise InputError("plans must hold at least one plan")
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", PlanWarning)  # nobody would read warnings about odd plans here
             kept_plans = usable_plans(plans, self.simulation, RunOptions(strict=True)).plans

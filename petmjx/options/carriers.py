@@ -1,4 +1,5 @@
-"""Carriers: the built-in ones (``Carrier``), and those that users build from boards in a TOML file (``OwnCarrier``)."""
+"""Carriers: built-in carriers (``Carrier``), and carriers that users build from boards in a TOML file
+(``OwnCarrier``)."""
 
 from __future__ import annotations
 
@@ -55,7 +56,7 @@ CARRIER_EXTENT_M: dict[Carrier, tuple[float, float] | None] = {
 """Extent of each carrier along x and y, m. None: the extent of the plan's bounding box."""
 
 _GRID_WALLS: Final = Walls(sides=(), height_mm=1500.0, gap_mm=5.0, thickness_mm=30.0, mass_kg_m2=6.0, material=STEEL)
-"""Walls of a lattice of tubes. The values are typical; no source for the sizes of a real model was found."""
+"""Walls made of a lattice of tubes. The values are typical; no source for a real model was found."""
 
 WALLS_OF_CARRIERS: Final[Mapping[Carrier, Walls]] = {
     Carrier.ROLLCONTAINER_GRID: _GRID_WALLS,
@@ -86,29 +87,29 @@ MOST_BOARDS: Final = 64
 pair."""
 
 TOUCH_MM: Final = 0.5
-"""Tolerance of the contact of boards, mm. Two boards touch if the gap between them is at most this large. They do not
-overlap if they penetrate each other by at most this much. The value is half of the last digit of whole millimetres, as
-for boxes (``petmjx.plans.plan_warnings.DEFAULT_TOLERANCE_MM``)."""
+"""Tolerance of the contact of boards, mm: gaps and penetrations up to this size count as touching. The value is half of
+the last digit of whole millimetres, as for boxes (``petmjx.plans.plan_warnings.DEFAULT_TOLERANCE_MM``)."""
 
 _SHORTEST_MM, _LONGEST_MM, _HIGHEST_MM = 200.0, 6000.0, 1500.0
-"""Limits of a carrier's longer side, and of its height. The longer side of a half-size dolly is 400 mm; a pallet whose
-sizes were given in cm, inches or metres has less than 200. A pallet is 100 to 170 mm high, and the base of a roll
-container about 200."""
+"""Limits of a carrier's longer side, and of its height. The longer side of a half-size dolly is 400 mm; a number below
+200 means that sizes were given in cm, inches or metres. A pallet is 100 to 170 mm high, and the base of a roll
+container about 200 mm."""
 _THINNEST_MM: Final = 0.001
-"""Smallest extent of a board. Boards given in metres are larger than it, so the check of the whole carrier can suggest
-the unit."""
+"""Smallest extent of a board. Even a board that is given in metres is larger than this number. So such a board passes
+this check, and the check of the whole carrier can suggest the unit."""
 _LIGHTEST_KG, _HEAVIEST_KG = 1.0, 5000.0
 """Limits of a carrier's mass. A cardboard carrier weighs 2 kg. A carrier 1,000 times lighter than its load would sink
 into its soft contacts."""
 _LIGHTEST_KG_M3, _HEAVIEST_KG_M3 = 5.0, 12_000.0
 """Limits of a board's density. Foam has 15 kg/m³, wood 400 to 800 kg/m³, steel 7,850 kg/m³ and lead 11,340 kg/m³."""
 _LEVEL_MM: Final = 10.0
-"""A board that bears no other board and ends less than this below the top counts as part of the top, which must be
-level."""
+"""A board counts as part of the top if it bears no other board and ends less than this below the carrier's highest
+point. The top must be level."""
 _ROUNDING_MM: Final = 1e-6
 _UNITS: Final = ((1000.0, "metres"), (25.4, "inches"), (10.0, "centimetres"))
 _USUAL_MM: Final = (300.0, 2500.0)
-"""Usual range of the longer side of a carrier. Outside it, the error message suggests another unit."""
+"""Usual range of the longer side of a carrier. If the side is outside this range, the error message suggests another
+unit."""
 
 Place = Annotated[StrictFloat, Field(ge=0, le=_LONGEST_MM)]
 Length = Annotated[StrictFloat, Field(ge=_THINNEST_MM, le=_LONGEST_MM)]
@@ -142,8 +143,9 @@ class Board(CheckedRecord):
 class OwnCarrier(CheckedRecord):
     """A carrier that a user defines. Lengths are in mm: x and y from its front-left corner, z from the floor.
 
-    Carriers that could not stand, or that are probably mistakes, are refused: boards overlap or are not connected, no
-    board is on the floor, the top is not level, or no real carrier has such extents or masses.
+    A carrier that could not stand, or that is probably a mistake, is refused. The reasons for refusal are: boards
+    overlap or are not connected, no board is on the floor, the top is not level, or no real carrier has such extents or
+    masses.
     """
 
     name: Name = Field("", description="name of the carrier; by default the file's")
@@ -185,7 +187,7 @@ class OwnCarrier(CheckedRecord):
 
     @model_validator(mode="after")
     def _opens_its_walls(self) -> Self:
-        self.walls.check_open()  # a check here names the carrier's file in the message
+        self.walls.check_open()  # checked here, so that the message names the carrier's file
         return self
 
     @model_validator(mode="after")
@@ -298,7 +300,8 @@ def _bears(lower: Board, upper: Board) -> bool:
 def _check_stand(carrier: OwnCarrier) -> None:
     """Check that the centre of mass is above the convex hull of the boards on the floor.
 
-    The centre of mass is above the hull if, seen from it, no gap between the directions to the corners is 180° or more.
+    Seen from the centre of mass, the corners lie in various directions. The centre is above the hull if no gap between
+    neighbouring directions is 180° or more.
     """
     masses = carrier.masses_kg
     x, y = (
@@ -322,7 +325,7 @@ def _check_stand(carrier: OwnCarrier) -> None:
         raise complaint(f": the carrier tips over: {place_text}")
 
 
-# Carriers as options name them, and as files define them.
+# Carriers from options and from files.
 
 
 def read_carrier(path: Path) -> OwnCarrier:
@@ -373,7 +376,7 @@ def extent_m(carrier: Carrier | OwnCarrier) -> tuple[float, float] | None:
 
 
 def walls_of(carrier: Carrier | OwnCarrier, walls: Walls) -> Walls:
-    """The walls of a carrier. Each value is the user's; if the user gives none, the carrier's, and else the usual one.
-    Only ``friction`` may be None."""
+    """The walls of a carrier. A field of the walls comes from the user; if the user does not give it, from the carrier;
+    and else from ``USUAL``. Only ``friction`` may be None."""
     of_carrier = carrier.walls if isinstance(carrier, OwnCarrier) else WALLS_OF_CARRIERS.get(carrier, USUAL)
     return walls.or_of(of_carrier).or_of(USUAL)

@@ -68,11 +68,11 @@ FRICTION_OF_PAIRS: Final[Mapping[tuple[str, str], float]] = {
     **{pair: static for pair, (static, _) in _PALLETS.items()},
 }
 """Pair of materials in alphabetical order → coefficient of static friction between them. For sliding cargo, the CTU
-Code uses 75 % of it: ``physics.kinetic_friction_share``."""
+Code uses 75 % of this coefficient (``physics.kinetic_friction_share``)."""
 
 KINETIC_OF_PAIRS: Final[Mapping[tuple[str, str], float]] = {pair: kinetic for pair, (_, kinetic) in _PALLETS.items()}
-"""Pair of materials in alphabetical order → coefficient of friction while they slide. Only pairs for which it is
-known."""
+"""Pair of materials in alphabetical order → coefficient of friction while they slide. Only pairs with a known
+coefficient are listed."""
 
 RESTITUTION_OF_PAIRS: Final[Mapping[tuple[str, str], float]] = {
     ("cardboard", "cardboard"): RESTITUTION,
@@ -111,7 +111,7 @@ class FrictionPair(CheckedRecord):
 
 
 class LandingPair(CheckedRecord):
-    """The landing of one material on another, or on itself."""
+    """How one material lands on another, or on itself."""
 
     between: tuple[Name, Name] = Field(description="the two materials")
     restitution: Annotated[float, within(0, HIGHEST_RESTITUTION)] | None = Field(
@@ -129,8 +129,8 @@ class LandingPair(CheckedRecord):
 
 
 def landing_between(one: str, other: str, user_pairs: Sequence[LandingPair]) -> tuple[float | None, float | None]:
-    """The restitution of a pair of materials, and the time in which its landings stop, s. None: the value of
-    ``Physics``.
+    """The restitution of a pair of materials, and the time in which its landings stop, s. If a value is None, the value
+    of ``Physics`` applies.
 
     Args:
         user_pairs: the user's pairs. They take precedence over petmjx's values, and later pairs over earlier ones.
@@ -177,8 +177,8 @@ def check_pairs(boxes: Sequence[str], boards: Iterable[str], user_pairs: Sequenc
     """Check that the friction is known for each pair of materials that may touch: box on box and box on board.
 
     Args:
-        boxes: the materials of boxes; boxes without a material are left out. A box does not touch itself, so a material
-            that only one box has makes no pair with itself.
+        boxes: the materials of boxes; boxes without a material are left out. A material is paired with itself only if
+            at least two boxes have it.
         boards: the materials of boards.
         user_pairs: the user's pairs.
 

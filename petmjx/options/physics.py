@@ -18,9 +18,9 @@ HIGHEST_RESTITUTION: Final = 0.9
 """Largest allowed restitution. Cardboard has 0.1 to 0.3, and in single tosses up to 0.6."""
 
 LANDING_S: Final = 0.003
-"""Time in which ``pallet`` stops a box that lands. With it, boxes that fall 10 to 300 mm penetrate less than 1 to 9 mm,
-and a landing takes one and a half steps of 2 ms, enough to resolve it. No measured stiffness of landing cartons is
-known."""
+"""Time in which the preset ``pallet`` stops a box that lands. With this time, boxes that fall 10 to 300 mm penetrate
+less than 1 to 9 mm. A landing takes one and a half steps of 2 ms, which is enough to resolve it. No measured stiffness
+of landing cartons is known."""
 
 SHORTEST_LANDING_S: Final = 0.0002
 LONGEST_LANDING_S: Final = 0.02
@@ -58,15 +58,15 @@ def _impedances(values: Triple) -> Triple:
 
 
 def _contact_times(values: tuple[float, float]) -> tuple[float, float]:
-    # negative values are allowed: MuJoCo reads them as a stiffness and a damping
+    # Negative values are allowed: MuJoCo reads them as a stiffness and a damping.
     if max(map(abs, values)) > 1e6:
         raise ValueError(f"must be from -1e+06 to 1e+06, got {values}")
     return values
 
 
 Friction = Annotated[Triple, AfterValidator(_no_negatives)]
-"""MuJoCo's sliding, torsional and rolling friction of a geom. When two geoms touch, the larger value of each
-applies."""
+"""MuJoCo's sliding, torsional and rolling friction of a geom. When two geoms touch, each of the three is the larger
+value of the two geoms."""
 
 CUSTOM: Final = "custom"
 
@@ -74,8 +74,8 @@ CUSTOM: Final = "custom"
 class Physics(CheckedRecord):
     """Contacts, carrier, floor, gravity and timestep.
 
-    The values are those of the reference implementation (PET-Physics), except those that differ between the presets:
-    the cone, the carrier's friction, the seven values of contacts (solref, solreffriction, solimp, impratio,
+    The values are those of the reference implementation (PET-Physics), except for values that differ between the
+    presets: the cone, the carrier's friction, the seven values of contacts (solref, solreffriction, solimp, impratio,
     slip_correction, landing_s, skin_m), and whether boxes fall into their places. The friction of 0.5 between boxes is
     that of cardboard on cardboard (CTU Code, Annex 7, Appendix 2).
 
@@ -144,14 +144,14 @@ class Physics(CheckedRecord):
     def carrier_skin_m(self) -> float:
         """Distance by which the collider enlarges the carrier, m.
 
-        It is larger than the skin of boxes. So the face of a box that stands flush with the carrier's edge is inside
-        the enlarged carrier, and the collider finds the box's corners (docs/validation.md).
+        It is larger than the skin of boxes. So if a box stands flush with the carrier's edge, its face is inside the
+        enlarged carrier, and the collider finds the box's corners (docs/validation.md).
         """
         return 2 * self.skin_m
 
     @property
     def has_landings(self) -> bool:
-        """Whether landings have their own contact law (petmjx/world/contact_laws.py). Only with elliptic cones."""
+        """Whether landings have their own contact law (petmjx/world/contact_laws.py). Only elliptic cones allow one."""
         return self.cone is Cone.ELLIPTIC and self.landing_s > 0
 
     @property
@@ -169,7 +169,7 @@ class Physics(CheckedRecord):
     @classmethod
     def _from_preset(cls, values: Any) -> Any:
         """Accept a preset's name, or a table that changes a preset."""
-        if values == CUSTOM:  # "custom" alone, without a table, gives no values
+        if values == CUSTOM:  # the word "custom" alone gives no values
             raise ValueError(f"must be {' or '.join(PHYSICS)}, or a table of values, {shown_value(values)}")
         if isinstance(values, str):
             values = {"name": values}
@@ -197,7 +197,7 @@ PHYSICS["reference"] = Physics(
     skin_m=0.0,
     falls_into_place=True,
 )
-"""The presets. ``reference`` is PET-Physics. With ``pallet``, pallets come to rest (docs/validation.md): it has
-elliptic cones, an impedance that rises from 0.1 to 0.999 within 0.1 mm, and friction that yields 250 times less than
-with MuJoCo's defaults. ``pallet`` also has the friction of cardboard on a wooden pallet (CTU Code, Annex 7, Appendix
-2)."""
+"""The presets. ``reference`` is PET-Physics. With ``pallet``, pallets come to rest (docs/validation.md). For this, it
+has elliptic cones, an impedance that rises from 0.1 to 0.999 within 0.1 mm, and friction that yields 250 times less
+than with MuJoCo's defaults. ``pallet`` also has the friction of cardboard on a wooden pallet (CTU Code, Annex 7,
+Appendix 2)."""

@@ -1,4 +1,4 @@
-"""Options of placing (``Placing``): where a box starts, and how it moves to its place.
+"""Options of placing (``Placing``): the pose at which a box starts, and its path to its place.
 
 Defaults, units, checks and descriptions are defined only here. docs/rules.md, section 4, has the exact rules, step by
 step; docs/placing.md explains the options to users.
@@ -26,11 +26,11 @@ class Way(StrEnum):
 
 
 class Placing(CheckedRecord):
-    """How a box is placed. Made from the name of a ``Way`` ("hand"), or from a table (``{"name": "hand", "force_n":
-    50}``).
+    """How a box is placed. Can be made from the name of a ``Way`` ("hand"), or from a table (``{"name": "hand",
+    "force_n": 50}``).
 
-    The defaults are assumptions. For the last movement of a robot, no published figures were found: neither for its
-    starting point, nor for its speed, nor for the largest force with which the robot may press.
+    The defaults are assumptions. No figures about a robot's last movement were found in publications: not its starting
+    point, its speed or the largest force with which the robot may press.
     """
 
     name: Annotated[Way, CliFlag("--placing")] = Field(

@@ -1,4 +1,4 @@
-"""Options of a run, of confidence and of transport. Also sorts given options by the record that they belong to.
+"""Options of a run, of confidence and of transport. The module also sorts options by the record that they belong to.
 
 Defaults, checks and descriptions are defined only here.
 """
@@ -25,10 +25,10 @@ MOST_WORKERS: Final = 4096
 
 ALL: Final = "all"
 FAILED: Final = "failed"
-"""Values of ``RunOptions.record``: record all plans, or only those that fail."""
+"""Values of ``RunOptions.record``: record all plans, or only plans that fail."""
 
 WORLDS: Final = "worlds"
-"""A value of ``RunOptions.keep``, the other being ``ALL``: keep only the tables of worlds."""
+"""A value of ``RunOptions.keep``: keep only the tables of worlds. The other value is ``ALL``."""
 
 FRAME_INTERVAL_S: Final = 0.05
 """Time between two frames. At 20 frames per second, a viewer can follow a box."""
@@ -45,7 +45,7 @@ def _share(text: str | None) -> str | None:
 
 
 def _workers(value: Any) -> Any:
-    """Validator of workers: a whole number ≥ 1, or ``auto``. Both arrive as text from the command line."""
+    """Validator of workers: a whole number ≥ 1, or ``auto``. The command line passes both as text."""
     number = int(value) if isinstance(value, str) and re.fullmatch(r"\d{1,9}", value) else value
     if number is None or (isinstance(number, str) and number == AUTO):
         return number
@@ -151,7 +151,7 @@ class Transport(CheckedRecord):
 
 
 class RunOptions(CheckedRecord):
-    """Where a run computes, and how.
+    """How a run is computed: engine, threads, workers, files and so on.
 
     Only two of these options affect outcomes. ``engine`` may change the outcome of a world. ``world_timeout_s`` may
     stop a world before it has an outcome (``invalid`` by ``timeout``).
@@ -316,8 +316,8 @@ class RunOptions(CheckedRecord):
         return AUTO if self.workers is None and self.ray is not None else self.workers
 
     def takes(self, plan_id: str) -> bool:
-        """Whether a plan is in this run's shard. Only the plan's id decides, so all worlds of a plan are in the same
-        shard."""
+        """Whether a plan is in this run's shard. The plan's id alone decides this, so all worlds of a plan are in the
+        same shard."""
         if self.shard is None:
             return True
         share, shares = (int(number) for number in self.shard.split("/"))

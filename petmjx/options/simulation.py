@@ -20,12 +20,13 @@ from petmjx.options.placing import Placing, Way
 from petmjx.options.walls import Walls
 from petmjx.options.wrap import Wrap
 
-# Limits of physical or useful values. A value beyond them has the wrong unit or a digit too many. It would lead to
-# infinite values, to a run that does not end, or to tables longer than any run.
+# Limits of physical or useful values.
+# A value beyond these limits has the wrong unit or a digit too many.
+# Such a value would lead to infinite values, a run that does not end, or tables that are longer than any useful run.
 LONGEST_INTERVAL_S: Final = 40.0
 LONGEST_S: Final = 600.0
-"""Limit of all other times. With the shortest timestep and 512 boxes, the number of steps of a run still fits into 32
-bits."""
+"""Limit of all other times. With this limit, the number of steps of a run fits into 32 bits, even with the shortest
+timestep and 512 boxes."""
 MOST_STEPS: Final = 100_000
 
 SOFT_START_STEPS: Final = 100
@@ -65,7 +66,8 @@ class Attempts(StrEnum):
 
 
 class Thresholds(CheckedRecord):
-    """Limits beyond which a plan counts as unstable, or a simulation as invalid (PET-Physics paper, section IV-C)."""
+    """Thresholds above which a plan counts as unstable, or a simulation as invalid (PET-Physics paper, section
+    IV-C)."""
 
     shift_m: Annotated[float, within(0, 100), CliFlag("--shift-limit-m", "M")] = Field(
         0.02, gt=0, description="a plan is unstable if a box ends further than this from its place in x, y or z, m"
@@ -95,12 +97,13 @@ class Quiet(CheckedRecord):
     A pallet is quiet when all boxes were slower than ``quiet_m_s`` for ``steps`` steps. The speed of a box is that of
     its fastest point. docs/rules.md, section 5, has the exact rules, step by step.
 
-    With elliptic cones there are two more conditions. Each box must be slow or have slowed down. And no moving box may
-    have become faster, as a box does that begins to topple. A box that breaks a condition creeps. Once a creeping box
-    has dropped or tilted too far, the outcome is known, so the schedule no longer waits for it.
+    With elliptic cones there are two more conditions. First, each box must be slow or have slowed down. Second, no
+    moving box may have become faster, because a box that begins to topple becomes faster. A box that breaks one of
+    these conditions is said to creep. Once a creeping box has dropped or tilted too far, the outcome is known, so the
+    schedule no longer waits for it.
 
-    A box that moves back and forth without any net motion trembles. The schedule does not wait for trembling boxes
-    either.
+    A box that moves back and forth without any net motion is said to tremble. The schedule does not wait for trembling
+    boxes either.
 
     A world is at rest if no point of any box moved faster than ``still_m_s`` in the last ``still_steps`` steps of its
     rest window.
@@ -144,7 +147,7 @@ class Quiet(CheckedRecord):
 
 
 class Simulation(CheckedRecord):
-    """All options that the outcome of a world depends on. It also depends on the plan and the variant."""
+    """All options on which the outcome of a world depends, besides the plan and the variant."""
 
     check: Annotated[Check, CliFlag("--check")] = Field(
         Check.ONE_BY_ONE,
@@ -334,6 +337,6 @@ class Simulation(CheckedRecord):
     def waits_for_rest(self) -> bool:
         """Whether creeping boxes delay the next box (schedule adaptive), a profile and the end of the world.
 
-        Pyramidal cones are excluded: with them, every box creeps a little (benchmarks/notebook/performance.md).
+        Never with pyramidal cones: with them, every box creeps a little (benchmarks/notebook/performance.md).
         """
         return self.physics.cone is Cone.ELLIPTIC

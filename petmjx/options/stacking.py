@@ -22,8 +22,8 @@ TIME_LOSS: Final = ((10.0, 0.37), (30.0, 0.40), (90.0, 0.45), (180.0, 0.50))
 """Days under a load → the share of its strength that a box loses. Source: the same."""
 
 PRESS_DAYS: Final = 1.0 / 1440
-"""How long a box in a press bears its load, days: one minute, in which it loses nothing. From one minute to ten days,
-the loss is assumed to grow with the logarithm of time, as creep does."""
+"""How long a box in a press bears its load, in days: one minute, during which the box loses no strength. From one
+minute to ten days, the loss is assumed to grow with the logarithm of time, as creep does."""
 
 
 class Stacking(CheckedRecord):
@@ -32,8 +32,8 @@ class Stacking(CheckedRecord):
     McKee's formula and presses give the strength of a box between two plates. On a pallet, the box's walls bear the
     boxes above.
 
-    The defaults of ``interlocked_loss`` and ``gap_loss`` come from packaging literature. For walls that hang over
-    nothing no source gives a number: they are assumed to bear nothing.
+    The defaults of ``interlocked_loss`` and ``gap_loss`` come from packaging literature. No source gives a number for
+    parts of walls that hang over nothing: such parts are assumed to bear nothing.
     """
 
     interlocked_loss: Annotated[float, within(0, 1)] = Field(

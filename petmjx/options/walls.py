@@ -34,7 +34,7 @@ class Side(StrEnum):
 
 
 class Walls(CheckedRecord):
-    """Walls around a carrier's deck. They can be given as a list of sides, or as a table.
+    """Walls around a carrier's deck. Walls can be given as a list of sides, or as a table.
 
     A wall is a rigid upright plate along a whole side, and belongs to the carrier's body. A field that is None takes
     the carrier's own value (``petmjx.options.carriers.walls_of``), else the value of ``USUAL``.
@@ -93,7 +93,7 @@ class Walls(CheckedRecord):
         return None if value is None else tuple(side for side in Side if side in value)
 
     def or_of(self, other: Walls) -> Self:
-        """The same walls; fields that are None here have the values of ``other``."""
+        """The same walls, except that each field that is None here has the value from ``other``."""
         missing = [name for name in type(self).model_fields if getattr(self, name) is None]
         return self.model_copy(
             update={name: getattr(other, name) for name in missing} | {"open": self.open or other.open}
@@ -101,7 +101,7 @@ class Walls(CheckedRecord):
 
     @property
     def standing(self) -> tuple[Side, ...]:
-        """The sides with a closed wall, which can bear load: all sides with walls except the open ones."""
+        """The sides with a closed wall, which can bear load: all sides with walls, except sides whose wall is open."""
         return tuple(side for side in self.sides or () if side not in self.open)
 
     def check_open(self) -> None:
@@ -114,7 +114,8 @@ class Walls(CheckedRecord):
     def room_fault(self, extent_mm: Sequence[float]) -> str | None:
         """The error text for walls that leave no room on a carrier's top; None if there is room.
 
-        A wall narrows the room by its gap. Along the other axis, the wall ends where the gaps of both sides begin.
+        A negative gap narrows the room. A wall is as long as its side plus two gaps, even if the adjacent sides have no
+        walls.
 
         Args:
             extent_mm: extents of the carrier's top along x and y, mm.

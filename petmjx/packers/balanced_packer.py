@@ -1,4 +1,4 @@
-"""The packer ``balanced``: best fit under the condition that the pile stays in balance, so that plans stand.
+"""The packer ``balanced``: best fit, with the condition that the pile stays in balance, so that plans stand.
 
 At every step, all kinds of remaining boxes compete for all corner points (best fit, after Allen, Burke, Kendall 2011,
 "A hybrid placement strategy for the three-dimensional strip packing problem", European J. of Operational Research 209,
@@ -19,10 +19,10 @@ from petmjx.packers.packing_state import Packing, Taste
 from petmjx.plans.order_generator import Item
 
 TASTES: Final = (Taste(), Taste(per_height=0.6), Taste(per_overhang=0.0), Taste(per_base_side=1.0))
-"""Sets of weights for the rule. The first set is the best of 50 random sets on the first 40 orders of seed 0, by volume
-utilisation and boxes left out; similar sets are about as good. As long as boxes are left out, the other sets are tried
-one after the other. In 600 orders of seed 0, the first set leaves out 35 boxes from 10 orders; all sets together leave
-out none."""
+"""Sets of weights for the rule that rates candidates. The first set is the best of 50 random sets on the first 40
+orders of seed 0, by volume utilisation and boxes left out; similar sets are about as good. If a set leaves boxes out,
+the next set is tried. In 600 orders of seed 0, the first set leaves out 35 boxes from 10 orders; all sets together
+leave out no box."""
 
 
 def pack_balanced(items: Sequence[Item], extent_mm: tuple[float, float]) -> list[PlacedBox]:

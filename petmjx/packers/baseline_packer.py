@@ -140,7 +140,7 @@ class _Pile:
         x, y, z = corner_mm
         x_end, y_end, top = x + base_mm[0], y + base_mm[1], z + height_mm
         # Three corners of the box, and the same corners after they have slid towards the carrier's edges along x or y.
-        # These points need not move down, since boxes are lowered anyway.
+        # The points need not slide down as well, since boxes are lowered anyway.
         new = [(x_end, y), (x_end, self._slide(1, y, x_end, z)), (x, y_end), (self._slide(0, x, y_end, z), y_end)]
         new += [(x, y), (self._slide(0, x, y, top), y), (x, self._slide(1, y, x, top))]
         for point in new:

@@ -1,10 +1,10 @@
 """Beam search for dense packings of an order, over the candidates of ``balanced``.
 
-Every step extends ``width`` packings by the ``branch`` best candidates of each. A candidate is rated by its full
-packing, filled up by best fit (the pilot method: Duin, Voß 1999, "The pilot method: a strategy for heuristic repetition
-with application to the Steiner problem in graphs", Networks 34, 181–191). The best ``width`` packings are kept. Filling
-up is aborted as soon as the packing is higher than the best ``width`` packings. In large orders, a step places several
-boxes: the first one is the candidate, and the others follow by best fit.
+Every step extends each of ``width`` packings by its ``branch`` best candidates. To rate a candidate, the packing with
+this candidate is filled up by best fit (the pilot method: Duin, Voß 1999, "The pilot method: a strategy for heuristic
+repetition with application to the Steiner problem in graphs", Networks 34, 181–191). The best ``width`` packings are
+kept. Filling up is aborted as soon as the packing is higher than all of the best ``width`` packings so far. In large
+orders, a step places several boxes: the first one is the candidate, and the others follow by best fit.
 
 The search is deterministic, and does not depend on computing time.
 """
@@ -23,7 +23,8 @@ from petmjx.packers.packing_state import FullPacking, NextCandidate, Packing, Ta
 from petmjx.plans.order_generator import Item
 
 MOST_STEPS: Final = 80
-"""Largest number of steps of a search. With it, an order of 162 different boxes takes 12 s; without it, 34 s."""
+"""Largest number of steps of a search. With this limit, an order of 162 different boxes takes 12 s; without the limit,
+34 s."""
 
 _VOLUME_DECIMALS: Final = 9
 """Volumes in m³ are rounded to this many decimals, which is to a cubic millimetre. Sums over the same boxes in
@@ -38,7 +39,7 @@ class PackingValue(NamedTuple):
     below_mm: float
     """Minus the height of the highest top."""
     deep_kg_mm: float
-    """Minus the moment of the masses (mass × height). If two packings are equally high, the one with the lower masses
+    """Minus the moment of the masses (mass × height). Of two equally high packings, the one with its masses lower
     stands better."""
 
     @classmethod
@@ -92,8 +93,8 @@ Fills = Callable[[Packing, NextCandidate | None, float], FullPacking | None]
 
 
 def fills_for(start: Packing) -> Fills:
-    """The function that fills up packings of an order. It is compiled if Warp is installed, and gives the same
-    packings.
+    """The function that fills up packings of an order. If Warp is installed, it is a compiled function, which gives the
+    same packings.
 
     Args:
         start: the empty packing of the order.
@@ -107,14 +108,15 @@ def fills_for(start: Packing) -> Fills:
 
 
 class _SearchNode(NamedTuple):
-    """A packing that the next step may extend, and its full packing."""
+    """A packing that the next step may extend, and the full packing that filling it up gives."""
 
     packing: Packing
     filled: RankedPacking
 
 
 class _SearchBranch(NamedTuple):
-    """A packing, a candidate for its next box (None: already placed), and the full packing of both."""
+    """A packing, a candidate for its next box (None: the box is already placed), and the full packing made from
+    both."""
 
     packing: Packing
     candidate: NextCandidate | None
@@ -157,7 +159,7 @@ def _step(ways: Sequence[_SearchNode], width: int, branch: int, stride: int, fil
                 packing.put(candidate)
                 packing.fill(most=stride - 1)
                 boxes = frozenset(packing.placed)
-            # An earlier packing has the same boxes at the same places, placed in another order.
+            # Skip: an earlier packing has the same boxes at the same places, placed in another order.
             if boxes in seen_packings:
                 continue
             seen_packings.add(boxes)
@@ -173,7 +175,7 @@ def _step(ways: Sequence[_SearchNode], width: int, branch: int, stride: int, fil
 
 
 def _worst(best: Sequence[_SearchBranch], width: int, n_items: int) -> float:
-    """The height that a further packing must not exceed if it is to be among the best, mm."""
+    """The height that a further packing must not exceed to be among the best, mm."""
     if len(best) < width or len(best[-1].filled.placed) < n_items:  # packings with more boxes may have any height
         return inf
     return best[-1].filled.height_mm

@@ -2,9 +2,9 @@
 
 ``python -m petmjx.packers.bundled_plans`` writes their file.
 
-The verdicts of the hand-made plans are known in closed form, for check ``one-by-one`` and carrier ``footprint``, the
-plan's bounding box. The simulation reduces each dimension by 0.1 mm and keeps the corner. This changes no verdict,
-since the margins of these plans are several centimetres.
+The verdicts of the hand-made plans are known in closed form. These verdicts hold for the check ``one-by-one`` and the
+carrier ``footprint``, which is as large as the plan's bounding box. The simulation reduces each dimension by 0.1 mm and
+keeps the corner. The reduction changes no verdict, since the margins of these plans are several centimetres.
 """
 
 from __future__ import annotations
@@ -22,8 +22,8 @@ from petmjx.plans.order_generator import Item
 BUNDLED_SEED = 0
 
 BUNDLED_INDICES = (3, 7, 13, 16, 38, 46, 92, 152, 189, 430, 443, 1349, 1784, 2112)
-"""Numbers of the generated plans. Seven stand and seven collapse (16, 46, 430, 443, 1349, 1784, 2112). Three have 41 to
-45 boxes, three have about 30 and eight have 14 to 20, so that a demo is quick."""
+"""Numbers of the generated plans. Seven stand and seven collapse (16, 46, 430, 443, 1349, 1784, 2112). Three of these
+plans have 41 to 45 boxes, three have about 30, and eight have 14 to 20, so that a demo is quick."""
 
 
 def bundled_plans() -> Iterator[tuple[str, list[dict[str, Any]]]]:

@@ -1,8 +1,8 @@
 """Candidate places for the next box (``Candidates``): a table of all corner points of a pile combined with all shapes.
 
 The points are the extreme points of Crainic, Perboli, Tadei (2008), as in :mod:`petmjx.packers.baseline_packer`. When a
-box is placed, the table is updated instead of being computed anew: only the new box is compared with all candidates,
-and only the few new points with all boxes.
+box is placed, the table is updated, not computed anew. Only the new box is compared with all candidates, and only the
+few new points are compared with all boxes.
 """
 
 from __future__ import annotations
@@ -33,8 +33,8 @@ class Candidates:
         height: (s,) heights of the shapes, mm.
         z: (p, s) height of the shape's bottom at rest, mm.
         carried: (p, s) supported area of the base at this place, mm².
-        open: (p, s) whether the shape is inside the carrier, and has not been refused since a box was last placed under
-            it.
+        open: (p, s) whether the candidate can be chosen: the shape is inside the carrier, and the candidate has not
+            been refused since a box was last placed under it.
     """
 
     def __init__(self, base: FloatArray, height: FloatArray, extent_mm: tuple[float, float], most_boxes: int) -> None:
@@ -138,8 +138,8 @@ def corner_points(low: FloatArray, high: FloatArray) -> FloatArray:
         low, high: (m, n, 3) corners of the boxes of each pile, mm; the newest box is the last.
     """
     (x, y, z), (x_end, y_end, top) = low[:, -1].T, high[:, -1].T
-    # Beside the box, points slide from its end in x towards −y, and from its end in y towards −x. On the box, they
-    # slide from (x, y) in both directions.
+    # Beside the box, one point slides from the box's end in x towards −y, and one from its end in y towards −x.
+    # On the box, two points slide from its corner (x, y): one towards −x and one towards −y.
     start, across = np.array([y, x, x, y]), np.array([x_end, y_end, y, x])
     south, west, west_on_top, south_on_top = _slid(low, high, start, across, np.array([z, z, top, top]))
     beside = [(x_end, y), (x_end, south), (x, y_end), (west, y_end)]

@@ -61,7 +61,7 @@ def _fill(tables: Tables) -> None: ...
 
 @functools.cache
 def _kernel() -> Any:
-    """The kernel that fills up packings. No multiplication is fused with a sum, since NumPy does not fuse them."""
+    """The kernel that fills up packings. Fused multiply-add is switched off, since NumPy does not use it either."""
 
     def fill(tables: Tables) -> None:
         _fill(tables)
@@ -145,7 +145,7 @@ class FillKernel:
         self._launch.launch()
 
     def _tips(self) -> bool:
-        """Whether the box in the kernel's question would tip over on its supports."""
+        """Answers the kernel's question: whether the next box would tip over on its supports."""
         low, high = np.split(self._of["rectangles"][: self._of["counts"][Count.UNDER]], 2, axis=1)
         length, width = self._of["own_base"][self._of["counts"][Count.SHAPE]].tolist()
         return tips(hull_planes(low, high, margin_m((length, width))), self._of["own_load"])

@@ -1,9 +1,9 @@
 """The free space that a pile leaves for future boxes: how low typical cartons could stand, and how many places are
 level.
 
-A policy that sees one box does not know the boxes after it, but cartons have much in common. With a candidate placed,
-the height map of the pile on a coarse grid shows the lowest place for each typical carton, and the air under the carton
-at that place.
+A policy that sees one box does not know the boxes after it, but it can expect typical cartons. For each candidate, the
+box is placed on a coarse height map of the pile. The map then shows the lowest place for each typical carton, and the
+air under the carton at that place.
 """
 
 from __future__ import annotations
@@ -64,21 +64,22 @@ def free_space(surface: HeightMap, low: FloatArray, high: FloatArray) -> dict[st
 
 
 def _wider(highest: Heights, more: int) -> Heights:
-    """Maxima over windows that are ``more`` cells wider, computed from maxima over windows at least ``more`` cells
-    wide."""
+    """Maxima over windows that are wider by ``more`` cells. The result is computed from ``maxima`` over narrower
+    windows, which must be at least ``more`` cells wide."""
     wider: Heights = np.maximum(highest[:, : max(highest.shape[1] - more, 0)], highest[:, more:])
     return wider
 
 
 _DEEPER: Final = {4: (1, 2), 6: (1, 2, 2), 8: (1, 2, 4), 11: (1, 2, 4, 3), 12: (1, 2, 4, 4)}
-"""Depth of a window → steps by which it grows from one cell to this depth. No step is longer than the depth before
-it."""
+"""Depth of a window → steps by which the window grows from one cell to this depth. No step is longer than the depth
+before the step."""
 
 _NOWHERE_MM: Final = 2000.0
 
 
 def _places(highest: Heights, sums: Heights, wide: int, deep: int) -> tuple[FloatArray, FloatArray]:
-    """(c,) cost of the lowest place of a base, from height and air, mm; and (c,) share of places that are level."""
+    """Two arrays: (c,) cost of the lowest place of a base, computed from height and air, mm; and (c,) share of places
+    that are level."""
     for more in _DEEPER[deep]:
         highest = np.maximum(highest[:, :, : max(highest.shape[2] - more, 0)], highest[:, :, more:])
     if not highest.size:

@@ -133,7 +133,7 @@ class ItemStream(Packing):
         """Leave out the next box."""
         kind = self._coming.pop(0)
         self.skipped += 1
-        # equal boxes are interchangeable in a packing, so one of them stands for all
+        # equal boxes are interchangeable in a packing, so the candidates of one of them are those of all
         self._stock[kind].pop(0)
         if not self._stock[kind]:
             self._keep_shapes(self._kind_of != kind)
@@ -142,7 +142,7 @@ class ItemStream(Packing):
 S = TypeVar("S", bound=ItemStream)
 
 Chooses = Callable[[S], NextCandidate | None]
-"""One step of a packer: returns a candidate; None: no visible box has a place."""
+"""Function that makes one step of a packer. The function returns a candidate, or None if no visible box has a place."""
 
 
 def pack_stream(stream: S, chooses: Chooses[S]) -> list[PlacedBox]:

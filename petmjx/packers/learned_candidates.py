@@ -23,8 +23,8 @@ from petmjx.packers.pile_balance import SHARE_SLACK, TOUCH_MM
 from petmjx.plans.order_generator import Item
 
 LEAST_SUPPORT: Final = 0.2
-"""Smallest supported share of a base. It may be low, because two other rules decide: the balance, and the chance to
-stand that the stability head predicts."""
+"""Smallest supported share of a base. This limit can be low, because two other rules decide: the balance, and the
+chance to stand that the stability head predicts."""
 
 COARSE_MM: Final = 50.0
 
@@ -42,7 +42,8 @@ summation."""
 class MirroredCandidates(Candidates):
     """Corner points seen from all four corners of the target, as a table for ``Packing``.
 
-    The table has no entries by shape: ``found`` computes candidates on request.
+    Unlike ``Candidates``, this table does not store candidates for each shape: ``found`` computes candidates on
+    request.
 
     Attributes:
         corners: (c, 2) corners of the candidates of the last call of ``found``, mm.
@@ -162,7 +163,8 @@ class FourSidedStream(ItemStream):
         )
 
     def keeps_balance(self, places: Places, row: int) -> NextCandidate | None:
-        """The candidate in a row, if the pile keeps its balance with this box; None: a box would lose its balance."""
+        """The candidate in a row, if the pile keeps its balance with this box. None: some box would lose its
+        balance."""
         point, shape = int(places.point[row]), int(places.shape[row])
         x, y, z = places.corner_mm[row].tolist()
         length, width = self._base[shape].tolist()
@@ -190,7 +192,7 @@ class FourSidedStream(ItemStream):
 
 
 def cost_mm(stream: ItemStream, places: Places) -> FloatArray:
-    """(c,) cost of places, mm: the height, plus costs of an overhang and of the distance to the nearest edges."""
+    """(c,) cost of places, mm: the height, plus a cost of overhang and a cost of the distance to the nearest edges."""
     start, size = places.corner_mm[:, :2], places.size_mm[:, :2]
     aside = np.minimum(start, np.array(stream.extent_mm) - start - size).sum(axis=1)
     cost: FloatArray = places.corner_mm[:, 2] + OVERHANG_MM * (1 - places.support) + 0.01 * aside
@@ -200,7 +202,7 @@ def cost_mm(stream: ItemStream, places: Places) -> FloatArray:
 def lowest_first(stream: FourSidedStream) -> NextCandidate | None:
     """One step of a rule with these candidates: it chooses the place of least cost that keeps the balance.
 
-    With several visible boxes, their value in the rule of ``balanced`` counts as well.
+    If several boxes are visible, their value in the rule of ``balanced`` counts as well.
     """
     places = stream.places()
     cost = cost_mm(stream, places) - stream.worth(places)

@@ -1,6 +1,6 @@
 """Features of candidates for the packer ``learned``: the place, its neighbours, and the pile once the box lies on it.
 
-All features have a magnitude of about 1. No feature depends on boxes that the packer does not see.
+All features are scaled to a magnitude of about 1. No feature depends on boxes that the packer does not see.
 """
 
 from __future__ import annotations
@@ -18,8 +18,8 @@ from petmjx.packers.learned_candidates import FourSidedStream
 from petmjx.packers.pile_balance import TOUCH_MM
 
 LATE: Final = ("z", "support", "rougher", "room_small", "room_large")
-"""Features whose weight may depend on the height of the pile. They appear a second time, multiplied by the pile's mean
-height in m."""
+"""Features whose weight may depend on the height of the pile. These features appear a second time, multiplied by the
+pile's mean height in m."""
 
 NAMES: Final = (
     *("z", "grows", "below_top"),
@@ -125,7 +125,8 @@ def _neighbour_features(
         low, high: (n, 3) corners of the placed boxes.
     """
     size = end - start
-    # (3, c, n): distances from the candidate's start to boxes before it, from its end to boxes after it, and overlaps
+    # three arrays (3, c, n): distance from the candidate's start to boxes before it, distance from its end to boxes
+    # after it, and overlap
     starts, ends, lows, highs = start.T[:, :, None], end.T[:, :, None], low.T[:, None, :], high.T[:, None, :]
     before, after = starts - highs, lows - ends
     shared = -np.maximum(np.maximum(before, after), np.maximum(lows - highs, starts - ends))
@@ -164,7 +165,8 @@ def _neighbour_features(
 
 
 def _heights(columns: dict[str, FloatArray | float], start: FloatArray, end: FloatArray, surface: HeightMap) -> None:
-    """Add the features from the height map: under the box, around the box, and of the map after the placement."""
+    """Add the features from the height map: of the cells under the box, of the cells around it, and of the map after
+    the placement."""
     low, high = surface.lines(start), surface.lines(end)
     count, under, under_square = surface.over(low, high)
     n_outer, outer, outer_square = surface.over(low - _RING, high + _RING)

@@ -1,5 +1,5 @@
-"""The packer ``learned``: learned weights rank the candidates, and a small network predicts how likely each is to
-stand.
+"""The packer ``learned``: learned weights rank the candidates, and a small network predicts how likely the box is to
+stand at each of them.
 
 The packer was trained on generated orders only (examples/train_packer), with physics in the loop. When it packs, it
 runs no simulation and is deterministic: an order always gets the same plan.
@@ -32,7 +32,8 @@ LEARNED: Final = "learned"
 """The packer's name."""
 
 CLEARANCE_MM: Final = 4.0
-"""Free space between neighbours. It lets plans stand when a robot places the boxes (docs/packers.md)."""
+"""Free space between neighbours, with which plans stand even if a robot places the boxes inexactly
+(docs/packers.md)."""
 
 MOST_PLACES: Final = 32
 LEAST_PLACES: Final = 6
@@ -99,8 +100,8 @@ class Policy:
     def take(self, stream: FourSidedStream, places: Places, scores: FloatArray) -> ChosenCandidate | None:
         """The best candidate that keeps the balance and whose chance is at least ``SURE``.
 
-        If none of the first ``MOST_TRIED`` reaches it, the candidate with the largest chance. None if no chance reaches
-        ``LEAST_SURE``.
+        If none of the first ``MOST_TRIED`` candidates reaches ``SURE``, the one with the largest chance is taken. None
+        if no chance reaches ``LEAST_SURE``.
         """
         surest: ChosenCandidate | None = None
         tried = 0

@@ -77,9 +77,9 @@ class Packed:
         Columns: ``plan_id``; ``order_boxes``: number of boxes in the order; ``boxes``: number of placed boxes;
             ``left_out``: number of other boxes; ``why``: the reason; ``utilisation``: volume over area of the target ×
             height; ``height_mm``; ``clearance_mm``; ``verdict`` when placed exactly; ``n_worlds``: number of worlds
-            with errors; ``n_standing``: number of those in which the plan stands; ``share``: their share, with its
-            Wilson 95 % interval ``low``, ``high``; ``tried``: number of simulated packings; ``good``: whether the plan
-            stands as often as requested.
+            with errors; ``n_standing``: number of worlds with errors in which the plan stands; ``share``: n_standing /
+            n_worlds, with its Wilson 95 % interval ``low``, ``high``; ``tried``: number of simulated packings;
+            ``good``: whether the plan stands as often as requested.
         """
         return pd.DataFrame([packed.row() for packed in self.packed_orders])
 
@@ -122,8 +122,8 @@ def pack(
 ) -> Packed:
     """Pack orders with the packer ``physical`` or ``learned``.
 
-    ``physical`` packs densely, and so that the plans stand in simulation, both when placed exactly and with the errors
-    of a robot. ``learned`` places boxes in the order of their arrival; its plans are simulated as well.
+    ``physical`` packs densely, and chooses plans that stand in simulation, both when boxes are placed exactly and with
+    the errors of a robot. ``learned`` places boxes in the order of their arrival; its plans are simulated as well.
 
     ``petmjx.pack("orders.json", least_share=0.95).save("plans.json")``
 
@@ -136,8 +136,8 @@ def pack(
         n, seed: number and seed of the generated orders.
         packer: ``physical`` or ``learned``.
         look_ahead: number of next boxes that ``learned`` sees; None: 1.
-        workers: number of processes for the search. It does not affect the plans. Scripts that use more than one
-            process need ``if __name__ == "__main__":``.
+        workers: number of processes for the search. The plans do not depend on this number. Scripts that use more than
+            one process need ``if __name__ == "__main__":``.
         on_bad_order: function that is called with the error of an unusable order, which is then skipped; None: the
             error is raised.
         target: carrier for orders whose file does not name one: ``euro-pallet``, ``rollcontainer``, or sizes in mm such
@@ -203,7 +203,7 @@ def orders_of(
     integer_of(seed, "seed", 0)
     if orders is not None:
         if n is not None:
-            raise InputError("n is for drawn orders, but a file of orders is given")
+            raise InputError("n is the number of generated orders; leave it out if a file of orders is given")
         if isinstance(orders, SupportsArrow):
             return read_order_frame(orders, on_bad_order, reading)
         return read_orders(path_of(orders, "orders"), on_bad_order, reading)
@@ -227,7 +227,7 @@ def reading_of(
     of_files = {name: options[name] for name in OF_ORDERS if options.get(name) is not None}
     left = {name: value for name, value in options.items() if name not in OF_ORDERS}
     if not are_read and (idle := next(iter([*of_files, *(["target"] if target is not None else [])]), None)):
-        raise InputError(f"{idle} is for a file of orders, but these orders are drawn")
+        raise InputError(f"{idle} applies only to a file of orders, but these orders are generated")
     return OrderReading.of(RunOptions(**of_files), target) if are_read else None, left
 
 
@@ -239,7 +239,7 @@ def _split_options(options: Mapping[str, Any]) -> tuple[PhysicalOptions, dict[st
     if "confidence" in sure:
         raise InputError("confidence: a packer has the option worlds instead, the number of worlds with errors")
     if "exact_too" in sure:
-        raise InputError("exact_too is for scores with confidence: a packer has one way to place boxes")
+        raise InputError("exact_too is an option of scores with confidence, not of packers; leave it out")
     packer_options = PhysicalOptions(**of_packer)
     if not packer_options.worlds and (
         idle := next((name for name in ("errors", "least_share") if name in sure | of_packer), None)

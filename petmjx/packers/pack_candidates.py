@@ -32,10 +32,10 @@ class Finalist:
 
 
 def finalists(order: Order, options: PhysicalOptions) -> list[Finalist]:
-    """The best packing for each clearance. They are sorted by volume, then by utilisation, with the largest first.
+    """The best packing for each clearance. Packings are sorted by volume, then by utilisation, largest first.
 
-    If all of them leave boxes out, the best packing without clearance is added. The list is empty if no box has a
-    place.
+    If all of these packings leave boxes out, the best packing without clearance is added. The list is empty if no box
+    has a place.
     """
     packings = {clearance: _search_result(order, clearance, options) for clearance in options.clearances_mm}
     if 0.0 not in packings and all(len(packing.placed) < len(order.items) for packing in packings.values()):

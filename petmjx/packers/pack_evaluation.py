@@ -14,10 +14,11 @@ from petmjx.plans.plan import Plan
 from petmjx.plans.plan_validation import parse_plan
 
 SOURCE = "pack"
-"""Source of the plans in messages, where other plans have the name of a file."""
+"""Source of packed plans in messages. Other plans have the name of a file instead."""
 
 FIRST_WORLDS: Final = 4
-"""Number of worlds with errors that are simulated first. They suffice to refuse most packings that fall too often."""
+"""Number of worlds with errors that are simulated first. This number suffices to refuse most packings that fall too
+often."""
 
 
 @dataclass(frozen=True)
@@ -47,8 +48,8 @@ class Evaluation:
 
     @property
     def share(self) -> float:
-        """Share of the worlds with errors in which the plan stands. Without such worlds: 1 if the plan stands when
-        placed exactly, else 0.
+        """Share of the worlds with errors in which the plan stands. Without worlds with errors, the share is 1 if the
+        plan stands when placed exactly, else 0.
         """
         return self.n_standing / self.n_worlds if self.n_worlds else float(self.stands)
 
@@ -86,13 +87,13 @@ class Trial:
             self.n_standing += verdict is Verdict.STABLE
 
     def is_hopeless(self, options: PhysicalOptions) -> bool:
-        """Whether the packing cannot be good any more, whatever the remaining verdicts are."""
+        """Whether the packing can no longer be good, whatever the remaining verdicts are."""
         fallen = self.n_worlds - self.n_standing
         most = (options.worlds - fallen) / options.worlds if options.worlds else 1.0
         return not self.judged.stands or most < options.least_share
 
     def is_whole(self, options: PhysicalOptions) -> bool:
-        """Whether all its worlds have been requested."""
+        """Whether all worlds of the packing have been requested."""
         return self.n_requested > options.worlds
 
     @property
@@ -118,8 +119,8 @@ def order_evaluation(
 
     Args:
         finalists: packings of the order, the best first.
-        spare: function that tells whether the engine has spare capacity. If it has, worlds are requested before it is
-            certain that they are needed.
+        spare: function that tells whether the engine has spare capacity. If the engine has, worlds are requested before
+            it is certain that they are needed.
     """
     tried: list[Trial] = []
     by_share = options.maximise == "share"
@@ -141,8 +142,8 @@ def order_evaluation(
 
 
 def decisive_evaluations(judged: Sequence[Evaluation], options: PhysicalOptions) -> Sequence[Evaluation]:
-    """The evaluations among which ``choose`` chooses. So its result does not depend on how many further packings were
-    simulated.
+    """The evaluations among which ``choose`` chooses. All later evaluations are dropped, so the choice does not depend
+    on how many further packings were simulated.
 
     The evaluations end with the first good packing, since later ones are less dense. If the share is maximised, all
     evaluations count.
@@ -160,8 +161,8 @@ def plan_of(plan_id: str, finalist: Finalist) -> Plan:
 def choose(judged: Sequence[Evaluation], options: PhysicalOptions) -> Evaluation:
     """Choose a packing from its evaluations.
 
-    Among good packings, it chooses the largest volume, then the largest value of ``options.maximise``. If no packing is
-    good, it chooses the one that stands most often.
+    Among good packings, the packing with the largest volume is chosen, and among equal volumes that with the largest
+    value of ``options.maximise``. If no packing is good, the packing that stands most often is chosen.
 
     Args:
         judged: evaluations, at least one.

@@ -22,11 +22,12 @@ class Orders(NamedTuple):
     """Limits on the numbers of orders and worlds that are simulated at the same time.
 
     Attributes:
-        few: number of searched orders for which an idle engine waits.
+        few: an idle engine waits until this number of orders has been searched.
         most: largest number of orders in simulation. More orders do not make an engine faster.
-        worlds: an engine with fewer worlds than this has spare capacity for worlds that may turn out not to be needed.
-        rows: smallest number of worlds for which the tables of ``mjx-warp`` have rows. When the tables are full, all
-            their worlds end before new ones begin.
+        worlds: an engine with fewer worlds than this has spare capacity, which is used for worlds that may turn out not
+            to be needed.
+        rows: the tables of ``mjx-warp`` have rows for at least this number of worlds. When the tables are full, all
+            their worlds must end before new ones begin.
     """
 
     few: int
@@ -39,8 +40,8 @@ CPU: Final = Orders(4, 16, 0, 1024)
 GPU: Final = Orders(64, 1024, 256, 8192)
 
 GRANULE: Final = 96
-"""Capacities of tables, in boxes, are multiples of this. With a smaller step, an order with more boxes than earlier
-orders would have to wait until the worlds of these orders have ended, and so would all orders after it."""
+"""Capacities of tables, in boxes, are multiples of this. With a smaller granule, more orders would not fit into the
+present tables. Such an order, and all orders after it, must wait until the worlds of the earlier orders have ended."""
 
 FEW_ALONE: Final = 16
 """Upper limit of ``Orders.few`` if the simulating process also searches."""
@@ -104,7 +105,7 @@ class Flow:
         self._at_a_time = at_a_time
         self._few = min(at_a_time.few, FEW_ALONE) if searched.alone else at_a_time.few
         self._open = self._unanswered = self._n_yielded = (
-            0  # open orders, their worlds without a result, yielded orders
+            0  # numbers of open orders, of their worlds without a result, and of yielded orders
         )
         self._following: list[World] = []
         self._packed: dict[int, PackedOrder] = {}
@@ -130,7 +131,7 @@ class Flow:
             yield packed
 
     def _more(self) -> list[World]:
-        """The worlds requested since the last call, including those of newly searched orders.
+        """The worlds requested since the last call, including worlds of newly searched orders.
 
         The flow waits for searches only if the engine has no other work, or if the search runs in this process.
         """
@@ -147,13 +148,14 @@ class Flow:
         return worlds
 
     def _has_spare(self) -> bool:
-        """Whether the engine has spare capacity for worlds that may not be needed. It is true at the end, when few
-        orders are left.
+        """Whether the engine has spare capacity for worlds that may not be needed. An engine has spare capacity near
+        the end of a run, when few orders are left.
         """
         return self._searched.ended and self._unanswered < self._at_a_time.worlds
 
     def _go_on(self, order: _OpenOrder) -> None:
-        """Request the next worlds of an order. If none is missing, the order is complete and its packing is chosen."""
+        """Request the next worlds of an order. If no world is missing, the order is complete and its packing is
+        chosen."""
         try:
             requests = next(order.asking)
         except StopIteration as end:

@@ -15,7 +15,7 @@ MOST_CLEARANCE_MM: Final = 200.0
 MOST_CLEARANCES: Final = 16
 LEAST_WORLDS: Final = 4
 MOST_WORLDS: Final = 100_000
-"""Limits of the number of worlds. They are the same as in ``petmjx.options.run_options.Confidence``."""
+"""Limits of the number of worlds, the same as in ``petmjx.options.run_options.Confidence``."""
 
 
 def _split(values: Any) -> Any:

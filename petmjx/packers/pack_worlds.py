@@ -1,4 +1,4 @@
-"""The worlds of packings (``WorldsOfPlans``). They are the same as in ``petmjx.score`` with ``confidence``."""
+"""The worlds of packings (``WorldsOfPlans``), which are the same as in ``petmjx.score`` with ``confidence``."""
 
 from __future__ import annotations
 
@@ -43,8 +43,8 @@ class WorldsOfPlans:
 
     @property
     def work(self) -> Work:
-        """The amount of work for one plan. Its limit would matter only for ``auto``, but here the caller has named an
-        engine."""
+        """The amount of work for one plan. Only the engine ``auto`` would need the amount for all plans, but here the
+        caller has named an engine."""
         return Work(self.sim, [1])
 
     def of(self, plan: Plan, variants: Iterable[int]) -> Iterator[World]:
@@ -58,7 +58,7 @@ class WorldsOfPlans:
         if self._sweep is None:
             yield from (World(plan, number, Job(build_scene(plan, self.sim))) for number in variants)
             return
-        if self._variants is None:  # variants are made only once, since all plans have the same ones
+        if self._variants is None:  # variants are made only once, since they are the same for all plans
             self._variants = SweepPlan(self._sweep, [plan])
         placements = [*self._variants.placements()]
         groups = (PlacementGroup(plan, number, *placements[number]) for number in variants)

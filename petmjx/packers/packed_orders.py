@@ -29,7 +29,7 @@ class PackedOrder:
         order_id: id of the order and of the plan.
         n_items: number of boxes of the order.
         taken: the chosen packing; None: no box has a place.
-        tried: number of packings that were evaluated until one was good.
+        tried: number of packings that were evaluated, up to and including the first good one.
         n_simulated: number of simulated worlds. This number may depend on other orders.
         good: whether the plan stands as often as requested.
         left_out: items that the packing leaves out; None: no item.

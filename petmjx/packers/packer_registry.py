@@ -68,7 +68,7 @@ PACKERS: Final[Mapping[str, Packer]] = MappingProxyType(
 WHY: Final[Mapping[str, str]] = MappingProxyType(
     {LEARNED: "when they came, no place below 2 m was in balance and likely to stand"}
 )
-"""Name of a packer → why it leaves boxes out, if it has a reason of its own."""
+"""Name of a packer → its reason for leaving boxes out, if it differs from the usual reason."""
 
 
 def packer_named(name: str, look_ahead: int | None = None) -> Packer:

@@ -1,6 +1,6 @@
 """The state of a growing packing (``Packing``): the pile, the remaining items, and the candidates for the next box.
 
-A packing can be copied, so that a search can extend it in several ways.
+A packing can be copied, so that a search can try several extensions of it.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from petmjx.packers.pile_balance import SHARE_SLACK, TOUCH_MM, Balance, Rest
 from petmjx.plans.order_generator import Item
 
 LEAST_SUPPORT: Final = 0.5
-"""Smallest supported share of a base. The balance is the main rule; this one limits the number of overhangs."""
+"""Smallest supported share of a base. The balance is the main rule; this rule also limits overhangs."""
 
 
 @dataclass(frozen=True)
@@ -33,7 +33,8 @@ class Taste:
         per_base_side: value per mm of the square root of the base area.
         per_log_weight: value per unit of the natural logarithm of the weight.
         per_height: value per mm of the box's height.
-        per_overhang: cost of a base without any support. A partly supported base has a proportional cost.
+        per_overhang: cost of a base without any support. A partly supported base costs this times its unsupported
+            share.
         per_distance: cost per mm of x + y. Among equally good places, the place nearest to the corner is chosen.
     """
 
@@ -54,7 +55,7 @@ class NextCandidate(NamedTuple):
 
 
 class FullPacking(NamedTuple):
-    """A packing on which no more box has a place. The fields are those of ``Packing``."""
+    """A packing in which no further box has a place. The fields are those of ``Packing``."""
 
     placed: tuple[PlacedBox, ...]
     top_mm: float
@@ -104,8 +105,8 @@ class Packing:
         self._weight = np.array([firsts[kind].weight_kg for kind in self._kind_of])
         self._worth = _worth(sizes, self._weight, taste)
         self._taste = taste
-        # In the table a base includes the free space, and the target is larger by the free space of the last box.
-        # In the balance a base is the box's own, since free space does not support anything.
+        # In the table, a base includes the free space, and the target is larger by the free space of the last box.
+        # In the balance, the base has only the box's own size, since free space does not support anything.
         self._base = sizes[:, :2]
         length, width = extent_mm
         self.extent_mm = (length + clearance_mm, width + clearance_mm)
@@ -183,7 +184,7 @@ class Packing:
             self._keep_shapes(self._kind_of != kind)
 
     def fill(self, highest_mm: float = inf, most: float = inf) -> bool:
-        """Place the best candidate again and again, until there is none. Returns False if it was aborted.
+        """Place the best candidate repeatedly, until there is none. Returns False if filling was aborted.
 
         Args:
             highest_mm: abort as soon as a top is higher than this.

@@ -22,7 +22,7 @@ class End(IntEnum):
 
 class Begin(IntEnum):
     """How filling up begins: with the best candidate; with a candidate that is known to keep the balance; or with the
-    answer to the last question.
+    answer to a question about the balance.
     """
 
     WITH_BEST, WITH_FIRST, WITH_ANSWER = range(3)
@@ -31,14 +31,16 @@ class Begin(IntEnum):
 class Answer(IntEnum):
     """Answers about a balance.
 
-    ``UNKNOWN``: Python must decide whether the box itself tips over. ``NEAR``: a box below is too close to its limit.
+    ``UNKNOWN``: Python must decide whether the box itself tips over. ``NEAR``: the load of a box below acts too close
+    to its limit.
     """
 
     TIPS, KEEPS, UNKNOWN, NEAR = range(4)
 
 
 class Count(IntEnum):
-    """Entries of the table ``counts``: sizes of the tables, boxes placed, the first candidate, beginning and end."""
+    """Entries of the table ``counts``: sizes of the tables, number of placed boxes, the first candidate, and how
+    filling up begins and ends."""
 
     BOXES, POINTS, SHAPES, PLANES, MADE, POINT, SHAPE, HOW, OWN, END, UNDER = range(11)
 
@@ -98,8 +100,8 @@ AXES: Final[Mapping[str, tuple[Any, str]]] = {
     "corners": (_F, "corner 2"),
     "chain": (_F, "corner 2"),
 }
-"""Table of a packing → its element type and axes. The tables have capacity for all boxes that will be placed.
+"""Table of a packing → its element type and axes. The tables have room for all boxes that will be placed.
 
 ``base`` includes the free space, ``own_base`` does not. ``stock`` is the number of remaining boxes by kind. Lengths are
-in mm, except in the tables of the balance (``low_m`` to ``owner``), where they are in m. ``made_shape`` and
+in m in the tables of the balance (``low_m`` to ``owner``), and in mm in all other tables. ``made_shape`` and
 ``made_corner`` are the placed boxes; all tables after them are scratch memory."""

@@ -2,8 +2,8 @@
 
 Rules find packings that are dense and in balance (:mod:`petmjx.packers.beam_search`), with different free spaces
 between neighbours. Simulation shows which of them stand, placed exactly and placed by a robot. Searches run in worker
-processes. One engine simulates the packings of all orders, and gets the packings of an order as soon as they exist:
-engines are fast with many worlds at a time, and no order has to wait for another.
+processes. One engine simulates the packings of all orders, because engines are fast with many worlds at a time. The
+engine gets the packings of an order as soon as they exist, so that no order waits for another.
 """
 
 from __future__ import annotations
@@ -36,9 +36,9 @@ def pack_physical(
     Args:
         orders: pairs of an id and an order.
         how: options of ``petmjx.score`` for the simulation.
-        workers: number of processes for the search. It does not affect the plans.
-        look_ahead: number of next boxes that the packer ``learned`` sees. Its packing is then simulated instead of
-            those of the search. None: the search is used.
+        workers: number of processes for the search. This number does not affect the plans.
+        look_ahead: number of next boxes that the packer ``learned`` sees. If it is given, the packing of ``learned`` is
+            simulated instead of those of the search. None: the search is used.
 
     Raises:
         InputError: options are unusable.

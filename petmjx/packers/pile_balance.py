@@ -9,7 +9,7 @@ Elasticität und Festigkeit"). The plane has the same force and moments as the l
 lever rule.
 
 So a load is a vector (F, F·x, F·y), and the load that a box passes to a box below is linear in its own load: a 3 × 3
-matrix. ``Balance`` stores the products of these matrices, from each box to all boxes below it. So a further box needs
+matrix. ``Balance`` stores the products of these matrices, from each box to all boxes below it. So adding a box takes
 only a few small products, however high the pile is. Forces are in kg (without g, which cancels), lengths in metres.
 """
 
@@ -35,19 +35,20 @@ SHARE_SLACK: Final = 1e-9
 
 MARGIN_M: Final = 0.020
 MARGIN_SHARE: Final = 0.2
-"""Margin by which a resultant must act inside the hull: 20 mm, or for small boxes a share of the shorter side. With 10
-mm and a smallest support of 0.6, all of 60 plans stood as well; the larger margin allows for the errors of a robot."""
+"""Margin by which a resultant must act inside the hull: 20 mm, or for small boxes a share of the shorter side. With a
+margin of 10 mm and a supported share of at least 0.6, all of 60 plans stood as well. The larger margin allows for the
+errors of a robot."""
 
 FAR_M: Final = 0.2
 """Upper limit of reported margins. A box on the carrier has this margin."""
 
 SAME_PLACE_DECIMALS: Final = 9
-"""Corners are rounded to a nanometre. The hull processes points from left to right. Without rounding, it could lose a
-point that lies to the left of others by less than products in float64 can resolve."""
+"""Corners are rounded to a nanometre. The algorithm of the hull processes points from left to right. Without rounding,
+it could lose a point that lies so little to the left of others that products in float64 cannot resolve the distance."""
 
 LEAST_TURN_M2: Final = 1e-12
-"""A point where the hull turns by less than this is not a corner but lies on an edge. This covers rounding errors in
-products of coordinates."""
+"""If the hull turns by less than this at a point, the point is not a corner but lies on an edge. The limit covers
+rounding errors in products of coordinates."""
 
 SLACK_KG_M: Final = 1e-9
 """Tolerance for rounding errors when a load is compared with an edge."""
@@ -60,8 +61,8 @@ class Rest(NamedTuple):
         load: (3,) the box's own weight as a load.
         passed: (n, 3, 3) matrices that turn a load on the box into the load that reaches each of the n earlier boxes;
             None: the box stands on the carrier.
-        planes: (k, 3) edges of the box's hull, moved inward. The product of an edge with a load is ≤ 0 if the load acts
-            inside.
+        planes: (k, 3) edges of the box's hull, moved inward. The scalar product of an edge with a load is ≤ 0 if the
+            load acts inside.
     """
 
     load: FloatArray
@@ -106,7 +107,7 @@ class Balance:
         twin, n = copy.copy(self), self.n
         twin._low, twin._high = self._low.copy(), self._high.copy()
         twin._top_mm, twin._load = self._top_mm.copy(), self._load.copy()
-        twin._passed = np.zeros_like(self._passed)  # memory pages that are never written to cost nothing
+        twin._passed = np.zeros_like(self._passed)  # zeros cost nothing: pages that are never written take no memory
         twin._passed[:n, :n] = self._passed[:n, :n]
         return twin
 
@@ -125,8 +126,8 @@ class Balance:
         return self._load[: self.n]
 
     def rest(self, corner_mm: tuple[float, float, float], base_mm: tuple[float, float], mass_kg: float) -> Rest | None:
-        """The effect of one more box that rests on the tops at its height. None: the new box or a box below would tip
-        over."""
+        """The effect of one more box that rests on tops at the height of its bottom. None: the new box or a box below
+        would tip over."""
         let_down = self._let_down(corner_mm, base_mm, mass_kg)
         if corner_mm[2] <= 0:
             return let_down
@@ -162,8 +163,8 @@ class Balance:
         return Margins(let_down, min(box_margin, FAR_M), min(pile, FAR_M))
 
     def _over_planes(self, let_down: Rest) -> FloatArray:
-        """(k,) product of each plane of the pile with the load of its owner, including one more box. Above 0, the load
-        acts outside.
+        """(k,) product of each plane of the pile with the load of the box that owns it, if one more box is placed. If
+        the product is above 0, the load acts outside.
         """
         assert let_down.passed is not None
         after = self._load[: self.n] + let_down.passed @ let_down.load

@@ -1,8 +1,9 @@
 """Features and chances of placements: a network predicts whether a box stands when a robot places it inexactly.
 
 The network was trained on worlds in which all boxes are placed with the errors of a robot, in plans made by rules and
-partly at random (examples/train_packer). A box counts as standing if it stands to the end, or until another box fails
-first. So the product of these chances over a plan's boxes is the chance that the whole plan stands.
+partly at random (examples/train_packer). A box counts as standing if it stands to the end of the simulation, or if
+another box fails before it. So the product of these chances over a plan's boxes is the chance that the whole plan
+stands.
 """
 
 from __future__ import annotations

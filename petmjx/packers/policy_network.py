@@ -33,7 +33,7 @@ class Network:
 
     @classmethod
     def fresh(cls, mean: FloatArray, scale: FloatArray, n_hidden: int, rng: np.random.Generator) -> Self:
-        """An untrained network, whose scores are 0."""
+        """A network before training. All its scores are 0."""
         f = len(mean)
         hidden = rng.standard_normal((f, n_hidden)) / np.sqrt(f)
         return cls(mean, scale, np.zeros(f), hidden, np.zeros(n_hidden), np.zeros(n_hidden), np.zeros(()))
@@ -78,5 +78,5 @@ class Network:
 
     @classmethod
     def of_arrays(cls, name: str, arrays: dict[str, FloatArray]) -> Self:
-        """The network with the arrays of a file of weights. This is the inverse of ``arrays``."""
+        """The network with the arrays of a file of weights. This function is the inverse of ``arrays``."""
         return cls(**{field: np.asarray(arrays[f"{name}_{field}"], float) for field in cls.__dataclass_fields__})

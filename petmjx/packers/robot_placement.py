@@ -15,9 +15,9 @@ from petmjx.plans.plan import Plan
 def placement_stability(plan: Plan) -> FloatArray:
     """(n,) the chance of each box of a plan to stand when a robot places all boxes inexactly.
 
-    A box stands if it stands to the end, or until another box fails first. The product of the chances is the chance
-    that the whole plan stands. The chance of a box is 0 if it touches no top below it, or if its bottom is below the
-    carrier's top.
+    A box counts as standing if it stands to the end of the simulation, or if another box fails before it. The product
+    of the chances is the chance that the whole plan stands. The chance of a box is 0 if it touches no top below it, or
+    if its bottom is below the carrier's top.
 
     A network estimates the chances without a simulation, in a millisecond per box. ``petmjx.score(plan,
     confidence=64)`` simulates the plan instead. docs/packers.md states how reliable the estimate is.

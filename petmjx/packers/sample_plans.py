@@ -3,8 +3,8 @@
 ``generate`` and ``write_samples`` generate orders with BED-BPP's statistics and pack them. If no packer is named, they
 make a mixed set for trials and benchmarks: about half of its plans (``loose_share``) are packed with an unsafe support
 rule, so that some plans stand and some collapse. A named packer packs all plans by its own rules, as comparisons
-require. Plan i depends only on seed, i, packer and loose_share, so the plans of ``n = 10`` are the first ones of ``n =
-1000``.
+require. Plan i depends only on seed, i, packer and loose_share, so the plans of ``n = 10`` are the first ten plans of
+``n = 1000``.
 
 ``pack_orders`` packs the orders of a file.
 """
@@ -40,8 +40,8 @@ DEFAULT_LOOSE_SHARE = 0.5
 physics ``pallet``), 38 % fail: 38 of the 55 loose plans and none of the 45 strict ones."""
 
 MOST_SAMPLES = 200_000
-"""Largest number of plans of a set: twenty times BED-BPP's number. A file with this many plans has nearly 4 GiB, the
-largest size that petmjx reads."""
+"""Largest number of plans of a set: twenty times BED-BPP's number. A file with this number of plans has nearly 4 GiB,
+the largest size that petmjx reads."""
 
 LOOSE_SUPPORT = (0.3, 0.6)
 """Range from which ``min_support`` of a loose plan is drawn. A strict plan has the default of ``PackRules``."""
@@ -240,7 +240,7 @@ def left_out_of(order_id: str, order: Order, placed: Iterable[PlacedBox], why: s
     """The items of an order that a packing leaves out; None if there are none."""
     counts = Counter(box.item for box in placed)
     missing = []
-    # generated orders have no numbers: their items count from 1
+    # generated orders have no numbers, so their items are numbered from 1
     for number, item in zip(order.numbers or range(1, len(order.items) + 1), order.items, strict=True):
         counts[item] -= 1
         if counts[item] < 0:
@@ -282,7 +282,7 @@ def as_placements(placed: Iterable[PlacedBox]) -> list[Placement]:
 
 
 def _seldom(item: Item) -> dict[str, Any]:
-    """Those properties of an item that few orders give."""
+    """The properties of an item that only few orders give."""
     fields: dict[str, Any] = {} if item.com_mm is None else dict(zip(COM_FIELDS_JSON, item.com_mm, strict=True))
     fields |= {} if item.stiffness_n_mm is None else {"stiffness_n_mm": item.stiffness_n_mm}
     return fields | ({"kind": item.kind} if item.kind else {})

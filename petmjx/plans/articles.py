@@ -2,8 +2,8 @@
 
 The properties are material, centre of mass, stiffness and strength. A strength is given in newtons, or is computed from
 the carton's board by McKee's formula (McKee, Gander, Wachuta 1963, "Compression strength formula for corrugated boxes",
-Paperboard Packaging 48(8)): 5.87 · edge crush strength · √(thickness · perimeter). This is the strength of a new box in
-a press; dividing it by a safety factor gives the strength in use.
+Paperboard Packaging 48(8)): 5.87 · edge crush strength · √(thickness · perimeter). The formula gives the strength of a
+new box in a press; the strength in use is this strength divided by a safety factor.
 """
 
 from __future__ import annotations
@@ -58,7 +58,7 @@ _NUMBERS: Final = {
     _STIFFNESS: SPARSE[_STIFFNESS][:2],
     **dict.fromkeys(COM_FIELDS, (-LARGEST_MM / 2, LARGEST_MM / 2)),
 }
-"""Field → limits between which its values are plausible. A lower limit of 0 is itself not allowed."""
+"""Field → limits between which its values are plausible. If the lower limit is 0, the value must be above 0."""
 _FIELDS: Final = (*_KEYS, _MATERIAL, *_NUMBERS)
 
 _LONGEST_MATERIAL: Final = 100
@@ -114,7 +114,7 @@ class Article:
     stiffness_n_mm: float | None = None
 
     def filled_up(self, other: Article) -> Article:
-        """A copy in which missing values are those of another entry."""
+        """A copy whose missing values are filled from another entry."""
         values = {field.name: value for field in fields(self) if (value := getattr(self, field.name)) is not None}
         return replace(other, **values)
 
@@ -123,8 +123,8 @@ class Article:
 class Articles:
     """Properties by article, by product group and by material.
 
-    The value of each property is that of the article; if the article has none, that of the product group; and if this
-    has none, that of the material.
+    Each property is taken from the article. If the article does not have it, it is taken from the product group, and
+    else from the material.
     """
 
     by_article: Mapping[str, Article]
@@ -158,7 +158,7 @@ def read_articles(path: str | Path) -> Articles:
     """
     file, name = Path(path), printable(str(path))
     try:
-        has_own_reader = is_csv(file) or file.suffix.lower() == ".toml"  # their readers recognise other kinds of files
+        has_own_reader = is_csv(file) or file.suffix.lower() == ".toml"  # these readers recognise foreign files
         if not has_own_reader and (foreign := foreign_kind_of(file)) is not None:
             raise InputError(f"{name}: {foreign}")
         if file.suffix.lower() == ".toml":
@@ -170,7 +170,7 @@ def read_articles(path: str | Path) -> Articles:
         else:
             raise InputError(f"{name}: the name must end in one of .toml, {PARQUET_SUFFIX}, {', '.join(CSV_SUFFIXES)}")
         articles: dict[str, dict[str, Article]] = {key: {} for key in (*_KEYS, _MATERIAL)}
-        for where, row in rows:  # rows are read one at a time: as dictionaries, a million take a gigabyte
+        for where, row in rows:  # rows are read one at a time, since a million rows as dictionaries take a gigabyte
             key, value, article = _article(f"{name}: {where}", row)
             if value in articles[key]:
                 raise InputError(f"{name}: {where}: {key} {printable_name(value)} is there twice")

@@ -1,8 +1,8 @@
 """Meanings of the columns of other tools' tables (``BoxColumns``): sizes, places, rotations, weights and names of
 boxes.
 
-In this module cells become numbers, and each bad cell becomes a line that names its row and column. What the numbers
-mean (units, axes, anchors) is decided later (``petmjx.plans.readings``).
+In this module cells become numbers, and each bad cell becomes a line that names its row and column. The meaning of the
+numbers (units, axes, anchors) is decided later (``petmjx.plans.readings``).
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ ROLES: Final = (
 """Roles that the option ``columns`` can assign to a column. ``sizes`` and ``position`` are three numbers in one
 column."""
 IGNORED: Final = "-"
-"""Written instead of a column's name: no column has this role."""
+"""If this is given instead of a column's name, no column has the role."""
 
 _ON_AXES: Final = {"0": "x", "1": "y", "2": "z", "length": "x", "width": "y", "height": "z", "depth": "z"}
 _XYZ: Final = ("x", "y", "z")
@@ -91,9 +91,9 @@ class Turns:
     Attributes:
         column: name of the column.
         rules: names of the rules that are possible with its values (``readings.ROTATION_RULES``).
-        codes: (n,) number of each rotation: 0 to 5 as in py3dbp, or quarter turns; −1: unknown.
-        letters: (n, 3) for rotations written as letters, the size that lies along each axis; None: they are not
-            letters.
+        codes: (n,) number of each rotation: 0 to 5 as in py3dbp, or the number of quarter turns; −1: unknown.
+        letters: (n, 3) the size that lies along each axis, if rotations are written as letters; None: rotations are not
+            written as letters.
     """
 
     column: str
@@ -116,11 +116,11 @@ class BoxColumns:
         plan, article, item_id, group: (n,) names; None: no column has them.
         sequence: (n,) packing order; None: no column has it. A running number is not a packing order, since it may
             count in any order.
-        counters: name → (n,) whole numbers, of columns whose name could be that of a packing order ("Nr", "Pick"); NaN
-            for cells that are not whole numbers.
-        columns: role → name of its column, for all roles except those of the geometry.
+        counters: columns of whole numbers that may be a packing order because of their names ("Nr", "Pick"): name →
+            (n,) numbers; NaN for cells that are not whole numbers.
+        columns: role → name of its column, for all roles except sizes and places.
         faults: row → (column, error text) of the first bad cell in the row.
-        unread: names of columns that have no meaning here.
+        unread: names of columns that are not used.
     """
 
     source: BoxSource
@@ -185,8 +185,8 @@ class Extraction:
         self.faults.setdefault(row, (self.table.header[index], text))
 
     def numbers(self, index: int, units: Mapping[str, float]) -> tuple[FloatArray, str]:
-        """(n,) numbers of a column, NaN if a cell is bad; and the unit according to its name or cells ("": none is
-        given)."""
+        """(n,) numbers of a column, NaN if a cell is bad. Also returns the unit according to the column's name or cells
+        ("": none is given)."""
         rows: list[Sequence[CellNumber]] = []
         for row, cell in enumerate(self.cells(index)):
             number = cell_number(cell, self.table.decimal)
@@ -202,7 +202,7 @@ class Extraction:
         return values[:, 0], unit
 
     def triples(self, index: int) -> tuple[FloatArray, str]:
-        """(n, 3) numbers of a column with three numbers per cell; and their unit."""
+        """(n, 3) numbers of a column with three numbers per cell. Also returns their unit."""
         rows: list[Sequence[CellNumber]] = []
         for row, cell in enumerate(self.cells(index)):
             triple = cell_triple(cell, self.table.decimal)
@@ -217,11 +217,11 @@ class Extraction:
     def _in_one_unit(
         self, index: int, rows: Sequence[Sequence[CellNumber]], units: Mapping[str, float], width: int
     ) -> tuple[FloatArray, str]:
-        """(n, width) numbers of a column, NaN for rows without numbers; and their unit ("": none is given).
+        """(n, width) numbers of a column, NaN for rows without numbers. Also returns their unit ("": none is given).
 
-        A number without a unit has the unit of the column's name, of an option, or of the form. If none of these gives
-        one, the number is bad if other cells have units, since the unit of one cell does not imply that of another.
-        Zero needs no unit.
+        A number without a unit gets the unit that the column's name, an option or the form gives. If none of them gives
+        a unit, but other cells of the column have units, the number is bad, since the unit of one cell does not imply
+        the unit of another cell. Zero needs no unit.
         """
         values = np.full((len(rows), width), np.nan)
         is_mass = "kg" in units
@@ -257,7 +257,7 @@ class Extraction:
     # Geometry.
 
     def columns_of(self, *kinds: str) -> dict[str, list[int]]:
-        """Axis → the columns of these kinds that describe boxes."""
+        """Axis → the columns for this axis whose meaning is of one of these kinds and describes boxes."""
         by_axis: dict[str, list[int]] = {}
         for index, meaning in enumerate(self.meanings):
             if meaning is not None and meaning.kind in kinds and not meaning.of_container:
@@ -352,7 +352,8 @@ class Extraction:
         return choices[:1]
 
     def corner_choices(self) -> list[Geometry]:
-        """Geometries from two corners: that with the smallest and that with the largest coordinates."""
+        """Geometries from two corners of each box: the corner with the smallest and the corner with the largest
+        coordinates."""
         header = self.table.header
         ends = [self.columns_of(kind) for kind in ("low", "position", "edge1", "edge2", "high")]
         low, plain, first, second, high = ends
@@ -453,7 +454,8 @@ class Extraction:
         return Geometry(size, place, axes, size_unit, place_unit, anchor, True, columns, turn=np.abs(np.rint(rotation)))
 
     def array_choices(self) -> list[Geometry]:
-        """Geometries of columns without names: sizes first, or places first, or two corners."""
+        """Geometries of columns without names. The first columns may be sizes or places, or the columns may be two
+        corners."""
         header, width = self.table.header, len(self.table.header)
         starts = [start for start in (0, 1) if width >= start + 6]
         geometries = []
@@ -480,7 +482,8 @@ class Extraction:
         return geometries
 
     def array_extras(self, geometries: Sequence[Geometry]) -> tuple[Turns | None, int | None, bool]:
-        """Rotations, the column of weights, and whether weights are densities, from further columns without names.
+        """Interpret the further columns without names. Returns rotations, the column of weights, and whether the
+        weights are densities.
 
         Whole numbers from 0 to 5 are rotations. Numbers up to ``_DENSEST`` are densities relative to water. All others
         are weights.
@@ -525,13 +528,13 @@ class Extraction:
         return [cell_text(cell) for cell in self.cells(index)], self.table.header[index]
 
     def filled_down(self, names: list[str] | None, column: str, least_rows: float = 1.0) -> list[str] | None:
-        """(n,) the name of the plan or order of each row. Blank cells below a name, as merged cells leave them, get
-        this name. Each name must then be written only once, in the first row of its block.
+        """(n,) the name of the plan or order of each row. Blank cells below a name, as in sheets with merged cells, get
+        this name. If there are blank cells, each name must be written only once, in the first row of its block.
 
         Args:
             names: texts of the cells; None: there is no column.
             column: name of the column.
-            least_rows: smallest mean number of rows per name. Columns with more names are not changed.
+            least_rows: a column with fewer rows per name in the mean is not changed.
 
         Raises:
             InputError: there are blank cells that cannot be filled in this manner.
@@ -564,7 +567,7 @@ class Extraction:
         )
 
     def counters(self, used: Collection[str]) -> dict[str, FloatArray]:
-        """Unused columns of whole numbers whose names could be those of a packing order."""
+        """Unused columns of whole numbers whose names could mean a packing order."""
         columns: dict[str, FloatArray] = {}
         for index, name in enumerate(self.table.header):
             if name in used or not may_count(name):
@@ -631,14 +634,14 @@ class Extraction:
 
 
 _DENSEST: Final = 1.5
-"""Largest density, relative to water, in a column without a name. It is denser than any carton."""
+"""Largest density, relative to water, in a column without a name. No carton is as dense."""
 _LEVEL: Final = 2e-3
 """Largest deviation of a rotation matrix from right angles: 3.6°. Poses are written with three digits."""
 
 
 _MOST_SOUND: Final = 0.9
-"""Smallest share of the rows of a table without a header that must match the guessed meaning of a column. The other
-rows then have bad cells."""
+"""In a table without a header, at least this share of the rows must match the guessed meaning of a column. Rows that do
+not match have bad cells."""
 
 
 def _mostly(rows: NDArray[np.bool_]) -> bool:
@@ -659,8 +662,8 @@ def _role_of(meaning: ColumnMeaning) -> str:
 
 
 def _same_prefix(header: Sequence[str], picked: Sequence[Sequence[int]]) -> list[tuple[int, ...]]:
-    """Three columns of the same object, such as ``dimensions.width`` … If no three belong to the same object, the first
-    column of each size."""
+    """Three columns that belong to the same object, such as ``dimensions.width`` and its siblings. If no three columns
+    do, the first column of each size."""
     by_prefix: dict[str, list[int]] = {}
     for number, columns in enumerate(picked):
         for index in columns:
@@ -686,8 +689,8 @@ def _matrix_of(cell: Any) -> FloatArray | None:
 
 
 def _bad_member(cell: Any) -> str:
-    """The number, from 0, of the first member of a matrix that is not a number, for messages; "" if the shape is
-    wrong."""
+    """The fault of a matrix, for messages: the index, from 0, of its first member that is not a number; "" if the shape
+    is wrong."""
     flat = [value for row in cell for value in (row if isinstance(row, list | tuple) else (row,))] if cell else []
     for index, value in enumerate(flat):
         number = cell_number(value)

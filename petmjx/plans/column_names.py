@@ -163,14 +163,14 @@ class ColumnMeaning:
 
     Attributes:
         kind: role of the column.
-        axis: for sizes: length, width, height, depth, or x, y, z (``dx``, ``LX``); for positions: x, y, z, or the word
-            for a size; for both: "0", "1", "2" for the members of a list; "": no axis.
+        axis: axis of a size or a position; "": no axis. Sizes have length, width, height, depth, or x, y, z (``dx``,
+            ``LX``). Positions have x, y, z, or the word for a size. Members of a list have "0", "1", "2".
         unit: name of the unit in ``LENGTH_UNITS`` or ``MASS_UNITS``; "": no unit.
         anchor: for positions, the point according to the name (``centre``, ``base-centre``, ``corner``); "": none is
             given.
         placed: whether the name implies that sizes are those of the box as placed.
         half: whether sizes are half extents.
-        of_container: whether the column describes the container or pallet instead of the box.
+        of_container: whether the column describes the container or the pallet, not the box.
         letter: whether the axis is given by a single letter.
         order: for three numbers in one cell, the names of their axes, such as ("length", "width", "height"); empty: no
             names.
@@ -258,7 +258,7 @@ _COUNTER: Final = re.compile(
 
 
 def may_count(name: str) -> bool:
-    """Whether a name may be that of a column that numbers boxes, in any order: "N°", "Lfd. Nr.", "#", "Pick"."""
+    """Whether a column with this name may number the boxes, in any order: "N°", "Lfd. Nr.", "#", "Pick"."""
     return bool(_COUNTER.match(" ".join(re.findall(r"[a-z]+|#", plain_text(name.rpartition("[")[0] or name).lower()))))
 
 
@@ -389,7 +389,7 @@ def _orders(words: set[str]) -> tuple[str, ...]:
 
 
 def _letters_order(letters: str) -> tuple[str, ...]:
-    """The sizes that three letters such as "WHD" name; empty if they name none."""
+    """The sizes that three letters such as "WHD" stand for; empty if they stand for none."""
     for initials, axes in _LETTERS:
         if sorted(initials) == sorted(letters):
             return tuple(axes[initials.index(letter)] for letter in letters)

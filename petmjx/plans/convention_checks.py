@@ -1,7 +1,7 @@
 """Detects plans in other conventions: centres given as corners, metres as millimetres, or y and z swapped.
 
 A plan is odd if boxes float or overlap. An odd plan is read in other conventions. If it is no longer odd in one of
-them, the plan probably follows this convention. Plans whose boxes really are odd stay odd in every convention. If all
+them, the plan probably follows this convention. Plans whose boxes really are odd are odd in every convention. If all
 lengths or all masses have a wrong unit, the layout looks right; such a unit is recognised by the density of the boxes.
 """
 
@@ -34,17 +34,17 @@ from petmjx.plans.plan_warnings import (
 
 MOST_UNEXPLAINED: Final = 100
 ONE_IN: Final = 50
-"""Limits of the search, since reading a plan in all conventions takes 2 ms. After ``MOST_UNEXPLAINED`` odd plans that
-no convention explains, only every ``ONE_IN``-th odd plan is read in all conventions. The other odd plans are read only
-in conventions that have explained earlier plans."""
+"""Limits of the search. The search is limited because reading a plan in all conventions takes 2 ms. After
+``MOST_UNEXPLAINED`` odd plans that no convention explains, only every ``ONE_IN``-th odd plan is read in all
+conventions. The other odd plans are read only in conventions that have explained earlier plans."""
 
 LIGHTEST_KG_M3: Final = 2.0
 HEAVIEST_KG_M3: Final = 20_000.0
 """Limits of the density of a whole plan. Air has 1.2 kg/m³, crisps in cartons have 30 and gold has 19,300."""
 _USUAL_KG_M3: Final = 300.0
 _USUAL_M3: Final = 0.015
-"""Usual density and volume of a carton, from BED-BPP's orders. They distinguish grams from centimetres: either makes
-plans a thousand times too dense."""
+"""Usual density and volume of a carton, from BED-BPP's orders. Masses in grams and lengths in centimetres both make
+plans a thousand times too dense. The usual volume shows which of the two it is."""
 
 LEAST_SHARE: Final = 0.25
 """Smallest share of the plans with odd layouts that a convention must explain to be reported. If a packer makes a
@@ -66,21 +66,21 @@ _Layout = tuple[FloatArray, FloatArray]
 
 @dataclass(frozen=True, eq=False)
 class Convention:
-    """A convention other than petmjx's, in which a plan is read as well.
+    """A convention other than petmjx's, in which an odd plan is read as a trial.
 
     Attributes:
         looks: how plans in this convention look, for messages.
         advice: how to correct the plan, for messages. ``{lowest}`` stands for the z of the lowest box, ``{x}`` and
             ``{y}`` for the middle of the carrier, mm.
-        read: function that converts corners and sizes to petmjx's convention. None: reading the plan in this convention
-            changes nothing.
+        read: function that converts corners and sizes to petmjx's convention. None: the convention does not change
+            corners and sizes.
         least_odd: smallest number of floating boxes and overlaps in a plan that this convention may explain, if the
             lowest box does not float.
-        of_turned: whether ``read`` is applied only to boxes that their orientation turns. All other boxes stay
-            unchanged.
-        of_some: whether ``read`` is applied only to those of these boxes that overlap less afterwards.
-        least_share: smallest share of the boxes above the carrier that must float or overlap, at least one of them by
-            more than ``_SMALL_MM``.
+        of_turned: whether ``read`` is applied only to boxes that their orientation turns. All other boxes are not
+            changed.
+        of_some: whether ``read`` is applied only to those turned boxes that overlap fewer boxes afterwards.
+        least_share: the convention is considered only if at least this share of the boxes above the carrier floats or
+            overlaps, and one of them by more than ``_SMALL_MM``.
     """
 
     looks: str
@@ -124,14 +124,15 @@ _TURNED: Final = (
 )
 _YZ: Final = ("y and z look swapped", "give heights as z")
 _MOST: Final = 0.5
-"""Smallest share of the boxes above the carrier that float or overlap when y and z are swapped. In a correct plan
-whose rows are flush in y, no box floats or overlaps even after y and z are swapped. So a few boxes that float or
-overlap are no evidence."""
+"""Smallest share of the boxes above the carrier that must float or overlap before swapped y and z are considered. In a
+correct plan whose rows are flush in y, no box floats or overlaps even after y and z are swapped. So a few boxes that
+float or overlap are no evidence."""
 _SMALL_MM: Final = 20.0
 """Gaps and overlaps up to this size come from sheets, rounded heights or careless packers, not from a convention."""
 
 _WALL: Final = Convention(*_YZ, lambda corner, size: (corner[:, [0, 2, 1]], size[:, [0, 2, 1]]), least_share=_MOST)
-"""A wall or a row of boxes whose heights are all in y. Nothing floats or overlaps, but the plan is too long."""
+"""The convention of a wall or a row of boxes whose heights are all in y. No box floats or overlaps, but the plan is too
+long."""
 
 LAYOUTS: Final[tuple[Convention, ...]] = (
     Convention(*_TURNED, lambda corner, size: (corner, size[:, [1, 0, 2]]), least_odd=1, of_turned=True),
@@ -182,7 +183,7 @@ TONNES: Final = Convention("masses look as if they were in tonnes", "give units 
 
 @dataclass
 class _ConventionMatch:
-    """The plans that follow one convention: a line about the first plan, and their number."""
+    """The plans that follow one convention: their number, and a line about the first of them."""
 
     example: str
     advice: str
@@ -214,7 +215,7 @@ class _Search:
             self._add(unit[0], plan, unit[1])
             if unit[0].read is not None:
                 corner, size = unit[0].read(plan.corner_mm, plan.size_mm)
-                # Pallets have fixed sizes, so kinds are dropped.
+                # ``kinds`` are dropped, because the size of a kind of pallet is fixed, and must not be converted.
                 plan = replace(plan, corner_mm=corner, size_mm=size, kinds=())
                 odd = check_layout(plan.plan_id, plan.source, corner, size, self.extent_mm)
         if odd is None:
@@ -267,7 +268,7 @@ def with_conventions(plan_set: PlanSet, extent_mm: tuple[float, float] | None) -
     readings = [f"{source}: {reading.line()}" for source, reading in plan_set.readings.items()]
     own_plans = [
         plan for plan in plan_set.plans if plan.source not in plan_set.readings
-    ]  # conventions of the rest are known
+    ]  # the other plans already have a reading
     own_odd = [layout for layout in odd if layout.source not in plan_set.readings]
     conventions = _find_conventions(own_plans, own_odd, extent_mm)
     return replace(plan_set, warnings=odd, conventions=[*readings, *conventions])
@@ -363,9 +364,9 @@ def _is_mostly_odd(plan: Plan, least_share: float) -> bool:
 
 
 def _is_wall_lying(plan: Plan, odd: PlanWarnings, extent_mm: tuple[float, float]) -> bool:
-    """Whether a plan whose boxes all have z = 0 is a wall with y and z swapped. This is so if the plan extends beyond
-    the carrier in y, and if after a swap some boxes lie on others, all have support, and none is outside. A layer that
-    would fit after a turn is not odd."""
+    """Whether a plan whose boxes all have z = 0 is a wall with y and z swapped. Two conditions must hold: the plan
+    extends beyond the carrier in y; and after a swap, some boxes lie on others, all boxes have support, and none is
+    outside. A layer that would fit on the carrier after a turn is not odd."""
     if odd.n_floating or odd.n_overlapping_pairs or plan.corner_mm[:, 2].max() > DEFAULT_TOLERANCE_MM:
         return False
     length, width = np.array(extent_mm) + DEFAULT_TOLERANCE_MM
@@ -390,7 +391,8 @@ def _from_the_middle(plan: Plan, way: Convention | None, extent_mm: tuple[float,
 
 
 def _odd_densities(plans: Sequence[Plan]) -> dict[str, tuple[Convention, str]]:
-    """Plan id → the unit that explains an impossible density, and in words the box with the most extreme density."""
+    """Plan id → the unit that explains an impossible density, and a description of the box with the most extreme
+    density."""
     if not plans:
         return {}
     begins = np.cumsum([0, *(plan.n_boxes for plan in plans[:-1])])
@@ -409,7 +411,8 @@ def _odd_densities(plans: Sequence[Plan]) -> dict[str, tuple[Convention, str]]:
 
 
 def _why_dense(density: float, volume_m3: float) -> Convention:
-    """The convention that makes the density of a plan and the mean volume of its boxes most usual."""
+    """The convention in which the density of a plan and the mean volume of its boxes are closest to the usual
+    values."""
 
     def unusual(length: float, mass: float) -> float:
         of_volume = length**3

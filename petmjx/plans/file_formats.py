@@ -1,4 +1,4 @@
-"""File formats: recognises files of plans, and has the error texts for files of other programs."""
+"""File formats: recognises files of plans, and describes in error texts the files of other programs."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ CSV_SUFFIXES: Final = (".csv", ".csv.gz", ".tsv", ".tsv.gz")
 
 @runtime_checkable
 class SupportsArrow(Protocol):
-    """A table with Arrow's PyCapsule interface, such as those of pandas, Polars and PyArrow."""
+    """A table with Arrow's PyCapsule interface, such as a table of pandas, Polars or PyArrow."""
 
     def __arrow_c_stream__(self, requested_schema: object | None = None) -> object:
         """The columns of the table, as a stream for Arrow."""
@@ -33,7 +33,8 @@ class NoBoxes(NoGeometry):
 
 
 def is_csv(path: Path) -> bool:
-    """Whether a file is CSV according to its name. Its content alone could also be damaged JSON."""
+    """Whether a file is CSV according to its name. The name is needed, because the content of a CSV file could also be
+    damaged JSON."""
     return path.name.lower().endswith(CSV_SUFFIXES)
 
 
@@ -55,8 +56,8 @@ def is_parquet(path: Path) -> bool:
 
 _N_NEEDED: Final = 5
 _COLUMN: Final = re.compile(rb"(plan_id|sequence|article|(length|width|height|weight)[\w/ ()]*|[xyz]_mm)")
-"""Names of columns. If the name of a file does not show that it is a table, text with more than ``_N_NEEDED`` of them
-is recognised as a table."""
+"""Names of columns. If the name of a file does not show that the file is a table, text with more than ``_N_NEEDED`` of
+these column names is recognised as a table."""
 
 _JSON: Final = re.compile(rb"\s*+(\{\s*+[\"}]|\[\s*+[\"\[{\]])")
 """The beginning of JSON. No header of a table begins like this."""
@@ -71,7 +72,7 @@ _POINTS: Final = re.compile(r"[+-]?\d{1,3}(\.\d{3})+")
 _GROUPED: Final = re.compile(
     r"[+-]?\d{1,3}(?P<mark>[.,'\u2019 \u00a0\u202f])\d{3}(?:(?P=mark)\d{3})*(?:(?P<decimal>[.,])\d+)?"
 )
-"""Numbers with a mark between groups of three digits, and possibly a decimal mark."""
+"""A number with a mark between groups of three digits, and possibly a decimal mark."""
 
 
 def foreign_kind_of(path: Path) -> str | None:
@@ -96,13 +97,13 @@ _LOOKED_AT_TEXT: Final = 1 << 16
 _OWN_JSON: Final = re.compile(rb'"(item_sequence|length/mm)"')
 _OTHER_UNITS: Final = re.compile(rb'"length/(cm|dm|m|in|inch|ft)"')
 _OTHER_TOOLS: Final = (b"PK\x03\x04", b"\x93NUMPY")
-"""The first bytes of workbooks and of archives of arrays; and those of arrays."""
+"""The first bytes of workbooks and of archives of arrays, and the first bytes of arrays."""
 _SCENE: Final = re.compile(rb"<mujoco[\s>/]")
 
 
 def looks_like_own_json(data: bytes | bytearray) -> bool:
-    """Whether a text has fields of BED-BPP's plans or orders, in general near its beginning, and only in usual
-    units."""
+    """Whether a text has fields of BED-BPP's plans or orders, all of them in the usual units. Usually only the
+    beginning of the text is searched."""
     if _OWN_JSON.search(data, 0, _LOOKED_AT_TEXT) is not None:
         return True
     if _OTHER_UNITS.search(data, 0, _LOOKED_AT_TEXT) is not None:
@@ -116,7 +117,7 @@ def is_of_other_tools(data: bytes | bytearray) -> bool:
 
 
 def looks_like_json(data: bytes | bytearray) -> bool:
-    """Whether a text begins like JSON, and like no table."""
+    """Whether a text begins like JSON and not like a table."""
     return _JSON.match(data) is not None
 
 
@@ -130,8 +131,8 @@ def separator_mark(header: bytes | bytearray) -> str | None:
 
 
 def other_encoding(text: str) -> str:
-    """The end of a message about a text that is not UTF-8: what it probably is. Bytes that are not UTF-8 have become
-    lone surrogates."""
+    """The end of a message about a text that is not UTF-8. The text names the probable encoding. In the text, bytes
+    that are not UTF-8 have become lone surrogates."""
     if not all(character.isascii() or is_surrogate(character) for character in text):
         return ""  # the other bytes are UTF-8, so the text is damaged
     try:

@@ -36,7 +36,7 @@ from petmjx.plans.workbooks import RawFile, check_archive, read_raw_tables
 
 @dataclass(frozen=True, slots=True)
 class KnownForm:
-    """Known facts about a form. Facts that are empty are unknown, and chosen by plausibility.
+    """Known facts about a form. An empty field is unknown, and its value is chosen by plausibility.
 
     Attributes:
         name: name of the form, in words.
@@ -72,7 +72,8 @@ class BoxSource:
 
 
 MOST_BYTES: Final = 32 << 20
-"""Largest file of another tool: 200,000 boxes. As Python values, they take ten times as much memory as the file."""
+"""Largest file of another tool. A file of this size holds about 200,000 boxes. As Python values, they take ten times as
+much memory as the file."""
 
 PY3DBP: Final = KnownForm("py3dbp", anchor="corner", rule="py3dbp", sizes="item")
 _UPRIGHT: Final = KnownForm("", anchor="corner", up="z", sizes="placed")
@@ -115,7 +116,7 @@ def sources_of_bytes(data: bytes | bytearray, path: Path) -> list[BoxSource]:
         try:
             value = decoded_json(start)
         except InputError as error:
-            if start.startswith("{") or "nested" in str(error):  # another reader's error says more about it
+            if start.startswith("{") or "nested" in str(error):  # another reader's error explains the fault better
                 raise NoBoxes(str(error)) from None
             raise
         sources = [_with_named_units(_with_known_form(boxes)) for boxes in box_lists(value)]
@@ -421,7 +422,8 @@ _MOST_HEADER: Final = 10_000
 
 
 def _loaded_array(data: bytes | bytearray, name: str = "") -> Any:
-    """Load an array from .npy bytes. Its header is compared with the number of bytes before memory is reserved.
+    """Load an array from .npy bytes. Before memory is reserved, the size in the array's header is compared with the
+    number of bytes.
 
     Args:
         name: name of the member of an archive, for errors; "" if the file is the array.
@@ -477,7 +479,8 @@ def _loaded_arrays(data: bytes | bytearray) -> dict[str, Any]:
 
 
 def _sources_of_arrays(arrays: Mapping[str, Any]) -> list[BoxSource]:
-    """Turn arrays into lists of boxes: one array with a row per box, or several arrays with a row per box each.
+    """Turn arrays into lists of boxes. There may be one array with a row per box, or several arrays that each have a
+    row per box.
 
     Raises:
         InputError: no array has rows that are boxes.
@@ -528,7 +531,7 @@ def _sources_of_arrays(arrays: Mapping[str, Any]) -> list[BoxSource]:
         rows, places, parts = [], [], []
         for number, plan in enumerate(plans.tolist()):
             used = [index for index, row in enumerate(plan) if any(row)]
-            for index in range(used[-1] + 1 if used else 0):  # arrays of fixed length are filled up with zeros
+            for index in range(used[-1] + 1 if used else 0):  # arrays of fixed length end with rows of zeros
                 rows.append(tuple(plan[index]))
                 places.append(f"row {index}" if array.ndim == 2 else f"plan {number}, row {index}")
                 parts.append("" if array.ndim == 2 else str(number))
@@ -561,7 +564,7 @@ def _as_plans(sources: Sequence[BoxSource]) -> list[BoxSource]:
 
 
 def column_names_known(columns: Mapping[str, Any]) -> bool:
-    """Whether the names of arrays are those of sizes and places."""
+    """Whether the names of arrays are known names of sizes and places."""
     names = [name if array.ndim == 1 else f"{name}[0]" for name, array in columns.items()]
     kinds = {meaning.kind for meaning in column_meanings(names) if meaning is not None}
     posed = any(array.ndim == 3 for array in columns.values())

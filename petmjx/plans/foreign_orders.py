@@ -39,8 +39,8 @@ def foreign_orders(data: bytes | bytearray, path: Path, source: str, reading: Or
         source: name of the file in messages.
 
     Raises:
-        NoBoxes: the file contains nothing like boxes.
-        InputError: the file cannot be read as orders, or can be read in two ways. The lines do not name the file.
+        NoBoxes: the file contains nothing that resembles boxes.
+        InputError: the file cannot be read as orders, or has two possible readings. The error does not name the file.
     """
     numbers = order_source(data) or _array_of_sizes(data)
     if numbers is not None:
@@ -64,8 +64,8 @@ def frame_orders(frame: Any, source: str, reading: OrderReading) -> ForeignOrder
 
 
 def _has_three_places(source: BoxSource) -> bool:
-    """Whether a list has coordinates x, y and z that are not all empty or zero. A column "Position" alone may number
-    the rows of an order."""
+    """Whether a list has coordinates x, y and z that are not all empty or zero. A column "Position" alone is not
+    enough, since it may number the rows of an order."""
     kinds: dict[str, set[str]] = {}
     table = source.boxes.table
     for index, meaning in enumerate(source.boxes.meanings):
@@ -93,7 +93,7 @@ def _with_articles(sources: Sequence[BoxSource], items: Path | None) -> BoxSourc
     None if there are no such lines.
 
     Raises:
-        InputError: the file of items cannot be read, or its items are not those of the orders.
+        InputError: the file of items cannot be read, or its items do not belong to the orders.
     """
     lines = [source for source in sources if not has_sizes_of_items(source) and "quantity" in source.boxes.kinds]
     if items is not None:
@@ -129,7 +129,7 @@ def _best_source(sources: Sequence[BoxSource], items: Path | None = None) -> Box
 
 
 def _without_gaps(source: BoxSource, columns: Sequence[str]) -> BoxSource:
-    """A source without the rows in which one of these columns lacks a value."""
+    """A source without the rows that lack a value in one of these columns."""
     cells = [source.boxes.table.column(name) for name in columns]
     is_full = np.array([all(cell not in (None, "") for cell in row) for row in zip(*cells, strict=True)], bool)
     left = int((~is_full).sum())

@@ -48,8 +48,8 @@ _WATER_KG_M3: Final = 1000.0
 _RELATIVE: Final = 1.5
 """Densities up to this value are relative to water."""
 _LIGHTEST, _HEAVIEST = 2.0, 5000.0
-"""Median densities outside these limits, kg/m³, suggest wrong weights or lengths. They are below foam and above iron
-parts."""
+"""Median densities outside these limits, kg/m³, suggest wrong weights or lengths. The lower limit is below the density
+of foam, and the upper limit above the density of iron parts."""
 _DECK: Final = re.compile(
     r"^\W*(?:euro?|epal|chep|gma)?[\W\d_]*(?:pallet|palette|paleta|palet|pale|bancale|europalette|europallet|epal|eur|skid)\b",
     re.IGNORECASE,
@@ -61,7 +61,7 @@ _HIGHEST_DECK_MM: Final = 250.0
 _NUMBERS_OF_A_BOX: Final = 6
 """Smallest number of numbers in the row of a box: three sizes and three coordinates."""
 _MANY_OVERLAP: Final = 0.3
-"""If at least this share of the boxes overlap, two pallets have probably been read as one."""
+"""If at least this share of the boxes overlaps, two pallets have probably been read as one."""
 _LEVEL: Final = 0.01
 """Largest height of the lowest box above or below the deck, as a share of the boxes' median height: 2 mm for cartons of
 200 mm. Centres are often rounded to millimetres."""
@@ -83,7 +83,7 @@ class ForeignPlans:
 
     Attributes:
         table: the good plans, as a table of placements in millimetres and kilograms; None if there are none.
-        refused: plans and rows that are unusable.
+        refused: the plans and rows that are unusable.
         reading: how the file was read.
         containers: plan id → size of its container along x, y and z, mm; NaN if unknown.
     """
@@ -101,12 +101,12 @@ def read_foreign(
 
     Args:
         source: name of the file in messages.
-        items: file with the sizes and weights of items, for files that contain only places; None: no file, or a file
-            beside it.
+        items: file with the sizes and weights of items, for files that contain only places; None: such a file is
+            searched for beside the file of plans.
 
     Raises:
         AmbiguousFile: the file can be read in two ways.
-        InputError: the file contains no plans. The lines do not name the file.
+        InputError: the file contains no plans. The error lines do not name the file.
     """
     return plans_of_sources(sources_of_bytes(data, path), path, source, wishes, items)
 
@@ -130,7 +130,7 @@ def plans_of_sources(
     parts = [plans for plans in (first, second) if plans is not None]
     best = min(parts, key=lambda plans: plans.reading.cost, default=None)
     if best is None or (len(parts) == 2 and abs(parts[0].reading.cost - parts[1].reading.cost) < TIE):
-        return _plans_of(chosen, sources, path, source, wishes)  # names a number that can be read as two
+        return _plans_of(chosen, sources, path, source, wishes)  # its error names the number with two meanings
     return best
 
 
@@ -191,7 +191,7 @@ _MOST_BESIDE: Final = 20
 
 
 def _with_articles_beside(best: BoxSource, path: Path) -> BoxSource:
-    """Boxes with the sizes from a file of items beside their file, if exactly one file matches."""
+    """Boxes with sizes added from a file of items that lies beside their own file, if exactly one file matches."""
     try:
         beside = sorted(file for file in path.parent.iterdir() if file != path and _OF_ITEMS.search(file.name))
     except OSError:
@@ -250,8 +250,8 @@ def with_items_of(best: BoxSource, items: BoxSource, name: str, by_number: bool 
     """Boxes with the columns of their items added; None if the items do not belong to the boxes.
 
     Args:
-        by_number: whether the column ID of the boxes is the number of a row of the items, from 0. Sizes must then
-            agree.
+        by_number: whether the column ID of the boxes has the number, from 0, of a row of the items. If so, the sizes in
+            both tables must agree.
     """
     table, other = best.boxes.table, items.boxes.table
     rows = _rows_by_number(table, other) if by_number else _rows_by_name(table, other)
@@ -291,7 +291,8 @@ def _rows_by_number(table: RawTable, other: RawTable) -> list[int | None] | None
 
 
 def _rows_by_name(table: RawTable, other: RawTable) -> list[int | None] | None:
-    """For each box the row of its item, from the pair of columns whose values agree best."""
+    """For each box, the row of its item. Rows are found by the pair of columns (of boxes and items) whose values agree
+    best."""
     best, most = None, _MATCHED * max(len(table.rows), 1)
     for item_column in range(len(other.header)):
         names: dict[str, int] = {}
@@ -310,7 +311,8 @@ def _rows_by_name(table: RawTable, other: RawTable) -> list[int | None] | None:
 
 
 def _no_geometry(columns: BoxColumns, sources: Sequence[BoxSource], path: Path | None, source: str) -> NoGeometry:
-    """The error for a file without places or sizes, with advice. ``NoBoxes`` if it appears to have no boxes at all."""
+    """The error for a file without places or sizes, with advice. If the file appears to have no boxes at all, the error
+    is a ``NoBoxes``."""
     boxes = columns.source.boxes
     kinds = set().union(*(other.boxes.kinds for other in sources))
     file = source if path is None else printable(str(path))
@@ -320,7 +322,7 @@ def _no_geometry(columns: BoxColumns, sources: Sequence[BoxSource], path: Path |
         sum(meaning is not None and meaning.kind == "size" for meaning in column_meanings(other.boxes.table.header))
         for other in (columns.source, *sources)
     )
-    sized = some_sizes and n_sizes != 1  # a column with only one of three sizes is not a box's size
+    sized = some_sizes and n_sizes != 1  # a column for only one of the three sizes is probably not the size of a box
     places_named = bool(boxes.kinds & {"position", "positions", "low", "matrix"}) or columns.source.form == POSES
     if not columns.n_boxes:
         return NoGeometry("holds no box")
@@ -357,7 +359,7 @@ class _Builder:
         self.notes: list[str] = [*columns.source.notes, *self.boxes.table.notes, *self.boxes.left_out]
         self.faults: dict[int, str] = {}
         self.decks: set[int] = set()  # rows that are pallets under boxes
-        self.of_one: tuple[Reading, Candidate] | None = None  # choice if all boxes are one plan
+        self.of_one: tuple[Reading, Candidate] | None = None  # the choice if all boxes are one plan
         self.counters: set[str] = set()  # columns used as packing order
 
     def plans(self) -> ForeignPlans:
@@ -370,7 +372,7 @@ class _Builder:
             lost = self._plans_with_lost(names)
             single_name = self.of_one if len(plans) == 1 and not lost else None
             reading, candidate = single_name or choose_reading(self.columns, plans, self.wishes, lost)
-        except InputError:  # no row is good, or missing rows make the rest implausible
+        except InputError:  # no row is good, or the rest is implausible because rows are missing
             if self.boxes.table.lost:
                 place, fault = self.boxes.table.lost[0]
                 raise InputError(f"{place}: {fault}") from None
@@ -441,8 +443,8 @@ class _Builder:
         return min(faults.items(), default=None)
 
     def _find_pallets(self) -> None:
-        """Find the column that names the pallets, if pallets would otherwise overlap and only one column separates
-        them.
+        """Find the column that names the pallets, if boxes of different pallets would overlap without it. Exactly one
+        column must separate the pallets.
 
         Raises:
             InputError: the column does not have a word for pallets in its name, or several columns separate the
@@ -486,7 +488,8 @@ class _Builder:
         self.notes.append(f"several pallets, by {printable_name(sure[0])}")
 
     def _overlaps(self, plans: Mapping[str, NDArray[np.int64]], share: float) -> bool:
-        """Whether, in the most plausible reading, more than a share of the boxes overlap other boxes, or some float."""
+        """Whether, in the most plausible reading, more than a certain share of the boxes overlaps other boxes, or any
+        box floats."""
         try:
             choice = choose_reading(self.columns, plans, self.wishes)
             evidence = choice[0].evidence
@@ -534,7 +537,7 @@ class _Builder:
             self.notes.append(f"no plan_id: {printable_name(stem)}")
             return [stem] * len(names)
         words = words_of(self.columns.columns.get("plan", ""))
-        if "plan" in words or "order" in words:  # the names are those of plans, not numbers of containers
+        if "plan" in words or "order" in words:  # the names are names of plans, not numbers of containers
             return [name or stem for name in names]
         if len(set(names)) == 1 and names[0].isdigit():
             return [stem] * len(names)  # there is only one container
@@ -565,7 +568,7 @@ class _Builder:
     def _geometry(
         self, reading: Reading, candidate: Candidate, plans: Mapping[str, NDArray[np.int64]]
     ) -> tuple[FloatArray, FloatArray, dict[str, FloatArray]]:
-        """(n, 3) sizes and corners along the plan's axes, mm; and the sizes of the containers, mm."""
+        """(n, 3) sizes and (n, 3) corners along the plan's axes, and the sizes of the containers, all in mm."""
         factor = LENGTH_UNITS[reading.length_units[1]]
         n = self.columns.n_boxes
         size, low = np.full((n, 3), np.nan), np.full((n, 3), np.nan)
@@ -593,9 +596,9 @@ class _Builder:
     ) -> dict[str, float]:
         """Height of the deck of each plan, mm. All plans of a file measure heights from the same level.
 
-        The level is 0 if a plan begins at 0, else it is the lowest box of the file. A plan that begins higher lacks its
-        bottom layer, and floats. If heights are measured from the middle of a container, the deck is at the plan's own
-        lowest box (half the container's height below 0).
+        This level is 0 if the lowest box of any plan is at 0; else it is the height of the lowest box of the file. So a
+        plan that lacks its bottom layer floats. If heights are measured from the middle of a container, the deck is at
+        the plan's own lowest box (half the container's height below 0).
         """
         small = {name: _LEVEL * float(np.nanmedian(size[rows, 2])) for name, rows in plans.items()}
         lowest = {name: float(np.nanmin(low[rows, 2])) for name, rows in plans.items()}
@@ -646,7 +649,7 @@ class _Builder:
         return "; ".join(notes)
 
     def _check_ranges(self, reading: Reading, candidate: Candidate, size: FloatArray, low: FloatArray) -> None:
-        """Add faults for sizes and coordinates out of range, with the names of their columns."""
+        """Add faults for sizes and coordinates that are out of range. A fault names the column."""
         sizes, places = reading.length_units
         names = dict(reading.columns)
         axes = candidate.geometry.axes
@@ -714,7 +717,7 @@ class _Builder:
         return np.asarray(mass)
 
     def _unused(self, reading: Reading) -> tuple[str, ...]:
-        """Names of columns that this reading does not use."""
+        """Names of the columns that a reading does not use."""
         used = set(reading.columns.values())
         return tuple(
             name for name in self.boxes.table.header if name not in used and name.rpartition("[")[0] not in used
@@ -731,7 +734,8 @@ class _Builder:
         return (f"{line}: weights or lengths in another unit? (--units)",)
 
     def _sequence(self, rows: NDArray[np.int64], low: FloatArray, size: FloatArray) -> tuple[NDArray[np.int64], str]:
-        """(n,) packing order of a plan's rows, from 1, and where this order comes from."""
+        """(n,) packing order of a plan's rows, from 1, and the source of this order ("sequence", "rows" or
+        "height")."""
         if self.columns.sequence is not None:
             return self.columns.sequence[rows].astype(np.int64), "sequence"
         order = np.arange(1, len(rows) + 1)
@@ -739,7 +743,7 @@ class _Builder:
         for name, values in self.columns.counters.items():
             counted = values[rows]
             if np.isnan(counted).any() or not _counts_all(counted) or not (np.diff(counted) != 1).any():
-                continue  # some boxes have no number, or the numbers are in the order of the rows
+                continue  # some boxes have no number, or the numbers only repeat the order of the rows
             if not _can_be_placed(counted, low, size):
                 continue
             if not possible:
@@ -755,8 +759,7 @@ class _Builder:
         return order, "rows"
 
     def _repeated(self, rows: NDArray[np.int64]) -> str | None:
-        """The fault of a plan in whose packing order a number is repeated or is not whole; None if there is no
-        fault."""
+        """The fault of a plan's packing order: a number that is repeated or is not whole. None if there is no fault."""
         sequence = self.columns.sequence
         if sequence is None:
             return None
@@ -774,7 +777,8 @@ class _Builder:
         return None
 
     def _order_note(self, orders: Sequence[str], names: Sequence[str]) -> str:
-        """Where the packing order comes from, with a note if no column has a name for it."""
+        """Returns the source of the packing order ("sequence", "rows" or "height"). Adds a note if it does not come
+        from a column."""
         sorted_plans = [name for name, order in zip(names, orders, strict=False) if order == "height"]
         if sorted_plans:
             plans_text = "" if len(orders) == 1 else f" in {first_names(sorted_plans, 3)}"

@@ -26,9 +26,9 @@ from petmjx.plans.plan_fields import sparse_fault
 from petmjx.plans.raw_cells import cell_number, cell_text, number_fault_of
 
 ITEM_ROLES: Final = ("quantity", "layers", "per layer", "total weight")
-"""Roles of columns that only orders have, in addition to ``ROLES``. ``quantity`` is the number of boxes of a row, and
-``per layer`` the number in each of its ``layers``. ``weight`` is the weight of one box, ``total weight`` that of all
-boxes of a row."""
+"""Roles of columns that only orders have, in addition to ``ROLES``. ``quantity`` is the number of boxes in a row of the
+table. ``per layer`` is the number of boxes in each of the row's ``layers``. ``weight`` is the weight of one box, and
+``total weight`` the weight of all boxes of a row."""
 TWO_WAYS: Final = "can be read in two ways:"
 _KINDS: Final[dict[str, Kind]] = {
     "quantity": "quantity", "layers": "layers", "per layer": "quantity", "total weight": "weight",
@@ -88,7 +88,7 @@ _ORDER: Final = word_set("order orders ordre")
 STRENGTH: Final = "strength_n"
 UPRIGHT: Final = "upright"
 BOX_PROPERTIES: Final = (STRENGTH, UPRIGHT)
-"""Columns of boxes for episodes. They are recognised only by these names."""
+"""Columns that only environments read (``for_episodes``). They are recognised only by these names."""
 SIZE_LETTERS: Final = "lwh"
 """Letters in the column ``upright``: length, width, height."""
 
@@ -104,11 +104,11 @@ class ItemColumns:
         size_names: names of the columns of the three sizes, or of the one column that has all three.
         weight: (n,) weights in the file's unit; None: no column has weights.
         weight_unit: unit according to the name or the cells; "": none is given.
-        weight_is: what ``weight`` is: the weight of a "box" or of a "row", or a "density"; "": the weight of a box or
-            of a row, which the name leaves open.
+        weight_is: meaning of ``weight``: the weight of a "box", the weight of a "row", or a "density"; "": the name
+            does not tell whether it is the weight of a box or of a row.
         quantity: (n,) whole numbers of boxes; NaN if a cell is bad; None: one box per row.
         layers: (n,) whole numbers of layers; None: no column has them.
-        per_layer: whether ``quantity`` is the number of boxes of one layer; None: the name leaves it open.
+        per_layer: whether ``quantity`` is the number of boxes of one layer; None: the name does not tell.
         order, article, item_id, group: (n,) names; None: no column has them.
         sequence: (n,) order of arrival; None: no column has it.
         columns: role → name of its column.
@@ -153,19 +153,19 @@ class ItemColumns:
 
 
 def has_sizes_of_items(source: BoxSource) -> bool:
-    """Whether a list has sizes, including those of packingsolver's items: X, Y and Z."""
+    """Whether a list has sizes. In packingsolver's items, X, Y and Z are sizes."""
     return source.boxes.has_sizes or _is_of_packingsolver(source.boxes.table.header)
 
 
 def _is_of_packingsolver(header: Sequence[str]) -> bool:
-    """Whether columns are those of packingsolver's items, in which X, Y and Z are sizes instead of coordinates."""
+    """Whether a table has the columns of packingsolver's items, in which X, Y and Z are sizes, not coordinates."""
     upper = {name.upper() for name in header}
     marks = upper & {"COPIES", "PROFIT"} or any(name.startswith("ROTATION") for name in upper)
     return upper >= {"X", "Y", "Z"} and not upper & {"LX", "LY", "LZ"} and bool(marks)
 
 
 class _ItemExtraction(Extraction):
-    """The columns of one source, including those that only orders have, while their meanings are being determined."""
+    """The columns of one source while their meanings are being determined, including columns that only orders have."""
 
     def __init__(self, source: BoxSource, chosen: Mapping[str, str], units: str = "", masses: str = "") -> None:
         header = source.boxes.table.header
@@ -240,9 +240,10 @@ class _ItemExtraction(Extraction):
         return not (len(integers) > 2 and bool((steps > 0).all())) and min(integers) <= MOST_ITEMS
 
     def maybe_quantity(self) -> str:
-        """A column with an unknown name that may have quantities, which are small whole numbers; "" if there is none.
+        """A column with an unknown name that may have quantities, because its cells are small whole numbers; "" if
+        there is none.
 
-        If articles are repeated, rows are single boxes, and no column has quantities.
+        If articles are repeated, each row is a single box, so no column has quantities.
         """
         articles = next((texts for kind in ("article", "item_id") if (texts := self.texts(kind)[0])), None)
         if (
@@ -266,7 +267,8 @@ class _ItemExtraction(Extraction):
     def role(
         self, role: str, kind: str, *, within: set[int] | None = None, without: set[int] | None = None
     ) -> int | None:
-        """The column of a role: the one that an option names, else the first of its kind; None if there is none."""
+        """The column of a role: the column that an option names, else the first column of its kind; None if the role
+        has no column."""
         name = self.chosen.get(role)
         if name is not None:
             return None if name == IGNORED else self.table.header.index(name)
@@ -357,7 +359,7 @@ class _ItemExtraction(Extraction):
 
     @staticmethod
     def tie(role: str, name: str, other: str) -> InputError:
-        """The error for two columns that may both have a role."""
+        """The error for two columns that could have the same role."""
         return InputError(
             f"{TWO_WAYS} the {role} is {printable_name(name)}, or {printable_name(other)}; say which with --columns "
             f"{role}={name} or --columns {role}={other}"
@@ -482,8 +484,8 @@ def _weight(work: _ItemExtraction, columns: dict[str, str]) -> tuple[FloatArray 
 
 
 def _orders_in(work: _ItemExtraction, index: int) -> list[str] | None:
-    """(n,) customers' orders from a column called "order". This requires that some values are repeated or are not
-    numbers; otherwise the column is a packing order, and the result is None."""
+    """(n,) customers' orders from a column called "order". The column counts as one of customers' orders if some of its
+    values are repeated or are not numbers. If not, it is a packing order, and the result is None."""
     if not _ORDER.intersection(words_of(work.table.header[index])) or "sequence" in work.fixed:
         return None
     cells = [cell_text(cell) for cell in work.cells(index)]
@@ -497,7 +499,7 @@ def with_rows(source: BoxSource, kept: NDArray[np.bool_], notes: tuple[str, ...]
     """A source with only some of its rows, and with more notes.
 
     Args:
-        kept: (n,) True for the rows that stay.
+        kept: (n,) True for the rows that are kept.
     """
     table = source.boxes.table
 

@@ -1,7 +1,7 @@
 """Turns items, given by column, into orders (``orders_of_items``): chooses units, masses, quantities and targets.
 
-If the names leave the unit open, sizes and densities decide. A file with two possible readings is refused. Items
-without weights get a density.
+If column names do not give the unit, sizes and densities decide it. A file with two possible readings is refused. Items
+without weights get the mass that an assumed density gives.
 """
 
 from __future__ import annotations
@@ -34,7 +34,8 @@ from petmjx.plans.reading_files import wishes_of
 from petmjx.plans.readings import Wishes
 
 SET_KG_M3: Final = 200.0
-"""Assumed density of the boxes in RoboBPP's sets, which give no masses. It is close to the mean of BED-BPP's boxes."""
+"""Assumed density of the boxes in RoboBPP's sets, which give no masses. The mean density of BED-BPP's boxes is
+similar."""
 EURO: Final = "euro-pallet"
 _PALLET_MM: Final = (300.0, 1700.0)
 """Limits of the sides of a container that may be a pallet. A container outside them is not a pallet, and its boxes are
@@ -43,16 +44,18 @@ packed on a Euro pallet."""
 _LENGTH_PRIOR: Final = {"mm": 0.0, "cm": 0.0, "m": 0.0, "in": 0.7, "ft": 3.0}
 _MASS_PRIOR: Final = {"kg": 0.0, "g": 0.0, "lb": 0.7, "t": 3.0}
 _MIXED: Final = 1.5
-"""Cost of mixed systems, inches with kilograms or pounds with metric lengths, if no names give the units."""
+"""Cost of a mixed system of units (inches with kilograms, or pounds with metric lengths), if no names give the
+units."""
 _DENSEST_KG_M3: Final = 1e6
 """Densities above this come from damaged weights, and are no evidence of a unit."""
 _BIN_PRIOR: Final = {"mm": 0.0, "cm": 0.0, "dm": 0.0}
-"""Possible units of test problems, whose bins have 10 or 100 units. These stand for 1 m."""
+"""Possible units of test problems. In such problems, the side of a bin is 10 or 100 units, which stand for 1 m."""
 _LIST_PRIOR: Final = {"cm": -1.5, "mm": 0.0, "m": 0.0}
-"""Possible units of lists of lengths. These are RoboBPP's lists, in cm, unless the sizes indicate another unit."""
+"""Possible units of lists of lengths. The unit is cm, as in RoboBPP's lists, unless the sizes indicate another unit."""
 ROW_LEAD: Final = 0.75
-"""Weights of boxes are usual. If weights of rows are more plausible by at least this cost, both readings are possible.
-An example is a row of ten boxes, each of which would otherwise have 1,500 kg/m³."""
+"""A weight in a row usually is that of a single box. If the reading as weights of whole rows has a cost that is lower
+by at least this, both readings are possible. An example is a row of ten boxes, each of which would have 1,500 kg/m³ if
+the weight were that of one box."""
 _WATER_KG_M3: Final = 1000.0
 _RELATIVE: Final = 1.5
 """Densities up to this value are relative to water."""
@@ -65,7 +68,7 @@ SIZES: Final = KnownForm("an array of sizes")
 _WITHOUT_MASSES: Final = (LENGTHS.name, DELI.name)
 """Forms without masses, whose boxes get the density ``SET_KG_M3``."""
 _NUMBERED: Final = (THPACK.name, MPV.name, LENGTHS.name, DELI.name, SIZES.name)
-"""Forms whose orders are named by numbers. The name of the file is put before these numbers."""
+"""Forms whose orders only have numbers as names. The name of the file is put before the number."""
 
 
 @dataclass(frozen=True)
@@ -78,8 +81,8 @@ class OrderReading:
             "1200x1000"; "": the file's container if it is a pallet, else a Euro pallet.
         most_items: largest number of items of an order.
         items: file with the sizes and weights of articles, for orders that give only the articles; None: no file.
-        for_episodes: whether strengths and sides that may be vertical are read. It also suppresses the line about
-            tables that have only petmjx's own names, because an environment reads its orders often.
+        for_episodes: whether ``strength_n`` and ``upright`` are read. If true, the line about the reading is suppressed
+            for a table that has only petmjx's own column names, because an environment reads its orders often.
     """
 
     wishes: Wishes = field(default_factory=Wishes)
@@ -90,7 +93,8 @@ class OrderReading:
 
     @classmethod
     def of(cls, options: RunOptions, target: str | None = None) -> OrderReading:
-        """Take from a run's options those about files of orders: units, columns, density, items and a written reading.
+        """Make an ``OrderReading`` from a run's options about files of orders: units, columns, density, items and a
+        written reading.
 
         Raises:
             InputError: the target is unknown, or the file with the reading cannot be read.
@@ -115,7 +119,7 @@ class ForeignOrders:
 
 @dataclass(frozen=True)
 class _Units:
-    """The units of an order's numbers, and whether its weights are those of rows."""
+    """The units of an order's numbers, and whether a weight is that of a whole row."""
 
     length: str
     mass: str
@@ -189,8 +193,8 @@ class _OrderBuilder:
         return [name or stem for name in names]
 
     def _lost(self, names: Sequence[str]) -> dict[str, str]:
-        """Name of each order that lacks a row → place and fault. A lost row may belong to the order before or after
-        it."""
+        """Name of each order that lacks a row → place and fault of the row. A lost row may belong to the order before
+        it or to the order after it, so both lack it."""
         numbers = [_number_of(place) for place in self.table.places]
         lost: dict[str, str] = {}
         for place, fault in self.table.lost:
@@ -250,8 +254,8 @@ class _OrderBuilder:
         """The most plausible units.
 
         Raises:
-            InputError: two units of lengths are possible, or weights may be those of boxes or of rows, or no row is
-                good.
+            InputError: two units of lengths are possible, or it is unclear whether a weight is that of a box or of a
+                row, or no row is good.
         """
         columns, wishes = self.columns, self.reading.wishes
         is_good = np.array([row not in self.faults for row in range(columns.n_rows)])
@@ -371,7 +375,7 @@ class _OrderBuilder:
         """(n,) the number of boxes of each row.
 
         Raises:
-            InputError: quantities may be those of one layer or of all layers.
+            InputError: it is unclear whether a quantity is that of one layer or of all layers.
         """
         columns = self.columns
         if columns.quantity is None:
@@ -485,7 +489,7 @@ class _OrderBuilder:
 
 _OWN_NAMES: Final = {"weight_kg", "quantity", "order_id", "plan_id", "article", "item_id"}
 _SHOWN: Final = ("weight", "total weight", "density", "quantity", "per layer", "layers", "plan")
-"""Roles whose columns are named after the sizes in the line about the reading."""
+"""Roles whose columns the line about the reading names after the sizes."""
 
 
 def _number_of(place: str) -> int:

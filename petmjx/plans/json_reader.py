@@ -82,8 +82,7 @@ def _gunzip(packed: bytearray) -> tuple[bytearray, str | None]:
 
 
 def _inflate_bytewise(inflate: zlib._Decompress, chunk: memoryview, plain: bytearray) -> None:
-    """Add the part of a chunk before its error. It is unpacked byte by byte, because a call that fails returns no
-    output."""
+    """Unpack the part of a chunk before its error, byte by byte, because a call that fails returns no output."""
     for position in range(len(chunk)):
         try:
             plain += inflate.decompress(chunk[position : position + 1])
@@ -91,8 +90,8 @@ def _inflate_bytewise(inflate: zlib._Decompress, chunk: memoryview, plain: bytea
             return
 
 
-# JSON has fewer kinds of white space than \s. Possessive quantifiers keep matching linear in time, even for malicious
-# text.
+# JSON has fewer kinds of white space than \s.
+# Possessive quantifiers keep matching linear in time, even for malicious text.
 _SPACE: Final = re.compile(rb"[ \t\n\r]*+")
 _KEY: Final = re.compile(rb'("[^"\\]*+(?:\\.[^"\\]*+)*+")[ \t\n\r]*+:[ \t\n\r]*+', re.DOTALL)
 _CUT_KEY: Final = re.compile(rb'("[^"\\]*+(?:\\.[^"\\]*+)*+(\\|"[ \t\n\r]*+)?)?\Z', re.DOTALL)
@@ -107,17 +106,17 @@ _OTHER_VALUES: Final = {
 _SHOWN_ID: Final = 1000
 """Number of bytes of a damaged plan's id that messages show."""
 LONGEST_VALUE: Final = 4 << 20
-"""Largest text of one plan, bytes. A plan of BED-BPP takes 10,000 to 25,000 bytes. In memory, a decoded plan takes up
-to 30 times as much as its text."""
+"""Largest text of one plan, bytes. A plan of BED-BPP takes 10,000 to 25,000 bytes. A decoded plan takes up to 30 times
+as much memory as its text."""
 _FIRST_WINDOW: Final = 1 << 15
 _SMALLEST_WINDOW: Final = 1 << 10
 _LONGEST_TOKEN: Final = 12
-"""Length of the longest token that the end of a window may cut (``-Infinity``, an escape), in characters. Strings and
-numbers are treated separately."""
+"""Length in characters of the longest token, such as ``-Infinity`` or an escape, that the end of a window may cut.
+Strings and numbers are treated separately."""
 
 
 class DuplicateFieldObject(dict[str, Any]):
-    """A JSON object in which a field is repeated. The last value of this field counts.
+    """A JSON object in which a field is repeated. Of a repeated field, the last value is used.
 
     Attributes:
         field: the first field that is repeated.
@@ -149,8 +148,8 @@ def scan_plans(data: bytes | bytearray, of: str = "plan id → placements", noun
         noun: name of an entry in messages.
 
     Raises:
-        MalformedPlans: a part of the text is not JSON (raised after the entries before it), or the file is empty or has
-            no object. The error does not name the file.
+        MalformedPlans: a part of the text is not JSON, or the file is empty or has no object. Entries before the
+            damaged part are yielded first. The error does not name the file.
     """
     at = _after_space(data, 0)
     if at == len(data):
@@ -198,9 +197,9 @@ def _decoded_id(data: bytes | bytearray, key: re.Match[bytes], where: str) -> An
 def _decoded_value(data: bytes | bytearray, begin: int, window: int, where: str) -> tuple[Any, int]:
     """Decode one JSON value. Returns it and the position of its end.
 
-    The decoder receives a window of the text, and a larger one if the value does not fit. Small windows are cheap: the
-    decoder's errors count the lines of all text in the window, and text that is not ASCII takes up to four times its
-    size while it is decoded.
+    The decoder receives a window of the text, and a larger window if the value does not fit. Small windows save time
+    and memory: the decoder's errors count the lines of all text in the window, and text that is not ASCII takes up to
+    four times its size while it is decoded.
 
     Args:
         begin: position of the value.
@@ -244,7 +243,7 @@ def _after_space(data: bytes | bytearray, position: int) -> int:
 def _text(data: bytes | bytearray) -> str:
     """Decode bytes to text. Bytes that are not UTF-8 become lone surrogates.
 
-    The JSON around such bytes can then still be read, and an error about a plan with such a name can name the plan.
+    So the JSON around such bytes can still be read, and a plan whose name has such bytes can be named in errors.
     """
     return data.decode("utf-8", "surrogateescape")
 
@@ -255,8 +254,8 @@ def _n_bytes(text: str, n_characters: int) -> int:
 
 
 def any_integer(digits: str) -> int | float:
-    """An integer of any length. If it is too large for float64 it becomes infinite, and is refused later as not
-    finite."""
+    """Convert an integer of any length. If it is too large for float64, it becomes infinite, and a later check refuses
+    it as not finite."""
     return int(digits) if len(digits) < 400 else float(digits)
 
 

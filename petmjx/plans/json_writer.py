@@ -30,8 +30,8 @@ def write_plans(
 ) -> None:
     """Write (plan id, placements) pairs as one BED-BPP object, one line per placement.
 
-    The file appears only when it is complete. Its bytes depend only on the plans, since the gzip header has no time
-    stamp.
+    The file appears only when it is complete. The file's bytes depend only on the plans, since the gzip header has no
+    time stamp.
 
     Raises:
         InputError: there is no plan, or the file cannot be written.
@@ -104,7 +104,7 @@ def _write_entries(
         raise InputError(f"{printable(str(path))}: there is no {what} to write")
     with atomic_write(path) as temporary, ExitStack() as stack:
         if isinstance(coming, Generator):
-            stack.callback(coming.close)  # the generator is closed even after an error, to end its worker processes
+            stack.callback(coming.close)  # closes the generator even after an error, so that its worker processes end
         out = _open_text(temporary, stack)
         out.write("{")
         for count, (name, value) in enumerate(chain([first], coming), start=1):

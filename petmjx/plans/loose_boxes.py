@@ -1,4 +1,5 @@
-"""Loose boxes: estimates from the plan alone which box tips over first. Used only to estimate times."""
+"""Loose boxes: estimates from the plan alone which box tips over first. The result is used only to estimate simulation
+times."""
 
 from __future__ import annotations
 
@@ -26,8 +27,8 @@ def first_loose(plan: Plan) -> int:
     """The first box, in packing order, whose centre of mass is not over its supports; n if there is none.
 
     The supports of a box are the highest tops of earlier boxes under it, or the carrier. The centre of mass is over the
-    supports if it lies within the bounding rectangle of their contact areas. This rule is less strict than one with the
-    convex hull.
+    supports if it lies within the bounding rectangle of their contact areas. A rule with the convex hull of the contact
+    areas would be stricter.
     """
     low, high = plan.corner_mm, plan.corner_mm + plan.size_mm
     along = [shared_length(low[:, axis], high[:, axis]) for axis in (0, 1)]
@@ -52,7 +53,8 @@ def first_loose(plan: Plan) -> int:
 def placed_shares(plans: Sequence[Plan]) -> FloatArray:
     """(n,) the share of each plan's boxes up to and including its first loose box; 1 if there is none.
 
-    Of more than ``MOST_LOOKED_AT`` plans, only some are examined, and their shares are repeated for the other plans.
+    If there are more than ``MOST_LOOKED_AT`` plans, only some are examined. The other plans get the shares of the
+    examined plans, repeated in order.
     """
     looked_at = (
         [plans[k] for k in np.unique(np.linspace(0, len(plans) - 1, MOST_LOOKED_AT).astype(int))] if plans else []

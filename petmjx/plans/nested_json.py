@@ -29,7 +29,7 @@ _UNPLACED: Final = word_set(
     "unfit unfitted unpacked unplaced unassigned unloaded leftover leftovers remaining rejected failed unused "
     "notpacked notplaced"
 )
-"""Words for lists whose boxes are not in the plan."""
+"""Words in names of lists whose boxes are not part of the plan."""
 _PLACED_FLAGS: Final = frozenset(("packed", "placed", "fitted", "fit", "is_packed", "is_placed", "loaded", "success"))
 _LAYERS: Final = word_set("layer layers level levels tier tiers lage lagen schicht schichten row rows couches")
 """Words for lists whose members are parts of one plan."""
@@ -50,7 +50,7 @@ _LISTED: Final = 16
 
 @dataclass(frozen=True, eq=False)
 class BoxList:
-    """A list of boxes as a raw table, with what the objects around it say.
+    """A list of boxes as a raw table, with information from the objects around it.
 
     Attributes:
         table: the boxes.
@@ -58,7 +58,7 @@ class BoxList:
         parts: (n,) for each row, the name of its plan; "" if the plan has no name.
         containers: name of a plan → axis (as in ``ColumnMeaning``) → size of the plan's container, in the file's unit.
         left_out: a line about boxes that are not placed; "" if there are none.
-        around: fields of the objects around the first box of the list.
+        around: fields of the objects that contain the first box of the list.
     """
 
     table: RawTable
@@ -145,8 +145,8 @@ class _Member:
     Attributes:
         value: the object.
         place: its path in the file: "containers[0].boxes[3]".
-        around: (step, object) pairs for the objects around it, outermost first. A step is the name or the number of the
-            object.
+        around: (step, object) pairs for the objects that contain this object, outermost first. A step is the field's
+            name or the object's number.
     """
 
     value: Mapping[str, Any]
@@ -155,7 +155,7 @@ class _Member:
 
 
 def box_lists(value: Any) -> list[BoxList]:
-    """Find all lists of boxes in a value. Those with places come first, then those with the most boxes.
+    """Find all lists of boxes in a value. Lists with places come first; then the list with the most boxes.
 
     Raises:
         InputError: there are too many boxes.
@@ -215,7 +215,7 @@ def _members(
             if keyed:
                 yield from _members(inner, f"{path}[]", inner_place, (*step, (str(name), {"id": str(name)})), depth + 1)
             elif alike and isinstance(inner, Mapping):
-                around_it = (*around, (_last_step(place), {}))  # this object's fields are boxes, so it is no container
+                around_it = (*around, (_last_step(place), {}))  # this object's fields are boxes: it is no container
                 yield f"{path}[]", _Member({"id": name, **inner}, inner_place, around_it)
                 yield from _members(inner, f"{path}[]", inner_place, step, depth + 1)
             elif isinstance(inner, Mapping | list | tuple | np.ndarray):
@@ -262,8 +262,8 @@ _FORM_WORDS: Final = word_set(
 
 
 def _is_plan_key(value: Mapping[str, Any]) -> bool:
-    """Whether the fields of an object are names of plans: each of them holds a list, and none has a word of a form in
-    its name."""
+    """Whether the names of an object's fields are names of plans. They are if every field holds a list, and no field's
+    name has a word that names a form."""
     lists = [inner for inner in value.values() if isinstance(inner, list) and inner]
     if len(lists) != len(value) or not lists:
         return False
@@ -465,7 +465,7 @@ def _name_text(value: Any) -> str:
 
 
 def _container_of(member: _Member) -> dict[str, float]:
-    """The size of the container around a box, by axis; empty if no size is given."""
+    """The size of the container of a box, by axis; empty if no size is given."""
     for step, holder in reversed(member.around):
         for name, inner in holder.items():
             words = words_of(str(name))

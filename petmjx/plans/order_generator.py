@@ -35,7 +35,8 @@ STD_BOXES = 15.0
 MIN_BOXES = 10
 MAX_BOXES = 80
 """Limits of the number of boxes of an order, which is drawn from a normal distribution. The limits reduce the standard
-deviation by 1, and the packer leaves out about 1 % of the boxes. With both, packed plans have BED-BPP's 43±14 boxes."""
+deviation by 1, and the packer later leaves out about 1 % of the boxes. After both effects, plans have BED-BPP's 43±14
+boxes."""
 
 EURO_PALLET_SHARE = 0.6
 DISTINCT_SHARE = (0.35, 0.7)
@@ -52,16 +53,17 @@ FIRST_ARTICLE_ID = 100_001
 _MEDIAN_KG = 6.0
 _MEDIAN_M3 = 0.02
 _VOLUME_EXPONENT = 0.65
-"""Exponent of volume in the formula for mass. It is below 1, since large cartons hold light goods and so density falls
-with volume (BED-BPP: up to 750 kg/m³ at 8 l, about 100 at 50 l)."""
+"""Exponent of volume in the formula for mass. The exponent is below 1, because large cartons hold light goods, so that
+density decreases with volume. In BED-BPP, cartons of 8 l have up to 750 kg/m³, and cartons of 50 l about 100 kg/m³."""
 _DENSITY_SIGMA = 0.35
 WEIGHT_RANGE_KG = (0.2, 20.0)
 DENSITY_RANGE_KG_M3 = (60.0, 900.0)
 _LIGHT_SHARE = 0.08
 _LIGHT_FACTOR = 0.3
-"""Share of articles that are mostly air whatever their size (crisps, paper cups), and the factor on their mass."""
+"""Share of the articles that are mostly air (crisps, paper cups), whatever their size, and the factor by which their
+mass is multiplied."""
 
-# Random streams of a seed: the first part of their keys. The second part is the number of the order or article.
+# First parts of the keys of a seed's random streams. The second part is the number of the order or article.
 _CATALOGUE_STREAM = 0
 _ORDER_STREAM = 1
 PACKER_STREAM = 2
@@ -85,8 +87,8 @@ _FAMILIES = (
     _Family(0.26, (270, 340), (160, 220), (110, 290), ("poultry", "fish", "side dish", "instant meals")),
     _Family(0.12, (120, 260), (100, 180), (100, 200), ("confectionery", "non-food products")),
 )
-"""The kinds of cartons in BED-BPP's sample: 600 × 400 modules, their halves, long narrow ones, quarters, and small
-cartons."""
+"""The kinds of cartons in BED-BPP's sample: 600 × 400 modules, half modules, long narrow cartons, quarter modules, and
+small cartons."""
 
 
 @dataclass(frozen=True)
@@ -99,8 +101,8 @@ class Item:
         stiffness_n_mm: as in ``Plan``; None: rigid.
         kind: "box", "sheet" or "" (a box).
         strength_n: load that the box can bear on its top, N; None: unknown. Written files of orders do not contain it.
-        upright: those letters of l, w and h whose sizes may be vertical; "": only the height. Written files do not
-            contain it.
+        upright: the letters, among l, w and h, of the sizes that may be vertical; "": only the height. Written files do
+            not contain it.
     """
 
     article: str
@@ -113,7 +115,7 @@ class Item:
     com_mm: tuple[float, float, float] | None = field(default=None, kw_only=True)
     stiffness_n_mm: float | None = field(default=None, kw_only=True)
     kind: str = field(default="", kw_only=True)
-    # packers and matching use neither, so they do not count when items are compared
+    # packers and matching do not use these two fields, so comparisons of items ignore them
     strength_n: float | None = field(default=None, kw_only=True, compare=False)
     upright: str = field(default="", kw_only=True, compare=False)
 
@@ -170,7 +172,7 @@ def target_extent_mm(target: str) -> tuple[float, float]:
 
 
 def stream(seed: int, *key: int) -> np.random.Generator:
-    """The random stream of ``key`` under ``seed``. It is independent of the streams of all other keys."""
+    """The random stream of ``key`` under ``seed``. Streams of different keys are independent of each other."""
     return np.random.Generator(np.random.Philox(np.random.SeedSequence(seed, spawn_key=key)))
 
 

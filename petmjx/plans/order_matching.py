@@ -6,12 +6,12 @@ packed twice, the second box was not ordered. ``sequence`` is ignored, because p
 compared in any orientation.
 
 Properties of goods belong to the order, not to the packer: a box that differs from its item in centre of mass,
-stiffness or kind counts as different, as if its size differed. The properties of an item are those in the order, else
-those in the user's table of articles (:func:`with_properties`). If neither gives any, the item's centre of mass is in
-its middle, and the item is rigid.
+stiffness or kind counts as different, as if its size differed. The properties of an item are taken from the order, else
+from the user's table of articles (:func:`with_properties`). If neither gives any, the item's centre of mass is in its
+middle, and the item is rigid.
 
-``check_orders`` compares plans with a file of orders. It finds items that were left out, boxes that were not ordered,
-and boxes with another size or mass than ordered.
+``check_orders`` compares plans with a file of orders. The comparison finds items that were left out, boxes that were
+not ordered, and boxes with another size or mass than ordered.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ from petmjx.plans.order_reader import read_orders
 from petmjx.plans.plan import Plan
 from petmjx.plans.plan_fields import SHEET
 
-if TYPE_CHECKING:  # importing Articles would load Arrow
+if TYPE_CHECKING:  # importing Articles at run time would load Arrow
     from petmjx.plans.articles import Articles
 
 SIZE_TOLERANCE_MM: Final = 0.5
@@ -48,7 +48,8 @@ MASS_TOLERANCE_KG: Final = 0.0005
 """Masses that differ by at most this are equal, too: half a gram, since small masses are rounded."""
 
 _ROUNDING: Final = 1e-9
-"""Allowance for float64: a difference that is exactly a tolerance may be computed as slightly larger."""
+"""Allowance for rounding in float64: a difference that equals a tolerance exactly may be computed as slightly
+larger."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -58,8 +59,10 @@ class Matching:
     Attributes:
         item: (n,) the item of each box; −1: the box was not ordered, or its items are already matched by other boxes.
         resized: (n,) whether the box differs from its item in size, mass, centre of mass, stiffness or kind.
-        same_size: (n,) whether a ``resized`` box has its item's size and mass nevertheless.
-        by_size: (n,) whether the box was matched by size and mass, because it or the item has neither id nor article.
+        same_size: (n,) whether a ``resized`` box has the size and mass of its item, so that it differs only in other
+            properties.
+        by_size: (n,) whether the box was matched by size and mass, because the box or the item has neither id nor
+            article.
         sheets: (n,) whether the box is an interlayer sheet. Orders need not have these.
         n_items: the number m of items.
     """
@@ -126,9 +129,9 @@ _WAYS: Final = (
     _MatchKey(lambda names: (), lambda box: not any(box), _any, named=False),
     _MatchKey(lambda names: (), _any, lambda item: not any(item), named=False),
 )
-"""Rules of matching, in order. Each is applied to the boxes and items that are still unmatched. First all rules are
-applied to boxes and items of equal size and mass, then the ``named`` rules to the others. A name that one side lacks is
-not compared."""
+"""Rules of matching, in order. Each rule is applied to the boxes and items that are still unmatched. In a first pass,
+all rules match only boxes and items of equal size and mass. In a second pass, the ``named`` rules match the rest
+regardless of size. A name that the box or the item lacks is not compared."""
 
 
 def match(plan: Plan, order: Order) -> Matching:
@@ -169,7 +172,8 @@ def match(plan: Plan, order: Order) -> Matching:
 def _match_equal(
     boxes: list[_Names], of_boxes: FloatArray, items: list[_Names], of_items: FloatArray, matched: NDArray[np.int64]
 ) -> None:
-    """Match boxes whose names, size and mass are exactly those of an item. This is fast, and matches most boxes."""
+    """Match boxes that have exactly the names, size and mass of an item. This exact matching is fast, and matches most
+    boxes."""
     free: dict[Hashable, list[int]] = defaultdict(list)
     for number in reversed(range(len(items))):
         free[items[number], *of_items[number].tolist()].append(number)
@@ -218,7 +222,7 @@ def _equal_measures(box: FloatArray, item: FloatArray) -> NDArray[np.bool_]:
 
 
 def _equal_centres(box: FloatArray, item: FloatArray) -> NDArray[np.bool_]:
-    """Whether the centres of mass of boxes are where their items have them, in any orientation of the box.
+    """Whether boxes have their centres of mass at the same points as their items, in any orientation of the box.
 
     Args:
         box, item: (…, 6) lengths, widths and heights, and centres of mass along them, mm.
@@ -240,7 +244,7 @@ _ROTATIONS: Final = tuple(
     for signs in product((1, -1), repeat=3)
     if _parity(axes) * signs[0] * signs[1] * signs[2] == 1
 )
-"""The 24 rotations of a box: orders of its axes, with their signs. None of them is a mirror image."""
+"""The 24 rotations of a box, as orders of its axes with their signs. Mirror images are not included."""
 
 _N_PLAIN: Final = 4
 """Number of columns of :func:`_measures`."""
@@ -270,15 +274,15 @@ def _properties_of(items: tuple[Item, ...], sizes: FloatArray) -> FloatArray:
 def _as_rows(
     stiff: FloatArray, sheets: NDArray[np.bool_], extents: FloatArray, com_mm: FloatArray, sizes: FloatArray
 ) -> FloatArray:
-    """Properties as rows of numbers. If the centre of mass is in the middle, the sides are in ascending order, so that
-    equal boxes have equal rows in any orientation.
+    """Properties as rows of numbers. Equal boxes have equal rows in any orientation, because sides are sorted if the
+    centre of mass is in the middle.
     """
     off = com_mm.any(axis=1, keepdims=True)
     return np.column_stack([stiff, sheets, np.where(off, extents, sizes), com_mm])
 
 
 def with_properties(order: Order, articles: Articles | None) -> Order:
-    """The order, with properties of its items from a table of articles if the order itself gives none."""
+    """The order, in which items without properties get those of a table of articles."""
     if articles is None:
         return order
     return replace(order, items=tuple(_filled_up(item, articles) for item in order.items))
@@ -309,7 +313,7 @@ MOST_ARTICLES: Final = 5
 
 
 class PlanOrderCounts(NamedTuple):
-    """Numbers of boxes for one plan and its order.
+    """Numbers of boxes that compare one plan with its order.
 
     Attributes:
         ordered_boxes: boxes in the order.
@@ -326,7 +330,7 @@ class PlanOrderCounts(NamedTuple):
 
 @dataclass
 class OrderCounts:
-    """Counts over all plans of a run and all orders.
+    """Counts that compare all plans of a run with all orders.
 
     Attributes:
         orders: usable orders in the file.
@@ -355,7 +359,7 @@ class OrderCounts:
 
 @dataclass
 class OrderCheck:
-    """The result of :func:`check_orders`. Each list has at most ``MOST_LISTED`` entries.
+    """The result of :func:`check_orders`. Each list in the result has at most ``MOST_LISTED`` entries.
 
     Attributes:
         file: name of the orders file.
@@ -486,7 +490,8 @@ def on_target(plan: Plan, order: Order) -> NDArray[np.bool_]:
     """(n,) whether each box of a plan is on the order's target.
 
     If the plan's bounding box fits on the target, possibly turned, all boxes count as on the target, wherever the plan
-    has its origin. Otherwise a box is on the target if its middle is, when the target's corner is at the origin.
+    has its origin. Otherwise the target's corner is assumed to be at the origin, and a box is on the target if its
+    middle is.
     """
     extent = np.array(target_extent_mm(order.target), float)
     low, high = plan.corner_mm[:, :2], plan.corner_mm[:, :2] + plan.size_mm[:, :2]
@@ -500,7 +505,7 @@ def on_target(plan: Plan, order: Order) -> NDArray[np.bool_]:
 @dataclass(eq=False)
 class OddBoxes:
     """Differences between many plans and their orders: the number of boxes of each kind, and a description of the first
-    ones."""
+    boxes."""
 
     counts: Counter[str] = field(default_factory=Counter)
     first: dict[str, str] = field(default_factory=dict)

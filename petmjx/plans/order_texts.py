@@ -125,8 +125,8 @@ def order_source(data: bytes | bytearray) -> BoxSource | None:
 
 
 def _flags_at(line: _Line) -> int | None:
-    """Position of a box type's length in its line, which is recognised by the marks 0 and 1 after the sizes. None if
-    the line has no such marks."""
+    """Position of the length in the line of a box type. The position is recognised by the marks 0 and 1 after the
+    sizes. None if the line has no such marks."""
     for begin in (1, 0):  # with or without the number of the type
         marks = line.words[begin + 1 : begin + 6 : 2]
         if len(line) >= begin + 7 and len(marks) == 3 and sum(mark in ("0", "1") for mark in marks) >= 2:
@@ -150,9 +150,9 @@ def _thpack(lines: Sequence[_Line]) -> BoxSource:
     """The problems of ``thpack`` and ``wtpack`` files.
 
     The line of a type has its number, length, mark, width, mark, height, mark and quantity. In ``wtpack``, types have
-    no numbers, and the quantity is followed by the weight in kg and by load bearing strengths. A mark states whether
-    the size before it may be vertical. petmjx turns boxes only about the vertical. So the height is vertical if its
-    mark allows it, else the first size whose mark does.
+    no numbers, and the quantity is followed by the weight in kg and by load-bearing strengths. A mark states whether
+    the size before it may be vertical. petmjx turns boxes only about the vertical, so it must choose the vertical size:
+    the height if its mark allows it, else the first size whose mark allows it.
     """
     weighted = any(len(line) - (_flags_at(line) or 0) >= 8 and _flags_at(line) == 0 for line in lines)
     rows = _Rows(("type", "length", "width", "height", "quantity", *(("weight per box",) if weighted else ())))
@@ -243,8 +243,8 @@ def _problem_head(lines: Sequence[_Line], position: int) -> tuple[dict[str, floa
 
 
 def _bin_packing(lines: Sequence[_Line]) -> BoxSource | None:
-    """Problems given as number of boxes, bin, and a line per box: width, height and depth. None if the lines have
-    another form.
+    """Problems in this form: the number of boxes, the bin, and a line per box with its width, height and depth. None if
+    the lines have another form.
 
     The head is "n W H D" in one line, or "n" and "W H D" in two lines, in any sequence. The height is vertical.
     """

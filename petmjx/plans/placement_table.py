@@ -1,7 +1,7 @@
 """Tables of placements: their columns (``InputColumn``) become the checked fields of plans (``table_plans``).
 
-A table has one row per placement. ``sequence`` is the packing order, so rows may come in any order. Each unusable plan
-or row gets one line.
+A table has one row per placement. ``sequence`` is the packing order, so rows may come in any order. For each unusable
+plan or row, there is one line of text.
 
 For speed, whole columns are converted and checked in C. Python checks single values and rows only if that fails.
 """
@@ -60,7 +60,7 @@ class InputColumn:
     Attributes:
         values: an Arrow array; or Python objects, if they have several types.
         is_text: whether numbers are stored as text, as in CSV. Empty text is then a missing value.
-        decimal: the decimal mark of numbers stored as text. Numbers with a decimal comma have no point.
+        decimal: the decimal mark of numbers stored as text. If it is a comma, numbers have no points.
     """
 
     values: pa.Array | Sequence[Any]
@@ -85,7 +85,7 @@ class InputColumn:
             return None
         if self.is_text and number:
             return _as_number(value.strip(), self.decimal)
-        # times, and values of any further type, are shown as text
+        # values of all other types, such as times, are shown as text
         return value if isinstance(value, str | int | float | list | dict) else str(value)
 
     def missing(self, number: bool = False) -> NDArray[np.bool_]:
@@ -96,7 +96,7 @@ class InputColumn:
         return np.asarray(array.is_null())
 
     def numbers(self) -> tuple[FloatArray, NDArray[np.bool_]]:
-        """(n,) numbers, NaN if missing; and a mask of the usable ones. Ranges are not checked."""
+        """(n,) numbers, NaN if missing; and a mask of the usable numbers. Ranges are not checked."""
         array = self.values
         if not isinstance(array, pa.Array):
             return _converted_objects(array, _float, np.nan, np.float64)
@@ -108,7 +108,7 @@ class InputColumn:
         return np.asarray(numbers.fill_null(np.nan)), np.asarray(numbers.is_valid())
 
     def whole(self) -> tuple[NDArray[np.int64], NDArray[np.bool_]]:
-        """(n,) whole numbers, 0 if missing; and a mask of the rows that have one."""
+        """(n,) whole numbers, 0 if missing; and a mask of the rows that have a whole number."""
         numbers, usable = self.numbers()
         usable &= (np.abs(numbers) <= _MOST_EXACT) & (numbers == np.rint(numbers))
         integers = np.where(usable, numbers, 0).astype(np.int64)
@@ -120,7 +120,7 @@ class InputColumn:
         return np.where(known, np.asarray(exact.fill_null(0)), integers), known | usable
 
     def texts(self) -> tuple[NDArray[np.object_], NDArray[np.bool_]]:
-        """(n,) names, "" if missing; and a mask of the usable ones. Equal names share one string."""
+        """(n,) names, "" if missing; and a mask of the usable names. Equal names share one string."""
         array = self.values
         if not isinstance(array, pa.Array):
             return _converted_objects(array, _name, "", np.object_)
@@ -207,7 +207,7 @@ def _converted_objects(
 
     Args:
         read: function that converts a value; it returns None if the value is unusable.
-        otherwise: value that takes the place of unusable ones.
+        otherwise: value that replaces unusable values.
         kind: type of the resulting array.
     """
     readings = [read(value.item() if isinstance(value, np.generic) else value) for value in values]
@@ -242,9 +242,9 @@ OPTIONAL: Final = ("item_id", "product_group", "orientation", "order_sequence", 
 Without this column, ``sequence`` is used instead."""
 _TEXTS: Final = ("article", "item_id", "product_group", "material", "kind")
 NAMES: Final = ("plan_id", *_TEXTS)
-"""Columns with names; all others have numbers."""
+"""Columns of names. All other columns have numbers."""
 _MAY_LACK: Final = ("item_id", "product_group", *_SELDOM)
-"""Columns in which rows may lack a value."""
+"""Columns in which a value may be missing."""
 _ALIASES: Final = {
     name.replace("_mm", "/mm").replace("_kg", "/kg"): name for name in (*_SIZE, "weight_kg", *COM_FIELDS)
 }
@@ -285,7 +285,7 @@ class LostRow(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Table:
-    """A table after reading, before its values are checked.
+    """A table that has been read, but whose values are not checked yet.
 
     Attributes:
         columns: name in `NEEDED` or `OPTIONAL` → column of n rows.
@@ -445,7 +445,7 @@ class _TableReader:
 
     @cached_property
     def _sparse(self) -> dict[str, FloatArray]:
-        """Optional numbers of placements. NaN if a value is unusable or missing."""
+        """The values of an optional number of placements. NaN if a value is unusable or missing."""
         columns = {}
         for name, known in SPARSE.items():
             if name in self.table.columns:

@@ -30,18 +30,18 @@ class Plan:
         mass_kg: (n,) masses, kg.
         item_ids, articles: n names each.
         sequence: (n,) number of each item in the customer's order.
-        orientation: (n,) 0: the item's length lies along x; 1: along y. None: unknown; the extents along x and y are
-            then assumed to be the item's length and width.
+        orientation: (n,) 0 if the item's length lies along x, 1 if it lies along y. None: unknown, so the extents along
+            x and y are assumed to be the item's length and width.
         product_groups: n names, "" for an item without a group; empty if no item has a group.
         materials: n names of materials, which determine friction (petmjx.options.materials); "": unknown for this box;
             empty: unknown for all boxes.
         mass_center_mm: (n, 3) centres of mass relative to the middles of the boxes, along x, y and z; None: they are
             all in the middles.
         approach_deg: (n,) horizontal direction in which each box moves to its place, in degrees from +x towards +y;
-            NaN: free for this box; None: free for all boxes. It is used when boxes are carried
+            NaN: free for this box; None: free for all boxes. The direction is used when boxes are carried
             (``petmjx.options.placing``).
-        stiffness_n_mm: (n,) force on the box's top per compression, as in a press, N/mm; NaN: the box is rigid; None:
-            all boxes are rigid.
+        stiffness_n_mm: (n,) stiffness of the box in a press: force on its top divided by the compression, N/mm; NaN:
+            the box is rigid; None: all boxes are rigid.
         strength_n: (n,) load that the box can bear on its top, N; NaN: unknown for this box; None: unknown for all
             boxes.
         kinds: for each of the n items "box", "sheet" (an interlayer sheet) or the name of a pallet, such as "epal-1";
@@ -147,10 +147,10 @@ class Plan:
                 ``height_mm``, ``weight_kg``, ``x_mm``, ``y_mm``, ``z_mm``, and optionally ``article``, ``item_id``,
                 ``product_group``, ``orientation``, ``order_sequence``, ``approach_deg``, ``material``,
                 ``com_length_mm``, ``com_width_mm``, ``com_height_mm``, ``stiffness_n_mm``, ``strength_n`` and ``kind``.
-                ``sequence`` sets another packing order.
+                The field ``sequence`` gives a packing order that differs from the order of the boxes.
             size_mm: (n, 3) extents along x, y, z as placed, mm, as in ``Plan.size_mm``, instead of lengths, widths and
-                heights. An ``orientation`` then only records how the boxes were turned, since the extents are already
-                those after the turn.
+                heights. An ``orientation`` then only records how the boxes were turned, since these extents already
+                include the turn.
             corner_mm: (n, 3) front-left-bottom corners, mm, instead of x, y and z; z = 0 is the top of the carrier.
             mass_kg: (n,) masses, kg, instead of weights.
             units: the unit of all these lengths (mm, cm, m or in) and the unit of all masses (kg, g, lb or t), such as
@@ -178,14 +178,14 @@ class Plan:
         pallet_kg: float = 25.0,
         material: str = "",
     ) -> Plan:
-        """Make one plan from loaded pallets, beside one another on a carrier or stacked. One pallet after the other is
-        placed, each followed by its load.
+        """Make one plan from several loaded pallets, which are side by side on a carrier or stacked. Pallets are placed
+        one after another, each followed by its load.
 
         ``Plan.of_units("two", [plan, plan], [(0, 0, 0), (0, 0, 1344)])`` stacks a second pallet on a load of 1,200 mm.
 
         Args:
-            loads: for each pallet, the plan of its load. In such a plan, z = 0 is the pallet's top, and the origin is
-                the pallet's corner.
+            loads: for each pallet, the plan of its load. In the plan of a load, z = 0 is the pallet's top, and the
+                origin is the pallet's corner.
             corner_mm: (u, 3) front-left-bottom corner of each pallet, mm.
             pallet: the kind of the pallets, "epal-1" or "gma-48x40".
             pallet_kg: mass of each pallet, kg.

@@ -148,7 +148,7 @@ def _columns_of_arrays(arrays: Mapping[str, Any], where: str) -> dict[str, Any]:
 
 
 def _of_items(columns: Mapping[str, Any]) -> dict[str, Any]:
-    """Compute the lengths and widths of items, which tables need, from the extents of the placed boxes. Wrong
+    """Compute the lengths and widths of items from the extents of the placed boxes, since tables need them. Wrong
     orientations are refused later.
     """
     turned = np.zeros(len(columns["length_mm"]), bool)

@@ -1,7 +1,7 @@
-"""Fast decoder of BED-BPP's JSON. It turns placements into records without making a Python object for each number.
+"""Fast decoder of BED-BPP's JSON, which turns placements into records without making a Python object for each number.
 
-The decoder only reads plans that have no faults, and no fields but the common ones. Any other plan is read by
-``parse_plan``, which checks field by field and has the text of each error. Both give the same plans.
+The decoder reads only plans that have no faults and only the common fields. ``parse_plan`` reads all other plans: it
+checks field by field and has the text of each error. For the same file, both ways of reading give the same plans.
 """
 
 from __future__ import annotations
@@ -62,7 +62,7 @@ class _Placement(msgspec.Struct, forbid_unknown_fields=True, gc=False):
     flb_coordinates: tuple[float, float, float]
 
 
-# loops over these run in C
+# loops over these functions run in C
 _SEQUENCE: Final = attrgetter("sequence")
 _SIZE: Final = attrgetter("length", "width", "height")
 _WEIGHT: Final = attrgetter("weight")
@@ -94,7 +94,7 @@ class DecoderOptions:
     """Arguments of ``parse_plan`` that are the same for all plans of a file.
 
     Attributes:
-        names: names read so far. They are kept so that equal names share one string.
+        names: names read so far, which are kept so that equal names share one string.
         unread: counter of the fields that petmjx does not read.
     """
 
@@ -112,9 +112,9 @@ def decode_entries(data: bytes | bytearray, options: DecoderOptions) -> list[Rea
         values = _PLANS.decode(data)
     except (msgspec.DecodeError, UnicodeError, RecursionError):
         return None
-    texts = list(values.values())  # these refer to the caller's memory
+    texts = list(values.values())  # these texts refer to the caller's memory
     colons = [bytes(text).count(b":") for text in texts]
-    # a repeated id would lose an entry, so every colon of the text must belong to an entry that was found
+    # A repeated id would lose an entry. So each colon of the text must belong to an entry that was found.
     if data.count(b":") != sum(colons) + len(texts) + sum(plan_id.count(":") for plan_id in values):
         return None
     if max((memoryview(text).nbytes for text in texts), default=0) > LONGEST_VALUE:
@@ -165,7 +165,7 @@ def _plain_placements(text: msgspec.Raw, colons: int, max_boxes: int) -> list[_P
 def _plans_of(
     plan_ids: Sequence[str], plans: Sequence[Sequence[_Placement]], options: DecoderOptions
 ) -> list[Plan | None]:
-    """The plans of these placements. None for a plan with a value that is not allowed.
+    """Make the plans of these placements. None for a plan with a value that is not allowed.
 
     Whole columns are checked, for all plans at once. The plans share their arrays.
     """
@@ -217,7 +217,7 @@ def _plans_of(
 
 
 def _triples(values: Iterable[tuple[float, float, float]], count: int) -> FloatArray:
-    """(count, 3) an array of these triples. ``numpy.array`` of a list of tuples would take four times as long."""
+    """(count, 3) the triples as an array. ``numpy.array`` of a list of tuples would take four times as long."""
     return np.fromiter(chain.from_iterable(values), np.float64, 3 * count).reshape(-1, 3)
 
 

@@ -18,9 +18,9 @@ from petmjx.plans.file_formats import number_hint, other_encoding
 
 SMALLEST_MM: Final = 1.0
 LARGEST_MM: Final = 4_000.0
-"""Limits of the sizes of items. A value beyond them has the wrong unit or a damaged digit. Boxes that wait to be placed
-hang at least 8 m apart. Since the diagonal of a cube of 4 m is 6.9 m, the bounding spheres of two such cubes do not
-touch."""
+"""Limits of the sizes of items. A value beyond them has the wrong unit or a damaged digit. The upper limit of 4 m also
+keeps waiting boxes apart: boxes that wait to be placed hang at least 8 m apart, and the diagonal of a cube of 4 m is
+6.9 m, so the bounding spheres of two such cubes do not touch."""
 FARTHEST_MM: Final = 20_000.0
 """Limit of coordinates. Boxes that wait to be placed hang at least 50 m high, far above all places of a plan."""
 SMALLEST_KG: Final = 0.001
@@ -33,11 +33,11 @@ COM_FIELDS_JSON: Final = tuple(name.replace("_mm", "/mm") for name in COM_FIELDS
 """Fields of a centre of mass in JSON."""
 
 LARGEST_DEG: Final = 360.0
-"""Limit of the direction of approach, for both signs."""
+"""Largest absolute value of the direction of approach."""
 
 
 def vanishing_side(size_mm: FloatArray, size_reduction_mm: float) -> tuple[int, str] | None:
-    """The first of n boxes, given by their sizes (n, 3), that has no extent left after the size reduction; and a text
+    """The first box that has no extent left after the size reduction, among n boxes with the sizes (n, 3), and a text
     about it. None if there is no such box."""
     thin = np.flatnonzero((size_mm <= size_reduction_mm).any(axis=1))
     if not len(thin):
@@ -78,8 +78,8 @@ PALLETS: Final[Mapping[str, tuple[float, float, float]]] = {
 }
 """Kinds of items that are pallets, and so bear other boxes → their extents, mm. Carriers have the same names."""
 PALLET_SIZE_MM: Final = 1.0
-"""Largest difference between the sizes of an item and those of its kind of pallet, mm. This is the last digit of
-plans."""
+"""Largest difference between the sizes of an item and the sizes of its kind of pallet, mm. The value is one unit of the
+last digit of sizes in plans."""
 KINDS: Final = ("box", SHEET, *PALLETS)
 """Kinds of items; the default is a box."""
 KINDS_IN_WORDS: Final = f"{', '.join(KINDS[:-1])} or {KINDS[-1]}"
@@ -91,7 +91,7 @@ _LIKE: Final = {
     ("kilograms", False): (1000.0, "tonnes? then give units t"),
     ("kilograms", True): (0.001, "grams? then give units g"),
 }
-"""Unit of a value, and whether the value is too large → the factor that brings it into range, and its probable unit."""
+"""(unit of a value, whether the value is too large) → (the factor that brings it into range, its probable unit)."""
 
 _NUMBERS: Final = {int, float}
 _INT64: Final = np.iinfo(np.int64)
@@ -169,7 +169,8 @@ def com_fault(field: str, value: Any, size: float) -> str | None:
 
 
 def com_along_axes(item_com_mm: FloatArray, turned: NDArray[np.bool_]) -> FloatArray:
-    """(n, 3) centres of mass along x, y and z, computed from those along the items' length, width and height (n, 3).
+    """(n, 3) centres of mass along x, y and z, computed from the centres along the items' length, width and height (n,
+    3).
 
     The length of a turned item lies along y, and its width along −x.
     """
@@ -221,7 +222,7 @@ def pallet_fault(name: str | None, size_mm: Sequence[float]) -> str | None:
 
 
 def missing_fault(fields: Sequence[str]) -> str:
-    """The error text for missing fields: "weight/kg is missing", "id, weight/kg and sequence are missing"."""
+    """The error text for missing fields, such as "weight/kg is missing" or "id, weight/kg and sequence are missing"."""
     return f"{joined_names(fields)} {'is' if len(fields) == 1 else 'are'} missing"
 
 

@@ -50,7 +50,7 @@ if TYPE_CHECKING:
 
 DEFAULT_MAX_BOXES: Final = 512
 """Default limit for the boxes of a plan: twelve times BED-BPP's mean of 43, and twice the largest known plan of other
-packers. With this number of boxes, a model declares 132,000 pairs of geoms on C MuJoCo."""
+packers. The model of a plan with this number of boxes declares 132,000 pairs of geoms on C MuJoCo."""
 
 MOST_LINES: Final = 100_000
 """Largest number of unusable entries of a file that are listed one by one. Further entries are only counted."""
@@ -58,7 +58,7 @@ FRAME: Final = "data frame"
 OBJECT: Final = "python"
 """Names of a data frame, and of any other object, in messages."""
 _MOSTLY_OWN: Final = 4
-"""A table with more than this number of petmjx's own column names is meant to be one of petmjx's."""
+"""A table with more than this number of petmjx's own column names is read as a table in petmjx's own form."""
 _SUFFIXES: Final = (".json", ".json.gz", *CSV_SUFFIXES, PARQUET_SUFFIX, ".jsonl", ".xlsx", ".ods", ".npy", ".npz")
 
 
@@ -80,8 +80,8 @@ def load_plans(
 ) -> PlanSet:
     """Read and validate packing plans.
 
-    A ``PlanWarning`` is issued if plans appear to follow another convention, such as coordinates of centres. It is also
-    issued for each file of another tool, and states how the file was read.
+    A ``PlanWarning`` is issued if plans appear to follow another convention, such as coordinates of centres. A
+    ``PlanWarning`` is also issued for each file of another tool; it states how the file was read.
 
     Args:
         paths: a file, a folder, or several of them; or a table of placements, as a pandas data frame or any object with
@@ -100,8 +100,8 @@ def load_plans(
         anchor: the point of a box that the plans' coordinates describe: ``corner`` (front-left-bottom), ``centre``,
             ``base-centre`` or ``far-corner`` (with the largest x, y and z); None: the corner, or for files of other
             tools the most plausible point.
-        up: the vertical axis in files of other tools; None: the most plausible axis. The arguments after this one are
-            also only for files of other tools.
+        up: the vertical axis in files of other tools; None: the most plausible axis. ``up`` and all arguments after it
+            apply only to files of other tools.
         sizes: ``placed``: sizes of boxes as placed; ``item``: sizes before boxes are turned.
         columns: role (``length``, ``x``, ``weight`` …, see docs/plan-format.md) → name of its column, or "-".
         density: density of boxes that have no weight, kg/m³; None: 300.
@@ -155,7 +155,7 @@ def read_plans(
     if options.reading is not None:
         from petmjx.plans.reading_files import read_reading
 
-        read_reading(options.reading)  # report a wrong argument once, not for each file
+        read_reading(options.reading)  # read here, so that a wrong argument is reported once, not for each file
     loading = _PlanLoader(options.limit, options.strict, max_boxes, extent_mm, given, options, reading)
     if is_box_object(paths):
         loading.read_object(paths)
@@ -182,7 +182,7 @@ def is_box_object(value: Any) -> bool:
 
 
 _OF_A_RUN: Final = "petmjx convert writes its plans to a file"
-"""Advice for the folder of a run, if it is given where only files of plans are read."""
+"""Advice if a run's folder is given, but only files of plans can be read."""
 
 
 def _list_files(paths: list[Path]) -> list[Path]:
@@ -225,10 +225,10 @@ class _PlanLoader:
     Attributes:
         found: the plans, skipped entries and notes found so far.
         source_of: plan id → name of its file.
-        names: name → the same name. It is kept so that equal names share one string.
+        names: name → the same name, kept so that equal names share one string.
         unread: counts of the fields that petmjx ignores.
         unlisted: number of unusable entries of the current file that are counted but not listed.
-        most_skipped: limit for the length of ``found.skipped`` in the current file.
+        most_skipped: largest length that ``found.skipped`` may reach in the current file.
     """
 
     limit: int | None
@@ -345,7 +345,8 @@ class _PlanLoader:
         answer.
 
         Args:
-            read: function that reads the plans. It takes the options of the caller (``Wishes``) and the file of items.
+            read: function that reads the plans. Its arguments are the options of the caller (``Wishes``) and the file
+                of items.
 
         Raises:
             InputError: the form contains no plans, or can be read in two ways.
@@ -397,8 +398,8 @@ class _PlanLoader:
         """Read a table.
 
         Args:
-            otherwise: function that reads the text as a file of another tool, if it has none of petmjx's forms. It
-                returns why it failed.
+            otherwise: function that reads the text as a file of another tool, if it has none of petmjx's forms. The
+                function returns why it failed, or None.
         """
         from petmjx.plans.placement_table import TableError
 
@@ -474,8 +475,8 @@ class _PlanLoader:
             self._skip(source, None, _orders_message(source, first_order, n_orders))
 
     def _is_left_to_own(self, source: str, path: Path, data: bytearray) -> bool:
-        """Read a text that is not BED-BPP's as a file of another tool. Returns whether the text is JSON without any
-        list of boxes; then the reader of BED-BPP's JSON explains the error.
+        """Read a text that is not in BED-BPP's form as a file of another tool. Returns whether the text is JSON without
+        any list of boxes; if so, the reader of BED-BPP's JSON must explain the error.
         """
         fault = self._read_foreign(source, path, data)
         if fault is None:
@@ -540,8 +541,9 @@ class _PlanLoader:
 def _likelier(own: TableError, other: InputError) -> InputError:
     """Which error to report for a table that could be read neither as petmjx's nor as another tool's.
 
-    Another tool's table needs fewer columns. So its error, a bad cell or two possible readings, is reported. Missing
-    columns that only petmjx's tables need are reported only if sizes or places are missing as well.
+    Another tool's table needs fewer columns than petmjx's. So the error of the reader for other tools is reported: a
+    bad cell, or two possible readings. The columns that petmjx's own form lacks are reported only if sizes or places
+    are missing as well.
     """
     lacks_columns = isinstance(other, NoBoxes) or (own.n_known > _MOSTLY_OWN and isinstance(other, NoGeometry))
     return own if lacks_columns else other
@@ -551,7 +553,7 @@ def _kind_of_text(data: bytearray, named: bool) -> str | None:
     """The error text for a text that does not begin like JSON; None for JSON, including damaged JSON.
 
     Args:
-        named: whether the file has a name for JSON. If not, only a table can be distinguished from damaged JSON.
+        named: whether the file has the name of a JSON file. If not, only tables are distinguished from damaged JSON.
     """
     if looks_like_table(data):
         return "looks like a table as text: it is read as one if its name ends in .csv or .tsv"

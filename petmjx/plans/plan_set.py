@@ -22,8 +22,8 @@ if TYPE_CHECKING:
 class Skipped:
     """A skipped plan, or another skipped part of the input. ``message`` is the whole line, with the file and the plan.
 
-    ``plan_id`` is None if the entry does not concern a single plan (but a file, or damage between plans). ``number`` is
-    the plan's number in the input, from 0.
+    ``plan_id`` is None if the entry concerns a whole file, or damage between plans. ``number`` is the plan's number in
+    the input, from 0.
     """
 
     source: str
@@ -33,7 +33,7 @@ class Skipped:
 
     @classmethod
     def plan(cls, plan: Plan, why: str, strict: bool) -> Skipped:
-        """An entry for a plan that was read but cannot be simulated.
+        """Make the entry for a plan that was read but cannot be simulated.
 
         Args:
             why: the part of the message after the plan's id, such as ": repeated plan id".

@@ -1,4 +1,4 @@
-"""Sources of plans (files, folders, objects): collects the plans, and skips those that cannot be simulated."""
+"""Sources of plans (files, folders, objects): collects the plans, and skips plans that cannot be simulated."""
 
 from __future__ import annotations
 
@@ -67,7 +67,7 @@ def usable_plans(plans: PlanSource | None, sim: Simulation, options: RunOptions)
 
 
 def are_files(plans: PlanSource | None) -> bool:
-    """Whether plans are read from files. This is also true for the bundled plans (None)."""
+    """Whether plans are read from files. The result is also true for the bundled plans (None)."""
     if isinstance(plans, PlanSet | Plan | SupportsArrow):
         return False
     given = [plans] if plans is None or isinstance(plans, str | PathLike) else plans
@@ -105,7 +105,7 @@ def _with_articles(plan_set: PlanSet, file: Path, strict: bool) -> PlanSet:
 
 
 def _idle_rows(articles: Articles, plans: Sequence[Plan], name: str) -> list[str]:
-    """A list with one line about the rows of a table of articles that match no box; empty if every row matches one.
+    """A list with one line about the rows of a table of articles that match no box; empty if every row matches a box.
 
     Args:
         plans: the plans before and after the table is applied, since the materials of boxes may come from the table
@@ -186,7 +186,7 @@ def _distinct_plan_ids(plan_set: PlanSet, options: RunOptions) -> PlanSet:
         verb = "repeats an id and is" if len(renamed) == 1 else "repeat ids and are"
         notes.append(f"{count_text(len(renamed), 'plan')} {verb} called {first_names(renamed)}")
     numbers = {plan.plan_id: number for number, plan in enumerate(plans)}
-    skipped = [replace(skip, number=None) for skip in plan_set.skipped]  # skipped plans are not among them
+    skipped = [replace(skip, number=None) for skip in plan_set.skipped]  # skipped plans are not counted
     return replace(plan_set, plans=plans, skipped=skipped, notes=notes, numbers=numbers)
 
 
@@ -207,7 +207,7 @@ def without_vanishing_boxes(plan_set: PlanSet, size_reduction_mm: float, strict:
 def without_narrow_walls(
     plan_set: PlanSet, carrier: Carrier | OwnCarrier, walls: Walls, strict: bool = False
 ) -> PlanSet:
-    """Skip plans for which the walls leave no room on the carrier. A carrier ``footprint`` is as large as the plan.
+    """Skip plans for which the walls leave no room on the carrier. The carrier ``footprint`` is as large as the plan.
 
     Raises:
         InputError: with ``strict``, a plan would be skipped.

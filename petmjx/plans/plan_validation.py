@@ -70,8 +70,8 @@ def parse_plan(
         source: name of the file in messages.
         value: the decoded JSON value of the plan.
         max_boxes: largest number of boxes. A plan with more is refused, never truncated.
-        names: names read so far (item ids, articles, groups, materials), kept so that equal names share one string.
-            BED-BPP repeats each about 20 times.
+        names: names read so far (item ids, articles, groups, materials), kept so that equal names share one string. In
+            BED-BPP, each name occurs about 20 times.
         unread: counter to which the ignored fields of a good plan are added.
         given: the units and the anchor of the plan's numbers, as the user gave them.
 

@@ -1,8 +1,8 @@
 """Warnings about odd plans (``PlanWarnings``): boxes that overlap, float, or are outside the carrier.
 
-Packing algorithms do produce such plans, and physics shall judge them. So odd boxes are only counted, and the plan is
-not refused. The functions use arrays of one plan: ``corner_mm`` and ``size_mm``, both (n, 3), with rows in packing
-order and sizes as placed.
+Packing algorithms do produce such plans, and the simulation shall judge them. So odd boxes are only counted, and the
+plan is not refused. The functions use arrays of one plan: ``corner_mm`` and ``size_mm``, both (n, 3), with rows in
+packing order and sizes as placed.
 
 ``shared_length`` computes by how much two boxes overlap along an axis, and ``meets`` whether the top of one is at the
 bottom of the other. Callers add further conditions: the order of placement, the carrier, or a smallest width.
@@ -37,9 +37,9 @@ def shared_length(low: FloatArray, high: FloatArray) -> FloatArray:
 
 
 def overlap(low: FloatArray, high: FloatArray, tolerance: float = 0.0) -> NDArray[np.bool_]:
-    """(…, n, n) whether two boxes overlap along an axis by more than a tolerance. This is ``shared_length >
-    tolerance``, but without a matrix of lengths. The overlap of two boxes is the smallest of the four distances from a
-    lower end of one of them to an upper end of one of them.
+    """(…, n, n) whether two boxes overlap along an axis by more than a tolerance. The result equals ``shared_length >
+    tolerance``, but no matrix of lengths is made. The overlap of two boxes is the smallest of four distances: from the
+    lower end of either box to the upper end of either box.
 
     Args:
         low, high: (…, n) lower and upper ends of the boxes along the axis.
@@ -86,7 +86,7 @@ MOST_NAMED: Final = 3
 
 @dataclass(frozen=True, slots=True)
 class PlanWarnings:
-    """The odd boxes of one plan: their counts, and the names of the first ones.
+    """The odd boxes of one plan: their counts, and the names of the first of them.
 
     Attributes:
         plan_id, source: the plan's id and its file.
@@ -158,8 +158,8 @@ def check_layout(
 
 
 def odd_layouts(plans: Sequence[Plan], carrier_extent_mm: tuple[float, float] | None = None) -> list[PlanWarnings]:
-    """The results of ``check_layout`` for those of many plans that have odd boxes, in order. Plans with equal numbers
-    of boxes are checked together, which takes half of the time."""
+    """The results of ``check_layout`` for many plans, in order, without the plans that have no odd boxes. Plans with
+    equal numbers of boxes are checked together, which halves the time."""
     numbers = defaultdict[int, list[int]](list)
     for number, plan in enumerate(plans):
         numbers[plan.n_boxes].append(number)
@@ -181,7 +181,7 @@ def odd_layouts(plans: Sequence[Plan], carrier_extent_mm: tuple[float, float] | 
 def _are_odd(
     corner_mm: FloatArray, size_mm: FloatArray, carrier_extent_mm: tuple[float, float] | None
 ) -> NDArray[np.bool_]:
-    """(plans,) whether each plan has odd boxes, from corners and sizes (plans, n, 3)."""
+    """(plans,) whether each plan has odd boxes. Corners and sizes are (plans, n, 3)."""
     low, high = np.moveaxis(corner_mm, -1, 0), np.moveaxis(corner_mm + size_mm, -1, 0)
     side_by_side, overlapping = _overlaps(low, high, DEFAULT_TOLERANCE_MM)
     n_thick = np.count_nonzero(_thick_enough(low, high, DEFAULT_TOLERANCE_MM), axis=1)
@@ -217,8 +217,8 @@ def overlaps_mm(corner_mm: FloatArray, size_mm: FloatArray) -> FloatArray:
 
 def _overlaps(low: FloatArray, high: FloatArray, tolerance_mm: float) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
     """(…, n, n) whether two boxes overlap when seen from above, and whether they overlap in all directions. The
-    matrices are symmetric. Their diagonals, which compare a box with itself, are true for boxes that are thicker than
-    the tolerance.
+    matrices are symmetric. The diagonals, which compare a box with itself, are true for boxes that are thicker than the
+    tolerance.
 
     Args:
         low, high: (3, …, n) ends of the boxes along the axes.
@@ -254,8 +254,8 @@ def _gaps(
 
     The support of a box is the highest box whose bottom is below its own, or the carrier's top.
 
-    If a box reaches into another one from below, the other one counts as overlapping, not as floating. A box that is
-    placed before the box under it floats: placed one by one, it would fall.
+    If a box reaches into another box from below, the upper box counts as overlapping, not as floating. A box that is
+    placed before the box under it counts as floating, because it would fall when boxes are placed one by one.
     """
     bottom, top = low[2], high[2]
     # Rows are supporting boxes, columns are upper boxes. Supporting boxes come earlier in packing order.

@@ -41,7 +41,7 @@ _UNITS: Final = {
 
 
 def save_plans(plans: Plan | Iterable[Plan], path: str | os.PathLike[str]) -> None:
-    """Write plans to one file. Its suffix determines the format: ``.json``, ``.csv`` (both also ``.gz``) or
+    """Write plans to one file. The file's suffix determines the format: ``.json``, ``.csv`` (both also ``.gz``) or
     ``.parquet``.
 
     The file never appears half-written. Reading it gives exactly the same numbers.

@@ -23,7 +23,7 @@ _TOLERANCE: Final = 0.01
 """Largest gap at which boxes touch, as a share of the median of the boxes' smallest sides: 2 mm for cartons of 200 mm.
 Centres are often rounded to centimetres or half millimetres."""
 _SMALL_LOAD: Final = 160
-"""Number of boxes from which a plan is judged: the first ones in packing order, from the ground up."""
+"""Largest number of boxes that are used to judge a plan: its first boxes in packing order, from the ground up."""
 _CARTON_MM, _CARTON_SPREAD = 280.0, 0.75
 """Geometric mean of a carton's sides, and its spread (in the logarithm), from BED-BPP's 1.5 million boxes."""
 _CARTON_KG_M3, _DENSITY_SPREAD = 250.0, 1.1
@@ -35,11 +35,11 @@ _DECKS_MM: Final = (
 )  # fmt: skip
 """Usual carriers: pallets of Europe, America and Asia, the roll container, sea containers and a trailer."""
 _PALLETS: Final = 10
-"""The first carriers of this number are pallets. The others are considered only if the file names them."""
+"""Number of pallets, which come first in this list. The other carriers are considered only if the file names them."""
 _DECK_SPREAD: Final = 0.6
 _LARGE_MM: Final = 1000.0
-"""Smallest length of a carrier for which the footprint of a load is evidence. Smaller carriers are no larger than two
-cartons."""
+"""The footprint of a load is evidence only for carriers that are at least this long. A smaller carrier is no larger
+than two cartons."""
 _NEAR: Final = 0.03
 """Largest relative difference between a deck and a usual deck."""
 
@@ -59,8 +59,8 @@ class Layout:
 
 
 def layout_cost(layout: Layout) -> tuple[float, str, tuple[int, int, int, float]]:
-    """How implausible a layout is; where its origin is; and (overlapping, floating, outside boxes, sum of supported
-    shares).
+    """Three results: how implausible a layout is; where its origin is; and the counts (overlapping boxes, floating
+    boxes, boxes outside, sum of supported shares).
 
     Heights are measured from the lowest box. If the lowest box is not at 0, the cost is higher.
     """
@@ -109,8 +109,8 @@ def layout_cost(layout: Layout) -> tuple[float, str, tuple[int, int, int, float]
 _NEGATIVE: Final = 1.0
 """Cost of corners with negative coordinates if no container is known. The origin is then not a corner of the deck."""
 _FIRST_ODD, _MORE_ODD = 3.0, 1.5
-"""Largest cost of the first odd box, and of each further one. One plan in 20 has a box that its packer placed wrongly.
-In a plan with few boxes, a share is weaker evidence."""
+"""Largest cost of the first odd box, and of each further one. The cost is limited, because one plan in 20 has a box
+that its packer placed wrongly, and because in a plan with few boxes, one odd box is a large share."""
 
 
 def _odd_cost(odd: NDArray[np.bool_], weight: float) -> float:
@@ -135,7 +135,7 @@ def _contacts(
     wide = [length > tolerance for length in common]
     overlaps = wide[0] & wide[1] & wide[2]
     np.fill_diagonal(overlaps, False)
-    on_top = np.abs(np.subtract.outer(high[:, 2], low[:, 2])) <= tolerance  # rows are below, columns above
+    on_top = np.abs(np.subtract.outer(high[:, 2], low[:, 2])) <= tolerance  # rows are lower boxes, columns upper boxes
     carried = on_top & wide[0] & wide[1]
     np.fill_diagonal(carried, False)
     base = (high - low)[:, 0] * (high - low)[:, 1]
@@ -158,7 +158,7 @@ def _contacts(
 def _outside(
     low: FloatArray, high: FloatArray, container: FloatArray, tolerance: float
 ) -> tuple[NDArray[np.bool_], float, str]:
-    """(n,) whether boxes are outside the container; the cost of the origin; and where the origin is."""
+    """Three results: (n,) whether boxes are outside the container; the cost of the origin; and where the origin is."""
     n = len(low)
     if np.isnan(container[:2]).any():
         around = bool((low[:, :2].min(axis=0) < -tolerance).all()) and bool((high[:, :2].max(axis=0) > tolerance).all())
@@ -180,7 +180,7 @@ def _outside(
 
 
 def same_layouts(one: Sequence[Layout], other: Sequence[Layout]) -> bool:
-    """Whether two readings give the same piles, apart from units, a shift, a mirror image or a turn by 90°."""
+    """Whether two readings give the same piles, except for units, a shift, a mirror image or a turn by 90°."""
     factors = set()
     for first, second in zip(one, other, strict=True):
         a, b = _normal(first), _normal(second)
@@ -232,8 +232,8 @@ def _squared(value: float, usual: float, spread: float) -> float:
 
 
 def deck_cost(deck_mm: FloatArray, known: bool) -> float:
-    """Cost of an unusual deck, if it is known; else the cost of an unusual footprint of the load, which may be smaller
-    than its deck."""
+    """Cost of an unusual deck, if the deck is known; else the cost of an unusual footprint of the load. A footprint may
+    be smaller than the deck."""
     long, short = float(deck_mm.max()), float(deck_mm.min())
     usual = any(
         abs(long / side - 1) < _NEAR and abs(short / other - 1) < (_NEAR if known else 0.12)
@@ -250,8 +250,8 @@ def deck_cost(deck_mm: FloatArray, known: bool) -> float:
 
 
 _LOAD_MM: Final = (1340.0, 1320.0)
-"""Largest extents of a load on a pallet along x and y, longer side first: the largest pallets with an overhang of a
-tenth."""
+"""Largest extents of a load on a pallet along x and y, longer side first. The values are the extents of the largest
+pallets plus an overhang of a tenth."""
 _HIGHEST_MM: Final = 3000.0
 _SMALLEST_SIDE_MM, _LARGEST_SIDE_MM = 50.0, 1500.0
 """Limits of the geometric mean of the sides of boxes on pallets."""
@@ -260,13 +260,13 @@ _OF_PALLET_MM: Final = (580.0, 1500.0, 380.0, 1320.0)
 
 
 def load_fit(side_mm: float, load_mm: FloatArray, deck_mm: FloatArray, known: bool) -> int:
-    """How well boxes and a load fit a carrier in one unit: 0 not at all; 1 a carrier of unusual size; 2 a usual carrier
-    that is known or filled. Masses do not matter.
+    """How well boxes and a load fit a carrier if lengths are in a certain unit: 0 not at all; 1 they fit a carrier of
+    unusual size; 2 they fit a usual carrier that is known or that the load fills. Masses do not matter.
 
     Args:
         side_mm: geometric mean of the boxes' sides.
         load_mm: extents of the load along x, y and z.
-        deck_mm: extents of the carrier along x and y if it is ``known``, else those of the load.
+        deck_mm: extents along x and y of the carrier if it is ``known``, else of the load.
     """
     if not _SMALLEST_SIDE_MM <= side_mm <= _LARGEST_SIDE_MM or load_mm[2] > _HIGHEST_MM:
         return 0
@@ -287,6 +287,6 @@ _WHOLE_MM: Final = 0.03
 
 
 def converted_share(lengths_mm: FloatArray) -> float:
-    """Share of lengths that are whole millimetres. For whole inches this share is small. For inches that were converted
-    from millimetres, such as 23.622 inches from 600 mm, it is 1."""
+    """Share of lengths that are whole millimetres. The share is small for lengths that were whole inches. The share is
+    1 for lengths in inches that were converted from whole millimetres (600 mm are 23.622 inches)."""
     return float(np.mean(np.abs(lengths_mm - np.rint(lengths_mm)) <= _WHOLE_MM))

@@ -17,7 +17,8 @@ from petmjx.plans.file_formats import number_hint
 from petmjx.plans.plan_fields import LARGEST_MM
 
 GROUPED: Final = "grouped"
-"""Used in place of a decimal sign if no number has decimals, and points and commas only separate thousands."""
+"""Stands for the decimal sign of a column in which no number has decimals, so that points and commas only separate
+thousands."""
 
 
 class CellNumber(NamedTuple):
@@ -78,7 +79,7 @@ def cell_number(cell: Any, decimal: str = ".") -> CellNumber | None:
 
 
 def number_fault_of(cell: Any, decimal: str) -> str:
-    """The end of a message about a cell that should have a number: what is wrong with it, and advice."""
+    """The end of a message about a cell that should have a number: the fault of the cell, and advice."""
     if cell is None or cell == "":
         return "is missing"
     if not isinstance(cell, str):
@@ -141,12 +142,12 @@ thicker."""
 def thousands_faults(cells: Sequence[Any], decimal: str, unit: str, are_sizes: bool) -> dict[int, str]:
     """Row → fault, for numbers such as "1.200" that could mean 1200, in a column of lengths with decimal points.
 
-    A number could mean 1200 if three conditions hold. All points of the column are followed by three digits. No number
-    is too large when multiplied by a thousand. And either the column also has numbers without a point, or the sizes
-    would be thinner than boxes are.
+    "1.200" could mean 1200 if three conditions hold. First, all points of the column are followed by three digits.
+    Second, no number would be too large if it were a thousand times larger. Third, the column also has numbers without
+    a point, or the sizes would otherwise be thinner than boxes are.
 
     Args:
-        unit: unit of numbers that have none of their own.
+        unit: unit of numbers that have no unit in their cell.
         are_sizes: whether the lengths are sizes of boxes.
     """
     texts = {row: cell.strip() for row, cell in enumerate(cells) if isinstance(cell, str)}

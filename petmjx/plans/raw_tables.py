@@ -1,6 +1,6 @@
 """Raw tables (``RawTable``): rows of text files and sheets with their column names, before anything is interpreted.
 
-Text may be UTF-8, UTF-16, Windows-1252 or Windows-1250. It may have any usual separator and decimal sign, Excel's
+Text may be UTF-8, UTF-16, Windows-1252 or Windows-1250. A table may have any usual separator and decimal sign, Excel's
 ``sep=;``, titles above the header, a line of units below it, and totals at the end.
 """
 
@@ -23,8 +23,8 @@ from petmjx.plans.file_formats import NoBoxes
 from petmjx.plans.raw_cells import cell_number, cell_text, decimal_of
 
 MOST_ROWS: Final = 1_000_000
-"""Largest number of rows of a table, which is that of a sheet. A table of a million boxes takes a gigabyte as Python
-values."""
+"""Largest number of rows of a table, the same as in a sheet. As Python values, a table of a million boxes takes a
+gigabyte."""
 MOST_COLUMNS: Final = 1_000
 _SEARCHED_ROWS: Final = 60
 """Number of rows at the beginning of a table in which the header is searched for."""
@@ -37,7 +37,7 @@ _SPACES: Final = " "
 
 @dataclass(frozen=True, eq=False)
 class RawTable:
-    """A table as it is in a file.
+    """A table with the content that it has in a file.
 
     Attributes:
         header: names of the columns. A table without a header has "column 1", "column 2" …
@@ -81,8 +81,8 @@ class RawTable:
 def decoded_text(data: bytes | bytearray) -> tuple[str, str]:
     """Decode bytes to text. Also returns a note about the encoding ("" for UTF-8).
 
-    UTF-8 and UTF-16 are recognised with certainty. Any other bytes are read as Windows-1252, or as Windows-1250 if more
-    words of headers are then known.
+    UTF-8 and UTF-16 are recognised with certainty. All other bytes are read as Windows-1252, or as Windows-1250 if that
+    gives more known words in headers.
     """
     raw = bytes(data)
     if raw.startswith(b"\xef\xbb\xbf"):
@@ -105,7 +105,7 @@ def decoded_text(data: bytes | bytearray) -> tuple[str, str]:
 
 
 def _known_in_lines(text: str) -> int:
-    """The largest number of known names in any of the first lines."""
+    """Known names are counted in each of the first lines; the result is the largest count."""
     lines = text[:20_000].splitlines()[:_SEARCHED_ROWS]
     return max((_n_known(re.split(r"[,;\t|]", line)) for line in lines), default=0)
 
@@ -162,7 +162,7 @@ def _fields(text: str, delimiter: str) -> Iterator[list[str]]:
     if delimiter == _SPACES:
         yield from _spaced_fields(text.splitlines())
         return
-    if delimiter == "|":  # Markdown has such a line below a header
+    if delimiter == "|":  # Markdown has a line of dashes below a header
         text = "\n".join("" if _RULE.match(line) else line for line in text.split("\n"))
     try:
         yield from csv.reader(io.StringIO(text, newline=""), delimiter=delimiter)
@@ -176,7 +176,8 @@ _RULE: Final = re.compile(r"^[\s|+:]*[-=]{2,}(?:[\s|+:]+[-=]{2,})+[\s|+:]*$")
 
 def _spaced_fields(lines: Sequence[str]) -> Iterator[list[str]]:
     """Fields separated by white space. If there is a line of dashes, the dashes show where columns are, so a cell may
-    be empty. Otherwise fields are separated by two or more spaces, or by any spaces, whichever makes more rows alike.
+    be empty. Otherwise fields are separated by two or more spaces, or by one or more, whichever gives more rows with
+    equally many fields.
     """
     rule = next((index for index, line in enumerate(lines) if _RULE.match(line)), None)
     if rule is not None:
@@ -203,7 +204,8 @@ def _spaced_fields(lines: Sequence[str]) -> Iterator[list[str]]:
 
 
 def _delimiter_of(text: str) -> str:
-    """The separator of a text: the one with which most names of a header are known, and rows are most alike."""
+    """The separator of a text: the one that gives the most known names in a header, and the most rows with equally many
+    fields."""
     sample = text[:200_000]
     if len(text) > len(sample):
         sample = sample[: sample.rfind("\n") + 1] or sample
@@ -320,7 +322,8 @@ def are_numbers(rows: Sequence[Sequence[Any]], least: int) -> bool:
 def _table_below(
     rows: Sequence[tuple[Any, ...]], head: int, end: int, begin: int, title: str, above: tuple[str, ...], more: bool
 ) -> tuple[list[RawTable], list[str]]:
-    """The tables below a header, one for each named section; and the lines that remain, from the next header on."""
+    """The tables below a header, one for each named section. Also returns the remaining lines, from the next header
+    on."""
     names = [cell_text(cell) for cell in rows[head]]
     while names and not names[-1]:
         names.pop()
@@ -363,7 +366,7 @@ def _table_below(
 
 
 _Section = tuple[str, list[tuple[tuple[Any, ...], str]]]
-"""The name of a section ("" if it has none), from the line before it; and the section's rows with their places."""
+"""A section: its name, from the line before it ("" if it has none), and its rows with their places."""
 
 
 def _sections(
@@ -408,8 +411,8 @@ def _geometric(header: Sequence[str]) -> list[int]:
 
 
 def _is_total(row: Sequence[Any], geometric: Sequence[int]) -> bool:
-    """Whether a row is a total or a mean. Its first text must be a word for one; or begin with such a word, while the
-    row lacks a size or a place. (A box may be called "Total fruit".)"""
+    """Whether a row is a total or a mean. Its first text must be a word for a total or a mean. If the text only begins
+    with such a word, the row must also lack a size or a place, since a box may be called "Total fruit"."""
     text = next(
         (
             cell
@@ -432,10 +435,10 @@ def computed_row(table: RawTable, rows: Sequence[int]) -> str:
     Args:
         rows: indices of the rows of one plan.
 
-    The sizes, places and weights of the last row must all be sums, or all be means, and at least two of them must be
-    clearly so. The reason is that a box on two smaller boxes may have the sum of their lengths, and that a box in the
-    middle of a layer of equal boxes has their mean place. In a table with petmjx's own column names and no places, a
-    last row is never taken as means: it is more likely a medium-sized box.
+    The sizes, places and weights of the last row must all be sums, or all be means. At least two of these numbers must
+    clearly be sums or means. A single sum or mean is not enough: a box on two smaller boxes may have the sum of their
+    lengths, and a box in the middle of a layer of equal boxes has their mean place. In a table with petmjx's own column
+    names and no places, a last row is never taken as means: it is more likely a medium-sized box.
     """
     if len(rows) > 1 and _is_total(table.rows[rows[-1]], _geometric(table.header)):
         return "the total"

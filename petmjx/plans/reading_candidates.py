@@ -22,13 +22,13 @@ _SIX: Final = np.array([(0, 1, 2), (1, 0, 2), (1, 2, 0), (2, 1, 0), (2, 0, 1), (
 
 _ANCHOR_PRIOR: Final = {"corner": 0.0, "centre": 1.0, "base-centre": 1.8, "far-corner": 2.5}
 _FIRM: Final = 3.0
-"""Cost of contradicting a known fact about a form."""
+"""Cost of a reading that contradicts a known fact about a form."""
 _WORDS: Final = ("length", "width", "height", "depth")
 
 
 @dataclass(frozen=True, eq=False)
 class Candidate:
-    """One possible reading of a geometry, without units."""
+    """One possible reading of a geometry, before units are chosen."""
 
     geometry: Geometry
     pair: tuple[int, int, int]
@@ -154,7 +154,7 @@ def _pairs(
                 usual_level = ["length", "depth"]
             swapped = level != usual_level
             prior = 2.0 if swapped else 0.0
-        elif pair == (0, 1, 2):  # sizes are in the order of the axes, whatever their names
+        elif pair == (0, 1, 2):  # this pairing takes the sizes in the order of the axes, whatever their names
             listed = _order_in_file(columns, axes) == axes
             prior = 0.0 if columns.source.form.rule == "py3dbp" else 0.6 if "depth" in axes and listed else 3.0
         else:
@@ -166,8 +166,8 @@ def _pairs(
 
 
 def _order_in_file(columns: BoxColumns, axes: Sequence[str]) -> tuple[str, ...]:
-    """The words for the sizes in the order of their columns. In py3dbp, width, height, depth is the order of the
-    axes."""
+    """The words for the sizes in the order of their columns. In py3dbp, the axes have the order width, height,
+    depth."""
     header = columns.source.boxes.table.header
     column_names = {axis: columns.geometries[0].columns.get(role_of(axis), "") for axis in axes}
     return tuple(sorted(axes, key=lambda axis: header.index(column_names[axis]) if column_names[axis] in header else 0))
@@ -200,8 +200,8 @@ def _rules(geometry: Geometry, columns: BoxColumns, wishes: Wishes) -> list[tupl
 
 
 def _sizes_by_article(columns: BoxColumns, geometry: Geometry) -> str:
-    """Whether sizes are those as placed or those of the item, if boxes of one article in different orientations show
-    it; "" if this is unknown."""
+    """Whether sizes are those of the placed box or those of the item. Boxes of one article in different orientations
+    show this. "" if it is unknown."""
     turns, names = columns.turns, columns.article
     if turns is None or names is None:
         return ""

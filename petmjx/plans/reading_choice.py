@@ -31,20 +31,20 @@ TIE: Final = 1.5
 """Readings whose costs differ by less than this are a tie. Costs behave like negative log likelihoods: a difference of
 1.5 corresponds to odds of 4 to 1."""
 _FEW_BOXES, _FEW_MORE = 6, 0.8
-"""In files with few boxes, the range of a tie is wider by this value, because a wrong reading of three boxes is often
-as plausible as the right one by chance."""
+"""In files with few boxes, costs that differ by this much more are still a tie, because a wrong reading of three boxes
+is often by chance as plausible as the right one."""
 WEAK: Final = 5.0
-"""A reading is weak if the cost of its layout exceeds this. This is so if a fifth of the boxes overlap, or a quarter
-float."""
+"""A reading is weak if the cost of its layout exceeds this. The cost reaches this value if a fifth of the boxes
+overlap, or if a quarter float."""
 WEAK_LEAD: Final = 3.0
-"""A weak reading wins only with at least this lead over all others. If a plan really has odd boxes, it is odder still
-in every other reading."""
+"""A weak reading wins only if its cost is lower than that of every other reading by at least this. If a plan really has
+odd boxes, other readings make it even odder."""
 _MOST_BOXES: Final = 400
 _MOST_PLANS: Final = 12
-"""Largest numbers of boxes and of plans from which readings are judged. All other boxes are read in the same manner."""
+"""Largest numbers of boxes and of plans that are used to judge readings. The chosen reading applies to all boxes."""
 
 _LOWEST_UNIT_COST: Final = -2.5
-"""Smallest possible cost of units. It belongs to boxes of usual sizes and densities on a usual carrier."""
+"""Smallest possible cost of units: the cost for boxes of usual sizes and densities on a usual carrier."""
 
 _UNIT_PRIOR: Final = {"mm": 0.0, "cm": 0.0, "m": 0.0, "in": 0.7, "tick": 1.0, "ft": 3.0}
 _MASS_PRIOR: Final = {"kg": 0.0, "g": 0.0, "lb": 0.7, "t": 3.0}
@@ -62,7 +62,7 @@ class _Judged:
     rows: NDArray[np.int64]
     """The rows of the boxes in all layouts."""
     unit_cost: float = 0.0
-    """Cost of the most plausible units. It depends on which sides of the load lie on the deck."""
+    """Cost of the most plausible units, which depends on which sides of the load lie on the deck."""
 
     @property
     def cost(self) -> float:
@@ -71,14 +71,14 @@ class _Judged:
 
 @dataclass(frozen=True, eq=False)
 class _Sample:
-    """The plans from which readings are judged: for each of them, its rows and its container."""
+    """The plans that are used to judge readings: for each plan, its rows and its container."""
 
     rows: tuple[NDArray[np.int64], ...]
     containers: tuple[Mapping[str, float], ...]
 
 
 def _sample_of(columns: BoxColumns, plans: Mapping[str, NDArray[np.int64]], damaged: Collection[str] = ()) -> _Sample:
-    """The first plans that have no faults. If there are none, the rows without faults of the first plans.
+    """The first plans that have no faults. If all plans have faults, the rows without faults of the first plans.
 
     Args:
         damaged: names of plans that lack rows.
@@ -105,7 +105,7 @@ def _sample_of(columns: BoxColumns, plans: Mapping[str, NDArray[np.int64]], dama
 
 
 def container_of(containers: Mapping[str, Mapping[str, float]], name: str) -> Mapping[str, float]:
-    """The container of a plan: its own, else that of the file, else None."""
+    """The container of a plan: the plan's own container, else the file's container, else None."""
     return (
         containers.get(name) or containers.get("") or (next(iter(containers.values())) if len(containers) == 1 else {})
     )
@@ -132,8 +132,8 @@ def _judge(columns: BoxColumns, candidate: Candidate, sample: _Sample) -> _Judge
 
 
 def _unit_costs(judged: _Judged, columns: BoxColumns, wishes: Wishes) -> list[tuple[float, str, str, float, float]]:
-    """For each pair of units, cheapest first: cost, unit of lengths, unit of masses, median density in kg/m³, mean side
-    in mm.
+    """A tuple for each pair of units, cheapest first: cost, unit of lengths, unit of masses, median density in kg/m³,
+    mean side in mm.
 
     The unit of lengths is that of coordinates.
     """
@@ -176,8 +176,8 @@ def _unit_costs(judged: _Judged, columns: BoxColumns, wishes: Wishes) -> list[tu
 
 
 def _deck_of(judged: _Judged, wishes: Wishes) -> tuple[FloatArray, bool]:
-    """Extents of the container along x and y in the file's unit, or those of the load if it is unknown; and whether it
-    is known."""
+    """Extents of the container along x and y in the file's unit, and True. If the container is unknown, the extents of
+    the load, and False."""
     layout = judged.layouts[0]
     if not np.isnan(layout.container[:2]).any():
         return layout.container[:2], True
@@ -259,11 +259,11 @@ def _with_units(judged: _Judged, columns: BoxColumns, wishes: Wishes) -> _Judged
 
 
 def _units_of(best: _Judged, columns: BoxColumns, wishes: Wishes) -> list[tuple[float, str, str, float, float]]:
-    """The units of a reading. If two are a tie, both.
+    """The units of a reading. If two units are a tie, both are returned.
 
-    Units of lengths are a tie if boxes and load fit a carrier equally well in both, whatever the masses, or if their
-    costs are almost equal. If lengths are in inches, pounds and kilograms are a tie. Other units of masses do not
-    change verdicts, so they are no tie.
+    Two units of lengths are a tie if boxes and load fit a carrier equally well in both, whatever the masses, or if the
+    costs of the units are almost equal. If lengths are in inches, pounds and kilograms are a tie. Other units of masses
+    are never a tie, because they do not change verdicts.
     """
     costs = _unit_costs(best, columns, wishes)
     first = costs[0]
@@ -287,16 +287,16 @@ def _units_of(best: _Judged, columns: BoxColumns, wishes: Wishes) -> list[tuple[
 
 
 _TRIED: Final = ("mm", "cm", "m", "in")
-"""Units of lengths that are tried. They are a tie if boxes and load fit in two of them."""
+"""Units of lengths that are tried. Two of them are a tie if boxes and load fit a carrier in both."""
 _THIN, _DENSE = 20.0, 2000.0
 """A unit of masses is plausible if the density, in kg/m³, is between these values: crisps and bricks."""
 _CONVERTED, _NOT_CONVERTED = 0.95, 0.6
-"""Lengths were converted to a unit if at least the first share of them are whole millimetres in it, and at most the
-second share are in any other unit."""
+"""Lengths were converted to a unit if, read in this unit, at least the first share of them are whole millimetres, and,
+read in any other unit, at most the second share."""
 
 
 def _fit(best: _Judged, unit: str, wishes: Wishes) -> int:
-    """How well boxes and load fit a carrier in a certain unit of coordinates (as from ``load_fit``)."""
+    """How well boxes and load fit a carrier if coordinates are in a certain unit (a result of ``load_fit``)."""
     factor = LENGTH_UNITS[unit]
     size = np.concatenate([layout.size for layout in best.layouts])
     load = np.max([(one.low + one.size).max(axis=0) - one.low.min(axis=0) for one in best.layouts], axis=0)
@@ -306,7 +306,8 @@ def _fit(best: _Judged, unit: str, wishes: Wishes) -> int:
 
 
 def _are_converted(best: _Judged, unit: str, others: Collection[str]) -> bool:
-    """Whether sizes are whole millimetres only if their unit is inches. Such sizes were converted to inches.
+    """Whether sizes are whole millimetres only if their unit is inches, which shows that millimetres were converted to
+    inches.
 
     Whole centimetres are no evidence, although they are whole millimetres, because boxes may also have whole inches.
     """
@@ -319,7 +320,7 @@ def _are_converted(best: _Judged, unit: str, others: Collection[str]) -> bool:
 
 
 def _other_mass(best: _Judged, columns: BoxColumns, wishes: Wishes) -> str | None:
-    """Another unit of masses that is plausible and that no name excludes; None if there is none.
+    """Another unit of masses that is plausible and that no column name excludes; None if there is none.
 
     This unit is only mentioned, because a factor on all masses hardly affects a verdict.
     """

@@ -31,7 +31,7 @@ _FIELDS: Final = ("form", "units", "along", "density", "columns", *_TEXTS)
 
 
 def wishes_of_reading(reading: Reading) -> Wishes:
-    """Turn a reading into options of a caller that leave nothing open."""
+    """Turn a reading into options that fix every choice."""
     return Wishes(
         columns=_choosable(reading.columns),
         exact=dict(reading.columns),

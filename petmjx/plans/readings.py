@@ -3,7 +3,8 @@
 Column names leave several readings open. All possible readings are tried, and the most plausible one wins. In a
 plausible reading, boxes do not overlap or float, lie on other boxes, touch their neighbours and fit the carrier, and
 they have the sizes and densities of cartons. If two readings are almost equally plausible, and differ in more than a
-shift or a mirror image, they are a tie. Then the user is asked or the file is refused. A tie is never decided silently.
+shift or a mirror image, they are a tie. In case of a tie, the user is asked or the file is refused. A tie is never
+decided silently.
 """
 
 from __future__ import annotations
@@ -28,7 +29,8 @@ ROTATION_RULES: Final = {
 }
 """Rule of rotation → its description."""
 ORIGINS: Final = ("given", "middle", "floor")
-"""Where the origin of the file is: at a corner of the deck, in the middle of the deck, or below it; see ``Reading``."""
+"""Possible origins of a file: a corner of the deck, the middle of the deck, or a point below the deck; see
+``Reading``."""
 
 
 @dataclass(frozen=True)
@@ -74,7 +76,8 @@ class Reading:
     Attributes:
         form: name of the file's form, in words.
         columns: role → name of its column.
-        units: unit of lengths; masses: unit of masses. If sizes and coordinates have different units, "cm/mm".
+        units: unit of lengths; masses: unit of masses. If sizes and coordinates have different units, ``units`` is, for
+            example, "cm/mm".
         anchor: the point of a box that coordinates describe.
         up: the file's vertical axis, "y" or "z".
         along: names of the sizes that lie along the plan's x, y and z, before boxes are turned.
@@ -87,9 +90,9 @@ class Reading:
         density_kg_m3: density of boxes that have no weight; None: all boxes have weights.
         notes: lines about values that were added or left out.
         unused: names of the columns that are not used.
-        odd: lines about values that are unlikely to be right in any reading.
+        odd: lines about values that are improbable in every reading.
         cost: cost of the reading, which is high if it is implausible; layout_cost: the cost without names and units.
-        evidence: what the cost is based on.
+        evidence: the numbers on which the cost is based.
         alternatives: other readings with a similar cost, most plausible first.
     """
 
@@ -158,8 +161,8 @@ class Wishes:
         exact: all columns, if they come from a written reading; else empty.
         units: unit of lengths; masses: unit of masses.
         anchor, up, sizes, origin: as in ``Reading``.
-        along: names of the sizes along x, y and z; rule: how boxes are turned. Both can only come from a written
-            reading.
+        along: names of the sizes along x, y and z; rule: how boxes are turned. ``along`` and ``rule`` can only come
+            from a written reading.
         density_kg_m3: density of boxes that have no weight.
         deck_mm: extents of the carrier along x and y.
     """
@@ -179,7 +182,7 @@ class Wishes:
 
 
 class AmbiguousFile(InputError):
-    """A file can be read in two ways. The message names both, and the option that decides between them.
+    """A file has two possible readings. The message names both, and the option that decides between them.
 
     Attributes:
         readings: the possible readings, most plausible first.
@@ -219,7 +222,7 @@ _OF_COLUMNS: Final = (
     (("along",), "--columns", lambda reading: f"{', '.join(reading.along)} along x, y, z"),
     (("columns",), "--columns", _column_words),
 )
-"""The fields about columns. If other fields differ, a difference in these is only a consequence."""
+"""The fields about columns. If other fields differ too, a difference in these fields is only a consequence of that."""
 
 
 def tie_text(readings: Sequence[Reading], weak: bool) -> str:
@@ -244,5 +247,6 @@ def tie_text(readings: Sequence[Reading], weak: bool) -> str:
 
 
 CHOOSER: ContextVar[Callable[[str, AmbiguousFile], Reading | None] | None] = ContextVar("CHOOSER", default=None)
-"""Function that asks which reading of a file is right, from the name of the file and its readings. It returns the right
-reading, or None if the user does not know. None instead of a function: the file is refused without a question."""
+"""Function that asks the user which reading of a file is right. Its arguments are the name of the file and the possible
+readings. The function returns the right reading, or None if the user does not know. If None is given instead of a
+function, the file is refused without a question."""

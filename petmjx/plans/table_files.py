@@ -56,7 +56,7 @@ def parse_csv(data: bytearray, cut_off: bool = False) -> Table:
         where, unread = sorted_columns(names)
     except TableError as error:
         for number, name in enumerate(names, start=1):
-            if not is_text(name):  # it may be the missing column
+            if not is_text(name):  # this column may be the missing one
                 raise TableError(f"row 1, column {number}: the name is not UTF-8 text{other_encoding(name)}") from error
         raise
     if not data[len(header) :].strip():
@@ -89,7 +89,8 @@ class _CsvReader:
     def __init__(self, delimiter: str, names: list[str], plan_column: int) -> None:
         self.lost: list[LostRow] = []
         self._lost_numbers: list[int] = []
-        """Numbers of the rows that Arrow could not use. They count the rows of the text that Arrow received."""
+        """Numbers of the rows that Arrow could not use. Rows are counted in the text that Arrow received, without its
+        damaged lines."""
         self._plans_with_lost: set[str | None] = set()
         self._delimiter, self._names, self._plan_column = delimiter, names, plan_column
 
@@ -109,7 +110,7 @@ class _CsvReader:
             raise TableError(f"not CSV: {reason(error)}") from error
         lost = np.array(self._lost_numbers, dtype=np.int64)
         numbers = np.setdiff1d(np.arange(2, rows.num_rows + len(lost) + 2), lost, assume_unique=True)
-        if len(damaged):  # row numbers also count the lines that were removed
+        if len(damaged):  # row numbers must also count the lines that were removed
             row_numbers = np.setdiff1d(np.arange(1, rows.num_rows + len(lost) + len(damaged) + 2), damaged)
             numbers = row_numbers[numbers - 1]
             self.lost[before:] = [row._replace(number=int(row_numbers[row.number - 1])) for row in self.lost[before:]]
@@ -145,7 +146,7 @@ class _CsvReader:
     def _without_damaged_lines(self, data: bytearray) -> tuple[bytearray, np.ndarray[Any, np.dtype[np.int64]]]:
         """The text without its damaged lines, and the numbers of these lines.
 
-        A line is damaged if it is not UTF-8, or if it has a quotation mark that is not closed in the same line. These
+        A line is damaged if it is not UTF-8, or if it has a quotation mark that is not closed in the same line. Damaged
         lines are added to ``lost``.
         """
         good_lines, damaged = [], []

@@ -135,7 +135,7 @@ class RawFile:
     """The raw tables of one file.
 
     Attributes:
-        tables: the tables; those with headers come first.
+        tables: the tables; tables with headers come first.
         kind: kind of the file, in words: "a table as text", "a workbook (.xlsx)".
     """
 

@@ -66,7 +66,7 @@ def check_tables_free(
     inputs: Iterable[Path] = (),
     others: Mapping[str, IsOurs] | None = None,
 ) -> None:
-    """Check that :func:`write_documented_tables` would replace no file that it must not replace. This check is made
+    """Check that :func:`write_documented_tables` would replace no file that it must not replace. Call this function
     before the tables are computed, which can take minutes.
 
     Args:
@@ -89,8 +89,8 @@ def check_tables_free(
 
 
 def is_documented_table(file: Path) -> bool:
-    """Whether :func:`write_documented_tables` may have written a file. The metadata of a Parquet file show it. A CSV
-    file must have the same columns as the Parquet file beside it."""
+    """Whether :func:`write_documented_tables` may have written a file. A Parquet file is recognised by its metadata. A
+    CSV file must have the same columns as the Parquet file beside it."""
     if file.suffix == ".csv":
         columns = _documented_columns(file.with_suffix(".parquet"))
         return columns is not None and _header(file) == columns
@@ -107,8 +107,8 @@ def has_keys(file: Path, keys: Iterable[str]) -> bool:
 
 
 def _documented_columns(file: Path) -> list[str] | None:
-    """The columns of a Parquet file in which every column has a unit and a description. None for any other file, and
-    for parts of runs."""
+    """The columns of a Parquet file, if every column has a unit and a description. None for any other file, and for a
+    part of a run."""
     try:
         with open_for_arrow(file) as stream:
             schema = pq.read_schema(stream)

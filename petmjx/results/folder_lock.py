@@ -1,8 +1,8 @@
 """A lock that lets only one run at a time write into a folder. The lock ends when its process ends, even if it is
 killed.
 
-The package ``filelock`` is no replacement. It accepts any file of the lock's name as a lock, does not say which process
-holds it, and on file systems without locks it uses a file that remains after a kill.
+The package ``filelock`` is no alternative. It accepts any file of the lock's name as a lock, does not tell which
+process holds the lock, and, on file systems without locks, leaves its file behind after a kill.
 """
 
 from __future__ import annotations
@@ -83,7 +83,8 @@ def _not_ours(folder: Path) -> InputError:
 
 
 def _take(descriptor: int, folder: Path) -> bool:
-    """Lock the file. Returns whether the locked file is still in the folder; its last holder may have deleted it."""
+    """Lock the file. Returns whether the locked file is still in the folder, because the process that held the lock
+    before may have deleted it."""
     while True:
         try:
             fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)

@@ -32,12 +32,12 @@ _KEY = ("plan_id", "variant")
 class Recording:
     """Which worlds a run records, and which histories it keeps.
 
-    Whether a world fails is known only when it ends. So ``failed_only`` records all worlds and drops the history of a
-    stable world when it ends. No world is simulated twice, and memory holds only the histories of worlds still being
-    simulated.
+    Whether a world fails is known only when it ends. So with ``failed_only``, all worlds are recorded, and the history
+    of a stable world is dropped at its end. No world is simulated twice, and memory holds only the histories of worlds
+    still being simulated.
 
     Attributes:
-        record: what the engine records; None: no recording.
+        record: settings of the recording, for the engine; None: no recording.
         plan_ids: plans whose worlds are recorded; None: all.
         failed_only: keep only the histories of worlds that are not stable.
     """
@@ -47,11 +47,11 @@ class Recording:
     failed_only: bool = False
 
     def of(self, plan: Plan) -> Record | None:
-        """What to record of the worlds of a plan; None: nothing."""
+        """The settings with which the engine records a plan's worlds. None: the worlds are not recorded."""
         return self.record if self.plan_ids is None or plan.plan_id in self.plan_ids else None
 
     def kept(self, outcome: Outcome) -> Outcome:
-        """The outcome; its history is removed if the run does not keep it."""
+        """The outcome, without its history if the run does not keep it."""
         if outcome.history is None or not self.failed_only or outcome.verdict is not Verdict.STABLE:
             return outcome
         return replace(outcome, history=None)
@@ -107,7 +107,7 @@ def _split(text: str) -> list[str]:
 
 
 _DRIVES: Final = ((FORCE, "drive_force", "_n"), (ACCELERATION, "drive_acc", ""))
-"""For each kind of drive: the prefix and the suffix of its columns in ``frames``."""
+"""Kind of drive → prefix and suffix of its columns in ``frames``."""
 
 _XYZ: Final = "xyz"
 _WXYZ: Final = "wxyz"
@@ -241,7 +241,7 @@ def _vector(columns: Mapping[str, FloatArray], name: str, parts: str, end: str =
 
 
 def _or_null(values: FloatArray | None, indices: tuple[NDArray[np.intp], NDArray[np.intp]], width: int) -> FloatArray:
-    """(rows, width) values of frames and boxes; NaN if they were not recorded."""
+    """(rows, width) the values, or NaN if they were not recorded."""
     if values is None:
         return np.full((len(indices[0]), width), np.nan)
     return values[indices].reshape(-1, width)
@@ -271,7 +271,7 @@ def _read(run: RunResults, table: str, plan_id: str, variant: int) -> dict[str, 
 
 
 def _fits(boxes: Mapping[str, Any], f: int, n_boxes: int) -> bool:
-    """Whether all rows belong to frames and boxes that exist."""
+    """Whether every row belongs to an existing frame and box."""
     frame, box = boxes["frame"], boxes["box"]
     return bool(((frame >= 0) & (frame < f) & (box >= 0) & (box < n_boxes)).all())
 

@@ -1,4 +1,4 @@
-"""Tables as short HTML for notebooks. The HTML has no styles of its own, so it follows the notebook's theme."""
+"""Tables as short HTML for notebooks. The HTML defines no styles, so it follows the notebook's theme."""
 
 from __future__ import annotations
 

@@ -61,8 +61,8 @@ def read_check(folder: Path, info: Mapping[str, Any]) -> OrderCheck | None:
 
 
 def joined_check(checks: Sequence[OrderCheck]) -> OrderCheck:
-    """Combine the order checks of all shards into that of the whole run. All shards were compared with the same
-    orders."""
+    """Combine the order checks of all shards into the order check of the whole run. All shards were compared with the
+    same orders."""
     counts = {
         field.name: _sum([getattr(check.counts, field.name) for check in checks]) for field in fields(OrderCounts)
     }

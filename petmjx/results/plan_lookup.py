@@ -1,6 +1,6 @@
 """Finds the plans of a run again, in its table ``placements`` or in the files that they came from.
 
-No other table of a run has the sizes of boxes.
+This is needed because no other table of a run has the sizes of boxes.
 """
 
 from __future__ import annotations
@@ -51,10 +51,10 @@ def find_plans(
     """Find the plans of a run. Only plans that are equal to the simulated ones count as found.
 
     Args:
-        records: the run's records of its plans, by id. A plan without a record is accepted as it is.
+        records: the run's records of its plans, by id. A plan without a record is accepted without a check.
         wanted: ids of the plans to find.
-        given: where the plans are now. None: use the plan objects of the run; without these, the plans in its table;
-            without these, the files that the table ``plans`` names.
+        given: where the plans are now. None: the first of these that exists is used: the plan objects of the run, the
+            plans in its table ``placements``, the files that the table ``plans`` names.
 
     Raises:
         InputError: ``given`` is unusable.
@@ -87,8 +87,8 @@ def plans_in_place(plans: PlanSource | None, strict: bool = False) -> PlanSource
     """The plans of a source. For folders of runs, these are the plans that the runs simulated.
 
     Raises:
-        InputError: a run cannot be read, or none of its plans can be found in its tables or in a file; with ``strict``,
-            already if a single plan is missing.
+        InputError: a run cannot be read, or none of its plans can be found in its tables or in a file. With ``strict``,
+            also if any plan is missing.
     """
     several: Any = [plans] if isinstance(plans, str | PathLike) else plans
     if not isinstance(several, list | tuple) or not several or not all(map(is_run, several)):
@@ -113,8 +113,8 @@ def plans_of(run: RunResults, strict: bool = False) -> PlanSet:
     """The plans that a run simulated. Plans that cannot be found are skipped.
 
     Raises:
-        InputError: the run lists no plans, or none of them can be found; with ``strict``, already if a single plan
-            cannot.
+        InputError: the run lists no plans, or none of them can be found. With ``strict``, also if any plan cannot be
+            found.
     """
     records = Manifest.read(run.parts, run.info).plans
     simulated = set(run.worlds["plan_id"])

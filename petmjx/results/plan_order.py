@@ -1,8 +1,8 @@
 """The order of a run's worlds: by plan in the order of the input, then by variant.
 
-Worlds end in any order, and their rows are written when they end. The column ``rank`` has each world's position in the
-order, and readers sort by it. Runs of petmjx before 0.3 have no ranks; their rows are sorted by the order of the table
-``plans``.
+Worlds end in any order, and the row of a world is written when the world ends. The column ``rank`` has each world's
+position in the order, and readers sort by it. Runs of petmjx before 0.3 have no ranks; their rows are sorted by the
+order of the table ``plans``.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ class WorldRanks:
     without gaps. In a search they have gaps.
 
     Args:
-        plan_ids: all plans in the order of the input, including those of other shards. Plans that are not listed come
+        plan_ids: all plans in the order of the input, including plans of other shards. Plans that are not listed come
             after them, in the order in which they are first ranked.
         variants: numbers of each plan's variants; None: unknown, as in a search.
     """

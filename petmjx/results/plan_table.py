@@ -1,7 +1,7 @@
 """The table ``placements`` of a run: all fields of its plans, with one row per box.
 
-With this table, a run can be shown and reported from its folder alone, even if the files of its plans are gone or the
-folder was moved. Null means that the plan has no such value; NaN is a value.
+With this table, a run can be shown and reported from its folder alone, even if the files of its plans were deleted or
+the folder was moved. Null means that the plan does not have the field. NaN is a value of a field.
 """
 
 from __future__ import annotations

@@ -48,8 +48,8 @@ class CompletedWorlds:
             self._index(self._table, parts)
 
     def _index(self, table: pa.Table, parts: Parts | None) -> None:
-        """Sort the rows by plan and variant. The sorted index takes a few bytes per world, where a dictionary would
-        take hundreds."""
+        """Sort the rows by plan and variant. The sorted index takes a few bytes per world; a dictionary would take
+        hundreds."""
         plans = table["plan_id"].combine_chunks().dictionary_encode()
         plan = np.asarray(plans.indices, dtype=np.int64)
         variant = np.asarray(table["variant"], dtype=np.int64)
@@ -76,7 +76,7 @@ class CompletedWorlds:
         return end - first
 
     def _rows_of(self, plan_id: str) -> dict[int, int]:
-        """Variant → row, for the worlds of a plan. The result for the last plan is cached, since runs look up worlds
+        """Variant → row, for the worlds of a plan. The result for the latest plan is cached, since runs look up worlds
         plan by plan."""
         if self._last[0] != plan_id:
             span = slice(*self._spans.get(plan_id, (0, 0)))
@@ -85,7 +85,7 @@ class CompletedWorlds:
         return self._last[1]
 
     def row(self, plan_id: str, variant: int) -> dict[str, Any] | None:
-        """One world as column → value, with null as None. None if the world is not completed."""
+        """The row of a world as column → value, with null as None. The result is None if the world is not completed."""
         row = self._rows_of(plan_id).get(variant)
         return None if row is None else {name: values[row] for name, values in self._values.items()}
 
@@ -114,8 +114,8 @@ def engine_of_run(folder: Path) -> str | None:
 def resume_state(
     folder: Path, manifest: Manifest | None, versions: Mapping[str, str]
 ) -> tuple[dict[str, Any], Parts, list[str]]:
-    """The ``run.json`` of the earlier run, its files, and its warnings, to which different versions and missing
-    data add further ones.
+    """The ``run.json`` of the earlier run, its files, and its warnings. Further warnings are added if versions differ
+    or data are missing.
 
     Args:
         versions: package → version, as in the resumed run.

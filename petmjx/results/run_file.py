@@ -23,7 +23,7 @@ Share = Annotated[str, Field(pattern=r"^[1-9][0-9]{0,8}/[1-9][0-9]{0,8}$")]
 
 
 class _PartialRecord(BaseModel):
-    """A table of ``run.json`` of which only some entries are read."""
+    """Base class for the tables in ``run.json`` of which petmjx reads only some entries."""
 
     model_config = ConfigDict(strict=True, extra="ignore")
 
@@ -35,7 +35,7 @@ _ORDER_FIELDS: Final[dict[str, Any]] = {
     name: (kind, 0 if name in _NEWER_FIELDS else ...) for name, kind in get_type_hints(OrderCounts).items()
 }
 _OrderCounts = create_model("_OrderCounts", __base__=_PartialRecord, **_ORDER_FIELDS)
-"""A record with all fields of ``OrderCounts``."""
+"""Checks that an entry has all fields of ``OrderCounts``."""
 
 
 class _Counts(_PartialRecord):
@@ -87,11 +87,11 @@ class RunFile(_PartialRecord):
     skipped: list[_Skipped] = []
     warnings: list[str] = []
     orders: _Orders | None = None
-    """Only runs that were compared with orders have this entry, as with ``counts.orders``."""
+    """Only runs that were compared with orders have this entry and ``counts.orders``."""
     parts: dict[TableName, dict[PartName, Digest]]
     """Table → file name → digest, for the files that belong to the run."""
     digest: Digest | None = None
-    """Digest of all other entries."""
+    """Digest of all other entries of ``run.json``."""
 
 
 _OPTIONAL: Final = ("orders", "digest")

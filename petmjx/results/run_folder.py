@@ -14,7 +14,8 @@
 
 A file never appears half-written. A part belongs to the run once ``run.json`` lists it with its digest
 (petmjx.results.run_tables). Parts that are not listed were left by a killed run. Parts of ``worlds``, ``boxes`` and
-``attempts`` with the same number hold the same worlds, and so do those of ``histories``, ``frames`` and ``contacts``.
+``attempts`` with the same number hold the same worlds, and so do parts of ``histories``, ``frames`` and ``contacts``
+with the same number.
 """
 
 from __future__ import annotations
@@ -41,7 +42,7 @@ from petmjx.common.safe_read import read_regular
 
 RUN_FILE: Final = "run.json"
 OF_SOME_WORLDS: Final = ("attempts", "histories", "frames", "contacts")
-"""Tables of which a part may be missing, because none of its worlds has a row in the table."""
+"""Tables in which parts may be missing. A part is missing if none of its worlds has a row in the table."""
 
 OF_WORLDS: Final = ("worlds", "boxes", *OF_SOME_WORLDS)
 TABLES: Final = (*OF_WORLDS, "summary", "plans", "placements")
@@ -60,8 +61,7 @@ MOST_RUN_FILE_BYTES: Final = 1 << 30
 
 
 def part_name(number: int) -> str:
-    """File name of a part. The parts of some worlds have the same number in ``worlds``, ``boxes`` and all other
-    tables."""
+    """File name of a part. Parts of different tables that hold the same worlds have the same number."""
     return f"part-{number:05d}.parquet"
 
 
@@ -80,8 +80,8 @@ Write = Callable[[BinaryIO], object]
 
 
 def parquet(table: pa.Table) -> Write:
-    """A writer of a table as Parquet. Measured values hardly repeat, so they get no dictionary, which would double the
-    time and take more space."""
+    """A writer of a table as Parquet. Measured values hardly repeat, so they are stored without a dictionary. A
+    dictionary would double the time and take more space."""
     repeats = [field.name for field in table.schema if not pa.types.is_floating(field.type)]
     return lambda file: pq.write_table(
         table, file, compression="zstd", compression_level=1, row_group_size=ROWS_PER_GROUP, use_dictionary=repeats
@@ -118,7 +118,7 @@ def write_together(files: Mapping[Path, Write]) -> None:
 
 
 def appear(hidden: Mapping[Path, Path]) -> None:
-    """Rename finished hidden files to their final paths. ``hidden`` maps the final path → the path of the hidden
+    """Rename finished hidden files to their final paths. ``hidden`` maps each final path to the path of the hidden
     file."""
     for path, temporary in hidden.items():
         os.replace(temporary, path)
@@ -131,8 +131,8 @@ def appear(hidden: Mapping[Path, Path]) -> None:
 
 
 def write_table(table: pa.Table, path: Path) -> str:
-    """Write one Parquet file, which never appears half-written; returns its digest. If the run's folder is gone, it is
-    not created again."""
+    """Write one Parquet file, which never appears half-written; returns its digest. If the run's folder was deleted, it
+    is not created again."""
     path.parent.mkdir(exist_ok=True)
     return _write_whole(path, parquet(table))
 
@@ -182,13 +182,13 @@ def check_run_folder(folder: Path, overwrite: bool = False, resume: bool = False
 
     def is_ours(file: Path) -> bool:
         if file.name == RUN_FILE:
-            return resume or _listed_parts(file) is not None  # on resume, the reader reports errors
+            return resume or _listed_parts(file) is not None  # when a run is resumed, the reader reports errors
         return file in hidden or file in listed or _is_part_of(parts[file], file)
 
     def check(*files: Path) -> None:
         check_outputs(files, overwrite=True, folder=folder, is_ours=is_ours)
 
-    # folders that do not exist yet are checked as well: ``check`` descends each path from the top
+    # ``check`` descends each path from the top, so it also covers folders that do not exist yet
     check(folder / RUN_FILE, *(folder / table / "x" for table in TABLES))
     listed = _listed_parts(folder / RUN_FILE) or ()
     check(*parts, *hidden)
@@ -265,7 +265,7 @@ def _hidden_path(path: Path) -> Path:
 
 def _write(path: Path, write: Write) -> str:
     """Write a new file and flush it to disk; returns its digest."""
-    # the name cannot be guessed and an existing file is never opened, so nobody can place a file or a link there first
+    # Nobody can place a file or a link there first: the name cannot be guessed, and an existing file is never opened.
     open_flags = os.O_RDWR | os.O_CREAT | os.O_EXCL | os.O_NOFOLLOW | os.O_CLOEXEC
     with open(os.open(path, open_flags, 0o666), "w+b") as file:
         write(file)

@@ -24,8 +24,8 @@ from petmjx.results.run_tables import Parts
 from petmjx.results.schema import plans_schema
 
 DIGEST_BYTES: Final = 8
-"""Length of a plan's digest. With 2^64 values, among a million plans two different ones have the same digest in one of
-30 million runs."""
+"""Length of a plan's digest. A digest has 2^64 possible values. Among a million plans, two different plans have the
+same digest in one of 30 million runs."""
 
 MOST_NAMED: Final = 4
 """Largest number of differences that a message names. Further ones are only counted."""
@@ -90,7 +90,7 @@ def records_of(plans: Sequence[Plan], numbers: Mapping[str, int] | None = None) 
         plan.plan_id: PlanRecord(
             plan_digest(plan),
             plan.source,
-            # reduceat would add in another order
+            # a sum per plan, because ``reduceat`` would add in another order
             float(volume_of_box[begin:end].sum()),
             extent_x,
             extent_y,
@@ -104,8 +104,8 @@ def records_of(plans: Sequence[Plan], numbers: Mapping[str, int] | None = None) 
 
 
 def _arrow_column(values: Sequence[Any], kind: pa.DataType) -> pa.Array:
-    """The same as ``pyarrow.array`` of texts or numbers, which would first load pandas. Loading it would delay a run's
-    first world."""
+    """The same as ``pyarrow.array`` of texts or numbers. ``pyarrow.array`` would first load pandas, which would delay a
+    run's first world."""
     if None in values:
         return pa.array(values, kind)
     if kind != pa.string():
@@ -123,7 +123,7 @@ class Manifest:
 
     Attributes:
         settings: JSON-like values: command, simulation, sweep, engine, shard.
-        plans: all plans by id, including those of other shards, in the order of the input.
+        plans: all plans by id, including plans of other shards, in the order of the input.
         placements: function that makes the table ``placements`` of the run's plans; None: no such table.
     """
 
@@ -204,8 +204,8 @@ _NOTHING: Final = object()
 
 
 def _settings_of_command(settings: Mapping[str, Any]) -> Mapping[str, Any]:
-    """Rename settings to the names that the command uses. The sweep of a score becomes its number of worlds and its
-    errors. An entry that is written only if its option is on counts as false if it is missing."""
+    """Rename settings to the names that the command uses. For a score, the number of worlds and the errors replace the
+    sweep from which they come. If an entry is written only when its option is on, a missing entry counts as false."""
     settings = {"force_intervals": False, "keep": ALL, **settings}
     if isinstance(simulation := settings.get("simulation"), Mapping):
         settings["simulation"] = _with_later_fields(simulation)
@@ -218,8 +218,8 @@ def _settings_of_command(settings: Mapping[str, Any]) -> Mapping[str, Any]:
 
 
 def _with_later_fields(simulation: Mapping[str, Any]) -> dict[str, Any]:
-    """Options of a simulation, completed with fields that earlier versions did not write, at values without
-    effect."""
+    """Options of a simulation, completed with the fields that earlier versions did not write. Each such field gets the
+    value that has no effect."""
     walls = Walls().model_dump(mode="json")
     later = {"walls": walls, **simulation}
     if isinstance(carrier := later.get("carrier"), Mapping):
@@ -241,7 +241,7 @@ def differing_settings(was: Any, now: Any, path: str = "") -> Iterator[tuple[str
     if isinstance(was, Mapping) and isinstance(now, Mapping):
         for name in dict.fromkeys((*was, *now)):
             if name == "errors" and not path and not (name in was and name in now):
-                continue  # only one of the two has confidence, and that difference is reported
+                continue  # only one of the two has confidence; that difference is reported elsewhere
             inner = f"{path}.{name}" if path else str(name)
             yield from differing_settings(was.get(name, _NOTHING), now.get(name, _NOTHING), inner)
     elif _are_tables(was) and _are_tables(now) and len(was) == len(now):

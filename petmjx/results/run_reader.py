@@ -45,12 +45,13 @@ if TYPE_CHECKING:
     import pandas as pd
 
 _NAMES_WORLDS: Final = {"histories": "frames", "frames": "frames", "contacts": "frames"}
-"""Table → the table that lists the worlds of its parts: the part of the same number. For tables without an entry here,
-that is ``worlds``."""
+"""To find the worlds of a part, another table's part of the same number is read. This mapping gives that other table;
+for a table without an entry, it is ``worlds``."""
 
 
 def world_row(run: RunResults, plan_id: str, variant: int) -> dict[str, Any] | None:
-    """A world's row of ``worlds`` as column → value, with null as None. None if the world is not in the run."""
+    """A world's row of ``worlds`` as column → value, with null as None. The result is None if the world is not in the
+    run."""
     rows = rows_of(run, "worlds", plan_id, variant)
     return None if rows is None else dict(rows.to_pylist()[0])
 
@@ -73,7 +74,7 @@ def read_outcome(run: RunResults, plan_id: str, variant: int) -> Outcome | None:
     values["dropped"] = values["dropped"] > 0
     cells: dict[str, Any] = {name: row[name] for name in ("n_boxes", "n_placed", "solver", "attempt")}
     for of_world in world_metrics():
-        value = row.get(of_world.name)  # a run of an earlier version may lack it
+        value = row.get(of_world.name)  # a run of an earlier version may lack the column
         nothing = -1 if of_world.numbers else math.nan
         cells[of_world.name] = nothing if value is None else value
     return Outcome(
@@ -145,7 +146,7 @@ class RunResults:
     Attributes:
         parts: the files of the tables, for callers that read single columns.
         info: the entries of ``run.json``.
-        held: plans by id, for plans that are objects in memory and are in no file.
+        held: plans by id, for plans that exist only as objects in memory.
     """
 
     parts: Parts
@@ -170,7 +171,7 @@ class RunResults:
 
     @property
     def unfinished(self) -> str | None:
-        """How an unfinished run ended, such as ``interrupted``; some worlds are then missing. None if the run
+        """How an unfinished run ended, such as ``interrupted``. Some worlds of such a run are missing. None if the run
         finished."""
         status = str(self.info.get("status", "unknown"))
         return None if status == FINISHED else status
@@ -182,7 +183,7 @@ class RunResults:
 
     @property
     def walls(self) -> Walls:
-        """The walls in the run's options. The carrier may also have walls of its own."""
+        """The walls in the run's options. The carrier may have further walls."""
         return self._carrying.walls
 
     @property
@@ -223,8 +224,8 @@ class RunResults:
 
     @cached_property
     def worlds(self) -> pd.DataFrame:
-        """One row per world, in the order of the input. ``culprit`` is a nullable integer. In other columns missing
-        numbers are NaN.
+        """One row per world, in the order of the input. ``culprit`` is a nullable integer. In all other columns,
+        missing numbers are NaN.
 
         In a score without ``confidence``, the index is the plan's number: ``worlds.verdict[k]`` is the verdict of plan
         k. A KeyError means that plan k has no row: it was skipped, belongs to another shard, or was not reached.
@@ -258,7 +259,7 @@ class RunResults:
 
     @property
     def boxes_if_kept(self) -> pd.DataFrame:
-        """The same as ``boxes``; without rows if the run did not keep the table."""
+        """The table ``boxes``, or a table without rows if the run did not keep it."""
         return self.boxes if self.keeps_boxes else self._read("boxes")
 
     @property
@@ -295,8 +296,8 @@ class RunResults:
 
     @cached_property
     def placements(self) -> pd.DataFrame:
-        """One row per box of the simulated plans, with all fields of the plan. A run in memory has no rows, since its
-        plans are held as objects or are in their files."""
+        """One row per box of the simulated plans, with all fields of the plan. A run in memory has no rows here, since
+        its plans are objects in memory or are in their files."""
         parts = self.parts.table(PLACEMENTS)
         frame: pd.DataFrame = pa.concat_tables(parts or [placements_schema().empty_table()]).to_pandas()
         return frame
@@ -368,7 +369,7 @@ def read_info(folder: Path) -> dict[str, Any]:
 
 def split_warnings(info: Mapping[str, Any]) -> tuple[list[str], list[str]]:
     """Split the warnings of a ``run.json`` into two lists: warnings about the whole run, and one line per plan with
-    oddly placed boxes. The file lists the latter last."""
+    oddly placed boxes. In the file, the lines about plans come last."""
     warnings = list(info.get("warnings", []))
     first_odd = len(warnings) - info.get("counts", {}).get("odd_plans", len(warnings))
     return warnings[:first_odd], warnings[first_odd:]

@@ -20,8 +20,8 @@ from petmjx.results.run_tables import Parts, with_columns
 class Tables:
     """A run's tables on disk. All methods raise ``OSError`` if a file cannot be written.
 
-    New files get new numbers, so old and new files exist side by side until ``run.json`` lists the new ones. If the run
-    is killed, its folder is therefore in either the old or the new state.
+    New files get new numbers, so old and new files exist side by side until ``run.json`` lists the new files. So if the
+    run is killed, its folder is in either the old or the new state.
 
     Attributes:
         parts: the files that belong to the run.
@@ -45,7 +45,7 @@ class Tables:
         self.parts = self.parts.without(*OF_WORLDS).plus(digests)
 
     def write_only(self, table: str, content: pa.Table) -> None:
-        """Write a table that has a single part. Its earlier file no longer belongs to the run."""
+        """Write a table that has a single part. The earlier file of this table no longer belongs to the run."""
         digests = self.write(table, self.parts.next_number(table), content)
         self.parts = self.parts.without(table).plus(digests)
 
@@ -98,11 +98,12 @@ class MemoryParts(Parts):
         return with_columns(self.tables[file], file, columns)
 
     def plus(self, digests: Mapping[Path, str]) -> Parts:
-        """The same tables. In memory, a table belongs to the run as soon as it is written, and has no digest."""
+        """The same tables. There is nothing to add: in memory, a table belongs to the run as soon as it is written, and
+        has no digest."""
         return self
 
     def without(self, *tables: str) -> Parts:
-        """The same tables. In memory, no table replaces an earlier one."""
+        """The same tables. There is nothing to remove: in memory, no table replaces an earlier one."""
         return self
 
     def write(self, folder: Path) -> dict[Path, str]:

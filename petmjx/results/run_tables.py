@@ -28,12 +28,12 @@ read."""
 
 
 FREE_BYTES: Final = 256 << 20
-"""Memory in bytes that the tables of a run may always take. Above this, the limit is relative to their size on disk.
+"""Memory in bytes that the tables of a run may always take. Larger tables are limited relative to their size on disk.
 Boxes at rest and columns without values are compressed to a hundredth, so small files may unpack to large tables."""
 
 MOST_TABLE_BYTES: Final = 1 << 40
-"""Upper limit for the memory of a table, bytes. It is this high because the real limit of large runs is the machine's
-memory."""
+"""Upper limit for the memory of a table, bytes. This limit is high, because the real limit of large runs is the
+machine's memory."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -101,7 +101,7 @@ class Parts:
             self.check(file)
 
     def plus(self, digests: Mapping[Path, str]) -> Parts:
-        """These files and some new ones, given with their digests."""
+        """These files and some new files, given with their digests."""
         listed = {table: dict(files) for table, files in self.digests.items()}
         for file, digest in digests.items():
             listed.setdefault(file.parent.name, {})[file.name] = digest
@@ -128,7 +128,7 @@ class Parts:
         simulate its worlds again.
         """
         missing_names = {file.name for file in self.files("worlds") if not file.exists()}
-        if not missing_names or self.files("frames"):  # which histories belong to these worlds is unknown
+        if not missing_names or self.files("frames"):  # it is unknown which histories belong to the deleted worlds
             return self
         remaining = {
             table: {

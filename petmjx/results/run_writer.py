@@ -1,8 +1,9 @@
 """Writes the folder of a run while worlds are simulated. petmjx.results.run_folder describes its layout.
 
-One thread owns the folder. Other threads put finished worlds and requests into its queue, and it processes them in
-order. The thread collects worlds into parts, and writes each part once: when the part is full, when a world has waited
-for a minute, on request, and at the end. Signals interrupt only the main thread, so they never interrupt a write.
+One thread owns the folder. Other threads put finished worlds and requests into a queue, and the owning thread processes
+them in order. The thread collects worlds into parts, and writes each part once: when the part is full, when a world has
+waited for a minute, on request, and at the end. Signals interrupt only the main thread, so they never interrupt a
+write.
 """
 
 from __future__ import annotations
@@ -49,13 +50,14 @@ WORLDS_PER_PART: Final = 5_000
 parts."""
 
 BYTES_PER_PART: Final = 64 << 20
-"""Memory at which a part is full: 4,000 worlds of 43 boxes, 60 with histories, or 20 with detailed histories."""
+"""Memory at which a part is full: room for 4,000 worlds of 43 boxes, for 60 worlds with histories, or for 20 worlds
+with detailed histories."""
 
 SECONDS_PER_PART: Final = 60.0
-"""Longest time that a world waits for its part to be written. The limit holds even if no other world finishes."""
+"""Longest time that a finished world waits until its part is written, even if no other world finishes."""
 
 MOST_WAITING_BYTES: Final = 4 * BYTES_PER_PART
-"""Memory that worlds waiting to be written may take. Beyond it, ``add`` blocks."""
+"""Memory that worlds waiting to be written may take. While they take more, ``add`` blocks."""
 
 RETRY_S: Final = 10.0
 """Time between a write error and the next attempt, s. On a full disk, at most one part is packed in this time."""
@@ -83,8 +85,9 @@ class RunWriter(RunInfo):
     """Writes the results of one run while its worlds finish. A context manager.
 
     At the end, even after Ctrl-C or an error, the waiting worlds are written, and ``run.json`` states how the run
-    ended: ``finished``, ``interrupted`` or ``failed``. Memory holds at most ``MOST_WAITING_BYTES`` of worlds. After a
-    disk error, the thread tries again every ``RETRY_S``; ``add`` raises the error once that many bytes wait.
+    ended: ``finished``, ``interrupted`` or ``failed``. At most ``MOST_WAITING_BYTES`` of worlds wait in memory. After a
+    disk error, the thread tries again every ``RETRY_S``; ``add`` raises the error once ``MOST_WAITING_BYTES`` are
+    waiting.
 
     Rows are written in the order in which worlds finish. Within a part they are sorted by rank
     (petmjx.results.plan_order).
@@ -94,7 +97,7 @@ class RunWriter(RunInfo):
             larger run is written to a temporary folder, which is deleted together with the results.
         config: the values of all options as plain JSON values (from ``Simulation.model_dump(mode="json")`` and others).
         params: parameters of a sweep's variants. Each becomes a column of ``worlds``.
-        variants: numbers of each plan's variants, if all plans have the same ones. Ranks then have no gaps.
+        variants: numbers of each plan's variants, if they are the same for all plans. Ranks then have no gaps.
         dynamic, force_intervals, legs: as in ``petmjx.results.schema.schemas``.
         boxes: whether the run has the table ``boxes``.
         versions: package → version. The version of Python is added.
@@ -104,7 +107,7 @@ class RunWriter(RunInfo):
         orders: result of comparing the plans with their orders. In a resumed run, it replaces the stored result.
         overwrite: whether a run in the folder is replaced.
         resume: whether to continue the run in the folder, which must have the same manifest.
-        worlds_per_part, seconds_per_part: limits of a part. It is written when either is reached.
+        worlds_per_part, seconds_per_part: limits of a part, which is written when either limit is reached.
 
     Attributes:
         recorded: the completed worlds of a resumed run.
@@ -152,7 +155,7 @@ class RunWriter(RunInfo):
         self._queue: SimpleQueue[Row | _Request] = SimpleQueue()
         self._room: SimpleQueue[None] = SimpleQueue()  # this queue receives an entry after each attempt at writing
         self._thread = threading.Thread(target=self._work, name="petmjx-writer", daemon=True)
-        self._added_bytes = 0  # changed only by the thread that adds
+        self._added_bytes = 0  # changed only by the thread that adds worlds
         self._cut_short = False  # set only by the main thread
         # once the writer's thread has started, only that thread uses the attributes below
         self._tables: Tables = MemoryTables() if self._in_memory else Tables(self.out_dir)
@@ -167,8 +170,8 @@ class RunWriter(RunInfo):
         self._until_end = contextlib.ExitStack()
         self._ended = False
 
-    # Calls from other threads. Only these methods, ``warnings`` and similar attributes are used outside the writer's
-    # thread.
+    # Calls from other threads.
+    # Only these methods, ``warnings`` and similar attributes are used outside the writer's thread.
 
     def __enter__(self) -> Self:
         self._thread.start()
@@ -253,7 +256,7 @@ class RunWriter(RunInfo):
         if self.status != RUNNING:  # the run has ended, so another run may own the folder by now
             return
         self._cut_short = error is not None
-        # the first Ctrl-C ends the run; further ones must not end the process before all worlds are written
+        # the first Ctrl-C ends the run; a second one must not end the process before all worlds are written
         with defer_signals(afterwards=error is None):
             trouble = self._ask(lambda: self._end(error))
             self._joined()
@@ -285,7 +288,8 @@ class RunWriter(RunInfo):
 
     def _ask(self, call: Callable[[], Any]) -> Any:
         """Let the writer's thread call a function after everything that is already in the queue. Returns the result of
-        the function, or raises its error. The function is called even if the waiting thread is interrupted."""
+        the function, or raises its error. The function is called even if the thread that waits for its result is
+        interrupted."""
         request = _Request(call, SimpleQueue())
         self._queue.put(request)
         while True:
@@ -293,19 +297,19 @@ class RunWriter(RunInfo):
                 result, error = request.reply.get(timeout=LOOK_S)
                 break
             if not self._thread.is_alive() and request.reply.empty():
-                raise _CutShortError  # the thread ended before this request
+                raise _CutShortError  # the thread ended before it reached this request
         if error is not None:
             raise error
         return result
 
     def _joined(self) -> None:
-        """Wait until the thread has ended."""
+        """Wait until the writer's thread has ended."""
         self._thread.join()
         atexit.unregister(self._end_at_exit)
 
     def _end_at_exit(self) -> None:
-        """End the run when the process exits. Only needed if a second Ctrl-C came before ``__exit__`` deferred
-        signals."""
+        """End the run when the process exits. This function is needed only if a second Ctrl-C came before ``__exit__``
+        deferred signals."""
         with contextlib.suppress(_CutShortError):
             self.__exit__(KeyboardInterrupt, KeyboardInterrupt(), None)
 
@@ -357,8 +361,8 @@ class RunWriter(RunInfo):
         self._room.put(None)
 
     def _write_waiting(self, last: bool = False) -> None:
-        """Write everything that waits. With ``last``, a run in memory stays in memory; and a run without worlds gets an
-        empty part, so that readers find the columns.
+        """Write everything that waits. If this is the ``last`` write, a run in memory stays in memory, and a run
+        without worlds gets an empty part, so that readers find the columns.
 
         Raises:
             PetmjxError: something cannot be written.
@@ -375,7 +379,7 @@ class RunWriter(RunInfo):
                 self._write_part(begin)
             except PetmjxError:  # the disk fails, so other parts would fail as well
                 raise
-            except Exception as error:  # rows that cannot be packed must not stop other rows
+            except Exception as error:  # rows that cannot be packed must not keep other rows from being written
                 begin, failure = begin + self._worlds_per_part, failure or error
         if self._is_behind:
             self._write_info()
@@ -391,7 +395,7 @@ class RunWriter(RunInfo):
             for name, table in Part(sorted(rows, key=lambda row: row.rank)).tables(self.schemas):
                 digests |= self._tables.write(name, number, table)
         self._tables.add(digests)
-        self.counts += WorldCounts.of(table)  # ``worlds`` was the last table
+        self.counts += WorldCounts.of(table)  # ``worlds`` is written last
         del self._rows[begin : begin + len(rows)]
         n_bytes = sum(row.nbytes for row in rows)
         self._row_bytes -= n_bytes
@@ -468,7 +472,7 @@ class RunWriter(RunInfo):
         self._tables.drop_others()
         ranked = is_ranked(parts, list(self._manifest.plans if self._manifest else ()))
         self._write_plans()
-        if not ranked:  # rows are rewritten only for an old run (petmjx < 0.3), or another order of plans
+        if not ranked:  # rows are rewritten only if the run is old (petmjx < 0.3), or the order of plans has changed
             self._tables.replace_worlds(self._copies(self.parts, self._ranks))
         self._write_info()
         self._tables.drop_others()
@@ -530,7 +534,7 @@ class RunWriter(RunInfo):
         else:
             self.status, self.error = "failed", one_line(cause)
         if error is not None and trouble is not None:
-            # the error of the run itself is raised; this one is only noted in run.json, until the run is resumed
+            # The error of the run itself is raised. This error is only noted in run.json, until the run is resumed.
             also = f"the last part could not be written: {one_line(trouble)}"
             self.error = f"{self.error}; {also}" if self.error else also
         try:

@@ -6,8 +6,8 @@ The types, with reasons:
   all readers, whereas two pandas categoricals with different categories could not even be compared.
 - ``worlds`` is float64, because times are float64 sums of the timestep and are compared exactly. ``boxes`` is forty
   times as long, so its measured values are float32 and only its times are float64.
-- A value that does not exist is null: there is no culprit, a box was never placed, or a world never came to rest. The
-  ``reason`` of a stable world, however, is the empty string, since pandas drops null keys when grouping.
+- A value that does not exist is null. Examples: there is no culprit, a box was never placed, or a world never came to
+  rest. However, the ``reason`` of a stable world is the empty string, since pandas drops null keys when grouping.
 """
 
 from __future__ import annotations
@@ -30,7 +30,8 @@ if TYPE_CHECKING:
     import pandas as pd
 
 SCHEMA_VERSION: Final = 2
-"""Version of the columns. It is increased when a column is renamed, removed or redefined, but not for new columns."""
+"""Version of the columns. The version is increased when a column is renamed, removed or redefined, but not for new
+columns."""
 
 _FLAG_BITS = ", ".join(
     f"{flag.value} {(flag.name or '').lower().replace('_', '-')}"
@@ -163,7 +164,7 @@ _CONTACT_COLUMNS = (
 
 
 _NUMBER = _counts(number="number of the plan among those given, from 0, counting skipped ones")
-"""Column of ``plans``, by which its rows are sorted."""
+"""The column of ``plans`` by which its rows are sorted."""
 
 _EXTENT_COLUMNS = (
     _column("volume_m3", pa.float64(), "m^3", "sum of its boxes' volumes"),
@@ -291,7 +292,7 @@ def data_frame(table: pa.Table) -> pd.DataFrame:
 
 
 def schema_version_of(metadata: Mapping[bytes, bytes] | None) -> int:
-    """The schema version in a file's metadata; 0 if it has none."""
+    """The schema version in a file's metadata; 0 if the metadata has no version."""
     text: Any = (metadata or {}).get(b"schema_version", b"0")
     try:
         return int(text)

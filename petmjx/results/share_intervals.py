@@ -1,7 +1,7 @@
 """Shares of worlds that stand, with confidence intervals.
 
-For two shares from the same trials, there are the interval of their difference, an exact test, and a correction for
-many tests.
+For two shares from the same trials, this module computes the interval of their difference, an exact test, and a
+correction for many tests.
 """
 
 from __future__ import annotations
@@ -27,16 +27,16 @@ ONE_PLAN = "plan"
 about one plan."""
 
 KEYS = ("scope", "plan_id", "axis", "value")
-"""Columns that state what a summary row is about."""
+"""Columns that state the subject of a summary row."""
 
 
 def wilson_interval(
     successes: ArrayLike, n: ArrayLike, confidence: float = DEFAULT_CONFIDENCE
 ) -> tuple[FloatArray, FloatArray]:
-    """Wilson's score interval of a share, element by element; (0, 1) where n is 0.
+    """Wilson's score interval of a share, element by element; (0, 1) if n is 0.
 
     Source: Wilson (1927), J. Am. Stat. Assoc. 22, 209-212. The interval always lies inside [0, 1]. At shares of 0 and 1
-    it still has a width, whereas the usual ± interval has none.
+    its width is above 0, whereas the usual ± interval has a width of 0.
 
     Raises:
         ValueError: successes are not in 0 … n, or the confidence is not in (0, 1).
@@ -58,8 +58,8 @@ def wilson_interval(
 
 
 def by_plan_and_axis(worlds: pd.DataFrame, axes: Sequence[str], **columns: tuple[str, str]) -> pd.DataFrame:
-    """Aggregate worlds in groups: over all plans, and for each plan. Both are done over all worlds (axis "") and for
-    each value of each axis.
+    """Aggregate worlds in groups. There are groups over all plans, and groups for each plan. Within each of these,
+    there is one group of all worlds (axis ""), and one for each value of each axis.
 
     Args:
         columns: aggregates of each group, in the form that pandas' ``agg`` accepts: name=(column, function).
@@ -89,12 +89,14 @@ def share_standing(worlds: pd.DataFrame, axes: Sequence[str]) -> pd.DataFrame:
     without a value on an axis (the nominal world) does not enter the rows of that axis.
 
     A world without random values always has the same outcome, so a row with such a world has no interval. Worlds of the
-    same draw are not independent of each other. So the number of trials is the number of draws, however many worlds
-    there are. This is safe, because the mean over the worlds of a draw varies at most as much as one world.
+    same draw are not independent of each other. So the number of trials is the number of draws, not the number of
+    worlds. The interval is then wide enough, because the mean over the worlds of a draw varies at most as much as one
+    world.
 
     Args:
-        worlds: rows with ``plan_id``, ``verdict`` and a column for each axis. The column ``draw``, if present, is equal
-            for worlds that share their random numbers, and null for worlds without random numbers.
+        worlds: rows with ``plan_id``, ``verdict`` and a column for each axis. The column ``draw`` may be missing.
+            ``draw`` has the same value for worlds that share their random numbers, and null for worlds without random
+            numbers.
         axes: parameter columns. A row of the summary is about one value of one axis, over all values of the other axes.
 
     Returns:
@@ -202,8 +204,8 @@ def holm(p_values: Sequence[float]) -> FloatArray:
     """P-values corrected for the number of tests, so that the probability of any false alarm stays below the level.
 
     Source: Holm (1979), "A simple sequentially rejective multiple test procedure", Scandinavian Journal of Statistics
-    6, 65–70. The smallest of m p-values is multiplied by m, the next one by m − 1, and so on; none may become smaller
-    than its predecessor.
+    6, 65–70. The smallest of m p-values is multiplied by m, the next one by m − 1, and so on; a value must not become
+    smaller than its predecessor.
     """
     p = np.asarray(p_values, dtype=np.float64)
     order = np.argsort(p, kind="stable")

@@ -21,7 +21,7 @@ def to_json(value: Any) -> Any:
         return {str(to_json(key)): to_json(item) for key, item in value.items()}
     if isinstance(value, list | tuple | set | frozenset):
         return [to_json(item) for item in value]
-    pandas = sys.modules.get("pandas")  # a data frame exists only if pandas is loaded, which takes 0.2 s
+    pandas = sys.modules.get("pandas")  # importing pandas takes 0.2 s; data frames exist only if it is loaded
     if pandas is not None and isinstance(value, pandas.DataFrame):
         return to_json(value.to_dict("records"))
     if isinstance(value, np.ndarray | np.generic):

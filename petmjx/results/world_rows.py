@@ -41,10 +41,10 @@ class _Layout:
     Attributes:
         of_boxes: the metrics of boxes.
         cells: columns of ``worlds`` that are fields of an outcome.
-        cells_of: their values.
-        numbers: those that are numbers of boxes or steps.
-        block_of: the values of the metrics of boxes.
-        block_rows: the row of a block for each of these metrics, or the rows of its components.
+        cells_of: function that gets the values of ``cells`` from an outcome.
+        numbers: the columns among ``cells`` that are numbers of boxes or steps.
+        block_of: function that gets the values of ``of_boxes`` from an outcome.
+        block_rows: the row of a block for each metric in ``of_boxes``, or the rows of the metric's components.
         n_rows: number of rows of a block.
     """
 
@@ -111,7 +111,7 @@ class Row:
         params: Mapping[str, Any],
         interval_n: FloatArray | None = None,
     ) -> Row:
-        """Copy those values of an outcome that are written. The outcome's ``state`` is dropped.
+        """Make a row from an outcome by copying the values that are written. The outcome's ``state`` is dropped.
 
         Raises:
             ValueError: the outcome does not belong to the plan: the numbers of boxes differ.
@@ -190,7 +190,7 @@ class Part:
         return _typed_table(columns, schema)
 
     def attempts(self, schema: pa.Schema) -> pa.Table:
-        """Make the table ``attempts``. It has no rows if every world needed only one attempt."""
+        """Make the table ``attempts``. The table has no rows if every world needed only one attempt."""
         rows = [(row, attempt) for row in self.rows for attempt in row.attempts]
         cells = [{**row.cells, **vars(attempt)} for row, attempt in rows]
         return _typed_table({name: [cell[name] for cell in cells] for name in schema.names}, schema)

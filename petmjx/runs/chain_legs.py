@@ -1,7 +1,8 @@
 """The legs of a chain: the tables ``[[legs]]`` and ``[[remedies]]`` of sweep files, and the outcome of a world after a
 leg.
 
-A chain is the way of a pallet: it is placed, and then shaken leg by leg. Users read about it in docs/chains.md.
+A chain is the journey of a pallet: its boxes are placed, and it is then shaken leg by leg. docs/chains.md explains
+chains to users.
 """
 
 from __future__ import annotations
@@ -28,15 +29,15 @@ from petmjx.world.profiles.profile_registry import resolve
 from petmjx.world.variants import DriveSpec, LegSpec
 
 PLACING: Final = "placing"
-"""The name of the part of a chain before its first leg: boxes are placed, and come to rest."""
+"""Name of the part of a chain before its first leg, in which boxes are placed and come to rest."""
 
 AS_IS: Final = ""
-"""The remedy of worlds of the chain as the file describes it."""
+"""The name used instead of a remedy for the unchanged chain."""
 
 MOST_LEGS: Final = 100
 
 _EDGES: Final = ("plan_edge_m", "plan_edge_box", "build_edge_m", "build_edge_box", "build_edge_step")
-"""Fields of an outcome about the plan's edges, which no leg changes."""
+"""Fields of an outcome about loads near edges in the plan. No leg changes them."""
 
 Name = Annotated[str, Field(max_length=100)]
 Factor = Annotated[StrictFloat, Field(gt=0), within(0, 100)]
@@ -52,7 +53,7 @@ class Event(CheckedRecord):
 
     @property
     def drawn(self) -> bool:
-        """Whether its strength differs from world to world."""
+        """Whether the strength of the profile differs from world to world."""
         return isinstance(self.level, Range) or isinstance(self.scale, Range)
 
     @model_validator(mode="before")
@@ -101,7 +102,7 @@ def _ends(strength: float | Range[Any]) -> tuple[float, float | None]:
 
 
 def check_name(name: str, *path: str | int) -> None:
-    """Raise a ValidationError if a name would not be seen, or would break lines and tables."""
+    """Raise a ValidationError if a name is invisible or would break lines and tables."""
     if not name.strip() or not name.isprintable():
         raise complaint(f": '{printable_name(name)}' must have visible characters, and no others", *path, "name")
 
@@ -171,7 +172,8 @@ def profiles_of_legs(legs: Sequence[Leg], defined: Mapping[str, Profile]) -> dic
 
 
 def legs_with(legs: Sequence[Leg], remedy: Remedy | None, defined: Mapping[str, Profile]) -> tuple[LegSpec, ...]:
-    """The legs that shake the pallet, with the film around it, and with a remedy."""
+    """The legs that shake the pallet, each with the film that is then around the pallet, after a remedy has been
+    applied."""
     return tuple(_specs(legs, remedy, defined))
 
 
@@ -196,31 +198,31 @@ def _specs(legs: Sequence[Leg], remedy: Remedy | None, defined: Mapping[str, Pro
 
 
 def in_a_row(name: str, drives: Sequence[Drive], pause_s: float, timestep_s: float) -> Excitation:
-    """Drives of accelerations one after the other, with pauses between them, as one excitation; without drives one
-    pause."""
+    """Joins drives of accelerations, with pauses between them, into one excitation. Without drives, the excitation is
+    one pause."""
     pause = np.zeros((seconds_to_steps(pause_s, timestep_s), 3))
     if not drives:
         return Excitation(name, ACCELERATION, pause if len(pause) else np.zeros((1, 3)))
-    # the total mass is the unit of forces alone
+    # the total mass matters only for drives of forces, so any value will do
     parts = [part for drive in drives for part in (drive.rows(total_mass=0.0), pause)]
     return Excitation(name, ACCELERATION, np.concatenate(parts[:-1]))
 
 
 def with_sustained_force(leg: Outcome, before: BoxMetrics) -> Outcome:
-    """The outcome of a leg with the largest force at rest so far on each box.
+    """The outcome of a leg, to which the largest force at rest on each box so far is added.
 
     Args:
-        before: metrics after the legs before, or after the placement.
+        before: metrics after the earlier legs, or after the placement.
     """
     forces_n = before.sustained_top_force_n, before.rest_top_force_n, leg.boxes.rest_top_force_n
     return replace(leg, boxes=replace(leg.boxes, sustained_top_force_n=np.fmax.reduce(forces_n)))
 
 
 def after(before: Outcome, leg: Outcome, timestep_s: float) -> Outcome:
-    """The outcome of a world after one more leg: metrics and time count from the first placement.
+    """The outcome of a world after one more leg, with metrics and times that count from the first placement.
 
-    Largest values are those of the whole way, also of forces at rest (``sustained_top_force_n``); the place of the
-    boxes and ``rest_top_force_n`` are those of the end.
+    Largest values cover the whole journey, including the largest force at rest (``sustained_top_force_n``). The poses
+    of the boxes and ``rest_top_force_n`` are taken at the end of the leg.
 
     Args:
         before: the outcome after the earlier legs, which the world survived.
@@ -237,7 +239,7 @@ def after(before: Outcome, leg: Outcome, timestep_s: float) -> Outcome:
     if history is not None and before.history is not None:
         history = before.history.then(_later(history, since_s))
     edges: dict[str, Any] = {}
-    if leg.verdict is Verdict.STABLE:  # edges are not computed again (``petmjx.engines.outcome_checks.note_edges``)
+    if leg.verdict is Verdict.STABLE:  # the plan's edges stay (``petmjx.engines.outcome_checks.note_edges``)
         largest["plan_edge_m"] = old.plan_edge_m
         edges = {name: getattr(before, name) for name in _EDGES}
     return replace(

@@ -1,6 +1,6 @@
 """The summary of a chain: how likely a pallet is to arrive, the weakest leg, and the gain from each remedy.
 
-Users read about the columns in docs/chains.md.
+docs/chains.md explains the columns to users.
 """
 
 from __future__ import annotations
@@ -55,7 +55,7 @@ _TEXTS: Final = frozenset({"scope", "plan_id", "remedy", "leg", "weakest_leg"})
 
 @dataclass(frozen=True)
 class ChainColumns:
-    """Facts about a chain that its summary needs. They are stored in ``run.json``, so that shards can be merged.
+    """Facts about a chain that its summary needs. These facts are stored in ``run.json``, so that shards can be merged.
 
     Attributes:
         legs: names of the legs that shake the pallet, in order.
@@ -75,8 +75,8 @@ class ChainColumns:
 
 
 def summarise_chain(worlds: pd.DataFrame, chain: ChainColumns) -> pd.DataFrame:
-    """The summary of a chain. It has rows for all plans together and for each plan; each of these has rows for each
-    remedy, and each remedy has one row for the whole journey and one for each leg.
+    """The summary of a chain. There are rows about all plans together, and rows about each plan. For each remedy, there
+    is one row for the whole journey and one row for each leg.
 
     The worlds of a plan are independent draws, so each share gets a Wilson interval. A world without remedies and the
     same world with a remedy form a pair.
@@ -132,8 +132,8 @@ def _leg_counts(worlds: pd.DataFrame, legs: Sequence[str]) -> pd.DataFrame:
 
 
 def _weakest_legs(summary: pd.DataFrame, worlds: pd.DataFrame) -> pd.DataFrame:
-    """For each row about the whole journey: the leg in which the largest number of worlds failed, and the box that
-    failed most often in that leg. In a tie, the first one counts."""
+    """The weakest leg for each row about the whole journey: the leg in which most worlds failed, and the box that
+    failed most often in that leg. In a tie, the first one is taken."""
     way = _KEYS[:3]
     failed = summary.assign(n=summary["n_worlds"] - summary["n_standing"] - summary["n_invalid"])
     failed = failed[(failed["leg"] != WHOLE_WAY) & (failed["n"] > 0)]
@@ -192,7 +192,7 @@ def arrivals(summary: pd.DataFrame, remedy: str = AS_IS) -> pd.DataFrame:
 
 
 def shares_by_leg(summary: pd.DataFrame) -> pd.DataFrame:
-    """For each plan without remedies: P(the pallet stands after a leg, given that it reached the leg). One row per
+    """P(the pallet stands after a leg, given that it reached the leg), for the chain without remedies. One row per
     plan, one column per leg, legs in order."""
     chosen = summary[(summary["scope"] == ONE_PLAN) & (summary["remedy"] == AS_IS) & (summary["leg"] != WHOLE_WAY)]
     return chosen.pivot(index="plan_id", columns="leg", values="share")[chosen["leg"].unique().tolist()]

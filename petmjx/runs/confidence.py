@@ -1,7 +1,7 @@
 """Scores with confidence: the share of worlds that stand, given the errors of a stated robot and its cartons.
 
-A score with confidence is a sweep with single errors, replicates and the nominal world. It has its own summary.
-Users read about it in docs/confidence.md.
+A score with confidence is a sweep with single errors, replicates and the nominal world. Unlike a sweep, it has its own
+form of summary. docs/confidence.md explains such scores to users.
 """
 
 from __future__ import annotations
@@ -33,7 +33,8 @@ READY_MADE: Final = "confidence"
 EVEN: Final = 0.5
 
 SIGNIFICANCE: Final = 0.05
-"""Chance of at least one false alarm in a run in which no plan's share depends on how boxes are placed."""
+"""Accepted chance of at least one false alarm about placing: a run reports that a plan's share depends on how boxes are
+placed, although no plan's share does."""
 
 PLACING: Final = "placing"
 """Name of the axis, and of the column of ``worlds``, that states how boxes with errors were placed."""
@@ -65,7 +66,8 @@ _OF_BOTH: Final = {
     "number of plans by Holm's method",
     "placing_matters": f"whether that is below {SIGNIFICANCE:g}: the two shares differ beyond chance",
 }
-"""Further columns of a run in which each world with errors was simulated twice: boxes carried, and boxes appearing."""
+"""Further columns of a run in which each world with errors was simulated twice: once with boxes that are carried to
+their places, and once with boxes that appear there."""
 
 _TEXTS: Final = frozenset({"plan_id", "verdict", "reason", "coin_toss", "placing_matters"})
 """Columns that are not numbers."""
@@ -126,7 +128,7 @@ def summarise_confidence(parts: Parts, *, both: bool = False) -> pd.DataFrame:
 
     Args:
         parts: files of the run, all complete.
-        both: whether each world with errors was simulated both ways (``exact_too``).
+        both: whether each world with errors was simulated twice (``exact_too``).
     """
     columns = ["plan_id", "variant", "verdict", "reason", "margin", "flags"]
     columns += [PLACING, "replicate"] if both else []
@@ -155,8 +157,8 @@ def _shares(drawn: pd.DataFrame) -> pd.DataFrame:
 
 
 def _failures(drawn: pd.DataFrame) -> pd.DataFrame:
-    """For each plan, two counts of unstable worlds: worlds in which a box could not be placed, and the other worlds, in
-    which boxes fell."""
+    """Two counts of unstable worlds for each plan: worlds in which a box could not be placed, and all others, in which
+    boxes fell."""
     fails = drawn["verdict"].astype(str) == Verdict.UNSTABLE.value
     missed = (drawn["flags"].to_numpy(np.int64) & int(Flag.NOT_PLACED)) != 0
     counted = pd.DataFrame({"plan_id": drawn["plan_id"], "n_not_placed": fails & missed, "n_fell": fails & ~missed})
@@ -164,8 +166,8 @@ def _failures(drawn: pd.DataFrame) -> pd.DataFrame:
 
 
 def _paired_draws(carried: pd.DataFrame, exact: pd.DataFrame) -> pd.DataFrame:
-    """For each plan: the number of draws that stand with only one of the two ways of placing, and the test of these
-    numbers. Only draws with a verdict for both ways count."""
+    """Compares the two placings (carried, and appearing) for each plan: the numbers of draws that stand with only one
+    of them, and a test of these numbers. Draws without a verdict for both placings do not count."""
     pairs = carried.merge(exact, on=["plan_id", "replicate"], suffixes=("_carried", "_exact"))
     one, other = (pairs[f"verdict_{way}"].astype(str) for way in ("carried", "exact"))
     stands, stands_exact = one == Verdict.STABLE.value, other == Verdict.STABLE.value
@@ -199,8 +201,8 @@ def write_confidence(writer: RunWriter, axes: Collection[str] = ()) -> None:
 
 
 def contradiction_mask(summary: pd.DataFrame) -> pd.Series[bool]:
-    """For each plan, whether its nominal verdict is contradicted by more than half of the worlds with errors, beyond
-    chance."""
+    """Whether each plan's nominal verdict is contradicted, beyond chance, by more than half of its worlds with
+    errors."""
     stands = summary["verdict"] == Verdict.STABLE.value
     falls = summary["verdict"] == Verdict.UNSTABLE.value
     return (stands & (summary["high"] < EVEN)) | (falls & (summary["low"] > EVEN))

@@ -33,7 +33,7 @@ class SettledPlacement:
     outcome: Outcome
     attempts: tuple[Attempt, ...]
     _of_legs: dict[tuple[float | None, tuple[Side, ...]], Scene] = field(default_factory=dict, init=False)
-    """(Turns of film, open walls) → the scene with both."""
+    """(turns of film, open walls) → the scene with this film and these open walls."""
 
     @cached_property
     def load_height_m(self) -> float:
@@ -41,8 +41,8 @@ class SettledPlacement:
         return load_height_m(self.outcome.boxes.pos, self.scene.half_size)
 
     def shaken(self, outcome: Outcome, thresholds: Thresholds) -> Outcome:
-        """The outcome of a drive or leg, judged together with the outcome of its placement. Its history begins with the
-        history of the placement."""
+        """The outcome of a drive or leg, judged together with the outcome of its placement. The history of this outcome
+        begins with the history of the placement."""
         placed = self.outcome
         if outcome.verdict is Verdict.STABLE and placed.verdict is not Verdict.STABLE:
             judge_args = outcome.flags, outcome.boxes, outcome.n_placed, thresholds
@@ -60,7 +60,7 @@ class SettledPlacement:
         return replace(outcome, history=placed.history.then(outcome.history))
 
     def undriven(self, variant: Variant) -> FinishedWorld:
-        """A world that adopts the outcome of the placement. No steps are simulated for such a world."""
+        """A world that is not shaken: it adopts the outcome of the placement, and no further steps are simulated."""
         outcome = replace(self.outcome, flags=self.outcome.flags | Flag.FORKED, n_steps=0, state=None)
         end = LegEnd(PLACING, 0.0) if variant.legs else None
         return FinishedWorld(self.group.plan, variant, self.scene, outcome, self.attempts, self.outcome, ended_in=end)
@@ -74,14 +74,14 @@ class SettledPlacement:
             scene = self.scene
             if leg.wrap_turns is not None:
                 scene = replace(scene, wrap=scene.wrap.changed(turns=leg.wrap_turns))
-            # The carrier already lacks the walls that the options open.
+            # The carrier of the scene already lacks the walls that the options open.
             closed = [side for side in leg.open_walls if side in scene.carrier.walls]
             self._of_legs[key] = scene.with_open_walls(closed) if closed else scene
         return self._of_legs[key]
 
 
 Test = tuple[int, int]
-"""Item of a search, and index of the tested level, as in `Bisection`."""
+"""(item of a search, index of the tested level), as in `Bisection`."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -22,9 +22,9 @@ MODES: Mapping[Reason, str] = {Reason.SHIFT: "slide", Reason.TILT: "tilt", Reaso
 def failure_mode(outcome: Outcome, tilt_deg: float = DEFAULT_TILT_DEG) -> str:
     """How the first box failed: "slide", "tilt" or "drop".
 
-    "drop" if the box dropped, else "tilt" if it tilted by more than ``tilt_deg``, else "slide". A search reads this at
-    the lowest level that fails. Just above the survived level the mode usually shows how the failure began; far above
-    that level, a box that slides also falls. For invalid worlds: the reason; for stable worlds: "".
+    "drop" if the box dropped, else "tilt" if it tilted by more than ``tilt_deg``, else "slide". A search takes the mode
+    at the lowest level that fails. Just above the survived level, the mode usually shows how the failure began; far
+    above it, a box that slides also falls. For an invalid world, the mode is the reason; for a stable world, it is "".
     """
     if outcome.verdict is not Verdict.UNSTABLE or outcome.culprit < 0:
         return MODES.get(outcome.reason, str(outcome.reason))
@@ -54,7 +54,8 @@ class Probe:
 
     @classmethod
     def of(cls, outcome: Outcome, tilt_deg: float = DEFAULT_TILT_DEG, values: Mapping[str, Any] | None = None) -> Probe:
-        """The probe of a simulated world. A box that failed with a tilt above ``tilt_deg`` failed by tilting."""
+        """The probe of a simulated world. If the first box to fail tilted by more than ``tilt_deg``, the mode is
+        "tilt"."""
         moving = Flag.MOVING in outcome.flags
         return cls(outcome.verdict, outcome.culprit, failure_mode(outcome, tilt_deg), moving, values or {})
 
@@ -67,15 +68,16 @@ class Probe:
 
 @dataclass
 class SearchBracket:
-    """What a search knows about one item: a placement, a profile and a direction.
+    """What a search has found so far about one item. An item is a placement, a profile and a direction.
 
     Attributes:
         stands_at_rest: whether the placement stood before any profile; if not, no level is tested.
-        survived: index of the largest survived level below all failed levels; −1: none.
+        survived: index of the largest survived level that is below all failed levels; −1: there is none.
         failed: index of the smallest level that failed; the number of levels if none failed; 0 if the pallet falls at
             rest.
         highest: index of the largest survived level, including levels above a failed one.
-        box, mode: the box that failed first at level ``failed`` (or at rest; −1: none), and its mode of failure.
+        box, mode: the box that failed first at level ``failed``, or at rest, and its mode of failure; −1: no box
+            failed.
     """
 
     stands_at_rest: bool
@@ -97,19 +99,19 @@ class SearchBracket:
 class Bisection:
     """Search for the largest level survived, for many items (placement × profile × direction) together.
 
-    All items share one grid of levels. So an answer is exact to one step of the grid, and the tested levels do not
-    depend on the order in which worlds end. In each round, up to ``sections`` levels of an item are tested side by
+    All items share one grid of levels. So an answer is exact to within one step of the grid, and the tested levels do
+    not depend on the order in which worlds end. In each round, up to ``sections`` levels of an item are tested side by
     side, evenly spread between the largest survived and the smallest failed level. Items do not wait for one another.
 
-    The search assumes that a pallet that survives a level survives all lower ones. This assumption can be wrong: a
-    stronger push may press a box against its neighbour, so that it jams. If a level above a failed one was survived,
-    the answer is the largest level below all failed ones, and ``monotone`` is False for that item.
+    The search assumes that a pallet that survives a level also survives all lower levels. The assumption can be wrong:
+    a stronger push may press a box against its neighbour, so that the box jams. If a level above a failed level was
+    survived, the answer is the largest level below all failed ones, and ``monotone`` is False for that item.
 
     Args:
-        levels: (n_levels,) rising; in g, or as a scale.
-        at_rest: for each item, its world before any profile. Items that do not stand are finished at once, with no
-            level survived. If ``levels[0]`` is 0, an item that stands at rest has survived level 0.
-        sections: number of levels of an item tested at a time, ≥ 1; 1 is plain bisection.
+        levels: (n_levels,) levels in ascending order, in g or as a scale.
+        at_rest: for each item, the probe of its world before any profile. An item that does not stand is finished at
+            once, with no level survived. If ``levels[0]`` is 0, an item that stands at rest has survived level 0.
+        sections: number of levels of an item that are tested at the same time, ≥ 1; 1 is plain bisection.
 
     Attributes:
         items: the bracket of each item.
@@ -136,7 +138,7 @@ class Bisection:
         return SearchBracket(True, survived, len(self.levels), survived)
 
     def bounds(self, item: int) -> tuple[tuple[int, int], tuple[int, int]]:
-        """(item, level index) of the largest level survived and of the smallest level that failed."""
+        """Two pairs (item, level index): for the largest level survived, and for the smallest level that failed."""
         bracket = self.items[item]
         return (item, bracket.survived), (item, bracket.failed)
 
@@ -153,7 +155,7 @@ class Bisection:
         )
 
     def next_tests(self, item: int) -> list[tuple[int, int]]:
-        """(item, level index) of an item's next tests; empty when its answer is exact."""
+        """The next tests of an item, as (item, level index). Empty when the item's answer is exact."""
         bracket = self.items[item]
         untested = bracket.failed - bracket.survived - 1
         count = min(self.sections, untested)

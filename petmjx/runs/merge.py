@@ -29,7 +29,7 @@ from petmjx.runs.confidence import write_confidence
 from petmjx.runs.sweep_summary import ShareColumns, summarise_shares
 
 _ANSWER: Final = ("plan_id", "placement", "profile", "direction_deg")
-"""Columns that identify a row of a search's summary. They also define the order of its rows."""
+"""Columns that identify a row of a search's summary. The same columns define the order of the rows."""
 
 
 def merge_runs(shards: Iterable[str | Path], out: str | Path, *, overwrite: bool = False) -> RunResults:
@@ -123,7 +123,8 @@ def _sorted_shards(runs: Sequence[RunResults]) -> list[RunResults]:
 
 
 def _check_worlds(runs: Sequence[RunResults], manifest: Manifest) -> None:
-    """Raise InputError if two shards have the same world, no shard has a world of a plan, or boxes are missing."""
+    """Raise InputError if two shards have the same world, if a plan has no world in any shard, or if boxes are
+    missing."""
     home: dict[tuple[str, int], Path] = {}
     for run in runs:
         for boxes in run.parts.files("boxes"):
@@ -146,7 +147,7 @@ def _is_search(info: Mapping[str, Any]) -> bool:
 
 
 def _variants(runs: Sequence[RunResults]) -> range:
-    """All variant numbers from the smallest to the largest of any plan."""
+    """All numbers from the smallest to the largest variant that any plan has."""
     parts = [part for run in runs for part in run.parts.table("worlds", ("variant",)) if len(part)]
     least, most = pc.min_max(pa.concat_tables(parts)["variant"]).values()
     return range(least.as_py(), most.as_py() + 1)
@@ -218,8 +219,8 @@ def _other_versions(runs: Sequence[RunResults]) -> Iterator[str]:
 
 
 def _write_summary(writer: RunWriter, runs: Sequence[RunResults]) -> None:
-    """Write the table ``summary``. Shares are computed again from all worlds. Rows of searches are concatenated, since
-    each belongs to one plan."""
+    """Write the table ``summary``. Shares are computed again from all worlds. For a search, the rows of all shards are
+    concatenated, since each row belongs to one plan."""
     tables = [table for run in runs for table in run.parts.table("summary")]
     shares = runs[0].info["config"].get("shares")
     if shares is None:

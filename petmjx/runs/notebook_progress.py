@@ -51,13 +51,13 @@ class NotebookBar:
 
     @property
     def _left(self) -> int | None:
-        """Worlds that this run simulates; None if unknown."""
+        """Number of worlds that this run still has to simulate; None if unknown."""
         start = self._start
         return None if start is None or start.total is None else start.total - start.recorded
 
     def _as_html(self) -> str:
         start, left = self._start, self._left
-        assert start is not None  # the run begins before the first drawing
+        assert start is not None  # ``begin`` is called before the first drawing
         share = start.progress.work_share
         self._pace.update(self._done, share)
         parts = self._pace.words
@@ -72,7 +72,7 @@ class NotebookBar:
 
 class ScriptLines:
     """Shows the progress of a run in a script: one line at the start, one every ``LINE_S`` seconds, and one at the end.
-    A thread writes the lines, so they also appear while no world ends.
+    A thread writes the lines, so lines appear even if no world ends for a while.
 
     Args:
         write: receives each line; by default, lines go to standard error.

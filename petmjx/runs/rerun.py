@@ -76,7 +76,7 @@ def worlds_of_run(
     if variant is not None:
         try:
             worlds.find(plan_id, variant)
-        except InputError as error:  # it names the sweep's file; a score has none, and the user named the run
+        except InputError as error:  # the error names a sweep's file, which a score does not have; name the run instead
             raise InputError(f"{run.path}: plan {printable_name(plan_id)} has no variant {variant}") from error
     return worlds, variant or 0
 
@@ -102,7 +102,7 @@ def sweep_of_run(run: RunResults) -> Sweep:
     except (TypeError, KeyError, AttributeError):
         raise InputError(f"{file}: damaged: config.sweep.file is missing") from None
     if isinstance(tables, dict):
-        with suppress(InputError):  # the file of a profile is gone; the sweep's own file may still exist
+        with suppress(InputError):  # if the file of a profile is gone, the sweep's own file may still exist
             stored_sweep = sweep_of_tables(tables, sweep_path, True, changes)
             stored_sweep = (
                 stored_sweep.model_copy(update={"nominal": True, "replicates": worlds}) if worlds else stored_sweep
@@ -113,7 +113,7 @@ def sweep_of_run(run: RunResults) -> Sweep:
         sweep_file = sweep_path if sweep_path.is_file() else find_sweep(sweep_path.stem)
     except InputError:
         raise InputError(f"{run.path}: the sweep file from which the run was made no longer exists") from None
-    has_both_ways = PLACING in config["sweep"].get("axes", {})  # the file of errors has no such axis: exact_too adds it
+    has_both_ways = PLACING in config["sweep"].get("axes", {})  # exact_too adds this axis to the file's axes
     sweep = (
         chain_sweep(sweep_file, worlds, changes)
         if is_chain(run.info) and worlds

@@ -44,7 +44,8 @@ if TYPE_CHECKING:
     from petmjx.plans.articles import Articles
 
 Intervals = Callable[[Scene, Physics, BoxMetrics], FloatArray | None]
-"""Computes (n, 2) smallest and largest force on the top of each box at rest, N; None for a world without intervals."""
+"""Function that computes (n, 2) smallest and largest force on the top of each box at rest, N. The function returns None
+for a world without intervals."""
 
 
 @dataclass(frozen=True)
@@ -52,7 +53,7 @@ class RunStart:
     """Facts known at the start of a run.
 
     Attributes:
-        what: the noun for a world in messages: "plan", or "world" if plans have several.
+        what: the noun for a world in messages: "plan", or "world" if plans have several worlds.
         total: number of worlds; None if unknown (searches).
         size: one line with the number of worlds and steps, and the estimated time.
         choice: the engine, and the reason for choosing it.
@@ -89,10 +90,10 @@ def simulate(
     """Run a study to its end.
 
     Args:
-        ask: makes the study from the loaded plans.
+        ask: function that makes the study from the loaded plans.
         sim: options of the simulation.
         plans: as for ``petmjx.score``.
-        intervals: computes the intervals of forces when ``options.force_intervals`` is set.
+        intervals: function that computes the intervals of forces, used if ``options.force_intervals`` is set.
 
     Raises:
         InputError: unusable plans or options.
@@ -122,7 +123,7 @@ def simulate(
         plan_set = replace(plan_set, skipped=[*plan_set.skipped, *later_inputs], notes=notes)
         records = records_of(study.everything, plan_set.numbers)
     earlier = engine_of_run(options.out) if options.resume and options.out is not None else None
-    hands_over = not options.record_details  # only C MuJoCo records these details
+    hands_over = not options.record_details  # no handover: only C MuJoCo records these details
     with engine_for(options, study.work, ahead, hands_over=hands_over, earlier=earlier) as (engine, choice):
         recording = recording_of(options, choice.name, study.everything)
         run = _Run(study, options, plan_set, records, orders, engine, choice, recording, intervals)
@@ -130,17 +131,17 @@ def simulate(
 
 
 def _last_permille_s(ends_s: Sequence[float]) -> float:
-    """Time from the end of the first 99.9 % of the worlds to the end of the last world, s: how long the run waited for
-    its last worlds. For fewer than 1,000 worlds, the time of the last world alone."""
+    """How long the run waited for its last worlds: time from the end of the first 99.9 % of the worlds to the end of
+    the last world, s. With fewer than 1,000 worlds, only the last world counts."""
     last = -(-len(ends_s) // 1000)
     return round(ends_s[-1] - ends_s[-1 - last], 3) if len(ends_s) > last else 0.0
 
 
 def _articles(options: RunOptions) -> Articles | None:
-    """The table of articles of the options."""
+    """The table of articles that the options name."""
     if options.articles is None:
         return None
-    from petmjx.plans.articles import read_articles  # not at the top of the module: it loads Arrow
+    from petmjx.plans.articles import read_articles  # imported here, because it loads Arrow
 
     return read_articles(options.articles)
 
@@ -221,13 +222,13 @@ class _Run:
                 watcher.begin(self._start(len(writer.recorded)))
             ends_s = array("d")
             for world in study.worlds(self.engine, writer.recorded, self.recording, self.progress):
-                if not ends_s:  # results need pandas when the run ends; the engine works by now
+                if not ends_s:  # load pandas now, while the engine works: results need it when the run ends
                     threading.Thread(target=import_module, args=("pandas",), name="petmjx-tables").start()
                 self._write(writer, world)
                 ends_s.append(time.monotonic())
                 if watcher is not None:
                     watcher.world_done(world)
-            # The engine retires before the last rows are written, since workers take a second or two to end.
+            # The engine retires before the last rows are written, because its workers take a second or two to end.
             self.engine.retire()
             writer.timings.update(
                 study.timings(), compile_s=self.progress.compile_s, last_permille_s=_last_permille_s(ends_s)
@@ -269,8 +270,8 @@ class _Run:
             writer.warn(f"plan {printable_name(plan.plan_id)}{variant}: {failed}{world.outcome.message}")
 
     def _interval_n(self, world: FinishedWorld) -> FloatArray | None:
-        """(n, 2) smallest and largest force on the top of each box, N. None if not requested. Also None after a drive,
-        since the position of the carrier is then unknown."""
+        """(n, 2) smallest and largest force on the top of each box, N. None if intervals are not requested. Also None
+        after a drive, since the position of the carrier is then unknown."""
         if self.intervals is None or world.driven:
             return None
         start = time.perf_counter()

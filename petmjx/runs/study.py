@@ -57,9 +57,11 @@ class FinishedWorld:
     """One world with its final outcome.
 
     Attributes:
-        placement: the outcome of the placement from which the world started; None: it was simulated in one piece.
-        driven: whether the drive was simulated. If the placement does not stand, the drive is skipped and the world
-            gets the outcome of the placement. Without early stop, such a world is still shaken, but it is not stable.
+        placement: the outcome of the placement from which the world started; None: placement and world were simulated
+            in one piece.
+        driven: whether the drive was simulated. If the placement does not stand and early stop is on, the drive is
+            skipped, and the world gets the outcome of the placement. Without early stop, the drive is simulated, but
+            the world cannot be stable.
         ended_in: the leg in which a world of a chain ended. None: the pallet arrived, or the world has no chain.
     """
 
@@ -83,7 +85,7 @@ class Study(ABC):
         plans: the plans of this run.
         work: the amount of work of all worlds, for estimates of time.
         n_worlds: largest possible number of worlds.
-        known: whether ``n_worlds`` is exact. It is exact except in searches, where the outcomes decide the number.
+        known: whether ``n_worlds`` is exact. The number is exact except in searches, in which the outcomes decide it.
         first_variant: variant of each plan's first world. If ``known``, further variants follow without a gap.
         amount: the amount of simulation, in words.
         command: "score" or "sweep", as the results name it.
@@ -209,7 +211,7 @@ class Nominal(Study):
             yield FinishedWorld(world.plan, NOMINAL, world.job.scene, scored_world.outcome, scored_world.attempts)
 
     def _longest_first(self) -> Iterator[Plan]:
-        """The plans, those with the most placed boxes first. If long worlds begin early, the run does not wait for one
-        of them at its end."""
+        """The plans, sorted by the number of boxes that are expected to be placed, largest first. Long worlds then
+        begin early, so the run need not wait for one of them at its end."""
         placed = np.asarray(self.work.boxes) * self.work.share
         return (self.plans[number] for number in np.argsort(-placed, kind="stable").tolist())

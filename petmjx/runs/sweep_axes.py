@@ -1,4 +1,4 @@
-"""The axes of a sweep: their names, units and allowed values. Users read about them in docs/sweeps.md."""
+"""The axes of a sweep: their names, units and allowed values. docs/sweeps.md explains them to users."""
 
 from __future__ import annotations
 
@@ -36,7 +36,8 @@ MAX_AXIS_VALUES: Final = 100_000
 """Largest number of values of one axis. With this limit, a typing error in a step cannot fill the memory."""
 
 MAX_STRENGTH: Final = 1000.0
-"""Largest level (g), scale or factor. Larger values must be typing errors: shocks of packed goods stay below 100 g."""
+"""Largest level (g), scale or factor. A larger value must be a typing error, because shocks of packed goods are below
+100 g."""
 MAX_FRICTION_FACTOR: Final = 100.0
 MIN_MASS_FACTOR: Final = 0.001
 """Smallest factor on masses, since MuJoCo refuses bodies without mass."""
@@ -76,7 +77,7 @@ def _axis_text(value: object) -> str:
 
 
 def _value_or(tag: str) -> Discriminator:
-    """Chooses the branch of a union by the shape of the value: a table (or a list), or anything else."""
+    """Discriminator of a union. The shape of the value decides the branch: a table (or a list), or a single value."""
     return Discriminator(lambda value: tag if shape(value) == tag else VALUE)
 
 
@@ -107,7 +108,8 @@ Number = TypeVar("Number", bound=float)
 
 
 class Range(CheckedRecord, Generic[Number]):
-    """A range of numbers: with a step, with a count, or (mode ``sample``) continuous between its ends."""
+    """A range of numbers. A range has a step or a count of values; or, in mode ``sample``, it is continuous between its
+    ends."""
 
     low: Number = Field(alias="from", description="the first value")
     high: Number = Field(alias="to", description="the last value, if the steps reach it")
@@ -140,7 +142,7 @@ class Range(CheckedRecord, Generic[Number]):
 
 
 class DrawnRange(Range[Positive]):
-    """A range of levels or scales of a chain. Each world draws one value from it."""
+    """A range of levels or scales of a chain. Each world draws one value from the range."""
 
     low: Positive = Field(alias="from", description="the least value that is drawn")
     high: Positive = Field(alias="to", description="the largest value that is drawn")
@@ -199,7 +201,7 @@ def _are_frictions(setting: Any) -> Any:
 
 Frictions = Annotated[Positives, AfterValidator(_are_frictions)]
 
-# Errors: each is a distribution.
+# Errors. Each error is a distribution.
 
 Error = Annotated[StrictFloat, within(-MAX_ERROR, MAX_ERROR)]
 Spread = Annotated[StrictFloat, Field(ge=0), within(0, MAX_ERROR)]
@@ -248,13 +250,14 @@ _Table = Annotated[
 _Sd = Annotated[Spread, AfterValidator(lambda sd: Distribution(DistributionShape.NORMAL, 0.0, sd)), Tag(VALUE)]
 _Height = Annotated[Spread, AfterValidator(lambda height: Distribution(DistributionShape.FIXED, height)), Tag(VALUE)]
 Errors = OneOrMore[Annotated[_Table | _Sd, Discriminator(shape)]]
-"""Distributions. A plain number means the standard deviation of a normal distribution around 0."""
+"""Distributions of errors. A plain number means the standard deviation of a normal distribution around 0."""
 Heights = OneOrMore[Annotated[_Table | _Height, Discriminator(shape)]]
-"""Distributions. A plain number means the height itself."""
+"""Distributions of a height. A plain number means the height itself."""
 
 
 def _up_to(largest: float) -> AfterValidator:
-    """A check that errors lie in ±``largest``, which is a narrower range than that of position errors."""
+    """A check that errors lie within ±``largest``. The allowed range is narrower than the range for errors of
+    positions."""
 
     def check(setting: Any) -> Any:
         for error in _value_list(setting):
@@ -280,8 +283,9 @@ class AxisKind:
         meaning: what the axis changes, in one line.
         changes: fields of `PlacementChange` that get the value of the axis; empty: the axis changes the drive.
         suffix: end of the column's name, after the name of the axis.
-        plain: for axes of errors, the distribution that a plain number stands for. Normal: the number is the standard
-            deviation, around 0. Fixed: the number is the value itself.
+        plain: for axes of errors, the distribution that a plain number stands for. With a normal distribution, the
+            number is the standard deviation, and the mean is 0. With a fixed distribution, the number is the value
+            itself.
     """
 
     name: str
@@ -346,8 +350,8 @@ AXIS_KINDS: Final = {
         AxisKind("tines_height_mm", "mm", Positives, "height of the edge that comes down last", ("tines_height_mm",)),
     )
 }
-"""All axes of sweep files, in the order of nesting. Among the axes of placements, the last one varies fastest; likewise
-among the axes of drives."""
+"""All axes of sweep files, in the order of nesting. Among the axes of placements, the last one varies fastest. Among
+the axes of drives, too, the last one varies fastest."""
 
 _FIELDS: Final[dict[str, Any]] = {name: (kind.values | None, None) for name, kind in AXIS_KINDS.items()}
 _Axes = create_model("_Axes", __base__=CheckedRecord, **_FIELDS)
@@ -383,8 +387,8 @@ class Axis:
         return self.values[int(rng.integers(len(self.values)))]
 
     def cell(self, value: Value) -> float | str:
-        """A value as written to the results. Distributions are written as plain numbers if every value of the axis can
-        be written so, else as text."""
+        """A value as written to the results. Distributions are written as plain numbers if this is possible for every
+        value of the axis, else as text."""
         if not isinstance(value, Distribution):
             return value
         number = self._plain_number(value)

@@ -21,8 +21,8 @@ from petmjx.world.random_streams import WorldKey
 from petmjx.world.variants import Distribution, DriveSpec, LegSpec, PlacementChange, PlacementKey, Variant
 
 MOST_KEPT: Final = 100_000
-"""Up to this number, variants are made once and kept for all plans; each takes 1 kB. Larger numbers of variants are
-made again for each plan."""
+"""Up to this number of variants, they are made once and kept for all plans; a variant takes 1 kB. If there are more,
+they are made again for each plan."""
 
 REMEDY: Final = "remedy"
 """Column of ``worlds`` with the name of the remedy, in a chain."""
@@ -33,7 +33,8 @@ Point = Mapping[str, Value]
 
 @dataclass(frozen=True)
 class SearchItem:
-    """One question of a search: up to which level of this profile, in this direction, does a placement survive?"""
+    """One question of a search: which is the largest level of this profile, in this direction, that a placement
+    survives?"""
 
     profile: str
     direction_deg: float
@@ -117,8 +118,8 @@ class Design:
 
     @cached_property
     def ways(self) -> Mapping[str, tuple[LegSpec, ...]]:
-        """Name of each remedy of a chain → the legs with this remedy. The chain without remedies (``AS_IS``) is
-        first."""
+        """Name of each remedy of a chain → the legs with this remedy. The first entry, ``AS_IS``, is the chain without
+        remedies."""
         sweep = self.sweep
         remedies: tuple[Remedy | None, ...] = (None, *sweep.remedies)
         return {
@@ -149,14 +150,16 @@ class Design:
                 yield replace(placement, index=index, replicate=replicate, parameters=parameters, legs=legs)
 
     def _axes(self, placement: bool) -> list[Axis]:
-        """The axes of placements or of drives, in the order of nesting, not in the order of the file."""
+        """The axes of placements or, if ``placement`` is false, the axes of drives. The order is that of nesting, which
+        may differ from the order in the file."""
         axes = self.sweep.axes
         return [axes[name] for name, kind in AXIS_KINDS.items() if name in axes and kind.placement is placement]
 
     # Enumeration.
 
     def placements(self) -> Iterator[tuple[Variant, tuple[Variant, ...]]]:
-        """Each placement with its worlds. In a search the worlds are empty: they are made level by level."""
+        """Each placement with its worlds. In a search, the list of worlds is empty, because worlds are made level by
+        level."""
         return iter(self._kept_placements if self.n_variants <= MOST_KEPT else self._placements())
 
     @cached_property
@@ -200,7 +203,7 @@ class Design:
         """Index of each variant with random values → its draw. All variants of a draw use the same random numbers.
 
         In a grid, a draw is a replicate; its random numbers differ from plan to plan. In a sample, each variant is a
-        draw of its own, and its parameters are the same for all plans.
+        separate draw, and its parameters are the same for all plans.
         """
         sweep = self.sweep
         if sweep.sample is not None:
@@ -230,7 +233,7 @@ class Design:
         return (replicate,)
 
     def _sampled(self) -> Iterator[Variant]:
-        """Variants drawn from the axes; all plans have the same ones. Each variant has its own replicate number."""
+        """Variants drawn from the axes. They are the same for all plans. Each variant has its own replicate number."""
         axes = [*self._axes(placement=True), *self._axes(placement=False)]
         for number in range(1, (self.sweep.sample or 0) + 1):
             key = WorldKey(self.sweep.seed, "", number)
@@ -287,7 +290,7 @@ def sweep_identity(sweep: Sweep) -> dict[str, Any]:
     settings = sweep.model_dump(mode="json", exclude=_BESIDE)
     if sweep.search is not None:
         settings["search"]["levels"] = len(sweep.search_levels)
-    if not sweep.legs:  # the identities in runs of earlier versions have no such entries
+    if not sweep.legs:  # runs of earlier versions do not have these entries in their identities
         del settings["legs"], settings["remedies"]
     settings["axes"] = {name: _values(axis) for name, axis in sweep.axes.items()}
     settings["profiles"] = {name: _digest(sweep, name) for name in sweep.profiles}
@@ -301,7 +304,8 @@ def _values(axis: Axis) -> object:
 
 
 def _digest(sweep: Sweep, name: str) -> str:
-    """Digest of the first realisation of a profile. Realisations of a profile differ only by random numbers."""
+    """Digest of the first realisation of a profile. The first realisation suffices, because realisations differ only by
+    their random numbers."""
     profile = sweep.profiles[name]
     excitation = profile.excitation(sweep.simulation.physics.timestep_s, 0.0, WorldKey(sweep.seed, "", 0))
     digest = hashlib.blake2b(f"{excitation.kind} {excitation.samples.shape}".encode(), digest_size=8)

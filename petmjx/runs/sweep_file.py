@@ -1,7 +1,7 @@
 """Reads and checks sweep files (``sweeps/*.toml``), and finds ready-made ones by name.
 
 Ready-made files are in the folder ``sweeps/`` of a checkout; an installed package has a copy. docs/sweeps.md describes
-what sweep files may contain.
+the contents of sweep files.
 """
 
 from __future__ import annotations
@@ -81,11 +81,12 @@ DEFAULT_TOLERANCE: Final = {Strength.LEVEL: 0.01, Strength.SCALE: 0.02}
 
 MAX_SEARCH_LEVELS: Final = 1_000_000
 MAX_PROFILE_STEPS: Final = 4_000_000
-"""Largest number of steps of one profile. Its samples take 24 bytes per step."""
+"""Largest number of steps of one profile. The samples of a profile take 24 bytes per step."""
 MAX_TEXT: Final = 100_000
 """Largest number of characters of the name, and of the description."""
 MIN_TOLERANCE: Final = 1e-5
-"""Smallest tolerance of a search. Levels are rounded to 1e-12, so much closer levels would become equal."""
+"""Smallest tolerance of a search. Levels are rounded to 1e-12, so levels at much smaller distances would become
+equal."""
 MAX_REPEATS: Final = 2**31 - 1
 """Largest number of samples or replicates; the results store it in 32 bits."""
 
@@ -109,7 +110,7 @@ class Search(CheckedRecord):
         return self
 
     def tests(self, n_levels: int) -> int:
-        """Largest number of worlds that one question needs: the sum over all rounds of the levels tested."""
+        """Largest number of worlds that one question needs: the number of tested levels, summed over all rounds."""
         tests = 0
         while n_levels > 0:
             tests += min(self.sections, n_levels)
@@ -182,7 +183,7 @@ class Sweep(CheckedRecord):
     _tables: Mapping[str, Any] | None = None
 
     def model_post_init(self, context: Any) -> None:
-        """Keep the path of the file, which the validation gets as its context."""
+        """Keep the path of the file, which validation receives as its context."""
         self._file = context
 
     @property
@@ -192,7 +193,8 @@ class Sweep(CheckedRecord):
 
     @cached_property
     def profiles(self) -> dict[str, Profile]:
-        """The profiles that the sweep uses, by name: those of its axis ``profile``, or of the legs of its chain."""
+        """The profiles that the sweep uses, by name: the profiles of its axis ``profile``, or of the legs of its
+        chain."""
         if self.legs:
             return profiles_of_legs(self.legs, self.own_profiles)
         names = [str(value) for value in self.axes["profile"].values] if "profile" in self.axes else []
@@ -200,7 +202,7 @@ class Sweep(CheckedRecord):
 
     @property
     def is_random(self) -> bool:
-        """Whether two worlds with the same changes may differ."""
+        """Whether two worlds of a plan that have the same changes may differ."""
         axes, profiles = self.axes.values(), self.profiles.values()
         drawn = any(event.drawn for leg in self.legs for event in leg.events)
         return drawn or any(axis.random for axis in axes) or any(profile.random for profile in profiles)
@@ -219,15 +221,15 @@ class Sweep(CheckedRecord):
 
     @cached_property
     def search_levels(self) -> FloatArray:
-        """(n,) the levels that a search can test, rising: from `lower` in steps of its tolerance, and `upper` itself.
+        """(n,) the levels that a search can test, in ascending order: from `lower` in steps of the search's tolerance,
+        and `upper` itself.
 
         The last step is shorter if the tolerance does not divide the range. No level is above `upper`.
         """
         if self.search is None:
             return np.zeros(0)
         lower, upper = self.search.lower, self.search.upper
-        # 1e-6 offsets rounding errors, so that 0 … 2 by 0.01 ends with `upper` once, without a second level right
-        # below it.
+        # 1e-6 offsets rounding errors: 0 … 2 by 0.01 must end with `upper`, without a second level just below.
         count = max(math.ceil((upper - lower) / self._tolerance - 1e-6), 1)
         return np.append(np.round(lower + np.arange(count) * self._tolerance, 12), upper)
 
@@ -375,8 +377,8 @@ def load_sweep(path: str | Path, plans_given: bool = False, simulation: Mapping[
     """Read and check a sweep file.
 
     Args:
-        plans_given: whether the caller gives plans. Then the file need not name plans, and the plans that it names need
-            not exist.
+        plans_given: whether the caller gives plans. If so, the file need not name plans, and the plans that it names
+            need not exist.
         simulation: fields of ``Simulation`` that override those of the file.
 
     Raises:
@@ -389,11 +391,11 @@ def load_sweep(path: str | Path, plans_given: bool = False, simulation: Mapping[
 def sweep_of_tables(
     tables: Mapping[str, Any], path: Path, plans_given: bool = False, simulation: Mapping[str, Any] | None = None
 ) -> Sweep:
-    """Check a sweep, as :func:`load_sweep` does, but from the tables of a file that was read earlier."""
+    """Check a sweep like :func:`load_sweep`, but take it from the tables of a file that was read earlier."""
     said_by_file = _json_tables(tables)
     simulation_table = tables.get("simulation")
     if simulation and "carrier" in simulation and isinstance(simulation_table, dict):
-        # The carrier is overridden; its file is from an earlier run and may be gone or changed.
+        # The options override the carrier. The carrier's file is from an earlier run, and may be gone or changed.
         simulation_table.pop("carrier", None)
     try:
         sweep = Sweep.read({"name": path.stem, **tables}, context=path)
@@ -416,7 +418,7 @@ def _json_tables(tables: Mapping[str, Any] | None) -> Mapping[str, Any] | None:
 
 
 def _existing_files(plans: str | tuple[Path, ...] | None, folder: Path) -> str | tuple[Path, ...]:
-    """The plan files, which must exist. Their names are relative to the sweep file's folder."""
+    """The plan files, which must exist. The names of the files are relative to the sweep file's folder."""
     if plans is None:
         raise InputError("plans is missing: name plan files here or on the command line "
                          f'(plans = "{SAMPLES}" takes the bundled ones)')  # fmt: skip

@@ -1,7 +1,7 @@
-"""Runs a sweep: simulates each placement once, forks its settled state into all drives or ways, and searches levels.
+"""Runs a sweep: simulates each placement once, starts all drives or chains from its settled state, and searches levels.
 
 The engine gets placements, drives and legs of many plans in one stream, since a device is fast with many worlds.
-``Batching`` limits the memory, for sweeps of any size.
+``Batching`` limits the memory that a sweep takes, whatever its size.
 """
 
 from __future__ import annotations
@@ -41,12 +41,13 @@ class Batching:
     """How much of a sweep is in memory and in the engine at the same time. No result depends on these bounds.
 
     Attributes:
-        undriven: largest number of worlds without a drive in one call of the engine. The states of these worlds are
-            dropped.
+        undriven: largest number of worlds without a drive in one call of the engine. The states of such worlds are not
+            stored.
         placements: largest number of stored settled states. A state with 43 boxes takes 10 to 20 KB.
-        worlds: largest number of variants forked from stored states (a single placement may have more).
-        drives: largest number of forked worlds in one call of the engine, where they are not the drives of a grid: in
-            a search the first tests of all items, in a chain all worlds.
+        worlds: largest number of variants that start from stored states at the same time (a single placement may have
+            more).
+        drives: largest number of forked worlds in one call of the engine, for searches and chains. This limit covers
+            the first tests of all items in a search, and all worlds in a chain.
         histories: largest number of settled states stored with their histories. A history with 43 boxes takes 1 MB.
     """
 
@@ -88,17 +89,18 @@ class Answer:
 
 
 SAME_STEP_ATTEMPTS = tuple(attempt for attempt in ATTEMPTS if attempt.timestep_divisor == 1 and not attempt.soft)
-"""The attempts for placements with stored states, and for their forks. The attempt with half the timestep is left
-out: a state counts time in steps, so no world can start from a state that was reached with half the timestep."""
+"""The attempts for placements whose states are stored, and for the worlds that start from these states. The attempt
+with half the timestep is left out, because a state counts time in steps: no world can start from a state that was
+reached with half the timestep."""
 
 
 def _n_drives(variant: Variant) -> int:
-    """Number of drives or legs of a world that stands until its end."""
+    """Number of drives or legs of a world, if the world stands until its end."""
     return len(variant.legs) or int(variant.drive is not None)
 
 
 def _drained(worlds: list[AnyWorld]) -> list[AnyWorld]:
-    """The worlds of a list, which is emptied."""
+    """Empty a list of worlds, and return the worlds."""
     drained = worlds.copy()
     worlds.clear()
     return drained
@@ -106,18 +108,18 @@ def _drained(worlds: list[AnyWorld]) -> list[AnyWorld]:
 
 @dataclass(eq=False)
 class SweepRun:
-    """One sweep on one engine. Iterate over :meth:`worlds` once; ``tally`` fills meanwhile.
+    """One sweep on one engine. Iterate over :meth:`worlds` once; during the iteration, ``tally`` is kept up to date.
 
     Args:
         plan: the worlds to simulate.
-        engine: runs placements and drives. One object simulates placements and drives, since no other object can use
-            its states.
-        progress: updated meanwhile. While boxes are placed, the message counts ended placements.
-        on_answer: called for each answer of a search.
-        values_of: gives the columns that the sweep adds to a world's row (column → value). Answers are computed from
-            these completed worlds.
-        recorded: the completed worlds of the run. The completed worlds are not simulated again.
-        recording: choice of the worlds with recorded and stored histories.
+        engine: the engine for placements and drives. The same engine object must simulate both, since no other object
+            can use its states.
+        progress: kept up to date during the simulation. While boxes are placed, the message counts ended placements.
+        on_answer: function that is called for each answer of a search.
+        values_of: function that returns the columns that the sweep adds to a world's row (column → value).
+        recorded: the completed worlds of the run. Completed worlds are not simulated again; answers are computed from
+            their rows.
+        recording: determines which worlds are recorded, and which histories are stored.
     """
 
     plan: SweepPlan
@@ -132,7 +134,8 @@ class SweepRun:
     _check_pool: CheckPool[Any] | None = field(default=None, init=False)
     _work_done: int = field(default=0, init=False)
     _work: int = field(default=0, init=False)
-    """Boxes of all placements, drives and legs; 0 if it is unknown, or worlds are placements alone."""
+    """Total work: number of boxes, summed over all placements, drives and legs. 0 if the total is unknown or if there
+    are only placements."""
 
     @cached_property
     def sim(self) -> Simulation:
@@ -141,7 +144,7 @@ class SweepRun:
 
     def worlds(self) -> Iterator[FinishedWorld]:
         """Simulate all missing worlds; yield each world when it is final, in any order."""
-        # many drives may end soon after they begin, so the check pool is started while boxes are placed
+        # The check pool is started while boxes are placed, because many drives may end soon after they begin.
         is_counted = self.plan.sweep.search is None
         self._check_pool = check_pool_for(self.engine, self.plan.n_worlds - len(self.recorded)) if is_counted else None
         try:
@@ -182,12 +185,12 @@ class SweepRun:
         return world
 
     def _groups(self) -> Iterator[PlacementGroup]:
-        """Placements with missing worlds. For a search all placements count, since its worlds follow from each
-        other."""
+        """Placements that have missing worlds. In a search these are all placements, since which worlds a search needs
+        follows from earlier worlds."""
         return (group for group in self.plan.groups(self._has_all_worlds) if not group.variants or self._missing(group))
 
     def _has_all_worlds(self, plan: Plan) -> bool:
-        """Whether a plan has no missing world, which saves the check of each world."""
+        """Whether all worlds of a plan are completed, so that they need not be checked one by one."""
         is_counted = self.plan.sweep.search is None
         return is_counted and self.recorded.n_of(plan.plan_id) == self.plan.n_variants
 
@@ -198,7 +201,7 @@ class SweepRun:
     def _chunks(self) -> Iterator[list[PlacementGroup]]:
         """Placements with drives, in chunks as large as ``Batching`` allows."""
         search = self.plan.sweep.search
-        # a leg of each world of a chain may have samples of its own
+        # in a chain, the samples of a leg may differ from world to world
         most = self.batching.worlds if search is None and not self.plan.sweep.legs else self.batching.drives
         per_search = 0 if search is None else len(self.plan.search_items()) * search.sections
         chunk: list[PlacementGroup] = []
@@ -256,7 +259,8 @@ class SweepRun:
         )
 
     def _note_work(self, plan: Plan, count: int = 1) -> None:
-        """Note that so many placements, drives or legs of a plan are done, or will not be simulated."""
+        """Record for the progress that ``count`` placements, drives or legs of a plan are done, or will not be
+        simulated."""
         self._work_done += count * plan.n_boxes
         if self._work:
             self.progress.work_share = self._work_done / self._work
@@ -271,8 +275,8 @@ class SweepRun:
         return self.plan.job(group, scene, keep_state=keep_state, record=self.recording.of(group.plan))
 
     def _run_placements(self, groups: Iterable[PlacementGroup]) -> Iterator[FinishedWorld]:
-        """Simulate placements without drives. The worlds of these placements have the placement's outcome, with rest
-        window."""
+        """Simulate placements without drives. All worlds of a placement have the placement's outcome, which includes
+        the rest window."""
         for placed in self._place(groups, self.batching.undriven, keep_state=False):
             for variant in self._missing(placed.group):
                 if variant is placed.group.variants[0]:
@@ -289,7 +293,7 @@ class SweepRun:
         self.progress.message = ""
 
     def _settle(self, groups: Sequence[PlacementGroup]) -> list[SettledPlacement]:
-        """Simulate placements and keep their states; returns them in the order of the groups."""
+        """Simulate placements and keep their states. Returns the settled placements in the order of the groups."""
         settled_by_group = {id(settled.group): settled for settled in self._settling(groups)}
         return [settled_by_group[id(group)] for group in groups]
 
@@ -303,8 +307,9 @@ class SweepRun:
     # Drives.
 
     def _fork(self, groups: Sequence[PlacementGroup]) -> Iterator[FinishedWorld]:
-        """Fork placements into all their variants, beside placements that take longer: drives and the first legs of
-        chains begin when their placement has settled, further legs when the one before has ended."""
+        """Simulate placements, and start all their variants from the settled states. Drives and the first legs of
+        chains begin as soon as their own placement has settled, while other placements still run. A further leg begins
+        when the leg before it has ended."""
         begin = time.perf_counter()
         n_settled = 0
         ready: list[DriveWorld | LegWorld] = []
@@ -344,7 +349,8 @@ class SweepRun:
     def _drive(
         self, worlds: Iterable[DriveWorld], following: Callable[[], Iterable[DriveWorld]] | None = None
     ) -> Iterator[tuple[Test, FinishedWorld]]:
-        """Simulate forks; yield each world with its test. ``following`` gives forks that follow from results."""
+        """Simulate drives; yield each finished world with its test. ``following`` returns further drives that follow
+        from results."""
         begin = time.perf_counter()
         most = self.batching.drives  # all drives of a batch begin at once, since their scenes already exist
         for result in self._score(worlds, most, forks=True, begin_with=most, following=following):
@@ -364,7 +370,8 @@ class SweepRun:
     # Chains.
 
     def _legs_of(self, begin: LegStart) -> Iterator[LegWorld]:
-        """The next legs of some worlds, which had the same outcome so far. Worlds with the same leg share a drive."""
+        """The next legs of some worlds that had the same outcome so far. Worlds whose next leg is the same are
+        simulated as one."""
         placed, before = begin.settled, begin.before
         plan, record = placed.group.plan, self.recording.of(placed.group.plan)
         alike: dict[tuple[LegSpec, int], list[Variant]] = {}
@@ -378,7 +385,8 @@ class SweepRun:
             yield LegWorld(plan, changes_of_leg[0].index, job, replace(begin, changes=tuple(changes_of_leg)))
 
     def _after_leg(self, result: WorldResult[Any]) -> tuple[list[FinishedWorld], LegStart | None]:
-        """The worlds whose way ends with a leg, and where the next leg of the others begins."""
+        """Two results: the worlds that end with this leg, and the start of the next leg for all other worlds (None: all
+        worlds have ended)."""
         self.tally.drives += 1
         self.tally.drive_steps += result.outcome.n_steps
         world: LegWorld = result.world
@@ -402,7 +410,8 @@ class SweepRun:
         return ended, LegStart(begin.settled, further, number, outcome) if further else None
 
     def _end(self, world: LegWorld, outcome: Outcome, n_steps: int) -> LegEnd:
-        """Where a world ended that does not stand. ``n_steps``: those of its last leg."""
+        """For a world that does not stand: the leg in which it ended. ``n_steps`` is the number of steps of its last
+        leg."""
         if world.begin.settled.outcome.verdict is not Verdict.STABLE:
             return LegEnd(PLACING, 0.0)
         return LegEnd(world.leg.name, outcome.sim_time_s - n_steps * self.sim.physics.timestep_s)
@@ -414,7 +423,7 @@ class SweepRun:
 
         When all tests of an item have ended, its next tests begin, while tests of other items still run. A placement
         that does not stand has one row per profile and direction, at the lowest level, with the outcome of the
-        placement. No further leg of such a world is simulated.
+        placement. Nothing else is simulated for it.
         """
         items, tilt_deg = self.plan.search_items(), self.sim.thresholds.tilt_deg
         searches = [(start, number) for start in settled for number in range(len(items))]
@@ -442,14 +451,16 @@ class SweepRun:
                 if missing_now := [test for test in tests if test not in probes]:
                     missing[which] = set(missing_now)
                     return [self._driving(searches[which][0], variant(*test), test) for test in missing_now]
-                # only the worlds at the bounds of an item's search can still become its answer
+                # Only the two worlds at the bounds of an item's search can still become its answer.
+                # All others are dropped.
                 now = {test: tested.pop(test) for test in {*tests, *bisection.bounds(which)} if test in tested}
                 bisection.record(tests, [now[test] for test in tests])
                 tested.update((test, now[test]) for test in bisection.bounds(which) if test in now)
             return []
 
         ready_drives: list[DriveWorld] = []
-        # This is a list instead of a generator, since the thread of a source must not search.
+        # A list, not a generator, because the engine reads its source of worlds in another thread, which must not
+        # search.
         first = [drive for which in range(len(searches)) for drive in next_drives(which)]
         for test, world in self._drive(first, partial(_drained, ready_drives)):
             which, _ = test
@@ -491,7 +502,7 @@ class SweepRun:
         if any(
             bracket.stands_at_rest and not bisection.next_tests(which) for which, bracket in enumerate(bisection.items)
         ):
-            return False  # the search has one level, and no world shows that the placement stood
+            return False  # the search has only one level, so no world shows that the placement stood
         tested: dict[Test, Probe] = {}
         for which in range(len(bisection.items)):
             while tests := bisection.next_tests(which):
@@ -505,9 +516,9 @@ class SweepRun:
         return True
 
     def _recorded_rest(self, group: PlacementGroup, number: int) -> Probe:
-        """The outcome of a placement, as far as completed worlds show it. A placement that did not stand has one world,
-        without steps. A failed test may have no steps either, but then the results also have the other first tests of
-        the search.
+        """The outcome of a placement, as far as completed worlds show it. A placement that did not stand has a single
+        world, which has no steps. A failed test may have no steps either, but then the results also have the other
+        first tests of the search.
         """
         row = self._row(group, number, 0)
         first = self._bisection([Probe(Verdict.STABLE)]).next_tests(0)

@@ -72,7 +72,7 @@ class SweepStudy(Study):
             command="sweep" if confidence is None else "score",
             what="world",
             skipped=plan.skipped,
-            # friction by materials may hold a load that the general friction of boxes and carrier does not hold
+            # no lines if friction depends on materials: it may hold a load that the general friction does not hold
             notes=() if any(input_plan.materials for input_plan in everything) else hopeless_profiles(sweep),
             params=self._columns.params,
             dynamic=self._columns.has_drives,

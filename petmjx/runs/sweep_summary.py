@@ -1,4 +1,5 @@
-"""What a sweep adds to the results: columns of ``worlds`` for parameters and answers, and the table ``summary``."""
+"""The additions of a sweep to the results: columns of ``worlds`` for parameters and answers, and the table
+``summary``."""
 
 from __future__ import annotations
 
@@ -33,7 +34,8 @@ MODE = Param("mode", TEXT, "how the first box failed: slide, tilt or drop; empty
 SIGN = Param("sign_in_profile_s", "s", "when the culprit crossed a threshold, from the profile's beginning")
 LEG = Param("leg", TEXT, "leg of the chain in which the world failed first; empty: it arrived", str)
 EUMOS_WORST = tuple(column.name for column in EUMOS_COLUMNS if column.unit)
-"""Columns of deformations that a laboratory measures. A grid's summary has the largest values of a row's worlds."""
+"""Columns with the deformations that a laboratory measures. A row of a grid's summary has the largest values over its
+worlds."""
 FAIL_ANGLE = Param("fail_angle_deg", "deg", "angle of the carrier at that moment; null for profiles that do not tilt")
 
 
@@ -90,7 +92,7 @@ class SweepColumns:
         return values
 
     def _of_leg(self, world: FinishedWorld) -> dict[str, Any]:
-        """The leg in which a world of a chain ended, and the time in that leg at which a box crossed a threshold."""
+        """The leg in which a world of a chain ended, and when a box crossed a threshold, as time in that leg."""
         end = world.ended_in
         if end is None or end.leg == PLACING:
             return {LEG.name: end.leg if end is not None else ""}
@@ -98,7 +100,7 @@ class SweepColumns:
         return {LEG.name: end.leg, SIGN.name: since_s if since_s > 0.5 * self._sim.physics.timestep_s else None}
 
     def _eumos(self, world: FinishedWorld, placement: Outcome) -> dict[str, Any]:
-        """The values of EUMOS's columns, measured from the positions at which the boxes stood before the drive. If the
+        """The values of EUMOS's columns. Displacements count from the positions of the boxes before the drive. If the
         placement did not stand, the test is not passed."""
         values: dict[str, Any] = {}
         if world.driven:
@@ -114,8 +116,7 @@ class SweepColumns:
         """Time from the beginning of the profile to the first sign; None if there was no sign or it came earlier."""
         began_s = outcome.sim_time_s - outcome.n_steps * self._sim.physics.timestep_s
         since_s = outcome.first_sign_s - began_s
-        # The limit is half a step, since the time is a running sum of timesteps. In the last digits, it differs from a
-        # multiple of the timestep.
+        # The comparison allows half a step, because the time is a running sum of timesteps, with rounding errors.
         return since_s if since_s > 0.5 * self._sim.physics.timestep_s else None
 
 
@@ -133,7 +134,8 @@ def _type_of(column: str, axes: Mapping[str, Axis]) -> type[float] | type[int] |
 
 @dataclass(frozen=True)
 class ShareColumns:
-    """The columns of ``worlds`` by which shares are grouped. They are stored in ``run.json``, to merge shards.
+    """The columns of ``worlds`` by which shares are grouped. The fields are stored in ``run.json``, so that shards can
+    be merged.
 
     Attributes:
         axes: columns, in the order of the summary.

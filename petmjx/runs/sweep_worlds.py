@@ -32,11 +32,12 @@ from petmjx.world.scene import Scene, build_scene
 from petmjx.world.variants import DriveSpec, LegSpec, Variant, apply_all
 
 _TILTED: Final = 0.5
-"""Expected share of the steps of a tilt that are simulated, since pallets slide or topple before its end."""
+"""Share of a tilt's steps that is expected to be simulated. The share is below 1, since pallets slide or topple before
+the end of the tilt."""
 
 _ERRORS: Final = frozenset({"size_mm", "size_rel", "x_mm", "y_mm", "yaw_deg"})
-"""Fields that axes with errors of places or sizes change. Boxes are then placed by hand, unless the options name a way
-of placing."""
+"""Fields that are changed by axes with errors of places or sizes. If there are such errors, boxes are placed by hand,
+unless the options name another placing."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -57,12 +58,13 @@ class PlacementGroup:
 
     @property
     def index(self) -> int:
-        """``variant`` of its first world; in a search, which has no variants yet, the number of the placement."""
+        """Number of the variant of the group's first world. In a search, which has no variants yet, the number of the
+        placement."""
         return self.variants[0].index if self.variants else self.number
 
     @property
     def driven(self) -> bool:
-        """Whether the worlds have drives: all of them or none. True for a search."""
+        """Whether the worlds of the group have drives. Either all of them have drives or none. True for a search."""
         return all(variant.drive is not None or variant.legs for variant in self.variants)
 
 
@@ -71,12 +73,13 @@ class SweepPlan(Design):
     """All worlds of a sweep, made one placement at a time.
 
     Args:
-        plans: the plans of the sweep; after construction only those that can be simulated.
+        plans: the plans of the sweep; after construction, only plans that can be simulated.
         allow_large: accept more than a million worlds.
         strict: refuse plans that would be skipped.
 
     Attributes:
-        skipped: plans whose run ``total_time_factor`` would end before the profile begins.
+        skipped: plans that are not simulated, because ``total_time_factor`` would end their run before the profile
+            begins.
 
     Raises:
         InputError: no usable plan, more than a million worlds without ``allow_large``, an axis ``placing`` although
@@ -116,7 +119,7 @@ class SweepPlan(Design):
                 if missing := [side.value for side in leg.open_walls if side not in sides]:
                     reason = f"the carrier has no wall {missing[0]!r}; simulation.walls or another carrier gives it one"
                     raise InputError(f"{file}: legs[{place}].open_walls: {reason}")
-        # Excitations are made once before the run, since this raises an error if a profile's frequencies are too high
+        # Excitations are made once here, before the run begins, to raise the error about frequencies that are too high
         # for the timestep.
         for profile in self.sweep.profiles.values():
             try:
@@ -165,8 +168,8 @@ class SweepPlan(Design):
         raise InputError(f"{self.sweep.file}: plan {printable_name(plan_id)} has no variant {index}")
 
     def search_variant(self, group: PlacementGroup, item: int, level_index: int) -> Variant:
-        """The world of a placement that tests one level of an item of a search. The index of a world does not depend on
-        the order of its computation."""
+        """The world of a placement that tests one level of one item of a search. The index of this world does not
+        depend on the order in which worlds are simulated."""
         items, levels = self.search_items(), self.sweep.search_levels
         search_item, level = items[item], float(levels[level_index])
         index = 1 + (group.number * len(items) + item) * len(levels) + level_index
@@ -193,8 +196,8 @@ class SweepPlan(Design):
     def job(
         self, group: PlacementGroup, scene: Scene, *, keep_state: bool = False, record: Record | None = None
     ) -> Job:
-        """The job of a group's placement. A placement with random errors only has to answer whether it stands, so it
-        ends when a box is lost."""
+        """The job of a group's placement. A placement with random errors ends when a box is lost, because its only
+        answer is whether it stands."""
         has_errors = group.placement.placement.random
         return Job(scene, keep_state=keep_state, record=record, has_errors=has_errors)
 
@@ -232,8 +235,8 @@ class SweepPlan(Design):
         return Drive(unit.excitation, spec.scale, yaw_rad, unit.rest_s, allowed_m)
 
     def leg_drive(self, plan: Plan, variant: Variant, leg: LegSpec, load_height_m: float = 0.0) -> Drive:
-        """All drives of a leg of one world, as one drive. Without drives, the pallet is not shaken. Worlds whose
-        drives have the same samples share one array of samples."""
+        """All drives of one leg in one world, joined into one drive. A leg without drives does not shake the pallet.
+        Worlds whose drives have the same samples share one array of samples."""
         sim = self.sweep.simulation
         made = (
             self.drive(plan, replace(variant, drive=self._with_strength(plan, variant, leg, place)), load_height_m)
@@ -254,7 +257,8 @@ class SweepPlan(Design):
         return Drive(self._rows[key], rest_s=rest_s, allowed_sway_m=allowed_m)
 
     def _with_strength(self, plan: Plan, variant: Variant, leg: LegSpec, place: int) -> DriveSpec:
-        """A drive of a leg with its strength in one world. Remedies share the random number."""
+        """A drive of a leg, with the strength that is drawn for one world. With a remedy, the same world has the same
+        drawn strength."""
         spec = leg.drives[place]
         if spec.scale_to is None:
             return spec
@@ -271,7 +275,7 @@ class SweepPlan(Design):
         timestep_s = sim.physics.timestep_s
         excitation = profile.excitation(timestep_s, start_s, world)
         if profile.strength is Strength.ANGLE and sim.physics.gravity_m_s2 != STANDARD_GRAVITY:
-            # a tilt turns gravity of any value; accelerations in m/s² do not depend on it
+            # the samples of a tilt scale with gravity, unlike those of other accelerations
             turned = excitation.samples * (sim.physics.gravity_m_s2 / STANDARD_GRAVITY)
             excitation = replace(excitation, samples=turned)
         left = self._drive_steps_left(plan)
@@ -292,7 +296,7 @@ class SweepPlan(Design):
         return seconds_to_steps(total_s, timestep_s) - seconds_to_steps(self.drive_start_s(plan), timestep_s)
 
     def job_bounds(self, groups: Collection[PlacementGroup]) -> JobBounds:
-        """Bounds of some placements, and of the drives and legs that follow."""
+        """Upper bounds for some placements and for the drives and legs that follow them."""
         sim, profiles = self.sweep.simulation, self.sweep.profiles.values()
         jobs = sum(max(len(group.variants), 1) for group in groups)
         box_counts = {group.plan.n_boxes for group in groups}
@@ -304,13 +308,13 @@ class SweepPlan(Design):
         drive_steps = max((profile.n_steps(sim.physics.timestep_s) for profile in profiles), default=0)
         if sim.total_time_factor is not None:
             drive_steps = min(drive_steps, max(self._drive_steps_left(group.plan) or 0 for group in groups))
-        # with the fixed schedule profiles of forces begin at other times in each plan
+        # with the fixed schedule, profiles of forces begin at a different time in each plan
         drawn = any(profile.random for profile in profiles) or sim.schedule is Schedule.FIXED
         wraps = sim.wrap.holds or "wrap_turns" in self.sweep.axes
         return JobBounds(jobs, box_counts, drive_steps, None if drawn else len(profiles), wraps)
 
     def _leg_samples(self, leg: LegSpec) -> int:
-        """Steps in which the drives of a leg act, with its pauses."""
+        """Number of steps of a leg's drives and of the pauses between them."""
         timestep_s = self.sweep.simulation.physics.timestep_s
         pauses = (len(leg.drives) - 1 if leg.drives else 1) * seconds_to_steps(leg.pause_s, timestep_s)
         return pauses + sum(self.sweep.profiles[drive.profile].n_steps(timestep_s) for drive in leg.drives)
@@ -361,7 +365,8 @@ class SweepPlan(Design):
 
     @property
     def _displaced(self) -> int:
-        """Placements per plan in which boxes appear at places with errors, with waits of the schedule."""
+        """Number of placements per plan in which boxes appear at places with errors, and in which the schedule
+        waits."""
         sim = self.sweep.simulation
         waits = sim.check is Check.ONE_BY_ONE and sim.schedule is Schedule.ADAPTIVE
         if "placing" in self.sweep.axes:
@@ -370,7 +375,7 @@ class SweepPlan(Design):
 
     @property
     def _carried(self) -> int:
-        """Placements per plan in which boxes are carried to their places."""
+        """Number of placements per plan in which boxes are carried to their places."""
         sim = self.sweep.simulation
         if not sim.may_carry:
             return 0
@@ -381,12 +386,12 @@ class SweepPlan(Design):
 
     @property
     def _with_errors(self) -> int:
-        """Placements per plan in which places or sizes have random errors."""
+        """Number of placements per plan in which places or sizes have random errors."""
         return self.n_random_placements if self.has_errors else 0
 
     @property
     def _all_placements(self) -> int:
-        """Placements per plan, including that of the nominal world."""
+        """Number of placements per plan, including the placement of the nominal world."""
         return self.n_placements + int(self.sweep.nominal)
 
     @property

@@ -41,7 +41,7 @@ EUMOS_COLUMNS = (
     Param("eumos_foot_permanent_m", "m", "the same, in m, among boxes that reach into the lowest 20 cm"),
     Param("eumos_passed", TEXT, "whether it stood, all limits of EUMOS 40509 hold and nothing fell", bool),
 )
-"""Additional columns of worlds that are shaken by EUMOS's profile."""
+"""Additional columns for worlds that are shaken by EUMOS's profile."""
 
 
 def load_height_m(settled_pos: FloatArray, half_size: FloatArray) -> float:
@@ -54,8 +54,9 @@ def eumos_assessment(boxes: BoxMetrics, settled_pos: FloatArray, half_size: Floa
 
     The standard allows an elastic deformation of at most 10 % of the load's height during the test. After the test, the
     permanent deformation may be at most 5 % of the load's height, and at most 4 cm in the lowest 20 cm. Displacements
-    are those of box centres from their settled positions. The load's height counts from the carrier's top, z = 0. The
-    elastic deformation includes the permanent one, since on film the two cannot be distinguished before the end.
+    are measured from the settled positions of box centres. The load's height is measured from the carrier's top, z = 0.
+    The elastic deformation includes the permanent deformation, since in a video of a test the two cannot be
+    distinguished before the end.
 
     A world in which a box fell never passes, however small the shares. A world with a NaN never passes either, since
     its profile did not run to its end. Source: EUMOS 40509:2020, criteria as published by ESTL, the laboratory behind
@@ -85,7 +86,7 @@ RANGE_POINTS = 9
 """Number of values that are checked on an axis with a continuous range."""
 
 LARGEST_SD = 4.0
-"""Normal errors are checked up to this number of standard deviations above the mean. One draw in 30,000 is beyond."""
+"""Normal errors are checked up to this number of standard deviations above the mean. One draw in 30,000 is larger."""
 
 
 def slide_m(
@@ -96,12 +97,13 @@ def slide_m(
     enough_m: float = math.inf,
     kinetic: float = 1.0,
 ) -> float:
-    """How far a block slides on a moving carrier: its largest distance from its first position on the carrier, m.
+    """How far a block slides on a moving carrier, m: the largest distance from its first position on the carrier.
 
     The model is Coulomb's friction. The block stays in place while the carrier's horizontal acceleration is at most
-    friction × (gravity + vertical acceleration). Beyond that, friction has exactly this value, or ``kinetic`` times it
-    if the block slides, and acts against the sliding. The result is exact for an acceleration along one line that is
-    constant within each step, except for steps in which the block stops or its friction changes.
+    friction × (gravity + vertical acceleration). At a larger acceleration, the block slides, and friction acts against
+    the sliding. Friction then has this value, which falls to ``kinetic`` times it when the block slides fast. The
+    result is exact for an acceleration along one line that is constant within each step, except for steps in which the
+    block stops or its friction changes.
 
     A whole load slides about as far, or farther. On a load that touches only the carrier's top, the horizontal force is
     at most friction × the vertical force, as on the block. So the centre of mass of a load, and with it at least one
@@ -122,7 +124,7 @@ def slide_m(
             if next_slip == len(slips):
                 break
             step = int(slips[next_slip])
-        if step == len(acceleration):  # the carrier is at rest now; friction brakes the remaining speed
+        if step == len(acceleration):  # the carrier is at rest now, so friction brakes the block
             speed, brake = math.hypot(vx, vy), friction * kinetic * gravity_m_s2
             if brake == 0:
                 return math.inf
@@ -143,22 +145,22 @@ def slide_m(
 def hopeless_profiles(sweep: Sweep) -> list[str]:
     """A line for each profile that makes every unsecured load slide farther than the shift threshold.
 
-    If the sweep has several strengths, the line names the smallest one that does. Lines depend only on accelerations,
-    which are the same for all plans. Searches have no lines, since they find this strength themselves. Runs that end at
-    a multiple of their placement time have none either, since they may end before the load slides that far.
+    If the sweep has several strengths, the line names the smallest of them that does so. A line depends only on
+    accelerations, which are the same for all plans. Searches get no lines, since they find this strength themselves.
+    Runs with ``total_time_factor`` get no lines either, since they may end before the load slides that far.
     """
     sim, axes = sweep.simulation, sweep.axes
     if sweep.search is not None or sim.total_time_factor is not None:
         return []
     if has_walls(sim):
-        return []  # walls may hold every load
+        return []  # walls may hold every load, so there are no lines
     turns = sweep.axes.get("wrap_turns")
     least = sim.wrap.turns if turns is None else min(float(str(value)) for value in turns.values or (turns.low,))
     if least > 0:
-        return []  # film secures every load
+        return []  # film secures every load, so there are no lines
 
     def values(name: str) -> list[float]:
-        """The values of an axis that is a factor, rising; 1 if the sweep has no such axis."""
+        """The values of an axis that is a factor, in ascending order; [1] if the sweep does not have this axis."""
         if name not in axes:
             return [1.0]
         factors = axes[name].values or np.linspace(axes[name].low, axes[name].high, RANGE_POINTS).tolist()
@@ -166,7 +168,7 @@ def hopeless_profiles(sweep: Sweep) -> list[str]:
 
     common_factors = values("friction_factor")
     box, carrier = (values(f"{side}_friction_factor") for side in ("box", "carrier"))
-    # of the coefficients of two partners, MuJoCo uses the larger one
+    # of the friction coefficients of two touching geoms, MuJoCo uses the larger one
     friction = common_factors[-1] * max(sim.physics.box_friction[0] * box[-1], carrier_friction(sim) * carrier[-1])
     errors = _friction_errors(sweep)
     friction *= max(1.0 + max(map(_largest, errors), default=0.0), MIN_FRICTION_FRACTION)
@@ -201,15 +203,16 @@ def _friction_errors(sweep: Sweep) -> list[Distribution]:
 
 
 def _largest(error: Distribution) -> float:
-    """The largest value of an error that is checked."""
+    """The largest value of an error; for a normal distribution, the value ``LARGEST_SD`` standard deviations above its
+    centre."""
     return error.centre + (LARGEST_SD if error.shape is DistributionShape.NORMAL else 1.0) * error.spread
 
 
 def _first_hopeless(unit: FloatArray, strengths: Sequence[float], friction: float, sim: Simulation) -> int:
-    """Index of the first strength that makes a block slide too far; the number of strengths if there is none.
-    Strengths are rising.
+    """Index of the smallest strength that makes a block slide too far; the number of strengths if there is none.
+    Strengths are in ascending order.
 
-    A strength above one that makes the block slide too far does so, too.
+    The search relies on this: if a strength makes the block slide too far, all larger strengths do so as well.
     """
     physics, limit_m = sim.physics, sim.thresholds.shift_m
 

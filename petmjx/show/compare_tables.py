@@ -16,7 +16,8 @@ from petmjx.show.table_layout import FittedTable, TableColumn, line, number
 
 
 def comparison_tables(comparison: Comparison, max_rows: int = 40) -> Iterator[RenderableType]:
-    """All tables and lines. At most ``max_rows`` worlds are listed whose verdict differs, or that only one run has."""
+    """All tables and lines. Of the worlds with different verdicts, and of the worlds that only one run has, at most
+    ``max_rows`` are listed."""
     yield line(f"a  {comparison.a}")
     yield line(f"b  {comparison.b}")
     for note in comparison.notes:
@@ -92,7 +93,7 @@ def _flips_table(flips: pd.DataFrame, max_rows: int) -> FittedTable:
 
 
 def _differences_tables(table_name: str, differences: pd.DataFrame) -> Iterator[FittedTable]:
-    """One table for each group that has any worlds."""
+    """One table for each group that is not empty."""
     key = [column for column in BOX_KEY if column in differences]
     for group, rows in differences[differences["n"] > 0].groupby("group", sort=False):
         table = FittedTable(
@@ -119,8 +120,8 @@ def _differences_tables(table_name: str, differences: pd.DataFrame) -> Iterator[
 
 
 def _name_and_factor(row: dict[str, Any]) -> tuple[str, float]:
-    """The name of a metric with its unit, and the factor that converts to this unit; for relative differences, per
-    cent."""
+    """The name of a metric with its unit, and the factor that converts values to this unit. The unit of relative
+    differences is per cent."""
     metric, unit = row["metric"], row["unit"]
     if metric.endswith(" relative"):
         return metric.removesuffix("relative") + "%", 100.0

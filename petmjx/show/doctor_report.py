@@ -36,13 +36,13 @@ class EngineReport:
 
 @dataclass(frozen=True)
 class Report:
-    """What ``petmjx doctor`` has found.
+    """The findings of ``petmjx doctor``.
 
     Attributes:
         versions: package → version, for Python, petmjx and its dependencies.
         devices: CPU and GPUs, one line each.
         engines: one report per engine.
-        caches: what a cache contains → its folder, with the reason if it is not the requested folder.
+        caches: content of a cache → its folder; if this is not the requested folder, also the reason.
     """
 
     versions: dict[str, str]

@@ -1,5 +1,5 @@
-"""What kind of files files of packing plans are, how they are read, and what is odd: records and lines of ``petmjx
-info``."""
+"""The records and lines of ``petmjx info``: the kind of each file of packing plans, how it is read, and its
+oddities."""
 
 from __future__ import annotations
 
@@ -51,11 +51,11 @@ def file_infos(paths: Sequence[Path], options: Mapping[str, Any]) -> tuple[list[
 
 
 def _orders_line(path: Path, options: Mapping[str, Any]) -> tuple[str, str]:
-    """How a file without plans would be read as orders, or both possible readings ("" if it has no orders). Also the
-    fault of its first order if no order is usable.
+    """Describes how a file without plans would be read as orders, or both possible readings; "" if it has no orders.
+    Also returns the fault of the first order if no order is usable.
 
-    A file with columns of places is meant to have plans. If they cannot be read, a reading as orders would hide the
-    reason, so there is none.
+    A file with columns of places is meant to have plans. If its plans cannot be read, it is not read as orders either,
+    because this would hide the reason.
     """
     errors: list[InputError] = []
     try:
@@ -119,7 +119,8 @@ def _info(plan_set: PlanSet, source: str) -> dict[str, Any]:
 
 
 def _why_worse(reading: Reading, other: Reading) -> str:
-    """Why another reading is less plausible than the chosen one: it has a larger cost of names, units or boxes."""
+    """Why another reading is less plausible than the chosen one: the part of its cost that is larger (that of the
+    boxes, or that of names, units and usual values)."""
     extra_cost, of_layout = other.cost - reading.cost, other.layout_cost - reading.layout_cost
     cause = "by its boxes" if of_layout > extra_cost / 2 else "by names, units and usual values"
     return (

@@ -14,7 +14,7 @@ from petmjx.show.table_layout import FittedTable, TableColumn, line, number, per
 
 
 def kpi_tables(kpis: Kpis, out: str | None = None) -> Iterator[RenderableType]:
-    """The means, the ratings and the notes; before them a table of the plans, if there are few.
+    """A table of the plans, if there are few; then the means, the ratings and the notes.
 
     Args:
         out: folder of the files, if any were written.

@@ -17,7 +17,7 @@ def order_lines(info: Mapping[str, Any], most: int) -> Iterator[Text]:
 
     Args:
         info: ``run.json`` of a run that was compared with orders.
-        most: largest number of orders, among those not compared, that are named.
+        most: largest number of orders that the line about orders without comparison names.
     """
     counts = info["counts"]["orders"]
     for error in info["orders"]["unusable"][:most]:
@@ -36,7 +36,7 @@ def order_lines(info: Mapping[str, Any], most: int) -> Iterator[Text]:
     if counts["not_ordered"]:
         verb = _verb(counts["not_ordered"], "was", "were")
         odd.append(f"{count_text(counts['not_ordered'], 'box', 'boxes')} in plans {verb} not ordered")
-    if resized := counts.get("resized", 0):  # runs of petmjx 0.2 lack it
+    if resized := counts.get("resized", 0):  # runs of petmjx 0.2 lack this count
         differ = "has another size, mass or property" if resized == 1 else "have other sizes, masses or properties"
         odd.append(f"{count_text(resized, 'box', 'boxes')} {differ} than ordered")
     if counts["plans_without_order"]:

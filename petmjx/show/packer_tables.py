@@ -24,7 +24,7 @@ def packer_tables(comparison: PackerComparison, max_rows: int = 40) -> Iterator[
         yield line(f"note: {note}", style="yellow")
     yield from _not_compared(comparison)
     if not comparison.packers["n"].any():
-        return  # a note gives the reason
+        return  # a note already gives the reason
     yield ""
     yield _packers_table(comparison)
     if KPIS[0] in comparison.packers:
@@ -36,7 +36,7 @@ def packer_tables(comparison: PackerComparison, max_rows: int = 40) -> Iterator[
         yield ""
         yield from _arrival_tables(comparison)
     yield ""
-    # padding wraps between words, whereas the terminal would break words
+    # padding makes rich wrap between words, whereas the terminal would break words
     yield from (Padding(line(sentence), 0, expand=False) for sentence in comparison.sentences)
     sized = comparison.packers[(comparison.packers["size"] != ALL_SIZES) & (comparison.packers["n"] > 0)]
     if sized["size"].nunique() > 1:
@@ -130,7 +130,8 @@ def _pairs_table(comparison: PackerComparison) -> FittedTable:
 
 
 def _arrival_tables(comparison: PackerComparison) -> Iterator[RenderableType]:
-    """The chance of plans in a chain to arrive, for each packer, and its differences between packers."""
+    """Tables for chains: the chance of plans to arrive, for each packer, and the differences of this chance between
+    packers."""
     table = FittedTable(
         TableColumn("packer", "left", least=8, middle=True),
         TableColumn("P"),
@@ -206,7 +207,7 @@ def _interval_header(comparison: PackerComparison) -> str:
 
 
 def _interval(row: dict[str, Any], form: str) -> str:
-    """ "57.1 to 79.4", in per cent or in percentage points."""
+    """An interval as text, such as "57.1 to 79.4", in per cent or in percentage points."""
     return f"{number(row['low'], form, factor=100.0)} to {number(row['high'], form, factor=100.0)}"
 
 

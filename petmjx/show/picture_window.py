@@ -29,7 +29,7 @@ class PictureWindow:
         from matplotlib.backends.registry import BackendFilter, backend_registry
 
         backend = matplotlib.get_backend()
-        registry: Any = backend_registry  # the registry has no type annotations
+        registry: Any = backend_registry  # Matplotlib's registry has no type annotations
         if backend.lower() not in registry.list_builtin(BackendFilter.INTERACTIVE):
             raise InputError(f"render_mode: human needs a window, and Matplotlib's backend {backend} has none here")
         self._pyplot: Any = pyplot

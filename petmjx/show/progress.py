@@ -22,7 +22,7 @@ from petmjx.runs.simulate import RunStart
 from petmjx.runs.study import FinishedWorld
 
 REFRESH_S: Final = 0.5
-"""The bar is redrawn after this time even without finished worlds, s, since its message may have changed."""
+"""The bar is redrawn at least after this time, s, even if no world has finished, since its message may have changed."""
 
 LINE_S: Final = 10.0
 """Time between two lines when there is no terminal, s."""
@@ -32,8 +32,8 @@ class ProgressSink(Protocol):
     """The object that :func:`progress` yields."""
 
     def update(self, done: int, message: str = "", share: float | None = None) -> None:
-        """Show that ``done`` worlds are finished, and a message (compiling, repeating invalid worlds). ``share`` is as
-        in ``Throughput.update``."""
+        """Show that ``done`` worlds are finished, and a message about the present activity (compiling, repeating
+        invalid worlds). ``share`` has the same meaning as in ``Throughput.update``."""
 
 
 @contextmanager
@@ -109,7 +109,7 @@ class _Bar(RichProgress):
     """A progress bar, with a message in the line below."""
 
     def __init__(self, total: int | None, what: str, console: Console) -> None:
-        self._message = ""  # the bar reads it when it is created
+        self._message = ""  # set first, since the bar reads it when it is created
         pace = self._pace = Throughput(total, what)
         count, rate, left = _Words(lambda: pace.count), _Words(lambda: pace.rate), _Words(lambda: pace.left)
         super().__init__(count, BarColumn(), rate, left, console=console)
@@ -130,7 +130,7 @@ class _Bar(RichProgress):
 
 
 class BarWatcher(AbstractContextManager["BarWatcher"]):
-    """Prints what a run does to standard error, and shows its progress.
+    """Prints the activity of a run to standard error, and shows its progress.
 
     Attributes:
         what: the noun for a world in messages: "plan", or "world" in sweeps.

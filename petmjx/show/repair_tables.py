@@ -13,7 +13,7 @@ from petmjx.repairs.trials import Share
 from petmjx.show.table_layout import line
 
 MOST_STANDING: Final = 20
-"""Largest number of plans that stood already and get a line each."""
+"""Of the plans that stood already, at most this number get a line."""
 
 
 def repair_tables(repairs: Repairs) -> Iterator[RenderableType]:

@@ -158,8 +158,8 @@ def summary_table(info: Mapping[str, Any], what: str = "plans") -> Table:
 
 
 def search_table(info: Mapping[str, Any], summary: pd.DataFrame) -> Table:
-    """The short table of a search. It counts answers, because the verdicts of single tests only show the path of the
-    search.
+    """The short table of a search. The table counts answers, because the verdicts of single tests only show which
+    levels the search tried.
 
     Args:
         info: the entries of ``run.json``.
@@ -223,7 +223,7 @@ def _add(table: Table, label: str, count: int, of: int, style: str = "") -> None
 
 
 def _add_end(table: Table, info: Mapping[str, Any], what: str, done: int) -> None:
-    """Add the rows that every run has besides its verdicts or answers, and the speed of the run."""
+    """Add the rows that every run has after its verdicts or answers, including the speed of the run."""
     counts = info.get("counts", {})
     if skipped := counts.get("skipped_plans"):
         table.add_row("skipped plans", f"{skipped:,}", "", style="yellow")
@@ -236,8 +236,8 @@ def _add_end(table: Table, info: Mapping[str, Any], what: str, done: int) -> Non
 
 
 def _edge_cells(row: Mapping[Any, Any], of_boxes: pd.DataFrame | None) -> tuple[str, str]:
-    """How far a load is from an edge, mm, and on which box it is. The load is the one that set the flag ``knife-edge``;
-    if the flag is not set, the one with the smallest distance.
+    """How far a load is from an edge, mm, and the number of the box on which it lies. The load is that which set the
+    flag ``knife-edge``. If the flag is not set, it is the load that is nearest to an edge.
 
     Args:
         row: the row of the world.
@@ -261,8 +261,9 @@ def _edge_cells(row: Mapping[Any, Any], of_boxes: pd.DataFrame | None) -> tuple[
 
 
 def worlds_table(worlds: pd.DataFrame, boxes: pd.DataFrame, orders: pd.DataFrame | None = None) -> FittedTable:
-    """A table with one row per plan of a score: its verdict, the first box to fail and when, and its largest metrics.
-    If a world is on a knife's edge, there are also columns with how far loads are from edges, and on which boxes.
+    """A table with one row per plan of a score: its verdict, the first box to fail and the time of failure, and its
+    largest metrics. If any world has the flag ``knife-edge``, two more columns state how far a load is from an edge,
+    and on which box it lies.
 
     Args:
         worlds, boxes: tables of the run. If there are no boxes, the article of the first box to fail is unknown.

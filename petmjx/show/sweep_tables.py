@@ -22,7 +22,7 @@ FEW_ROWS: Final = 40
 """Largest number of worlds or searches for which a table has one row each."""
 
 MAX_VALUES: Final = 50
-"""Largest number of values of an axis that are shown. ``summary`` has all of them."""
+"""Largest number of values of an axis that are shown. ``summary`` has all values."""
 
 _QUANTILES: Final = {"min": 0.0, "25 %": 0.25, "median": 0.5, "75 %": 0.75, "max": 1.0}
 
@@ -34,7 +34,7 @@ _DOUBTS: Final = {
 mark."""
 
 _STANDARD_AXES: Final = ("profile", "direction_deg", "level_g", "scale")
-"""Columns with axes that the tables always have, and the searched quantities."""
+"""Columns of axes that have their own columns in all tables, and columns of searched quantities."""
 
 _PROFILE: Final = TableColumn("profile", "left", least=11, middle=True)
 
@@ -79,8 +79,8 @@ def _headers(names: Sequence[str]) -> list[TableColumn]:
 def shares_table(summary: pd.DataFrame) -> FittedTable:
     """The share that stands over all plans, for each value of each axis that has several values.
 
-    A share refers to the worlds that the column before it counts: worlds with a verdict, or worlds that EUMOS's limits
-    were applied to.
+    A share refers to the worlds that the column before it counts: worlds with a verdict, or worlds to which EUMOS's
+    limits were applied.
     """
     overall = summary[summary["scope"] == ALL_PLANS]
     several = overall.groupby("axis")["value"].transform("size") > 1
@@ -241,8 +241,8 @@ def remedies_table(remedies: pd.DataFrame) -> FittedTable:
 
 
 def levels_table(summary: pd.DataFrame) -> FittedTable:
-    """Quantiles of the largest levels survived, for each profile and direction, over the searches whose placement
-    stands.
+    """Quantiles of the largest levels survived, for each profile and direction. Only searches whose placement stands
+    count.
 
     "survive none" counts the searches in which no level above 0 is survived. A quantile below the lowest level is shown
     as "none".
@@ -409,8 +409,7 @@ _SAME_LEVEL_G: Final = 1e-9
 
 
 def _doubts(summary: pd.DataFrame, column: str) -> pd.Series[bool]:
-    """(n,) whether a column of ``_DOUBTS`` makes each answer doubtful. False for all if an older run lacks the
-    column."""
+    """(n,) whether one column of ``_DOUBTS`` makes each answer doubtful. All False if an older run lacks the column."""
     if column not in summary:
         return pd.Series(False, index=summary.index)
     return summary[column].astype(bool) != (column == "monotone")

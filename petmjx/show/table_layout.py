@@ -24,9 +24,10 @@ class TableColumn:
         header: heading, which may have several lines.
         justify: alignment of its cells.
         least: shortest length to which texts are cut, in characters; None: texts are never cut.
-        middle: whether texts are cut in the middle, which suits names that differ at their ends. Otherwise they are cut
-            at the end.
-        spare: 0: the column is never left out. Otherwise it may be; columns with the largest value are left out first.
+        middle: whether texts are cut in the middle, which suits names that differ at their ends. If false, texts are
+            cut at the end.
+        spare: priority for leaving out the column if the table is too wide: the column with the largest value is left
+            out first. 0: never left out.
     """
 
     header: str
@@ -118,7 +119,7 @@ def _fits(text: Iterable[str], width: int) -> int:
 
 
 def line(text: str, style: str = "") -> Text:
-    """A line of text, or a long text in a cell. It is wrapped if it is too long."""
+    """A line of text, or a long text for a cell. Text that is too long is wrapped."""
     return Text(printable(text), style=style, overflow="fold")
 
 
@@ -134,7 +135,7 @@ def number(value: Any, form: str | None = None, unit: str = "", factor: float = 
 
     Args:
         form: format specification; None: as with ``three_digits``.
-        sign: whether positive numbers also get a sign. Only if ``form`` is None.
+        sign: whether positive numbers also get a sign; used only if ``form`` is None.
     """
     if pd.isna(value):
         return "-"

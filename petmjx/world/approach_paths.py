@@ -23,8 +23,9 @@ from petmjx.world.stackable_scenes import stacked_values
 
 HAND_RATE_1_S: Final = 50.0
 """Natural frequency of the hand's spring, 1/s. The spring is critically damped: a box that is pushed away is back after
-about 3 / 50 s. The value is 1 / the time constant of the contacts of ``pallet``: a stiffer hand would fight with
-contacts. The stiffness is m · 50² / s²: a box that lags 1 mm behind on its path is pushed with 2.5 N per kg."""
+about 3 / 50 s. The value is 1 / the time constant of the contacts of ``pallet``, since a stiffer hand would work
+against the contacts. The stiffness is m · 50² / s²: a box that lags 1 mm behind on its path is pushed with 2.5 N per
+kg."""
 
 MOST_RATE_PER_STEP: Final = 0.1
 """Largest natural frequency × timestep. The hand's forces are computed at the beginning of a step. With semi-implicit
@@ -35,12 +36,12 @@ MOST_WAY_S: Final = 2.0
 """Longest duration of an approach, s. A box whose approach would take longer, because it starts high, moves faster."""
 
 MOST_STUCK_S: Final = 0.5
-"""Longest time for which a hand holds a box after the end of the path, s, if the box does not come to rest. Setting the
-box down may take up to the same time again."""
+"""Longest time for which a hand holds a box after the end of the path, s, if the box does not come to rest. After that,
+setting the box down may take up to the same time."""
 
 AT_PLACE_M: Final = 0.0002
-"""A box has arrived once it is within this distance of the end of its path, m. A contact gives way by a tenth of a
-millimetre."""
+"""A box has arrived once it is within this distance of the end of its path, m. The distance allows for contacts, which
+give way by a tenth of a millimetre."""
 
 MISSED_M: Final = 0.01
 """A box counts as not placed if the hand releases it farther than this from its place, m. A box that finds room is
@@ -49,34 +50,37 @@ of it."""
 
 LOWERING_RATE_1_S: Final = 400.0
 MOST_LOWERING_PER_STEP: Final = 0.8
-"""A damper sets a box down. Its rate is ``LOWERING_RATE_1_S``, 1/s. Rate × timestep is at most
-``MOST_LOWERING_PER_STEP``, since semi-implicit Euler is stable below 2. The box sinks at a speed of g / 400 s⁻¹,
-25 mm/s. At this speed a contact of ``pallet`` gives way by a quarter of a millimetre."""
+"""A damper sets a box down. The damper's rate is ``LOWERING_RATE_1_S``, 1/s. Rate × timestep is at most
+``MOST_LOWERING_PER_STEP``, since semi-implicit Euler is stable below 2. The box sinks at a speed of g / 400 s⁻¹, 25
+mm/s. At this speed a contact of ``pallet`` gives way by a quarter of a millimetre."""
 
 LOWERING_STEPS: Final = 5
-"""Smallest number of steps of setting down. After these steps, a box without a support is faster than a quiet box."""
+"""Smallest number of steps during which a hand sets a box down. By then, a box without a support sinks faster than a
+box that counts as quiet."""
 
 FREE_M: Final = 0.0003
-"""Boxes that overlap by at most this amount count as not overlapping, m. The amount is twice the distance by which soft
-contacts may move neighbours that stand flush. It is too small to push neighbours apart visibly."""
+"""If two boxes overlap by at most this amount, they count as not overlapping, m. The amount is twice the distance by
+which soft contacts may move neighbours that stand flush. An overlap of this amount is too small to push neighbours
+apart visibly."""
 
 MOST_TILTED: Final = 0.5
 """Tines tilt a box by at most this share of the tilt threshold, so that its release does not count as a first sign of
 failure."""
 
 MOST_SIDESTEPS: Final = 8
-"""Largest number of moves aside before a box moves up instead."""
+"""Largest number of times that the start of a path is moved aside. If the start is still not free, it is moved up
+instead."""
 
 ASIDE_SHARE: Final = 2.0
-"""Largest move aside, as a multiple of the distance to the side at which a box starts: the errors of two places may add
-up."""
+"""Largest move aside, as a multiple of the distance to the side at which a box starts. The multiple is larger than 1,
+since the errors of two places may add up."""
 
 CLEARANCE_M: Final = 0.001
 """A box that has to start above obstacles starts with its bottom this far above them, m."""
 
 BESIDE_M: Final = 0.005
-"""Boxes are beside one another along an axis if their planned extents overlap by at most this, m: sizes and places
-have errors."""
+"""Two boxes count as side by side along an axis if their planned extents along it overlap by at most this, m. The
+tolerance is needed since sizes and places have errors."""
 
 
 class ApproachPath(NamedTuple):
@@ -86,11 +90,12 @@ class ApproachPath(NamedTuple):
     the boxes' middles, m.
 
     Attributes:
-        lift: (n, 3) from the place at which a box would rest to the point of its release.
+        lift: (n, 3) vector from the place at which a box would rest to the point of its release, m.
         quat: (n, 4) orientation of the box along the path.
-        offset: (n, 3) from a box's release to the start of its path, if that start is free.
+        offset: (n, 3) vector from a box's release to the start of its path, m, if that start is free.
         steps: (n,) number of steps of the path; 0: the box is not carried, but falls.
-        falls: (n,) True: the box is released at the end of its path and falls. False: the hand sets it down first.
+        falls: (n,) True: the box is released at the end of its path and falls. False: at the end of its path, the hand
+            sets the box down, and then releases it.
         aside: (n, 2, 2) how far a box may move aside from the start of its path, towards the low and the high end of x
             and y, m.
     """
@@ -226,9 +231,10 @@ def reach(quat: FloatArray, half_size: FloatArray) -> FloatArray:
 def free_begin(
     begin: FloatArray, own_reach: FloatArray, pos: FloatArray, reaches: FloatArray, most_m: FloatArray
 ) -> FloatArray:
-    """(3,) where a box starts so that it overlaps no other box, m: at ``begin`` itself, else aside, else above.
+    """(3,) where a box starts so that it overlaps no other box, m: at ``begin`` if there is room, else to the side of
+    it, else above it.
 
-    The box moves aside from the first box that it overlaps, along x or y, whichever overlap is smaller. This is
+    The box moves aside from the first box that it overlaps, along x or y, whichever overlap is smaller. This move is
     repeated at most ``MOST_SIDESTEPS`` times. If the box would have to move aside by more than ``most_m``, or still
     overlaps a box, it moves up from ``begin`` instead. ``begin`` is between the carrier's walls, and moves of up to
     ``most_m`` stay between them.
@@ -276,11 +282,11 @@ def _approaches(scene: Scene, room: Room | None) -> tuple[FloatArray, FloatArray
 def _approaches_of(beside: NDArray[np.bool_], approaches: FloatArray | None) -> tuple[FloatArray, FloatArray]:
     """(…, n, 2) horizontal directions in which boxes move to their places, and (…, n, 2) unit vectors along an axis.
 
-    A direction is in units of the distance to the side in the options. If the plan gives no direction, a box moves
-    along x towards the side that has a neighbour, provided that the opposite side has none; likewise along y. So a box
-    without neighbours, or between two, comes from straight above. The unit vector is the axis of the box that is
-    nearest to the direction. If there is no direction, the unit vector is an axis along which the box has no neighbour,
-    +x before +y.
+    A direction has the length 1 if the box starts as far to the side as the options state. If the plan gives no
+    direction, a box moves along x towards the side that has a neighbour, provided that the opposite side has none;
+    likewise along y. So a box without neighbours, or between two, comes from straight above. The unit vector is the
+    axis of the box that is nearest to the direction. If there is no direction, the unit vector is an axis along which
+    the box has no neighbour, +x before +y.
 
     Args:
         beside: the mask of ``_neighbour_mask``.
@@ -342,7 +348,8 @@ def _on_an_edge(scene: Scene, towards: FloatArray, tilt_deg: float) -> tuple[Flo
     up = scene.half_size[:, 2]
     along = half * np.cos(angle) - up * np.sin(angle) - half
     lift = np.column_stack([along[:, None] * ahead, half * np.sin(angle) + up * np.cos(angle) - up])
-    # q_axis(angle) · q about the level axis (a, b) to the right of the direction ahead
+    # the product q_axis(angle) · q: a rotation about the horizontal axis (a, b), which points to the right of the
+    # forward direction
     c, s = np.cos(angle / 2), np.sin(angle / 2)
     a, b = s * ahead[:, 1], -s * ahead[:, 0]
     w, x, y, z = scene.start_quat.T

@@ -1,13 +1,15 @@
 """Loads that a stack can balance, by a linear programme with vertical forces.
 
-Statics does not determine how a box shares its load among several supports. Under one sharing a load may be beyond the
-edge of its supports, and under another sharing all loads are inside: rigid boxes then stand. The unknowns are forces at
-the corners of all contact areas of boxes with several supports. The forces must push and balance every box. The
-programme picks feasible forces so that the load nearest to an edge is as far inside as possible. If no forces are
-feasible, loads are as little beyond edges as possible. (Forces of this kind: Livesley 1978, "Limit analysis of
-structures formed from rigid blocks", International Journal for Numerical Methods in Engineering 12(12).)
+Statics does not determine how a box shares its load among several supports. With some shares, a load may be beyond the
+edge of its supports, while with other shares all loads are inside. If such shares exist, rigid boxes stand. The
+unknowns are forces at the corners of all contact areas of boxes with several supports. The forces must push and balance
+every box. The programme picks feasible forces so that the load nearest to an edge is as far inside as possible. If no
+forces keep all loads inside, the programme minimises how far loads go beyond edges. (Forces of this kind: Livesley
+1978, "Limit analysis of structures formed from rigid blocks", International Journal for Numerical Methods in
+Engineering 12(12).)
 
-Boxes on one support pass on their load to it. Such boxes add no unknown forces, only their edges.
+A box on one support passes its whole load to this support. Such a box adds edges to the programme, but no unknown
+forces.
 """
 
 from __future__ import annotations
@@ -22,14 +24,16 @@ from petmjx.world.load_sharing import IntArray
 from petmjx.world.supports import Bearing
 
 FAR_M: Final = 0.1
-"""Loads are not moved further inside than this."""
+"""If all loads are at least this far inside their edges, m, the programme does not move them further inside."""
 
 BEYOND_M: Final = 1e-6
-"""A load is beyond the edge only if the programme cannot bring it nearer than this. The solver's own tolerance is a
-tenth of this."""
+"""A load counts as beyond an edge only if the programme leaves it farther outside than this, m. The solver's own
+tolerance is a tenth of this."""
 
 _OUTSIDE: Final = 10.0
-"""Cost of a metre outside relative to one inside, and of a moment without a support relative to a metre outside."""
+"""Cost of a metre outside an edge, relative to a metre inside; and cost of a moment that no support bears, relative to
+a metre outside.
+"""
 
 _ALONG: Final = np.array([[1.0, 0.0], [0.0, 1.0], [-1.0, 0.0], [0.0, -1.0]])
 """Normals of a rectangle's edges: two at the lowest corner, then two at the highest."""
@@ -38,12 +42,12 @@ _ALONG: Final = np.array([[1.0, 0.0], [0.0, 1.0], [-1.0, 0.0], [0.0, -1.0]])
 def balanced_loads(
     bearing: Bearing, load: FloatArray, edge_m: FloatArray, placed: NDArray[np.bool_]
 ) -> tuple[FloatArray, FloatArray] | None:
-    """(n, 3) loads of one scene's boxes that balance it as well as possible, and (n,) their least possible distance
-    beyond edges, m; None if no load outside an edge can change.
+    """(n, 3) loads that balance the boxes of one scene as well as possible, and (n,) the distances by which they are
+    still beyond edges, m; None if none of the loads outside an edge can change.
 
     Args:
         bearing: the bearing of one scene.
-        load: (n, 3) or more columns: loads by one sharing among supports; 0 for boxes that are not placed.
+        load: (n, 3) or more columns: loads with any feasible shares of the supports; 0 for boxes that are not placed.
         edge_m: (n,) distances of these loads from the edges, positive inside.
         placed: (n,) which boxes are placed.
     """
@@ -51,7 +55,8 @@ def balanced_loads(
     passed, fixed = _fixed_forces(bearing, placed)
     several = np.flatnonzero(placed & (bearing.n_supports > 1))
     together = np.flatnonzero((placed & (bearing.n_supports > 1))[bearing.upper])
-    # the loads that a box with several supports may change: the loads of boxes below it, and formally its own
+    # the loads that change if a box with several supports shares its load differently: the loads of the boxes below it.
+    # Its own load counts as one of them, since the equations contain it.
     of_box = np.zeros((len(several), len(placed)), bool)
     np.logical_or.at(of_box, np.searchsorted(several, bearing.upper[together]), passed[together])
     of_box[np.arange(len(several)), several] = True
@@ -72,18 +77,18 @@ def balanced_loads(
 
 
 def _fixed_forces(bearing: Bearing, placed: NDArray[np.bool_]) -> tuple[NDArray[np.bool_], FloatArray]:
-    """(c, n) whether each load always contains the force at a contact, and (n, 3) the part of loads that is always own
-    weight.
+    """(c, n) whether the load of each box contains the whole force at a contact, and (n, 3) the part of each load that
+    does not depend on these forces.
 
     A force at a contact is in the load of the box below and, as long as boxes have one support, in the loads of the
-    boxes further below. Own weights are passed on in the same way.
+    boxes further below. The boxes' own weights are passed on by the same rule.
     """
     n = len(placed)
     one = placed & (bearing.n_supports == 1)
     below = np.full(n, -1)
     below[bearing.upper] = bearing.lower
     below[~one] = -1
-    reach = np.zeros((n + 1, n), bool)  # the last row is the carrier's
+    reach = np.zeros((n + 1, n), bool)  # the last row belongs to the carrier
     order = np.argsort(-bearing.level, kind="stable")
     for box in order[placed[order]].tolist():
         reach[box] = reach[below[box]]
@@ -101,10 +106,12 @@ def _solved_loads(
     load: FloatArray,
     weights: FloatArray,
 ) -> tuple[FloatArray, FloatArray] | None:
-    """(n, 3) loads, the ``changed`` ones solved, and (n,) their distance beyond edges; None: no solution.
+    """(n, 3) loads, with those of the boxes ``changed`` taken from the programme, and (n,) their distances beyond
+    edges; None: no solution.
 
-    Unknowns: the forces at the four corners of each contact; each load's distance outside; moments without a support,
-    for boxes with several supports whose load is beyond their hull; and the least distance inside of all loads.
+    The unknowns are the forces at the four corners of each contact; the distance of each load outside its edges;
+    moments that no support bears, for boxes with several supports whose load is beyond their hull; and the smallest
+    distance of any load inside its edges.
     """
     middle = load[changed, 1:].sum(axis=0) / load[changed, 0].sum()
     mean = load[changed, 0].mean()
@@ -120,7 +127,7 @@ def _solved_loads(
     reach = np.repeat(passed[contacts].T[changed], 4, axis=1)
     place, normal, offset = _edges_of(bearing, changed)
     offset = offset - normal @ middle
-    # rows of edges are in metres at the previous load, so that the solver's tolerance is in metres, too
+    # rows of edges are divided by the previous loads, so that these rows, and the solver's tolerance, are in metres
     edges = np.zeros((len(place), least + 1))
     edges[:, :f] = reach[place] * (normal @ corner[1:] - offset[:, None]) / weight[place, None]
     edges[np.arange(len(place)), outside + place], edges[:, least] = 1.0, -1.0
@@ -165,7 +172,7 @@ def _edges_of(bearing: Bearing, boxes: IntArray) -> tuple[IntArray, FloatArray, 
 def _least(
     cost: FloatArray, rows: FloatArray, least: FloatArray, most: FloatArray, bound: FloatArray
 ) -> FloatArray | None:
-    """The x that minimises ``cost @ x`` subject to least ≤ rows @ x ≤ most and 0 ≤ x ≤ bound, by HiGHS; None if it
+    """The x that minimises ``cost @ x`` subject to least ≤ rows @ x ≤ most and 0 ≤ x ≤ bound, by HiGHS; None if HiGHS
     gives up."""
     # SciPy takes a second to load, and few plans need it.
     from scipy.optimize import Bounds, LinearConstraint, milp

@@ -53,9 +53,9 @@ class Body:
     def of_boards(cls, center: FloatArray, half_size: FloatArray, mass: FloatArray, friction: FloatArray) -> Body:
         """A body made of boards. Each board is a solid box.
 
-        The edges of the boards count as the principal axes of the body. Products of inertia are neglected, although
-        boards may be unbalanced: for a pallet without one of its outer deck boards, these products are a few per cent
-        of the moments. The principal axes would matter only if the carrier turned, and the carrier stands on the floor.
+        The edges of the boards count as the principal axes of the body. Boards may be unbalanced, but products of
+        inertia are neglected: for a pallet without one of its outer deck boards, these products are a few per cent of
+        the moments. The principal axes would matter only if the carrier turned, and the carrier stands on the floor.
 
         Args:
             center: (s, 3) centres of the boards, m.
@@ -94,7 +94,7 @@ class Body:
 
     @property
     def n_boards(self) -> int:
-        """Number of shapes that are not walls. They are the first shapes of the body."""
+        """Number of shapes that are not walls. These shapes are the first ones of the body."""
         return len(self.half_size) - len(self.walls)
 
     def without_walls(self, sides: Collection[Side]) -> Body:
@@ -186,8 +186,8 @@ class Room:
         return depth
 
     def _inwards(self, place: FloatArray, half: FloatArray, least_m: float) -> tuple[FloatArray, NDArray[np.bool_]]:
-        """(…, n, 2, 2) distances of boxes' middles from the faces, inwards, m, and whether boxes reach below the
-        tops."""
+        """(…, n, 2, 2) distances of boxes' middles from the walls' inner faces, inwards, m, and whether boxes reach
+        below the tops of the walls."""
         inwards = (place[..., None, :2] - self.face[..., None, :, :]) * np.array([[1.0], [-1.0]])
         return inwards, (place - half)[..., None, None, 2] < self.top[..., None, :, :] - least_m
 

@@ -118,8 +118,8 @@ def _pet_eur() -> Pallet:
 def _rollcontainer_grid() -> Pallet:
     """The base of a roll container: 14 bars of 8 mm with gaps of 53 mm, on four tubes of 30 mm; 200 mm high, 25 kg.
 
-    It is a typical base, not that of a certain maker: no source was found for the bars. Its extents are those of the
-    target ``rollcontainer``. Castors are modelled as blocks; like the feet of a pallet, they do not roll.
+    It is a typical base, not the product of a certain maker: no source was found for the bars. The base has the extents
+    of the target ``rollcontainer``. Castors are modelled as blocks; like the feet of a pallet, they do not roll.
     """
     length, width, bar, tube, castor, top = 800.0, 700.0, 8.0, 30.0, 60.0, 200.0
     under = top - bar - tube
@@ -139,7 +139,7 @@ def _gitterbox() -> Pallet:
 
 
 def _container_20ft() -> Pallet:
-    """The floor of a container: 28 mm of wood on a frame. It is modelled as one slab, 150 mm high, 900 kg."""
+    """The floor of a container: 28 mm of wood on a frame. The floor is modelled as one slab, 150 mm high, 900 kg."""
     boards: list[Board] = [((0, 0, 0), (5867.0, 2330.0, 150.0))]
     return Pallet(tuple(boards), (900.0,))
 

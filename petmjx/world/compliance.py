@@ -29,7 +29,7 @@ from petmjx.world.scene import Scene
 from petmjx.world.supports import TOUCH_M, bearing_of
 
 LEAST_IMPEDANCE: Final = 0.5
-"""Smallest impedance. With a smaller one, friction would give way: boxes on a slope would creep by tenths of a
+"""Smallest impedance. With a smaller impedance, friction would give way: boxes on a slope would creep by tenths of a
 millimetre per second."""
 
 LEAST_SHARE: Final = 0.05
@@ -46,10 +46,10 @@ one. On springs alone, a load near an edge would sink without limit. A real cart
 bear more than its middle. A load up to 0.28 of the width from the middle leans as on springs alone."""
 
 OUTWARD: Final = 0.6
-"""If the pressed share is below ``EDGE_SHARE``, the pressure also moves outwards, towards the deepest line. It moves by
-this factor times (``EDGE_SHARE`` / share − 1) of the distance to that line. At a quarter of the face, the pressure
-reaches the deepest line. The lean is then 12 F / (k·L). At this lean, only the points at one edge bear, of the nine
-points of Simpson's rule."""
+"""If the pressed share is below ``EDGE_SHARE``, the pressure also moves outwards, towards the deepest line. The
+pressure moves by this factor times (``EDGE_SHARE`` / share − 1) of the distance to that line. At a quarter of the face,
+the pressure reaches the deepest line. The lean is then 12 F / (k·L). At this lean, of the nine points of Simpson's
+rule, only those at one edge bear load."""
 
 FACE_COSINE: Final = 0.5
 """Two faces press on one another if the cosine between the normal of one and the reversed normal of the other is at
@@ -79,8 +79,8 @@ def compliances(stiffness_n_m: FloatArray, half_size: FloatArray) -> FloatArray:
 
 
 def shared_area_m2(one: Face, two: Face) -> float:
-    """Planned area over which two shapes press on one another. If neither is above the other: the area of the smaller
-    shape."""
+    """Planned area over which two shapes press on one another. If neither shape is above the other, it is the area of
+    the smaller shape."""
     (ax, ay, az), (bx, by, bz) = one.middle, two.middle
     (al, aw, ah), (bl, bw, bh) = one.half, two.half
     smaller = 4.0 * min(al * aw, bl * bw)
@@ -117,8 +117,8 @@ def _spring_terms(physics: Physics, spring_n_m: Any, inverse_mass: Any) -> tuple
 
 
 def law_between(physics: Physics, one: Face, two: Face | None) -> tuple[tuple[float, float], Triple]:
-    """MuJoCo's solref and solimp of the contacts between two shapes. If ``two`` is None: between a shape and the
-    floor."""
+    """MuJoCo's solref and solimp of the contacts between two shapes, or between a shape and the floor if ``two`` is
+    None."""
     give = one.give + (two.give if two is not None else 0.0)
     if give == 0.0:
         return physics.solref, physics.solimp
@@ -147,7 +147,7 @@ def bed_depth_m(scene: Scene, load_n: FloatArray) -> FloatArray:
 
 @lru_cache(maxsize=256)
 def sinks_m(scene: Scene, gravity_m_s2: float) -> FloatArray | None:
-    """(n,) expected descent of each box once all boxes are placed, m; None if no box is compliant.
+    """(n,) distance by which each box is expected to sink once all boxes are placed, m; None if no box is compliant.
 
     The descent of a box is the compression of the springs below it plus the largest descent of the boxes on which it
     rests, under the planned loads.

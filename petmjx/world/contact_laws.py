@@ -19,7 +19,7 @@ regularisation, and n and t the normal and the tangent. Then the minimum of a sl
     j_n + R_n · f_n = μ · (|j_t| − R_t · |f_t|)
 
 In Coulomb's law the right-hand side is 0. |j_t| is about the reference acceleration that would end the slip,
-|aref_t| = |v_t| · 2 / time constant of friction. So a slip raises the normal force, and sliding boxes hop. They hop
+|aref_t| = |v_t| · 2 / time constant of friction. So a slip raises the normal force, and sliding boxes hop. Boxes hop
 higher the faster they slide, and the shorter the contact's time constant is. De Saxcé's correction removes this effect:
 it lowers the reference acceleration along the normal by the right-hand side (G. de Saxcé and Z.-Q. Feng, "The
 bipotential method", Mathematical and Computer Modelling 28, 1998; V. Acary and B. Brogliato, "Numerical Methods for
@@ -41,8 +41,9 @@ contacts have reference accelerations: the relative accelerations that the two b
 hard. In ``pallet``, contacts are nearly hard. So two bodies in contact accelerate relative to one another by the
 reference acceleration, whatever their masses. The law:
 
-- A box begins to land in the step in which one of its contacts closes faster than ``FAST_M_S``. If it lands on another
-  box, the box below lands, too. The velocities of both boxes before that step are remembered for ``lasts_steps``.
+- A box begins to land in the step in which one of its contacts closes faster than ``FAST_M_S``. If a box lands on
+  another box, the box below lands, too. The velocities of both boxes before that step are remembered for
+  ``lasts_steps``.
 - v is the speed at which a contact closes. v₀ is the speed at which it would close with the remembered velocities. At
   the end of a landing, the contact should open at e·v₀ (Newton's law of impact; e is ``restitution``, or the value for
   the pair of materials), plus the speed that lifts the box out of the depth that it has reached. The contact is
@@ -79,7 +80,7 @@ DEPTHS_M = np.geomspace(1e-9, 1e3, 2000)
 
 
 def is_stiff(physics: Physics) -> bool:
-    """Whether contacts are as stiff at their onset as beyond the width. This is so in attempts 6 and 7."""
+    """Whether contacts are as stiff at their onset as beyond the width. Attempts 6 and 7 have such contacts."""
     return physics.solimp[0] >= MOST_IMPEDANCE
 
 
@@ -96,7 +97,7 @@ def pulls_m_s2(solref: tuple[float, float], solimp: Triple, timestep_s: float) -
     low, high = np.minimum(solimp[:2], MOST_IMPEDANCE)
     x = np.minimum(DEPTHS_M / solimp[2], 1.0)
     impedance = low + (high - low) * np.where(x < 0.5, 2 * x**2, 1 - 2 * (1 - x) ** 2)
-    # negative values give stiffness and damping directly
+    # negative values of solref are stiffness and damping themselves
     stiffness = -time_s if time_s < 0 else 1 / (max(time_s, 2 * timestep_s) * damping) ** 2
     pulls: FloatArray = stiffness / high**2 * impedance**2 * DEPTHS_M / (1 - impedance)
     return np.maximum.accumulate(pulls)
@@ -115,9 +116,10 @@ def cone_factor(physics: Physics, one: FloatArray | float, two: FloatArray | flo
 
 
 SLACK_M_S2: Final = 5.0
-"""Excess that stays uncorrected, m/s²: that of a slip of 1 cm/s with a time constant of friction of 4 ms. It raises a
-contact by less than a hundredth of a millimetre, which is within the soft onset. With this slack, pallets at rest are
-bit-identical with and without the correction. Stiff contacts have no soft onset, and therefore no slack."""
+"""Excess that stays uncorrected, m/s²: that of a slip of 1 cm/s with a time constant of friction of 4 ms. This excess,
+left uncorrected, raises a contact by less than a hundredth of a millimetre, which is within the contact's soft onset.
+With this slack, pallets at rest are bit-identical with and without the correction. Stiff contacts have no soft onset,
+and therefore no slack."""
 
 STICKS_M_S: Final = 0.01
 """Up to this slip speed, a contact has its full friction; from twice this speed on, it has the kinetic friction. So
@@ -125,16 +127,17 @@ friction does not jump if boxes creep (petmjx.Quiet calls a box quiet at far sma
 
 RELAXATION: Final = 0.8
 """Share of the change of an excess that one iteration applies. Applying the whole change converges only if μ² times the
-ratio of the inverse masses along tangent and normal is below 1. This excludes tall boxes with friction above 0.5. With
-this share the iteration converges for values up to 1.5, and nearly as quickly."""
+ratio of the inverse masses along tangent and normal is below 1. So it would not converge for tall boxes with friction
+above 0.5. With this share, the iteration converges if this product is at most 1.5, and nearly as quickly."""
 
 ENOUGH_M_S2: Final = 0.1
 """The iteration ends when no normal reference acceleration changes by more than this: a hundredth of gravity. With a
 value of 5, a box that tipped against its neighbour slid twice as far; with 1, it slid 3 % less far."""
 
 MOST_ROUNDS: Final = 6
-"""Largest number of iterations per step: of updates of the excess between calls of a solver. Bricks that slide and tip
-need two on average. A heap in which everything slides at once is still off by a median of 1 m/s² after twenty."""
+"""Largest number of iterations per step. An iteration updates the excess between two calls of a solver. Bricks that
+slide and tip need two on average. A heap in which everything slides at once is still off by a median of 1 m/s² after
+twenty."""
 
 
 FIRST_SHARE: Final = 1.1
@@ -148,11 +151,11 @@ own tolerance."""
 
 MOST_LEFT: Final = 0.6
 """Largest part of a change that may remain after a share of it was applied. If more seems to remain, other contacts
-have moved the excess."""
+have changed the excess."""
 
 
 def slack_m_s2(physics: Physics) -> float:
-    """Excess up to which a sliding contact is not corrected, m/s²; inf: contacts are never corrected."""
+    """The slack: excess up to which a sliding contact is not corrected, m/s²; inf: contacts are never corrected."""
     if physics.cone is not Cone.ELLIPTIC or not physics.slip_correction:
         return math.inf
     return 0.0 if is_stiff(physics) else SLACK_M_S2
@@ -188,9 +191,9 @@ FAST_M_S: Final = 0.1
 
 AT_REST: Final = 2.0
 """Depth of contacts at the end of a rebound, as a multiple of the width of ``solimp``. Contacts at rest are 1.3 times
-as deep. They still push a little while a box rises through them. With this value, restitutions from 0.1 to 0.3 are met
-within 0.03 for falls from 10 mm, in whatever part of a step the box lands. A restitution of 0.1 lifts the box by a
-tenth of a millimetre."""
+the width deep. Contacts still push a little while a box rises out of them. With this value, restitutions from 0.1 to
+0.3 are met within 0.03 for falls from 10 mm, in whatever part of a step the box lands. A restitution of 0.1 lifts the
+box by a tenth of a millimetre."""
 
 _LONGER: Final = 2.0
 """A landing is remembered for this multiple of ``landing_s``, since the second corner of a box may come down later."""

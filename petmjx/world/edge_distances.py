@@ -1,12 +1,12 @@
 """Distances of loads from the edges of the boxes' supports, by the plan: when it is complete, and while it is built.
 
-The load of a box is its own weight plus the weight that rests on it. By springs, the shared loads may put a load beyond
-an edge although another balance has it inside. So the balance with all loads inside is searched for
-(petmjx.world.balance_programme): a load is beyond an edge only if vertical forces cannot balance the boxes.
+The load of a box is its own weight plus the weight that rests on it. If supports share loads as springs do, a load may
+be beyond an edge although other shares would keep all loads inside. So petmjx searches for such shares
+(petmjx.world.balance_programme). A load is beyond an edge only if vertical forces cannot balance the boxes.
 
-While the plan is built, a counterweight that comes too late holds nothing. All loads of a plan may be inside when it is
-complete, and yet it may fall while it is built. So the load of every box is checked after each placement that changes
-it.
+While the plan is built, a counterweight that comes too late holds nothing. So a plan may fall while it is built,
+although all its loads are inside once it is complete. Therefore, the load of every box is checked after each placement
+that changes it.
 
 The part of an upper box's weight that a box bears does not depend on other boxes, as long as no support pulls. So the
 weight of each box is passed down once, on its own. The load of a box after a placement is the sum of the parts of the
@@ -31,7 +31,7 @@ from petmjx.world.scene import Scene
 from petmjx.world.supports import Bearing, add_rows, bearing_of, ranges
 
 ROUNDING_M: Final = 1e-9
-"""A load beyond an edge by less than this lies on the edge: rounding errors of sums of millimetres."""
+"""A load beyond an edge by less than this, m, counts as on the edge, since sums of millimetres have rounding errors."""
 
 
 class Edges(NamedTuple):
@@ -41,7 +41,7 @@ class Edges(NamedTuple):
 
     Attributes:
         by_weight: (n,) distances of the boxes' own weights alone.
-        by_load: (n,) distances of their loads.
+        by_load: (n,) distances of the boxes' loads, which include their own weights.
     """
 
     by_weight: FloatArray
@@ -49,15 +49,16 @@ class Edges(NamedTuple):
 
     @property
     def least(self) -> FloatArray:
-        """(n,) the smaller distance. If a box would tip over by its own weight but its load holds it down, the distance
-        of the load counts: whether it could be built is checked elsewhere (``building_edges``)."""
+        """(n,) the smaller one of ``by_weight`` and ``by_load`` of each box. Exception: if a box would tip over by its
+        own weight, but its load holds it down, the distance of the load counts. Whether such a box could be placed at
+        all is checked elsewhere (``building_edges``)."""
         held = (self.by_weight < 0) & (self.by_load >= 0)
         nearer: FloatArray = np.where(held, self.by_load, np.fmin(self.by_weight, self.by_load))
         return nearer
 
 
 def edges_of(bearing: Bearing, placed: Sequence[int]) -> list[Edges]:
-    """The edges of the boxes of each scene, once its first ``placed`` boxes are placed.
+    """For each scene, the distances of its boxes' loads, once its first ``placed`` boxes are placed.
 
     Args:
         placed: number of placed boxes of each scene.
@@ -67,7 +68,8 @@ def edges_of(bearing: Bearing, placed: Sequence[int]) -> list[Edges]:
 
 
 def loads_and_edges(bearing: Bearing, placed: Sequence[int]) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """(n, 4) loads of all boxes as in ``Bearing.loads``, (n,) edges of their own weights and (n,) edges of their loads.
+    """(n, 4) loads of all boxes (see ``Bearing.loads``), (n,) distances of their own weights from edges, and (n,)
+    distances of their loads.
 
     Args:
         placed: number of placed boxes of each scene.
@@ -99,7 +101,8 @@ def _exact(edge_m: FloatArray) -> FloatArray:
 def rebalanced_loads(
     bearing: Bearing, load: FloatArray, edge_m: FloatArray, placed: NDArray[np.bool_]
 ) -> tuple[FloatArray, FloatArray]:
-    """(n, 3) loads of one scene and (n,) their edges, as far inside as balanced forces allow.
+    """(n, 3) loads of one scene, balanced so that they are as far inside as possible, and (n,) their distances from
+    edges, m.
 
     Called if loads seem to be beyond edges.
     """
@@ -107,7 +110,7 @@ def rebalanced_loads(
     if result is None:
         return load[:, :3], edge_m
     balancing, beyond = result
-    # without a balance, a load that is inside keeps its distance
+    # if nothing balances the boxes, a load that is inside keeps its distance
     is_unchanged = (edge_m >= 0) if (beyond > BEYOND_M).any() else (balancing == load[:, :3]).all(axis=1)
     balanced_m = bearing.edges_m(balancing)
     edges = np.where(~placed | is_unchanged, edge_m, np.maximum(balanced_m, 0.0))
@@ -116,22 +119,23 @@ def rebalanced_loads(
 
 
 def below_several(bearing: Bearing, among: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """(n,) whether a box bears part of a box with several supports, so that its load depends on the sharing.
+    """(n,) whether a box bears part of a box with several supports. If so, its load depends on the shares of these
+    supports.
 
     Args:
-        among: (n,) the boxes that count.
+        among: (n,) mask: of the boxes with several supports, only these are considered.
     """
     return bearing.all_below(among & (bearing.n_supports > 1))
 
 
 MOST_PROGRAMMES: Final = 2
 """Largest number of placements of a plan for which a linear programme is solved. One programme takes a few
-milliseconds, and more for a hundred boxes on several supports. Loads that seem to be beyond edges after further
-placements are left out: without a programme this stays unproven."""
+milliseconds, and more for a hundred boxes on several supports. After further placements, loads that seem to be beyond
+edges are left out, since only a programme could prove it."""
 
 
 class BuildingLoads(NamedTuple):
-    """Loads after placements: p sorted pairs of a box and a placed box that changes its load.
+    """Loads after placements: p sorted pairs of a box and a box whose placement changes the load of the first.
 
     Attributes:
         box: (p,) the box that has the load.
@@ -147,7 +151,8 @@ class BuildingLoads(NamedTuple):
 
 
 class LeastBuildingEdge(NamedTuple):
-    """The load that is nearest to an edge while a plan is built, or furthest beyond one.
+    """The load that is furthest beyond an edge while a plan is built; if none is beyond, the load that is nearest to an
+    edge.
 
     Attributes:
         edge_m: distance from the edge, positive inside; NaN: there is no load.
@@ -170,7 +175,7 @@ _NO_EDGE: Final = LeastBuildingEdge(np.nan, -1, -1, np.nan, -1, -1)
 
 
 def building_edges(bearing: Bearing, placed: Sequence[int]) -> list[LeastBuildingEdge]:
-    """The least edge of each scene over the placements of its first ``placed`` boxes.
+    """For each scene, the smallest distance from an edge over the placements of its first ``placed`` boxes.
 
     Args:
         placed: number of placed boxes of each scene.
@@ -194,8 +199,9 @@ def building_edges(bearing: Bearing, placed: Sequence[int]) -> list[LeastBuildin
 
 
 def steps_beyond(scene: Scene, box: int) -> tuple[int, int]:
-    """The placement after which the load of a box is beyond an edge while a plan is built, and the placement after
-    which the load is inside again: numbers of the placed boxes, -1 for none."""
+    """The first placement after which the load of a box is beyond an edge while a plan is built, and the first later
+    one after which the load is inside again. A placement is given by the number of the placed box; -1: there is
+    none."""
     built = building_loads_of(bearing_in_order(bearing_of(scene)), [scene.n_boxes])
     steps, edge = built.step[built.box == box], built.edge_m[built.box == box]
     beyond = np.flatnonzero(edge < 0)
@@ -206,7 +212,9 @@ def steps_beyond(scene: Scene, box: int) -> tuple[int, int]:
 
 
 def bearing_in_order(bearing: Bearing) -> Bearing:
-    """A bearing without supports that are placed after the box that they bear: until then that box has fallen."""
+    """A bearing without supports that are placed after the box that they bear: when they are placed, this box has
+    already fallen.
+    """
     before = bearing.lower < bearing.upper
     if before.all():
         return bearing
@@ -235,13 +243,13 @@ def building_loads_of(bearing: Bearing, placed: Sequence[int]) -> BuildingLoads:
 
 
 def _parts(bearing: Bearing, among: NDArray[np.bool_]) -> tuple[IntArray, IntArray, FloatArray]:
-    """(p,) and (p,) sorted pairs of a box and a box whose weight it bears in part, itself included, and (p, 3) the
-    parts."""
+    """Sorted pairs of a box, (p,), and a box whose weight it bears at least in part, (p,), and (p, 3) the parts. A box
+    also bears its own weight."""
     n, boxes = len(among), np.flatnonzero(among)
     alone = bearing.n_supports == 1
     below = np.full(n, CARRIER)
     below[alone] = bearing.lower[bearing.ends[:-1][alone]]
-    # Weights stay whole down to the carrier, or to the first box with several supports.
+    # A weight is passed down undivided, as far as the carrier or the first box with several supports.
     pairs, box, step = [(boxes[:0], boxes[:0])], boxes, boxes
     while len(box):
         pairs.append((box, step))
@@ -261,11 +269,11 @@ def _parts(bearing: Bearing, among: NDArray[np.bool_]) -> tuple[IntArray, IntArr
 
 
 def _shared_parts(bearing: Bearing, keys: IntArray, parts: FloatArray) -> tuple[IntArray, FloatArray]:
-    """The parts of weights at boxes with several supports and at all boxes that they reach further below: (k,) number
-    of the box · n + number of the box whose weight it is, and (k, 3) the parts.
+    """The parts of weights that reach boxes with several supports, and the parts that reach all boxes below these: (k,)
+    keys, and (k, 3) parts. A key is the number of the bearing box · n + the number of the box whose weight it is.
 
     Args:
-        keys, parts: the same for weights that reach the boxes with several supports whole.
+        keys, parts: keys and parts of the weights that are still undivided when they reach boxes with several supports.
     """
     n = len(bearing.boxes.mass)
     between = np.flatnonzero(bearing.lower != CARRIER)
@@ -300,7 +308,7 @@ def _shared_parts(bearing: Bearing, keys: IntArray, parts: FloatArray) -> tuple[
 
 
 def _passed(bearing: Bearing, contact: IntArray, load: FloatArray) -> FloatArray:
-    """(k, 3) the parts of loads that reach (k,) contacts. Boxes on one support pass them on whole.
+    """(k, 3) the parts of loads that reach (k,) contacts. A box on one support passes on its whole load.
 
     Args:
         load: (k, 3) load of the upper box of each contact.
@@ -312,12 +320,12 @@ def _passed(bearing: Bearing, contact: IntArray, load: FloatArray) -> FloatArray
 
 
 def _running_sums(part: FloatArray, begins: IntArray) -> FloatArray:
-    """(p, 3) running sums over the pairs of each box."""
+    """(p, 3) running sums of the parts, over the pairs of each box."""
     sums, count = part.copy(), np.diff(begins)
     longest = np.argsort(-count, kind="stable")
     place = begins[:-1][longest]
     still = np.searchsorted(-count[longest], -np.arange(int(count.max(initial=0)))).tolist()
-    for boxes in still[1:]:  # the loop goes box by box, so that sums do not depend on other boxes
+    for boxes in still[1:]:  # the loop adds one pair of each box at a time, so that sums do not depend on other boxes
         before = place[:boxes]
         place = before + 1
         sums[place] = sums.take(place, axis=0) + sums.take(before, axis=0)
@@ -343,7 +351,7 @@ def _without_pulls(bearing: Bearing, begins: IntArray, step: IntArray, load: Flo
     above = above[np.count_nonzero(bearing.lower == CARRIER) :]
     first_above = np.cumsum(n_above) - n_above
     key = np.repeat(np.arange(n), count) * n + step  # keys increase
-    # forces at the contacts of corrected boxes: one force for each load of the box
+    # forces at the contacts of corrected boxes: at each contact, one force for each load of the upper box
     size = np.where(pulled[bearing.upper], count[bearing.upper], 0)
     first, forces = np.cumsum(size) - size, np.zeros((size.sum(), 3))
     weights, boxes = bearing.weights[:, :3].copy(), np.flatnonzero(pulled)
@@ -372,13 +380,13 @@ def _without_pulls(bearing: Bearing, begins: IntArray, step: IntArray, load: Flo
 def _contact_pushes(
     bearing: Bearing, owner: IntArray, load: FloatArray, rows: IntArray, contact: IntArray
 ) -> FloatArray:
-    """(k, 3) the forces at contacts under loads.
+    """(k, 3) the forces with which loads press at contacts.
 
     Args:
         owner: (p,) the box that has each load.
         load: (p, 3) the loads.
         rows: (k,) number of the load that presses at each contact.
-        contact: (k,) the contacts: all of each load's box.
+        contact: (k,) numbers of contacts, load by load: for each load, all contacts on which its box rests.
     """
     force = load.take(rows, axis=0)
     several = np.flatnonzero((bearing.n_supports[owner] > 1)[rows])
@@ -397,9 +405,10 @@ def _contact_pushes(
 
 
 def _exact_least_edge(bearing: Bearing, built: BuildingLoads) -> LeastBuildingEdge:
-    """The least edge of one scene, if every load that seems to be beyond an edge depends on the sharing of loads.
+    """The smallest distance of one scene from an edge, if every load that seems to be beyond an edge depends on how
+    supports share loads.
 
-    A linear programme decides whether the furthest loads are beyond.
+    A linear programme decides whether the loads furthest beyond an edge are really beyond it.
     """
     edge = built.edge_m.copy()
     for _ in range(MOST_PROGRAMMES):
@@ -416,8 +425,8 @@ def _exact_least_edge(bearing: Bearing, built: BuildingLoads) -> LeastBuildingEd
 
 
 def balanced_after(bearing: Bearing, built: BuildingLoads, step: int) -> tuple[IntArray, FloatArray]:
-    """The pairs of one scene that have the load of each box after a placement, and (n,) the edges of these loads, as
-    far inside as balanced forces allow."""
+    """The pairs of one scene that hold the load of each box after the placement ``step``, and (n,) the distances of
+    these loads from edges, balanced so that they are as far inside as possible."""
     n = len(bearing.boxes.mass)
     now = np.flatnonzero(built.step <= step)
     last = now[np.flatnonzero(np.diff(built.box[now], append=n))]
@@ -428,12 +437,12 @@ def balanced_after(bearing: Bearing, built: BuildingLoads, step: int) -> tuple[I
 
 
 def _least(built: BuildingLoads) -> LeastBuildingEdge:
-    """The least of one scene's edges."""
+    """The smallest distance of a load from an edge in one scene."""
     return _least_of_scenes(built, np.zeros(len(built.box), np.intp), np.array([0, 0]))[0]
 
 
 def _least_of_scenes(built: BuildingLoads, scene: IntArray, first: IntArray) -> list[LeastBuildingEdge]:
-    """The least edge of each scene.
+    """The smallest distance of each scene from an edge.
 
     Args:
         scene: (p,) the scene of each pair, in order.
@@ -441,7 +450,8 @@ def _least_of_scenes(built: BuildingLoads, scene: IntArray, first: IntArray) -> 
     """
     least, columns = [_NO_EDGE] * (len(first) - 1), list[list[Any]]()
     numbers: IntArray = scene[:0]
-    for distance in (built.edge_m, np.abs(built.edge_m)):  # first the furthest beyond, then the nearest
+    # first the load furthest beyond an edge, then the load nearest to an edge
+    for distance in (built.edge_m, np.abs(built.edge_m)):
         numbers, place = first_least(distance, scene)
         columns.append(built.edge_m[place].tolist())
         columns += [(values[place] - first[numbers]).tolist() for values in (built.box, built.step)]
@@ -451,7 +461,8 @@ def _least_of_scenes(built: BuildingLoads, scene: IntArray, first: IntArray) -> 
 
 
 def first_least(values: FloatArray, group: IntArray) -> tuple[IntArray, IntArray]:
-    """(g,) the groups with a value that is not NaN, and (g,) the place of the first of the least values of each.
+    """(g,) the groups with a value that is not NaN, and (g,) the index of the smallest value of each group; if several
+    are equal, the first.
 
     Args:
         group: (p,) the group of each value, in order.
@@ -467,7 +478,7 @@ def first_least(values: FloatArray, group: IntArray) -> tuple[IntArray, IntArray
 
 
 def depends_on_sharing(bearing: Bearing, built: BuildingLoads) -> NDArray[np.bool_]:
-    """(p,) whether a load depends on the sharing of a box with several supports."""
+    """(p,) whether a load depends on how a box with several supports shares its load."""
     shares = (bearing.n_supports[built.step] > 1) & (built.step != built.box)
     first = np.full(len(bearing.boxes.mass), len(bearing.boxes.mass))
     np.minimum.at(first, built.box[shares], built.step[shares])

@@ -2,13 +2,14 @@
 
 The model has three parts, for a pallet that is wrapped to its carrier:
 
-- **Tension.** A layer of film pulls across its width with the force of a turn × the number of turns. So a strip of
-  height h has the tension T = force · turns · h / width. Around a corner, the film pulls along both sides. So each side
-  of the load is pressed inwards by T at each of its two ends. This force, 2·T in all, is spread over the outer faces of
-  that side. If nothing stands behind a box, the film draws the box in and slackens: after ``SLACK_M`` it no longer
-  presses on the box.
-- **Hold.** Film sticks to an outer face with a force of at most friction × that pressure. A spring holds a box that
-  moves relative to the carrier, with at most this force. Beyond it, the film slips.
+- **Tension.** Film pulls, over its whole width, with the force of a turn × the number of turns. So a strip of height h
+  has the tension T = force · turns · h / width. Around a corner, the film pulls along both sides. So each side of the
+  load is pressed inwards by T at each of its two ends. This force, 2·T in all, is spread over the outer faces of that
+  side. If nothing stands behind a box, the film draws the box in and slackens: after ``SLACK_M`` it no longer presses
+  on the box.
+- **Hold.** Film sticks to an outer face with a force of at most its friction coefficient × the force that presses on
+  the face. A spring holds a box that moves relative to the carrier, with at most this force. If more force is needed,
+  the film slips.
 - **A hat** presses on all tops on which no box stands.
 
 Faces that stand back from the outermost face of their side by more than ``MOST_BACK_M`` do not touch the film. The
@@ -37,7 +38,7 @@ RATE_1_S: Final = 100.0
 """Natural frequency of a box held by film, 1/s: a box held by a force equal to its weight gives way by 1 mm."""
 
 MOST_RATE_PER_STEP: Final = 0.2
-"""Largest natural frequency × timestep. Above it, the spring would be unstable."""
+"""Largest natural frequency × timestep. With a larger product, the spring would be unstable."""
 
 SIDES: Final = ((0, -1.0), (0, 1.0), (1, -1.0), (1, 1.0))
 """Axis and sign of the outward normal of each side of the load."""
@@ -47,7 +48,7 @@ class Film(NamedTuple):
     """Forces of film on n boxes.
 
     Attributes:
-        press: (n, 3) force on each box, N.
+        press: (n, 3) force with which film presses on each box, N.
         hold: (n,) largest holding force of the film on each box, N.
     """
 
@@ -61,7 +62,7 @@ def spring_rate_1_s(timestep_s: float) -> float:
 
 
 _FILMS: Final = WeakKeyDictionary[Scene, Film]()
-"""Films of scenes that are in use. Legs of a chain may share a scene."""
+"""Cached films, by scene. A film is kept as long as its scene is in use. Legs of a chain may share a scene."""
 
 
 def film_of(scene: Scene) -> Film:

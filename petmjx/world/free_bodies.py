@@ -55,7 +55,7 @@ class Ground:
         """
         physics, boards, extent = sim.physics, pallet(sim.carrier), extent_m(sim.carrier)
         if extent is None:
-            raise ValueError("its extent depends on the plan")
+            raise ValueError("the carrier's extent depends on the plan")
         if boards is not None:
             body = body_of(boards, physics)
         else:
@@ -79,7 +79,7 @@ class FreeBodies:
     """Worlds with equal numbers of boxes, and the steps after which poses are recorded.
 
     Attributes:
-        scenes: n worlds. Boxes are released at ``start_pos`` with orientation ``start_quat``; carriers are held.
+        scenes: n scenes. Boxes are released at ``start_pos`` with orientation ``start_quat``; carriers are held.
         velocity: (n, k, 6) velocities at release: m/s along the world's axes, then rad/s about the boxes' own axes.
         steps: (s,) rising step counts after which poses are recorded; 0: at release.
         on_plane: True: boxes touch only the floor, so that engines may ignore the carrier.

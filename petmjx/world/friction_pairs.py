@@ -1,9 +1,9 @@
 """Tables of friction and landings for pairs of surfaces, and the surfaces of a plan's world.
 
-A table is used if the friction between two shapes is not just the larger of their own coefficients. Each shape has a
-surface, numbered from 1. The table holds the coefficient of sliding friction for each pair of surfaces. The floor, and
-all shapes without a surface of their own, have surface 0. Surfaces follow from the materials of boxes and boards, and
-from the friction that boards have of their own.
+Usually, the friction between two shapes is the larger of their own coefficients. A table is used if other coefficients
+are given for pairs. Each shape has a surface, numbered from 1. The table holds the coefficient of sliding friction for
+each pair of surfaces. The floor, and all shapes without a surface of their own, have surface 0. Surfaces follow from
+the materials of boxes and boards, and from the friction that boards have of their own.
 """
 
 from __future__ import annotations
@@ -46,7 +46,7 @@ def no_pairs(n_surfaces: int = MOST_SURFACES) -> FloatArray:
 def scaled_pairs(
     table: FloatArray | None, of_boards: NDArray[np.intp] | None, box_factor: float, carrier_factor: float
 ) -> FloatArray | None:
-    """(k, k) a table in which the friction of boxes and carrier is multiplied by factors.
+    """(k, k) the table, with the friction of boxes and carrier multiplied by factors.
 
     For a pair of surfaces the larger of the two factors counts, just as the larger coefficient counts for a pair
     without an entry.
@@ -93,7 +93,7 @@ def filled_up_landings(table: FloatArray | None) -> FloatArray:
 
 
 _NOT_SAID: Final = ""
-"""The material of a box to which the plan gives no material."""
+"""Stands for the material of a box if the plan does not give one."""
 
 
 class Surfaces(NamedTuple):
@@ -118,10 +118,10 @@ class Surfaces(NamedTuple):
 def find_surfaces(plan: Plan, sim: Simulation) -> Surfaces | None:
     """The surfaces of a plan's boxes and of its carrier's boards and walls.
 
-    The result is None if neither boxes have materials nor boards have friction of their own. It is also None with
-    pyramidal cones, which have no friction by pairs. Between a box and a board, the friction of the board counts if it
-    has one, otherwise the friction of the two materials. If a box has no material, the larger coefficient of the two
-    shapes counts.
+    The result is None if neither boxes have materials nor boards have friction of their own. The result is also None
+    with pyramidal cones, which have no friction by pairs. Between a box and a board, the friction of the board counts
+    if it has one, otherwise the friction of the two materials. If a box has no material, the larger coefficient of the
+    two shapes counts.
 
     Raises:
         InputError: the friction between two of the materials is unknown, or there are too many surfaces.
@@ -137,8 +137,8 @@ def find_surfaces(plan: Plan, sim: Simulation) -> Surfaces | None:
         check_pairs([material for material in materials if material], of_materials, sim.friction_pairs)
     if 1 + len(of_boxes) + len(of_boards) > MOST_SURFACES:
         raise InputError(
-            f"plan {printable_name(plan.plan_id)}: at most {MOST_SURFACES - 1} surfaces of boxes and boards, got "
-            f"{len(of_boxes) + len(of_boards)}"
+            f"plan {printable_name(plan.plan_id)}: boxes and boards may have at most {MOST_SURFACES - 1} different "
+            f"surfaces, got {len(of_boxes) + len(of_boards)}"
         )
     table = no_pairs(1 + len(of_boxes) + len(of_boards))
     landing, kinetic = no_landings(len(table)), np.full(table.shape, USUAL)
@@ -176,7 +176,7 @@ def check_surfaces(plans: Iterable[Plan], sim: Simulation) -> list[str]:
     with_materials = [plan for plan in plans if plan.materials]
     notes = []
     if not sim.physics.has_own_friction and any(plan.stiffness_n_mm is not None for plan in plans):
-        notes.append("stiffness has no effect: with pyramidal cones all contacts follow physics alone")
+        notes.append("stiffness has no effect: with pyramidal cones, all contacts have the stiffness that physics sets")
     if not with_materials:
         return notes
     if not sim.physics.has_own_friction:

@@ -13,7 +13,7 @@ from petmjx.common.units import FloatArray
 
 CARRIER = -1
 FLOOR = -2
-"""Numbers of bodies in contacts that are not boxes. Boxes are numbered from 0, in packing order."""
+"""Numbers by which contacts name the bodies that are not boxes. Boxes are numbered from 0, in packing order."""
 
 
 @dataclass(frozen=True)

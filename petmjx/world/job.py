@@ -25,7 +25,7 @@ class Excitation:
         name: name for messages.
         kind: "force" (on the carrier, samples in units of total mass × 9.81 m/s²) or "acceleration"
             (of the carrier, samples in m/s²; simulated as gravity − a with the carrier clamped).
-        samples: (n_steps, 3); row i acts during step i + 1 of the profile; zero after the last row.
+        samples: (n_steps, 3) vectors; row i acts during step i + 1 of the profile. After the last row, nothing acts.
     """
 
     name: str
@@ -49,15 +49,15 @@ class Drive:
     rest_s: float = 1.0
     """Time to come to rest after the last sample of the excitation, s."""
     allowed_sway_m: float = 0.0
-    """A culprit that tilts too far counts as lost only once it has swayed by this distance, m. Until then, the test may
-    still be passed."""
+    """A culprit that tilts too far counts as lost only once it has swayed by this distance, m. Until then, the pallet
+    may still pass the test."""
 
     def unit(self, total_mass: float) -> float:
         """Size of one unit of the excitation's samples: in N for forces (see below), 1 m/s² for accelerations.
 
-        The unit of forces is ``total_mass`` (boxes and carrier, kg) × 9.81 m/s². It is the same on all engines, and it
-        does not depend on the gravity of the physics. The reference implementation uses the total weight as the unit,
-        too. A push must not become weaker because boxes weigh less.
+        The unit of forces is ``total_mass`` (boxes and carrier, kg) × 9.81 m/s². This unit is the same on all engines,
+        and it does not depend on the gravity of the physics. The reference implementation uses the total weight as the
+        unit, too. A push must not become weaker because boxes weigh less.
         """
         return total_mass * STANDARD_GRAVITY if self.excitation.kind == FORCE else 1.0
 
@@ -103,10 +103,10 @@ class Job:
     little higher (``petmjx.engines.contact_tilt``).
 
     With early stop, a world with errors ends not only when a box has dropped, but also when a box is *lost*: tilted by
-    more than the threshold. Since the largest tilt counts, the verdict is known once a box is lost. The rest would be
-    the most expensive part of the simulation. A large shift does not end the world: a board that tips under one load is
-    level again under the next one. A world with a drive ends when its culprit is lost, since only then is it known how
-    the first box failed.
+    more than the threshold. Since the largest tilt counts, the verdict is known once a box is lost. The remaining time
+    would be the most expensive part of the simulation. A large shift does not end the world: a board that tips under
+    one load is level again under the next one. A world with a drive ends when its culprit is lost, since only then is
+    it known how the first box failed.
 
     ``poses``, (n, 7): middles, m, and orientations (w, x, y, z) of the boxes when the drive begins. The boxes are at
     rest at these poses. So a drive can continue from the poses that another drive left, on any engine. The carrier is

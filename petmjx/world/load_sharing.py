@@ -90,7 +90,9 @@ def pushes(load: FloatArray, owner: IntArray, low: FloatArray, high: FloatArray)
 
 
 def _projected_planes(to_cone: FloatArray, owner: IntArray, begins: IntArray, unit_loads: FloatArray) -> FloatArray:
-    """(c, 3) projections onto the cones of the planes of pressure whose projections balance the unit loads."""
+    """(c, 3) forces in the coordinates z: projections onto the cones of those pressure planes whose projections balance
+    the unit loads.
+    """
 
     def energy(plane: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
         projected, slope = _cone_projection(np.einsum("cij,cj->ci", to_cone, plane[owner]))
@@ -104,7 +106,7 @@ def _projected_planes(to_cone: FloatArray, owner: IntArray, begins: IntArray, un
     for _ in range(_MOST_STEPS):
         residual = np.add.reduceat(np.einsum("cji,cj->ci", to_cone, projected), begins) - unit_loads
         off = np.abs(residual).max(axis=1)
-        # each box stops on its own, so that its forces do not depend on other boxes
+        # the iteration of each box ends by itself, so that its forces do not depend on other boxes
         goes_on &= ~((off <= _EXACT) | ((before / 2 <= off) & (off <= _ENOUGH)))
         if not goes_on.any():
             break
@@ -135,7 +137,7 @@ def _cone_projection(point: FloatArray) -> tuple[FloatArray, FloatArray]:
     inside = _ROOT * height >= large
     face = ~inside & (_ROOT * on_face >= small)
     ridge = ~(inside | face) & (on_ridge > 0)
-    # coordinates that do not change: all of them inside the cone, and the smaller one on a face
+    # coordinates that the projection does not change: all of them inside the cone, and the smaller one on a face
     stays = np.stack([inside, inside | (face & ~first_is_large), inside | (face & first_is_large)], axis=1)
     towards = np.where(point < 0, -_ROOT, _ROOT)
     towards[:, 0] = 1.0
@@ -151,7 +153,7 @@ def _cone_projection(point: FloatArray) -> tuple[FloatArray, FloatArray]:
 def on_edges(
     load: FloatArray, owner: IntArray, low: FloatArray, high: FloatArray, hulls: HullTable, hull: IntArray
 ) -> FloatArray:
-    """(c, 3) forces at the contacts of boxes whose loads are at the edge of their hull, or beyond it.
+    """(c, 3) forces at the contacts of boxes whose loads are on the edge of their hull, or beyond it.
 
     Only the two outermost corners on the nearest edge carry the load, as for a box that begins to tip over.
 

@@ -1,8 +1,8 @@
 """Load units: pallets among the boxes of a plan, with boxes on them.
 
-A pallet that stands on a trailer's floor, on a rack or on another load is an item of its own. Its kind is the name of a
-pallet, as for a carrier. The body of such an item has one shape per board, so that it slides, tips and carries load as
-the real pallet does. The mass is that of the item, shared among the boards by volume.
+A pallet that stands on a trailer's floor, on a rack or on another load is an item of its own. The kind of such an item
+is the name of a pallet, as for a carrier. The body of such an item has one shape per board, so that it slides, tips and
+carries load as the real pallet does. The mass is that of the item, shared among the boards by volume.
 """
 
 from __future__ import annotations
@@ -51,7 +51,8 @@ def with_pallets(
 
 
 def _boards(kind: str, half_size: FloatArray) -> Body:
-    """The boards of a kind of pallet, not rotated and relative to its middle, m, scaled to this half size."""
+    """The boards of a kind of pallet, scaled to a pallet of this half size. Places are relative to the middle of the
+    pallet, m; the pallet is not rotated."""
     boards = pallet(Carrier(kind))
     assert boards is not None
     corner, size = (mm_to_m(np.array(part, np.float64)) for part in zip(*boards.boards, strict=True))

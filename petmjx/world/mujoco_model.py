@@ -1,4 +1,5 @@
-"""The MuJoCo model of a scene. The engine ``mujoco`` steps it, ``petmjx export`` writes it, and MJX uses it padded.
+"""The MuJoCo model of a scene. The engine ``mujoco`` steps it, ``petmjx export`` writes it, and MJX uses a padded
+version of it.
 
 Boxes are rigid bodies or flex bodies. ``to_mjcf`` writes the model as text.
 """
@@ -43,8 +44,8 @@ _FLOOR_COLOUR = (0.55, 0.57, 0.60, 1.0)
 class HeldCarrier:
     """The pose in which a carrier is clamped: pos (3,), m, and quat (4,), (w, x, y, z).
 
-    The carrier is a static body. With ``mocap`` it is a mocap body, whose pose is stored in a world's data, so that
-    worlds can share a model.
+    The carrier is a static body. With ``mocap``, the carrier is a mocap body, whose pose is stored in a world's data,
+    so that worlds can share a model.
     """
 
     pos: FloatArray
@@ -161,7 +162,9 @@ class _Partner:
     skin_m: float
     surface: int = 0
     face: Face | None = None
-    """Set if the scene has compliant boxes (petmjx/world/compliance.py); None for the floor, and in other scenes."""
+    """The geom's face, if the scene has compliant boxes (petmjx/world/compliance.py). None for the floor, and in all
+    other scenes.
+    """
 
 
 def _declare_pairs(
@@ -173,9 +176,9 @@ def _declare_pairs(
 ) -> None:
     """Declare a contact pair between each geom of ``these`` and each of ``other_partners``.
 
-    Pairs are declared if friction has a time constant of its own: MuJoCo allows this only for declared pairs. All other
-    values are the same as without a declaration: the larger friction of two geoms counts, unless the table of their
-    surfaces has an entry.
+    Pairs are declared if friction has a time constant of its own: MuJoCo allows this only for declared pairs. Apart
+    from this, contacts are the same as without a declaration. The larger friction of two geoms counts, unless the table
+    of their surfaces has an entry.
     """
     if not physics.has_own_friction:
         return
@@ -245,13 +248,13 @@ def _add_shapes(
 ) -> None:
     """Add a body's shapes. Each shape is larger on all sides by its skin.
 
-    A contact begins once the enlarged shapes overlap by the skins of both partners. For faces, this is where the boxes
-    themselves touch; for edges and corners, contacts begin up to √2 − 1 and √3 − 1 skins earlier.
+    A contact begins once the enlarged shapes overlap by the skins of both partners. For faces, this is the moment at
+    which the boxes themselves touch. For edges and corners, contacts begin up to √2 − 1 and √3 − 1 skins earlier.
 
     For two crossing edges, MuJoCo's collider returns their single point instead of the contact of the faces if that
-    point is less deep by 5 % (3.17: ``engine_collision_box.c``). At the usual depth, a tenth of a millimetre, it
-    alternates between the two, and pallets tremble. A skin makes faces and edges deeper by the same amount
-    (docs/validation.md).
+    point is less deep by 5 % (3.17: ``engine_collision_box.c``). At the usual depth, a tenth of a millimetre, the
+    collider alternates between the two results, and pallets tremble. A skin makes faces and edges deeper by the same
+    amount (docs/validation.md).
     """
     shapes = scene.shapes
     walls = range(scene.carrier.n_boards, len(scene.carrier.half_size))
@@ -278,7 +281,9 @@ def _set_inertia(body: mujoco.MjsBody, scene: Scene, physics: Physics, number: i
     in the last digits, and the reference implementation uses them."""
     mass = scene.carrier.mass if number == CARRIER else float(scene.mass[number])
     carrier = scene.carrier
-    of_one = len(carrier.half_size) == 1 and not carrier.shape_pos.any()  # an open wall leaves its mass behind
+    # A carrier keeps the mass of a wall that is opened. If only one shape remains, it is not at the carrier's centre of
+    # mass.
+    of_one = len(carrier.half_size) == 1 and not carrier.shape_pos.any()
     solid = scene.inertia_box is None and of_one and not scene.pieces
     if solid and scene.mass_center is None and not physics.skin_m:
         body.first_geom().mass = mass
@@ -311,7 +316,8 @@ def _add_geom(
 
 
 _MEMORY_BYTES = 1 << 24
-"""Memory per box: faces made of points have up to a hundred contacts each. The system allocates only the used part."""
+"""Memory that MuJoCo reserves for each box, bytes. Faces of soft boxes have up to a hundred contacts each. The
+operating system allocates only the used part."""
 
 
 def soft_spec(

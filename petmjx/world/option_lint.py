@@ -161,7 +161,7 @@ def _stiffness_notes(sim: Simulation, plans: Sequence[Plan], errors: bool) -> It
         )
     giving = [plan for plan in plans if plan.stiffness_n_mm is not None]
     if sim.soft and (not giving or not sim.physics.has_own_friction):
-        yield "soft has no effect: no box has a stiffness that counts"
+        yield "soft has no effect: no box has a stiffness, or the physics ignores stiffness"
     if sim.has_soft:
         _check_soft(sim, plans if sim.attempts is Attempts.SOFT else giving)
     if not sim.physics.has_own_friction:

@@ -1,4 +1,5 @@
-"""Random streams of worlds. They depend on the identity of a world, never on when or where it is simulated."""
+"""Random streams of worlds. A stream depends only on the identity of its world, never on when or where the world is
+simulated."""
 
 from __future__ import annotations
 

@@ -1,9 +1,9 @@
 """Release places of boxes: at rest on their supports, without overlaps.
 
 Contacts are soft. Under its present loads, a pile has sunk by up to some tenths of a millimetre. A box's own contacts
-are a tenth of a millimetre deep once they carry the box. A box released at its planned place would fall by both
-lengths, land at centimetres per second, and might rock on an edge below it. So a box is released as deep in its support
-as its weight will press it, and lower by the distance that the support has sunk.
+are a tenth of a millimetre deep once they carry the box. A box released at its planned place would fall by the sum of
+both lengths, land at centimetres per second, and might rock on an edge below it. So a box is released as deep in its
+support as its weight will press it, and lower by the distance that the support has sunk.
 
 If places and sizes have errors, boxes may overlap when they appear. Contacts of overlapping boxes would throw them
 apart, and faster the stiffer the contacts and the shorter the timestep. Whether the pallet stands would then depend on
@@ -68,7 +68,7 @@ class Release(NamedTuple):
 
 
 def release_of(scene: Scene, sim: Simulation) -> Release:
-    """The releases of a scene's boxes, which are placed one by one. In a static check all stand at their planned
+    """The releases of a scene's boxes, which are placed one by one. In a static check, all boxes stand at their planned
     places."""
     if sim.physics.falls_into_place or sim.check is Check.STATIC or not scene.n_boxes:
         return Release(np.full(scene.n_boxes, NOTHING), scene.start_pos)
@@ -125,7 +125,7 @@ def release_of_next(before: Stacks, boxes: NextBoxes, sim: Simulation) -> Releas
     box_below = np.where(area.any(axis=1), area.argmax(axis=1), nothing) if area.shape[1] else nothing
     support = np.where(low[:, 2] <= TOUCH_M, CARRIER, box_below)
     on_carrier, rows = support == CARRIER, np.arange(len(boxes))
-    # a box on nothing gets its own mass and friction as fillers; they have no effect
+    # for a box without a support, its own mass and friction fill the fields of the support; they have no effect
     masses = np.column_stack([before.mass, boxes.mass])
     below = np.where(support >= 0, support, masses.shape[1] - 1)
     share = 1.0 + boxes.mass / np.where(on_carrier, before.carrier_mass, masses[rows, below])
@@ -151,10 +151,11 @@ CLEAR_M: Final = 0.0002
 0.7 times the skins of two boxes (docs/rules.md, section 1)."""
 
 _KNOWN_TO_M: Final = 1e-6
-"""Tolerance of that distance, m: a hundredth of the depth of contacts at rest."""
+"""Tolerance of ``CLEAR_M``, m: a hundredth of the depth of contacts at rest."""
 
 _MOST_ROUNDS: Final = 500
-"""Largest number of rounds. A row of 12 boxes needs 200 rounds. Any overlap that remains is left to the contacts."""
+"""Largest number of rounds of Hildreth's method (``make_room``). A row of 12 boxes needs 200 rounds. Any overlap that
+remains is left to the contacts."""
 
 
 def make_room(
@@ -167,14 +168,14 @@ def make_room(
     movable: NDArray[np.bool_],
     reach_m: float,
 ) -> FloatArray:
-    """(m, n, 2) the horizontal places nearest to the original ones at which no box overlaps a box beside it, m, for m
-    worlds.
+    """For m worlds, (m, n, 2) the horizontal places of boxes, m, at which no box overlaps a box beside it, as near as
+    possible to the original places.
 
-    Nearest means that the sum of the squares of all translations is smallest. Two boxes are kept apart along an axis of
-    one of the two: the axis with the smallest overlap. They are kept ``CLEAR_M`` apart, or as in the plan if the plan
-    has them nearer or overlapping. So each pair gives one linear inequality for the translations. Hildreth's method
-    (Hildreth 1957, "A quadratic programming procedure", Naval Research Logistics Quarterly 4, 79-85) finds the smallest
-    translations, pair by pair. The places in a world do not depend on other worlds.
+    Nearest means that the sum of the squares of all translations is smallest. Two boxes are kept apart along one axis,
+    which is that axis of either box along which they overlap least. Two boxes are kept ``CLEAR_M`` apart, or as in the
+    plan if they are nearer or overlap in the plan. So each pair gives one linear inequality for the translations.
+    Hildreth's method (Hildreth 1957, "A quadratic programming procedure", Naval Research Logistics Quarterly 4, 79-85)
+    finds the smallest translations, pair by pair. The places in a world do not depend on other worlds.
 
     Args:
         place: (m, n, 2) horizontal places of the boxes' middles, m.

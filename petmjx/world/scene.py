@@ -1,7 +1,7 @@
 """Scenes. A scene describes one world physically, in SI units: its bodies, their shapes and their places.
 
-A scene is made from a plan; in sweeps, a variant changes it. Engines see scenes, never plans. Only the scene numbers
-shapes and bodies: all other code uses its indices.
+A scene is made from a plan; in sweeps, a variant changes it. Engines see scenes, never plans. Only the scene assigns
+numbers to shapes and bodies; all other code uses these numbers.
 """
 
 from __future__ import annotations
@@ -64,7 +64,7 @@ class Scene:
     Attributes:
         half_size: (n, 3) half extents, m.
         mass: (n,) masses, kg.
-        target: (n, 3) planned places, m. Shifts are measured from them.
+        target: (n, 3) planned places, m. Shifts are measured from these places.
         start_pos: (n, 3) release places, m; equal to ``target`` in the nominal variant.
         start_quat: (n, 4) orientations (w, x, y, z) at release.
         friction: (n, 3) sliding, torsional and rolling coefficients.
@@ -83,7 +83,6 @@ class Scene:
         placing: how boxes are placed.
         approach: (n, 2) horizontal directions from which boxes approach, of length 1. A row of 0, or None for all rows:
             the direction follows from the neighbours.
-            from the neighbours.
         stiffness: (n,) force on a box's top per compression, N/m; inf: the box is rigid. None: all boxes are rigid.
         soft: (n,) whether each box is a flex body (petmjx/world/soft_boxes.py); None: no box is soft.
         wrap: film around the pallet when it is shaken (petmjx/world/film.py).
@@ -140,7 +139,7 @@ class Scene:
 
     @cached_property
     def total_mass(self) -> float:
-        """Mass of boxes and carrier, kg. Force profiles use it as their unit."""
+        """Mass of boxes and carrier, kg. The unit of force profiles follows from this mass."""
         return float(self.mass.sum() + self.carrier.mass)
 
     @cached_property

@@ -2,9 +2,9 @@
 
 A sheet of cardboard or paper between two layers is an item of its own. A rigid plate would carry a box over a hole in
 the layer below, which no sheet does. So a sheet bears only above the bodies that lie under it in the plan. The body of
-a sheet has one shape for each area that lies on a box or a board, or up to a centimetre above one. It has no shape over
-gaps. The body holds these pieces together: like a real sheet, it ties the boxes of a layer by friction. Unlike a real
-sheet, it does not sag or tear. A sheet that lies on nothing is not divided.
+a sheet has one shape for each area that lies on a box or a board, or up to a centimetre above one. A sheet has no shape
+over gaps. The body holds these pieces together: like a real sheet, it ties the boxes of a layer by friction. Unlike a
+real sheet, it does not sag or tear. A sheet that lies on nothing is not divided.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from petmjx.world.body_shapes import Body, Pieces
 _TOUCH_M = DEFAULT_TOLERANCE_MM / MM_PER_M
 
 FOLLOWED_M: Final = 0.01
-"""Largest distance of a sheet above a top on which it counts as lying, m: layers of cartons are not level to a
+"""A sheet counts as lying on a top if it is at most this far above the top, m: layers of cartons are not level to a
 millimetre."""
 
 _LEAST_OVERLAP_M = 1e-6

@@ -43,8 +43,9 @@ ROUNDING_M: Final = 0.001
 collider would meet overlapping faces, for which it finds no good normals."""
 
 BALL_M: Final = 0.0002
-"""How much deeper elements must be than balls before they touch, m. This is more than the depth of contacts. The margin
-of elements and rigid shapes is minus half of this, and the margin of balls is plus half of it; margins add up."""
+"""How much deeper than a ball an element must be before it touches, m. This length is larger than the depth of
+contacts. The margin of elements and rigid shapes is minus half of this, and the margin of balls is plus half of it;
+margins add up."""
 
 MOST_ROUNDING: Final = 0.1
 """Largest rounding, as a share of the shortest half size."""
@@ -58,12 +59,12 @@ MOST_RATE: Final = 0.05
 
 CONTACT_SOLREF: Final = (0.004, 1.0)
 CONTACT_SOLIMP: Final = (MOST_IMPEDANCE, MOST_IMPEDANCE, 0.001)
-"""solimp of contacts of soft boxes. They are as stiff as the timestep allows, since a point has a 216th of the mass of
-a box, or more. Under 1,000 times the box's own weight, its contacts are 0.1 mm deep."""
+"""solimp of contacts of soft boxes. These contacts are as stiff as the timestep allows, since a point has a 216th of
+the mass of a box, or more. Under 1,000 times the box's own weight, its contacts are 0.1 mm deep."""
 
 _ALONE: Final = 1e9
-"""MuJoCo's weight for mixing the laws of two partners. It is so large that the law of the soft box prevails: rigid
-shapes have the weight 1."""
+"""MuJoCo's weight for mixing the laws of two partners. The weight is so large that the law of the soft box prevails:
+rigid shapes have the weight 1."""
 
 _ELEMENTS: Final = 2
 _BALLS: Final = 4
@@ -127,7 +128,7 @@ def check_soft(scene: Scene) -> None:
         raise InputError("soft: soft boxes appear at their places, so placing must be exact")
     if scene.mass_center is not None and scene.mass_center[scene.soft].any():
         box = int(np.flatnonzero(scene.soft & scene.mass_center.any(axis=1))[0])
-        raise InputError(f"soft: a soft box has its centre of mass in the middle, but box {box} has it elsewhere")
+        raise InputError(f"soft: the centre of mass of a soft box must be in its middle, but that of box {box} is not")
     soft_friction(scene)
 
 
@@ -146,15 +147,15 @@ def edge_law(half_size: FloatArray, mass: float, stiffness_n_m: float, timestep_
     kappa = _mujocos_share() * stiffness_n_m / (mass * _network_kg(*half_size.tolist()))
     impedance, rate = IMPEDANCE, min(kappa * (1 - IMPEDANCE) / IMPEDANCE**2, most)
     if rate == most:
-        impedance = min(2 / (1 + (1 + 4 * most / kappa) ** 0.5), MOST_IMPEDANCE)  # κ = d²k / (1 − d), for d
+        impedance = min(2 / (1 + (1 + 4 * most / kappa) ** 0.5), MOST_IMPEDANCE)  # this solves κ = d²k / (1 − d) for d
     return EdgeLaw((-rate, -2 * rate**0.5), (impedance, impedance, 0.001))
 
 
 @lru_cache(maxsize=1)
 def _mujocos_share() -> float:
     """MuJoCo's inverse mass of an edge, as a share of the true one. If bodies of points have only slide joints, this
-    share is 1/2 (3.17), so that edges are twice as stiff as documented. It is read from a compiled model, since it may
-    change."""
+    share is 1/2 (3.17), so that edges are twice as stiff as documented. The share is read from a compiled model, since
+    a new version of MuJoCo may change it."""
     spec = mujoco.MjSpec()
     mass = shares()
     _add_points(spec, "probe", POINTS, mass)
@@ -200,7 +201,7 @@ def _add_points(spec: mujoco.MjSpec, box: str, places: FloatArray, mass: FloatAr
         body.explicitinertial = True
         body.mass = mass[number]
         body.ipos, body.iquat = np.zeros(3), np.array(IDENTITY_QUAT)
-        body.inertia = np.full(3, mass[number] * ROUNDING_M**2)  # has no effect: the body has no rotational joints
+        body.inertia = np.full(3, mass[number] * ROUNDING_M**2)  # without effect: the body cannot rotate
         for axis in np.eye(3):
             body.add_joint(type=mujoco.mjtJoint.mjJNT_SLIDE, axis=axis)
         bodies.append(body)
@@ -266,7 +267,7 @@ def set_for_soft(spec: mujoco.MjSpec, scene: Scene, physics: Physics, frictions:
 
 @dataclass(frozen=True, eq=False)
 class SoftFriction:
-    """Sliding friction of shapes in contacts with soft boxes. MuJoCo uses the larger one of the two partners.
+    """Sliding friction of shapes in contacts with soft boxes. MuJoCo uses the larger friction of the two partners.
 
     Attributes:
         of_boxes: (n,) friction of the boxes.
@@ -310,7 +311,7 @@ def soft_friction(scene: Scene) -> SoftFriction:
     larger = np.maximum(box_friction[soft][:, None], box_friction), np.maximum(box_friction[soft], of_carrier)[:, None]
     if not (np.allclose(larger[0], pair_friction) and np.allclose(larger[1], board_friction)):
         raise InputError(
-            "soft: MuJoCo takes the larger friction of two soft boxes, and these materials have pairs with a "
-            "smaller one: leave materials out, or name friction_pairs that fit"
+            "soft: between soft boxes, MuJoCo always uses the larger of their coefficients of friction, but some pairs "
+            "of these materials have a smaller one: leave materials out, or set other friction_pairs"
         )
     return SoftFriction(box_friction, of_carrier)

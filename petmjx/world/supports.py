@@ -2,9 +2,10 @@
 
 The load of a box is its own weight plus the weight that rests on it. The load acts at a point of the box's base, the
 centre of pressure. The box is in balance if that point lies within the convex hull of its supports. Statics does not
-determine the shares of several supports in a load. Here supports share a load as a bed of equal springs (Winkler 1867,
-"Die Lehre von der Elasticität und Festigkeit"): the pressure is a plane over all areas that touch, determined by force
-and moments. If springs would pull, supports push with the least energy (petmjx.world.load_sharing).
+determine how several supports share a load. Here they share it as a bed of equal springs does (Winkler 1867, "Die Lehre
+von der Elasticität und Festigkeit"): the pressure varies linearly over all areas that touch, and the balance of force
+and moments determines it. If springs would pull somewhere, supports push with the least energy instead
+(petmjx.world.load_sharing).
 """
 
 from __future__ import annotations
@@ -34,8 +35,8 @@ TOUCH_M: Final = DEFAULT_TOLERANCE_MM / MM_PER_M
 """Faces touch if they are no further apart than this, as in the warnings about a plan."""
 
 LEANS_M: Final = Thresholds().shift_m
-"""Largest gap between a tipping box and the wall that stops it: the box's middle then moves by less than a verdict
-allows."""
+"""Largest gap between a box that tips and the wall that stops it, m. With this gap, the box's middle moves by less than
+a verdict allows."""
 
 _LEAST_OVERLAP_M: Final = 1e-6
 
@@ -49,9 +50,10 @@ class Boxes:
         target: (n, 3) planned middles, m.
         half_size: (n, 3) m.
         mass: (n,) kg.
-        mass_center: (n, 3) from the middle, m.
+        mass_center: (n, 3) vector from a box's middle to its centre of mass, m.
         carrier_mass: (n,) mass of the carrier of each box's scene, kg.
-        held: (n, 2, 2) how far beyond its supports a wall holds a load, at the low and the high end of x and y, m.
+        held: (n, 2, 2) largest distance beyond the supports at which a wall still holds a load, at the low and the high
+            end of x and y, m.
     """
 
     first: IntArray
@@ -114,10 +116,10 @@ class Boxes:
 def _held_by_walls(scene: Scene, target: FloatArray) -> FloatArray:
     """(n, 2, 2) as ``Boxes.held`` of a scene with walls, with the boxes at these (n, 3) places, m.
 
-    A box whose load W acts e beyond an edge tips until it touches the wall there. It touches at its own top or at the
-    wall's, whichever is lower, a height h above its bottom. The wall then presses with W·e/h, and the edge must bear
-    this force by friction: so the wall holds the box up to e = µ·h. The wall counts as smooth, and the support of the
-    box as fixed.
+    A box whose load W acts at a distance e beyond an edge tips until it touches the wall on that side. The box touches
+    the wall at its own top or at the wall's top, whichever is lower. This point is a height h above the box's bottom.
+    The wall then presses with W·e/h, and the edge must bear this force by friction: so the wall holds the box up to e =
+    µ·h. The wall counts as smooth, and the support of the box as fixed.
     """
     room, half = scene.carrier.room, scene.half_size
     bottom, top = (target - half)[:, 2], (target + half)[:, 2]
@@ -126,7 +128,7 @@ def _held_by_walls(scene: Scene, target: FloatArray) -> FloatArray:
 
 
 def _least_friction(scene: Scene) -> FloatArray:
-    """(n,) the least coefficient of friction between each box and its possible supports."""
+    """(n,) the smallest coefficient of friction between each box and its possible supports."""
     friction = scene.friction[:, 0]
     if scene.surface is None or scene.pair_friction is None:
         return friction
@@ -176,7 +178,7 @@ class Bearing:
         return weights
 
     def forces(self, load: FloatArray, together: IntArray) -> FloatArray:
-        """(k, 3) force and first moments along x and y with which loaded boxes with several supports press on them.
+        """(k, 3) force, and first moments along x and y, with which boxes with several supports press on each support.
 
         The units are those of ``load``.
 
@@ -196,7 +198,8 @@ class Bearing:
         return force
 
     def shared(self, contact: IntArray, load: FloatArray) -> FloatArray:
-        """(k, 3) the parts of loads that reach (k,) contacts of boxes with several supports, by equal springs.
+        """(k, 3) the parts of loads that reach (k,) contacts of boxes with several supports, if supports are equal
+        springs.
 
         Args:
             load: (k, 3) load of the upper box of each contact.
@@ -235,10 +238,12 @@ class Bearing:
         return self.inside_m(np.arange(len(load)), point)
 
     def inside_m(self, box: IntArray, point: FloatArray) -> FloatArray:
-        """(p,) distance of (p, 2) points from the nearest edge of the supports of (p,) boxes, as ``edges_m``."""
+        """(p,) distance of (p, 2) points from the nearest edge of the supports of (p,) boxes, m, with the signs of
+        ``edges_m``.
+        """
         low, high = self.rectangles
         nearer = np.minimum(point - low.take(box, axis=0), high.take(box, axis=0) - point)
-        distance_m: FloatArray = np.minimum(nearer[:, 0], nearer[:, 1])  # ``min(axis=1)`` of two columns takes long
+        distance_m: FloatArray = np.minimum(nearer[:, 0], nearer[:, 1])  # faster than ``min(axis=1)`` of two columns
         several = np.flatnonzero(self.n_supports.take(box) > 1)
         if len(several):
             hull = self.number_of_hull[box[several]]
@@ -255,8 +260,8 @@ class Bearing:
 
     @cached_property
     def rectangles(self) -> tuple[FloatArray, FloatArray]:
-        """(n, 2) each: low and high corners of what bears boxes that have one support, as far as walls hold them, m;
-        NaN for other boxes."""
+        """Two arrays (n, 2): for boxes with one support, the low and the high corner of the rectangle in which a load
+        is borne by the support or held by walls, m; NaN for other boxes."""
         low, high = np.full((len(self.boxes.mass), 2), np.nan), np.full((len(self.boxes.mass), 2), np.nan)
         alone = np.flatnonzero(self.n_supports == 1)
         contact = self.ends[alone]
@@ -267,7 +272,7 @@ class Bearing:
 
     @cached_property
     def hulls(self) -> HullTable:
-        """Hulls of the supports of boxes that have several, in order."""
+        """Hulls of the supports of boxes that have several supports, in the order of boxes."""
         low, high = self.low.take(self.together, axis=0), self.high.take(self.together, axis=0)
         return hull_table(low, high, self.n_supports[self.n_supports > 1])
 
@@ -276,8 +281,8 @@ class Bearing:
         return self.of_range(number, number + 1)
 
     def of_range(self, begin: int, end: int) -> Bearing:
-        """The bearing of the scenes ``begin`` to ``end`` alone. It has its part of these hulls, shares and levels, so
-        that it does not compute them."""
+        """The bearing of the scenes ``begin`` to ``end`` alone. The new bearing takes hulls, shares and levels from
+        this one, so that they need not be computed again."""
         first, last = int(self.boxes.first[begin]), int(self.boxes.first[end])
         rows, contacts = slice(first, last), slice(int(self.ends[first]), int(self.ends[last]))
         values = (getattr(self.boxes, field.name)[rows] for field in fields(self.boxes) if field.name != "first")
@@ -344,7 +349,7 @@ class Bearing:
 
     @cached_property
     def level(self) -> IntArray:
-        """(n,) largest number of contacts on a path from a box up to a box with a free top."""
+        """(n,) level of each box: the largest number of contacts on a path from the box up to a box with a free top."""
         between = np.flatnonzero(self.lower != CARRIER)
         upper, lower = self.upper[between], self.lower[between]
         level = np.zeros(len(self.boxes.mass), int)
@@ -354,8 +359,8 @@ class Bearing:
 
     @cached_property
     def levels(self) -> list[IntArray]:
-        """The contacts between boxes in groups. Once all groups before are done, the loads of the upper boxes are
-        complete."""
+        """The contacts between boxes, in groups. Once all earlier groups are done, the loads of a group's upper boxes
+        are complete."""
         between = np.flatnonzero(self.lower != CARRIER)
         between = between[np.argsort(-self.boxes.bottom[self.upper[between]], kind="stable")]
         level = self.level[self.upper[between]]
@@ -363,7 +368,7 @@ class Bearing:
         return np.split(between[order], np.flatnonzero(np.diff(level[order])) + 1) if len(order) else []
 
     def all_below(self, boxes: NDArray[np.bool_]) -> NDArray[np.bool_]:
-        """(n,) which boxes bear one of these (n,) boxes, directly or through others."""
+        """(n,) which boxes bear any of the chosen boxes (an (n,) mask), directly or through others."""
         below = np.zeros(len(boxes), bool)
         new = np.flatnonzero(boxes)
         while len(new):
@@ -376,8 +381,8 @@ class Bearing:
 
     @cached_property
     def borne_together(self) -> list[IntArray]:
-        """For each group of ``levels`` the contacts of its boxes with several supports, including contacts with
-        the carrier."""
+        """For each group of ``levels``: the contacts of those of its boxes that have several supports, including
+        contacts with the carrier."""
         groups = []
         upper = self.upper[self.together]
         for between in self.levels:
@@ -393,8 +398,8 @@ class Bearing:
 
     @cached_property
     def shares(self) -> FloatArray:
-        """(k, 3, 3), of the contacts ``together``: load of the upper box (mass and moments) → the part that reaches the
-        lower one at this contact."""
+        """(k, 3, 3) matrix for each of the contacts ``together``. The matrix maps the load of the upper box (mass and
+        moments) to the part that reaches the lower body at this contact."""
         boxes, upper = self.boxes, self.upper[self.together]
         # Places are relative to the upper box's centre and in units of its lengths. This keeps the 3 × 3 systems well
         # conditioned.
@@ -430,7 +435,7 @@ def spans(count: IntArray, chosen: IntArray) -> IntArray:
 
 
 def ranges(first: IntArray, count: IntArray) -> IntArray:
-    """The numbers of ranges, one after the other: ``count`` numbers from ``first`` on of each."""
+    """The numbers first, first + 1, … of several ranges, range after range. ``count`` has the length of each range."""
     numbers: IntArray = np.arange(count.sum()) + np.repeat(first - (np.cumsum(count) - count), count)
     return numbers
 
@@ -447,8 +452,8 @@ def bearings_of(
     pos: Sequence[FloatArray] = (),
     most_gap_m: Sequence[float] = (),
 ) -> Bearing:
-    """The bearings of several scenes, joined, with the boxes scene after scene. All are computed at once. First come
-    ``scenes`` by the planned places, then the scenes ``elsewhere``.
+    """The joined bearings of several scenes, scene after scene, computed together. First come ``scenes``, with boxes at
+    their planned places, then the scenes ``elsewhere``.
 
     Args:
         pos: (n, 3) places of the boxes of each scene ``elsewhere``, m.
@@ -462,13 +467,16 @@ def bearings_of(
 
 
 _SORTED_M: Final = 1e-4
-"""So much further than they touch boxes are looked at: sums of heights of many scenes are rounded."""
+"""Boxes are candidates for a contact if their gap exceeds the allowed gap by at most this, m, since sums of the heights
+of many scenes are rounded.
+"""
 
 
 def find_bearings(
     scenes: Sequence[Scene], targets: Sequence[FloatArray], most_gap_m: float | FloatArray = TOUCH_M
 ) -> Bearing:
-    """``find_bearing`` of each scene with its boxes at (n, 3) places, m, joined. Plain scenes are computed at once.
+    """The joined result of ``find_bearing`` for each scene, with its boxes at (n, 3) places, m. Plain scenes are
+    computed together.
 
     Args:
         most_gap_m: as in ``find_bearing``, of all scenes or (s,) of each scene.
@@ -492,7 +500,7 @@ def find_bearings(
 def _plain_contacts(
     boxes: Boxes, scenes: Sequence[Scene], chosen: IntArray, most_gap_m: FloatArray
 ) -> tuple[IntArray, IntArray, FloatArray, FloatArray]:
-    """The contacts of the chosen scenes, which are plain: fields of ``Bearing``, not sorted."""
+    """The contacts of the chosen scenes, which are plain, as fields of ``Bearing``. They are not sorted."""
     low, high = boxes.target - boxes.half_size, boxes.target + boxes.half_size
     counts = np.diff(boxes.first)
     carriers = [scenes[k].carrier for k in chosen.tolist()]
@@ -523,20 +531,21 @@ def _plain_contacts(
 def _touching(
     rows: IntArray, scene: IntArray, low: FloatArray, high: FloatArray, most_gap_m: FloatArray
 ) -> tuple[IntArray, IntArray]:
-    """(p,) and (p,) boxes of the same scene, the lower one and the upper one, whose faces are at the same height.
+    """Pairs of boxes of the same scene, (p,) the lower and (p,) the upper one, between which the gap is at most the
+    allowed one.
 
-    Sorted heights give the few pairs to look at.
+    Sorting the heights leaves few pairs to examine.
 
     Args:
         rows: (r,) the boxes.
-        scene: (r,) the scene of each.
+        scene: (r,) the scene of each box.
         low, high: (n,) heights of all boxes' bottoms and tops, m.
         most_gap_m: (r,) as in ``find_bearing``.
     """
     is_somewhere = np.isfinite(low[rows]) & np.isfinite(high[rows])
     rows, scene, most_gap_m = rows[is_somewhere], scene[is_somewhere], most_gap_m[is_somewhere]
     bottom, top, reach = low[rows], high[rows], TOUCH_M + most_gap_m.max(initial=0.0)
-    # The scenes are stacked, so far apart that boxes of different scenes do not touch.
+    # The scenes are stacked on each other, with gaps so large that boxes of different scenes do not touch.
     rise = scene * (np.maximum(bottom, top).max(initial=0.0) - np.minimum(bottom, top).min(initial=0.0) + 2 * reach)
     least_m, most_m = bottom + rise - most_gap_m - _SORTED_M, bottom + rise + TOUCH_M + _SORTED_M
     tops, bottoms = np.argsort(top + rise), np.argsort(least_m)
@@ -559,7 +568,8 @@ def find_bearing(scene: Scene, most_gap_m: float = TOUCH_M) -> Bearing:
     the two boxes overlap along x and y.
 
     Args:
-        most_gap_m: a box also lies on bodies with a gap up to this below its bottom: it leans onto them.
+        most_gap_m: a box also counts as lying on bodies that are up to this far below its bottom, since it may lean
+            onto them.
     """
     low, high = scene.target - scene.half_size, scene.target + scene.half_size
     deck_low, deck_high = _deck(scene.carrier)
@@ -567,7 +577,7 @@ def find_bearing(scene: Scene, most_gap_m: float = TOUCH_M) -> Bearing:
     touching &= np.less.outer(low[:, 2], low[:, 2])
     below, above = np.nonzero(touching)
     cut_below, cut_low, cut_high = _cut(scene, low, high)
-    # Each box above a sheet lies on the sheet's pieces. Each box above another box lies on that box's whole top.
+    # A box above a sheet lies on the sheet's pieces. A box above another box lies on that box's whole top.
     row, pieces = np.nonzero(below[:, None] == cut_below)
     below, above, piece_low, piece_high = below[row], above[row], cut_low[pieces], cut_high[pieces]
     on_deck, board = (part.ravel() for part in np.indices((len(low), len(deck_low))))

@@ -1,11 +1,12 @@
 """Variants: how a world differs from its plan's nominal world.
 
-A variant has two halves. Its *placement* is the changes before or while boxes are placed (friction, mass, sizes,
-placement errors). Its *drive* shakes the finished pallet (profile, strength, direction). Worlds of a plan with the same
-``placement_key`` share one placement: each starts from its settled state.
+A variant has two halves. Its *placement* holds the changes that act while boxes are placed, or before (friction, mass,
+sizes, placement errors). Its *drive* shakes the finished pallet (profile, strength, direction). Worlds of a plan with
+the same ``placement_key`` share one placement: each starts from its settled state.
 
-The scenes of many variants of a plan are made together (``apply_all``). A scene then takes a twentieth of a
-millisecond. Made one by one, a scene takes ten times as long: as long as a GPU needs to simulate a small world.
+The scenes of many variants of a plan are made together (``apply_all``). Making a scene then takes a twentieth of a
+millisecond. If scenes are made one by one, it takes ten times as long: as long as a GPU needs to simulate a small
+world.
 """
 
 from __future__ import annotations
@@ -60,7 +61,7 @@ class Distribution:
         return self.centre == 0 and not self.random
 
     def draw(self, rngs: Iterable[np.random.Generator], shape: tuple[int, ...]) -> FloatArray:
-        """(m, …) one sample from each of m generators. If nothing is random: (1, …), and no generator is used.
+        """(m, …) one sample from each of m generators; (1, …), without use of a generator, if nothing is random.
 
         Standard numbers are drawn and then scaled. So with the same generator, twice the spread gives each box twice
         the error, and levels of a sweep can be compared pair by pair.
@@ -94,7 +95,7 @@ class PlacementChange:
             coefficient of two touching geoms, so a lower value on only one side changes little.
         mass_factor: factor on the mass of every box; the carrier's mass does not change.
         friction_rel: relative change of the friction of boxes and carrier, after the factors (0.1 = 10 % more). One
-            error is drawn for the whole world: all cartons are of the same board, on a day of the same humidity.
+            error is drawn for the whole world, since all cartons are of the same board, on a day of the same humidity.
         mass_rel: relative change of each box's mass, after the factor.
         size_mm: change of each dimension of each box, mm.
         size_rel: relative change of each dimension (0.01 = 1 % larger).
@@ -144,7 +145,7 @@ class PlacementChange:
 
     @cached_property
     def random(self) -> bool:
-        """Whether two replicates would differ."""
+        """Whether two replicates would differ in their placements."""
         values = (getattr(self, entry.name) for entry in fields(self))
         return any(isinstance(value, Distribution) and value.random for value in values)
 
@@ -193,7 +194,7 @@ class Variant:
 
     Attributes:
         index: column ``variant`` in the results; 0 is the nominal world.
-        placement, drive: the two halves. A world without a drive ends when the placement is at rest.
+        placement, drive: the two halves of the variant. A world without a drive ends when the placement is at rest.
         replicate: number of the repetition; random numbers depend only on (seed, plan id, replicate).
         parameters: result column → value.
         legs: legs of a chain, instead of a drive. Each leg begins with the boxes where the previous leg left them.
@@ -208,8 +209,8 @@ class Variant:
 
     @property
     def placement_key(self) -> PlacementKey:
-        """Equal for variants of one plan that share a placement. Replicates share a placement unless something random
-        happens while boxes are placed."""
+        """A key that is equal for all variants of a plan that share a placement. Replicates share a placement unless
+        something random happens while boxes are placed."""
         return (self.placement, self.replicate if self.placement.random else 0)
 
 
@@ -217,7 +218,7 @@ MIN_SIZE_FRACTION = 0.1
 """Smallest size that can be drawn, as a share of the planned size: every extent of a box must stay positive."""
 
 LARGEST_SIZE_M = 7.0
-"""Largest size that can be drawn, m: boxes that are not yet placed hang 8 m apart."""
+"""Largest size that can be drawn, m. The limit is needed since boxes that are not yet placed hang 8 m apart."""
 
 MIN_MASS_FRACTION = 0.1
 """Smallest mass that can be drawn, as a share of the nominal mass: MuJoCo refuses bodies without mass."""
@@ -231,7 +232,7 @@ far above the planned bottom of the upper one, m. The upper box is then set down
 the lower box counts as a wall beside the upper one."""
 
 MOST_SPREADS: Final = 5.0
-"""Largest error that is assumed, in standard deviations from the mean. One normal error in 2 million exceeds it."""
+"""Largest error that is assumed, in standard deviations from the mean. One normal error in 2 million is larger."""
 
 _SAME_HEIGHT_M = 1e-9
 
@@ -248,11 +249,13 @@ def apply(scene: Scene, plan_id: str, variant: Variant, seed: int, *, standing: 
 
     Placement errors in x, y and yaw change ``start_pos`` and ``start_quat``. A box that is moved over a slightly higher
     neighbour is released above it. No box starts inside another one vertically. Shifts are measured from ``target``,
-    which keeps the planned x and y. Its z is the height at which the box really stands, so that a tolerance in height
-    does not count as a shift. If places or sizes have errors, boxes are placed as ``Placing.for_errors`` states.
+    which keeps the planned x and y. The z of ``target`` is the height at which the box really stands, so that a
+    tolerance in height does not count as a shift. If places or sizes have errors, boxes are placed as
+    ``Placing.for_errors`` states.
 
     Args:
-        standing: number of boxes, from the first on, that already stand. They keep their sizes, places and masses.
+        standing: number of boxes, from the first on, that already stand. These boxes keep their sizes, places and
+            masses.
 
     Returns:
         ``scene`` itself if nothing changes.

@@ -123,7 +123,7 @@ def test_unusable_files(content: str, tmp_path: Path, capsys: pytest.CaptureFixt
         (["--set", "=3"], "petmjx: --set =3: must be FIELD=VALUE"),
         (["--size-reduction-mm", "200"], "vanishes under the size reduction"),
         (["--limit", "0"], "--limit"),
-        (["--engine", "mujoco", "--lanes", "8"], "lanes belong to the engines mjx-jax and mjx-warp"),
+        (["--engine", "mujoco", "--lanes", "8"], "lanes are an option of the engines mjx-jax and mjx-warp"),
         (["--shift-limit-m", "-1"], "petmjx: --shift-limit-m must be > 0, got -1"),
         (["--no-such-option"], "--no-such-option"),
         (["--no-such-option"], " score --help)"),

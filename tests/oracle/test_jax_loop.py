@@ -140,7 +140,7 @@ def test_wrong_shapes_and_numbers_are_one_line() -> None:
         (lambda: petmjx.jax.place(state, SIZE, STEPS[0], MASS, [1, 0]), "active must be an array of true or false"),
         (lambda: petmjx.jax.place(state, SIZE, STEPS[0], np.array([5.0, -6.0])), "mass_kg must be from .*, got -6"),
         (lambda: petmjx.jax.try_all(state, SIZE * np.nan, STEPS[0], MASS, [0, 1]), "size_mm must be from .*, got nan"),
-        (lambda: petmjx.jax.place(2, SIZE, STEPS[0], MASS), "state must be what petmjx.jax.empty"),
+        (lambda: petmjx.jax.place(2, SIZE, STEPS[0], MASS), "state must be a state from petmjx.jax.empty"),
         (lambda: petmjx.jax.empty(0), "n must be at least 1"),
         (
             lambda: petmjx.jax.empty(1, engine="mjx-jax"),

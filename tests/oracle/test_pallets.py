@@ -253,7 +253,7 @@ def test_what_is_wrong_is_one_line_that_names_the_argument(engine: Engine) -> No
         ({"corner_mm": None}, "corner_mm is missing"),
         ({"pallet": 2}, "pallet: there are pallets 0 to 1, got 2"),
         ({"pallet": 0.5}, "pallet must be whole numbers"),
-        ({"pallet": None}, "pallet must say which of 2 pallets each of 1 boxes is for"),
+        ({"pallet": None}, "pallet must name one of the 2 pallets for each box"),
     ]
     for change, message in wrong:
         with pytest.raises(InputError, match=message):
@@ -275,15 +275,15 @@ def test_what_is_wrong_is_one_line_that_names_the_argument(engine: Engine) -> No
         (lambda: pallets.places(size_mm=(400, 300, 200), pallet=0, grid_mm=[(-5, 0)]), "grid_mm must be corners on"),
         (lambda: pallets.show(0, size=(0, 0)), "size must be at least 16"),
         (lambda: pallets.show(0, view=None), "view must be text"),  # type: ignore[arg-type]
-        (pallets.score, "pallet: none has boxes"),
+        (pallets.score, "pallet: there is no box on any pallet"),
         (lambda: pallets.try_all(**good, pallet=0, drive="eumos"), "unknown profile 'eumos'"),
         (lambda: pallets.try_all(**good, pallet=0, drive="en-12195-1"), "drive: en-12195-1 stands for several"),
         (lambda: Pallets(0), "n must be at least 1"),
         (lambda: Pallets(carrier="footprint"), "carrier: footprint depends on the whole plan"),
-        (lambda: Pallets(schedule="fixed"), "schedule: pallets that stay open need adaptive"),
-        (lambda: Pallets(check="static"), "check: pallets need check one-by-one"),
+        (lambda: Pallets(schedule="fixed"), "schedule must be adaptive if boxes are added one by one"),
+        (lambda: Pallets(check="static"), "check must be one-by-one"),
         (lambda: Pallets(engine="mjx"), "engine must be one of mujoco"),
-        (lambda: Pallets(engine="mjx-jax"), "engine mjx-jax has no worlds that stay open"),
+        (lambda: Pallets(engine="mjx-jax"), "engine mjx-jax has no open worlds"),
         (lambda: Pallets(resume=True), "resume: pallets have no such option"),
         (lambda: Pallets(carier="epal-1"), "unknown option carier"),
     ):

@@ -256,7 +256,7 @@ def test_what_ran_astray_is_no_number(monkeypatch: pytest.MonkeyPatch) -> None:
         ({"times_s": (0.2, 0.1)}, "times_s must increase"),
         ({"times_s": ()}, "times_s must have at least one time"),
         ({"times_s": (-0.1,)}, "times_s must increase, and lie between 0"),
-        ({"inertia_kg_m2": (1, 1, 3)}, "inertia_kg_m2 must be that of a body"),
+        ({"inertia_kg_m2": (1, 1, 3)}, "inertia_kg_m2 must be possible for a body"),
         ({"friction": -0.1}, "friction must be from 0 to 100, got -0.1"),
         ({"restitution": 1.5}, "restitution must be from 0 to 0.9, got 1.5"),
         ({"ground": "moon"}, "ground must be 'plane', 'euro-pallet', .* or a TOML file of boards, got 'moon'"),
@@ -285,7 +285,7 @@ class Judge(Engine):
 
 def test_an_engine_without_paths_is_told_so() -> None:
     with pytest.raises(
-        InputError, match="engine judge cannot let boxes go; use mujoco, mjx-warp, mjx-warp-cpu or mjx-jax"
+        InputError, match="engine judge cannot simulate released boxes; use mujoco, mjx-warp, mjx-warp-cpu or mjx-jax"
     ):
         release(Judge())
 

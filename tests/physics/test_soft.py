@@ -216,8 +216,12 @@ PAIRED = replace(PLAN, materials=("film", "cardboard"))
         (PLAN, {"placing": {"name": "hand"}}, "soft needs placing exact"),
         (PLAN, {"soft": False, "attempts": "soft", "placing": {"name": "drop"}}, "attempts needs placing exact"),
         (PLAN, {"confidence": 4}, "soft boxes appear at their places"),
-        (OFF_CENTRE, {}, "box 1 has it elsewhere"),
-        (PAIRED, {"friction_pairs": [*SLIPPERY, {"between": ["film", "wood"], "friction": 0.4}]}, "larger friction"),
+        (OFF_CENTRE, {}, "that of box 1 is not"),
+        (
+            PAIRED,
+            {"friction_pairs": [*SLIPPERY, {"between": ["film", "wood"], "friction": 0.4}]},
+            "the larger of their coefficients",
+        ),
     ],
 )
 def test_what_soft_boxes_cannot_have_is_refused(plan: Plan, options: dict[str, object], words: str) -> None:
@@ -237,7 +241,7 @@ def test_friction_is_that_of_the_materials() -> None:
 
 
 def test_pallets_have_no_soft_boxes() -> None:
-    with pytest.raises(InputError, match="soft: pallets that stay open"):
+    with pytest.raises(InputError, match="soft: soft boxes are not supported"):
         petmjx.Pallets(1, engine="mujoco", carrier="euro-pallet", soft=True)
 
 

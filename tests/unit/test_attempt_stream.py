@@ -199,9 +199,9 @@ def test_no_worlds() -> None:
 
 
 def test_an_engine_that_loses_or_repeats_a_world_is_found_out() -> None:
-    with pytest.raises(RuntimeError, match="did not answer 1 of 2 jobs"):
+    with pytest.raises(RuntimeError, match="returned no outcome for 1 of 2 jobs"):
         list(score_worlds(worlds_failing(0, 0), Simulation(), FailingEngine(drop_last=True)))
-    with pytest.raises(RuntimeError, match="answered job 0 twice"):
+    with pytest.raises(RuntimeError, match="returned two outcomes for job 0"):
         list(score_worlds(worlds_failing(0, 0), Simulation(), FailingEngine(repeat_last=True)))
 
 

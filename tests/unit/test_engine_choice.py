@@ -221,9 +221,9 @@ def test_engines_by_name(monkeypatch: pytest.MonkeyPatch) -> None:
     for no_engine, shown in ((MujocoEngine, "<class"), (5, "5")):
         with pytest.raises(InputError, match=f"^engine must be a name or an object with .*, got {shown}"):
             resolve_engine(RunOptions(engine=no_engine), Work(SIM, [9]))
-    with pytest.raises(InputError, match="threads belong to the engines mujoco and mjx-warp-cpu"):
+    with pytest.raises(InputError, match="threads are an option of the engines mujoco and mjx-warp-cpu"):
         make_engine("mjx-jax", threads=2)
-    with pytest.raises(InputError, match="lanes belong to the engines mjx-jax and mjx-warp"):
+    with pytest.raises(InputError, match="lanes are an option of the engines mjx-jax and mjx-warp"):
         make_engine("mujoco", lanes=2)
 
 

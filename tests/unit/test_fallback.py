@@ -135,7 +135,7 @@ def test_further_attempts_of_single_worlds_begin_beside_the_first_ones(monkeypat
     assert engine_names == ["mjx-warp", "mjx-warp-cpu", "mujoco"] * WORLDS + ["mjx-warp"] * WORLDS
     made = [(1, "mjx-warp"), (6, "mjx-warp-cpu"), (7, "mujoco"), (8, "mjx-warp")]
     assert all([(a.attempt, a.engine) for a in result.attempts] == made for result in results)
-    assert "worlds were simulated again on mjx-warp-cpu, in stiffer contacts" in notes
+    assert "worlds were simulated again on mjx-warp-cpu, with stiffer contacts" in notes
 
 
 def test_worlds_with_errors_that_sank_and_drives_keep_to_the_gpu_in_stiffer_contacts(
@@ -262,7 +262,7 @@ def test_conjugate_gradients_are_c_mujoco_s(monkeypatch: pytest.MonkeyPatch) -> 
     results, notes = scored(engine, c_engine, monkeypatch, Simulation(solver=Solver.CG))
     assert engine.sims == []
     assert {result.outcome.engine for result in results} == {"mujoco"}
-    assert notes == ["worlds were simulated on mujoco: only it has the solver cg"]
+    assert notes == ["worlds were simulated on mujoco, the only engine with the solver cg"]
 
 
 def test_what_an_engine_refuses_is_the_user_s_to_change(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -431,7 +431,7 @@ def test_orders_go_the_way_of_bed_bpps(tmp_path: Path) -> None:
     assert placed["a"][0]["item"]["weight/kg"] == pytest.approx(0.4 * 0.3 * 0.2 * 200)
     with pytest.warns(PlanWarning):
         assert len(list(orders_of(path, None, 0, None, reading))) == 2
-    with pytest.raises(InputError, match="density is for a file of orders, but these orders are drawn"):
+    with pytest.raises(InputError, match="density applies only to a file of orders, but these orders are generated"):
         reading_of(False, None, {"density": 200})
     with pytest.warns(PlanWarning):
         boxes = Orders(path, reading=reading).some(0)

@@ -177,7 +177,10 @@ def test_workers_of_a_run_whose_plans_are_wrong_are_ended(said: queue.SimpleQueu
 
 
 def test_what_workers_cannot_do_is_told_when_they_are_needed(said: queue.SimpleQueue[str]) -> None:
-    for options, line in (({"workers": 1, "lanes": 3}, "lanes belong to"), ({"workers": 3}, "no room for 3 workers")):
+    for options, line in (
+        ({"workers": 1, "lanes": 3}, "lanes are an option of"),
+        ({"workers": 3}, "no room for 3 workers"),
+    ):
         run_options = RunOptions(engine="mujoco", **options)
         with engine_warmup(run_options, None, Simulation()) as ahead:
             pass

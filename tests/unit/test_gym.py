@@ -182,7 +182,10 @@ def test_the_mask_by_loads_keeps_boxes_off_weak_ones(tmp_path: Path) -> None:
     orders = [order((600, 400, 200), (600, 400, 200), kg=10)]
     assert on_top(orders=orders, articles=table) == {False}
     for wrong, message in (
-        ({"orders": orders}, "mask: loads needs strengths of boxes: the column strength_n of orders, or articles"),
+        (
+            {"orders": orders},
+            "mask: loads needs strengths of boxes; give orders the column strength_n, or pass articles",
+        ),
         (
             {"orders": pd.DataFrame({**sizes, "strength_n": [0, 1]})},
             "orders: order orders, row 0: strength_n must be from 0.01",

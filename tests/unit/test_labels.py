@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 import pandas as pd
+import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 
@@ -104,9 +105,9 @@ def test_the_card_counts_what_is_there(folder: Path, capsys: pytest.CaptureFixtu
     assert "train.parquet" in capsys.readouterr().err
 
 
-def test_more_labels_begin_with_the_same_ones_however_many_pallets(folder: Path) -> None:
+def test_more_labels_begin_with_the_same_ones_however_many_pallets_and_groups(folder: Path) -> None:
     orders = Orders(some_orders())
-    few = list(Labeller(orders, pallets=2, explore=0.8, **MUJOCO).labels(9))
+    few = list(Labeller(orders, pallets=5, groups=2, explore=0.8, **MUJOCO).labels(9))
     known = pd.concat(tables(folder).values()).sort_values(["episode", "step"]).head(9)
     assert [label["stands"] for label in few] == known["stands"].tolist()
     np.testing.assert_array_equal(
@@ -120,13 +121,24 @@ def test_a_long_order_among_short_ones_ends_no_set() -> None:
     order_ids = [0] * 14 + [*range(1, 40)]
     rows = [{"order_id": order, "length_mm": 300 if order else 200, **sizes} for order in order_ids]
     labels = [
-        list(Labeller(Orders(pd.DataFrame(rows)), pallets=pallets, explore=0, **MUJOCO).labels(30))
-        for pallets in (1, 2)
+        list(Labeller(Orders(pd.DataFrame(rows)), pallets=pallets, groups=groups, explore=0, **MUJOCO).labels(30))
+        for pallets, groups in ((1, 1), (2, 1), (3, 3))
     ]
-    assert [len(of_pallets) for of_pallets in labels] == [30, 30]
-    for alone, beside in zip(*labels, strict=True):
-        assert (alone["episode"], alone["step"]) == (beside["episode"], beside["step"])
-        np.testing.assert_array_equal(alone["corner_mm"], beside["corner_mm"])
+    assert [len(of_pallets) for of_pallets in labels] == [30, 30, 30]
+    for alone, *others in zip(*labels, strict=True):
+        for beside in others:
+            assert (alone["episode"], alone["step"]) == (beside["episode"], beside["step"])
+            np.testing.assert_array_equal(alone["corner_mm"], beside["corner_mm"])
+
+
+def test_orders_without_a_place_end_no_set() -> None:
+    """While one pallet gets the box of an order that fits, others go through many orders of which no box fits."""
+    sizes = {"length_mm": 400, "width_mm": 300, "weight_kg": 3}
+    rows = [{"order_id": 0, "height_mm": 200, **sizes}] + 6 * [{"order_id": 1, "height_mm": 2500, **sizes}]
+    for pallets, groups in ((8, 1), (5, 2)):
+        labeller = Labeller(Orders(pd.DataFrame(rows)), pallets=pallets, groups=groups, **MUJOCO)
+        labels = list(labeller.labels(20))
+        assert [label["episode"] for label in labels] == [*range(0, 40, 2)]
 
 
 def test_labels_have_shares_of_worlds_with_errors() -> None:
@@ -196,8 +208,8 @@ def test_one_run_at_a_time_writes_labels_into_a_folder(tmp_path: Path, monkeypat
     refusals: list[str] = []
 
     class Watched(Labeller):
-        def episodes(self, count: int, first: int = 0) -> Iterator[list[Label]]:
-            yield from super().episodes(count, first)
+        def episodes(self, *arguments: Any) -> Iterator[list[Label]]:
+            yield from super().episodes(*arguments)
             for how in ({}, {"overwrite": True}, {"resume": True}):
                 with pytest.raises(InputError) as refused:
                     write_labels(labeller, 1, out, source="endless", **how)
@@ -227,8 +239,8 @@ def test_labels_that_were_interrupted_go_on_as_if_they_had_not_been(
     command = ["label", str(folder / "orders.csv"), "-o", str(out), "--engine", "mujoco", "--threads", "1"]
     command += ["--explore", "0.8", "--pallets"]
 
-    def cut_short(labeller: Labeller, count: int, first: int = 0) -> Iterator[list[Label]]:
-        for number, labels in enumerate(whole(labeller, count, first)):
+    def cut_short(labeller: Labeller, *arguments: Any) -> Iterator[list[Label]]:
+        for number, labels in enumerate(whole(labeller, *arguments)):
             if number == 4:
                 raise KeyboardInterrupt
             yield labels
@@ -266,6 +278,16 @@ def unfinished(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return out
 
 
+def test_labels_of_another_version_are_not_resumed(begun: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    schema = pq.read_schema(next((begun / "parts").rglob("*.parquet")))
+    masses = pa.field("mass_kg", pa.list_(pa.float32()))
+    other = schema.set(schema.get_field_index("mass_kg"), masses)
+    monkeypatch.setattr("petmjx.loop.label_parts._PART_SCHEMA", other)
+    orders = begun.parent / "orders.csv"
+    with pytest.raises(InputError, match=r"labels of another version of petmjx; make the labels again"):
+        write_labels(labeller_of(orders), 60, begun, source=orders, resume=True)
+
+
 def labeller_of(orders: Path, **reading: Any) -> Labeller:
     return Labeller(Orders(orders, reading=order_reading(**reading)), pallets=2, **MUJOCO)
 
@@ -274,8 +296,8 @@ def ends_after(n_episodes: int) -> Any:
     """``Labeller.episodes`` of a run that fails after some episodes."""
     whole = Labeller.episodes
 
-    def episodes(labeller: Labeller, count: int, first: int = 0) -> Iterator[list[Label]]:
-        yield from islice(whole(labeller, count, first), n_episodes)
+    def episodes(labeller: Labeller, *arguments: Any) -> Iterator[list[Label]]:
+        yield from islice(whole(labeller, *arguments), n_episodes)
         raise RuntimeError
 
     return episodes

@@ -210,12 +210,12 @@ def test_an_input_is_never_replaced(
         for overwrite in ([], ["--overwrite"]):
             before = everything(tmp_path)
             assert main(["criteria", *arguments, "--out", ".", *overwrite]) == 2
-            assert ".csv: is read, so it cannot be written too" in only_line(capsys.readouterr().err)
+            assert ".csv: is an input, so it cannot be written" in only_line(capsys.readouterr().err)
             assert everything(tmp_path) == before
     for out in ("A/run.json", "A/worlds/part-00000.parquet"):
         before = everything(tmp_path)
         assert main(["report", "A", "--out", out, "--overwrite"]) == 2
-        assert f"{out}: is read" in only_line(capsys.readouterr().err)
+        assert f"{out}: is an input" in only_line(capsys.readouterr().err)
         assert everything(tmp_path) == before
 
 

@@ -43,13 +43,13 @@ def test_what_is_read_is_never_replaced(name: str, out: str, folder: Path, capsy
     before = Path("plans.json").read_bytes()
     Path("link.json").symlink_to("plans.json")
     assert main([*WRITERS[name], out, "--overwrite"]) == 2
-    assert "is read, so it cannot be written too" in capsys.readouterr().err
+    assert "is an input, so it cannot be written" in capsys.readouterr().err
     assert Path("plans.json").read_bytes() == before
 
 
 def test_a_file_in_a_folder_that_is_read_is_not_replaced(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["convert", ".", "--out", "plans.json", "--overwrite"]) == 2
-    assert "plans.json: is read" in capsys.readouterr().err
+    assert "plans.json: is an input" in capsys.readouterr().err
 
 
 def test_standard_output_may_be_written(folder: Path) -> None:

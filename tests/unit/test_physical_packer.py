@@ -372,7 +372,7 @@ def test_without_worlds_only_exact_placement_counts() -> None:
         ({"worlds": 0, "maximise": "share"}, "maximise share needs worlds > 0"),
         ({"clearances_mm": [True]}, "clearances_mm must be a list of numbers"),
         ({"widht": 3}, "unknown option widht; did you mean width"),
-        ({"n": 1, "orders": "orders.json"}, "n is for drawn orders"),
+        ({"n": 1, "orders": "orders.json"}, "n is the number of generated orders"),
     ],
 )
 def test_what_cannot_be_is_one_line(options: dict[str, Any], line: str) -> None:

@@ -38,7 +38,7 @@ class Numbers:
 
 def test_items_come_in_order_from_a_thread_that_is_ahead() -> None:
     numbers = Numbers(20)
-    ahead = prefetch(numbers.all(), 3)
+    ahead = prefetch(numbers.all(), most=3)
     assert numbers.made == 0
     head = [next(ahead)]
     for _ in range(5):  # one was taken, three may wait, and one more is made
@@ -51,8 +51,8 @@ def test_items_come_in_order_from_a_thread_that_is_ahead() -> None:
 def test_an_error_comes_after_what_came_before_it() -> None:
     numbers: list[int] = []
     with pytest.raises(MemoryError, match="none left"):
-        numbers.extend(prefetch(Numbers(5, MemoryError("none left")).all(), 10))
-    ahead = prefetch(Numbers(5, MemoryError("none left")).all(), 10)
+        numbers.extend(prefetch(Numbers(5, MemoryError("none left")).all(), most=10))
+    ahead = prefetch(Numbers(5, MemoryError("none left")).all(), most=10)
     assert [next(ahead) for _ in range(5)] == [*range(5)]
     with pytest.raises(MemoryError, match="none left"):
         next(ahead)
@@ -75,25 +75,26 @@ def test_an_error_holds_nothing_of_the_generator() -> None:
     gc.disable()
     try:
         with suppress(MemoryError):
-            list(prefetch(fails(), 1))
+            list(prefetch(fails(), most=1))
         assert [reference() for reference in held] == [None]
     finally:
         gc.enable()
 
 
 def test_an_interrupt_does_not_end_the_wait_for_the_thread() -> None:
-    """Else another run would take what the thread still works with."""
-    closing, interrupted, done = threading.Event(), threading.Event(), threading.Event()
+    """Else another run would take what the threads still work with. The second thread takes longer than the first."""
+    closing, interrupted = threading.Event(), threading.Event()
+    done: list[float] = []
 
-    def slow() -> Generator[int]:
+    def slow(seconds: float) -> Generator[int]:
         try:
             while True:
                 yield 0
         finally:
             closing.set()
             interrupted.wait(60)
-            time.sleep(0.2)
-            done.set()
+            time.sleep(seconds)
+            done.append(seconds)
 
     def interrupt() -> None:
         closing.wait()
@@ -102,14 +103,14 @@ def test_an_interrupt_does_not_end_the_wait_for_the_thread() -> None:
             os.kill(os.getpid(), signal.SIGINT)
         interrupted.set()
 
-    ahead = prefetch(slow(), 1)
+    ahead = prefetch(slow(0.1), slow(0.3), most=1)
     next(ahead)
     threading.Thread(target=interrupt).start()
     before = signal.signal(signal.SIGINT, signal.default_int_handler)
     try:
         with pytest.raises(KeyboardInterrupt):
             ahead.close()
-        assert done.is_set()
+        assert done == [0.1, 0.3]
     finally:
         signal.signal(signal.SIGINT, before)
 
@@ -118,12 +119,22 @@ def test_an_interrupt_does_not_end_the_wait_for_the_thread() -> None:
 def test_to_close_it_closes_the_generator_and_ends_its_thread(most: int) -> None:
     """Whether the thread waits for room or not."""
     numbers = Numbers(10**9)
-    ahead = prefetch(numbers.all(), most)
+    ahead = prefetch(numbers.all(), most=most)
     assert next(ahead) == 0
     ahead.close()
     assert numbers.closed_in == "petmjx-ahead"
     assert numbers.made < 10**9
     assert "petmjx-ahead" not in [thread.name for thread in threading.enumerate()]
     never = Numbers(3)
-    prefetch(never.all(), most).close()
+    prefetch(never.all(), most=most).close()
     assert never.made == 0
+
+
+def test_items_of_several_generators_come_as_they_are_made() -> None:
+    first, second = Numbers(30), Numbers(20)
+    items = list(prefetch(((0, item) for item in first.all()), ((1, item) for item in second.all()), most=2))
+    assert [item for source, item in items if source == 0] == [*range(30)]
+    assert [item for source, item in items if source == 1] == [*range(20)]
+    failing = prefetch(Numbers(10**9).all(), Numbers(0, MemoryError("none left")).all(), most=2)
+    with pytest.raises(MemoryError, match="none left"):
+        list(failing)

@@ -80,7 +80,7 @@ def test_what_is_wrong_is_one_line() -> None:
     for call, message in (
         (lambda: scorer.score("plans.json"), "plans must be plans or a data frame, .*; petmjx.score reads files"),
         (lambda: scorer.score(None), "plans must be plans or a data frame"),  # type: ignore[arg-type]
-        (lambda: scorer.score([]), "plans: there are none"),
+        (lambda: scorer.score([]), "plans must hold at least one plan"),
         (lambda: scorer.tell(size_mm=good, corner_mm=good, mass_kg=[1, 2]), r"mass_kg must have the shape \(m, k\)"),
         (lambda: scorer.tell(size_mm=good[:1], corner_mm=good, mass_kg=[[1], [2]]), "size_mm must have 2 rows"),
         (lambda: scorer.tell(size_mm=good, corner_mm=good, mass_kg=[[1], [-2]]), "plan '?1'?.*weight"),

@@ -193,7 +193,7 @@ def test_boxes_with_errors_are_placed_by_a_hand_beside_their_places() -> None:
     again = pallets.place(corner_mm=[(400, 200, 200)] * 12, error=error + 9, error_strength=strengths, **box)
     np.testing.assert_array_equal(on_top.middle_mm, again.middle_mm)
     for wrong in ([-1] * 12, [0.5] * 12, [1]):
-        with pytest.raises(InputError, match="error must be 12 whole numbers from 0"):
+        with pytest.raises(InputError, match="error must be 12 whole numbers of at least 0"):
             pallets.place(corner_mm=[(0, 0, 0)] * 12, error=wrong, **box)
 
 
@@ -332,14 +332,14 @@ def test_the_vec_env_is_the_vector_environment_with_infos_of_each(vec_env: tuple
             env.set_attr("level", 0.0, indices)
     assert env.get_attr("level", np.int64(1)) == [0.5] == env.get_attr("level", np.array([1]))
     for wrong in ({"lvel": 0.5}, [{}, {"lvel": 0.5}, {}]):
-        with pytest.raises(InputError, match="options: unknown 'lvel'; an environment has level"):
+        with pytest.raises(InputError, match="options: unknown option 'lvel'; an environment has level"):
             env.set_options(wrong)
     env.set_options({"level": 0.25})
     env.reset()
     assert env.get_attr("level") == [0.25] * 3
     with pytest.raises(InputError, match="set_attr: only level can be set, got 'mask'"):
         env.set_attr("mask", "physics")
-    with pytest.raises(AttributeError, match="an environment has the methods action_masks, render"):
+    with pytest.raises(AttributeError, match="an environment has only the methods action_masks, render"):
         env.env_method("jump")
     env.close()
     flat = kind(2, orders=orders, **THREADS)
@@ -359,14 +359,14 @@ def test_maskable_ppo_trains_on_the_vec_env() -> None:
 def test_without_stable_baselines3_the_line_names_the_extra(monkeypatch: pytest.MonkeyPatch) -> None:
     program = "import sys; sys.modules['stable_baselines3'] = None; import petmjx.gym; petmjx.gym.PalletizingVecEnv"
     done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=False)
-    assert "needs stable_baselines3, not installed: pip install 'petmjx[sb3]'" in done.stderr
+    assert "needs stable_baselines3, which is not installed: pip install 'petmjx[sb3]'" in done.stderr
 
 
 @pytest.mark.parametrize(
     ("options", "line"),
     [
         (5, "options must be a dict"),
-        ({"levels": 1}, "options: unknown 'levels'; an environment has level"),
+        ({"levels": 1}, "options: unknown option 'levels'; an environment has level"),
         ({"level": [0.1, 0.2]}, "options: level must be a number from 0 to 1, or 3 of them"),
         ({"level": 2}, "level must be at most 1"),
     ],

@@ -138,7 +138,7 @@ def test_only_the_world_that_kills_its_workers_is_invalid(pool: WorkerPool, caps
     outcomes = sorted(pool.run(jobs, SHORT, progress), key=lambda outcome: outcome.job)
     assert [outcome.job for outcome in outcomes] == list(range(12))
     assert [outcome.job for outcome in outcomes if outcome.reason is Reason.FAILED] == [5]
-    assert outcomes[5].message == "the worker that simulated this world alone died, like others before"
+    assert outcomes[5].message == "the worker died while it simulated only this world, as did earlier workers"
     assert progress.worlds_done == 12
     # in its next attempt it is alone from the beginning: it kills one worker more, and not two
     deaths = pool._deaths
@@ -248,11 +248,11 @@ def test_auto_counts_what_the_cluster_has(tmp_path: Path) -> None:
         ({"workers": 0}, "workers must be auto or a whole number from 1 to 4,096, got 0"),
         ({"workers": "many"}, "workers must be auto or a whole number from 1 to 4,096, got 'many'"),
         ({"workers": True}, "workers must be auto"),
-        ({"workers": 1, "lanes": 16}, "lanes belong to the engines mjx-jax and mjx-warp"),
+        ({"workers": 1, "lanes": 16}, "lanes are an option of the engines mjx-jax and mjx-warp"),
         ({"ray": "ray://head:10001"}, "ray must be HOST:PORT of a cluster's head, or auto"),
         ({"ray": "head"}, "ray must be HOST:PORT of a cluster's head, or auto"),
         ({"ray": "127.0.0.1:1"}, "ray: this process is already in another cluster, so it cannot join 127.0.0.1:1"),
-        ({"workers": 1, "engine": MujocoEngine(1)}, "workers need an engine by name"),
+        ({"workers": 1, "engine": MujocoEngine(1)}, "workers need the name of an engine"),
     ],
 )
 def test_what_cannot_be_is_refused_before_a_folder_is_touched(

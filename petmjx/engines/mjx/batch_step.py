@@ -104,7 +104,7 @@ class PaddedModel:
             fields: model fields that differ between worlds.
             inputs: fields of the data: qpos, qvel, qacc_warmstart, xfrc_applied, and the place of a held carrier.
             forces: constraint forces of the previous step.
-            faces: needed for compliant boxes (``lay_beds``).
+            faces: the faces of the geoms, needed for compliant boxes (``lay_beds``).
             landing: the landing boxes, if a law of landing is in use.
         """
 

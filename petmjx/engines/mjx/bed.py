@@ -24,7 +24,7 @@ LEAST_MOMENT_M2: Final = 1e-9
 """Smallest second moment per area, m². If the moment is smaller, the area counts as a line."""
 
 LEAST_STEEP: Final = 1e-14
-"""Smallest square of the slope of the depth. If it is smaller, the depth counts as uniform."""
+"""Smallest square of the slope of the depth. If the square is smaller, the depth counts as uniform."""
 
 _SIGNS: Final = np.array([(-1.0, -1.0), (-1.0, 1.0), (1.0, -1.0), (1.0, 1.0)])
 
@@ -77,7 +77,8 @@ class Beds:
 
     def __init__(self, model: Any, data: Any, physics: Physics) -> None:
         self._physics = physics
-        # a contact's geoms are the same in all steps; only they are returned, so the collision is not computed
+        # The geoms of a contact are the same in all steps. The program returns only them, so the compiler leaves out
+        # the collision itself.
         geom = np.asarray(jax.jit(lambda model, data: mjx.collision(model, data)._impl.contact.geom)(model, data))
         boxes = np.flatnonzero((np.asarray(model.geom_type)[geom] == mujoco.mjtGeom.mjGEOM_BOX).all(axis=1))
         self._rows = boxes.reshape(-1, POINTS_PER_BED)  # rows of the contacts of each pair

@@ -34,7 +34,7 @@ def middles(pose: Float[Array, "world box 7"], middle: Float[Array, "world box 3
 def tilt_deg(quat: Float[Array, "world box 4"]) -> Float[Array, "world box"]:
     """Angle between a box's z axis and the world's, degrees.
 
-    It is computed from half the angle: sin²(θ/2) = x² + y² of the unit quaternion. In float32, arccos of the rotated
+    The angle is computed from its half: sin²(θ/2) = x² + y² of the unit quaternion. In float32, arccos of the rotated
     axis' z component could not resolve angles below 0.02°.
     """
     sine = jnp.sqrt(quat[..., 1] ** 2 + quat[..., 2] ** 2)

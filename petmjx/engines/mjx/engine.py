@@ -34,7 +34,7 @@ MOST_WORLDS = 256
 """Largest number of worlds in a batch if the user does not set ``lanes``."""
 
 FEWEST_WORLDS = 8
-"""Smallest number of rows of a batch. Each number of rows needs its own program, which compiles for a minute."""
+"""Smallest number of rows of a batch. Each number of rows needs its own program, which takes a minute to compile."""
 
 
 @dataclass(frozen=True)
@@ -64,7 +64,7 @@ class ProgramKey:
 
 @dataclass(frozen=True)
 class Program:
-    """``BatchRollout.chunk`` as compiled program, with the model that it steps."""
+    """``BatchRollout.chunk`` as a compiled program, with the model that it steps."""
 
     model: PaddedModel
     chunk: Any
@@ -131,7 +131,7 @@ class MjxJaxEngine(Engine):
                     if not self._simulate(batch, sim, progress):
                         if most > 1:
                             most = max(room // 2, 1)
-                            progress.message = f"out of device memory, again with {most} worlds at once"
+                            progress.message = f"out of device memory: trying again with {most} worlds at once"
                             continue
                         batch = _load(jobs, batch_jobs, room, capacity, sim)
                         batch.give_up(rows, Flag.OUT_OF_MEMORY)
@@ -164,7 +164,7 @@ class MjxJaxEngine(Engine):
 
     def _go_on(self, batch: Batch, sim: Simulation, drive: str | None, progress: Progress) -> None:
         """Step the batch until no world is left in the placement or, with a drive, in the drive."""
-        # the placement needs no profiles; with their table, it would compile again for each shape of the table
+        # the placement needs no profiles; if it got their table, it would be compiled again for each shape of the table
         profiles = jnp.zeros((1, 1, 3)) if drive is None else batch.profiles
         program = self._program(batch, sim, drive, profiles, progress)
         worlds, capacity, _ = batch.worlds.half.shape

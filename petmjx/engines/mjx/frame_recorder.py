@@ -68,8 +68,8 @@ class Recorder:
         return not self._recorded
 
     def add(self, row: int, frames: Frames) -> None:
-        """Append frames of a world. They must be later than the world's earlier frames. They may have columns for more
-        boxes than the world has."""
+        """Append frames of a world. The frames must be later than the world's earlier frames, and may have columns for
+        more boxes than the world has."""
         n = self._jobs[row].scene.n_boxes
         self._recorded[row].append(frames._replace(pose=frames.pose[:, :n], top_force=frames.top_force[:, :n]))
 
@@ -99,7 +99,7 @@ class Recorder:
 
         Args:
             world: the last state of the world: one row, on the host.
-            time_s: returns the time after a step, s.
+            time_s: function that returns the time after a step, s.
         """
         frames = self._recorded.pop(row, None)
         if frames is None:

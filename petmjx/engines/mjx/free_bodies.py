@@ -59,7 +59,7 @@ def _without_carrier(worlds: Worlds, boards: int) -> Worlds:
 
 
 class _NoRules(Rules):
-    """Rules for ``BatchRollout`` that let boxes only move."""
+    """Rules for ``BatchRollout`` that do nothing, so that boxes only move."""
 
     def park(self, state: State) -> State:
         """Do nothing, since no box waits in the air."""

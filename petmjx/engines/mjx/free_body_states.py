@@ -14,7 +14,7 @@ from petmjx.world.free_bodies import FreeBodies
 from petmjx.world.job import ACCELERATION, Drive, Excitation, Job
 
 _HELD: Final = Drive(Excitation("held", ACCELERATION, np.zeros((0, 3))), scale=0.0, rest_s=0.0)
-"""A drive without excitation. It only holds the carrier, as all drives of this kind do."""
+"""A drive without excitation, which only holds the carrier, as all drives of this kind do."""
 
 
 def let_go(bodies: FreeBodies, sim: Simulation, rows: int, width: int) -> tuple[Worlds, State]:

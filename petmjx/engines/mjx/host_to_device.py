@@ -116,8 +116,8 @@ def padded_rows(count: int) -> int:
 
 
 def is_out_of_memory(error: Exception) -> bool:
-    """Whether an error of JAX, XLA or Warp reports that device memory ran out, or an error of Python that the host's
-    memory did."""
+    """Whether an error reports that memory ran out: device memory in an error of JAX, XLA or Warp, host memory in an
+    error of Python."""
     text = str(error).lower()
     return isinstance(error, MemoryError) or any(
         words in text for words in ("resource_exhausted", "out of memory", "failed to allocate")

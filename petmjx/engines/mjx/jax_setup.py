@@ -17,8 +17,8 @@ from petmjx.common.compile_caches import VARIABLES, cache_folder, why_not_writte
 from petmjx.common.machine import jax_devices
 
 MIN_COMPILE_S = 0.0
-"""Programs that compile faster than this are not kept, s. A run has about a hundred small programs, which together take
-some seconds to compile."""
+"""Programs that compile in less than this time, s, are not cached. A run has about a hundred small programs, which
+together take some seconds to compile."""
 
 CPU_COMPILER_OPTIONS = {
     # With the scheduler that is optimised for concurrency, programs of mjx-jax hang in XLA's thread pool

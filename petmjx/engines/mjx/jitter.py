@@ -13,7 +13,8 @@ from petmjx.options.simulation import Simulation
 
 
 def jitter_mask(state: State, sim: Simulation) -> Bool[Array, "world box"]:
-    """Whether each box trembles. Right after another placement, it is not known of any box."""
+    """Whether each box trembles. Right after a placement, no box counts as trembling, since too few looks have been
+    taken."""
     return (state.trembles == 1) & (state.tremble_looks > 2 * sim.quiet.tremble_looks)[:, None]
 
 

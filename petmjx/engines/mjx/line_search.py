@@ -20,10 +20,10 @@ def solve(model: Any, data: Any) -> Any:
     """``mjx.solve`` with this line search.
 
     Along a search direction v from u, the square of a contact's tangential force is u² + α·(2·u·v + α·v²). MJX (3.17:
-    mujoco/mjx/_src/solver.py, ``_LSPoint``) computes its root. If friction should vanish, as under a box that lands
-    flat, a Newton step has v = −u, and in float32 the square is slightly negative at the end of the step. Then cost and
-    slope are NaN, the search finds no better point, and the solver stops with an arbitrary force. So u² is raised here
-    until the square is not negative. The change is smaller than float32's rounding error.
+    mujoco/mjx/_src/solver.py, ``_LSPoint``) computes the root of this expression. If friction should vanish, as under a
+    box that lands flat, a Newton step has v = −u, and in float32 the square is slightly negative at the end of the
+    step. Then cost and slope are NaN, the search finds no better point, and the solver stops with an arbitrary force.
+    So u² is raised here until the square is not negative. The change is smaller than float32's rounding error.
 
     Args:
         model: the MJX model of one world.
@@ -35,7 +35,7 @@ def solve(model: Any, data: Any) -> Any:
 
 @contextmanager
 def _real_roots() -> Iterator[None]:
-    """In programs that are traced inside this context, the roots in the points of the line search are real numbers."""
+    """A context. In programs that are traced inside it, the roots in the points of the line search are real numbers."""
     point = _point_class()
     original, descriptor = point.create, vars(point)["create"]
 

@@ -37,8 +37,9 @@ LINE_SEARCH_ITERATIONS = 50
 
 PARKING_HEIGHT_M = 50.0
 PARKING_PITCH_M = 8.0
-"""Distance between boxes that are not yet placed. They hang in a row at ``PARKING_HEIGHT_M``. At this distance no two
-bounding spheres meet (the largest BED-BPP item is under 1 m), and float32 still resolves positions to 0.05 mm."""
+"""Distance between boxes that are not yet placed. These boxes hang in a row at ``PARKING_HEIGHT_M``. At this distance
+no two bounding spheres meet (the largest BED-BPP item is under 1 m), and float32 still resolves positions to 0.05
+mm."""
 
 
 def padded_template(
@@ -52,11 +53,11 @@ def padded_template(
     iterations: int,
     line_search_iterations: int,
 ) -> mujoco.MjModel:
-    """Compile the template: floor, a carrier of ``boards`` shapes, ``capacity`` boxes. Its sizes are nominal; overrides
-    replace them.
+    """Compile the template: floor, a carrier of ``boards`` shapes, ``capacity`` boxes. The template's sizes are
+    nominal; overrides replace them.
 
     Args:
-        boards: with 0, nothing touches the carrier.
+        boards: number of shapes of the carrier; with 0, nothing touches the carrier.
         held: whether the carrier has no joint instead of a free one (for profiles with a prescribed acceleration). A
             held carrier has the pose in its world's data.
     """
@@ -110,9 +111,9 @@ def override_fields(
 ) -> dict[str, Float[Array, "world ..."]]:
     """Model fields for each world, under the names that ``Model.tree_replace`` takes.
 
-    ``physics`` has the skin by which geoms are larger than boxes. ``model`` is the template's MJX model. Its values are
-    kept for the world body and the floor, which are the same in all worlds. With ``gives``, contacts of compliant boxes
-    get their own laws.
+    ``physics`` has the skin by which geoms are larger than boxes. ``model`` is the template's MJX model. The model's
+    values are kept for the world body and the floor, which are the same in all worlds. With ``gives``, contacts of
+    compliant boxes get their own laws.
 
     Derived fields are computed as in MuJoCo's compiler. ``body_invweight0`` and ``dof_invweight0`` of a free body are
     1/m and the mean of 1/I. ``geom_rbound`` is the half diagonal. Tests check all of them against the compiler.

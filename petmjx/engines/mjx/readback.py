@@ -18,7 +18,8 @@ from petmjx.engines.mjx.world_state import State, take_rows
 from petmjx.options.simulation import Simulation
 
 READ_BACK_ROWS: Final = 256
-"""Number of rows that are read back at a time; a smaller table has fewer. Each number of rows needs its own program."""
+"""Number of rows that are read back at a time; a smaller table has fewer rows. Each number of rows needs its own
+program."""
 
 
 class Readback(NamedTuple):

@@ -1,4 +1,4 @@
-"""Gathers rows of tables that are repeated, as for many drives that start from one placement."""
+"""Gathers rows of tables if the same rows are needed many times, as for many drives that start from one placement."""
 
 from __future__ import annotations
 
@@ -12,12 +12,14 @@ from numpy.typing import NDArray
 from petmjx.common.processes import on_threads
 
 MANY: Final = 1_000
-"""Number of rows from which on several threads are worthwhile. NumPy releases the interpreter's lock meanwhile."""
+"""From this number of rows on, several threads are faster than one: NumPy releases the interpreter's lock while it
+copies.
+"""
 
 MOST_THREADS: Final = 8
 
 
 def gather_rows(arrays: Iterable[NDArray[Any]], source: NDArray[np.int64]) -> list[NDArray[Any]]:
-    """The rows with the numbers ``source`` of each array. Many of these numbers are equal."""
+    """For each array, the rows whose numbers are in ``source``. Many of these numbers are equal."""
     threads = MOST_THREADS if len(source) >= MANY else 1
     return on_threads(partial(np.take, indices=source, axis=0), [*arrays], threads)

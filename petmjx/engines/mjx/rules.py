@@ -1,7 +1,7 @@
 """The rules of a run, applied after each step of all worlds: sampling, placing, resting, ending (docs/rules.md).
 
-They are pure functions of states. This module does not depend on how a step is computed. The engine ``mujoco`` has its
-own implementation of the same rules.
+The rules are pure functions of states. This module does not depend on how a step is computed. The engine ``mujoco`` has
+its own implementation of the same rules.
 """
 
 from __future__ import annotations
@@ -255,7 +255,8 @@ class Rules:
         tilted = looked & (tilt > limits.tilt_deg)
         lost = dropped | (tilted & worlds.ends_when_lost[:, None])
         if looks:
-            first = jnp.arange(self.capacity)[None] == m.culprit[:, None]  # the culprit found at an earlier look
+            # marks the box that is the culprit of an earlier look
+            first = jnp.arange(self.capacity)[None] == m.culprit[:, None]
             lost |= tilted & first & (m.sway(pos) >= worlds.allowed_sway[:, None])
         stopped = lost.any(-1) & self.sim.early_stop & ~last
         flags = jnp.where(exploded, int(Flag.EXPLOSION), 0) | jnp.where(stopped, int(Flag.EARLY_STOP), 0)
@@ -273,7 +274,8 @@ class Rules:
         creeps.
 
         A pallet is quiet after ``quiet.steps`` steps if no box creeps. Trembling boxes are ignored, but the count
-        restarts at 0 when boxes are found to tremble. Trembling is looked for in worlds whose waits adapt.
+        restarts at 0 when boxes are found to tremble. Trembling is looked for only in worlds whose waits end as soon as
+        the pallet is quiet.
 
         Returns:
             The states, and whether each pallet is quiet.
@@ -348,8 +350,8 @@ class Rules:
         return self._adaptive and self.sim.waits_for_rest
 
     def _rests_in_drive(self, state: State) -> Bool[Array, " world"]:
-        """Whether each drive can end early if its pallet is quiet. A rest window that begins now must be over when the
-        last possible one would begin."""
+        """Whether each drive can end early if its pallet is quiet. A rest window that begins now must end before the
+        last possible rest window would begin."""
         early = (state.end != NEVER) & (state.step <= state.end - 2 * self.timetable.rest_steps)
         return early & (self.driven and self._rests_first)
 

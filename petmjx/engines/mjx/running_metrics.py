@@ -25,8 +25,8 @@ class Sample(NamedTuple):
     Attributes:
         sampled: whether the box has a sample in this step.
         presses: whether the force on the box's top counts.
-        tilts: whether the box's tilt counts; it also does at a look in a drive.
-        looked: whether the box is checked; it also is at the end of its world.
+        tilts: whether the box's tilt counts. Tilts also count at looks in a drive.
+        looked: whether the box is checked. Boxes are also checked at the end of their world.
         rested: whether the box is in a rest window; ``rests`` marks the worlds whose steps are counted.
     """
 
@@ -87,8 +87,8 @@ class Metrics(NamedTuple):
         return jnp.sqrt(((pos[..., :2] - self.sway_anchor) ** 2).sum(-1))
 
     def has_failed(self, thresholds: Thresholds) -> Bool[Array, " world"]:
-        """Whether a box has failed irreversibly: it has dropped, or was tilted too far at a look. A shift is not
-        irreversible: it is judged at rest, and may decrease until then."""
+        """Whether a box has failed irreversibly: it has dropped, or was tilted too far at a look. A shift does not
+        count as irreversible, since it is judged at rest and may decrease until then."""
         failed = (self.drop_step >= 0) | (self.max_tilt > thresholds.tilt_deg)
         return (self.culprit >= 0) & failed.any(-1)
 

@@ -20,7 +20,7 @@ class SlipLaw:
     """The law of sliding contacts, for elliptic cones. Rows of open contacts are zeros and stay zeros.
 
     Args:
-        model_of: returns a world's model, given its fields.
+        model_of: function that returns a world's model, given its fields.
     """
 
     def __init__(self, physics: Physics, model_of: Callable[[Any], Any]) -> None:

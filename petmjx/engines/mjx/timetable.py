@@ -1,8 +1,8 @@
 """The timetable of a run in whole steps. The steps are the same as in the reference implementation.
 
 MuJoCo's clock is a float64 running sum of the timestep. An event happens after the first step at which ``time − earlier
-time ≥ interval``. The batched engines count steps as integers. These tables give them the results of the float64
-comparisons.
+time ≥ interval``. The batched engines count steps as integers. These tables give these engines the results of the
+float64 comparisons.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from petmjx.options.simulation import Check, Simulation
 from petmjx.world.approach_paths import MOST_STUCK_S, MOST_WAY_S
 
 KEPT: Final = 8
-"""Number of timetables that are kept. Each takes up to 20 bytes per step: 25 MB for 250 boxes."""
+"""Number of timetables that are kept. Each timetable takes up to 20 bytes per step: 25 MB for 250 boxes."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -29,8 +29,9 @@ class Timetable:
     Attributes:
         clock: time after each step, s.
         due: a wait of ``interval_s`` that begins after step s ends at step ``due[s]``.
-        longest: the same for ``longest_wait_s``.
-        settled: the same for ``settle_s``. The time of the end on the clock is converted to steps.
+        longest: as ``due``, for waits of ``longest_wait_s``.
+        settled: as ``due``, for waits of ``settle_s``. Rounding differs: the time (clock + ``settle_s``) is converted
+            to whole steps.
         settled_nominally: by number of boxes, the step after which a drive starts with the fixed schedule. The
             reference counts from the nominal moment of the last placement; rounding to steps delays the real moment a
             little.

@@ -39,11 +39,13 @@ def pressed_box(
     geom_z: Float[Array, "*batch 2"],
     normal_z: Float[Array, "*batch"],
 ) -> tuple[Int[Array, "*batch"], Float[Array, "*batch"], Bool[Array, "*batch"]]:
-    """The box on which a contact presses: the partner whose centre is lower. ``body``: boxes, or negative numbers.
+    """The box on which a contact presses: the partner whose centre is lower. ``body``: numbers of boxes, or negative
+    numbers.
 
     Returns:
-        The number of the box (negative for carrier and floor); the sign that turns the force on the second geom into a
-        downward force on the lower geom; and whether the contact is vertical and its lower partner is a box.
+        Three values: the number of the box (negative for carrier and floor); the sign that turns the force on the
+        second geom into a downward force on the lower geom; and whether the contact is vertical and its lower partner
+        is a box.
     """
     first_is_lower = geom_z[..., 0] < geom_z[..., 1]
     box = jnp.where(first_is_lower, body[..., 0], body[..., 1])

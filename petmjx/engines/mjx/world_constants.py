@@ -37,14 +37,15 @@ class Worlds(NamedTuple):
     (cos, sin). ``profile_steps`` is the number of samples of the drive. ``drive_steps`` is the number of steps until
     the world's end, unless the world rests earlier. ``allowed_sway``, m, is the drive's allowed sway.
 
-    Ends: ``settles``: the placement ends in a settled state, for a drive or to keep. ``ends_when_lost``: see
-    ``has_errors`` of ``petmjx.world.job.Job``. ``pauses``: when its boxes are at rest, the world waits for further
-    boxes (petmjx/engines/open_worlds.py). ``ends_when_gone``: the world is a trial, which ends when a box is gone.
+    Ends: ``settles``: the placement ends in a settled state, from which a drive starts or which is kept.
+    ``ends_when_lost``: see ``has_errors`` of ``petmjx.world.job.Job``. ``pauses``: when its boxes are at rest, the
+    world waits for further boxes (petmjx/engines/open_worlds.py). ``ends_when_gone``: the world is a trial, which ends
+    when a box is gone.
 
     Placing: ``start`` is the release pose of a box if its ``support`` is at its planned place. The release follows the
     support by at most ``most_followed``, m (petmjx/world/release_places.py). ``appears``: all boxes begin at ``start``.
-    Carried boxes begin at an offset of ``way_offset`` from it. Their path has ``way_steps`` steps; 0 if they fall. At
-    the end of the path, boxes are set down, unless they are released to fall (petmjx/world/approach_paths.py).
+    Carried boxes begin at an offset of ``way_offset`` from ``start``. Their path has ``way_steps`` steps; 0 if they
+    fall. At the end of the path, boxes are set down, unless they are released to fall (petmjx/world/approach_paths.py).
     ``hand_force``, N, and ``hand_speed``, m/s, are a hand's limits. ``way_aside``, m, is how far a box may start to the
     side, towards the low and the high end of x and y. ``wrap_press`` and ``wrap_hold``, N, are the forces of film
     (petmjx/world/film.py).
@@ -119,8 +120,8 @@ def upload_worlds(
     sim: Simulation,
     boards: int = 1,
 ) -> Worlds:
-    """Constants of a group of jobs, as device arrays. They are made on the host: on a device, each operation would
-    first have to be compiled for each shape.
+    """Constants of a group of jobs, as device arrays. The constants are made on the host: on a device, each operation
+    would first have to be compiled for each shape.
 
     Args:
         rows: number of rows of the tables, at least one per job. Spare rows repeat the first job's scene and never run.

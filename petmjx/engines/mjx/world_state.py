@@ -18,14 +18,14 @@ from petmjx.options.simulation import SOFT_START_STEPS
 from petmjx.world.scene import IDENTITY_QUAT
 
 NEVER = np.iinfo(np.int32).max
-"""A step that is never reached. It also stands for an end that is not yet known."""
+"""A step that is never reached. The value also stands for an end that is not yet known."""
 
 SOFT_START_BEGIN = -2 * SOFT_START_STEPS
 """Step counter of a fresh world: the steps of the soft start come before step 0."""
 
 
 class Status:
-    """The phases of a world. They are plain integers, since device arrays store them."""
+    """The phases of a world. The phases are plain integers, since device arrays store them."""
 
     RUNNING = 0
     SETTLED = 2

@@ -265,7 +265,8 @@ def _moments(lines: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray, Flo
     """Values of the region inside all lines: (p,) area, (p,) area without the last line, (p,) largest distance of the
     region from the last line, (p, 2) centroid, and (p, 2, 2) root of the second moments per area.
 
-    Each edge is a line that all other lines cut off; area and moments are sums over edges (Green's theorem).
+    Each edge of the region is the part of a line that lies inside all other lines. Area and moments are sums over edges
+    (Green's theorem).
 
     Args:
         lines: (p, k, 3) in the form that ``_sides`` fills in.

@@ -13,7 +13,8 @@ def shift(pos: FloatArray, target: FloatArray, floor_m: float, sinks_m: FloatArr
     """(…, n, 3) displacements from the planned centres, m; components smaller than ``floor_m`` count as 0.
 
     Args:
-        sinks_m: (n,) expected descent of each box, m. It does not count as displacement. None: no descent is expected.
+        sinks_m: (n,) expected descent of each box, m. This descent does not count as displacement. None: no descent is
+            expected.
     """
     delta = pos - target
     if sinks_m is not None:
@@ -54,7 +55,7 @@ def excess(shift_m: FloatArray, tilt: FloatArray, dropped: NDArray[np.bool_], th
 
 
 def speed(vel: FloatArray, radius_m: FloatArray) -> FloatArray:
-    """(n,) speed of each box's fastest point, m/s. It is an upper bound: ‖v‖ + r·‖ω‖.
+    """(n,) speed of each box's fastest point, m/s. The value is an upper bound: ‖v‖ + r·‖ω‖.
 
     Args:
         vel: (n, 6) velocities of the centres, m/s, and angular velocities, rad/s.

@@ -22,7 +22,7 @@ LONG_S: Final = 5.0
 """Wall-clock time after which the progress of a single world is shown, s."""
 
 SLOW_S: Final = 0.05
-"""If two checks of the budget are at least this far apart, each step checks it, s."""
+"""If the time between two checks of the budget is at least this long, the budget is checked at each step, s."""
 
 
 class Budget:
@@ -54,7 +54,7 @@ class Budget:
         self.slow, self._last_s = now_s - self._last_s >= SLOW_S, now_s
         if now_s - self._begin_s <= self._most_s:
             return False
-        if not self._is_exact:  # most worlds end before this
+        if not self._is_exact:  # few worlds need the exact limit
             self._is_exact = True
             soft = self._job.scene.soft is not None
             expected_s = float(MEASURED.of_jobs([self._job], self._sim)[0])

@@ -37,7 +37,7 @@ class ActingDrive:
             self._film = ActingFilm(scene, timestep_s, live.from_carrier()[0])
 
     def next_change(self, step: int) -> int:
-        """The first step after this one before which another row, or film, has to be set."""
+        """The next step before which another row, or film, has to be set."""
         if self._film is not None:
             return step + 1
         place = int(np.searchsorted(self._changes, step, side="right"))

@@ -22,7 +22,7 @@ apart because of the size reduction, and a few of them stand on boxes of differe
 
 
 def body_order(scene: Scene, n_boxes: int, contacts: NDArray[np.integer], shaken: bool) -> NDArray[np.intp]:
-    """(n_boxes,) the first boxes, in the cheapest order of their bodies.
+    """(n_boxes,) the first boxes of the plan, in that order of their bodies for which factorisations are cheapest.
 
     MuJoCo eliminates the last body first. The carrier, which touches a whole layer, is always the first body.
 
@@ -42,7 +42,7 @@ def _may_touch(centre: FloatArray, half: FloatArray, beside_m: float) -> NDArray
 
     Args:
         centre, half: (k, 3) centres and half extents, m.
-        beside_m: largest gap between the two along x and along y, m; with 0, they must overlap there.
+        beside_m: largest gap between two boxes along x and along y, m; with 0, the boxes must overlap along both axes.
     """
     gap = np.abs(centre[:, None] - centre) - (half[:, None] + half)
     return np.asarray((gap < (beside_m, beside_m, NEAR_M)).all(axis=2))

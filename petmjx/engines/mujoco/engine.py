@@ -32,7 +32,8 @@ LOOK_S: Final = 0.25
 
 
 class MujocoEngine(Engine):
-    """Simulates each world alone, on its exact model. It is the oracle, and the fastest engine without a GPU.
+    """Simulates each world alone, on its exact model. This engine is the oracle, and without a GPU it is the fastest
+    engine for little work.
 
     ``mj_step`` takes all steps up to the next event without the GIL, so threads scale with cores. A world's outcome
     does not depend on the number of threads.

@@ -78,7 +78,7 @@ class WorldRecorder:
         """All frames, as a history.
 
         Args:
-            time_s: returns the time after a step, s.
+            time_s: function that returns the time after a step, s.
             driven_from: the step after which the drive began; None: there is no drive.
         """
         frames = self._frames

@@ -57,8 +57,8 @@ class Hand:
         return self.short_m > MISSED_M
 
     def has_let_go(self, pose: FloatArray, slow: bool) -> bool:
-        """Whether the hand releases the box after this step. It does once the box has arrived and is at rest. Unless
-        the box is meant to fall, it is set down first.
+        """Whether the hand releases the box after this step. The box must have arrived and be at rest. Unless the box
+        is meant to fall, it is set down first.
 
         Args:
             pose: (7,) pose of the box's frame, m and quaternion.

@@ -36,7 +36,9 @@ class Jitter:
     away_m: FloatArray | float = 0.0
 
     def which(self, n: int) -> NDArray[np.bool_]:
-        """(n,) whether each of the n placed boxes trembles. After another placement, it is not known of any box."""
+        """(n,) whether each of the n placed boxes trembles. Right after a placement, no box counts as trembling, since
+        too few looks have been taken.
+        """
         return self.boxes if len(self.boxes) == n else np.zeros(n, bool)
 
     def after_look(self, sim: Simulation, pose: FloatArray, speed_m_s: FloatArray, radius_m: FloatArray) -> Self:

@@ -1,4 +1,4 @@
-"""Contact law of landing boxes on C MuJoCo. It stops boxes that arrive fast, or lets them bounce. The law:
+"""Contact law of landing boxes on C MuJoCo. The law stops boxes that arrive fast, or lets them bounce. The law:
 petmjx/world/contact_laws.py."""
 
 from __future__ import annotations
@@ -17,8 +17,8 @@ from petmjx.world.mujoco_model import geom_surfaces
 from petmjx.world.scene import Scene
 
 CALM_M_S2 = 0.5
-"""Largest root of the sum of squares of all accelerations, m/s² and rad/s², at which many steps are taken together. In
-five steps, a box then becomes faster by at most 5 mm/s."""
+"""Many steps are taken together while the root of the sum of squares of all accelerations, m/s² and rad/s², is at most
+this. In five steps, a box then becomes faster by at most 5 mm/s."""
 
 
 class MovingWorld(Protocol):

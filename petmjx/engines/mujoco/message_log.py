@@ -11,8 +11,8 @@ import mujoco
 class QuietMujoco:
     """Stops MuJoCo from printing, and from writing MUJOCO_LOG.TXT into the current folder, while a run is active.
 
-    MuJoCo's messages (bad numbers, full buffers) are read from its data instead, and become flags in the results. The
-    setting applies to the whole process: the first run changes it, and the last one restores it.
+    MuJoCo's messages (bad numbers, full buffers) are read from its data instead, and become flags in the results. This
+    setting applies to the whole process. The first run changes the setting, and the last run restores it.
     """
 
     def __init__(self) -> None:

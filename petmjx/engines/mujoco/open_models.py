@@ -64,8 +64,8 @@ class Templates:
 
     @classmethod
     def of(cls, sim: Simulation) -> Templates | None:
-        """The templates for these options; None if models must be compiled. That is so for boxes without a skin, since
-        MuJoCo computes their inertia. It is also so with pyramidal cones, since waiting boxes are in the model."""
+        """The templates for these options; None if models must be compiled. They must be compiled for boxes without a
+        skin, since MuJoCo computes their inertia, and with pyramidal cones, since waiting boxes are in the model."""
         physics = sim.physics
         return cls(sim) if physics.has_own_friction and physics.skin_m > 0 else None
 

@@ -80,7 +80,7 @@ class OpenWorld(WorldRun):
 
     def tried(self, scene: Scene, *, until_lost: bool = False) -> Reading:
         """Put the additional boxes of this scene into a fork, and return the fork's reading once they are at rest. With
-        ``until_lost``, return it once a box is tilted too far at a sample, or gone at a look for quiet."""
+        ``until_lost``, return the reading once a box is tilted too far at a sample, or gone at a look for quiet."""
         twin = self.fork(grows=self.paused)
         twin._job, twin._until_gone = replace(twin._job, has_errors=until_lost), until_lost
         twin.put(scene)
@@ -120,7 +120,7 @@ class OpenWorld(WorldRun):
         return self._outcome(came_to_end=not self.ended and self._loop())
 
     def _lingers(self) -> bool:
-        """Whether the world paused because its time was up, and still moves. Then its last wait may be longer."""
+        """Whether the world paused because its time was up, and still moves. If so, its last wait may be longer."""
         return not (self._quiet.holds or self._metrics.has_failed) and self._waits.lasts_longer(self._step)
 
     def _leave_pause(self) -> None:
@@ -130,8 +130,8 @@ class OpenWorld(WorldRun):
             self._keep_still_pose()
 
     def read(self) -> Reading:
-        """The reading of the world. It has ``Flag.MOVING`` if the world paused because its time was up, although it was
-        not at rest."""
+        """The reading of the world. The reading has ``Flag.MOVING`` if the world paused because its time was up,
+        although it was not at rest."""
         live, k = self._live, self._live.n_placed
         pose = live.pose[:k]
         moves = self.paused and not (self._quiet.holds or self._metrics.has_failed)
@@ -157,7 +157,7 @@ class MujocoWorlds(OpenWorlds):
     """Open worlds on CPU threads.
 
     Args:
-        scenes: the scenes of the worlds, which start at once.
+        scenes: the scene of each world. All worlds start immediately.
         threads: number of worlds that are simulated at the same time.
     """
 

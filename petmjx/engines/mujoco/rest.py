@@ -81,11 +81,11 @@ class QuietRule:
 
     def motion(self, before: FloatArray, after: FloatArray, velocity: FloatArray, seconds: float) -> tuple[bool, bool]:
         """Two answers: whether any point of a box moved, or moves now, faster than ``still_m_s``; and whether the world
-        has to wait because of such boxes. It does not wait for trembling boxes slower than ``slow_m_s``.
+        has to wait because of such boxes. The world does not wait for trembling boxes slower than ``slow_m_s``.
 
         Args:
-            before, after: (k, 7) poses, ``seconds`` apart. A rocking box that reversed between them has hardly moved on
-                average.
+            before, after: (k, 7) poses, ``seconds`` apart. A rocking box that reversed between these poses has hardly
+                moved on average.
             velocity: (k, 6) current velocities.
         """
         rule, radius = self._rule, self._radius_m[: len(after)]

@@ -99,8 +99,9 @@ class OracleMetrics:
         return self.culprit >= 0 and (self.any_dropped or bool(tilted.any()))
 
     def tells_all(self, job: Job, pos: FloatArray, quat: FloatArray, culprit: int) -> bool:
-        """Whether it is certain that the pallet falls, so that its world can end. That is so if a box has dropped; in
-        worlds with errors, if one of the k placed boxes is lost in these poses; in a drive, if the culprit is lost.
+        """Whether it is certain that the pallet falls, so that its world can end. The pallet falls for certain if a box
+        has dropped; in worlds with errors, also if one of the k placed boxes is lost in these poses; in a drive, also
+        if the culprit is lost.
 
         Args:
             culprit: the culprit found at an earlier look; -1: there is none, or it does not end a drive.
@@ -195,8 +196,8 @@ class OracleMetrics:
         return self.any_dropped or bool(lost.any())
 
     def begin_drive(self, pos: FloatArray, quat: FloatArray) -> None:
-        """Start a profile, with the k boxes in these poses. Sway is measured from these poses, and rest at the end of
-        the profile.
+        """Start a profile, with the k boxes in these poses. Sway is measured from these poses. Rest is judged at the
+        end of the profile.
 
         If no box is beyond a threshold now, signs from the placement (such as a hard landing) are forgotten. The first
         sign is then the first one during the profile.
@@ -217,7 +218,7 @@ class OracleMetrics:
         """
         n = self._scene.n_boxes
         placed = slice(n_placed)
-        with np.errstate(invalid="ignore"):  # poses of a world with NaN
+        with np.errstate(invalid="ignore"):  # poses may contain NaN
             np.fmax(self.max_tilt_deg[placed], tilt_deg(quat[placed]), out=self.max_tilt_deg[placed])
         rest_force_n = self._rest_sum_n / self._rest_steps if came_to_end and self._rest_steps else np.full(n, np.nan)
         return BoxMetrics.measured(

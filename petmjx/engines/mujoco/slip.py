@@ -27,8 +27,8 @@ from petmjx.world.friction_pairs import USUAL
 
 LOOK_STEPS = 5
 """Number of steps between two checks for motion. A pallet at rest takes many steps in one call of C, without the
-interpreter's lock. A body that begins to slip between two checks has a speed of at most 0.1 m/s at the second one. This
-does not lift a contact out of its soft onset."""
+interpreter's lock. A body that begins to slip between two checks has a speed of at most 0.1 m/s at the second one. Such
+a speed does not lift a contact out of its soft onset."""
 
 SLOW_M_S = STICKS_M_S / 4
 """Largest norm of all velocities at which no contact slides. All points of a body within 1.7 m of its centre are then
@@ -36,7 +36,7 @@ slower than half of ``STICKS_M_S``."""
 
 
 class SlipLaw:
-    """The law of sliding contacts for worlds with these physics.
+    """The law of sliding contacts for worlds with this physics.
 
     Args:
         pair_kinetic: see ``petmjx.world.scene.Scene``.

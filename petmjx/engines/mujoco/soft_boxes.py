@@ -1,8 +1,8 @@
 """A MuJoCo world with soft boxes (petmjx/world/soft_boxes.py), for the rules of ``WorldRun``.
 
-The rules measure the rigid box that best fits the points of a soft box. It has their centre of mass, the rotation with
-the least squares (Kabsch, "A solution for the best rotation to relate two sets of vectors", 1976), and their momentum
-and angular momentum.
+The rules measure the rigid box that best fits the points of a soft box. This rigid box has the points' centre of mass,
+momentum and angular momentum, and the rotation with the least squares (Kabsch, "A solution for the best rotation to
+relate two sets of vectors", 1976).
 """
 
 from __future__ import annotations
@@ -39,7 +39,8 @@ class SoftState:
 
 
 class SoftWorld(LiveWorld):
-    """A ``LiveWorld`` with soft boxes, which do not fit into its one row per body.
+    """A ``LiveWorld`` with soft boxes. A soft box has many bodies, so it does not fit into the one row that
+    ``LiveWorld`` has for each box.
 
     A box is in the model only once it is placed. Boxes are placed exactly.
     """
@@ -242,8 +243,8 @@ class SoftWorld(LiveWorld):
         return SoftState(self.data.qpos.copy(), self.data.qvel.copy(), self.data.qacc_warmstart.copy())
 
     def _put(self, state: SoftState, skip_q: int = 0, skip_v: int = 0) -> None:
-        """Adopt the state of a world with the same boxes, or fewer. ``skip_q``, ``skip_v``: how many numbers of its
-        carrier to leave out."""
+        """Adopt the state of a world with the same boxes, or fewer. ``skip_q``, ``skip_v``: how many values of that
+        world's carrier are left out of qpos and qvel."""
         data = self.data
         data.qpos[: len(state.pos) - skip_q] = state.pos[skip_q:]
         data.qvel[: len(state.velocity) - skip_v] = state.velocity[skip_v:]

@@ -15,8 +15,8 @@ from petmjx.engines.mujoco.top_forces import top_force_inputs
 from petmjx.options.simulation import Simulation
 
 _RESTLESS_SQUARE = 0.5 * RESTLESS_M_S**2
-"""Largest sum of squares of all speeds, m/s and rad/s, at which no point within 1 m of its box's centre is faster than
-``RESTLESS_M_S``."""
+"""If the sum of squares of all speeds, m/s and rad/s, is at most this, no point within 1 m of its box's centre is
+faster than ``RESTLESS_M_S``."""
 
 
 class Stepper:

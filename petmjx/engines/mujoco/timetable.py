@@ -46,7 +46,7 @@ class Waits:
 
     @property
     def _is_plain_static(self) -> bool:
-        """Whether this is a static check without a drive. Its length is the option ``duration_s``."""
+        """Whether this is a static check without a drive. The length of such a check is the option ``duration_s``."""
         return self._static and not self.settles
 
     def begin(self, step: int, n_boxes: int, all_placed: bool, restless: bool) -> None:
@@ -64,8 +64,8 @@ class Waits:
         self._latest = self.longest_wait if self._patient and not restless else self._latest_after(step)
 
     def lasts_longer(self, step: int) -> bool:
-        """Whether a short wait would continue after this step if it were the last one. Waits are short if an earlier
-        wait ended with a moving world."""
+        """Whether this wait would continue after this step if it were the last wait of the world. (The last wait is
+        long; other waits are short if an earlier one ended with a moving world.)"""
         return self._patient and step < self.longest_wait
 
     def deadline(self, sign_step: int | None) -> int:

@@ -22,9 +22,9 @@ VERTICAL_COSINE = math.cos(math.radians(45.0))
 def contact_normal_and_tangents(data: mujoco.MjData, pyramidal: bool) -> tuple[NDArray[np.intp], FloatArray]:
     """Forces of the contacts that have constraint rows.
 
-    Pyramidal rows are forces along the four edges of the cone. The normal part is their sum, and each tangential part
-    is the difference of its two edges × friction. Elliptic rows are the force itself. All contacts have condim 3.
-    Source: as in ``petmjx.engines.mjx.top_forces.contact_force_z``.
+    Pyramidal rows are forces along the four edges of the cone. The normal part is the sum of these forces, and each
+    tangential part is the difference of the forces along two edges × friction. Elliptic rows are the components of the
+    force itself. All contacts have condim 3. Source: as in ``petmjx.engines.mjx.top_forces.contact_force_z``.
 
     Returns:
         (k,) indices of these contacts, and (k, 3) forces of geom 1 on geom 2 in the contact frame (normal, tangents),
@@ -106,7 +106,7 @@ class TopForceInputs(NamedTuple):
         force: (nefc,) forces of all constraint rows, N.
         place: (ngeom, 3) centres of the geoms, m.
         bodies: (ngeom,) bodies of the geoms, see ``petmjx.world.mujoco_model.geom_bodies``.
-        n_boxes: number of boxes that count, from the first one on.
+        n_boxes: number of boxes whose forces are computed: the first ones.
     """
 
     address: NDArray[np.integer]
@@ -133,7 +133,7 @@ def largest_top_forces(steps: Sequence[TopForceInputs], n_boxes: int) -> FloatAr
     number = np.repeat(np.arange(len(steps)), contacts)
     first_row = np.cumsum([0, *(len(step.force) for step in steps[:-1])])
     normal_z = frame[:, 2]
-    # most contacts are between neighbours or have level normals, and have no effect on tops
+    # most contacts have no effect on tops: they have no constraint rows, or their normals are nearly horizontal
     pressing = np.flatnonzero((address >= 0) & (np.abs(normal_z) >= VERTICAL_COSINE))
     number, geom, frame_z = number.take(pressing), geoms.take(pressing, axis=0), frame.take(pressing, axis=0)[:, 2::3]
     row = address.take(pressing) + first_row.take(number)

@@ -236,7 +236,8 @@ class WorldRun:
         quiet = self._look_for_quiet() and self._waits.adapts
         enough = self._sim.waits_for_rest or self._step - self._waits.since >= self._sim.quiet.landing_steps
         if self._waits.in_drive and self._step > self._end - 2 * self._rest_steps:
-            # It is too late for another rest window, which would still run when the last one must start.
+            # It is too late for another rest window: it would still run at the step at which the last possible rest
+            # window must start.
             self._waiting = False
         elif (quiet and enough) or self._step >= self._waits.deadline(self._sign):
             self.paused = self._pauses and self._live.n_placed == self._scene.n_boxes

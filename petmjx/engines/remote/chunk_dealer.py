@@ -1,4 +1,4 @@
-"""Deals chunks of jobs to workers, and deals the jobs of dead workers again. It does not depend on Ray."""
+"""Deals chunks of jobs to workers, and deals the jobs of dead workers again. This module does not depend on Ray."""
 
 from __future__ import annotations
 
@@ -35,22 +35,22 @@ class Chunk:
 
 
 class Deal:
-    """Hands out jobs, longest first, until each job is answered or given up.
+    """Hands out jobs to workers, the longest first, until each job is answered or given up.
 
     For engines that simulate job after job, chunks get smaller towards the end, down to single jobs. For engines that
     simulate worlds side by side, all chunks have equal size and a similar mix of jobs. There are no more chunks than
     are needed to keep all workers busy, since the device is nearly idle at the end of each chunk.
 
     The first death of a worker may have an outside cause, so its jobs are dealt again like other jobs. Jobs whose
-    worker has died twice wait until no other jobs are left. Then they run in small pieces of √n jobs, and after another
-    death one by one. A job that was alone in a worker when the worker died is given up.
+    worker has died twice wait until no other jobs are left. Then these jobs run in small pieces of √n jobs, and after
+    another death one by one. A job that was alone in a worker when the worker died is given up.
 
     Args:
         costs: (n,) expected time of each job, in any unit.
         slots: number of chunks that are simulated at the same time, over all workers.
         group: largest number of jobs of a chunk, for an engine that simulates worlds side by side; None: the engine
             simulates job after job.
-        least: with ``group``: fewer jobs than this are not divided among workers.
+        least: used with ``group``: if there are fewer jobs than this, one worker gets all of them.
         deadly: jobs that were alone in a worker that died.
     """
 

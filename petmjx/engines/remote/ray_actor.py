@@ -1,4 +1,5 @@
-"""The code of a worker's process: it runs chunks on an engine and reports their outcomes. It also works without Ray."""
+"""The code of a worker's process: it runs chunks on an engine and reports their outcomes. The code also works without
+Ray."""
 
 from __future__ import annotations
 

@@ -55,8 +55,8 @@ _SKIPPED_LINES = "RAY_DEDUP_LOGS_SKIP_REGEX"
 
 
 def import_ray() -> Any:
-    """Import the package Ray. If it was not imported before, Ray will not report dead workers on standard output, which
-    is only for results.
+    """Import the package Ray. If the package was not imported before, Ray will not report dead workers on standard
+    output, which is only for results.
 
     Raises:
         EngineUnavailable: Ray is not installed, or cannot be imported.
@@ -190,7 +190,7 @@ class _LocalRay:
                 if isinstance(error, ConnectionError) and self.address == AUTO:
                     raise InputError("ray: no cluster on this machine: name its head (HOST:PORT)") from error
                 if isinstance(error, ConnectionError) and self.address is not None:
-                    hint = "a cluster that wants a token needs RAY_AUTH_MODE=token"
+                    hint = "if the cluster requires a token, set RAY_AUTH_MODE=token"
                     raise InputError(f"ray: no cluster at {self.address} ({one_line(error)}; {hint})") from error
                 raise EngineUnavailable(f"workers cannot run here: Ray does not start: {one_line(error)}") from error
 
@@ -223,7 +223,8 @@ def _check_reachable(address: str) -> None:
 
 
 class Cluster:
-    """One user of this process's cluster. Ray allows one cluster per process. It ends when its last user closes it.
+    """One user of this process's cluster. Ray allows one cluster per process. The cluster ends when its last user
+    closes it.
 
     If the caller's own program has already started Ray, that cluster is used, and is not ended.
 

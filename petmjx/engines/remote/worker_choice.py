@@ -141,7 +141,7 @@ def _pool_choice(options: RunOptions, nodes: list[Node], work: Work, costs: Cost
     if options.threads is not None and workers != AUTO:
         threads = options.threads * int(workers)
     gpus = sum(node.gpus for node in nodes)
-    used = gpus if workers == AUTO else min(gpus, int(workers))  # workers that share a GPU count only once
+    used = gpus if workers == AUTO else min(gpus, int(workers))  # a GPU that workers share counts only once
     seconds = costs.seconds(work, max(threads, 1), max(used, 1))
 
     def why_no_gpu() -> str | None:
@@ -163,7 +163,7 @@ def _why_no_gpu(options: RunOptions, nodes: list[Node]) -> str | None:
 
 
 def _pool(name: str, options: RunOptions, cluster: Cluster) -> WorkerPool:
-    """A pool whose workers start at once."""
+    """A pool of workers, which start immediately."""
     assert options.asked_workers is not None
     limits = options_of(name, options)
     worker_places = places(name, cluster.nodes, options.asked_workers, limits.pop("threads", None))

@@ -31,15 +31,15 @@ LOOK_S = 0.25
 """Longest wait for messages from workers, s. After each wait, signals are noticed and progress is updated."""
 
 START_S = 30.0
-"""Longest wait for the first worker while the engine is made, s. So it is known before a run begins if an engine cannot
-run here. A busy cluster may need longer; the run then begins anyway, and waits."""
+"""Longest wait for the first worker while the engine is made, s. The wait shows before a run begins whether the engine
+can run in a worker. A busy cluster may need longer; the run then begins anyway, and waits."""
 
 FALSE_STARTS = 3
 """After this number of failed starts of workers in a row, the run ends, or dead workers are no longer replaced."""
 
 LEAST = {"mjx-warp": 512, "mjx-jax": 16}
-"""With fewer jobs than this, the workers of these engines do not share them. A device takes as long for a few worlds as
-for many."""
+"""If there are fewer jobs than this, one worker of these engines gets all of them, since a device takes as long for a
+few worlds as for many."""
 
 _HIGHEST = (" lanes", " contacts")
 """Suffixes of names in ``Progress.extra`` whose values are combined as maxima, not as sums."""
@@ -59,7 +59,8 @@ class _Hand:
 
     Attributes:
         hello: Ray's reference to the worker's first message; None once it has arrived.
-        working: whether the worker's engine surely exists: it was built before the first message, or has reported.
+        working: whether the worker's engine is known to exist, since it was built before the first message or has
+            reported.
         streams: Ray's streams of reports, one per chunk of the worker.
         said: the worker's last progress message.
     """
@@ -123,7 +124,7 @@ class WorkerPool(Engine):
 
     @property
     def capabilities(self) -> Capability:
-        """The physics of the engine in the workers. Workers check their outcomes themselves."""
+        """The capabilities of the workers' engine, and ``CHECKS``, since workers check their outcomes themselves."""
         return super().capabilities | Capability.CHECKS
 
     @property
@@ -183,7 +184,7 @@ class WorkerPool(Engine):
         self._hands += [self._start(place) for place in lacking.elements()]
         slots = sum(place.slots for place in self._places)
         deadly = [index for index, job in enumerate(jobs) if id(job.scene) in self._deadly]
-        # third-party engines in workers count as MJX engines, whose base class they should use
+        # third-party engines in workers count as MJX engines, since they should use the base class of these
         group = None if self.name == "mujoco" else GROUP_WORLDS.get(self.name, GROUP_WORLDS["mjx-jax"])
         least = LEAST.get(self.name, 1)
         deal = Deal(MEASURED.of_jobs(jobs, sim), slots, group, least, deadly)
@@ -215,7 +216,9 @@ class WorkerPool(Engine):
                     elif report is None:
                         missing = set(hand.streams.pop(ref).chunk.jobs) & deal.unanswered
                         if missing:
-                            raise RuntimeError(f"engine {self.name} did not answer {count_text(len(missing), 'job')}")
+                            raise RuntimeError(
+                                f"engine {self.name} returned no outcome for {count_text(len(missing), 'job')}"
+                            )
                     else:
                         yield from self._bury(hand, deal, jobs, sim, progress)
             progress.message = before
@@ -230,7 +233,7 @@ class WorkerPool(Engine):
         resources = {"num_cpus": place.cpus, "num_gpus": place.gpus}
         remote = self._ray.remote(Worker).options(**resources, max_concurrency=place.slots, max_restarts=0)
         threads = place.slots if self.name == "mujoco" else None
-        thorough = self.name != "mjx-warp" or self._deaths > 0  # a device may be broken
+        thorough = self.name != "mjx-warp" or self._deaths > 0  # after a death, the device may be broken
         options = {"check_pool": self._check_pool, "thorough": thorough}
         actor = remote.remote(self._recipe, os.environ.get("PETMJX_CACHE_DIR"), threads, **options)
         return _Hand(place, actor, actor.hello.remote(), working=thorough)
@@ -271,8 +274,8 @@ class WorkerPool(Engine):
         self._devices[hello.device] = None
 
     def _start_again(self, hand: _Hand, error: BaseException, most: int) -> None:
-        """Handle a worker that failed to start. If it was to replace a dead worker, whose device may be broken, three
-        starts are tried; if all fail, the run continues with the remaining workers.
+        """Handle a worker that failed to start. If the failed worker was to replace a dead one, whose device may be
+        broken, three starts are tried; if all fail, the run continues with the remaining workers.
 
         Args:
             error: raised after ``most`` tries if no other worker is left, or if no worker has died.
@@ -292,8 +295,8 @@ class WorkerPool(Engine):
     def _bury(
         self, hand: _Hand, deal: Deal, jobs: Sequence[Job], sim: Simulation, progress: Progress
     ) -> Iterator[Outcome]:
-        """Replace a dead worker. Yields outcomes for jobs that are given up. There are none if the worker's engine did
-        not exist yet."""
+        """Replace a dead worker. Yields outcomes for jobs that are given up. There are no such outcomes if the worker's
+        engine did not exist yet."""
         held = [stream.chunk for stream in hand.streams.values()]
         self._deaths += 1
         self._kill(hand)
@@ -305,7 +308,7 @@ class WorkerPool(Engine):
             self._deadly[id(jobs[index].scene)] = jobs[index].scene
             progress.worlds_done += 1
             yield failed_outcome(
-                index, jobs[index], sim, "the worker that simulated this world alone died, like others before"
+                index, jobs[index], sim, "the worker died while it simulated only this world, as did earlier workers"
             )
 
     # Chunks.
@@ -351,7 +354,7 @@ class WorkerPool(Engine):
             try:
                 deal.answered(index)
             except KeyError:
-                raise RuntimeError(f"engine {self.name} answered job {index} twice") from None
+                raise RuntimeError(f"engine {self.name} returned two outcomes for job {index}") from None
             progress.worlds_done += 1
             outcome.job = index
             yield outcome

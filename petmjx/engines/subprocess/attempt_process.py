@@ -25,23 +25,24 @@ from petmjx.options.simulation import Simulation
 from petmjx.world.job import Job
 
 NICE = 5
-"""Niceness of the process's threads. They have a lower priority than the run's threads, which keep a GPU busy."""
+"""Niceness of the process's threads. These threads have a lower priority than the run's threads, which keep a GPU
+busy."""
 
 GRANULE = 96
 """The number of box columns of tables is a multiple of this, so that single worlds of nearly all sizes use the same
 programs."""
 
 _BUILDING = threading.Lock()
-"""Held while an engine is being built, since the first engine starts JAX and Warp."""
+"""A lock that is held while an engine is being built, since the first engine starts JAX and Warp."""
 
 
 READY = -1
-"""Number of a task whose answer is not needed. Its only purpose is that an engine compiles its programs."""
+"""Number of a task whose answer is not needed. The task only makes an engine compile its programs."""
 
 
 @dataclass(frozen=True)
 class Task:
-    """A world to simulate on the engine with this name. ``sim`` and ``job`` are arguments of ``Engine.run``."""
+    """A world, and the name of the engine that simulates it. ``sim`` and ``job`` are arguments of ``Engine.run``."""
 
     number: int
     engine: str
@@ -86,7 +87,7 @@ def answer_to(
 
     Args:
         engines: name → engine of this thread; a missing engine is built and added.
-        stops: returns whether the outcome is no longer needed.
+        stops: function that returns whether the outcome is no longer needed.
         granule: the number of box columns of tables is a multiple of this; None: the engine's usual granule.
     """
     outcome, progress = None, Progress(pauses=True)

@@ -22,7 +22,7 @@ from petmjx.options.simulation import Simulation
 from petmjx.world.job import ACCELERATION, Drive, Excitation, Job
 
 LARGE: Final = 1000
-"""Number of worlds from which on check processes are worthwhile."""
+"""Smallest number of worlds of a run for which check processes save time."""
 
 MOST: Final = 3
 """Largest number of check processes. With three, the run's own process is busier than each of them."""
@@ -106,7 +106,8 @@ class CheckPool(Generic[Key]):
         Args:
             jobs: the job of each outcome.
             wait: whether to wait for all outcomes.
-            until: returns whether other work is due. Outcomes not checked by then are returned by later calls.
+            until: function that returns whether other work is due. Outcomes not checked by then are returned by later
+                calls.
         """
         if keyed_outcomes:
             self._begin([key for key, _ in keyed_outcomes], ([outcome for _, outcome in keyed_outcomes], jobs, sim))

@@ -77,8 +77,9 @@ class Child:
 
 
 def own_pipes(nice: int) -> tuple[IO[bytes], IO[bytes]]:
-    """The process's side of the pipes: tasks and answers. Called when the process starts. Its threads get a niceness,
-    so that the run's threads have priority. Ctrl-C is ignored, since the run handles it and ends this process."""
+    """The process's side of the pipes: tasks and answers. Called when the process starts. The threads of this process
+    get a niceness, so that the run's threads have priority. Ctrl-C is ignored, since the run handles it and ends this
+    process."""
     collect_rarely()
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     if hasattr(os, "nice"):

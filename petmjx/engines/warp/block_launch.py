@@ -49,7 +49,7 @@ class Call:
 
     Attributes:
         threads: number of threads of a block.
-        arguments: returns the kernel's arguments, given the number of the first block.
+        arguments: function that returns the kernel's arguments, given the number of the first block.
     """
 
     kernel: Any
@@ -108,7 +108,7 @@ def launch_all(calls: Sequence[Call], clock: Any, slice_ns: int) -> None:
                 running.append(_threads().submit(run, block))
             wait(running, timeout=min(slice_ns / 1e9, threading.TIMEOUT_MAX))
         finally:  # blocks are stopped after an error, too, since the memory of all blocks is then freed
-            clock.numpy()[0] = 1  # this memory is the one that the kernels read
+            clock.numpy()[0] = 1  # the kernels read the clock in this memory
             wait(running)
         for future in running:
             future.result()
@@ -119,8 +119,8 @@ MOST_THREADS: Final = 1024
 
 @functools.cache
 def _threads() -> ThreadPoolExecutor:
-    """Threads for the blocks of all engines. As many are started as are needed at once, and they are kept, since every
-    slice needs them."""
+    """Threads for the blocks of all engines. As many threads are started as are needed at the same time. The threads
+    are kept, since every slice needs them."""
     return ThreadPoolExecutor(MOST_THREADS, thread_name_prefix="mjx-warp")
 
 
@@ -148,8 +148,8 @@ def own_kernels(count: int) -> list[wp.Kernel]:
 
 @contextmanager
 def side_by_side(count: int) -> Iterator[list[wp.Stream]]:
-    """Streams for kernels that run at the same time. They start after earlier work on the current stream, and later
-    work on it waits for them.
+    """Streams for kernels that run at the same time. These streams start after earlier work on the current stream, and
+    later work on it waits for them.
 
     Launch the kernels in the order of the streams.
     """

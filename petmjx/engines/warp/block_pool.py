@@ -16,8 +16,8 @@ from petmjx.world.contact_laws import is_stiff
 
 
 def most_room(size: int) -> int:
-    """Limit of the buffers for a world of this size: the number of boxes for whose contacts and pairs there may be
-    room.
+    """Limit of the buffers for a world of this size: they may have room for the contacts and pairs of at most this
+    number of boxes.
 
     The limit is the same in all runs. So a run's largest plan does not affect which worlds are given up."""
     return MAX_GROWTH * (size + MORE_BOXES)
@@ -28,7 +28,7 @@ class BlockPools:
 
     Args:
         lanes: largest number of worlds of a size at the same time; None: the number for which the device has room.
-        blocks: returns the number of blocks of a launch.
+        blocks: function that returns the number of blocks of a launch.
     """
 
     def __init__(self, lanes: int | None, blocks: Callable[[Launch], int]) -> None:
@@ -54,8 +54,8 @@ class BlockPools:
         return (last, *pools) if last else pools
 
     def grow(self, run: Run, size: int) -> int | None:
-        """Double the buffers for worlds of a size. Returns the new factor over the usual size, or None if the buffers
-        already have their largest size."""
+        """Double the buffers for worlds of a size. Returns the factor by which they are now larger than usual, or None
+        if they already have their largest size."""
         if self._boxes_of_room(run, size) == most_room(size):
             return None
         growth = 2 * self._growth_of(run, size)
@@ -70,7 +70,9 @@ class BlockPools:
         return min(self._growth_of(run, size) * (run.needs.widths[size] + MORE_BOXES), most_room(size))
 
     def _of_size(self, run: Run, size: int, boards: int) -> BlockPool:
-        """The block pool for worlds of a size, at its largest. The carriers have ``boards`` shapes."""
+        """The block pool for worlds of a size, with its largest number of blocks. The carriers have ``boards``
+        shapes.
+        """
         n_boxes = run.needs.widths[size]
         needs = run.needs
         launch = Launch.here(n_boxes, needs.hands, needs.gives, needs.wraps, run.sim.physics.has_landings)

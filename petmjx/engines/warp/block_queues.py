@@ -18,12 +18,13 @@ from petmjx.world.job import Job
 class Queues:
     """A queue for each size of worlds. The longest worlds come first, so that the last worlds to end are short.
 
-    Worlds that have a leg of a chain behind them come before all others, the latest first. So worlds arrive all the
-    time, and the host makes their rows meanwhile. By length, the short last legs of all worlds would come at the end.
+    Worlds that have completed a leg of a chain come before all others; among them, the world that was queued last comes
+    first. So worlds complete their chains all the time, and the host makes their rows during the simulation. If length
+    alone decided, the short last legs of all worlds would come at the end.
 
     Args:
         sizes: largest number of boxes of each size, in the order of the queues.
-        size_of: returns the size of a job's world.
+        size_of: function that returns the size of a job's world.
         rows: number of rows of the table.
         depth_first: whether all worlds that start from a state come first.
     """
@@ -60,5 +61,5 @@ class Queues:
         self.order = device_array(order)
 
     def _is_ahead(self, job: Job) -> bool:
-        """Whether a world comes before those that are not ahead."""
+        """Whether a world takes precedence over worlds that begin with their placement."""
         return job.poses is not None or (self._depth_first and job.start is not None)

@@ -1,4 +1,5 @@
-"""Engine ``mjx-warp-cpu``: the kernels of ``mjx-warp`` on CPU threads. It is the fastest engine without a GPU."""
+"""Engine ``mjx-warp-cpu``: the kernels of ``mjx-warp`` on CPU threads. Without a GPU, it is the fastest engine for much
+work."""
 
 from __future__ import annotations
 

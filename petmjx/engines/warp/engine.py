@@ -39,7 +39,8 @@ GPU_SLICE_NS = 100_000_000
 calls."""
 
 MIN_BLOCKS = 16
-"""With fewer thread blocks than this, no useful amount of memory is saved."""
+"""Smallest number of thread blocks to which a pool is reduced if memory is short. Fewer blocks would save hardly any
+more memory."""
 
 
 def _half_pool(pool: BlockPool) -> BlockPool:
@@ -51,23 +52,27 @@ class MjxWarpEngine(Engine):
     """Simulates worlds on Warp's kernels, each at its own pace in a thread block
     (petmjx/engines/warp/kernel_launcher.py).
 
-    It has Newton's method only. C MuJoCo simulates attempts that need another solver (petmjx/engines/attempts.py).
+    This engine has only Newton's method. C MuJoCo simulates attempts that need another solver
+    (petmjx/engines/attempts.py).
 
     Args:
-        lanes: most worlds in blocks of one kind; None: as many as the device has room for.
+        lanes: largest number of worlds in blocks of one kind; None: as many as the device has room for.
         allow_cpu: run Warp's kernels on the CPU if there is no CUDA device; slow, for tests.
-        most_rows: worlds whose states are on the device at the same time. It bounds memory for any number of jobs.
-        slice_ns: time slice of a call, ns. After each slice the host looks which worlds have ended.
+        most_rows: largest number of worlds whose states are on the device at the same time. This limits the memory for
+            any number of jobs.
+        slice_ns: time slice of a call, ns. After each slice, the host finds out which worlds have ended.
 
     Attributes:
-        granule: box columns of tables are a multiple of this.
-        least_rows: fewest rows of a table, for runs that begin with few jobs and last long, and for many runs of
-            different numbers of jobs: each number of rows, and of columns, is compiled.
-        depth_first: whether worlds that follow from outcomes are simulated before others begin. On a GPU the longest
-            worlds of both kinds come first, since many blocks are idle at the end if the last worlds are long.
+        granule: the number of box columns of tables is a multiple of this.
+        least_rows: smallest number of rows of a table. Programs are compiled anew for each number of rows and of
+            columns. So a larger value helps runs that begin with few jobs and last long, and many runs of different
+            numbers of jobs.
+        depth_first: whether worlds that follow from outcomes are simulated before others begin. If False, as on a GPU,
+            the longest worlds of both kinds come first, since many blocks would be idle at the end if the last worlds
+            were long.
 
     Raises:
-        EngineUnavailable: no CUDA device, or Warp is not installed; the line says which.
+        EngineUnavailable: there is no CUDA device, or Warp is not installed; the message states which.
     """
 
     name = "mjx-warp"
@@ -113,10 +118,10 @@ class MjxWarpEngine(Engine):
     def run(
         self, jobs: Sequence[Job] | JobStream[Any], sim: Simulation, progress: Progress | None = None
     ) -> Iterator[Outcome]:
-        """Simulate each job once. Outcomes come as worlds reach their end.
+        """Simulate each job once. Outcomes are yielded as worlds end.
 
         Raises:
-            RuntimeError: an earlier run of the same thread has not ended. (Runs of other threads are waited for.)
+            RuntimeError: an earlier run of the same thread has not ended. (This run waits for runs of other threads.)
         """
         stream = JobStream.of(jobs)
         if stream.ended:
@@ -135,7 +140,7 @@ class MjxWarpEngine(Engine):
                 for outcome in outcomes_of(self._slices(source, sim, progress, waits), sim, progress, waits=waits):
                     stream_number = outcome.job if outcome is not None else None  # None: a pause
                     yield outcome
-                    if stream_number is not None:  # whoever takes outcomes has put the jobs that follow
+                    if stream_number is not None:  # the caller has put the jobs that follow from this outcome
                         source.answered(stream_number)
             except Exception as error:
                 if not is_out_of_memory(error):
@@ -143,11 +148,13 @@ class MjxWarpEngine(Engine):
             else:
                 continue
             self._drop()
-            yield from self._again(source, sim, progress)  # after the ``except`` block: its traceback holds the tables
+            # not inside the ``except`` block, since its traceback holds the tables
+            yield from self._again(source, sim, progress)
 
     def _again(self, source: TableJobs, sim: Simulation, progress: Progress) -> Iterator[Outcome]:
-        """After memory ran out, and with it the states of all worlds were lost: simulate the jobs without an outcome
-        again, one size or half of them at a time. A world that was alone is given up."""
+        """After memory ran out and the states of all worlds were lost: simulate the jobs without an outcome again, the
+        jobs of one block size at a time. If all have the same size, simulate half of them at a time. A world that was
+        alone is given up."""
         lost = source.lose()
         if source.alone and lost:
             needs = KernelFeatures.of([*lost.values()], self.granule)
@@ -161,7 +168,7 @@ class MjxWarpEngine(Engine):
         apart = [stream_numbers[sizes == size] for size in np.unique(sizes)]
         for part in apart if len(apart) > 1 else np.array_split(stream_numbers, 2):
             if len(part):
-                progress.message = f"out of device memory, again with {len(part)} of the worlds"
+                progress.message = f"out of device memory: trying again with {len(part)} of the worlds"
                 jobs = self._table_jobs(JobStream.of([lost[stream_number] for stream_number in part.tolist()]))
                 for outcome in self._outcomes(jobs, sim, progress):
                     if outcome is not None:
@@ -169,7 +176,9 @@ class MjxWarpEngine(Engine):
                     yield outcome
 
     def _slices(self, source: TableJobs, sim: Simulation, progress: Progress, waits: bool) -> Generator[SliceResult]:
-        """Slice results of one table after another, as long as they agree in whether slices wait for the host."""
+        """Slice results of one table after another, as long as ``waits`` is right for the next table. ``waits``:
+        whether slices wait for the host, which they must if worlds are recorded.
+        """
         while not source.ended and source.recorded == waits:
             jobs, stream_numbers, rows = source.begin()
             running, source.running = source.running, None
@@ -196,7 +205,7 @@ class MjxWarpEngine(Engine):
     def _slices_of(
         self, table: WorldTable, source: TableJobs, *, waits: bool, simulate: bool = True
     ) -> Generator[SliceResult]:
-        """The time slices of a table, as ``TableSlices``. After an error the memory of all rollouts is freed."""
+        """The time slices of a table, as ``TableSlices``. After an error, the memory of all rollouts is freed."""
         queues = Queues(table.run.needs.sizes, size_of, table.rows, depth_first=self.depth_first)
         slices = TableSlices(table, source, queues, waits, self._pools, self._rollout)
         try:
@@ -206,8 +215,8 @@ class MjxWarpEngine(Engine):
             raise
 
     def _rollout(self, table: WorldTable) -> Rollout | None:
-        """The rollout for a table, with fewer blocks if memory is short; None if not even ``MIN_BLOCKS`` fit. With
-        blocks of two sizes the error of memory is raised instead."""
+        """The rollout for a table, with fewer blocks if memory is short; None if not even ``MIN_BLOCKS`` fit. If the
+        table has blocks of two sizes, the memory error is raised instead."""
         run = table.run
         pools = self._pools.of(table)
         launches = tuple(pool.launch for pool in pools)
@@ -232,7 +241,7 @@ class MjxWarpEngine(Engine):
                         return None
                 self._drop()  # kept rollouts of other sizes may take the memory: try again without them
                 lanes = sum(pool.lanes for pool in pools)
-                run.progress.message = f"out of device memory, again with {lanes} lanes"
+                run.progress.message = f"out of device memory: trying again with {lanes} lanes"
             else:
                 self._kept[launches] = (key, rollout)
                 return rollout

@@ -16,9 +16,9 @@ from petmjx.engines.warp.world_arrays import FrameBuffer
 from petmjx.engines.warp.world_table import WorldTable
 
 MOST_BYTES: Final = 64 << 20
-"""Largest frame buffer, in bytes. It has room for 40,000 frames if the run's largest plan has 45 boxes. For worlds of
-that size, an H200 has 264 blocks. If all worlds are recorded, these take about 10,000 frames in a slice of 250 ms.
-Blocks that find no room wait for the next slice."""
+"""Largest frame buffer, in bytes. Such a buffer has room for 40,000 frames if the run's largest plan has 45 boxes. For
+worlds of that size, an H200 has 264 blocks. If all worlds are recorded, these take about 10,000 frames in a slice of
+250 ms. Blocks that find no room wait for the next slice."""
 
 FRAMES_PER_WORLD: Final = 512
 """Room for each recorded world, in frames. The fastest worlds take fewer frames in a slice."""
@@ -34,7 +34,7 @@ _KINDS: Final = {name: wp.dtype_to_numpy(kind.dtype) for name, kind in world_arr
 
 
 PickedFrames = tuple[dict[str, jax.Array], int]
-"""Frames of a slice, on the device, and the number of them that count."""
+"""Frames of a slice, on the device, and the number of valid ones."""
 
 
 def room_for(table: WorldTable, lanes: int) -> dict[str, jax.Array]:

@@ -49,7 +49,7 @@ def paths(
     """See ``petmjx.engines.protocol.Engine.paths``.
 
     Args:
-        blocks: returns the number of thread blocks of a launch.
+        blocks: function that returns the number of thread blocks of a launch.
         slice_ns: duration of a call, ns.
         most_rows: largest number of worlds whose states are on the device at the same time.
     """
@@ -98,7 +98,7 @@ class _Program:
 
     def __init__(self, sim: Simulation, pool: BlockPool, slice_ns: int) -> None:
         timetable = build_timetable(sim, pool.n_boxes)
-        # a drive may take as many iterations as a placement, since boxes slide for long
+        # the solver may take as many iterations as in a placement, since boxes slide for a long time
         known = constants(sim, timetable)
         known |= {**_NO_RULES, "driven_iterations": known["iterations"]}
         self.launcher = KernelLauncher(known, [pool], slice_ns)
@@ -131,7 +131,8 @@ def _block_pool(
     shapes = growth * (width + MORE_BOXES) + boards - 1
     pool = BlockPool(launch, blocks(launch), width, boards, PAIRS_PER_BOX * shapes, CONTACTS_PER_BOX * shapes)
     few = small_world_pool(pool, worlds) if k <= FEW_BOXES.most_boxes else None
-    return pool if few is None else replace(few, least=0)  # used until the end, however few worlds are left
+    # least=0: these blocks are used until the end, however few worlds are left
+    return pool if few is None else replace(few, least=0)
 
 
 def _room(every: NDArray[np.int32], width: int, lanes: int) -> dict[str, jax.Array]:

@@ -81,7 +81,7 @@ class KernelFeatures:
         return KernelFeatures(widest, *kinds)
 
     def know(self, job: Job) -> bool:
-        """Whether kernels with these features support all features of a job. Room for its boxes is not checked."""
+        """Whether kernels with these features support all that a job needs. Room for its boxes is not checked."""
         traits = ((self.hands, wants_hands), (self.gives, has_compliance), (self.wraps, is_wrapped))
         return all(known or not has(job) for known, has in traits)
 
@@ -95,7 +95,7 @@ def widths_of(box_counts: Collection[int], granule: int) -> dict[int, int]:
     """``KernelFeatures.widths`` for worlds with these numbers of boxes.
 
     Raises:
-        InputError: one has more boxes than any block has room for.
+        InputError: a world has more boxes than any block has room for.
     """
     largest = max(box_counts, default=0)
     if largest > MAX_BOXES:

@@ -1,11 +1,11 @@
 """Launcher of mjx-warp's kernels: a JAX call in which each world advances at its own pace.
 
 Thread blocks for worlds of one size form a block pool, which has its own kernel (petmjx/engines/warp/block_launch.py).
-All pools run at the same time on the same tables. A block takes a world from its pool's queue. It steps this world
-until the world ends, its drive begins, or the time slice is over. Then it takes the next world. No world waits for
-another: a world costs only the work on its own boxes, and a step takes only as long as the world's own solver needs.
-States are in the tables of petmjx/engines/mjx/world_state.py, and an interrupted world continues in the next call. So
-results do not depend on the blocks, on the order of worlds, or on the duration of a slice.
+All pools run at the same time on the same tables. A block takes a world from its pool's queue. The block steps this
+world until the world ends, its drive begins, or the time slice is over. Then it takes the next world. No world waits
+for another: a world costs only the work on its own boxes, and a step takes only as long as the world's own solver
+needs. States are in the tables of petmjx/engines/mjx/world_state.py, and an interrupted world continues in the next
+call. So results do not depend on the blocks, on the order of worlds, or on the duration of a slice.
 """
 
 from __future__ import annotations
@@ -61,7 +61,7 @@ class BlockPool:
         boards: largest number of shapes of a carrier.
         npairmax: largest number of pairs of near geoms of a world.
         nconmax: largest number of contacts of a world.
-        least: smallest number of worlds for which the pool is worthwhile. 0: it always is (small_world_blocks.py).
+        least: smallest number of worlds for which the pool is used; 0: always (small_world_blocks.py).
         last: whether the pool is for the last worlds of a run (tail_blocks.py).
     """
 
@@ -81,7 +81,7 @@ class BlockPool:
 
     @property
     def most_idle(self) -> int:
-        """Largest number of empty lanes with which the pool is still worthwhile."""
+        """Largest number of empty lanes with which the pool is still used."""
         return self.lanes - self.least if self.least else NEVER
 
     @property
@@ -199,7 +199,7 @@ _CHANGED = (
 _IDS = itertools.count()
 _LAUNCHERS: weakref.WeakValueDictionary[int, KernelLauncher] = weakref.WeakValueDictionary()
 """Number → launcher. JAX never frees a function that it calls. If ``_launch`` were bound to a launcher, the memory of
-the run would never be freed. So ``_launch`` is given the launcher's number."""
+the run would never be freed. So ``_launch`` receives the launcher's number."""
 
 
 def _launch(launcher: int, *arrays: Any) -> None:

@@ -103,8 +103,8 @@ class ReadingInputs(NamedTuple):
         return cls(**{name: getattr(state if name in State._fields else state.metrics, name) for name in cls._fields})
 
     def flags_now(self, sim: Simulation) -> NDArray[np.int64]:
-        """(m,) bits of ``Flag``, on the host. A world that has paused because its time was over, and not because it is
-        at rest, gets ``MOVING``."""
+        """(m,) bits of ``Flag``, on the host. A world that paused because its time was up, although it was not at rest,
+        gets ``MOVING``."""
         tilted = np.asarray(self.max_tilt) > sim.thresholds.tilt_deg
         failed = (np.asarray(self.culprit) >= 0) & (tilted | (np.asarray(self.drop_step) >= 0)).any(axis=1)
         moves = (np.asarray(self.status) == Status.PAUSED) & (np.asarray(self.quiet_steps) < sim.quiet.steps) & ~failed
@@ -113,7 +113,7 @@ class ReadingInputs(NamedTuple):
 
 @jax.jit
 def reading_inputs(state: State, rows: Int[Array, " row"]) -> ReadingInputs:
-    """The fields of some worlds. A row beyond the table returns the fields of an arbitrary world."""
+    """The fields of some worlds. For a row beyond the table, the result has the fields of an arbitrary world."""
     return take_rows(ReadingInputs.of(state), rows)
 
 

@@ -39,7 +39,7 @@ class Traits(NamedTuple):
 
     @classmethod
     def of(cls, scene: Scene) -> Traits:
-        """The features of a world with this scene, whether it has a drive or not."""
+        """The features of a world with this scene, for placements and for drives."""
         return cls(not scene.placing.appears, scene.stiffness is not None, scene.wrap.holds)
 
     def __or__(self, other: tuple[object, ...]) -> Traits:
@@ -165,7 +165,7 @@ class Simulator:
         return OpenState(worlds, of_flat(after))
 
     def _noting_motion(self, state: State, goes: Bool[Array, " world"]) -> State:
-        """The states, in which worlds that continue although they are not at rest get the flag ``MOVING``."""
+        """The states, with the flag ``MOVING`` for worlds that continue although they are not at rest."""
         moves = goes & self._moves(state)
         return state._replace(flags=state.flags | jnp.where(moves, int(Flag.MOVING), 0))
 

@@ -126,7 +126,7 @@ class WarpWorlds(OpenWorlds):
 
     def _new_box(self, before: Stacks, boxes: NextBoxes, rows: int) -> NewBox:
         if before.mass.shape[1] >= self.width and np.isfinite(before.mass[:, self.width - 1]).any():
-            raise ValueError(f"each world has room for {self.width} boxes, and one world is full")
+            raise ValueError(f"each world has room for {self.width} boxes, and one is full; use a larger most_boxes")
         return new_box(before, boxes, self._blank, self._sim, rows)
 
     def _try_scenes(
@@ -137,7 +137,7 @@ class WarpWorlds(OpenWorlds):
         padded = padded_rows(count)
         batch = load(jobs, padded, self.width, self._sim, self._timetable)
         forks = _take(self.open, self._rows(worlds, padded), count)
-        more = self._constants(scenes, padded)  # without drives, which begin only when the boxes rest
+        more = self._constants(scenes, padded)  # without drives: a drive begins only when the boxes rest
         rows = jnp.where(jnp.arange(padded) < count, jnp.arange(padded), padded)
         settled = self._to_the_end(self._jitted_put(forks, rows, more), jnp.zeros((1, 1, 3)))
         return self._ended_outcomes(settled.state, jobs, batch)
@@ -244,7 +244,9 @@ class WarpWorlds(OpenWorlds):
         self._know(scenes)
         most = max(scene.n_boxes for scene in scenes)
         if most > self.width:
-            raise ValueError(f"each world has room for {self.width} boxes, but one has {most}")
+            raise ValueError(
+                f"each world has room for {self.width} boxes, but one scene has {most}; use a larger most_boxes"
+            )
         boards = max(len(scene.carrier.half_size) for scene in scenes)
         if boards > self.boards:
             raise ValueError(f"there is room for carriers of {self.boards} boards, but one carrier has {boards}")

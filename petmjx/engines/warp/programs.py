@@ -30,7 +30,8 @@ from petmjx.world.contact_laws import MOST_IMPEDANCE, kinetic_share, lasts_steps
 from petmjx.world.film import spring_rate_1_s
 
 TOLERANCE = 1e-8
-"""MuJoCo's default solver tolerance. The solver can reach it, since forces and residuals have double precision."""
+"""MuJoCo's default solver tolerance. The solver can reach this tolerance, since forces and residuals have double
+precision."""
 
 READ_COUNTS = ("steps", "iterations", "contacts")
 """The counts that the host reads after each time slice. A thread waits for the interpreter's lock after each array that
@@ -114,8 +115,8 @@ def constants(sim: Simulation, timetable: Timetable) -> dict[str, Any]:
 
 
 class Programs:
-    """The XLA programs of a time slice, one for each size of the tables. They hold the constants of a run on the
-    device, but no states. So any number of runs and threads can call them at the same time.
+    """The XLA programs of a time slice, one for each size of the tables. The programs hold the constants of a run on
+    the device, but no states. So any number of runs and threads can call them at the same time.
 
     Args:
         pools: block pools, as returned by ``BlockPools.of``.
@@ -168,7 +169,8 @@ class Programs:
 
 
 _COMPILING = Lock()
-"""Held while any program is compiled. Warp does not promise that two threads may load the same kernel at once."""
+"""A lock that is held while any program is compiled. Warp does not promise that two threads may load the same kernel at
+once."""
 
 
 def load_usual_kernels(sim: Simulation) -> None:

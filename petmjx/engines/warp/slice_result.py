@@ -17,9 +17,9 @@ from petmjx.options.simulation import Simulation
 from petmjx.world.job import Job
 
 MOST_AHEAD: Final = 40
-"""Most slices whose worlds may wait for the host: 4 s of a GPU. Each slice holds copies of rows, padded to hundreds.
-All take 200 MB for plans of up to 76 boxes and 700 MB for 250, or more if slices have several batches of ended
-worlds."""
+"""Largest number of slices whose worlds may wait for the host: 4 s of a GPU's work. Each slice holds copies of rows,
+padded to hundreds. All slices together take 200 MB for plans of up to 76 boxes and 700 MB for 250 boxes, or more if
+slices have several batches of ended worlds."""
 
 
 class SliceResult(NamedTuple):
@@ -28,7 +28,8 @@ class SliceResult(NamedTuple):
     Attributes:
         picked: states and metrics of these worlds, on the device.
         recorder: holds the histories of recorded worlds.
-        jobs, stream_numbers: row → job of these worlds, and its stream number. Their rows may have other worlds by now.
+        jobs, stream_numbers: row → job, and row → stream number, of these worlds. The rows may already have other
+            worlds.
     """
 
     picked: Sequence[Readback]
@@ -40,11 +41,11 @@ class SliceResult(NamedTuple):
 def outcomes_of(
     slices: Generator[SliceResult], sim: Simulation, progress: Progress, *, waits: bool
 ) -> Iterator[Outcome]:
-    """The outcomes of slices' worlds, with the stream numbers of their jobs.
+    """The outcomes of the worlds that end in these slices, with the stream numbers of their jobs.
 
     Args:
-        waits: whether each slice waits for the outcomes of the slice before. Else a thread runs the slices, since for
-            small worlds the host may be slower than the device.
+        waits: whether each slice waits for the outcomes of the previous slice. Otherwise, a thread runs the slices,
+            since for small worlds the host may be slower than the device.
     """
     counting, at_hand = Lock(), 0
     progress.at_hand = 0
@@ -62,10 +63,10 @@ def outcomes_of(
                 yield next_slice
 
     try:
-        with closing(counted() if waits else prefetch(counted(), MOST_AHEAD)) as ready_slices:
+        with closing(counted() if waits else prefetch(counted(), most=MOST_AHEAD)) as ready_slices:
             for picked, recorder, jobs, stream_numbers in ready_slices:
                 if progress.pauses and at_hand <= 0:
-                    yield None  # type: ignore[misc]  # who asked for pauses takes it
+                    yield None  # type: ignore[misc]  # callers that set ``pauses`` expect it
                 for outcome in outcomes(picked, jobs, stream_numbers, sim, recorder):
                     count(-1)
                     yield outcome

@@ -17,8 +17,8 @@ from petmjx.engines.warp.kernel_launcher import BlockPool
 
 ENOUGH_SHARE, LEAST_SHARE = 0.75, 0.25
 """Bounds of the share of lanes that small worlds fill. These blocks come into use if small worlds fill at least the
-first share of their lanes. They are no longer used if small worlds fill less than the second share. For fewer worlds,
-blocks of one world are faster."""
+first share of their lanes. These blocks are no longer used if small worlds fill less than the second share. For fewer
+worlds, blocks of one world are faster."""
 
 
 def small_world_pool(pool: BlockPool, worlds: int, lanes: int | None = None) -> BlockPool | None:

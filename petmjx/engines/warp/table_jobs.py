@@ -15,46 +15,48 @@ from petmjx.engines.warp.world_table import RunningWorlds, WorldTable
 from petmjx.world.job import Job
 
 SPARE_ROWS: Final = 4
-"""Rows of a table if more jobs may follow, as a multiple of the jobs at the beginning. Blocks take the longest of the
-waiting worlds first."""
+"""Number of rows of a table if more jobs may follow, as a multiple of the number of jobs at the beginning. With more
+waiting worlds, blocks can begin with longer ones."""
 
 MOST_FOLLOWING_ROWS: Final = 2048
-"""Most rows for jobs that are not there yet, such as the many drives of a single placement: a GPU has fewer blocks than
-half of them."""
+"""Largest number of rows for jobs that do not exist yet, such as the many drives of a single placement. A GPU has fewer
+blocks than half of these rows."""
 
 REFILL_SHARE: Final = 2
-"""Jobs join a table while fewer than one in ``REFILL_SHARE`` of its rows are live: then many join at a time. Those that
-follow from outcomes join at once."""
+"""Jobs join a table while fewer than one in ``REFILL_SHARE`` of its rows are live, so that many join together. Jobs
+that follow from outcomes join at once."""
 
 MOST_JOINING: Final = 512
-"""Most jobs that join between two time slices. They take some 50 ms, in which the device works on slices in flight."""
+"""Largest number of jobs that join between two time slices. Joining takes some 50 ms, during which the device works on
+slices in flight.
+"""
 
 JOIN_ROWS, FEEDBACK_ROWS = 256, 64
-"""Jobs that are written into a table at a time, and those that follow from outcomes."""
+"""Number of jobs that are written into a table at a time; and the same number for jobs that follow from outcomes."""
 
 MOST_PROFILE_BYTES: Final = 1 << 30
-"""Most memory for the profiles of jobs that follow: for 7,000 worlds whose profiles of 20 s differ. Further worlds wait
-until a profile's row is free."""
+"""Largest memory for the profiles of jobs that follow, bytes. This memory has room for 7,000 different profiles of 20
+s. Further worlds wait until a profile's row is free."""
 
 _SAMPLE_BYTES: Final = 3 * 4
 
 LARGE_GRANULE: Final = 64
-"""Box columns for worlds larger than the smaller size are a multiple of this if larger plans may follow."""
+"""If larger plans may follow, the number of box columns of worlds above the smaller size is a multiple of this."""
 
 
 class TableJobs:
-    """Takes the jobs of a stream for one table, and for further ones if jobs come that have no room in it.
+    """Takes the jobs of a stream for one table, and for further tables if jobs have no room in it.
 
     Args:
-        size: most rows of a table.
-        least_rows: fewest rows of a table.
+        size: largest number of rows of a table.
+        least_rows: smallest number of rows of a table.
         granule: as for ``KernelFeatures.of``.
-        depth_first: whether jobs that follow shall begin at once. The first table then also has their features.
+        depth_first: whether jobs that follow from outcomes begin at once. The first table then also has their features.
 
     Attributes:
         needs: features of the jobs of the latest table.
-        alone: whether there is one job in all.
-        running: worlds of the table before, which go on in the next one.
+        alone: whether there is only one job in total.
+        running: worlds of the previous table, which continue in the next one.
         in_flight: stream number → job, for jobs that have been taken and have no outcome yet.
     """
 
@@ -75,7 +77,9 @@ class TableJobs:
 
     @property
     def ended(self) -> bool:
-        """Whether no job waits, none comes, and no world is on its way into another table. Waits for the source."""
+        """Whether everything is done: no job waits, none will come, and no world is about to move to another table.
+        Waits for the source.
+        """
         return self.running is None and not self._stream.peek(1, wait=True)
 
     @property
@@ -84,7 +88,8 @@ class TableJobs:
         return any(job.record is not None for job in self._stream.peek(self._size))
 
     def begin(self) -> tuple[list[Job], list[int], int]:
-        """The jobs of the next table, first those of running worlds, their stream numbers, and the number of its rows.
+        """The jobs of the next table (those of running worlds come first), their stream numbers, and the number of
+        rows.
 
         Raises:
             InputError: a job has more boxes than any block has room for.
@@ -97,7 +102,7 @@ class TableJobs:
         further = self._stream.peek(room, least=least, wait=not jobs)
         every = [*jobs, *further]
         grows = self.feedback or not self._stream.closed or self._stream.ready > len(further)
-        # A table that others may join has columns for them. Each width is compiled once.
+        # A table that further jobs may join has columns for their boxes. Each width is compiled once.
         needs = KernelFeatures.of(every, self._granule)
         if grows and self._stream.bounds is not None:
             counts = [count for count in self._stream.bounds.box_counts if count <= MAX_BOXES]
@@ -114,7 +119,9 @@ class TableJobs:
         return every, [*stream_numbers, *taken], padded_rows(max(len(every), rows))
 
     def profile_room(self, jobs: Sequence[Job], rows: int) -> tuple[int, int]:
-        """Number and steps of the profiles for which a table with these jobs and so many rows should have room."""
+        """Room for profiles in a table with these jobs and this number of rows: the number of profiles, and their
+        number of steps.
+        """
         bounds = self._stream.bounds
         if bounds is not None and bounds.drive_steps:
             most = MOST_PROFILE_BYTES // (bounds.drive_steps * _SAMPLE_BYTES)
@@ -126,7 +133,7 @@ class TableJobs:
         """Put waiting jobs into free rows of a table, in order, until one does not fit. Returns their rows.
 
         Args:
-            wait: wait for a job if more come.
+            wait: whether to wait for a job if further ones may come.
         """
         live = int(table.live.sum())
         limit = table.rows if self.feedback else table.rows // REFILL_SHARE
@@ -142,26 +149,27 @@ class TableJobs:
         return rows
 
     def needs_another(self, table: WorldTable, blocks: int) -> bool:
-        """Whether the next job has no room in a table, and so few worlds are live that another table is due.
+        """Whether another table is due: the next job has no room in this one, and no more worlds are live than the
+        device has blocks.
 
         Args:
-            blocks: blocks of the device.
+            blocks: number of blocks of the device.
         """
         live = int(table.live.sum())
         waiting = self._stream.peek(1)
         if not waiting or live == 0 or live > blocks:
             return False
         (job,) = waiting
-        # a plan that is refused, or recorded, waits until all outcomes before it are there
+        # a plan that is too large, or recorded, waits until all outcomes before it have been taken
         apart = job.scene.n_boxes > MAX_BOXES or job.record is not None or not table.recorder.idle
         return not apart and not table.fits(job)
 
     def wait_for_following(self) -> bool:
-        """Wait for a moment until a job follows from an outcome. Returns whether jobs may still follow."""
+        """Wait briefly for a job that follows from an outcome. Returns whether jobs may still follow."""
         return self._stream.wait_for_following(self.in_flight)
 
     def answered(self, stream_number: int) -> None:
-        """The outcome of a job has been taken, and the jobs that follow from it have been put."""
+        """Note that the outcome of a job has been taken, and that the jobs that follow from it have been put."""
         del self.in_flight[stream_number]
         self._stream.wake()
 

@@ -21,8 +21,8 @@ from petmjx.engines.warp.kernel_launcher import BlockPool
 from petmjx.engines.warp.small_world_blocks import compacted_queue
 
 MOST_EXPECTED: Final = 16
-"""Largest number of worlds that are expected to be the last ones while other worlds still wait. They are the worlds
-with the most steps so far. Each of their blocks takes the room of two usual blocks."""
+"""Largest number of worlds that are expected to be the last ones while other worlds still wait. These are the worlds
+with the largest numbers of steps so far. Each of their blocks takes the room of two usual blocks."""
 
 LONG: Final = 2.0
 """A world is long if its number of steps is more than LONG times the mean of the finished worlds."""

@@ -1,5 +1,5 @@
-"""Time slices of mjx-warp, in which every world of a table goes on: their programs and buffers, and what the host does
-between them."""
+"""Time slices of mjx-warp, in which every world of a table advances: their programs and buffers, and the work of the
+host between two slices."""
 
 from __future__ import annotations
 
@@ -28,16 +28,16 @@ from petmjx.engines.warp.table_jobs import TableJobs
 from petmjx.engines.warp.world_table import Run, WorldTable
 
 UNDER_WAY = 2
-"""Slices in flight, so that the device is never idle. Worlds that end in one slice come to the host when the next slice
-has ended."""
+"""Number of slices in flight, so that the device is never idle. Worlds that end in a slice reach the host when the next
+slice has ended."""
 
 
 class Slice(NamedTuple):
-    """The results of a time slice other than states.
+    """The results of a time slice, except the states.
 
     Attributes:
-        number: number of the slice of its table.
-        began: time at which the host began it, s.
+        number: number of the slice, counted from the first slice of its table.
+        began: time at which the host began the slice, s.
         readback: statuses of all rows, then the counts ``READ_COUNTS``.
     """
 
@@ -49,7 +49,7 @@ class Slice(NamedTuple):
 
 
 class Rollout:
-    """The buffers of a run and its time slices in flight, in order.
+    """The buffers of a run, and its queue of time slices in flight.
 
     Args:
         pools: block pools, as from ``BlockPools.of``.
@@ -65,7 +65,7 @@ class Rollout:
 
     @property
     def under_way(self) -> int:
-        """Number of slices in flight: begun, and not waited for yet."""
+        """Number of slices in flight: they have begun, and nobody has waited for them yet."""
         return len(self._slices)
 
     def start(self, table: WorldTable, order: Int[Array, "queue world"]) -> None:
@@ -119,14 +119,14 @@ class Rollout:
 
 
 class TableSlices:
-    """Time slices of a table, until all of its worlds have ended, or go on in another table. While the device runs a
+    """Time slices of a table, until all of its worlds have ended or continue in another table. While the device runs a
     slice, the host makes outcomes of ended worlds, and puts further jobs into their rows.
 
     Args:
-        waits: whether each slice waits for the outcomes of the slice before, since the host must fetch frames of
+        waits: whether each slice waits for the outcomes of the previous slice, since the host must fetch frames of
             recorded worlds.
         pools: enlarges buffers.
-        rollout_for: gives the rollout for the table; None if memory has run out.
+        rollout_for: function that returns the rollout for the table; None if memory has run out.
     """
 
     def __init__(
@@ -146,7 +146,7 @@ class TableSlices:
         """The worlds that end in each slice.
 
         Args:
-            simulate: False if memory has run out; all worlds are given up then.
+            simulate: False: memory has run out, so all worlds are given up.
         """
         table = self._table
         self._queues.add(table.jobs, np.arange(len(table.jobs)), table.live, table.run.sim)
@@ -169,7 +169,7 @@ class TableSlices:
             if self._rollout is None:
                 continue
             while not table.live.any() and not self._waits and self._source.wait_for_following():
-                yield SliceResult((), table.recorder, {}, {})  # whoever takes outcomes may have left
+                yield SliceResult((), table.recorder, {}, {})  # the caller may have closed this generator meanwhile
             if not table.live.any() and self._join(wait=True):
                 self._keep_under_way(self._rollout)
             elif self._source.needs_another(table, self._rollout.launcher.blocks):
@@ -177,8 +177,9 @@ class TableSlices:
                 return
 
     def _keep_under_way(self, rollout: Rollout) -> None:
-        """Begin slices until as many are in flight as there should be."""
-        # a job that follows from an outcome joins after the slices in flight: while blocks are idle, only one is
+        """Begin slices until the right number of them is in flight."""
+        # a job that follows from an outcome joins after the slices in flight; so while blocks are idle, only one slice
+        # is in flight
         blocks_idle = int(self._table.live.sum()) <= rollout.launcher.blocks
         single = self._waits or (self._source.feedback and blocks_idle)
         rollout.keep_under_way(1 if single else UNDER_WAY, self._table, self._queues.order)
@@ -204,7 +205,9 @@ class TableSlices:
             if growth is None:
                 table.give_up(some, Flag.NONE)
                 continue
-            table.run.progress.message = f"{len(some)} worlds overflowed their buffers, on with {growth}× as large ones"
+            table.run.progress.message = (
+                f"{len(some)} worlds overflowed their buffers: continuing with {growth}× the buffers"
+            )
             table.retry(some)
             table.table = table.table._replace(status=table.table.status.at[some].set(Status.RUNNING))
         self._rollout = self._rollout_for(table)
@@ -219,7 +222,7 @@ class TableSlices:
         self._table.give_up(np.flatnonzero(is_live), Flag.OUT_OF_MEMORY)
 
     def _read_ended(self, status: NDArray[np.int32]) -> SliceResult:
-        """Read back the worlds that have ended, and give their rows free."""
+        """Read back the worlds that have ended, and free their rows."""
         table = self._table
         ended = table.ended(status)
         picked = read_back(ended, table.table, table.worlds, table.run.sim)
@@ -245,6 +248,6 @@ class TableSlices:
         return bool(rows)
 
     def _hand_to_next_table(self, rollout: Rollout) -> None:
-        """Let the worlds that have not ended go on in the next table."""
+        """Let the worlds that have not ended continue in the next table."""
         rollout.finish(self._table)
         self._source.running = self._table.take_running()

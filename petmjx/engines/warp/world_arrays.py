@@ -99,8 +99,8 @@ class Model:
     ls_iterations: int  # largest number of iterations of the solver's line search
 
     queue: int  # the queue from which these blocks take worlds
-    most_idle: int  # largest number of lanes without a world; above it, the others stop for this call
-    most_placed: int  # largest number of boxes; a world with more moves to other blocks in the next call
+    most_idle: int  # largest number of lanes without a world; above it, the other lanes stop for this call
+    most_placed: int  # largest number of boxes; if a world has more, it moves to other blocks in the next call
     npairmax: int  # largest number of pairs of near geoms of a world
     nconmax: int  # largest number of contacts of a world
 
@@ -196,7 +196,8 @@ class Workspace:
     pair_normal: Annotated[wp.array2d[wp.vec3], "block pair"]
     pair_points: Annotated[wp.array3d[wp.vec4], "block pair 8"]  # a contact point, and the distance there
     pair_spring: Annotated[wp.array2d[float], "block pair"]  # stiffness of its contacts, N/m; 0: both geoms are rigid
-    geom1_pairadr: Annotated[wp.array2d[int], "block geom_end"]  # for each geom: its first pair as pair_geom1
+    # for each geom: the first pair in which it is pair_geom1
+    geom1_pairadr: Annotated[wp.array2d[int], "block geom_end"]
     geom2_pair: Annotated[wp.array2d[int], "block pair"]  # the pairs, sorted by pair_geom2
     geom2_pairadr: Annotated[wp.array2d[int], "block geom_end"]  # for each geom: its first entry in geom2_pair
     pair_ncon: Annotated[wp.array2d[int], "block pair"]  # contacts of each pair

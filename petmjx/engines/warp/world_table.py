@@ -1,4 +1,4 @@
-"""The table of worlds on mjx-warp's device: a row a world. Rows of ended worlds are given to further jobs."""
+"""The table of worlds on mjx-warp's device, with one row per world. Rows of ended worlds are given to further jobs."""
 
 from __future__ import annotations
 
@@ -22,7 +22,8 @@ from petmjx.options.simulation import Simulation
 from petmjx.world.job import Excitation, Job
 
 MAX_GROWTH = 8
-"""Largest growth of buffers. They double with each overflow. A world that needs more is invalid."""
+"""Largest factor by which buffers grow. Buffers double with each overflow. A world that needs larger buffers is
+invalid."""
 
 OVERFLOW_BITS = int(Flag.CONTACT_OVERFLOW | Flag.CONSTRAINT_OVERFLOW | Flag.OTHER_OVERFLOW)
 
@@ -38,10 +39,10 @@ def _put_profiles(profiles: jax.Array, rows: jax.Array, samples: jax.Array) -> j
 
 
 def _put_into(table: Table, rows: NDArray[np.intp], values: Table, put: Callable[..., Table] = _put) -> Table:
-    """The table with the first values in these rows. The memory of the table before is reused.
+    """The table, with the first rows of ``values`` in these rows. The memory of the old table is reused.
 
     Args:
-        values: at least as many as rows.
+        values: has at least as many rows as ``rows``.
         put: a function like ``put_rows``.
     """
     length, end = len(jax.tree.leaves(values)[0]), len(jax.tree.leaves(table)[0])
@@ -56,7 +57,7 @@ class Run:
 
     Attributes:
         needs: features and sizes of the table's kernels.
-        message: the progress message while its worlds are simulated.
+        message: the progress message while the table's worlds are simulated.
     """
 
     sim: Simulation
@@ -75,8 +76,8 @@ class RunningWorlds(NamedTuple):
     """The worlds of a table that have not ended, on their way into another table.
 
     Attributes:
-        jobs, stream_numbers: their jobs, and the stream numbers of these.
-        states: a row a world, then rows that belong to no world.
+        jobs, stream_numbers: the jobs of these worlds, and the stream numbers of the jobs.
+        states: one row per world, then rows that belong to no world.
     """
 
     jobs: list[Job]
@@ -88,13 +89,13 @@ class RunningWorlds(NamedTuple):
 class WorldTable(Batch):
     """Worlds of all sizes on the device, and the buffers for their frames.
 
-    ``jobs`` has the latest job of each row that was ever used.
+    ``jobs`` has the job that each used row got last.
 
     Attributes:
         stream_numbers: stream number of each row's job.
         live: (row,) whether the row's world has not ended.
         slices: number of time slices that have begun.
-        since: (row,) number of the first slice with the row's world. Earlier slices tell of the world before.
+        since: (row,) number of the first slice with the row's world. In earlier slices, the row had another world.
     """
 
     run: Run
@@ -114,16 +115,18 @@ class WorldTable(Batch):
         return len(self.table.status)
 
     def status(self) -> NDArray[np.int32]:
-        """(row,) statuses on the host, after all slices that have begun. Waits for them."""
+        """(row,) statuses on the host, after all slices that have begun. Waits for these slices."""
         return np.asarray(self.table.status)
 
     def status_after(self, slice_number: int, status: NDArray[np.int32]) -> NDArray[np.int32]:
-        """(row,) statuses after a slice. Worlds that joined later are running."""
+        """(row,) statuses after a slice. Worlds that joined later count as running."""
         running: NDArray[np.int32] = np.where(self.since > slice_number, np.int32(Status.RUNNING), status)
         return running
 
     def ended(self, status: NDArray[np.int32]) -> NDArray[np.intp]:
-        """Rows of the live worlds that have reached their end. A settled world that waits for its drive has not."""
+        """Rows of the live worlds that have reached their end. A settled world that waits for its drive is not
+        included.
+        """
         settled = np.flatnonzero(self.live & (status == Status.SETTLED))
         is_end = self.live & (status == Status.FINISHED)
         is_end[[row for row in settled.tolist() if self.jobs[row].drive is None]] = True
@@ -140,10 +143,11 @@ class WorldTable(Batch):
         return has_blocks and has_times and has_steps and needs.know(job) and job.record is None and self.recorder.idle
 
     def add(self, jobs: Sequence[Job], stream_numbers: Sequence[int], at_once: int) -> NDArray[np.intp]:
-        """Put jobs that fit into free rows. Returns their rows, fewer than jobs if there is no room for all profiles.
+        """Put jobs that fit into free rows. Returns the rows. There are fewer rows than jobs if not all profiles have
+        room.
 
         Args:
-            at_once: rows that are written at a time. XLA compiles a program for each number.
+            at_once: number of rows that are written at a time. XLA compiles a program for each number.
         """
         jobs = jobs[: self._with_profiles(jobs)]
         free = np.flatnonzero(~self.live)[: len(jobs)]
@@ -163,12 +167,14 @@ class WorldTable(Batch):
         return free
 
     def _with_profiles(self, jobs: Sequence[Job]) -> int:
-        """Give the profiles of jobs rows that no live world needs. Returns for how many jobs there was room."""
+        """Put the profiles of jobs into rows that no live world needs. Returns the number of jobs whose profiles had
+        room.
+        """
         if all(job.drive is None for job in jobs):
             return len(jobs)
         live = [self.jobs[row] for row in np.flatnonzero(self.live).tolist()]
         needed = {id(excitation) for excitation in map(_excitation, live) if excitation is not None}
-        # profiles that no world needs may be gone, and another may have their id
+        # an excitation that no world needs may have been freed, and another may have the same id
         self.profile_rows = {key: row for key, row in self.profile_rows.items() if key in needed}
         free = sorted({*range(len(self.profiles))} - {*self.profile_rows.values()}, reverse=True)
         rows, samples = list[int](), list[NDArray[np.float32]]()
@@ -191,7 +197,7 @@ class WorldTable(Batch):
         return fitting
 
     def end(self, rows: NDArray[np.intp]) -> None:
-        """Give rows free, whose worlds have ended."""
+        """Free the rows of worlds that have ended."""
         self.live[rows] = False
 
     def take_running(self) -> RunningWorlds | None:
@@ -204,13 +210,13 @@ class WorldTable(Batch):
         return RunningWorlds(jobs, stream_numbers, _take(self.table, device_array(padded)))
 
     def put_running(self, running: RunningWorlds) -> None:
-        """Let worlds of another table go on in the first rows, which have their jobs. The tables may differ in box
-        columns, but each has as many as these worlds need."""
+        """Let worlds of another table continue in the first rows, which already have their jobs. The tables may differ
+        in the number of box columns, but both have enough for these worlds."""
         rows = np.arange(len(running.jobs))
         self.table = _put_into(self.table, rows, running.states, _put_resized)
 
     def retry(self, rows: NDArray[np.int64]) -> None:
-        """Clear the overflow bits and set the bit for a re-run. In larger buffers the result is valid."""
+        """Clear the overflow bits of worlds and set the bit for a re-run, since results in larger buffers are valid."""
         flags = (self.table.flags[rows] & ~OVERFLOW_BITS) | int(Flag.RERUN_AFTER_OVERFLOW)
         self.table = self.table._replace(flags=self.table.flags.at[rows].set(flags))
 

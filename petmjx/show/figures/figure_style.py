@@ -1,4 +1,5 @@
-"""The style of figures for papers, and of their files. Text stays text, and nothing depends on the date."""
+"""The style of figures for papers, and of their files. Text in a file is stored as text, and nothing depends on the
+date."""
 
 from __future__ import annotations
 
@@ -18,7 +19,7 @@ POINTS: Final = 8.0
 DOTS_PER_INCH: Final = 200
 
 SETTINGS: Final[Any] = {
-    "svg.fonttype": "none",  # letters stay text instead of outlines
+    "svg.fonttype": "none",  # letters are stored as text instead of outlines
     "svg.hashsalt": "petmjx",  # ids are the same each time
     "pdf.fonttype": 42,  # fonts are TrueType, which journals require
     "font.family": "DejaVu Sans",  # this font is part of matplotlib
@@ -42,7 +43,7 @@ def paper_style() -> Iterator[None]:
     from matplotlib import rc_context
 
     with rc_context(SETTINGS), warnings.catch_warnings():
-        warnings.filterwarnings("ignore", "Glyph", UserWarning)  # names may have characters that no font contains
+        warnings.filterwarnings("ignore", "Glyph", UserWarning)  # names may have characters that the font lacks
         yield
 
 

@@ -1,4 +1,5 @@
-"""A PDF page about each load unit of a chain, for sending: its four sides, its chance to arrive, and the assumptions.
+"""A PDF page about each load unit of a chain, to be sent to others: its four sides, its chance to arrive, and the
+assumptions.
 
 ``petmjx report DIR --pdf FILE`` writes it, with matplotlib. docs/chains.md shows an example.
 """
@@ -42,10 +43,10 @@ MOST_PAGES: Final = 50
 """Largest number of plans in one file. Each has one page."""
 
 LETTERS: Final = 128
-"""Number of letters in a line of text."""
+"""Largest number of letters in a line of text."""
 
 FOOTER: Final = 0.045
-"""Height of the line with the versions and of the room above it, as a share of the page."""
+"""Height of the line with the versions plus the room above it, as a share of the page."""
 
 SIDES: Final = (("front", 0, 1, 1.0), ("right", 1, 0, -1.0), ("back", 0, 1, -1.0), ("left", 1, 0, 1.0))
 """Name of a view, the axis across the view, the axis into it, and whether that axis points away from (1) or towards
@@ -194,8 +195,8 @@ def _facts(run: RunResults, plan: Plan) -> Iterator[str]:
 
 
 def _film(run: RunResults, plan: Plan, slides_g: float) -> str:
-    """How much film is around the load and from which leg on; and the acceleration from which the wrapped load slides,
-    according to docs/wrap.md.
+    """A text that states how much film is around the load, from which leg on, and from which acceleration on the
+    wrapped load slides (formula in docs/wrap.md).
 
     Args:
         slides_g: acceleration from which the load slides without film, g, which is its friction with the carrier.

@@ -39,7 +39,7 @@ _AXES: Final = {
     "yaw_error_deg": "error of yaw, °",
     "drop_height_mm": "height of release, mm",
 }
-"""Descriptions of columns of summaries. Other columns are shown by their names."""
+"""Descriptions of columns of summaries. A column without a description is shown by its name."""
 
 
 def draw_answers(run: RunResults) -> Any:
@@ -70,11 +70,11 @@ def survival_curve(levels: pd.Series[float]) -> tuple[Any, Any]:
     surviving.
 
     Args:
-        levels: the largest level that each plan survives. Null means that it survives none, and counts as 0.
+        levels: the largest level that each plan survives. Null means that the plan survives no level, and counts as 0.
 
     Returns:
-        (m,) levels in ascending order from 0, and (m,) for each of them the share of plans whose largest level is at
-        least as high.
+        Two arrays: (m,) levels in ascending order from 0; and (m,) for each level, the share of plans whose largest
+        level is at least as high.
     """
     survived = np.sort(levels.fillna(0.0).to_numpy(np.float64))
     at = np.unique(np.concatenate(([0.0], survived)))
@@ -104,7 +104,7 @@ def _levels(summary: pd.DataFrame) -> Any:
 
 
 def _line(number: int) -> dict[str, Any]:
-    """Colour and dashes of a line. They are chosen so that both of two coinciding lines are visible."""
+    """Colour and dashes of a line. The styles are chosen so that two lines that coincide are both visible."""
     return {"color": category(number), "linestyle": _DASHES[number % len(_DASHES)]}
 
 

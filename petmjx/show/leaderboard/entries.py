@@ -32,7 +32,7 @@ REPAIRED: Final = "-repaired"
 """Suffix in the names of entries whose plans were repaired."""
 
 OF_REPAIR: Final = (*OF_RUN, *OF_READING)
-"""Options of runs that repairs have as well."""
+"""Options of runs that are also options of repairs."""
 
 Watch = Callable[[str], AbstractContextManager[Watcher]]
 """Name of a packer → the watcher of its run."""
@@ -45,7 +45,7 @@ class Entry:
     Attributes:
         name: name of the packer.
         run: the run of its plans.
-        plans: those of the plans that could be found again, by id.
+        plans: the plans of the run that could be found again, by id.
         ours: whether the packer is part of petmjx.
         scored: whether the board itself has just simulated all of its plans.
     """
@@ -124,7 +124,7 @@ def repair_entries(
 
     Args:
         names: name of each entry → the packer whose plans are repaired.
-        options: options of ``petmjx.score``. Those that repairs do not have are ignored.
+        options: options of ``petmjx.score``. Options that repairs do not have are ignored.
 
     Raises:
         InputError: plans are unusable, or a file cannot be written.

@@ -23,7 +23,8 @@ from petmjx.show.leaderboard.entries import Entry
 from petmjx.version import __version__
 
 NEAR_MARGIN: Final = 0.1
-"""Verdicts whose margin is smaller than this, with either sign, may differ between engines and between machines."""
+"""If the absolute value of a margin is smaller than this, the verdict may differ between engines and between
+machines."""
 
 NEAR_FLAGS: Final = Flag.SINKING | Flag.MOVING | Flag.KNIFE_EDGE | Flag.TIMESTEP
 """Flags of worlds whose verdicts may also differ between engines and between machines."""
@@ -72,7 +73,7 @@ class Sample:
 
     Attributes:
         engine: name of the engine that simulated them.
-        exact: whether this engine is also the run's, with the same version of petmjx, so that verdicts can differ only
+        exact: whether the run used the same engine and the same version of petmjx, so that verdicts can differ only
             because of rounding.
         fault: another fault of the run; "" if there is none.
     """
@@ -95,8 +96,8 @@ class Sample:
         """Why the entry is not rated, in one line; "" if it is rated.
 
         In an ``exact`` sample, a single differing verdict that is not near a threshold refutes the run. In other
-        samples, several of these are needed. Several differing verdicts near a threshold refute the run if more than
-        half of all replays differ.
+        samples, several such verdicts are needed. Differing verdicts near a threshold refute the run only if there are
+        several of them, and more than half of all replays differ.
         """
         differing = [replay for replay in self.replays if replay.differs]
         firm = [replay for replay in differing if not replay.near]
@@ -138,8 +139,8 @@ def sample_entry(
 ) -> Sample:
     """Simulate some plans of an entry again.
 
-    The plans are drawn with random numbers from the operating system, so that no entry can predict them. Plans that
-    stand according to the run are simulated first, since the rating depends on them.
+    The plans are drawn with random numbers from the operating system, so that nobody can predict which plans are
+    checked. Plans that stand according to the run are simulated first, since the rating depends on them.
 
     most: number of plans. If a verdict differs on an engine other than the run's, the same number of further plans is
     simulated.

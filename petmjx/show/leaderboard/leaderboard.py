@@ -68,9 +68,9 @@ def leaderboard(
     contains all that is needed to make the board again: ``plans/``, ``orders.json``, and the command, which the page
     shows.
 
-    Plans are scored into ``runs/`` in this folder. Existing runs are used as they are, but ``replays`` of their plans
-    are simulated again. If the replays contradict the run of an entry, the entry is not rated, and a ``PlanWarning``
-    states this.
+    Plans are scored into ``runs/`` in this folder. Existing runs are used unchanged, but ``replays`` of their plans are
+    simulated again. If the replays contradict the run of an entry, the entry is not rated, and a ``PlanWarning`` states
+    this.
 
     Args:
         packers: name → the folder of a run, or plans. Without names, packers are named after their folders and files.
@@ -84,8 +84,8 @@ def leaderboard(
         stories: number of plans per packer that get a page. Plans that fall while another packer's plan for the same
             order stands come first.
         replays: number of plans per entry that are simulated again, unless the board has just scored the entry. The
-            plans are drawn at random. The options are those of the call; without any, those that all runs have in
-            common.
+            plans are drawn at random. The options of these simulations are those of this call; if it gives none, those
+            of the runs, or the defaults if runs differ.
         watch: function that returns for a packer a context manager with the watcher of its run.
         overwrite: whether to replace an existing leaderboard.
         options: options of ``petmjx.score``, for plans that are scored.
@@ -152,7 +152,7 @@ def leaderboard(
 
 @dataclass(frozen=True, eq=False)
 class _RatedEntries:
-    """The rated entries and their comparison. For entries that are not rated, there are only samples.
+    """The rated entries and their comparison. Entries that are not rated appear only in ``samples``.
 
     Attributes:
         options: simulation options of the board.
@@ -169,7 +169,8 @@ class _RatedEntries:
 def _rated_entries(
     entries: Sequence[Entry], folder: Path, orders: Path | None, options: Mapping[str, Any], stories: int, replays: int
 ) -> _RatedEntries:
-    """Compare those entries whose runs the board's own simulations confirm, in samples and stories."""
+    """Check each entry by samples and stories, which the board simulates itself, and compare the entries whose runs are
+    confirmed."""
     runs_by_packer({entry.name: entry.run for entry in entries})
     of_simulation, of_run, _ = sorted_options(options, Confidence)
     sim, run_options = _options_of(of_simulation, entries), RunOptions(**of_run)
@@ -202,7 +203,8 @@ def _rated_entries(
 
 
 def _options_of(of_simulation: Mapping[str, Any], entries: Sequence[Entry]) -> Simulation:
-    """The simulation options of the board: those of the call, else those of its runs if these all agree."""
+    """The simulation options of the board: those of the call; if it gives none, those of the runs, or the defaults if
+    runs differ."""
     settings = [entry.run.info.get("config", {}).get("simulation") for entry in entries]
     if of_simulation or not isinstance(settings[0], Mapping) or any(setting != settings[0] for setting in settings):
         return Simulation(**of_simulation)
@@ -237,8 +239,8 @@ def _digest(file: Path) -> str:
 def _stories(
     entries: Sequence[Entry], comparison: PackerComparison, folder: Path, most: int
 ) -> tuple[list[StoryEntry], dict[str, list[Replay]]]:
-    """Make stories of some plans of each packer. Each is simulated again as in its run. Also returns these simulations
-    as replays of each packer."""
+    """Make stories of some plans of each packer. Each plan is simulated again as in its run. The simulations are also
+    returned, as replays of each packer."""
     folder.mkdir(exist_ok=True)
     stories: list[StoryEntry] = []
     replays_by_name: dict[str, list[Replay]] = {}

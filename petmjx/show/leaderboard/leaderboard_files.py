@@ -29,7 +29,8 @@ UNFINISHED: Final = "unfinished"
 
 _MOST_BYTES: Final = 1 << 30
 _NO_FILE: Final = ".none"
-"""A name that no file in a run's folder has. Its parent is used to check the path to the folder."""
+"""A file name that no run has. The name stands for a file in the folder of a run when the path to this folder is
+checked."""
 
 
 def names_of(packers: Collection[str], stories: int, orders: bool) -> list[str]:
@@ -109,7 +110,7 @@ class BoardFolder:
         """Write ``leaderboard.json``, and delete files that an earlier board has left.
 
         Args:
-            written: those of the files ``names`` that the board has.
+            written: the files, among ``names``, that the board has.
         """
         self.check()
         for name in self.board_files.difference(written, (DATA,)):
@@ -141,7 +142,7 @@ def _board_in(folder: Path) -> Mapping[str, Any] | None:
 
 
 def _own_of(board: Mapping[str, Any]) -> Iterator[str]:
-    """The board's own files, from its list. If it has no list, they are the files of its packers and stories."""
+    """The board's own files, from its list. Without a list, they are the files of the board's packers and stories."""
     if not board:
         return
     listed = board.get(FILES)
@@ -160,7 +161,7 @@ def _tables(value: Any) -> list[dict[str, Any]]:
 
 
 def _is_a_board_file(name: str) -> bool:
-    """Whether a name can be that of a board's file. This check ensures that an edited ``leaderboard.json`` cannot make
+    """Whether a board may have a file with this name. The check ensures that an edited ``leaderboard.json`` cannot make
     petmjx delete other files."""
     path = PurePosixPath(name)
     if len(path.parts) == 1:

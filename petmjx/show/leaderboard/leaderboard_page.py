@@ -25,7 +25,7 @@ from petmjx.show.report.svg_charts import figure
 from petmjx.version import __version__
 
 MOST_ORDERS: Final = 200
-"""Largest number of orders that the page lists. The runs contain all of them."""
+"""Largest number of orders that the page lists. The runs contain all orders."""
 
 MOST_SENTENCES: Final = 15
 
@@ -61,12 +61,12 @@ class StoryEntry:
 
 @dataclass(frozen=True, eq=False)
 class Board:
-    """What the page shows.
+    """The content of the page.
 
     Attributes:
         rating: a row for each packer, from ``petmjx.analysis.packer_rating.rate``.
-        digests: packer → SHA-256 of the file in the folder that has its plans. Packers whose plans were not found are
-            missing.
+        digests: packer → SHA-256 of the file with its plans in the board's folder. Packers whose plans were not found
+            are missing.
         orders: whether the board was made with orders.
         stories: largest number of stories of a packer.
         options: simulation options for making the board again.
@@ -192,7 +192,7 @@ def _rating(board: Board) -> Markup:
 
 
 def _rerun_text(board: Board) -> Content:
-    """A text about the entries that are runs, and how many of their plans were simulated again."""
+    """A text about the entries that were given as runs, with the number of their plans that were simulated again."""
     parts = [
         f"{count_text(len(sample.replays), 'plan')} of {printable(sample.packer)}"
         for sample in board.samples

@@ -1,8 +1,8 @@
 """Makes one offline HTML page from its parts.
 
-The page contains its styles, scripts and data, and its policy forbids it to request anything else. Texts from plans
-never become markup: in HTML they pass through :func:`escaped_html`, in data through :func:`page`, and scripts write
-them as text.
+The page contains its styles, scripts and data, and its content security policy forbids it to request anything else.
+Texts from plans never become markup: in HTML they pass through :func:`escaped_html`, in data through :func:`page`, and
+scripts write them as text.
 """
 
 from __future__ import annotations
@@ -45,8 +45,9 @@ def page(
 ) -> str:
     """A page as one file.
 
-    The policy allows only this script and this style sheet, which it knows by their hashes, and images inside the page.
-    So ``body`` must have no ``style`` attributes and no event handlers; use classes and SVG attributes instead.
+    The content security policy allows only this script and this style sheet, identified by their hashes, and images
+    inside the page. So ``body`` must have no ``style`` attributes and no event handlers; use classes and SVG attributes
+    instead.
 
     Args:
         title: title of the page, as text.

@@ -26,8 +26,8 @@ _ALIGNED: Final = 8
 
 @dataclass(frozen=True, eq=False)
 class PackedArray:
-    """An array as stored in a block. Its numbers are ``values`` × ``scale`` + ``offset``. With ``steps``, each row of
-    axis 0 holds the differences from the row before, modulo the range of the type; these deflate better."""
+    """An array as stored in a block. The original numbers are ``values`` × ``scale`` + ``offset``. With ``steps``, each
+    row of axis 0 holds the differences from the row before, modulo the range of the type; these deflate better."""
 
     values: NDArray[Any]
     scale: float | None = None
@@ -36,7 +36,8 @@ class PackedArray:
 
 
 def quantised_column(values: NDArray[np.floating[Any]], steps: bool = False) -> PackedArray:
-    """Floats as int16: their range is divided into 65,534 equal parts. The error is at most half a part. NaN is kept.
+    """Store floats as int16. The range of the floats is divided into 65,534 equal parts, so the error is at most half a
+    part. NaN is kept.
 
     Args:
         values: floats of any shape. Infinities become NaN.
@@ -52,7 +53,7 @@ def quantised_column(values: NDArray[np.floating[Any]], steps: bool = False) -> 
 
 
 def integer_column(values: NDArray[np.integer[Any]], steps: bool = False) -> PackedArray:
-    """Whole numbers in the smallest type that can hold them.
+    """Store whole numbers in the smallest type that can hold them.
 
     Raises:
         ValueError: a number needs more than 32 bits.

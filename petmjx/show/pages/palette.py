@@ -16,12 +16,13 @@ OKABE_ITO: Final = ("#e69f00", "#56b4e9", "#009e73", "#f0e442", "#0072b2", "#d55
 """Okabe and Ito, "Color Universal Design", 2008, without black."""
 
 _TONES: Final = (0.0, 0.45, -0.4)
-"""Tones of the hues. Pure tones are used first; once all hues are used, lighter ones follow, and then darker ones."""
+"""Tones of the hues. Pure tones are used first; once all hues are used, lighter tones follow, and then darker tones."""
 
 RAMP_COLOURS: Final = 64
 
-# A path through OKLab (Ottosson, "A perceptual color space for image processing", 2020) from dark blue through green to
-# yellow. Lightness grows evenly, so the order is visible even without hues.
+# A path through the colour space OKLab (Ottosson, "A perceptual color space for image processing", 2020), from dark
+# blue through green to yellow.
+# Lightness grows evenly, so the order of values is visible even without hues.
 _LIGHTNESS: Final = (0.36, 0.93)
 _HUE_DEG: Final = (278.0, 103.0)
 _CHROMA: Final = 0.15
@@ -68,7 +69,7 @@ def look() -> dict[str, Any]:
 
 
 def _on_path(share: float) -> str:
-    """The colour at a position on the path, given as a share, with the largest chroma that sRGB allows."""
+    """The colour at a position on the path (0 to 1), with the largest chroma that sRGB allows."""
     lightness, hue = (low + share * (high - low) for low, high in (_LIGHTNESS, _HUE_DEG))
     chroma = _CHROMA
     while True:

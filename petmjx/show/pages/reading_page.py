@@ -16,7 +16,7 @@ from petmjx.version import __version__
 _MOST_PICTURES: Final = 4
 """Largest number of plans of a file that are drawn."""
 _MOST_BOXES: Final = 8
-"""Largest number of boxes whose numbers are shown. These suffice to compare them with the file."""
+"""Largest number of boxes whose numbers are shown. This number is enough to compare the boxes with the file."""
 _MOST_LINES: Final = 20
 """Largest number of lines about odd and skipped plans."""
 

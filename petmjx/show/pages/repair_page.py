@@ -78,7 +78,8 @@ def _heading(repaired: Repaired) -> str:
 
 
 def _numbers(repaired: Repaired) -> list[int]:
-    """For each box of the repaired plan, its number in the original plan. Added sheets have the numbers after these."""
+    """For each box of the repaired plan, its number in the original plan. Added sheets have the numbers after the last
+    box of the original plan."""
     from petmjx.repairs.changes import applied
     from petmjx.repairs.drafts import Draft
 

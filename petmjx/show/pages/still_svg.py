@@ -47,7 +47,7 @@ def still_svg(story: Story, marked: Collection[int] | None = None, numbers: Sequ
 
     Args:
         marked: boxes that are outlined; None: the first box to fail.
-        numbers: numbers by which the picture names the boxes; None: their numbers in the plan.
+        numbers: numbers by which the picture names the boxes; None: the boxes' numbers in the plan.
     """
     marked = (story.outcome.culprit,) if marked is None else marked
     history, scene = story.history, story.scene
@@ -104,8 +104,8 @@ def _svg(
 
     Args:
         boxes: centres, axes and half sizes as in ``drawing_order``, first of the shown boxes, then of the boards.
-        shown: for each shown box, its row in the plan.
-        numbers: numbers by which the picture names these boxes.
+        shown: row in the plan of each shown box.
+        numbers: numbers by which the picture names the shown boxes.
         fit: the result of ``_picture_fit``.
         marked: rows of the boxes that are outlined.
         n_walls: number of walls, which are the last boards, and are drawn as panes.
@@ -172,7 +172,7 @@ def _face(flat: FloatArray, axes: FloatArray, fill: str, number: int) -> str:
 
 
 def drawing_order(pos: FloatArray, axes: FloatArray, half: FloatArray) -> list[int]:
-    """The order in which boxes must be drawn so that near boxes cover those behind.
+    """The order in which boxes must be drawn so that near boxes cover the boxes behind them.
 
     If the plane through a face of one box has the other box on its far side, this plane determines which box is nearer.
     If no face separates two boxes, or if boxes form a cycle in which each is behind the next, they are ordered by the
@@ -197,7 +197,7 @@ def drawing_order(pos: FloatArray, axes: FloatArray, half: FloatArray) -> list[i
 
 
 def _before(pos: FloatArray, axes: FloatArray, half: FloatArray) -> NDArray[np.bool_]:
-    """(k, k): whether the row's box must be drawn before the column's."""
+    """(k, k): whether the row's box must be drawn before the column's box."""
     points = corners(pos, axes, half)
     flat = _projection(points)
     low, high = flat.min(axis=1), flat.max(axis=1)

@@ -22,8 +22,8 @@ _FAR_M: Final = 0.8
 _FAR_SHARE: Final = 0.5
 """A box is not framed if its distance from the pallet exceeds both ``_FAR_M`` and this share of the pallet's height."""
 _LOST_M: Final = 50.0
-"""Boxes farther away than this, in simulations that became unstable numerically, are not drawn. With them, all other
-positions would be stored less precisely."""
+"""Boxes farther away than this are not drawn. Boxes this far away occur in simulations that became numerically
+unstable. If they were drawn, all other positions would be stored less precisely."""
 _ARROW_M: Final = 0.45
 """Room to the left of the carrier for the arrow of gravity (petmjx/show/pages/static/arrows.js)."""
 
@@ -87,8 +87,8 @@ def _drive(story: Story) -> dict[str, Any] | None:
 
 
 def framed_corners(story: Story) -> tuple[FloatArray, FloatArray]:
-    """(3,) lowest and (3,) highest corner of what is framed: the carrier, the plan, and boxes that are near it at the
-    end."""
+    """(3,) lowest and (3,) highest corner of the volume that the view frames: the carrier, the plan, and the boxes that
+    are near the plan at the end."""
     scene = story.scene
     low = np.vstack([scene.target - scene.half_size, scene.carrier.low]).min(axis=0)
     high = np.vstack([scene.target + scene.half_size, scene.carrier.high]).max(axis=0)

@@ -29,7 +29,8 @@ HELD_S: Final = 2.0
 """How long a film shows its last frame, s."""
 
 USUAL_LONGEST_S: Final = 20.0
-"""Largest length of a film if no speed is given, s. The film then runs in real time, or faster to stay below this."""
+"""Largest length of a film if no speed is given, s. Such a film runs in real time, or faster if it would otherwise be
+longer than this."""
 
 MOST_FRAMED: Final = 400
 """Largest number of frames to which the camera of a film is fitted."""
@@ -47,14 +48,15 @@ def film_times(story: Story, speed: float, fps: float) -> list[float]:
 
 
 def usual_speed(story: Story) -> float:
-    """1 for real time, or the smallest whole multiple of it with which the film lasts at most ``USUAL_LONGEST_S``."""
+    """The smallest whole multiple of real time with which the film lasts at most ``USUAL_LONGEST_S``; 1 is real
+    time."""
     lasts_s = float(story.history.time_s[-1] - story.history.time_s[0])
     return float(max(1, math.ceil(lasts_s / USUAL_LONGEST_S)))
 
 
 def spread_times(story: Story) -> list[float]:
-    """Some times of a story, s. Their pictures contain all colours of the film, since they are taken while boxes are
-    placed and while they fall."""
+    """Times, s, spread over a story, from which a palette can be made: some while boxes are placed and some while they
+    fall, so that their pictures contain all colours of the film."""
     first, last = float(story.history.time_s[0]), float(story.history.time_s[-1])
     signs = [story.outcome.first_sign_s] if math.isfinite(story.outcome.first_sign_s) else []
     return sorted([first + share * (last - first) for share in (0.25, 0.5, 0.75, 1.0)] + signs)
@@ -94,7 +96,7 @@ def write_gif(
     """Write a film that repeats. Each frame contains only the pixels that change, so that flat colours take little
     space.
 
-    GIF measures time in hundredths of a second, so the times of frames are rounded such that their sum stays right.
+    GIF measures time in hundredths of a second, so the times of frames are rounded such that their sum is right.
     """
     from PIL import Image
     from PIL.GifImagePlugin import getdata, getheader
@@ -152,8 +154,8 @@ def _colour_indices(frame: Image, palette: Image) -> NDArray[np.uint8]:
 
 
 def _changes(before: NDArray[np.uint8], after: NDArray[np.uint8]) -> tuple[Image, tuple[int, int]]:
-    """The smallest part of a picture that contains all changed pixels, and its position. Its other pixels are
-    transparent."""
+    """The smallest part of a picture that contains all changed pixels, and the position of this part. Unchanged pixels
+    in it are transparent."""
     from PIL import Image
 
     changed = before != after
@@ -166,7 +168,7 @@ def _changes(before: NDArray[np.uint8], after: NDArray[np.uint8]) -> tuple[Image
 
 
 def _with_last(frames: Iterator[Image]) -> Iterator[tuple[Image, bool]]:
-    """Each frame, and whether it is the last frame."""
+    """Yield each frame, and whether it is the last frame."""
     waiting = next(frames, None)
     for frame in frames:
         assert waiting is not None

@@ -109,9 +109,9 @@ def framing(points: FloatArray, view: View, size: tuple[int, int], margins: Marg
     """The nearest camera with which all points are within the margins of its picture.
 
     In the axes of the camera, a point (x, y, z) is to the left of the right margin if x − cx ≤ r (z − cz). Here (cx,
-    cy, cz) is the camera, and r is the tangent of the angle to this margin. So cx − r cz ≥ A with A = max(x − r z).
-    Likewise, −cx − l cz ≥ B for the left margin, and so cz ≤ −(A + B) / (r + l). The vertical direction gives another
-    limit. The smaller cz fulfils both.
+    cy, cz) is the position of the camera, and r is the tangent of the angle to this margin. So cx − r cz ≥ A with A =
+    max(x − r z). Likewise, −cx − l cz ≥ B for the left margin. The sum of both gives cz ≤ −(A + B) / (r + l). The
+    vertical direction gives another limit for cz, and the smaller of the two limits is used.
 
     Args:
         points: (k, 3) the points, m.

@@ -1,4 +1,4 @@
-"""The colours of boxes and their meaning. They are the same as on pages (``petmjx.show.pages.palette``)."""
+"""The colours of boxes and their meaning. Pages use the same colours (``petmjx.show.pages.palette``)."""
 
 from __future__ import annotations
 
@@ -33,8 +33,8 @@ MOST_NAMED: Final = 7
 
 @dataclass(frozen=True)
 class Scale:
-    """The meaning of colours that represent values, from ``low`` (dark) to ``high`` (bright). Larger values have the
-    last colour."""
+    """The meaning of colours that represent values, from ``low`` (dark) to ``high`` (bright). Values above ``high``
+    have the last colour."""
 
     label: str
     low: float
@@ -60,7 +60,7 @@ class Colouring:
 
     @property
     def outlined(self) -> bool:
-        """Whether the colours that represent names are those of edges."""
+        """Whether the colours in ``names`` are colours of edges, not of boxes."""
         return self.colour is Colour.PLANNED
 
     def of(self, poses: Poses) -> NDArray[np.float64]:
@@ -114,7 +114,8 @@ def _scale(story: Story, colour: Colour) -> Scale:
 
 
 def _usual_force(story: Story) -> float:
-    """The largest force on a box, at rest and in 98 of 100 frames, N. Impacts exceed it, but last less than a frame."""
+    """The larger of two forces, N: the largest force at rest, and the force that 98 % of the forces in the frames do
+    not exceed. Impacts exceed it, but last less than a frame."""
     forces = story.history.top_force_n[np.isfinite(story.history.top_force_n)]
     rest_force_n = story.outcome.boxes.rest_top_force_n
     usual = float(np.quantile(forces, 0.98)) if len(forces) else 0.0

@@ -35,18 +35,18 @@ _SUN: Final = (0.26, 0.36, -1.0)
 _FLOOR_HALF_M: Final = 60.0
 
 _TOWARDS_CAMERA: Final = 1.5e-3
-"""Edges are this share of the distance nearer to the camera than their faces. They are scaled down by the same share,
-so that they cover the same pixels but lie in front of the faces."""
+"""Edges are drawn nearer to the camera than their faces, by this share of the distance, and smaller by the same share.
+So they cover the same pixels, but lie in front of the faces."""
 
 _SEE_THROUGH: Final = 0.24
 """Opacity of boxes when contact forces are drawn."""
 
 _AWAY: Final = 0.25
-"""A box counts as away from its planned place if it exceeds this share of a threshold. Its planned place is then
-drawn."""
+"""A box counts as away from its planned place if its shift or tilt exceeds this share of the threshold. For such a box,
+the planned place is drawn."""
 
 _LEAST_FORCE: Final = 0.02
-"""Contacts whose force is below this share of a usual force have no arrow."""
+"""A contact has no arrow if its force is below this share of a usual force."""
 
 _ARROW_SHARE: Final = 0.4
 """Length of the arrow for a usual force, as a share of the pallet's largest extent."""
@@ -128,8 +128,8 @@ class Painter:
         self.canvas.box(half_size, np.array([0.0, 0.0, self.story.scene.floor_z - 0.012]), np.eye(3), FLOOR)
 
     def _shadow(self, half_size: FloatArray, pos: FloatArray, turned: FloatArray) -> None:
-        """Draw the shadow of a box: the box itself, flattened onto the floor along the light. It keeps a little of its
-        height, since faces need normals."""
+        """Draw the shadow of a box: the box itself, flattened onto the floor along the light. The flattened box keeps a
+        little of its height, since faces need normals."""
         across = np.array(_SUN[:2]) / _SUN[2]
         flatten = np.array([[1.0, 0.0, -across[0]], [0.0, 1.0, -across[1]], [0.0, 0.0, 1e-3]])
         above = pos - np.array([0.0, 0.0, self.story.scene.floor_z])
@@ -141,7 +141,7 @@ class Painter:
         self.canvas.edges((1 - _TOWARDS_CAMERA) * half_size, nearer, turned, rgb)
 
     def _shaking(self, poses: Poses) -> None:
-        """Draw an arrow above the load. Its length grows with the strength of the shaking."""
+        """Draw an arrow above the load. The arrow's length grows with the strength of the shaking."""
         level = shaking_g(self.story, poses)
         if np.linalg.norm(level) > LEAST_LEVEL_G:
             start, longest = _above(self.story)
@@ -211,7 +211,7 @@ def framed_points(story: Story, frames: Iterable[int]) -> FloatArray:
 
 
 def _above(story: Story) -> tuple[FloatArray, float]:
-    """The middle of the arrow for the shaking, (3,) m, and its length at the strongest shaking, m."""
+    """The middle (3,) of the arrow that shows the shaking, m, and the arrow's length at the strongest shaking, m."""
     scene, longest = story.scene, 0.5 * largest_extent_m(story)
     top = float((scene.target + scene.half_size)[:, 2].max()) + 0.15 * longest
     return np.array([*scene.carrier.pos[:2], top]), longest

@@ -34,7 +34,7 @@ def write_figure(story: Story, look: PictureStyle, moments: list[Moment], path: 
     """Write a row with one picture for each moment, all from the same camera.
 
     Args:
-        look: style of the pictures. Its ``size`` is that of each picture, px.
+        look: style of the pictures. ``look.size`` is the size of each single picture, px.
         kind: ``png``, ``pdf`` or ``svg``.
     """
     from matplotlib.figure import Figure
@@ -62,7 +62,7 @@ def _head(figure: Any, story: Story, width: float, height: float) -> None:
     colour = FIRST if story.outcome.culprit >= 0 else "0.35"
     below = figure.text(left, top - 0.17 / height, line, size=_POINTS, color=colour, va="top")
     for text in (name, below):
-        text.set_parse_math(False)  # a $ in an id is only a $
+        text.set_parse_math(False)  # a $ in an id does not begin a formula
     room = width - 0.08
     wide = len(line) * _POINTS * 0.55 / 72
     below.set_size(max(4.0, _POINTS * min(1.0, room / wide)))
@@ -98,7 +98,7 @@ def _polygon(outline: Any) -> Any:
 
 
 def _foot(figure: Any, look: PictureStyle, width: float, height: float) -> None:
-    """Draw the legend: a colour bar, or names with their colours; and the meaning of arrows."""
+    """Draw the legend below the pictures: a colour bar, or names with their colours; and the meaning of arrows."""
     colours = look.colours
     row = 0.24 / height
     if colours.scale is not None:

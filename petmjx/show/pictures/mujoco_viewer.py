@@ -21,7 +21,7 @@ from petmjx.show.pictures.story_poses import Poses, poses_at
 from petmjx.world.mujoco_model import build_spec, geom_bodies
 
 _PARKED_M: Final = 100.0
-"""Distance at which boxes wait until they are placed, m. They touch nothing there."""
+"""Distance at which boxes wait until they are placed, m. At this distance they touch nothing."""
 
 _SPACE, _RIGHT, _LEFT, _HOME = 32, 262, 263, 268
 """Key codes of GLFW."""

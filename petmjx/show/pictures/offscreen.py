@@ -37,7 +37,8 @@ _ADVICE: Final = (
 )
 
 _LIGHTS: Final = (
-    # direction, ambient, diffuse: top faces have the true colour, and other faces are darker by different amounts
+    # Lights, as (direction, ambient, diffuse).
+    # The lights are chosen so that top faces have their true colour, and other faces are darker by different amounts.
     ((0.0, 0.0, -1.0), 0.46, 0.54),
     ((-0.25, 1.0, 0.0), 0.0, 0.36),
     ((-1.0, -0.35, 0.0), 0.0, 0.24),
@@ -148,7 +149,7 @@ def _gl_context(size: tuple[int, int]) -> Any:
         raise InputError(f"MUJOCO_GL={name}: pictures are drawn with one of {', '.join(CONTEXTS)}; unset it for egl")
     try:
         with _same_environment("PYOPENGL_PLATFORM"), warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # GLFW warns of problems that raise an error below
+            warnings.simplefilter("ignore")  # hides GLFW's warnings: the same problems raise an error below
             context = importlib.import_module(f"mujoco.{name}").GLContext(*size)
         context.make_current()
     except Exception as error:  # PyOpenGL and drivers may raise almost anything
@@ -170,7 +171,7 @@ def _same_environment(name: str) -> Iterator[None]:
 
 
 def _studio(size: tuple[int, int], line_px: float) -> Any:
-    """A model without bodies. It has what the renderer reads from models: sizes, and a white sky."""
+    """A model without bodies. The model has only the values that the renderer reads: sizes, and a white sky."""
     spec = mujoco.MjSpec()
     spec.visual.global_.offwidth, spec.visual.global_.offheight = size
     spec.visual.global_.linewidth = line_px

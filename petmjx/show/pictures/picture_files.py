@@ -96,7 +96,7 @@ def why_nothing_is_drawn() -> str:
         return missing
     try:
         from petmjx.show.pictures.offscreen import why_no_pictures
-    except Exception as error:  # importing mujoco fails if MUJOCO_GL does not work
+    except Exception as error:  # importing mujoco fails if the library that MUJOCO_GL names does not work
         return f"MUJOCO_GL={os.environ.get('MUJOCO_GL', '')} does not work here ({one_line(error)}): unset it"
     return why_no_pictures()
 
@@ -109,7 +109,7 @@ def _missing(kind: str) -> str:
 
 
 def check_drawing(paths: Sequence[Path]) -> None:
-    """Make the checks of ``check_files`` and, for pictures and films, check that OpenGL works.
+    """Make all checks of ``check_files``. For pictures and films, also check that OpenGL works.
 
     Raises:
         InputError: as for ``check_files``, or there is no OpenGL that can draw without a display.

@@ -20,8 +20,8 @@ TIMELINE: Final = "time"
 
 
 def write_recording(story: Story, colours: Colouring, path: Path) -> None:
-    """Write all frames of a story. The label of a box is its article; that of the first box to fail also states that it
-    failed."""
+    """Write all frames of a story. The label of a box is its article. The label of the first box to fail also states
+    that it failed."""
     import rerun as rr
 
     recording = rr.RecordingStream("petmjx", recording_id=f"{printable(story.plan.plan_id)} {story.variant}")
@@ -87,7 +87,7 @@ def _forces(rr: Any, history: History, poses: Poses, scale: float) -> Any:
 
 
 def _curves(story: Story, poses: Poses) -> dict[str, float]:
-    """The largest values over all placed boxes."""
+    """The curves over time: the largest values over all placed boxes."""
     forces = np.nan_to_num(story.history.top_force_n[poses.frame, : poses.n_placed])
     return {
         "largest_shift_mm": float(shift_mm(story, poses).max(initial=0.0)),

@@ -20,7 +20,8 @@ from petmjx.world.job import FORCE
 LOST_M: Final = 1000.0
 
 _ROUNDED_S: Final = 0.01
-"""A time may be this much beyond the end of a story, s, since times are printed with two digits."""
+"""A requested time may be later than the end of the story by this much, s, because times are printed with two
+digits."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -72,7 +73,7 @@ def poses_of_frame(history: History, frame: int) -> Poses:
 
 
 def poses_at(history: History, time_s: float) -> Poses:
-    """The poses at a time. Between two frames, the poses of those boxes are interpolated that were placed in the
+    """The poses at a time. Between two frames, poses are interpolated for the boxes that were already placed in the
     earlier frame."""
     later = int(np.searchsorted(history.time_s, time_s, side="right"))
     if later == 0 or later == len(history.time_s):
@@ -132,8 +133,8 @@ def _moment(story: Story, which: str | float) -> Moment:
 
 
 def shift_mm(story: Story, poses: Poses) -> FloatArray:
-    """(k,) for each placed box, the largest component of its shift from the planned place, mm, as used for the
-    verdict."""
+    """(k,) the largest component of each placed box's shift from its planned place, mm. The verdict uses the same
+    value."""
     moved = shift(poses.pos, story.scene.target[: poses.n_placed], 0.0)
     return np.asarray(1000.0 * np.abs(moved).max(axis=1, initial=0.0))
 
@@ -154,8 +155,8 @@ def shaking_g(story: Story, poses: Poses) -> FloatArray:
 
 
 def _interpolated_quats(first: FloatArray, second: FloatArray, share: float) -> FloatArray:
-    """Orientations between two others, along the chord. For the small angles between two frames, this is as good as the
-    arc."""
+    """Orientations between those of two frames, interpolated along the chord. For the small angles between two frames,
+    this is as good as the arc."""
     same_side = np.where((first * second).sum(axis=-1, keepdims=True) < 0, -1.0, 1.0)
     mixed = first + share * (same_side * second - first)
     return np.asarray(mixed / np.linalg.norm(mixed, axis=-1, keepdims=True))

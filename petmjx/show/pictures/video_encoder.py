@@ -1,7 +1,7 @@
 """Encodes films in H.264: writes their frames into the ffmpeg of imageio-ffmpeg.
 
-The writer of imageio-ffmpeg starts ffmpeg with a function that runs between fork and exec, which is unsafe if there are
-threads. If JAX is loaded, as after a run on a GPU, JAX warns of a deadlock. So this module starts ffmpeg itself,
+The writer of imageio-ffmpeg runs a Python function between fork and exec when it starts ffmpeg. Such a function is
+unsafe if the process has threads: after a run on a GPU, JAX warns of a deadlock. So this module starts ffmpeg itself,
 without such a function.
 """
 

@@ -46,7 +46,7 @@ class BoxBlocks:
 
     Attributes:
         blocks: name → block. The drawn world with number k is world k % ``WORLDS_PER_BLOCK`` of block "boxes-N".
-        drawn: (rows of the table,) the number of the row's world among the drawn worlds; −1: it is not drawn.
+        drawn: (rows of the table,) the number of the row's world among the drawn worlds; −1: the world is not drawn.
         without_boxes: number of worlds left out because there are too many.
     """
 
@@ -56,7 +56,7 @@ class BoxBlocks:
 
 
 def box_blocks(runs: Sequence[ReportRun], table: pd.DataFrame, most: int = MOST_BOXES) -> BoxBlocks:
-    """Pack the boxes of those worlds in a table whose plans were found.
+    """Pack the boxes of the worlds in a table. Worlds whose plans were not found are left out.
 
     Args:
         table: the second result of :func:`petmjx.show.report.plan_rows.table_rows`.
@@ -125,8 +125,8 @@ def _worlds(runs: Sequence[ReportRun], table: pd.DataFrame) -> Iterator[_World]:
 
 
 def simulation_of(info: Mapping[str, Any]) -> Simulation:
-    """The simulation options of a run. The defaults if the run does not have them, or has them in the form of an older
-    petmjx."""
+    """The simulation options of a run; the defaults if the run does not state its options, or states them in the form
+    of an older petmjx."""
     settings = info.get("config", {}).get("simulation")
     try:
         return Simulation.read(settings) if isinstance(settings, Mapping) else Simulation()

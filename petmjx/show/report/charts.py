@@ -1,4 +1,4 @@
-"""The kinds of charts in a report. What they show is determined by other modules."""
+"""The kinds of charts in a report. Other modules determine what the charts show."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from petmjx.show.report.markup import Content, Markup, element
 from petmjx.show.report.svg_charts import WIDTH, Frame, Scale, drawing
 
 BINS: Final = 24
-"""Number of bins of a histogram. Their bars are 12 pixels wide."""
+"""Number of bins of a histogram. With this number, bars are 12 pixels wide."""
 
 GROUPS: Final = 8
 FEWEST: Final = 12
@@ -66,7 +66,7 @@ def histogram(
     """
     edges = frame.x.edges(BINS)
     if threshold is not None and edges[0] < threshold < edges[-1] and len(edges) > 2:
-        # an edge is moved to the threshold, so that values on its two sides are in different bars
+        # move an edge to the threshold, so that values below and above the threshold are in different bars
         edges[1 + int(np.abs(edges[1:-1] - threshold).argmin())] = threshold
     has_value = values.notna()
     clipped = np.clip(values[has_value].to_numpy(np.float64), frame.x.low, frame.x.high)
@@ -105,7 +105,8 @@ def points(frame: Frame, x: pd.Series, y: pd.Series, classes: pd.Series) -> None
 
 
 def quantile_bands(frame: Frame, x: pd.Series, y: pd.Series) -> None:
-    """Draw quantiles of y along x: the median as a line, and bands with half and with nine tenths of the worlds."""
+    """Draw quantiles of y along x: the median as a line, a band with half of the worlds, and a band with nine tenths of
+    them."""
     has_values = x.notna() & y.notna()
     groups = equal_groups(x[has_values].to_numpy(np.float64))
     values = y[has_values].to_numpy(np.float64)

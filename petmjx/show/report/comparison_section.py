@@ -22,7 +22,7 @@ MOST_FLIPS: Final = 50
 """Largest number of flipped verdicts that are listed. The table of plans contains all of them."""
 
 MOST_PAIRS: Final = 28
-"""Largest number of pairs of runs that are drawn: that of eight runs."""
+"""Largest number of pairs of runs that are drawn. Eight runs have this many pairs."""
 
 
 def comparison_section(runs: Sequence[ReportRun]) -> Markup:
@@ -71,7 +71,8 @@ def _rates(runs: Sequence[ReportRun], common: pd.DataFrame) -> Markup:
 
 
 def _won_and_lost(runs: Sequence[ReportRun], common: pd.DataFrame) -> tuple[Markup, Markup]:
-    """For each pair of runs, the worlds that stand in only one of them, among the worlds that have a verdict in both.
+    """For each pair of runs, the worlds that stand in only one of the two runs. Only worlds with a verdict in both runs
+    count.
 
     Returns:
         A chart, and a table with the differences of the shares.
@@ -121,8 +122,8 @@ def paired_counts(a: pd.Series, b: pd.Series) -> PairedCounts:
 
 
 def _two(runs: Sequence[ReportRun], pair: Comparison, n_plans: int) -> Markup:
-    """The confusion matrix of two runs' verdicts, and the flips. ``n_plans`` plans are in both runs, possibly with
-    different boxes."""
+    """The confusion matrix of two runs' verdicts, and the flips. ``n_plans`` is the number of plan ids that both runs
+    have; the plans may have different boxes."""
     a, b = (run.name for run in runs)
     rows = [[str(verdict), *(f"{count:,}" for count in counts)] for verdict, counts in pair.confusion.iterrows()]
     agree = percent(pair.agreement) if pair.agreement is not None else "–"
@@ -177,7 +178,7 @@ def _flips(runs: Sequence[ReportRun], pair: Comparison) -> Markup:
     a, b = (run.name for run in runs)
     caption = f"Flipped verdicts ({len(flips):,})"
     caption += f": the first {MOST_FLIPS}" if len(flips) > MOST_FLIPS else ""
-    within = None if pair.other_plans else pair.flips_within  # only meaningful for simulations of equal plans
+    within = None if pair.other_plans else pair.flips_within  # it is meaningful only for equal plans
     note = (
         "" if within is None else f"Each has a margin within ±{three_digits(within)} of a threshold in one of the runs."
     )

@@ -30,7 +30,7 @@ class Quantity:
         factor: factor that converts values to the unit of the label.
         label: name and unit, for the axis.
         log_from: lower end of a logarithmic axis; None: the axis is linear and begins at 0.
-        lowest: label at the lower end, at which smaller values are drawn as well.
+        lowest: label at the lower end of the axis. Smaller values are drawn at this end, too.
         counts: whether values are whole numbers.
     """
 
@@ -48,11 +48,11 @@ class Quantity:
         return values.where(np.isfinite(values))
 
     def scale(self, values: pd.Series) -> Scale:
-        """An axis that contains all values and ends where this metric's axis ends."""
+        """An axis for these values. The axis contains all values, and its lower end is that of this metric."""
         return Scale.over(values.to_numpy(), log_from=self.log_from, lowest=self.lowest, zero=True)
 
     def across(self, values: pd.Series) -> Scale:
-        """An axis that extends from the smallest to the largest value."""
+        """An axis that extends from the smallest to the largest of these values."""
         return replace(Scale.over(values.to_numpy()), counts=self.counts)
 
     def limit(self, thresholds: Thresholds) -> float | None:

@@ -52,7 +52,8 @@ def first_boxes(run: ReportRun) -> Markup:
 
 
 def _articles(run: ReportRun, falls: pd.DataFrame) -> Markup:
-    """The articles, by the number of their boxes that fail first; and the number of all their boxes in the same run."""
+    """Two counts for each article: its boxes that fail first, and all its boxes in the same run. Articles with the most
+    failures come first."""
     first = falls.loc[falls["first_article"] != "", "first_article"].value_counts()
     of_article: Counter[str] = Counter()
     worlds = run.worlds["plan_id"].value_counts()

@@ -21,7 +21,7 @@ from petmjx.show.pages.page_arrays import PackedArray, integer_column
 from petmjx.show.report.report_runs import Kind, ReportRun
 
 MOST_ROWS: Final = 200_000
-"""Largest number of worlds in the table, over all runs. A row takes about 40 bytes. If there are more worlds, those
+"""Largest number of worlds in the table, over all runs. A row takes about 40 bytes. If there are more worlds, worlds
 that stand are left out first."""
 
 MOST_OF_SWEEP: Final = 100_000
@@ -86,8 +86,8 @@ class Rows:
     Attributes:
         columns: in order, the key, label, unit, kind (``text``, ``choice`` or ``number``), digits and meaning of each
             column.
-        texts: key → the texts of a column of kind ``text`` or ``choice``. The array of the column contains indices into
-            these texts, and −1 for no text.
+        texts: key → the texts of a column of kind ``text`` or ``choice``. The column's array has indices of these
+            texts; −1 means no text.
         arrays: key → one value per row.
         left_out: number of worlds that are missing in the table.
         summed_up: the runs for which the table has one row per plan.
@@ -101,8 +101,7 @@ class Rows:
 
 
 def table_rows(runs: Sequence[ReportRun], most: int = MOST_ROWS) -> tuple[Rows, pd.DataFrame]:
-    """The table; and its data frame, which has the worlds of all runs in the order of the table, with ``run`` as a
-    number."""
+    """Two results: the table, and a data frame with the same worlds in the same order, in which ``run`` is a number."""
     summed_up = [run for run in runs if run.kind is Kind.GRID and len(run.worlds) > MOST_OF_SWEEP]
     frames = [_of_run(at, run, run in summed_up) for at, run in enumerate(runs)]
     frames = _with_other_verdicts(frames, runs) if len(frames) == 2 else frames
@@ -151,8 +150,8 @@ def _worst(worlds: pd.DataFrame) -> pd.DataFrame:
 
 
 def _with_other_verdicts(frames: Sequence[pd.DataFrame], runs: Sequence[ReportRun]) -> list[pd.DataFrame]:
-    """Add the column ``OTHER`` to the worlds of two runs: the verdict of the same world in the other run, or "" if it
-    has none there."""
+    """Add the column ``OTHER`` to the worlds of two runs: the verdict of the same world in the other run, or "" if the
+    other run does not have this world."""
     tables = []
     for one, two in zip(frames, runs[::-1], strict=True):
         other = one[KEY].merge(two.worlds[[*KEY, "verdict"]], on=KEY, how="left")["verdict"].fillna("")
@@ -163,7 +162,7 @@ def _with_other_verdicts(frames: Sequence[pd.DataFrame], runs: Sequence[ReportRu
 def _add_parameters(
     rows: Rows, runs: Sequence[ReportRun], frame: pd.DataFrame, condition: Callable[[str], bool]
 ) -> None:
-    """Add those columns of sweeps that fulfil a condition: parameters of variants, or outcomes of variants."""
+    """Add the columns of sweeps whose names fulfil a condition: parameters of variants, or outcomes of variants."""
     units = {name: unit for run in runs for name, unit in run.results.units("worlds").items()}
     column_names = {shown.column for shown in NUMBERS}
     for name in dict.fromkeys(name for run in runs for name in run.parameters):
@@ -179,7 +178,7 @@ def _add_parameters(
 
 
 def _key(name: str) -> str:
-    """The name of a parameter in the page. It differs from all of the page's own names."""
+    """The name of a parameter in the page. The name differs from all of the page's own names."""
     return f"x-{name}"
 
 

@@ -40,11 +40,12 @@ class Replays:
 def replays(
     runs: Sequence[ReportRun], table: pd.DataFrame, drawn: NDArray[np.int64], most: int = MOST_POSES
 ) -> Replays:
-    """Pack the histories of those worlds in a table that have a 3D picture.
+    """Pack the histories of the worlds in a table. Worlds without a 3D picture are left out.
 
     Args:
         table: the second result of :func:`petmjx.show.report.plan_rows.table_rows`.
-        drawn: for each row of the table, the number of its world among the drawn ones; negative: it has no picture.
+        drawn: for each row of the table, the number of its world among the worlds with a picture; negative: the world
+            has no picture.
     """
     poses = _poses(runs, table)
     recorded = np.flatnonzero((poses > 0) & (drawn >= 0))

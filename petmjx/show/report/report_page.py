@@ -62,7 +62,7 @@ def report(
     """
     path = path_of(out, "out")
     check_outputs([path], overwrite=overwrite, inputs=source_files(runs, plans))
-    check_writable(path)  # the check comes before a large report is computed
+    check_writable(path)  # checked first, because a large report takes long
     sources: list[Any] = (
         [runs] if isinstance(runs, str | Path | RunResults) else list_of(runs, "runs", object, "runs or folders")
     )
@@ -98,7 +98,7 @@ def report_page(runs: Sequence[ReportRun]) -> str:
 
 
 def _of_run(run: ReportRun) -> dict[str, Any]:
-    """Those values of a run that the scripts need."""
+    """The values of a run that the scripts of the page need."""
     limits = thresholds_of(run.info)
     return {
         "name": run.name,
@@ -179,11 +179,11 @@ def _outcome_section(run: ReportRun) -> Markup:
 
 
 def _details_of(run: ReportRun) -> list[tuple[str, str, Markup]]:
-    """(name, title, content) for each section that only some runs have."""
+    """Yield (name, title, content) for each section that only some runs have."""
     titles = {Kind.CONFIDENCE: "How sure are the verdicts?", Kind.CHAIN: "How likely do pallets arrive?"}
     title = titles.get(run.kind, "Answers of the sweep")
     sections = [("answers", title, sweep_answers(run))]
-    if run.kind is not Kind.SEARCH:  # the worlds of a search show the course of the search, not how pallets behave
+    if run.kind is not Kind.SEARCH:  # worlds of a search show how the search went, not how pallets behave
         sections.append(("distributions", "Shift, tilt, force, time", distributions(run)))
         sections.append(("first", "What fails first", first_boxes(run)))
     return [section for section in sections if section[2]]

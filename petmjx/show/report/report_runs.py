@@ -26,7 +26,7 @@ from petmjx.show.report.report_plans import ReportPlans, find_report_plans
 
 
 class Kind(StrEnum):
-    """What kind of study was made of a run's plans."""
+    """The kind of a run: a score, a sweep, a search, and so on."""
 
     SCORE = "score"
     CONFIDENCE = "confidence"
@@ -76,8 +76,9 @@ class ReportRun:
 
     @cached_property
     def worlds(self) -> pd.DataFrame:
-        """The worlds that are shown, one row each, sorted by plan and variant. In general these are all worlds. For a
-        score with confidence they are only the nominal ones, and for a chain the worlds that have errors and no remedy.
+        """The worlds that are shown, one row each, sorted by plan and variant. Usually these are all worlds. For a
+        score with confidence, only the nominal worlds are shown; for a chain, only the worlds that have errors and no
+        remedy.
 
         Additional columns: ``height_m`` and ``mass_kg`` of the plan (NaN if the plan was not found), and
         ``first_article``, the article of the first box to fail ("" if none failed).
@@ -110,7 +111,7 @@ class ReportRun:
         return first_articles
 
     def articles(self, plan_ids: Collection[str]) -> dict[str, Sequence[str]]:
-        """Plan id → articles of the plan's boxes, in packing order. They come from the plan, else from the table
+        """Plan id → articles of the plan's boxes, in packing order. Articles come from the plan, else from the table
         ``boxes``. If there is neither, the column is empty."""
         articles_by_plan: dict[str, Sequence[str]] = {
             plan_id: plan.articles for plan_id, plan in self.plan_files.plans.items() if plan_id in plan_ids
@@ -138,7 +139,7 @@ class ReportRun:
         summary = self.results.summary
         if self.kind is not Kind.GRID or summary is None or "scope" in summary:
             return summary if self.kind is Kind.GRID else None
-        axes = [axis for axis in summary["axis"].unique() if axis in self.worlds]  # petmjx 0.1 had no scope
+        axes = [axis for axis in summary["axis"].unique() if axis in self.worlds]  # petmjx 0.1 had no column "scope"
         return share_standing(self.worlds, axes)
 
     @property
@@ -178,7 +179,8 @@ def open_runs(folders: Sequence[str | Path | RunResults], plans: Sequence[Path] 
 
 
 def distinct_path_ends(paths: Sequence[Path]) -> list[str]:
-    """The shortest ends of paths that distinguish all of them, such as "a", or "fast/run" and "slow/run"."""
+    """For each path, its last parts. The number of parts is the smallest that makes all names different, as in
+    "fast/run" and "slow/run"."""
     depth = 1
     deepest = max(len(path.parts) for path in paths)
     while depth < deepest:

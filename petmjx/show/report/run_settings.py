@@ -12,11 +12,11 @@ from petmjx.show.report.markup import NOTHING, Content, Markup, element, joined_
 from petmjx.show.report.report_runs import Kind, ReportRun
 
 MOST_LINES: Final = 20
-"""Largest number of skipped plans, warnings or files that are listed. Further ones are only counted."""
+"""Largest number of skipped plans, warnings or files that are listed. Further entries are only counted."""
 
 
 def about(run: ReportRun) -> Markup:
-    """The settings of a run, and lists of what needs attention."""
+    """The settings of a run, and lists of skipped plans and warnings."""
     facts = [part for name, value in _facts(run) for part in (element("dt", name), element("dd", value))]
     warnings, odd = split_warnings(run.info)
     skipped = [str(entry.get("error") or entry.get("source")) for entry in run.info.get("skipped", [])]

@@ -104,7 +104,7 @@ class Scale:
 
 
 def round_step(step: float) -> float:
-    """The smallest of 1, 2, 5, 10, … times a power of ten that is not below ``step``."""
+    """The smallest number of the form 1, 2 or 5 times a power of ten that is not below ``step``."""
     power = 10.0 ** math.floor(math.log10(step))
     return next(factor * power for factor in (1, 2, 5, 10) if factor * power >= step * (1 - 1e-9))
 
@@ -124,7 +124,7 @@ class Frame:
         title: title of the chart, and its name for screen readers.
         x, y: scales of the axes.
         x_label, y_label: labels of the axes, with units.
-        x_ticks: (value, label) of ticks that are used instead of those of the scale.
+        x_ticks: (value, label) of ticks that replace the ticks of the scale.
     """
 
     title: str
@@ -146,7 +146,7 @@ class Frame:
         )
 
     def add(self, *marks: Content) -> None:
-        """Draw marks on top of the earlier ones."""
+        """Draw marks on top of the earlier marks."""
         self.marks += marks
 
     def line(self, x: ArrayLike, y: ArrayLike, class_: str) -> None:

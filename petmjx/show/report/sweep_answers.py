@@ -55,7 +55,8 @@ WEAKEST: Final = "The leg in which most worlds of a plan failed first."
 
 
 def sweep_answers(run: ReportRun) -> Markup:
-    """The section with the answers of a sweep, or of a score with confidence. It is empty for other scores."""
+    """The section with the answers of a sweep, or of a score with confidence. For other scores, the section is
+    empty."""
     summary = run.results.summary
     if summary is None or summary.empty or run.worlds.empty:
         return NOTHING
@@ -88,15 +89,15 @@ def _grid(run: ReportRun, summary: pd.DataFrame) -> Markup:
 
 
 def _has_numeric_values(summary: pd.DataFrame, axis: str) -> bool:
-    """Whether the values of an axis are numbers in a summary. They are not for random values, whose range is divided
-    into parts with texts as names."""
+    """Whether the values of an axis are numbers in a summary. For an axis with random values, they are texts, because
+    the summary divides the range of such an axis into named parts."""
     values = summary.loc[(summary["scope"] == ALL_PLANS) & (summary["axis"] == axis), "value"]
     return bool(pd.to_numeric(values, errors="coerce").notna().all())
 
 
 def _curve(axis: str, summary: pd.DataFrame, over_plans: pd.DataFrame, run: ReportRun) -> Markup:
-    """Shares along a numeric axis. The interval is the run's interval over random draws; if there is none, an interval
-    over plans."""
+    """Shares along a numeric axis. The interval is the run's interval over random draws; if the run has none, it is an
+    interval over plans."""
     draws, plans = (_rows(frame, axis) for frame in (summary, over_plans))
     drawn = bool(draws["low"].notna().all())
     rows = draws if drawn else plans
@@ -148,7 +149,8 @@ def importance(worlds: pd.DataFrame, axes: Sequence[str], summary: pd.DataFrame)
     Returns:
         ``axis``, ``spread`` (the largest minus the smallest share over its values) and ``correlation_ratio``. The
         correlation ratio is η² = Σ nᵥ (pᵥ − p)² / (n p (1 − p)), in which the share pᵥ of the nᵥ worlds with value v
-        stands. It is NaN if all worlds stand, or none (Pearson 1905; Fisher's one-way analysis of variance).
+        stands. The ratio is NaN if all worlds stand, or none. Sources: Pearson 1905; Fisher's one-way analysis of
+        variance.
     """
     judged = worlds[worlds["verdict"] != Verdict.INVALID.value]
     stands = (judged["verdict"] == Verdict.STABLE.value).astype("float64")
@@ -204,8 +206,8 @@ def _grid_roses(run: ReportRun) -> Iterator[tuple[str, str, pd.DataFrame, float]
 
 
 def largest_survived(worlds: pd.DataFrame, column: str) -> pd.DataFrame:
-    """For each plan and direction, the largest level below every level that failed in any of its worlds; 0 if there is
-    none.
+    """The largest level survived for each plan and direction: the largest tested level that is below all levels at
+    which any world failed. 0 if there is none.
 
     Args:
         worlds: the worlds of one profile. ``column`` contains the level.
@@ -289,7 +291,7 @@ def _search_importance(levels: pd.DataFrame, summary: pd.DataFrame, name: str) -
 
 
 def _first_at_failure(run: ReportRun, answers: pd.DataFrame) -> Markup:
-    """The articles that fail first at the smallest level that failed."""
+    """The articles of the boxes that fail first at the smallest level that failed."""
     failed = answers[answers["article"].fillna("") != ""]
     counts = failed["article"].value_counts().head(MOST_NAMED)
     rows = [

@@ -139,8 +139,8 @@ class Tilt:
         return np.interp(time_s, corners_s, [0.0, self.max_deg, self.max_deg, 0.0])
 
     def excitation(self, timestep_s: float, start_s: float = 0.0, world: WorldKey | None = None) -> Excitation:
-        """The samples are a = g − g_tilted. They include the vertical part, so that gravity − a has the length 9.81 at
-        every angle."""
+        """The samples are a = g − g_tilted. The samples include the vertical part, so that gravity − a has the length
+        9.81 at every angle."""
         ends_s: FloatArray = np.arange(1, self.n_steps(timestep_s) + 1, dtype=np.float64) * timestep_s
         angle = np.radians(self._angles_deg(ends_s))
         samples = np.stack([np.sin(angle), np.zeros_like(angle), np.cos(angle) - 1.0], axis=1)
@@ -170,8 +170,8 @@ class HalfSine:
         return steps_to_cover(self.duration_ms / 1000, timestep_s)
 
     def excitation(self, timestep_s: float, start_s: float = 0.0, world: WorldKey | None = None) -> Excitation:
-        """The samples are means of the pulse over steps. So its change of velocity, 2/π × peak × duration, is exact for
-        any timestep."""
+        """Each sample is the mean of the pulse over its step. So the change of velocity, 2/π × peak × duration, is
+        exact for any timestep."""
         duration_s = self.duration_ms / 1000
         edges_s = np.minimum(np.arange(self.n_steps(timestep_s) + 1) * timestep_s, duration_s)
         covered = duration_s / math.pi * (1.0 - np.cos(math.pi * edges_s / duration_s))
@@ -197,7 +197,7 @@ they fail 2.5 to 2.7° late."""
 
 
 def quasi_static_tilt() -> Tilt:
-    """The tilt test at the rate ``QUASI_STATIC_DEG_S``. It takes ten times as many steps as ``Tilt``."""
+    """The tilt test at the rate ``QUASI_STATIC_DEG_S``. This test takes ten times as many steps as ``Tilt``."""
     return Tilt("tilt-quasi-static", rate_deg_s=QUASI_STATIC_DEG_S, source="definition: quasi-static tilt test")
 
 
@@ -273,10 +273,10 @@ class RandomVibration:
         nyquist_hz = 0.5 / timestep_s
         if top_hz >= nyquist_hz - spacing_hz / 2:
             raise InputError(f"profile {self.name}: PSD reaches {top_hz:g} Hz, but a timestep of {timestep_s:g} s "
-                             f"shows only frequencies below {nyquist_hz:g} Hz")  # fmt: skip
+                             f"represents only frequencies below {nyquist_hz:g} Hz")  # fmt: skip
         band_edges_hz: FloatArray = (np.arange(n_steps // 2 + 2, dtype=np.float64) - 0.5) * spacing_hz
         power_g2 = np.diff(psd_integral(self.psd, band_edges_hz))
-        # Below the first line, no sine wave fits into the duration, so power in that range would be missing.
+        # Sine waves of lower frequencies do not fit into the duration, so their power would be missing.
         if power_g2[0] > 0:
             raise InputError(f"profile {self.name}: PSD begins at {self.psd[0][0]:g} Hz, which needs a duration "
                              f"of at least {0.5 / self.psd[0][0]:g} s, got {self.duration_s:g} s")  # fmt: skip

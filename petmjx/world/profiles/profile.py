@@ -13,7 +13,7 @@ from petmjx.world.job import Excitation
 from petmjx.world.random_streams import WorldKey
 
 MAX_PROFILE_S = 3600.0
-"""Longest duration of a profile, s. Its samples are held in memory: 24 bytes per step."""
+"""Longest duration of a profile, s. The samples of a profile are held in memory: 24 bytes per step."""
 
 
 class Strength(StrEnum):
@@ -24,7 +24,7 @@ class Strength(StrEnum):
     LEVEL = "level"
     """The unscaled profile has a peak of 1 g, so the factor is the level in g."""
     ANGLE = "angle"
-    """There is no such axis: the profile passes through all its angles and cannot be scaled (``tilt``)."""
+    """No axis scales the profile: it passes through all its angles anyway (``tilt``)."""
 
 
 class Profile(Protocol):

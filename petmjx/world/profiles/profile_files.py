@@ -21,7 +21,7 @@ from petmjx.world.profiles.profile import MAX_PROFILE_S
 
 MAX_WINDOWS = 100_000
 MAX_FORCE = 10_000.0
-"""Largest component of a force, in units of total mass × 9.81 m/s². A larger one must be a typing error."""
+"""Largest component of a force, in units of total mass × 9.81 m/s². A larger component must be a typing error."""
 MIN_DENSITY = 1e-30
 """Smallest PSD, g²/Hz. With this limit, ratios of densities do not overflow."""
 MAX_RMS_G = 1000.0
@@ -44,7 +44,7 @@ Density = Annotated[StrictFloat, Field(gt=0), within(0, MAX_DENSITY)]
 
 
 class WindowRow(CheckedRecord):
-    """One push. Sweep files may also write it as the list of its five numbers."""
+    """One push. Sweep files may also give a push as a list of these five numbers."""
 
     start_s: Seconds = Field(description="when it begins, s after the profile's beginning")
     duration_s: LongerThanNothing = Field(description="how long it acts, s")

@@ -105,21 +105,21 @@ class ChainTable(_Table):
             links.append((member, link.offset_s, link.scale))
         # chains of chains grow fast, so their windows are counted before they are made
         if sum(len(member.windows) for member, _, _ in links) > MAX_WINDOWS:
-            raise complaint(f"has more than {MAX_WINDOWS:,} windows", name, "of")
+            raise complaint(f"must have at most {MAX_WINDOWS:,} windows", name, "of")
         chained = chain(name, links, _USERS, replaces=self.overlap == "replace")
         pushing_s = sum(window.duration_s for window in chained.windows)
         if pushing_s > MAX_PUSH_S:
             raise complaint(f"must push for at most {MAX_PUSH_S:g} s in all, got {pushing_s:g} s", name, "of")
         if chained.end_s > MAX_PROFILE_S:
-            raise complaint(f"takes {chained.end_s:g} s, more than {MAX_PROFILE_S:g} s", name, "of")
+            raise complaint(f"must take at most {MAX_PROFILE_S:g} s, got {chained.end_s:g} s", name, "of")
         strongest = max(abs(component) for window in chained.windows for component in window.vector)
         if not strongest <= MAX_FORCE:
-            raise complaint(f"has a force of {strongest:g} total weights, more than {MAX_FORCE:g}", name, "of")
+            raise complaint(f"must have forces of at most {MAX_FORCE:g} total weights, got {strongest:g}", name, "of")
         return chained
 
 
 class HalfSineTable(_Table):
-    """A shock along any axis. Its strength is a level in g."""
+    """A shock along any axis. The strength of the profile is a level in g."""
 
     kind: Literal["half-sine"]
     duration_ms: Annotated[StrictFloat, Field(gt=0), within(0, 10_000)] = Field(
@@ -161,7 +161,7 @@ class TiltTable(_Table):
 
 
 class TrapezoidTable(_Table):
-    """A horizontal acceleration like that of EUMOS 40509. Its strength is a level in g."""
+    """A horizontal acceleration like that of EUMOS 40509. The strength of the profile is a level in g."""
 
     kind: Literal["trapezoid"]
     ramp_s: LongerThanNothing = Field(_TRAPEZOID.ramp_s, description="length of each ramp, s")
@@ -178,7 +178,7 @@ def _some_axes(axes: str) -> str:
 
 
 class RandomTable(_Table):
-    """Random vibration. Its strength is a scale."""
+    """Random vibration. The strength of the profile is a scale."""
 
     kind: Literal["random"]
     psd: Annotated[Annotated[PsdRows, Tag(LIST)] | Annotated[FileName, Tag(VALUE)], Discriminator(shape)] = Field(
@@ -207,7 +207,7 @@ ProfileTable = Annotated[
     | Annotated[TrapezoidTable, Tag("<trapezoid>")],
     by_entry("kind"),
 ]
-"""A table of any kind. Its entry ``kind`` names the kind."""
+"""A profile table of any kind. Its entry ``kind`` names the kind."""
 
 _TABLES: Final = TypeAdapter(dict[Name, ProfileTable])
 
@@ -221,11 +221,11 @@ def define_profiles(tables: Any, folder: Path) -> dict[str, Profile]:
 
     Raises:
         ValidationError: a field of a table is wrong; the message states which one, and what it should be.
-        InputError: a file that a table names is wrong; the message is of the same form.
+        InputError: a file that a table names is wrong; the message has the same form.
     """
     profiles: dict[str, Profile] = {}
     for name, table in _TABLES.validate_python(tables).items():
         if name in BUILT_IN or name in FAMILIES:
-            raise complaint(": the name of a built-in profile cannot be used again", name)
+            raise complaint(": is the name of a built-in profile; choose another name", name)
         profiles[name] = table.profile(name, folder, profiles)
     return profiles

@@ -1,4 +1,4 @@
-"""Contacts of compliant boxes: where the faces of two boxes press on one another. Twin of
+"""Contacts of compliant boxes: the area in which the faces of two boxes press on one another. Twin of
 petmjx/engines/mujoco/bed.py."""
 
 from __future__ import annotations
@@ -12,10 +12,10 @@ EDGE = wp.constant(EDGE_SHARE)
 SHARE = wp.constant(LEAST_SHARE)
 OUT = wp.constant(OUTWARD)
 LEVEL = wp.constant(1e-9)
-"""Second moment, m², below which an area counts as a line."""
+"""If the second moment of an area is smaller than this, m², the area counts as a line."""
 
 STEEP = wp.constant(1e-14)
-"""Square of the slope below which the depth counts as the same everywhere."""
+"""If the square of the slope of the depth is smaller than this, the depth counts as the same everywhere."""
 
 MOST = wp.constant(10)
 Polygon = wp.types.matrix(shape=(10, 2), dtype=wp.float32)
@@ -24,7 +24,7 @@ Polygon = wp.types.matrix(shape=(10, 2), dtype=wp.float32)
 
 @wp.func
 def _face_axis(turn: wp.mat33, toward: wp.vec3) -> int:
-    """Axis of the face that points most in this direction."""
+    """The axis of the face whose normal is nearest to this direction."""
     along = wp.transpose(turn) * toward
     axis = int(0)
     if wp.abs(along[1]) > wp.abs(along[axis]):
@@ -90,14 +90,14 @@ def bed_of(
     half_b: wp.vec3,
     toward: wp.vec3,
 ) -> tuple[bool, wp.vec3, wp.mat44, float, float]:
-    """Where the faces of two boxes press on one another.
+    """How the faces of two boxes press on one another.
 
     Args:
         toward: the collider's normal, from the first box to the second.
 
     Returns:
-        Whether faces meet; the normal; four points and their distances (depths, negative), a row each; the pressed
-        area, m²; the smallest area that counts for the stiffness, m².
+        Whether the faces meet; the normal; four points, and their distances (the negative depths), with one row per
+        point; the pressed area, m²; the smallest area that counts for the stiffness, m².
     """
     axis_a = _face_axis(turn_a, toward)
     axis_b = _face_axis(turn_b, toward)

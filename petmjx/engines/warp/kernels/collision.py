@@ -1,4 +1,4 @@
-"""Collisions of a world: pairs of geoms that are near, and where they touch.
+"""Collisions of a world: pairs of geoms that are near one another, and the contacts of these pairs.
 
 Pairs are in the order of their geoms, and a pair's contacts in the order in which the collider gives them. So every sum
 over contacts has the same order in every run. Colliders are those of mujoco_warp, in the copy inside MJX.
@@ -16,7 +16,7 @@ from petmjx.engines.warp.kernels.mujoco_warp import box_box, mat83f, plane_box, 
 from petmjx.engines.warp.world_arrays import Model, Ref, Thread, Workspace, Worlds
 
 NEAR = wp.constant(1e-5)
-"""Margin of the bounding boxes of geoms, m, so that rounding loses no contact."""
+"""Margin by which bounding boxes of geoms are enlarged, m, so that no contact is lost by rounding."""
 
 APART = wp.constant(2.0 * ROOM + 3.0 * NEAR)
 """Largest distance of two geoms' bounding boxes, m, at which the pair is listed. The list stays valid until a geom has
@@ -25,7 +25,9 @@ left its room, so it need not be made in each step."""
 
 @wp.func
 def _first_partner(worlds: Ref[Worlds], at: Thread, geom: int) -> int:
-    """The first geom after this one that may touch it. It belongs to another body, and the two are not both fixed."""
+    """The first later geom that may touch this one: it belongs to another body, and at least one of the two bodies can
+    move.
+    """
     body = wp.max(body_of(worlds, at.world, geom), wp.where(at.held != 0, 0, -1))
     return first_geom(worlds, at.world, body + 1)
 
@@ -52,11 +54,11 @@ def list_pairs(
     # Data out:
     work: Ref[Workspace],
 ) -> int:
-    """List pairs of geoms that are at most ``apart`` from one another, m. Returns their number, which may exceed
-    the room for pairs.
+    """List the pairs of geoms that are at most ``apart`` from one another, m. Returns the number of these pairs, which
+    may exceed the room for pairs.
 
-    The pairs of each lower geom begin at ``geom1_pairadr``. ``geom2_pair`` has the pairs of each higher geom in order,
-    from ``geom2_pairadr`` on.
+    The pairs whose first geom (the one with the lower number) is g begin at ``geom1_pairadr`` of g. ``geom2_pair``
+    lists the pairs of each second geom in order, beginning at ``geom2_pairadr``.
     """
     block = at.block
     n = at.geoms
@@ -118,7 +120,7 @@ def collide(
     room for contacts. ``contact_pair`` is the pair of each contact that has room.
 
     Args:
-        anew: whether pairs were listed anew for this step.
+        anew: whether the pairs were listed again for this step.
     """
     block = at.block
     changed = bool(anew)

@@ -27,7 +27,7 @@ STICKS = wp.constant(STICKS_M_S)
 
 @wp.func
 def _frame_of(direction: wp.vec3) -> wp.mat33:
-    """The frame of a contact, one axis a row, as in MuJoCo (mujoco_warp's make_frame)."""
+    """The frame of a contact, one axis per row, as in MuJoCo (mujoco_warp's make_frame)."""
     normal = wp.normalize(direction)
     other = wp.where((-0.5 < normal[1]) and (normal[1] < 0.5), wp.vec3(0.0, 1.0, 0.0), wp.vec3(0.0, 0.0, 1.0))
     one = wp.normalize(other - normal * wp.dot(normal, other))
@@ -54,7 +54,7 @@ def _reference(model: Ref[Model], depth: float) -> wp.vec3:
 
 @wp.func
 def _moment_arms(axes: wp.mat33, lever: wp.vec3, turn: wp.mat33) -> wp.mat33:
-    """Velocity along each axis at the end of a lever, per angular velocity in the body's own frame."""
+    """Moment arms: velocity along each axis at the end of a lever, per angular velocity in the body's own frame."""
     arms = wp.mat33(0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
     for r in range(3):
         arms[r] = wp.transpose(turn) * cross(lever, axes[r])
@@ -96,7 +96,7 @@ def _friction_of_pair(worlds: Ref[Worlds], world: int, first: int, second: int) 
 
 @wp.func
 def _kinetic_share(model: Ref[Model], worlds: Ref[Worlds], world: int, first: int, second: int) -> float:
-    """Friction between two geoms while they slide, as a share of friction at rest."""
+    """Friction between two geoms while they slide, as a share of their friction at rest."""
     of_pair = worlds.pair_kinetic[world, surface_of(worlds, world, first), surface_of(worlds, world, second)]
     return wp.where(of_pair >= 0.0, of_pair, model.kinetic_share)
 
@@ -194,11 +194,11 @@ def link_contacts(
     # Data out:
     work: Ref[Workspace],
 ) -> None:
-    """List the contacts of each free body, as links: 2 × contact + side.
+    """List the contacts of each free body. Each entry is a link: 2 × number of the contact + side of the body (0 or 1).
 
     ``body_contact[block, body_conadr[block, b]:body_conadr[block, b + 1]]`` are the links of free body b, in the order
-    of contacts. Contacts in which b is the second body come first. ``lowest``, by a body's position in the system, is
-    the lowest position among the body and the free bodies that it touches.
+    of contacts. Contacts in which b is the second body come first. ``lowest``, indexed by a body's position in the
+    system, is the lowest position among this body and the free bodies that it touches.
     """
     block = at.block
     nfree = work.nfree[block]

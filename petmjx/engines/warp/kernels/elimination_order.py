@@ -49,7 +49,7 @@ def _find_levels(
     # Data out:
     work: Ref[Workspace],
 ) -> None:
-    """Find the number of contacts between each body and the root."""
+    """Find each body's distance from the root, counted in contacts."""
     block = at.block
     for body in range(at.thread, at.placed + 1, at.threads):
         work.body_level[block, body] = wp.where(body == root, 0, UNREACHED)

@@ -65,8 +65,8 @@ def hold(
     state: Ref[State],
     work: Ref[Workspace],
 ) -> None:
-    """Let film act during the coming step of a world with a drive, after ``begin_step``. The opposite force acts on a
-    moving carrier."""
+    """Let film act during the next step of a world with a drive. Called after ``begin_step``. The opposite force acts
+    on a moving carrier."""
     world = at.world
     begins = state.step[world] == state.driven_from[world]
     if at.held == 0 and at.thread == 0:

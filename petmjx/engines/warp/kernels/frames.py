@@ -30,10 +30,10 @@ def keep_frame(
     work: Ref[Workspace],
     frames: Ref[FrameBuffer],
 ) -> None:
-    """Write a frame of a recorded world, after a step and its rules, if one is due.
+    """Write a frame of a recorded world if one is due. Called after a step and its rules.
 
     Args:
-        every: steps between two frames.
+        every: number of steps between two frames.
     """
     world = at.world
     step = state.step[world]

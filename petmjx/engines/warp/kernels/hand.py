@@ -1,7 +1,7 @@
 """The hand that carries a box to its place (docs/rules.md, section 4). Twin of petmjx/engines/mujoco/hand.py.
 
-The carried box is always the last placed one. Between two steps, one thread takes boxes up and lets them go. The
-first thread computes the hand's forces in a step.
+The carried box is always the last placed one. Between two steps, one thread takes boxes up and releases them. The first
+thread computes the hand's forces in a step.
 """
 
 from __future__ import annotations
@@ -70,7 +70,9 @@ def _first_obstacle(
     place: wp.vec3,
     reach: wp.vec3,
 ) -> tuple[int, float]:
-    """The first standing box that overlaps a box at this place, or -1, and the highest top of such boxes, m."""
+    """The first standing box that overlaps a box at this place (-1: none), and the highest top of all standing boxes
+    that overlap it, m.
+    """
     first = int(-1)
     top = float(-1.0e30)
     for other in range(count):
@@ -94,11 +96,11 @@ def free_begin(
     begin: wp.vec3,
     reach: wp.vec3,
 ) -> wp.vec3:
-    """The place where a box may begin without overlapping a standing box, m: the given place, else a place moved aside
-    by as little as needed, else one above.
+    """The place at which a box begins so that it overlaps no standing box, m: the original place if it is free, else
+    the nearest free place beside it, else a place above it.
 
     Args:
-        begin: the given place.
+        begin: the original place.
         reach: half extents of the box's axis-aligned bounding box, m.
     """
     place = begin
@@ -136,7 +138,7 @@ def take_up(
     # Data out:
     state: Ref[State],
 ) -> None:
-    """Move a box from its release pose to the place where its way begins. If its way takes steps, a hand carries it.
+    """Move a box from its release pose to the start of its path. If the path takes steps, a hand carries the box.
     Called by one thread."""
     end = center(state, world, box + 1)
     q = orientation(state, world, box + 1)
@@ -175,8 +177,8 @@ def lets_go(
     # Data out:
     state: Ref[State],
 ) -> bool:
-    """Whether the hand lets go after a step in which it has carried the box. It does when the box has arrived and
-    rests. Unless the box is meant to fall, it is set down first. Called by one thread."""
+    """Whether the hand releases the box after a step in which it carried the box. The box must have arrived and be at
+    rest. Unless the box is meant to fall, it is set down first. Called by one thread."""
     elapsed = step - state.carried_from[world]
     slow = speed_of(worlds, state, world, box) < model.quiet_speed
     lowered_from = state.lowered_from[world]
@@ -200,19 +202,19 @@ def has_missed(
     world: int,
     box: int,
 ) -> bool:
-    """Whether a released box is too far from its place, so that it could not be placed."""
+    """Whether a released box is too far from its place to count as placed."""
     return wp.length(_world_vector(state.way_end, world) - center(state, world, box + 1)) > MISSED
 
 
 @wp.func
 def _world_vector(values: wp.array2d[float], world: int) -> wp.vec3:
-    """Three numbers of a world."""
+    """The 3-vector stored for a world."""
     return wp.vec3(values[world, 0], values[world, 1], values[world, 2])
 
 
 @wp.func
 def _progress(step: int, steps: int) -> float:
-    """Share of a way of ``steps`` steps that is covered after ``step`` steps."""
+    """Share of a path of ``steps`` steps covered by step ``step``, with a smooth start and stop."""
     share = wp.clamp(float(step) / float(steps), 0.0, 1.0)
     return times(share * share, 3.0 - 2.0 * share)
 
@@ -247,7 +249,7 @@ def _hand_qacc(
     box: int,
     inertia: wp.vec3,
 ) -> vec6:
-    """Accelerations that the hand gives a box during the coming step: m/s² in world axes, rad/s² in the box's."""
+    """Accelerations that the hand gives a box during the next step: m/s² in world axes, rad/s² in the box's."""
     mass = worlds.mass[world, box + 1]
     half = box_half(worlds, world, box)
     most = worlds.hand_force[world]
@@ -302,7 +304,7 @@ def carry(
     # Data out:
     work: Ref[Workspace],
 ) -> None:
-    """Let the hand act during the coming step, after ``begin_step``. While a box is carried, the carrier is free."""
+    """Let the hand act in the next step. Called after ``begin_step``. While a box is carried, the carrier is free."""
     if at.carried != 0 and at.thread == 0:
         body = at.placed
         equal = worlds.inertia_box[at.world, body]

@@ -1,4 +1,4 @@
-"""Detection of boxes that tremble: they go to and fro and get nowhere (docs/rules.md, section 5).
+"""Finds trembling boxes: boxes that move to and fro without getting anywhere (docs/rules.md, section 5).
 
 Twin of petmjx/engines/mjx/jitter.py.
 """
@@ -14,7 +14,7 @@ from petmjx.engines.warp.world_arrays import Model, Ref, State, Thread, Worlds
 
 @wp.func
 def distance_since(worlds: Ref[Worlds], state: Ref[State], home: wp.array3d[float], world: int, box: int) -> float:
-    """Upper bound of how far a point of a box has moved since ``home``, m."""
+    """Upper bound of the distance by which any point of a box has moved since ``home``, m."""
     shifted = float(0.0)
     turned = float(0.0)
     for i in range(3):
@@ -66,10 +66,10 @@ def find_jitter(
 
 @wp.func
 def has_jitter(model: Ref[Model], state: Ref[State], looks: int, world: int, box: int) -> bool:
-    """Whether a box trembles. This is not known right after another box has been placed.
+    """Whether a box trembles. Right after a placement no box counts as trembling, since it is not yet known.
 
     Args:
-        looks: looks since the last placement.
+        looks: number of looks since the last placement.
     """
     return looks > 2 * model.tremble_looks and state.trembles[world, box] != 0
 

@@ -19,12 +19,15 @@ from petmjx.world import contact_laws
 FAST = wp.constant(contact_laws.FAST_M_S)
 AT_REST = wp.constant(contact_laws.AT_REST)
 BEGINS = wp.constant(-1)
-"""Stands for the remaining steps of a landing that begins now: one of the box's contacts closes fast."""
+"""Special value of ``landing_left``: a landing begins now, because one of the box's contacts closes fast.
+"""
 
 
 @wp.func
 def _speed(state: Ref[State], work: Ref[Workspace], at: Thread, contact: int, side: int, before: bool) -> float:
-    """Speed of a contact's body along the normal, m/s. ``before``: a landing box has its speed before the landing."""
+    """Speed of a contact's body along the normal, m/s. ``before``: a landing box counts with its speed before the
+    landing.
+    """
     free_body = work.contact_bodies[at.block, contact, side]
     if free_body < 0:
         return 0.0
@@ -45,7 +48,7 @@ def _speed(state: Ref[State], work: Ref[Workspace], at: Thread, contact: int, si
 
 @wp.func
 def _closing_speed(state: Ref[State], work: Ref[Workspace], at: Thread, contact: int, before: bool) -> float:
-    """How fast a contact closes, m/s."""
+    """Speed at which the bodies of a contact approach each other, m/s."""
     return _speed(state, work, at, contact, 0, before) - _speed(state, work, at, contact, 1, before)
 
 
@@ -101,7 +104,7 @@ def land(
     state: Ref[State],
     work: Ref[Workspace],
 ) -> None:
-    """Change the contacts of landing boxes, after ``make_constraint``."""
+    """Change the contacts of landing boxes. Called after ``make_constraint``."""
     block = at.block
     world = at.world
     fast = bool(False)

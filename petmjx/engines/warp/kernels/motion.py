@@ -1,9 +1,9 @@
 """Motion of a world's bodies: from poses to accelerations without contacts, and from accelerations to the next poses.
 
-Bodies are rigid, with diagonal inertia in their frames (petmjx/world/body_shapes.py). Body 0 is the carrier, which is
-free or held fast, and box k is body k + 1. A free body moves, and has six rows in the equations. All bodies are free,
-except a held carrier. The number of a free body is the body's number, less one if the carrier is held. A negative
-number stands for a body that does not move. Geom 0 is the floor, and shape k is geom k + 1.
+Bodies are rigid, with diagonal inertia in their frames (petmjx/world/body_shapes.py). Body 0 is the carrier, and box k
+is body k + 1. All bodies are free, except a held carrier. A free body can move, and has six rows in the equations. Free
+bodies are numbered from 0: the number is the body's number, or one less if the carrier is held. A negative number
+stands for a body that cannot move. Geom 0 is the floor, and shape k is geom k + 1.
 """
 
 from __future__ import annotations
@@ -20,8 +20,8 @@ VERTICAL_COSINE = wp.constant(force_metrics.VERTICAL_COSINE)
 MOST = wp.constant(UNBELIEVABLE)
 
 ROOM = wp.constant(2e-3)
-"""How far a body may move after pairs were listed, m: about half of the distance at which pairs are listed
-(collision.APART)."""
+"""Distance by which a body may move before pairs are listed again, m: about half of the distance at which pairs are
+listed (collision.APART)."""
 
 vec6 = wp.types.vector(length=6, dtype=float)
 
@@ -36,7 +36,7 @@ def body_of(worlds: Ref[Worlds], world: int, geom: int) -> int:
 
 @wp.func
 def first_geom(worlds: Ref[Worlds], world: int, body: int) -> int:
-    """The first geom of a body, which is also the end of the geoms of the body before it."""
+    """The first geom of a body. The geoms of the previous body end before it."""
     return worlds.first_shape[world, body] + 1
 
 
@@ -55,7 +55,7 @@ def geom_half(worlds: Ref[Worlds], world: int, geom: int) -> wp.vec3:
 
 @wp.func
 def middle_of(worlds: Ref[Worlds], world: int, box: int, place: wp.vec3, q: wp.vec4) -> wp.vec3:
-    """The centre of a box whose frame has this pose, m."""
+    """The centre of a box whose frame has the origin ``place`` and the orientation ``q``, m."""
     middle = wp.vec3(worlds.middle[world, box, 0], worlds.middle[world, box, 1], worlds.middle[world, box, 2])
     return place + rotation(q) * middle
 
@@ -115,7 +115,7 @@ def angular_velocity(state: Ref[State], world: int, body: int) -> wp.vec3:
 
 @wp.func
 def rotation(q: wp.vec4) -> wp.mat33:
-    """Matrix of a quaternion of any length but zero."""
+    """Rotation matrix of a quaternion, which need not be of unit length, but must not be zero."""
     w = q[0]
     x = q[1]
     y = q[2]
@@ -155,8 +155,8 @@ def begin_step(
     # Data out:
     work: Ref[Workspace],
 ) -> bool:
-    """Compute poses of geoms, the diagonal of the inertia matrix, accelerations without contacts, and the solver's
-    start.
+    """Compute the poses of geoms, the diagonal of the inertia matrix, the accelerations without contacts, and the
+    accelerations from which the solver starts.
 
     A free body's angular velocity is in its own frame, so Euler's equation gives the torque −ω × I·ω. All memory loads
     come before the first store, so that they run at the same time.
@@ -166,7 +166,7 @@ def begin_step(
         sample: whether to keep the poses.
 
     Returns:
-        Whether a thread's bodies have left the room for which pairs were listed.
+        Whether any of the thread's bodies has moved by more than ``ROOM``, so that pairs must be listed again.
     """
     block = at.block
     world = at.world
@@ -197,7 +197,7 @@ def begin_step(
                 start[i] = state.qacc_warmstart[world, body - 1, i]
         turn = rotation(q)
         place = frame + turn * wp.vec3(offset[0], offset[1], offset[2])
-        # extent of the box with its skin, less the depth at which its contacts begin
+        # extent of the box with its skin, minus the depth at which its contacts begin
         skin = wp.where(body == 0, model.carrier_skin, model.skin)
         skinned = half + wp.vec3(skin, skin, skin)
         reach = wp.vec3(
@@ -252,13 +252,14 @@ def end_step(
     state: Ref[State],
     work: Ref[Workspace],
 ) -> bool:
-    """Semi-implicit Euler. Returns whether a thread's bodies have bad positions or velocities.
+    """Take a step of semi-implicit Euler. Returns whether any of the thread's bodies has a position or velocity that is
+    not finite or too large.
 
     The solver's next start continues the line through the accelerations of the last step and this one. From this start
     it takes a quarter fewer iterations than from the accelerations of this step (benchmarks/notebook/performance.md).
 
     Args:
-        measured: whether to find the force on each box's top, too.
+        measured: whether to compute the force on each box's top, too.
     """
     block = at.block
     world = at.world
@@ -323,8 +324,8 @@ def end_step(
 
 @wp.func
 def _top_force(work: Ref[Workspace], block: int, free_body: int) -> float:
-    """Force that presses on a box from above, N: the sum over contacts within 45° of level with geoms whose centre is
-    higher."""
+    """Force that presses on a box from above, N: the sum over its contacts with geoms whose centre is higher, if the
+    contact's normal is within 45° of z."""
     total = wp.float64(0.0)
     for entry in range(work.body_conadr[block, free_body], work.body_conadr[block, free_body + 1]):
         link = work.body_contact[block, entry]

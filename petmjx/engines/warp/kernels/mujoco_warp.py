@@ -1,8 +1,8 @@
 """Functions of mujoco_warp, in the copy inside MJX, loaded without the packages around them.
 
 ``import mujoco.mjx`` takes 2 to 3 s, and the kernel needs only three of its files. So these files are executed under
-names of their own, and import each other. Warp keeps them apart from the modules that a later ``import mujoco.mjx``
-makes.
+other module names, and import each other under these names. Warp thus keeps them apart from the modules of a later
+``import mujoco.mjx``.
 """
 
 from __future__ import annotations
@@ -50,7 +50,7 @@ def _load(name: str) -> ModuleType:
     assert spec.loader is not None
     module = importlib.util.module_from_spec(spec)
     vars(module)["__builtins__"] = {**vars(builtins), "__import__": _import}
-    sys.modules[own_name] = module  # where Warp looks for a function's module
+    sys.modules[own_name] = module  # Warp looks here for the module of a function
     try:
         spec.loader.exec_module(module)
     except BaseException:

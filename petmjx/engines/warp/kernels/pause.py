@@ -17,5 +17,5 @@ def let_pass(time_ns: wp.int64) -> None: ...
 
 @wp.kernel(enable_backward=False, module="unique", module_options={"block_dim": 1})
 def pause(time_ns: wp.int64) -> None:
-    """Wait for ``time_ns``; on a CPU do not wait."""
+    """Wait for ``time_ns`` on a GPU. On a CPU, return at once."""
     let_pass(time_ns)

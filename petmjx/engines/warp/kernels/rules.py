@@ -1,6 +1,7 @@
-"""The rules of a run for one world, after each of its steps: sampling, placing, resting, ending (docs/rules.md).
+"""The rules of a run for one world, applied after each of its steps: sampling, placing, resting, ending
+(docs/rules.md).
 
-Twin of petmjx/engines/mjx/rules.py, which does the same for all worlds of a batch at a time. Threads share the boxes.
+Twin of petmjx/engines/mjx/rules.py, which applies the rules to all worlds of a batch together. Threads share the boxes.
 All threads read the world's counters before the first barrier. The first thread changes the counters after the last
 barrier.
 """
@@ -36,7 +37,7 @@ NOTHING = wp.constant(release_places.NOTHING)
 
 @wp.func
 def _longest_wait(model: Ref[Model], worlds: Ref[Worlds], state: Ref[State], world: int, driven: bool) -> int:
-    """The step until which the rules wait for a moving world, after its last placement or the end of its drive."""
+    """The last step of the wait for a moving world, counted from its last placement or the end of its drive."""
     if driven:
         return state.driven_from[world] + worlds.drive_steps[world] + model.longest_steps
     return model.longest[state.last_placed_at[world]]
@@ -58,8 +59,8 @@ def _deadline(
     sign_step: int,
 ) -> int:
     """The latest step for the next event. A long wait becomes a short one once a box has failed; the short wait counts
-    from the first sign. It also becomes a short one before a further box if an earlier wait ended with a moving
-    world."""
+    from the first sign. The wait before the next box is also short if an earlier wait ended while the world was still
+    moving."""
     settles = worlds.settles[world]
     plain_static = model.static_end != NEVER and not settles and not driven
     patient = adapts and not plain_static and model.waits_for_rest != 0
@@ -96,8 +97,8 @@ def _look_at_the_end(
     """Checks at the end of a world.
 
     Returns:
-        Whether a point of a box has moved too fast since ``still_qpos``, which is ``seconds`` old, or does so now;
-        whether this is true of a box for which the rules must wait; whether a box is lost. A box is lost if it has
+        Three answers: whether any point of a box has moved too fast since ``still_qpos``, which is ``seconds`` old, or
+        does so now; whether the rules must wait for such a box; and whether a box is lost. A box is lost if it has
         dropped, or is tilted too far now. In a drive, a tilted box counts only if it has also swayed as far as its
         drive allows.
     """
@@ -175,7 +176,7 @@ def carry_on(
     # Data out:
     state: Ref[State],
 ) -> None:
-    """After a step in which a box was carried: carry it on, or let it go. Called by one thread."""
+    """After a step in which a box was carried: carry it farther, or release it. Called by one thread."""
     box = state.placed[world] - 1
     if lets_go(model, worlds, world, box, step, state):
         if has_missed(state, world, box) and state.culprit[world] < 0:
@@ -254,9 +255,9 @@ def after_step(
         signs = culprit < 0 and wp.cast(wp.int32(worst >> HALF), float) > 1.0
         if signs:
             culprit = wp.int32(LAST_BOX - (worst & LAST_BOX))
-        # Light boxes that land, and tipping boxes that hit, reach up to 240 rad/s² for a few steps. So samples right
-        # after a placement do not count. A violent sample is an explosion only if the following samples are violent,
-        # too.
+        # Light boxes that land, and tipping boxes that hit something, reach up to 240 rad/s² for a few steps. So
+        # samples right after a placement do not count. A violent sample is an explosion only if the following samples
+        # are violent, too.
         if sample and step - landed >= model.landing_steps and at.carried == 0:
             since = NEVER
             if violent and culprit < 0:
@@ -292,7 +293,7 @@ def after_step(
         if quiet and adapts and (model.waits_for_rest != 0 or waited >= model.landing_steps):
             goes = True
     pauses = goes and not more and not driven and worlds.pauses[world]
-    # a drive follows, without a check whether the pallet rests
+    # these worlds begin their drive at once, without a check that the pallet rests
     settles = goes and not more and not pauses and not driven and worlds.settles[world] and not rests_first
     rest_from = state.rest_from[world]
     if goes and not more and not settles and not pauses:

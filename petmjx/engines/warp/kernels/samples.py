@@ -12,7 +12,7 @@ from petmjx.engines.warp.kernels.motion import box_half, center, middle_of, orie
 from petmjx.engines.warp.world_arrays import Model, Ref, State, Thread, Workspace, Worlds
 
 JUST_OVER = wp.constant(1.0000001192092896)
-"""The next float32 after 1: the least excess of a box that has dropped."""
+"""The next float32 after 1: the smallest excess of a dropped box."""
 
 LAST_BOX = wp.constant(wp.int64(0x7FFFFFFF))
 HALF = wp.constant(wp.int64(32))
@@ -23,20 +23,22 @@ RESTLESS = wp.constant(RESTLESS_M_S)
 RISING = wp.constant(RISING_M_S2)
 
 UNBALANCED = wp.constant(10.0)
-"""Acceleration by which a body may be out of balance, m/s², so that the forces of a stopped solver still count. With
-this limit, peaks of rocking towers and stacks agree within 1 % with those of a solver that goes on. With 60 m/s²
-peaks were up to a fifth larger, with 1 m/s² a hundredth smaller."""
+"""Forces from a solver that was stopped early count only if no body is out of balance by more than this acceleration,
+m/s². With this limit, force peaks of rocking towers and stacks agree within 1 % with those of a solver that was not
+stopped. With 60 m/s², peaks were up to a fifth larger; with 1 m/s², a hundredth smaller."""
 
 
 @wp.func
 def tilt_of(q: wp.vec4) -> float:
-    """Angle between a box's z axis and the world's, degrees; from the half angle, which float32 resolves."""
+    """Angle between a box's z axis and the world's, degrees. It is computed from half the angle, since float32 resolves
+    this better.
+    """
     return wp.degrees(2.0 * wp.atan2(wp.sqrt(q[1] * q[1] + q[2] * q[2]), wp.sqrt(q[0] * q[0] + q[3] * q[3])))
 
 
 @wp.func
 def length_of(a: wp.array3d[float], world: int, box: int, first: int) -> float:
-    """Length of three numbers of a box."""
+    """Length of the 3-vector stored for a box from index ``first`` on."""
     x = a[world, box, first]
     y = a[world, box, first + 1]
     z = a[world, box, first + 2]
@@ -61,7 +63,7 @@ def excess_of(
 
 @wp.func
 def is_gone(model: Ref[Model], worlds: Ref[Worlds], state: Ref[State], world: int, box: int) -> bool:
-    """Whether a box is so far away that the pallet of a trial will not stand."""
+    """Whether a box is gone (``petmjx.engines.metrics.GONE_TILT``), so that the pallet of a trial will not stand."""
     q = orientation(state, world, box + 1)
     place = middle_of(worlds, world, box, center(state, world, box + 1), q)
     descent = worlds.target[world, box, 2] - worlds.sinks[world, box] - place[2]
@@ -70,7 +72,7 @@ def is_gone(model: Ref[Model], worlds: Ref[Worlds], state: Ref[State], world: in
 
 @wp.func
 def sway_of(state: Ref[State], world: int, box: int, place: wp.vec3) -> float:
-    """Horizontal distance of a box from where it was when its drive began, m."""
+    """Horizontal distance of a box from its place at the start of its drive, m."""
     x = place[0] - state.sway_anchor[world, box, 0]
     y = place[1] - state.sway_anchor[world, box, 1]
     return wp.sqrt(x * x + y * y)
@@ -93,11 +95,11 @@ def measure(
     state: Ref[State],
     work: Ref[Workspace],
 ) -> bool:
-    """Measure a box in a sample, in a look during a drive, or at the end. Returns whether the box is lost; with early
-    stop, its world then ends.
+    """Measure a box at a sample, at a look during a drive, or at the end. Returns whether the box is lost. With early
+    stop, a lost box ends its world.
 
     Args:
-        culprit: the culprit of an earlier look.
+        culprit: the culprit found at an earlier look.
     """
     world = at.world
     place = wp.vec3(0.0, 0.0, 0.0)
@@ -140,13 +142,13 @@ def press(
     state: Ref[State],
     work: Ref[Workspace],
 ) -> None:
-    """Record the force on a box's top, in a step in which it counts."""
+    """Record the force on a box's top. Called in steps in which this force counts."""
     state.max_top_force[world, box] = wp.max(state.max_top_force[world, box], work.top_force[block, box])
 
 
 @wp.func
 def speed_of(worlds: Ref[Worlds], state: Ref[State], world: int, box: int) -> float:
-    """Speed of a box's fastest point, m/s: an upper bound, the centre's speed and radius × angular speed."""
+    """Upper bound of the speed of a box's fastest point, m/s: the centre's speed + radius × angular speed."""
     radius = wp.length(box_half(worlds, world, box))
     return length_of(state.qvel, world, box, 0) + radius * length_of(state.qvel, world, box, 3)
 
@@ -171,8 +173,8 @@ def rises(work: Ref[Workspace], at: Thread) -> bool:
 
 @wp.func
 def is_unbalanced(work: Ref[Workspace], at: Thread) -> bool:
-    """Whether the forces on one of a thread's free bodies are out of balance by more than ``UNBALANCED`` × its mass,
-    after a solver that was stopped. Then some forces between bodies are a hundred times too large."""
+    """Whether, after a solver that was stopped early, the forces on one of a thread's free bodies are out of balance by
+    more than ``UNBALANCED`` × the body's mass. Some forces between bodies may then be a hundred times too large."""
     unbalanced = bool(False)
     for body in range(at.thread, at.placed + 1 - at.held, at.threads):
         most = wp.float64(UNBALANCED) * wp.float64(work.qM[at.block, 6 * body])

@@ -30,14 +30,14 @@ def newton(
     # Data out:
     work: Workspace,
 ) -> None:
-    """Find accelerations and contact forces of a lane's world, in at most ``limit`` iterations.
+    """Compute the accelerations and contact forces of a lane's world, in at most ``limit`` iterations.
 
-    ``changed``: contacts, or the order of bodies, have changed since the last call. ``forces``: contact forces are
-    wanted, too; else ``contact_force`` may belong to the accelerations before the last iteration.
+    ``changed``: whether contacts, or the order of bodies, have changed since the last call. ``forces``: whether contact
+    forces are needed, too. Otherwise, ``contact_force`` may belong to the accelerations before the last iteration.
 
     Reads the accelerations to start from, and the constraints and bodies of contacts. Writes ``qacc``,
     ``contact_force``, ``solver_niter`` and ``solver_paused``. If ``solver_paused`` is not zero, the solver has paused,
-    and the next call goes on. Other arrays of the workspace are scratch. ``shared`` is a tile in shared memory with
+    and the next call continues. Other arrays of the workspace are scratch. ``shared`` is a tile in shared memory with
     ``shared_words`` numbers for each world of a block. It holds rows of the factor and the Hessian if they fit.
     """
 

@@ -2,7 +2,7 @@
 
 A lane is a thread block, or a warp of a block. The warps of a block go through the parts of a step together, even warps
 that have no more worlds. If the solver of one warp takes longer than the solvers of the others, it pauses. The others
-take their next step, and the paused solver goes on when they reach their solver again
+take their next step, and the paused solver continues when they reach their solver again
 (benchmarks/notebook/performance.md, "Small worlds").
 """
 
@@ -44,7 +44,7 @@ CONTACT_OVERFLOW = wp.constant(int(Flag.CONTACT_OVERFLOW))
 
 @wp.func
 def excitation(model: Ref[Model], worlds: Ref[Worlds], state: Ref[State], world: int) -> tuple[wp.vec3, wp.vec3]:
-    """Gravity (m/s²) and the force on the carrier (N) for the coming step."""
+    """Gravity (m/s²), and the force on the carrier (N), for the next step."""
     step = state.step[world]
     ramp = wp.clamp(float(step + model.soft_start) / float(model.soft_start), 0.0, 1.0)
     gravity = wp.vec3(0.0, 0.0, -ramp * model.gravity)
@@ -74,7 +74,7 @@ def overflow(
     # Data out:
     state: Ref[State],
 ) -> None:
-    """Stop a world in its state before the step, since a buffer is too small for it."""
+    """Stop a world in its state before the step, since a buffer is too small for the step."""
     if at.thread == 0:
         state.status[at.world] = OVERFLOWED
         state.flags[at.world] = state.flags[at.world] | CONTACT_OVERFLOW
@@ -102,7 +102,7 @@ def advance(
     call then takes the rest of the step.
 
     Args:
-        goes: whether the lane has a world that goes on. If not, its threads only wait for other threads of the block.
+        goes: whether the lane has a running world. If not, its threads only wait for other threads of the block.
         shared: a tile in shared memory with ``shared_words`` numbers for each world of the block, followed by more.
         listed: number of listed near pairs; negative: no list.
 
@@ -229,15 +229,16 @@ def run_worlds(
     """Take worlds and step them, until the queue is empty or the time slice is over.
 
     Args:
-        block: the lane's number, and the number of its rows in the workspace.
+        block: number of the lane. Its data are in the rows of the workspace with this number.
         thread: the thread's number among the threads that share a world.
         threads: the number of these threads.
-        n_blocks: lanes of the call, of all sizes.
+        n_blocks: number of lanes of the call, of all sizes.
         hands: 1 if a hand may carry boxes.
         gives: 1 if boxes may be compliant.
         wraps: 1 if film may hold boxes.
         lands: 1 if landing boxes follow a law of their own.
-        slice_ns: time slice, ns, from the call's first step on. After it is over a lane takes one more step.
+        slice_ns: length of the time slice, ns, from the call's first step on. After the slice is over, a lane takes one
+            more step.
         shared: a tile in shared memory with ``shared_words`` numbers for each world of the block, followed by more.
     """
     at = Thread()
@@ -251,11 +252,11 @@ def run_worlds(
     at.lands = lands
     steps = int(0)
     iterations = int(0)
-    paired_boxes = int(-1)  # placed boxes when pairs were listed
+    paired_boxes = int(-1)  # number of placed boxes when pairs were last listed
     listed = int(-1)
     recorded = bool(False)
     late = bool(False)
-    others = bool(True)  # whether a world of the block goes on
+    others = bool(True)  # whether any lane of the block still has a running world
     while others:
         goes = bool(False)
         if at.world >= 0 and not late:

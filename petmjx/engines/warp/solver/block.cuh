@@ -56,7 +56,7 @@ inline CUDA_CALLABLE void go_together() {
 #endif
 }
 
-// Whether any world of a block goes on. The block's warps wait for one another.
+// Whether any world of a block still runs. The block's warps wait for one another.
 inline CUDA_CALLABLE bool any_of_block(bool mine) {
 #if defined(PETMJX_WORLD_OF_A_WARP)
     __syncwarp();
@@ -73,8 +73,8 @@ inline CUDA_CALLABLE void wait_for_warp() {
 #endif
 }
 
-// A barrier (1 or 2): arriving threads go on, and waiting threads wait for them. `threads` counts both. The waiting
-// threads see the writes of the arriving threads.
+// A barrier (1 or 2): arriving threads continue at once, and waiting threads wait for them. `threads` counts both. The
+// waiting threads see the writes of the arriving threads.
 inline CUDA_CALLABLE void arrive(int barrier, int threads) {
 #if defined(__CUDA_ARCH__)
     __syncwarp();
@@ -127,7 +127,7 @@ inline Number fused(Number a, Number b, Number c) {
 }
 #endif
 
-// Adds to a number that all blocks share, and returns its earlier value. The order of blocks is not fixed.
+// Adds to a number that all blocks share, and returns the number's earlier value. Blocks come in any order.
 inline CUDA_CALLABLE int add_to(int* number, int amount) {
 #if defined(__CUDA_ARCH__)
     return atomicAdd(number, amount);
@@ -136,7 +136,7 @@ inline CUDA_CALLABLE int add_to(int* number, int amount) {
 #endif
 }
 
-// Raises a number that all blocks share to `value` if that is larger.
+// Raises a number that all blocks share to `value` if `value` is larger.
 inline CUDA_CALLABLE void raise_to(int* number, int value) {
 #if defined(__CUDA_ARCH__)
     atomicMax(number, value);
@@ -258,7 +258,7 @@ inline CUDA_CALLABLE void take_larger(int& value, int other) {
 // Sums have the order of this many threads. At most this many threads share a world, and their number divides it.
 const int ORDER = 256;
 
-// Most warps that share a world.
+// Largest number of warps that share a world.
 #if defined(PETMJX_WORLD_OF_A_WARP)
 const int MOST_WARPS = 1;
 #else

@@ -1,7 +1,7 @@
 // H·x = g by Cholesky within H's envelope, H = UᵀU, by the threads of a world. On a CPU this is one thread.
 //
-// Right-looking by panels of 16 rows: one panel at a time in kernels for few panels, else two. Every warp computes
-// a number in the same way, so results do not depend on how warps share the work.
+// Right-looking by panels of 16 rows: one panel at a time in kernels for few panels, else two. Each number is computed
+// by the same operations in any warp, so results do not depend on how warps share the work.
 
 #ifndef PETMJX_CHOLESKY_CUH
 #define PETMJX_CHOLESKY_CUH

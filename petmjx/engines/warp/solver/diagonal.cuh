@@ -121,8 +121,8 @@ struct ByPairs {};
 struct ByFours {};
 #endif
 
-// Finds W of D, and stores it at `W`, PITCH numbers a row, and at `own`, 16 numbers a row. Called by one warp. WAY:
-// ByPairs or ByFours.
+// Finds W of D, and stores it at `W`, with PITCH numbers per row, and at `own`, with 16 numbers per row. Called by one
+// warp. WAY: ByPairs or ByFours.
 template <class WAY>
 inline CUDA_CALLABLE void factor_diagonal(Diagonal& tile, float* W, float* own, int lane) {
 #if defined(__CUDA_ARCH__)

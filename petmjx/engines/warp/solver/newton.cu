@@ -83,18 +83,18 @@ inline CUDA_CALLABLE double gradient(const World& world, float* rhs, double* par
     return bound[0];
 }
 
-// Layout of a block's system, kept from call to call. It is made anew when a world's contacts or the order of its
+// Layout of a block's system, kept from call to call. It is computed again when a world's contacts or the order of its
 // bodies have changed, and in a block's first step of a world.
 template <int PANELS>
 struct Layout {
     int top[PANELS], base[PANELS + 1];  // of the system
-    int widest;  // most panels that reach up to the panels of a row
+    int widest;  // largest number of panels that reach up to the panels of a row
     int pairs;  // pairs of free bodies that touch
     double trace;  // of M
 };
 
-// Makes the layout, and finds the first contact of each pair; the contacts of a pair are contiguous. `low`: by a body's
-// position, the lowest position of a body that it touches, or its own.
+// Makes the layout, and finds the first contact of each pair; the contacts of a pair are contiguous. `low`, indexed by
+// a body's position: the lowest position among the body and the bodies that it touches.
 template <int PANELS>
 inline CUDA_CALLABLE void lay_out(
     const World& world, const int* low, Factoring<PANELS>& factoring, Layout<PANELS>& layout, double* partial, int thread,
@@ -147,13 +147,14 @@ struct Own {
 };
 
 // Finds accelerations and contact forces of a lane's world. The solver starts from the accelerations in the workspace.
-// All `threads` of a lane must call it, since they wait for one another. PANELS: most panels of a system. PANEL,
-// EFC_WORDS: sizes on the Python side. `limit`: most iterations. `changed`: contacts, or the order of bodies, have
-// changed since the last call. `forces`: the forces of the final accelerations are wanted, too. `shared`: shared memory
-// of the block, with `shared_words` numbers for each of its worlds, for the strip and the Hessian if they fit.
+// All `threads` of a lane must call it, since they wait for one another. PANELS: largest number of panels of a system.
+// PANEL, EFC_WORDS: sizes on the Python side. `limit`: largest number of iterations. `changed`: whether contacts, or
+// the order of bodies, have changed since the last call. `forces`: whether the forces of the final accelerations are
+// needed, too. `shared`: shared memory of the block, with `shared_words` numbers for each of its worlds, for the strip
+// and the Hessian if they fit.
 //
 // With PETMJX_PAUSE_AFTER the solver pauses after that number of iterations, and stores it in `solver_paused`. The next
-// call goes on with the same system, and takes the same iterations as without a pause.
+// call continues with the same system, and takes the same iterations as without a pause.
 template <int PANELS, int PANEL, int EFC_WORDS, class Model, class Workspace>
 inline CUDA_CALLABLE void newton(
     const Model& model, int block, int thread, int threads, int limit, bool changed, bool forces, float* shared,
@@ -246,8 +247,8 @@ inline CUDA_CALLABLE void newton(
     bool last = false;
     #pragma unroll 1
     for (int iteration = begun;; ++iteration) {
-        // The stored forces belong to the accelerations before the last iteration. They are computed anew only if
-        // the caller wants forces.
+        // The stored forces belong to the accelerations before the last iteration. They are computed again only if the
+        // caller needs forces.
         const bool ends = last || iteration >= limit;
         if (ends && !forces) break;
         #pragma unroll 1

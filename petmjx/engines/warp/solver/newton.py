@@ -15,14 +15,14 @@ Five things make it fast:
   Cholesky runs within the envelope, in tiles of 16 × 16; each warp has a tile, and tensor cores multiply them.
 - Each world stops as early as it can. Since H ≥ M, the cost can decrease by at most ½ gᵀM⁻¹g. This bound shows before
   each factorisation whether another iteration can help.
-- Friction of sliding contacts is an unknown of its own. The cost of sliding is nearly a norm, μ·p·|j|. Its curvature
-  μ·p/|j|·(I − j·jᵀ/|j|²) leaps from nothing (along j) to the curvature of sticking within a tiny step. Line searches
-  end at such kinks: plain Newton, also MuJoCo's, takes 30 iterations and more while a pallet slides. So j/|j| in the
-  curvature is replaced by a vector w, |w| ≤ 1, that follows |j|·w = j linearised (Chan, Golub and Mulet, "A nonlinear
-  primal-dual method for total variation-based image restoration", SIAM J. Sci. Comput. 20, 1999; Andersen and others,
-  "An efficient primal-dual interior-point method for minimizing a sum of Euclidean norms", SIAM J. Sci. Comput. 22,
-  2000). The minimum is the same, and each direction descends. Iterations are nearly halved while a pallet slides, and a
-  line search takes a quarter of the evaluations.
+- Friction of sliding contacts is an unknown of its own. The cost of sliding is nearly a norm of the residual j,
+  μ·p·|j|, with the normal force p. Its curvature μ·p/|j|·(I − j·jᵀ/|j|²) leaps from nothing (along j) to the curvature
+  of sticking within a tiny step. Line searches end at such kinks: plain Newton, also MuJoCo's, takes 30 iterations and
+  more while a pallet slides. So j/|j| in the curvature is replaced by a vector w, |w| ≤ 1, that follows |j|·w = j
+  linearised (Chan, Golub and Mulet, "A nonlinear primal-dual method for total variation-based image restoration", SIAM
+  J. Sci. Comput. 20, 1999; Andersen and others, "An efficient primal-dual interior-point method for minimizing a sum of
+  Euclidean norms", SIAM J. Sci. Comput. 22, 2000). The minimum is the same, and each direction descends. Iterations are
+  nearly halved while a pallet slides, and a line search takes a quarter of the evaluations.
 
 Accelerations, residuals, forces and gradients are double precision; H and its factor are single precision. Rounding in
 the factor slows the convergence a little; rounding in the gradient would stop it. Every sum has a fixed order, so a
@@ -41,7 +41,9 @@ from petmjx.engines.warp.world_arrays import PANEL
 from petmjx.world.contact_laws import ENOUGH_M_S2, RELAXATION
 
 PANELS_MACRO = "PETMJX_MOST_PANELS"
-"""C++ macro for the panels of a kernel's largest system, for which its shared memory has room."""
+"""C++ macro for the number of panels of a kernel's largest system. The kernel's shared memory has
+room for this system.
+"""
 
 FEW_PANELS = 40
 """A kernel whose largest system has at most this many panels factors one panel at a time (by_one.cuh), other kernels
@@ -77,9 +79,9 @@ def text_for(panels: int, worlds: int = 1, threads: int = 32, pause_after: int =
     """The solver's C++ for systems of up to ``panels`` panels.
 
     Args:
-        worlds: worlds of a block; if there are several, each has a warp.
-        threads: threads of a world.
-        pause_after: iterations after which the solver pauses; 0: it never pauses.
+        worlds: number of worlds of a block; if there are several, each has a warp.
+        threads: number of threads of a world.
+        pause_after: number of iterations after which the solver pauses; 0: it never pauses.
     """
     numbers: dict[str, float] = {
         PANELS_MACRO: panels,
