@@ -24,8 +24,8 @@ from support.fake_stepper import assert_same, run_all
 from support.job_streams import feedback_stream
 from support.plans import make_scene
 from support.tiny_worlds import (
+    CHANGING_NS,
     LONG_NS,
-    OWN_NS,
     SHORT,
     SOME_NS,
     STEP_NS,
@@ -135,7 +135,7 @@ class FailingRollout(Rollout):
     """Of all rollouts of a class."""
 
     def __init__(self, run: Run, pools: Sequence[BlockPool], slice_ns: int) -> None:
-        super().__init__(run, pools, OWN_NS)
+        super().__init__(run, pools, CHANGING_NS)
         self.waits, self.launcher.slice_ns = 0, STEP_NS
 
     def wait(self, table: WorldTable) -> Any:

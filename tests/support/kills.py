@@ -141,7 +141,7 @@ def kill(folder: Path, kind: str, kills: int, rng: random.Random) -> None:
 
 
 def main(folder: Path, kills_by_kind: dict[str, int], seed: int = 0) -> None:
-    mujoco.mj_version(), pyarrow.dataset.dataset, petmjx.score
+    mujoco.mj_version(), pyarrow.dataset.dataset, petmjx.score  # so that children need not load them
     defaults = RunWriter.__init__.__kwdefaults__
     assert defaults is not None
     defaults["worlds_per_part"] = WORLDS_PER_PART

@@ -35,7 +35,7 @@ SOME_NS, STEP_NS = 100_000, 0
 """One that the host ends, at the soonest after 0.1 ms: on a fast CPU tiny worlds take a few of them. And one in which
 each block takes a step, so that they take hundreds."""
 
-OWN_NS = 1
+CHANGING_NS = 1
 """Programs are kept by the length of their slices. Those of this length belong to tests that set the length as they go
 on, which each of them does from the first slice on."""
 
