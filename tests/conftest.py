@@ -43,6 +43,9 @@ if os.environ.get("PETMJX_TEST_GPU") != "1":
 os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
 sys.dont_write_bytecode = False
 
+# Runs of tests need not outlive a power failure, and a test with a hundred small runs waits for the disk for seconds.
+os.fsync = lambda descriptor: None
+
 # The same examples on each machine, however slow it is.
 if importlib.util.find_spec("hypothesis") is not None:
     from hypothesis import HealthCheck, settings
@@ -104,28 +107,39 @@ def pytest_collection() -> Generator[None, object, object]:
 
 
 LONGEST_FIRST = (
-    "test_resume",
-    "test_traces",
-    "test_warp_company",
-    "test_mjx_twin",
-    "test_bodies",
-    "test_stackable_placements",
-    "test_mjx_rules",
-    "test_parity",
-    "test_recipes",
+    "test_doc_examples",
     "test_worker_pool",
-    "test_jax_loop",
+    "test_resume",
+    "test_mjx_twin",
+    "test_parity",
+    "test_option_types",
+    "test_recipes",
+    "test_repair",
+    "test_sweep_runs",
+    "test_worker_signals",
+    "test_report_page",
+    "test_warp_company",
+    "test_story_controls",
+    "test_traces",
     "test_jax_palletizing",
-    "test_open_worlds",
-    "test_warp_failures",
-    "test_recorded_batches",
-    "test_mjx_warp",
+    "test_examples",
+    "test_story_page",
+    "test_confidence",
+    "test_toppling",
+    "test_warp_tail_blocks",
+    "test_chains",
+    "test_stackable_placements",
+    "test_jax_loop",
+    "test_bodies",
+    "test_damaged_input",
+    "test_notebooks",
+    "test_score",
     "test_mjx_robustness",
-    "test_warp_step",
-    "test_warp_memory",
+    "test_gym",
 )
-"""Files of 20 s of CPU time and more. With several test processes (``make test``) each takes the next file when it is
-through with one. A long file that comes last leaves the others idle."""
+"""Files that take longest, 50 to 8 s of CPU time, also of browsers and of processes that are started. With several test
+processes (``make test``) each takes the next file when it is through with one. A long file that comes last leaves the
+others idle."""
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import gc
 import itertools
 import weakref
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import replace
 from typing import Any
@@ -24,6 +24,7 @@ from support.fake_stepper import assert_same, run_all
 from support.job_streams import feedback_stream
 from support.plans import make_scene
 from support.tiny_worlds import (
+    CHANGING_NS,
     LONG_NS,
     SHORT,
     SOME_NS,
@@ -44,7 +45,7 @@ from petmjx.engines.warp import block_pool, kernel_launcher
 from petmjx.engines.warp import engine as mjx_warp
 from petmjx.engines.warp.block_launch import Launch
 from petmjx.engines.warp.engine import MjxWarpEngine
-from petmjx.engines.warp.kernel_launcher import KernelLauncher
+from petmjx.engines.warp.kernel_launcher import BlockPool, KernelLauncher
 from petmjx.engines.warp.time_slices import Rollout
 from petmjx.engines.warp.world_arrays import BUFFER_WORDS, axes, buffer_rows
 from petmjx.engines.warp.world_table import Run, WorldTable
@@ -125,14 +126,24 @@ def test_memory_that_runs_out_while_buffers_grow_ends_what_is_not_at_its_end(
 
 
 class FailingRollout(Rollout):
-    """Fails in its third time slice if it has more than ``holds`` worlds."""
+    """Fails in its third time slice if it has more than ``holds`` worlds. Its slices are of one step until it is clear
+    that it does not fail."""
 
     holds = 2
     error: Callable[[], Exception] = staticmethod(out_of_memory)
+    failures = 0
+    """Of all rollouts of a class."""
+
+    def __init__(self, run: Run, pools: Sequence[BlockPool], slice_ns: int) -> None:
+        super().__init__(run, pools, CHANGING_NS)
+        self.waits, self.launcher.slice_ns = 0, STEP_NS
 
     def wait(self, table: WorldTable) -> Any:
-        self.waits = getattr(self, "waits", 0) + 1
-        if len(table.jobs) > self.holds and self.waits >= 3:
+        self.waits += 1
+        if len(table.jobs) <= self.holds:
+            self.launcher.slice_ns = LONG_NS
+        elif self.waits >= 3:
+            type(self).failures += 1
             raise self.error()
         return super().wait(table)
 
@@ -140,8 +151,10 @@ class FailingRollout(Rollout):
 @pytest.mark.slow
 def test_memory_that_runs_out_midway_loses_nothing(monkeypatch: pytest.MonkeyPatch, crowd: dict[str, Outcome]) -> None:
     monkeypatch.setattr(mjx_warp, "Rollout", FailingRollout)
-    outcomes = run_all(engine(slice_ns=SOME_NS), [Job(scene) for scene in tiny_scenes().values()], SHORT)
+    monkeypatch.setattr(FailingRollout, "failures", 0)
+    outcomes = run_all(engine(), [Job(scene) for scene in tiny_scenes().values()], SHORT)
     assert_equal_worlds(dict(zip(TINY, outcomes, strict=True)), crowd)
+    assert FailingRollout.failures == 2, "of all five worlds, and of three of them"
 
 
 @pytest.mark.slow
@@ -156,7 +169,7 @@ def test_tables_are_free_before_their_worlds_are_simulated_again(monkeypatch: py
 
     monkeypatch.setattr(mjx_warp, "Rollout", FailingRollout)
     monkeypatch.setattr(MjxWarpEngine, "_load", watched)
-    run_all(engine(slice_ns=STEP_NS), [Job(tiny("hand-one-box"))] * 6, SHORT)
+    run_all(engine(), [Job(tiny("hand-one-box"))] * 6, SHORT)
     assert alive == [0] * 7
 
 
@@ -187,7 +200,7 @@ def test_a_world_that_has_not_enough_memory_even_alone_is_invalid(monkeypatch: p
 
     monkeypatch.setattr(mjx_warp, "Rollout", Full)
     two = [Job(tiny("hand-one-box")), Job(tiny("hand-bridge"))]
-    for outcome in run_all(engine(slice_ns=STEP_NS), two, SHORT):
+    for outcome in run_all(engine(), two, SHORT):
         assert (outcome.verdict, outcome.reason) == (Verdict.INVALID, Reason.OUT_OF_MEMORY)
 
 
@@ -215,7 +228,7 @@ def test_other_errors_are_raised_and_the_engine_goes_on(
     class Broken(FailingRollout):
         error = staticmethod(lambda: RuntimeError("INTERNAL: illegal memory access"))
 
-    begun = engine(slice_ns=STEP_NS)
+    begun = engine()
     with monkeypatch.context() as patch:
         patch.setattr(mjx_warp, "Rollout", Broken)
         with pytest.raises(RuntimeError, match="illegal memory access"):

@@ -20,7 +20,12 @@ FLAGS = (
     "--no-sandbox",  # tests may run as root
     "--use-angle=swiftshader",  # WebGL on machines without a graphics card
     "--enable-unsafe-swiftshader",
+    "--disable-gpu-rasterization",  # SwiftShader, which is slow, draws WebGL alone
+    "--disable-gpu-compositing",
 )
+
+READS_BACK = "GPU stall due to ReadPixels"
+"""A message of the browser, which reads what WebGL has drawn to put it into the page. No page reads pixels."""
 
 LONGEST_S = 120.0
 """A page that has not done something by then does not do it, on the busiest machine."""
@@ -89,14 +94,25 @@ class Opened:
 OpenPage = Callable[..., Opened]
 
 
+@pytest.fixture(scope="module")
+def usual_page(browser: Any) -> Any:
+    """A page without options of its own, which tests use one after the other. A context, a page and the processes that
+    belong to it take 0.7 s of CPU time, and another address in a page a tenth of that."""
+    context = browser.new_context()
+    context.set_default_timeout(1000 * LONGEST_S)
+    return context.new_page()
+
+
 @pytest.fixture
-def open_page(browser: Any, tmp_path: Path) -> Iterator[OpenPage]:
+def open_page(browser: Any, usual_page: Any, tmp_path: Path) -> Iterator[OpenPage]:
     """Opens HTML from a file, as people do: ``open_page(html, width=1280, height=800, dark=False, webgl=True)``.
 
     ``scripts=False`` turns scripts off, ``fragment`` goes behind the ``#``. Other arguments are those of Playwright's
-    ``new_context``.
+    ``new_context``. Pages with one of these arguments, and all but the first of a test, have a context of their own.
     """
     contexts = []
+    views: list[Opened] = []
+    listeners: list[tuple[str, Callable[[Any], object]]] = []
 
     def opened(
         html: str,
@@ -109,29 +125,43 @@ def open_page(browser: Any, tmp_path: Path) -> Iterator[OpenPage]:
         fragment: str = "",
         **more: Any,
     ) -> Opened:
-        context = browser.new_context(
-            viewport={"width": width, "height": height},
-            color_scheme="dark" if dark else "light",
-            java_script_enabled=scripts,
-            **more,
-        )
-        context.set_default_timeout(1000 * LONGEST_S)
-        contexts.append(context)
-        view = Opened(context.new_page())
+        size, scheme = {"width": width, "height": height}, "dark" if dark else "light"
+        is_usual = webgl and scripts and not more and not views
+        if is_usual:
+            page = usual_page
+            page.set_viewport_size(size)
+            page.emulate_media(color_scheme=scheme)
+        else:
+            context = browser.new_context(viewport=size, color_scheme=scheme, java_script_enabled=scripts, **more)
+            context.set_default_timeout(1000 * LONGEST_S)
+            contexts.append(context)
+            page = context.new_page()
+        view = Opened(page)
+        views.append(view)
         if not webgl:
-            view.page.add_init_script(NO_WEBGL)
-        file = tmp_path / f"page-{len(contexts)}.html"
+            page.add_init_script(NO_WEBGL)
+        file = tmp_path / f"page-{len(views)}.html"
         file.write_text(html, encoding="utf-8")
         address = file.as_uri()
-        view.page.on(
-            "console", lambda message: message.type in ("error", "warning") and view.errors.append(message.text)
-        )
-        view.page.on("pageerror", lambda error: view.errors.append(str(error)))
-        view.page.on("request", lambda request: request.url.startswith(address) or view.requests.append(request.url))
-        view.page.goto(address + (f"#{fragment}" if fragment else ""))
-        view.page.wait_for_load_state("load")
+        on = {
+            "console": lambda message: (
+                message.type in ("error", "warning")
+                and READS_BACK not in message.text
+                and view.errors.append(message.text)
+            ),
+            "pageerror": lambda error: view.errors.append(str(error)),
+            "request": lambda request: request.url.startswith(address) or view.requests.append(request.url),
+        }
+        for event, listener in on.items():
+            page.on(event, listener)
+            if is_usual:
+                listeners.append((event, listener))
+        page.goto(address + (f"#{fragment}" if fragment else ""))
+        page.wait_for_load_state("load")
         return view
 
     yield opened
+    for event, listener in listeners:
+        usual_page.remove_listener(event, listener)
     for context in contexts:
         context.close()

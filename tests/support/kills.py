@@ -1,9 +1,10 @@
 """Kills runs at random moments (SIGKILL) and resumes them until they are done: nothing may be lost, nothing double.
 
-    python tests/support/kills.py FOLDER score 100
+    python tests/support/kills.py FOLDER score 100 grid 20
 
-Children are forked from a process that has imported everything and started no thread, so that a run takes a fraction of
-a second and kills hit it everywhere: while it simulates, writes a part, renames a file, or has just begun.
+Children are forked from a process that has imported everything and started no thread, and worlds end without physics.
+So a run takes a tenth of a second, and kills hit it everywhere: while worlds end, while it reads what is there, writes
+a part or renames a file, or when it has just begun.
 """
 
 from __future__ import annotations
@@ -17,13 +18,18 @@ from pathlib import Path
 
 import mujoco
 import pandas as pd
+import pyarrow.dataset
 
 import petmjx
+import petmjx.runs.confidence
+import petmjx.runs.sweep_study
 from petmjx.engines.mujoco.engine import MujocoEngine
+from petmjx.engines.mujoco.world_run import WorldRun
 from petmjx.results.run_writer import RunWriter
 from petmjx.runs.sweep_run import Batching
 
 sys.path.insert(0, str(Path(__file__).parents[1]))
+from support.fake_engine import end_without_physics
 from support.plans import make_plan, stack
 
 WORLDS_PER_PART = 3
@@ -106,23 +112,16 @@ def leftovers(folder: Path) -> bool:
     return bool(boxes - worlds) or bool(list(folder.rglob("*.tmp")))
 
 
-def main(folder: Path, kind: str, kills: int, seed: int = 0) -> None:
-    mujoco.mj_version()
-    defaults = RunWriter.__init__.__kwdefaults__
-    assert defaults is not None
-    defaults["worlds_per_part"] = WORLDS_PER_PART
-    folder.mkdir(parents=True, exist_ok=True)
-    (folder / "grid.toml").write_text(GRID)
-    (folder / "search.toml").write_text(SEARCH)
-    rng = random.Random(seed)
+def kill(folder: Path, kind: str, kills: int, rng: random.Random) -> None:
+    """Kill runs of a kind this often, and compare what they end with to a run that nobody disturbed."""
     begin = time.monotonic()
-    child = start(kind, folder / "whole")  # in a child, as the others: this process starts no threads
+    child = start(kind, folder / f"{kind}-whole")  # in a child, as the others: this process starts no threads
     assert os.waitpid(child, 0)[1] == 0
     whole_s = time.monotonic() - begin
-    expected = tables(petmjx.load_run(folder / "whole"))
+    expected = tables(petmjx.load_run(folder / f"{kind}-whole"))
     done = runs = in_part = 0
     while done < kills or runs == 0:
-        out = folder / f"run-{runs}"
+        out = folder / f"{kind}-{runs}"
         while True:
             child = start(kind, out)
             if done < kills:
@@ -141,5 +140,21 @@ def main(folder: Path, kind: str, kills: int, seed: int = 0) -> None:
     )
 
 
+def main(folder: Path, kills_by_kind: dict[str, int], seed: int = 0) -> None:
+    mujoco.mj_version(), pyarrow.dataset.dataset, petmjx.score  # so that children need not load them
+    defaults = RunWriter.__init__.__kwdefaults__
+    assert defaults is not None
+    defaults["worlds_per_part"] = WORLDS_PER_PART
+    WorldRun.run = end_without_physics  # type: ignore[method-assign]
+    os.fsync = lambda descriptor: None  # a kill loses nothing that the kernel has
+    folder.mkdir(parents=True, exist_ok=True)
+    (folder / "grid.toml").write_text(GRID)
+    (folder / "search.toml").write_text(SEARCH)
+    rng = random.Random(seed)
+    for kind, kills in kills_by_kind.items():
+        kill(folder, kind, kills, rng)
+
+
 if __name__ == "__main__":
-    main(Path(sys.argv[1]), sys.argv[2], int(sys.argv[3]), *(int(seed) for seed in sys.argv[4:]))
+    kinds, counts = sys.argv[2::2], map(int, sys.argv[3::2])
+    main(Path(sys.argv[1]), dict(zip(kinds, counts, strict=True)))

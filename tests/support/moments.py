@@ -61,8 +61,7 @@ class Moments:
     _lock: threading.Lock = field(default_factory=threading.Lock, repr=False)
 
     def watch(self, monkeypatch: pytest.MonkeyPatch, *, taking_away: bool = False) -> None:
-        """Let all moments pass here from now on. Nothing is brought to a real disk."""
-        monkeypatch.setattr(os, "fsync", lambda descriptor: None)
+        """Let all moments pass here from now on."""
         for name in (*WRITING, *(TAKING_AWAY if taking_away else ())):
             monkeypatch.setattr(os, name, self._after_passing(getattr(os, name)))
         monkeypatch.setattr(run_folder.pq, "write_table", self._after_passing(run_folder.pq.write_table))
@@ -254,9 +253,7 @@ def kill(run: Run, out: Path, at: int) -> bool:
 
 
 def _go_on(run: Run, out: Path) -> None:
-    with pytest.MonkeyPatch.context() as monkeypatch:
-        monkeypatch.setattr(os, "fsync", lambda descriptor: None)
-        run.write(out)
+    run.write(out)
     assert_complete(out)
 
 

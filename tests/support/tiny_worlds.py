@@ -32,7 +32,12 @@ SHORT = Simulation(interval_s=0.1, rest_window_s=0.04, settle_s=0.3)
 LONG_NS = 10**15
 """A time slice in which all worlds of a test end."""
 SOME_NS, STEP_NS = 100_000, 0
-"""One of which they take dozens, since a step takes some 20 µs on a CPU; and one in which each block takes a step."""
+"""One that the host ends, at the soonest after 0.1 ms: on a fast CPU tiny worlds take a few of them. And one in which
+each block takes a step, so that they take hundreds."""
+
+CHANGING_NS = 1
+"""Programs are kept by the length of their slices. Those of this length belong to tests that set the length as they go
+on, which each of them does from the first slice on."""
 
 devices = pytest.mark.parametrize("device", ["here", pytest.param("gpu", marks=pytest.mark.gpu)])
 

@@ -9,7 +9,7 @@ import re
 import tokenize
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import pytest
 
@@ -57,23 +57,56 @@ def lines_of(text: str) -> Iterator[tuple[int, str]]:
     yield from enumerate(text.splitlines(), start=1)
 
 
-@functools.cache
-def tree_of(path: Path) -> ast.Module:
-    return ast.parse(path.read_text(encoding="utf-8"))
+Members = dict[str, "Members | str | None"]
+"""Names that a module or class defines or imports. A class has members of its own, what is imported from a module the
+name of that module, and other names None."""
 
 
-@functools.cache
-def docstrings_and_comments(path: Path) -> tuple[tuple[int, str], ...]:
+class Source(NamedTuple):
+    """What tests need of a source file. Its syntax tree has a hundred times as many objects, which garbage collections
+    of all later tests would visit."""
+
+    texts: tuple[tuple[int, str], ...]
     """(line, text) of every comment, and of every string that stands as a statement (docstrings of fields too)."""
-    lines = []
-    for node in ast.walk(tree_of(path)):
-        if isinstance(node, ast.Expr) and isinstance(node.value, ast.Constant) and isinstance(node.value.value, str):
-            lines += [(node.lineno + number - 1, line) for number, line in lines_of(node.value.value)]
+    members: Members
+    names_in_classes: frozenset[str]
+
+
+@functools.cache
+def source_of(path: Path) -> Source:
     source = path.read_text(encoding="utf-8")
+    tree = ast.parse(source)
+    texts = []
+    names_in_classes: set[str] = set()
+    for node in ast.walk(tree):
+        if isinstance(node, ast.Expr) and isinstance(node.value, ast.Constant) and isinstance(node.value.value, str):
+            texts += [(node.lineno + number - 1, line) for number, line in lines_of(node.value.value)]
+        elif isinstance(node, ast.ClassDef):
+            names_in_classes |= set(members_of(node.body))
     for token in tokenize.generate_tokens(io.StringIO(source).readline):
         if token.type == tokenize.COMMENT:
-            lines.append((token.start[0], token.string))
-    return tuple(lines)
+            texts.append((token.start[0], token.string))
+    return Source(tuple(texts), members_of(tree.body), frozenset(names_in_classes))
+
+
+def members_of(body: list[ast.stmt]) -> Members:
+    members: Members = {}
+    for node in body:
+        if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef):
+            members[node.name] = None
+        elif isinstance(node, ast.ClassDef):
+            members[node.name] = members_of(node.body)
+        elif isinstance(node, ast.Assign):
+            names = (name for target in node.targets for name in ast.walk(target))
+            members |= {name.id: None for name in names if isinstance(name, ast.Name)}
+        elif isinstance(node, ast.AnnAssign) and isinstance(node.target, ast.Name):
+            members[node.target.id] = None
+        elif isinstance(node, ast.Import | ast.ImportFrom):
+            module = (node.module or "") if isinstance(node, ast.ImportFrom) else None
+            members |= {alias.asname or alias.name: module for alias in node.names}
+        elif isinstance(node, ast.If | ast.Try):
+            members |= members_of(node.body)
+    return members
 
 
 def all_texts() -> Iterator[tuple[str, str]]:
@@ -83,7 +116,7 @@ def all_texts() -> Iterator[tuple[str, str]]:
             if not line.startswith("+"):
                 yield f"{relative(document)}:{number}", line
     for source in SOURCES:
-        for number, line in docstrings_and_comments(source):
+        for number, line in source_of(source).texts:
             yield f"{relative(source)}:{number}", line
 
 
@@ -121,25 +154,6 @@ def test_paths_that_are_named_exist() -> None:
     assert not missing, "\n".join(missing)
 
 
-def members_of(body: list[ast.stmt]) -> dict[str, ast.stmt]:
-    """Names that a module or class defines or imports, and by which statement."""
-    members: dict[str, ast.stmt] = {}
-    for node in body:
-        if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef | ast.ClassDef):
-            members[node.name] = node
-        elif isinstance(node, ast.Assign):
-            members |= {
-                name.id: node for target in node.targets for name in ast.walk(target) if isinstance(name, ast.Name)
-            }
-        elif isinstance(node, ast.AnnAssign) and isinstance(node.target, ast.Name):
-            members[node.target.id] = node
-        elif isinstance(node, ast.Import | ast.ImportFrom):
-            members |= {alias.asname or alias.name: node for alias in node.names}
-        elif isinstance(node, ast.If | ast.Try):
-            members |= members_of(node.body)
-    return members
-
-
 def module_path(parts: list[str]) -> Path | None:
     base = REPOSITORY.joinpath(*parts)
     candidates = (base.with_suffix(".py"), base / "__init__.py")
@@ -157,14 +171,14 @@ def resolves(name: str) -> bool:
     module = module_path(parts[:depth]) if depth else None
     if module is None:
         return False
-    body = tree_of(module).body
+    members: Members | None = source_of(module).members
     for number, part in enumerate(parts[depth:], start=depth + 1):
-        node = members_of(body).get(part)
-        if isinstance(node, ast.ImportFrom):
-            return resolves(".".join([node.module or "", part, *parts[number:]]))
-        if node is None:
+        if members is None or part not in members:
             return False
-        body = node.body if isinstance(node, ast.ClassDef) else []
+        member = members[part]
+        if isinstance(member, str):
+            return resolves(".".join([member, part, *parts[number:]]))
+        members = member
     return True
 
 
@@ -179,11 +193,8 @@ def test_roles_in_docstrings_resolve() -> None:
     """A Sphinx role has a name of petmjx, or one that its own file defines or imports."""
     unknown = []
     for source in SOURCES:
-        known = set(members_of(tree_of(source).body))
-        for node in ast.walk(tree_of(source)):
-            if isinstance(node, ast.ClassDef):
-                known |= set(members_of(node.body))
-        for number, line in docstrings_and_comments(source):
+        known = source_of(source).names_in_classes | set(source_of(source).members)
+        for number, line in source_of(source).texts:
             for name in ROLE.findall(line):
                 if not (resolves(name) if name.startswith("petmjx.") else name.split(".")[0] in known):
                     unknown.append(f"{relative(source)}:{number}: {name}")

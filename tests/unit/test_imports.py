@@ -104,23 +104,28 @@ def part_of(module: str) -> str:
     return module.split(".")[1]
 
 
-def test_imports_run_one_way(repository: Path) -> None:
+@pytest.fixture(scope="module")
+def graph(repository: Path) -> dict[str, set[str]]:
+    return import_graph(repository)
+
+
+def test_imports_run_one_way(graph: dict[str, set[str]]) -> None:
     wrong = [
         f"{module} imports {target}"
-        for module, targets in import_graph(repository).items()
+        for module, targets in graph.items()
         for target in sorted(targets)
         if layer_of(part_of(target)) > layer_of(part_of(module))
     ]
     assert not wrong, "\n".join(wrong)
 
 
-def test_no_circle_among_modules_also_behind_functions(repository: Path) -> None:
-    assert not circle_in(import_graph(repository))
+def test_no_circle_among_modules_also_behind_functions(graph: dict[str, set[str]]) -> None:
+    assert not circle_in(graph)
 
 
-def test_no_circle_among_packages(repository: Path) -> None:
+def test_no_circle_among_packages(graph: dict[str, set[str]]) -> None:
     parts: dict[str, set[str]] = {}
-    for module, targets in import_graph(repository).items():
+    for module, targets in graph.items():
         part = part_of(module)
         parts.setdefault(part, set()).update({part_of(target) for target in targets} - {part})
     assert not circle_in(parts)
@@ -143,16 +148,22 @@ def test_circles_behind_functions_and_names_are_found(tmp_path: Path) -> None:
     assert circle_in(graph) == ()
 
 
-def loaded_by(statement: str) -> set[str]:
-    """Which simulators are loaded after a statement in a fresh interpreter."""
-    code = f"import sys\n{statement}\nprint(*[name for name in {SIMULATORS!r} if name in sys.modules])"
+def loaded_by(*statements: str) -> list[str]:
+    """Simulators that are loaded after each of some statements in a fresh interpreter: ``statement: simulators``."""
+    code = f"""
+import sys
+for statement in {statements!r}:
+    exec(statement)
+    if loaded := [name for name in {SIMULATORS!r} if name in sys.modules]:
+        print(statement, loaded, sep=": ")
+"""
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
-    return set(done.stdout.split())
+    return done.stdout.splitlines()
 
 
-@pytest.mark.parametrize("module", READERS)
-def test_what_reads_results_loads_no_simulator(module: str) -> None:
-    assert loaded_by(f"import {module}") == set()
+def test_what_reads_results_loads_no_simulator() -> None:
+    assert loaded_by(*(f"import {module}" for module in READERS)) == []
+    assert loaded_by("import petmjx.engines.mujoco.engine") == ["import petmjx.engines.mujoco.engine: ['mujoco']"]
 
 
 def test_mjx_warp_does_not_wait_for_mjx() -> None:
@@ -170,7 +181,7 @@ def test_public_names_are_there_and_cheap() -> None:
     assert set(petmjx.__all__) <= set(dir(petmjx))
     with pytest.raises(AttributeError, match="no attribute 'scores'"):
         petmjx.scores  # noqa: B018
-    assert loaded_by("import petmjx; petmjx.load_plans, petmjx.load_run, petmjx.compare_runs") == set()
+    assert loaded_by("import petmjx; petmjx.load_plans, petmjx.load_run, petmjx.compare_runs") == []
 
 
 def test_old_names_warn() -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import re
 import subprocess
 import sys
 import time
@@ -15,6 +16,7 @@ from typing import Any
 import pandas as pd
 import pyarrow.parquet as pq
 import pytest
+from support.fake_engine import end_without_physics
 from support.kills import GRID, PLANS, SEARCH, assert_same, tables
 from support.plan_files import placement
 from support.plans import make_plan, stack
@@ -64,6 +66,12 @@ class Counting(MujocoEngine):
             yield outcome
 
 
+@pytest.fixture
+def without_physics(monkeypatch: pytest.MonkeyPatch) -> None:
+    """For tests of what happens to outcomes. ``test_what_is_there_is_not_simulated_again`` has physics."""
+    monkeypatch.setattr(WorldRun, "run", end_without_physics)
+
+
 def simulate(kind: str, folder: Path, **options: Any) -> petmjx.RunResults:
     """A score, or a sweep of that kind, of a few small plans."""
     options = {"engine": Counting(), "out": folder, **options}
@@ -95,16 +103,17 @@ def test_what_is_there_is_not_simulated_again(kind: str, after: int, tmp_path: P
     assert again.info["timings"]["wall_s"] > before["timings"]["wall_s"]
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize(("kind", "kills"), [("score", 16), ("grid", 8), ("search", 8)])
-def test_a_run_that_is_killed_many_times_goes_on(kind: str, kills: int, tmp_path: Path) -> None:
-    """In a process of its own, since it forks."""
+def test_runs_that_are_killed_many_times_go_on(tmp_path: Path) -> None:
+    """In a process of their own, since it forks."""
     script = Path(__file__).parents[1] / "support" / "kills.py"
-    command = [sys.executable, str(script), str(tmp_path), kind, str(kills)]
+    kills = {"score": 16, "grid": 8, "search": 8}
+    command = [sys.executable, str(script), str(tmp_path), *(str(word) for pair in kills.items() for word in pair)]
     environment = {**os.environ, "PYTHONPATH": str(script.parents[2])}
     done = subprocess.run(command, capture_output=True, text=True, check=False, env=environment)
     assert done.returncode == 0, done.stderr
-    assert f"{kills} kills" in done.stdout
+    assert re.findall(r"^(\w+): (\d+) kills", done.stdout, flags=re.MULTILINE) == [
+        (kind, str(count)) for kind, count in kills.items()
+    ]
 
 
 def test_what_was_noted_before_stays_noted_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -142,6 +151,7 @@ def test_tests_that_failed_do_not_say_that_the_placement_fell(tmp_path: Path, mo
     pd.testing.assert_frame_equal(after, before)
 
 
+@pytest.mark.usefixtures("without_physics")
 def test_leftovers_of_a_part_are_taken_away(tmp_path: Path) -> None:
     with pytest.raises(KeyboardInterrupt):
         simulate("score", tmp_path, engine=Counting(3))
@@ -155,6 +165,7 @@ def test_leftovers_of_a_part_are_taken_away(tmp_path: Path) -> None:
     assert not list(tmp_path.glob("attempts/*"))
 
 
+@pytest.mark.usefixtures("without_physics")
 def test_boxes_that_are_missing_are_named(tmp_path: Path) -> None:
     simulate("score", tmp_path)
     (tmp_path / "boxes/part-00000.parquet").unlink()
@@ -173,6 +184,7 @@ def test_boxes_that_are_missing_are_named(tmp_path: Path) -> None:
         ({"shard": "1/2"}, "shard is 1/2, was none"),
     ],
 )
+@pytest.mark.usefixtures("without_physics")
 def test_another_run_is_not_gone_on_with(changes: dict[str, Any], message: str, tmp_path: Path) -> None:
     simulate("score", tmp_path / "run")
     before = {file: file.read_bytes() for file in (tmp_path / "run").rglob("*") if file.is_file()}
@@ -182,6 +194,7 @@ def test_another_run_is_not_gone_on_with(changes: dict[str, Any], message: str, 
     assert {file: file.read_bytes() for file in (tmp_path / "run").rglob("*") if file.is_file()} == before
 
 
+@pytest.mark.usefixtures("without_physics")
 def test_another_sweep_is_not_gone_on_with(tmp_path: Path) -> None:
     simulate("grid", tmp_path / "run")
     file = tmp_path / "other.toml"
@@ -192,6 +205,7 @@ def test_another_sweep_is_not_gone_on_with(tmp_path: Path) -> None:
         petmjx.score(PLANS[3:6], engine=Counting(), out=tmp_path / "run", resume=True)
 
 
+@pytest.mark.usefixtures("without_physics")
 def test_a_changed_profile_of_the_same_name_is_another_sweep(tmp_path: Path) -> None:
     text = '[profiles.push]\nkind = "windows"\nwindows = [[0.0, 0.1, 0.1, 0, 0]]\n'
     text += '[axes]\nprofile = ["push"]\n'
@@ -204,6 +218,7 @@ def test_a_changed_profile_of_the_same_name_is_another_sweep(tmp_path: Path) -> 
 
 
 @pytest.mark.parametrize("name", ["started", "resumed", "versions", "timings", "warnings", "skipped", "params"])
+@pytest.mark.usefixtures("without_physics")
 def test_what_is_missing_in_run_json_is_named(name: str, tmp_path: Path) -> None:
     simulate("score", tmp_path / "run", shard="1/1")
     edit_info(tmp_path / "run", lambda info: info.pop(name))
@@ -215,6 +230,7 @@ def test_what_is_missing_in_run_json_is_named(name: str, tmp_path: Path) -> None
 
 
 @pytest.mark.parametrize("column", ["variant", "culprit"])
+@pytest.mark.usefixtures("without_physics")
 def test_a_column_that_is_missing_is_named(column: str, tmp_path: Path) -> None:
     file = tmp_path / "worlds/part-00000.parquet"
     simulate("score", tmp_path)
@@ -272,6 +288,7 @@ def test_shares_are_fixed_and_about_equal() -> None:
 
 
 @pytest.mark.parametrize("kind", ["score", "grid", "search", "sample"])
+@pytest.mark.usefixtures("without_physics")
 def test_merged_shards_are_the_run_without_shards(kind: str, tmp_path: Path) -> None:
     expected = tables(simulate(kind, tmp_path / "whole"))
     folders = [tmp_path / f"shard-{number}" for number in (1, 2, 3)]
@@ -288,6 +305,7 @@ def test_merged_shards_are_the_run_without_shards(kind: str, tmp_path: Path) -> 
     assert_same(simulate(kind, tmp_path / "merged", engine=Counting(0), resume=True), expected)
 
 
+@pytest.mark.usefixtures("without_physics")
 def test_a_shard_without_plans_is_a_run_without_worlds(tmp_path: Path) -> None:
     folders = [tmp_path / f"shard-{number}" for number in range(1, 9)]
     for kind in ("score", "grid", "search"):
@@ -296,6 +314,7 @@ def test_a_shard_without_plans_is_a_run_without_worlds(tmp_path: Path) -> None:
         assert len(petmjx.merge_runs(folders, tmp_path / "merged", overwrite=True).worlds.plan_id.unique()) == 2
 
 
+@pytest.mark.usefixtures("without_physics")
 def test_merged_shards_tell_the_input_apart_as_the_run_without_shards_does(tmp_path: Path) -> None:
     file = tmp_path / "plans.json"
     floating = [placement(), placement(corner=(0, 0, 900))]
@@ -314,6 +333,7 @@ def test_merged_shards_tell_the_input_apart_as_the_run_without_shards_does(tmp_p
     }
 
 
+@pytest.mark.usefixtures("without_physics")
 def test_shards_of_other_versions_are_noted(tmp_path: Path) -> None:
     folders = [tmp_path / f"shard-{number}" for number in (1, 2)]
     for number, folder in enumerate(folders, 1):
@@ -325,6 +345,7 @@ def test_shards_of_other_versions_are_noted(tmp_path: Path) -> None:
     ]
 
 
+@pytest.mark.usefixtures("without_physics")
 def test_a_shard_without_its_boxes_is_not_merged(tmp_path: Path) -> None:
     folders = [tmp_path / f"shard-{number}" for number in (1, 2)]
     for number, folder in enumerate(folders, 1):
@@ -335,6 +356,7 @@ def test_a_shard_without_its_boxes_is_not_merged(tmp_path: Path) -> None:
     assert not (tmp_path / "merged").exists()
 
 
+@pytest.mark.usefixtures("without_physics")
 def test_shards_that_cannot_be_merged(tmp_path: Path) -> None:
     one, two = tmp_path / "1", tmp_path / "2"
     for number, folder in enumerate((one, two), 1):
