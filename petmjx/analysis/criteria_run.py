@@ -281,7 +281,7 @@ def criteria(
     chosen = CriteriaOptions(**options)
     flag_of(overwrite, "overwrite")
     read = RunOptions(limit=limit, strict=strict, units=units, anchor=anchor)
-    _need_packers()
+    need_packers()
     if out is not None:
         out = path_of(out, "out")
         check_criteria_free(out, overwrite, judged=run is not None, inputs=source_files(plans, run))
@@ -338,7 +338,8 @@ def _other_carrier(carrier: Carrier | OwnCarrier, run: RunResults) -> list[str]:
     return [f"the criteria are evaluated on the carrier {own_carrier}, but the run's boxes stood on {run_carrier}"]
 
 
-def _need_packers() -> None:
+def need_packers() -> None:
+    """Raise InputError if SciPy or shapely is missing."""
     try:
         import scipy  # noqa: F401  # only to see whether it is installed
         import shapely  # noqa: F401

@@ -19,7 +19,7 @@ import pyarrow as pa
 import pyarrow.compute as pc
 import pyarrow.parquet as pq
 
-from petmjx.analysis.criteria_run import criteria
+from petmjx.analysis.criteria_run import criteria, need_packers
 from petmjx.common.arrow_files import open_for_arrow
 from petmjx.common.atomic_write import atomic_write, write_errors
 from petmjx.common.checked_records import option
@@ -93,8 +93,9 @@ def write_labels(
 
     Raises:
         InputError: the files may not be written, another run writes into the folder, labels in it are damaged or of
-            other orders or options, or no box of the orders has a place.
+            other orders or options, no box of the orders has a place, or shapely is missing.
     """
+    need_packers()  # for the baselines, which come at the end
     files = label_files(folder)
     outputs = [*files.values(), folder / CARD, folder / README]
     inputs = [source] if isinstance(source, Path) else []

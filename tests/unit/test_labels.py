@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import re
 import shutil
+import sys
 from collections.abc import Iterator
 from itertools import islice
 from pathlib import Path
@@ -198,6 +199,15 @@ def test_what_is_wrong_with_labels_is_one_line(tmp_path: Path) -> None:
         petmjx.Pallets(1, size_reduction_mm=6, **MUJOCO).place(size_mm=[4, 300, 200], corner_mm=[0, 0, 0], mass_kg=1)
     with pytest.raises(InputError, match="explore must be"):
         Labeller(Orders(too_long), explore=2, **MUJOCO)
+
+
+def test_without_shapely_no_label_is_made(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The baselines of the card need it."""
+    monkeypatch.setitem(sys.modules, "shapely", None)
+    labeller = Labeller(Orders(some_orders(2)), pallets=1, **MUJOCO)
+    with pytest.raises(InputError, match=r"^criteria need shapely: pip install 'petmjx\[packers\]'"):
+        write_labels(labeller, 1, tmp_path / "set", source="endless", progress=pytest.fail)
+    assert not (tmp_path / "set").exists()
 
 
 def test_one_run_at_a_time_writes_labels_into_a_folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
