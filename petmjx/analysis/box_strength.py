@@ -1,4 +1,5 @@
-"""The loads on a run's boxes, at rest and at the peak, as shares of the boxes' strength: ``petmjx.loads``.
+"""The forces on the tops of a run's boxes, at rest and at their peak, as shares of the boxes' strength:
+``petmjx.loads``.
 
 The strength of a box is its strength in a press, times factors for its arrangement in the stack, for moist air and for
 time (petmjx.options.stacking). petmjx/analysis/crushing.py determines which boxes are crushed, surely or possibly.
@@ -306,7 +307,8 @@ def loads(
     *,
     stacking: Stacking | Mapping[str, Any] | None = None,
 ) -> Loads:
-    """Compare the forces on boxes, at rest and at the peak, with the strength that the boxes have in the stack.
+    """Compare the forces on boxes with the strength that the boxes have in the stack. The forces are those at rest and
+    their peaks.
 
     ``petmjx.loads("results", "articles.csv", stacking={"interlocked_loss": 0.4})``
 
@@ -417,8 +419,8 @@ def _remaining_share(loss: float, factor: float = 1.0) -> float:
 
 
 def _factors(plan: Plan, losses: Stacking, carrier: Carrier | OwnCarrier) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """The four ``_FACTORS`` of each box's strength, as three arrays (4, n): for the nominal, the largest and the
-    smallest losses."""
+    """The four ``_FACTORS`` of each box's strength. There are three arrays (4, n): for the nominal, the largest and the
+    smallest losses of strength."""
     extent, boards = extent_m(carrier), pallet(carrier)
     extent_mm = None if extent is None else (MM_PER_M * extent[0], MM_PER_M * extent[1])
     walls = walls_of(plan, extent_mm, None if boards is None else boards.deck_mm, losses.wall_tolerance_mm)

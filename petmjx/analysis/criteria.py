@@ -52,7 +52,7 @@ class CriterionInputs:
 
     Attributes:
         friction: coefficients of friction, for force balance.
-        leans: whether force balance is also computed for boxes that lean on neighbours.
+        leans: whether force balance is also computed with boxes that may lean on their neighbours.
         strength_n: (n,) strength of the tops of boxes, N; NaN if unknown. None: no box has a known strength.
     """
 
@@ -94,7 +94,7 @@ rounding errors of 1e-16."""
 
 @dataclass(frozen=True, eq=False)
 class Answers:
-    """The answers of c criteria for n boxes, each box at the time when it is placed.
+    """The answers of c criteria for n boxes. Each box is judged at the time when it is placed.
 
     Attributes:
         n_supports: (n,) number of areas on which the box lies (``PlanContacts.n_supports``).
@@ -249,9 +249,10 @@ MOST_POINTS: Final = {
     "overhang": 15.0,
     "order": 15.0,
 }
-"""Largest numbers of points in a seller's score of 0 to 100: for the height of the centre, quadrants, fill, interlock,
-overhang, and heavy boxes below. The seller publishes these numbers and ``LEAST_POINTS`` but no formulas. The formulas
-of ``load_points`` are assumptions: each is linear between the best and the worst possible value."""
+"""Property of a load → the largest number of points that it can add to a seller's score of 0 to 100. The properties are
+the height of the centre, quadrants, fill, interlock, overhang, and heavy boxes below. The seller publishes these
+numbers and ``LEAST_POINTS`` but no formulas. The formulas of ``load_points`` are assumptions: each is linear between
+the best and the worst possible value."""
 
 LEAST_POINTS: Final = 75.0
 """The seller calls a load stable if it has at least this number of points."""

@@ -1,5 +1,5 @@
-"""Which boxes are crushed, at rest or at the peak: surely, possibly, or not. Also computes the share of pallets that
-arrive without crushed boxes.
+"""Which boxes are crushed, by the force on their top at rest or by its peak: surely, possibly, or not. Also computes
+the share of pallets that arrive without crushed boxes.
 
 Strengths are not exact: the losses through stacking, moisture and time have a spread. Forces at rest are not exact
 either if a box has several supports. So a box is *surely* overloaded if the smallest possible force exceeds the largest
@@ -62,7 +62,7 @@ def with_crush_shares(boxes: pd.DataFrame, time_factors: tuple[float, float]) ->
     Args:
         boxes: the forces on boxes (the smallest and the largest at rest, and ``SUSTAINED``, if known), and the
             strengths of ``BOX_UNITS``.
-        time_factors: smallest and largest share of its strength that a box keeps under forces at rest.
+        time_factors: smallest and largest share of its strength that a box keeps over time under forces at rest.
     """
     peak, rest = boxes["max_top_force_n"], boxes["rest_top_force_n"]
     sustained = boxes.get(SUSTAINED, rest)

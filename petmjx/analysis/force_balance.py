@@ -23,8 +23,8 @@ which do not change the result, save time:
 - For a structure of one box, the closed form above gives the slack without a linear programme.
 
 With ``lean``, boxes that touch side by side may press on each other, and boxes may press on walls, by default without
-friction. Leaning is only an option, because a force that is possible need not arise. With friction at its sides, any
-box could hang between two neighbours that press on it, even if nothing makes the neighbours press.
+friction. ``lean`` is off by default: a force between sides that could hold a box does not always arise. With friction
+at its sides, any box could hang between two neighbours that press on it, even if nothing makes the neighbours press.
 
 petmjx.analysis.force_intervals uses the linear programmes of this module, and ``wrenches``, which computes forces and
 moments on bodies from forces at points.

@@ -170,8 +170,8 @@ SCORED_HEIGHT_MM: Final = 2_000.0
 """The leaderboard ignores boxes whose bottom is above this height."""
 
 _EDGE_MM: Final = 1.0
-"""The height of the pile is smaller by this length in BED-BPP's evaluator, because the evaluator uses the last whole
-millimetre inside a box."""
+"""In BED-BPP's evaluator, a pile is lower than its real height by this length, because the evaluator uses the last
+whole millimetre inside a box."""
 
 Paths = str | PathLike[str] | Sequence[str | PathLike[str]]
 

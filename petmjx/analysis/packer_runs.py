@@ -35,7 +35,7 @@ MEASURES: Final[Mapping[str, str]] = {
 here and a column in :func:`plans_of`."""
 
 ARRIVES: Final = "p_arrives"
-"""Column for plans in chains: the share of a plan's worlds in which it arrives."""
+"""Column for the runs of chains: the share of its worlds in which a plan arrives at the end of the chain."""
 
 Run = RunResults | str | Path
 

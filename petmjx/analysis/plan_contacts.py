@@ -177,8 +177,7 @@ class PlanContacts:
 
     @cached_property
     def centre_mm(self) -> FloatArray:
-        """(n, 3) centres of gravity. A centre of gravity is the centre of the box, unless the plan gives another
-        one."""
+        """(n, 3) centres of gravity. They are the middles of the boxes, unless the plan gives others."""
         centre: FloatArray = self.corner_mm + self.size_mm / 2
         return centre if self.mass_center_mm is None else centre + self.mass_center_mm
 
@@ -356,7 +355,7 @@ class TouchPoints:
         first, second: (p,) the two bodies; boxes are numbered from 0. ``CARRIER`` stands for both the carrier and the
             floor, since neither moves.
         position_m: (p, 3) positions of the points.
-        frame: (p, 3, 3) as rows, the normal from first to second and the two tangents.
+        frame: (p, 3, 3) axes of each point, one per row: the normal from first to second, then the two tangents.
         friction: (p, 2) coefficients of friction along the two tangents.
         pressed: (p,) the box whose top has the point (docs/metrics.md, "The force on a box's top"), or ``CARRIER``.
         sign: (p,) 1 if the force on ``second`` presses down on ``pressed``, else -1.

@@ -26,7 +26,7 @@ from petmjx.results.run_reader import RunResults, load_run
 from petmjx.results.to_json import to_json
 
 FORCE_FLOOR_N: Final = 10.0
-"""Smallest value by which a difference of forces is divided."""
+"""Smallest force by which a difference of forces is divided, N."""
 
 KEY: Final = ["plan_id", "variant"]
 BOX_KEY: Final = ["plan_id", "variant", "box"]

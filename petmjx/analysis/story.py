@@ -437,8 +437,8 @@ def _knife_edge(story: Story) -> str:
 
 
 def _hangs_over(story: Story) -> list[str]:
-    """Sentences on a box that hangs over while the plan is built, and on the box that would hold it down but is placed
-    too late."""
+    """Sentences on a box whose load is beyond an edge while the plan is built, and on the box that would hold it down
+    but is placed too late."""
     outcome = story.outcome
     if not outcome.build_edge_m < 0:
         return []

@@ -38,16 +38,16 @@ SHARES: Final = np.array([1e-4, 3e-4, 1e-3, 3e-3, 0.01, 0.02, 0.05, 0.1, 0.2, 0.
 
 SAFETY: Final = 10.0
 """A load may tip over if its distance from the edge is at most this multiple of the loss, since boxes rock when the
-next box is placed on them. Among stacks that stand by statics and fall because of soft contacts, the largest distance
-was 8 times the loss."""
+next box is placed on them. Some stacks stand by statics, but fall because contacts are soft. In these stacks, the
+largest distance of a load from its edge was 8 times the load's loss."""
 
 STIFF_SAFETY: Final = 40.0
-"""As ``SAFETY``, for stiffer contacts, with which the loss is a fortieth. Among stacks that fell, the largest distance
-of a load from the edge was 28 times the loss."""
+"""As ``SAFETY``, for stiffer contacts, with which the loss is a fortieth as large. In stacks that fell, the largest
+distance of a load from its edge was 28 times the load's loss."""
 
 SURE: Final = 1.0
-"""As ``SAFETY``, for a pile in which a load is beyond an edge in the plan. Hard contacts do not hold such a pile
-either. So soft contacts are suspected only if another load is within the loss itself."""
+"""As ``SAFETY``, for a pile in which a load is beyond an edge in the plan. Hard contacts would not hold such a pile
+either. So soft contacts are suspected only if another load is nearer to its edge than its loss."""
 
 KNIFE_EDGE_M: Final = 0.0004
 """A load is surely beyond an edge from this distance on, m: half a millimetre in the plan, less the size reduction of

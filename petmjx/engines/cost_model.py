@@ -58,8 +58,9 @@ STATIC_LANDINGS = 45
 Fitted to checks of 16 to 241 boxes with both schedules."""
 
 SHAKEN_STEPS = 700
-"""Largest number of steps of a drive in which boxes slide or fall. This number covers all of EUMOS's profile. Of a
-tilt's 2,970 steps, most are at rest. Drives of many seconds without rest take up to ten times as long as expected."""
+"""In a drive, boxes are expected to slide or fall in at most this many steps. This number covers all of EUMOS's
+profile. In most of a tilt's 2,970 steps, boxes are at rest. Drives of many seconds without rest take up to ten times as
+long as expected."""
 
 STEADY_G, CREEPING = 0.35, 2.0
 """A drive with an acceleration above ``STEADY_G``, in units of 9.81 m/s², shakes a pallet down. After a weaker
@@ -74,8 +75,9 @@ two shelf packers, none of which stands, take 1,730 to 1,910 steps on average. A
 placing."""
 
 STATIC_FALL_STEPS = 600
-"""Largest number of steps in which boxes of a static check fall until one has dropped. The number was 480 for ten shelf
-packings, with more iterations per step than when single boxes fall."""
+"""Number of steps of a static check in which boxes fall, until one has dropped and the world ends. A check with fewer
+steps counts with all its steps. For ten shelf packings, the number was 480, but each step took more iterations than
+when single boxes fall."""
 
 BOARDS_COST = 1.25
 """Cost of a step on a carrier of boards, relative to a slab. The measured cost was 1.2 to 1.5 for scores, drives and
@@ -105,13 +107,13 @@ class Errors:
 
 
 ERROR_STEPS = Errors(displaced=1.1, carried=4.0)
-"""Relative numbers of steps. If boxes are moved apart before they appear, they take hardly more steps than as planned.
-Boxes placed by hand take a share of 0.285 of the fixed schedule's steps instead of 0.072. The share is 0.45 with few
-boxes, and 0.24 with many."""
+"""Number of steps of a placement with errors, relative to a placement without errors. If boxes are moved apart before
+they appear, the placement takes hardly more steps than as planned. Boxes placed by hand take a share of 0.285 of the
+fixed schedule's steps instead of 0.072. The share is 0.45 with few boxes, and 0.24 with many."""
 
 ON_DEVICE = Errors(displaced=2.8, carried=4.5)
-"""Relative cost on a device. 8,000 worlds of 500 plans took 35 s, and 4,000 worlds of 250 plans by hand took 30 s;
-10,003 worlds without errors took 17 s."""
+"""Cost of a placement with errors on a device, relative to a placement without errors. 8,000 worlds of 500 plans took
+35 s, and 4,000 worlds of 250 plans by hand took 30 s; 10,003 worlds without errors took 17 s."""
 
 
 def rest_steps(sim: Simulation, rest_s: float) -> int:
@@ -203,7 +205,8 @@ class Work:
         return self.placements * SOFT_STARTS + placing + self.shaken * self.drive_steps
 
     def as_planned(self, errors: Errors) -> float:
-        """Number of placements without errors that have the same cost, or steps, as all placements of a plan."""
+        """(n,) for each plan, the number of placements without errors that cost as much, or have as many steps, as all
+        its placements."""
         displaced, carried = (errors.displaced - 1) * self.displaced, (errors.carried - 1) * self.carried
         return self.placements + displaced + carried
 
@@ -373,9 +376,9 @@ def _expected_work(jobs: Sequence[Job], sim: Simulation, errors: Errors) -> tupl
 
 
 MEASURED = Costs()
-"""The measured costs, fitted within a factor of two to records of runs: the lines ``estimates`` of
-benchmarks/results/cpu-0.3.jsonl and h200-0.3.jsonl, and the records of tests/unit/test_engine_choice.py. Tests compare
-both with the model.
+"""The measured costs. The times expected from them agree with the records of runs within a factor of two. These records
+are the lines ``estimates`` of benchmarks/results/cpu-0.3.jsonl and h200-0.3.jsonl, and the records of
+tests/unit/test_engine_choice.py. Tests compare the model with all these records.
 
 CPU threads: one thread of two virtual EPYC cores, and a busier thread that was 2.3 to 3.6 times as slow
 (petmjx/engines/machine_speed.py), with physics ``pallet``. The runs are scores of generated plans of 5 to 80 boxes and

@@ -83,14 +83,15 @@ COLUMNS: Final[dict[str, tuple[pa.DataType, str]]] = {
 """Columns of the labels: type, and meaning."""
 
 Label = dict[str, Any]
-"""Values by ``COLUMNS``, and ``split``. Lists of boxes are arrays."""
+"""A label as a dict: a value for each name in ``COLUMNS``, and the value of ``split``. Values with an entry for each
+box are arrays."""
 
 SCHEMA: Final = pa.schema([(name, kind) for name, (kind, _) in COLUMNS.items()])
 
 
 def split_of(boxes: Boxes) -> str:
-    """The split of an order. The split of an order depends on its boxes alone, in any sequence and turned in any way,
-    so that orders with the same boxes are in one split."""
+    """The split to which an order belongs. It depends only on the sizes and masses of the order's boxes, not on their
+    sequence or orientation. So orders with the same boxes are in the same split."""
     rows = np.column_stack([np.sort(boxes.size_mm, axis=1), boxes.mass_kg]).round(3)
     content = rows[np.lexsort(rows.T)].tobytes()
     place = int.from_bytes(hashlib.sha256(content).digest()[:8]) / 2**64
@@ -110,7 +111,7 @@ class Episode:
             next box.
         careful: whether the last box went to a place of a careful packer.
         share: share of worlds with errors in which the last box stands; None: not simulated.
-        labels: of the boxes so far.
+        labels: the labels of the boxes that were tried so far.
     """
 
     number: int

@@ -98,10 +98,10 @@ class Policy:
         return (places, features(stream, places)) if len(places) else None
 
     def take(self, stream: FourSidedStream, places: Places, scores: FloatArray) -> ChosenCandidate | None:
-        """The best candidate that keeps the balance and whose chance is at least ``SURE``.
+        """The best candidate that keeps the balance and whose chance to stand is at least ``SURE``.
 
-        If none of the first ``MOST_TRIED`` candidates reaches ``SURE``, the one with the largest chance is taken. None
-        if no chance reaches ``LEAST_SURE``.
+        If none of the first ``MOST_TRIED`` candidates reaches ``SURE``, the one with the largest chance is taken. None:
+        none of these candidates reaches ``LEAST_SURE``.
         """
         surest: ChosenCandidate | None = None
         tried = 0
@@ -126,7 +126,8 @@ class Policy:
             chosen = self.take(stream, places, np.round(self.taste.scores(rows), SCORE_DECIMALS))
             if chosen is not None:
                 return Decision(places, rows, chosen)
-            if stream.still_open(places).any():  # some places keep the balance, but their chances are too small
+            # Some places keep the balance, but the predicted chance that the box stands there is too small.
+            if stream.still_open(places).any():
                 return None
         return None
 

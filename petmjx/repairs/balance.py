@@ -22,19 +22,20 @@ from petmjx.world.scene import build_scene
 from petmjx.world.supports import find_bearings
 
 AT_ONCE: Final = 128
-"""Drafts that are computed at once."""
+"""Number of drafts that are computed at once."""
 
 DEEP_MM: Final = 50.0
 """A load this far beyond an edge counts twice as much as one on the edge, and a load further beyond counts no more."""
 
 SAFE_MM: Final = 12.0
-"""A load this far inside its edges is safe. Two boxes that a robot places err by 3 mm against each other, one standard
-deviation (docs/confidence.md), so this is four of them."""
+"""A load this far inside its edges is safe. If a robot places two boxes, the error of their relative place has a
+standard deviation of 3 mm (docs/confidence.md). ``SAFE_MM`` is four standard deviations."""
 
 ROOM_MM: Final = 8.0
-"""A box has room between two others with so much to spare. Their places and sizes err by 3 mm together. Without room it
-lands on one of them: of 24 generated plans that stand exactly, 7 of the 8 that lose worlds with errors have such a box
-with up to 4 mm, and of the others none."""
+"""A box has room between two others if the gap between them is larger than the box by at least this. The errors of
+their places and sizes are 3 mm together. Without room, the box lands on one of the two. Of 24 generated plans that
+stand without errors, 8 fall in some worlds with errors. In 7 of these 8 plans, and in none of the others, a box has at
+most 4 mm of room."""
 
 PERHAPS: Final = 0.5
 """Weight of a load that is beyond an edge under one sharing of loads, but possibly inside under another."""
@@ -46,12 +47,14 @@ class Balance(NamedTuple):
     Attributes:
         box: (k,) numbers of the boxes with such loads, in order of time.
         step: (k,) position in packing order of the box whose placement moves the load beyond.
-        cause: (k,) number of that box.
+        cause: (k,) number of the box at that position.
         depth_mm: (k,) largest distance of each load beyond the edge.
-        last_mm: (k,) distance from the edge once all is placed, positive inside.
-        trouble: the sum of weights of these loads: 1 to 2 for each.
-        weakness: what makes the plan fall with errors only: 1 for each load on its edge, 0 from ``SAFE_MM`` inside on,
-            and 1 for each box that is lowered between two others without room, 0 from ``ROOM_MM`` on.
+        last_mm: (k,) distance of each load from the edge once all boxes are placed, positive inside.
+        trouble: sum of the weights of these loads. A load has a weight of 1 to 2, times ``PERHAPS`` if it may be
+            inside.
+        weakness: sum of the weights of what makes the plan fall only with errors. A load near its edge has a weight of
+            1 on the edge to 0 at ``SAFE_MM`` inside. A box that is lowered between two others has a weight of 1 without
+            room to 0 with ``ROOM_MM`` of room.
         squeezed: numbers of the boxes that are lowered between two others with less room than ``ROOM_MM``.
     """
 
@@ -74,7 +77,7 @@ def balances(drafts: Sequence[Draft], sim: Simulation, *, spare_mm: float = 0.0)
     """The balance of each draft.
 
     Args:
-        spare_mm: loads count as beyond an edge that are less than this inside.
+        spare_mm: loads that are inside by less than this also count as beyond an edge.
     """
     results: list[Balance] = []
     for begin in range(0, len(drafts), AT_ONCE):
@@ -132,8 +135,8 @@ def _balance(draft: Draft, box: IntArray, step: IntArray, edge_mm: FloatArray, p
 
 
 def _missing_room(draft: Draft) -> FloatArray:
-    """(n,) weights of the boxes in packing order: 1 for each axis, x and y, along which a box is lowered between two
-    others without room, 0 from ``ROOM_MM`` on."""
+    """(n,) weight of each box, in packing order: the sum over the axes x and y along which the box is lowered between
+    two others. The weight of an axis is 1 without room to 0 with ``ROOM_MM`` of room."""
     order = list(draft.order)
     low, high = draft.corner_mm[order], (draft.corner_mm + draft.size_mm)[order]
     stands = np.triu(np.ones((len(order), len(order)), bool), k=1)  # the row's box is placed before the column's

@@ -24,23 +24,25 @@ from petmjx.repairs.states import Candidate, State, key_of, n_counted, way_of
 from petmjx.repairs.trials import Asked, Trial
 
 MOST_RANKED: Final = 168
-"""Allowed changes of a plan that are kept, the most promising ones."""
+"""Largest number of allowed changes of a plan that are kept: the most promising ones."""
 
 PER_WEAKNESS: Final = 1.0
-"""Weight of what makes a plan fall with errors only in the ranking, against loads beyond edges."""
+"""Weight in the ranking of what makes a plan fall only with errors (``Balance.weakness``). Loads beyond edges have the
+weight 1."""
 
 PER_COST: Final = 0.3
-"""Weight of a change's cost in the ranking, against loads beyond edges."""
+"""Weight of a change's cost in the ranking. Loads beyond edges have the weight 1."""
 
 UNSOLVED: Final = 3.0
-"""Weight of the first cause if it remains."""
+"""Weight in the ranking of the first cause of the failure, if it remains after the change."""
 
 SAME_COST: Final = 0.1
-"""Repairs whose costs differ by less count as equally cheap: 50 mm of a move. The state that is likelier to stand with
-errors is chosen."""
+"""Repairs whose costs differ by less than this count as equally cheap. It is the cost of a move by 50 mm. Of equally
+cheap repairs, the one that is likelier to stand with errors is chosen."""
 
 SAME_WEAKNESS: Final = 0.25
-"""Plans whose weakness differs by less count as equally weak: the cheaper one is better."""
+"""Plans whose weakness differs by less than this count as equally weak. Of equally weak plans, the cheaper one is
+better."""
 
 
 @dataclass(eq=False)
@@ -51,8 +53,8 @@ class Candidates:
 
     Attributes:
         plan: the plan.
-        film_turns: turns of film around it.
-        n_trials: simulated plans.
+        film_turns: number of turns of film around the plan.
+        n_trials: number of plans that were simulated.
     """
 
     plan: Plan
@@ -62,7 +64,7 @@ class Candidates:
     n_trials: int = 0
 
     def __post_init__(self) -> None:
-        """Prepare the rules of the plan."""
+        """Prepare the limits that all changed plans must keep (``Rules``)."""
         options = self.options
         self.rules = Rules(self.plan, self.sim, options.max_height_mm, options.built)
         self._start = Draft.of(self.plan, self.film_turns)
@@ -113,8 +115,9 @@ class Candidates:
         return ranked[:MOST_RANKED]
 
     def _causes(self, state: State) -> list[Target]:
-        """Why a plan fails, the likeliest causes first. Of a plan that stands, but not with errors: why it falls then,
-        in the most worlds first; loads that are not safe by statics count as beyond an edge."""
+        """Why a plan fails, the likeliest causes first. For a plan that falls only with errors, these are the causes of
+        its falls in worlds with errors, first those of the most worlds. Loads that are nearer to an edge than
+        ``SAFE_MM`` then count as beyond it."""
         lost = sorted(state.lost.values(), key=lambda trial: trial.n_held) or [state.trial]
         (balance,) = balances([state.draft], self.sim, spare_mm=SAFE_MM if state.lost else 0.0)
         often = Counter(trial.culprit for trial in lost)
@@ -131,7 +134,8 @@ class Candidates:
         return [*different.values()][:MOST_TARGETS]
 
     def _safest(self, states: Sequence[State]) -> list[int]:
-        """Numbers of states, the least weak and cheapest of each way to change a plan, then the second of each."""
+        """Numbers of the states, sorted. First comes the best state of each way to change a plan, then the second best
+        of each way, and so on. Better means less weak or, if equally weak, cheaper."""
         ways: Counter[tuple[object, ...]] = Counter()
         ranks = []
         risks = self._risks(states)
@@ -142,8 +146,8 @@ class Candidates:
         return [k for _, k in sorted(ranks, key=lambda rank: rank[0])]
 
     def _risks(self, states: Sequence[State]) -> list[tuple[int, int]]:
-        """What makes each changed plan fall with errors only, in steps of ``SAME_WEAKNESS``, and its cost, in steps of
-        ``SAME_COST``."""
+        """Two values for each changed plan: its weakness plus its trouble (``Balance``), in steps of ``SAME_WEAKNESS``;
+        and its cost, in steps of ``SAME_COST``."""
         some = balances([state.draft for state in states], self.sim)
         return [
             (round((balance.weakness + balance.trouble) / SAME_WEAKNESS), math.floor(state.cost / SAME_COST))
@@ -166,7 +170,7 @@ class Candidates:
     def _trials_of(
         self, lists: Sequence[tuple[Change, ...]], *, judged: bool = False
     ) -> Generator[list[Asked], list[Trial], list[State]]:
-        """The states with these lists of changes, without impossible and forbidden ones."""
+        """The simulated states with these lists of changes. Lists that are impossible or not allowed are left out."""
         made = [(draft, changes) for changes in lists if (draft := applied(self._start, changes)) is not None]
         allowed = self.rules.allow([draft for draft, _ in made])
         made = [pair for pair, is_allowed in zip(made, allowed, strict=True) if is_allowed]
@@ -178,7 +182,8 @@ class Candidates:
     def _judged_in(
         self, states: Sequence[State], worlds: Iterable[int]
     ) -> Generator[list[Asked], list[Trial], list[State]]:
-        """The states with their trials in these worlds with errors, those in which they were judged before, too."""
+        """The states with their trials in these worlds with errors. A world in which a state was judged before is not
+        simulated again."""
         pairs = [(k, world) for k, state in enumerate(states) for world in worlds if world not in state.errors]
         self.n_trials += len(pairs)
         trials = (yield [Asked(states[k].draft, True, world) for k, world in pairs]) if pairs else []

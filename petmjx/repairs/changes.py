@@ -40,8 +40,8 @@ COST: Final = {
     Kind.FILM: 1.0,
     Kind.LEAVE_OUT: 20.0,
 }
-"""Cost of a change of each kind: an assumption about its work. Another order costs least; a box that is left out has to
-be shipped on another pallet."""
+"""Cost of a change of each kind: an assumption about the work that it causes. A change of the order costs least. A box
+that is left out costs most, because it has to be shipped on another pallet."""
 
 COST_PER_MM: Final = 0.002
 """Cost of a millimetre of a box's move, so that shorter moves are preferred: 100 mm count as a fifth of a change."""
@@ -71,7 +71,7 @@ class Change(ABC):
     @property
     @abstractmethod
     def boxes(self) -> tuple[int, ...]:
-        """Numbers of the boxes that it changes."""
+        """Numbers of the boxes that are changed."""
 
     @property
     def cost(self) -> float:
@@ -128,7 +128,7 @@ class Move(Change):
 
     @property
     def length_mm(self) -> float:
-        """The way, mm."""
+        """Length of the move, mm."""
         return float(np.hypot(self.dx_mm, self.dy_mm))
 
     @property
@@ -215,10 +215,10 @@ class Place(Change):
 
 @dataclass(frozen=True)
 class Exchange(Change):
-    """Two boxes get each other's place, and each other's turn in the order.
+    """Two boxes exchange their places, and their positions in the packing order.
 
     Attributes:
-        corners_mm: the new corner of each of both boxes.
+        corners_mm: the new corner of each of the two boxes.
         turns: whether each of the two is then turned by 90° against the plan.
         differ: whether each of the two is turned by the exchange.
     """
@@ -327,9 +327,10 @@ def applied(draft: Draft, changes: Sequence[Change]) -> Draft | None:
 
 
 def with_change(changes: Sequence[Change], change: Change) -> tuple[Change, ...]:
-    """A list of changes with one more. A move becomes part of an earlier change of the same boxes, of two orders of a
-    box the second one counts, and earlier changes of a box are dropped if it is then put elsewhere or left out. The
-    shorter list may have another result, if boxes between which it was changed depend on it."""
+    """A list of changes with one more change. A move becomes part of an earlier change of the same boxes. Of two
+    changes of a box's order, only the second one is kept. If a box is put elsewhere or left out, its earlier changes
+    are dropped. The shorter list may have another result, because changes of other boxes in between may depend on the
+    dropped ones."""
     for at in reversed(range(len(changes))):
         earlier = changes[at]
         if isinstance(change, Order) and isinstance(earlier, Order) and earlier.box == change.box:
@@ -344,7 +345,8 @@ def with_change(changes: Sequence[Change], change: Change) -> tuple[Change, ...]
 
 
 def _moved(change: Change, move: Move) -> Change | None:
-    """A change and a later move of the same boxes as one; None if they are of different boxes, or cancel out."""
+    """A change and a later move of the same boxes, as one change; None if they are of different boxes, or cancel
+    out."""
     if isinstance(change, Move):
         return change.joined(move)
     if change.boxes != move.boxes:

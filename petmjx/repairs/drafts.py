@@ -3,7 +3,7 @@
 A draft keeps the numbers that boxes have in the plan, whatever their order is now. Sheets that are added have the next
 numbers. A draft is allowed if no fault of its layout is worse than in the plan: boxes that overlap, that float when
 they are placed, that reach beyond the carrier, or that would be placed under a box that already stands. So an odd plan
-can be repaired step by step, but never becomes odder. A box that is moved aside or turned ends outside walls.
+can be repaired step by step, but never becomes odder. A box that is moved aside or turned must not end inside a wall.
 """
 
 from __future__ import annotations
@@ -42,9 +42,10 @@ class Draft:
     Attributes:
         plan: the plan before the changes.
         size_mm, corner_mm: (m, 3) extents and front-left-bottom corners.
-        turned: (m,) whether a box is turned by 90° against the plan.
+        turned: (m,) whether a box is turned by 90° from its orientation in the plan.
         order: numbers of the boxes that are placed, in packing order.
-        moved: numbers of the boxes with another place or turn, which lose the plan's approach.
+        moved: numbers of the boxes with another place or orientation than in the plan. The plan's directions of
+            approach no longer hold for them.
         sheet_kg: masses of the added sheets.
         film_turns: turns of film around the pallet.
     """
@@ -67,7 +68,7 @@ class Draft:
 
     @cached_property
     def rank(self) -> FloatArray:
-        """(m,) position of each box in packing order; infinite if left out."""
+        """(m,) position of each box in packing order; infinite if the box is left out."""
         rank = np.full(len(self.size_mm), np.inf)
         rank[list(self.order)] = np.arange(len(self.order))
         return rank
@@ -107,7 +108,8 @@ class Draft:
         return replace(self, corner_mm=corners, moved=self.moved | frozenset(boxes) if anew else self.moved)
 
     def with_turn(self, box: int, turned: bool) -> Draft:
-        """The draft with a box that is turned against the plan, or is not. Its corner stays."""
+        """The draft in which a box is turned from its orientation in the plan, or is not. Its corner stays where it
+        is."""
         if bool(self.turned[box]) == turned:
             return self
         sizes, turns = self.size_mm.copy(), self.turned.copy()
@@ -347,8 +349,8 @@ AT_ONCE: Final = 256
 
 
 def _worse(now: FloatArray, before: FloatArray, n: int) -> BoolArray:
-    """(c, …) whether a fault counts and is larger than in the plan; the n boxes of the plan stand first along each
-    axis."""
+    """(c, …) whether a fault counts and is larger than in the plan. The first n entries along each axis are the boxes
+    of the plan."""
     limit = np.full(now.shape[1:], TOLERANCE_MM)
     old = limit[tuple(slice(n) for _ in limit.shape)]
     np.maximum(old, before[0] + _ROUNDING_MM, out=old)

@@ -1,8 +1,9 @@
 """Changes that may repair a plan (``proposals``): the cause of its failure determines boxes and changes.
 
-To a load beyond an edge belong its box, the box whose placement moves it beyond, the supports, and the boxes on top.
-These boxes are moved, turned, exchanged, placed elsewhere or at another time; other boxes are put under an overhang.
-Statics and simulation judge the proposals, so a proposal need only be possible, not good.
+A load beyond an edge involves several boxes: the box that has the load, the box whose placement moves the load beyond
+the edge, the supports, and the boxes on top. These boxes are moved, turned, exchanged, or placed elsewhere or at
+another time. Other boxes are put under an overhang. A proposal only has to be possible, not good, because statics and
+simulation judge it afterwards.
 """
 
 from __future__ import annotations
@@ -23,28 +24,29 @@ from petmjx.repairs.drafts import TOLERANCE_MM, Draft, Rules
 Proposal = tuple[Change, ...]
 
 MOST_TARGETS: Final = 4
-"""Causes of a failure for which changes are proposed."""
+"""Largest number of causes of a failure for which changes are proposed."""
 
 MOST_NEAR: Final = 8
-"""Boxes around a cause that are moved, turned and exchanged."""
+"""Largest number of boxes around a cause that are moved, turned and exchanged."""
 
 SPARE_MM: Final = (2.0, 6.0, 12.0, 25.0)
 """How far inside the edge a load is moved. A robot's places have an error of 2 mm (docs/confidence.md)."""
 
 STEPS_MM: Final = (10.0, 20.0, 30.0, 45.0, 60.0, 80.0, 100.0, 130.0, 160.0, 200.0)
-"""Further ways for moves of boxes."""
+"""Other lengths by which boxes are moved."""
 
 MOST_PLACES: Final = 24
-"""Other places for one box: the lowest places, and of equal heights those with the largest support."""
+"""Largest number of other places for one box: the lowest places, and of places of equal height those with the largest
+support."""
 
 SPOT_MM: Final = 10.0
-"""Places that differ by less along x and y are one place."""
+"""Places that differ by less than this along x and along y count as one place."""
 
 LEAST_SUPPORT: Final = 0.5
 """Smallest supported share of a base at another place."""
 
 MOST_TOGETHER: Final = 12
-"""Boxes that are moved at once, or lifted off and put elsewhere."""
+"""Largest number of boxes that are moved together, or lifted off together and put elsewhere."""
 
 
 class Target(NamedTuple):
@@ -52,8 +54,9 @@ class Target(NamedTuple):
 
     Attributes:
         box: number of the box that does not hold.
-        cause: number of the box whose placement moves the load beyond the edge; the same box for its own weight.
-        depth_mm: distance of the load beyond the edge; 0: no such load by statics.
+        cause: number of the box whose placement moves the load beyond the edge; equal to ``box`` if its own weight is
+            beyond the edge.
+        depth_mm: distance of the load beyond the edge; 0: by statics, the load is inside.
         is_squeezed: whether the box needs room beside it, since it falls with errors and is lowered between two others.
     """
 
@@ -138,7 +141,8 @@ def proposals(draft: Draft, rules: Rules, target: Target, limits: Limits) -> Ite
 
 
 def _near(draft: Draft, rules: Rules, target: Target) -> list[int]:
-    """Boxes to change for a cause: its box, the box that is too much, its supports, and the boxes on it."""
+    """Boxes to change for a cause: the box that does not hold, the box whose placement moves the load beyond the edge,
+    the supports, and the boxes on top."""
     box = target.box
     supports = np.flatnonzero(draft.on_top[:, box]).tolist()
     riders = sorted(np.flatnonzero(draft.on_top[box]).tolist(), key=lambda rider: draft.rank[rider])
@@ -147,7 +151,8 @@ def _near(draft: Draft, rules: Rules, target: Target) -> list[int]:
 
 
 def _orders(draft: Draft, target: Target) -> Iterator[Proposal]:
-    """Counterweights before the box that is too much, and that box after them; a box after its late supports."""
+    """Other orders. Counterweights are placed before the box whose placement moves the load beyond the edge, or this
+    box after them. A box is placed after supports that would come too late."""
     box, cause = target.box, target.cause
     at = draft.rank[cause]
     pile = [number for number in (*draft.above(box), *_neighbours(draft, box)) if draft.rank[number] > at]
@@ -167,7 +172,8 @@ def _orders(draft: Draft, target: Target) -> Iterator[Proposal]:
 
 
 def _earlier(draft: Draft, target: Target) -> Iterator[Proposal]:
-    """A squeezed box before one of those between which it is lowered, or that one after it."""
+    """Other orders for a squeezed box: it is placed before one of the boxes between which it is lowered, or that box
+    after it."""
     box = target.box
     for number, _, _ in _tight(draft, target):
         needed = [low for low in reversed(draft.below(box)) if draft.rank[low] > draft.rank[number]]
@@ -180,7 +186,8 @@ def _earlier(draft: Draft, target: Target) -> Iterator[Proposal]:
 
 
 def _clearances(draft: Draft, rules: Rules, target: Target, most_mm: float) -> Iterator[Proposal]:
-    """Moves of the boxes between which a squeezed box is lowered, away from it, with all that is in their way."""
+    """Moves of the boxes between which a squeezed box is lowered: away from it, together with all boxes in their
+    way."""
     for number, axis, gap_mm in _tight(draft, target):
         sign = np.sign(draft.corner_mm[number, axis] - draft.corner_mm[target.box, axis])
         for length in (math.ceil(ROOM_MM - gap_mm) + more for more in (0, 4, 12)):
@@ -309,7 +316,7 @@ def _turns(draft: Draft, near: Sequence[int]) -> Iterator[Proposal]:
 
 
 def _exchanges(draft: Draft, rules: Rules, near: Sequence[int]) -> Iterator[Proposal]:
-    """Boxes exchanged with any other box, both with or without a turn, at the left or the right of the other's
+    """Boxes exchanged with any other box. Both are turned or not, and stand at the left or the right of the other's
     place."""
     for box, other in itertools.product(near, draft.order):
         if other == box or other < rules.built or other >= draft.plan.n_boxes or (other in near and other < box):
@@ -359,8 +366,8 @@ def _triple(values: FloatArray) -> tuple[float, float, float]:
 
 
 def _places(draft: Draft, rules: Rules, near: Sequence[int]) -> Iterator[Proposal]:
-    """Boxes with free tops, at other places, placed at the same time as before or last; and floating boxes, at the
-    place where they would come to lie."""
+    """Other places for boxes with free tops. Such a box is placed at the same time as before, or last. A floating box
+    is put where it would come to lie."""
     free = draft.is_bare
     for box in near:
         if not free[box]:
@@ -377,7 +384,7 @@ def _places(draft: Draft, rules: Rules, near: Sequence[int]) -> Iterator[Proposa
 
 
 def _pile_places(draft: Draft, rules: Rules, box: int) -> Iterator[Proposal]:
-    """A box with all boxes that stand on it alone, at other places."""
+    """Other places for a box together with all boxes that stand on this box alone."""
     pile = lifted_with(draft, box)
     other_boxes = [number for number in draft.order if number not in pile]
     if len(pile) > MOST_TOGETHER or not other_boxes or min(pile) < rules.built or max(pile) >= draft.plan.n_boxes:
@@ -462,7 +469,7 @@ def _shared_mm2(x: FloatArray, y: FloatArray, size: FloatArray, corner: FloatArr
 
 
 def _props(draft: Draft, rules: Rules, target: Target) -> Iterator[Proposal]:
-    """Boxes with free tops, put under a box that hangs over, before it is placed."""
+    """Boxes with free tops are put under a box that hangs over, before that box is placed."""
     free = draft.is_bare
     sizes = dict.fromkeys((*map(float, draft.size_mm[box]), float(draft.mass_kg[box])) for box in draft.order)
     for size in sizes:

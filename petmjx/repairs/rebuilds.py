@@ -1,8 +1,8 @@
-"""Plans built anew from the box on that does not hold (``rebuilds``): where single changes do not help.
+"""Plans that are built anew, beginning with the box that does not hold (``rebuilds``), if single changes do not help.
 
-Boxes keep their places as long as statics has no objection. Those that lose their supports, or that would go beyond an
-edge, are put elsewhere, in their turn or after all others. So faults all over a plan are mended in a few trials, with a
-change for each box that is put elsewhere.
+Boxes keep their places as long as statics has no objection. A box that loses its supports, or whose load would go
+beyond an edge, is put elsewhere, in its turn or after all others. So a plan with many faults is mended in a few trials,
+with one change for each box that is put elsewhere.
 """
 
 from __future__ import annotations
@@ -21,10 +21,10 @@ from petmjx.repairs.drafts import TOLERANCE_MM, Draft, Rules
 from petmjx.repairs.proposals import Proposal, Target, resting_corners
 
 MOST_CAUSES: Final = 2
-"""Causes of a failure from which a plan is built anew."""
+"""Largest number of causes of a failure for which a plan is built anew."""
 
 SAME_TROUBLE: Final = 1e-6
-"""Sums of loads beyond edges that differ by less are equal."""
+"""Two values of ``Balance.trouble`` that differ by less than this count as equal."""
 
 
 @dataclass(frozen=True)
@@ -32,9 +32,9 @@ class Way:
     """A way to build a plan anew.
 
     Attributes:
-        late: boxes that lose their places are placed after all others; else in their turn.
-        strict: boxes are put elsewhere, too, whose loads would go beyond an edge; else only those that cannot keep
-            their places.
+        late: True: boxes that lose their places are placed after all others. False: they are placed in their turn.
+        strict: True: a box is also put elsewhere if a load would go beyond an edge. False: only boxes that cannot keep
+            their places are put elsewhere.
     """
 
     late: bool
@@ -51,7 +51,7 @@ def rebuilds(
 
     Args:
         causes: why the plan fails, the likeliest first.
-        n_held: boxes that stood before it failed: statics has no say on these.
+        n_held: number of boxes that stood before the plan failed. Statics does not judge these boxes.
         leaves_out: whether the boxes of a cause are left out.
     """
     distrusted = {frozenset(some) for cause in causes[:MOST_CAUSES] for some in ({cause.box}, {cause.cause})}
@@ -83,7 +83,7 @@ class _Pile:
         self._pile = replace(draft, order=())
 
     def built(self) -> Proposal | None:
-        """The changes that make the new plan of the draft; None: a box has no place."""
+        """The changes that turn the draft into the new plan; None: there is no place for a box."""
         changes: list[Change] = []
         waiting: list[int] = []
         for at, box in enumerate(self._draft.order):
@@ -108,7 +108,7 @@ class _Pile:
         return tuple(changes)
 
     def _keeps(self, box: int) -> bool:
-        """Put a box at its place, if it can keep that."""
+        """Put a box at its place, if it can keep this place. Returns whether it can."""
         pile = replace(self._pile, order=(*self._pile.order, box))
         if box >= self._rules.built:
             if not self._rules.allow([pile])[0]:
@@ -121,8 +121,9 @@ class _Pile:
         return True
 
     def _placed(self, box: int, later: Collection[int]) -> Place | None:
-        """Put a box at the place where statics objects least, it is in the way of the fewest later boxes, loads are
-        safest, and it lies lowest; None: there is no place."""
+        """Put a box at the best place; None: there is no place. At the best place, statics objects least. Of such
+        places, it is the one that is in the way of the fewest later boxes; then the one with the safest loads; then the
+        lowest one."""
         planned = self._draft.corner_mm[box]
         places = [
             Place(box, corner, bool(self._draft.turned[box]) != turn, differs=turn)
@@ -143,7 +144,7 @@ class _Pile:
         return places[chosen]
 
     def _in_the_way(self, pile: Draft, box: int, later: Collection[int]) -> int:
-        """How many later boxes cannot keep their places because of a box: it is there, or above."""
+        """How many later boxes cannot keep their places because a box stands there, or above."""
         rows = [number for number in later if number not in self._distrusted]
         low, high = pile.corner_mm[rows], (pile.corner_mm + pile.size_mm)[rows]
         bottom, top = pile.corner_mm[box], pile.corner_mm[box] + pile.size_mm[box]

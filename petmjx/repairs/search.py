@@ -1,11 +1,11 @@
 """The search for the smallest change that makes a plan stand.
 
-Changed plans are changed further, first those that promise the shortest repair: by their changes so far, and by the
-faults that are left, which are counted by simulations without the boxes that fall. A plan is changed where it fails:
-statics ranks the possible changes, and the best ranked are judged at once, by one short simulation each.
-Standing plans are scored. Then needless changes are taken back, so that the plan falls without any one of the remaining
-changes. Of the repairs with the fewest changes one is chosen by worlds with errors. If it falls in too many of them, it
-is changed further where it falls then.
+The search changes plans step by step. It continues with the plans that promise the shortest repair: those with the
+smallest number of changes so far plus faults that are left. Simulations without the boxes that fall count these faults.
+A plan is changed where it fails: statics ranks the possible changes, and the best ranked are judged at once, by one
+short simulation each. Plans that stand are scored. Then needless changes are taken back. Each remaining change is
+needed: without it, the plan falls. Worlds with errors decide which of the repairs with the fewest changes is chosen. If
+this repair falls in too many of these worlds, it is changed further at the places where it falls there.
 
 ``search`` is a generator: it yields drafts to be simulated and is sent their trials. So the searches of many plans can
 share runs of an engine. The simulated plans depend only on the plan and the options, not on time.
@@ -31,53 +31,57 @@ BEAM: Final = 4
 """Number of changed plans that are changed further at once."""
 
 MOST_COUNTED: Final = 12
-"""Number of plans whose faults are counted, of those that are judged at once."""
+"""Of the plans that are judged at once, the faults of at most this many are counted."""
 
 PILE: Final = 4.0
-"""Boxes that must be taken off with one that falls and count as a fault of their own: a large pile has no other place,
-and hides faults of its own."""
+"""A box that falls is taken off together with all boxes that need it. This many of these boxes count as one fault,
+because there is no other place for a large pile, and it hides further faults."""
 
 ALONE: Final = 0.7
-"""Share of all trials in which only single changes are tried. A plan that falls even then has faults all over: it is
-built anew."""
+"""Share of all trials in which only single changes are tried. A plan that still falls after them has faults everywhere,
+so it is built anew."""
 
 SHORTER: Final = 0.15
-"""Share of all trials in which a shorter repair is sought when one is known."""
+"""Once a repair is known, a shorter one is sought in this share of all trials."""
 
 MOST_NEARLY: Final = 6
-"""Number of plans that fall when judged, by the tilt of boxes, with a single fault, and are scored before plans are
-built anew."""
+"""Largest number of plans that are scored before plans are built anew. They are plans with a single fault that fell
+when they were judged, because a box tilted."""
 
 MOST_ANEW: Final = 2
-"""Changed plans that are built anew at once, each in up to sixteen ways, which take a tenth of a second each."""
+"""Largest number of changed plans that are built anew at once. Each plan is built in up to sixteen ways. A way takes a
+tenth of a second."""
 
 CONFIRMED_AT_ONCE: Final = 8
-"""Plans that stand when judged, and are scored at once."""
+"""Of the plans that stand when judged, this many are scored at once."""
 
 MOST_FINALISTS: Final = 4
-"""Repairs with the least number of changes from which one is chosen by scores with errors."""
+"""Largest number of repairs with the fewest changes from which worlds with errors choose one."""
 
 MOST_COMPARED: Final = 12
-"""Repairs that are judged at once in a few worlds with errors."""
+"""Largest number of repairs that are judged at once in a few worlds with errors (``COMPARED_IN``)."""
 
 ALL_WORLDS: Final = range(1, ERROR_WORLDS + 1)
 COMPARED_IN: Final = ALL_WORLDS[: ERROR_WORLDS // 2]
-"""Worlds with errors in which they are judged."""
+"""Numbers of the worlds with errors in which repairs are compared."""
 
 MOST_LOST: Final = 3
-"""Worlds with errors, of those in which a plan falls, in which its changes are judged first."""
+"""The changes of a plan are first judged in at most this many of the worlds with errors in which the plan falls."""
 
 STRENGTHENED: Final = 0.33
-"""Share of all trials in which further changes are tried, which make a repair stand more often with errors."""
+"""Share of all trials in which a repair is changed further, so that it stands in more worlds with errors."""
 
 MORE_TO_COMPARE: Final = 24
-"""Further changed plans that are judged to have repairs to compare."""
+"""Number of additional changed plans that are judged, so that more repairs can be compared."""
 
 MOST_UNDONE: Final = 8
-"""Limit of changes in all compared repairs, each of which is undone and scored: of long repairs fewer are compared."""
+"""Limit of the total number of changes in all repairs that are compared. Each change is taken back for a trial, and the
+trial is scored. So fewer repairs are compared if repairs are long. If one repair alone has more changes, its trials are
+only judged."""
 
 PER_DRIVE: Final = 6
-"""A plan that is scored with a drive counts as this many trials: no short simulation can judge it."""
+"""A plan that is scored with a drive counts as this many trials. With a drive, every plan is scored, because no short
+simulation can judge it."""
 
 
 @dataclass(eq=False)
@@ -87,11 +91,11 @@ class Search(Candidates):
     Attributes:
         plan: the plan.
         before: the simulation of the plan; None: unknown yet.
-        repairs: the repairs, the best first, which may have further changes for worlds with errors; the others have the
-            fewest changes with which the plan stands. Empty: there is none. Without any one change of a repair the plan
-            falls, or is not allowed, or stands in too few worlds with errors.
-        n_trials: simulated plans.
-        complete: whether the search came to its end. Before, changes of a repair may not be needed.
+        repairs: the repairs, the best first. The best one may have additional changes for worlds with errors; the
+            others have the fewest changes with which the plan stands. Empty: there is no repair. Each change of a
+            repair is needed: without it, the plan falls, is not allowed, or stands in too few worlds with errors.
+        n_trials: number of plans that were simulated.
+        complete: whether the search has ended. Before its end, repairs may have needless changes.
     """
 
     before: Trial | None = None
@@ -99,7 +103,7 @@ class Search(Candidates):
     complete: bool = False
 
     def take(self, other: Search) -> None:
-        """Take over what the same search has come to in another process."""
+        """Take over the results that the same search has reached in another process."""
         self.before, self.repairs, self.n_trials = other.before, other.repairs, other.n_trials
         self.complete = other.complete
 
@@ -146,7 +150,8 @@ class Search(Candidates):
     # ------------------------------------------------------------------ film
 
     def _wrapped(self, start: State) -> Generator[list[Asked], list[Trial], list[State]]:
-        """The fewest turns of film with which the plan survives the profile; empty: no such number."""
+        """The plan with the fewest turns of film with which it survives the profile; empty: it survives with no allowed
+        number of turns."""
         low, high = math.floor(self.film_turns), self.options.most_turns
         if high <= low:
             return []
@@ -171,7 +176,8 @@ class Search(Candidates):
     def _changed(
         self, start: Sequence[State], kinds: frozenset[Kind], most_trials: int
     ) -> Generator[list[Asked], list[Trial], tuple[list[State], list[State]]]:
-        """Plans that stand after changes of these kinds, and the most promising ones of those that fall."""
+        """Two lists: plans that stand after changes of these kinds, and the most promising of the plans that still
+        fall."""
         options = self.options
         limits = Limits(kinds, options.most_move_mm, options.sheet_mm, options.sheet_kg_m2)
         last, alone = self.n_trials + most_trials, self.n_trials + int(ALONE * most_trials)
@@ -197,7 +203,7 @@ class Search(Candidates):
                 break
             batch = batch_of(queues, min(2 * AT_ONCE if is_late else AT_ONCE, last - self.n_trials))
             states = yield from self._judged(batch)
-            if any(state.trial.stands for state in states):  # further plans may stand more often with errors
+            if any(state.trial.stands for state in states):  # other plans may stand in more worlds with errors
                 next_candidates = batch_of(queues, min(AT_ONCE, last - self.n_trials))
                 batch, states = batch + next_candidates, states + (yield from self._judged(next_candidates))
                 judged += [state for state in states if state.trial.stands]
@@ -224,10 +230,10 @@ class Search(Candidates):
     def _compared(
         self, scored: Sequence[State], judged: Sequence[State]
     ) -> Generator[list[Asked], list[Trial], list[State]]:
-        """Of repairs with as many changes, those that stand most often in a few worlds with errors.
+        """Of repairs with the same number of changes, those that stand most often in a few worlds with errors.
 
         Args:
-            scored, judged: plans that stand when scored, or judged.
+            scored: plans that stand when scored. judged: plans that stand when judged.
         """
         different = [*{key_of(state.draft): state for state in (*judged, *scored)}.values()]
         chosen = [different[k] for k in self._safest(different)[:MOST_COMPARED]]
@@ -241,7 +247,8 @@ class Search(Candidates):
         return [state for state in best if state.trial.stands] or [*scored]
 
     def _nearly(self, nodes: Sequence[Node]) -> Generator[list[Asked], list[Trial], list[State]]:
-        """The shortest of the plans with a single fault that stand when scored: a box tilts, and leans."""
+        """Of the plans with a single fault, the shortest ones that stand when scored. In such a plan, a box tilts, but
+        then leans on something."""
         if self.options.profile is not None:
             return []
         chosen = sorted((node.state for node in nodes if node.state.faults <= 1), key=lambda state: len(state.changes))
@@ -251,7 +258,8 @@ class Search(Candidates):
         return shortest([state for state in scored if state.trial.stands])
 
     def _queues(self, nodes: Sequence[Node], limits: Limits, *, anew: bool) -> list[list[Candidate]]:
-        """Changes of the best nodes that were not judged; if wanted, these plans built anew, unless they were."""
+        """For each of the best nodes, its ranked changes that were not judged yet. With ``anew``: the ways to build
+        these plans anew, unless that was done before."""
         if anew and Kind.PLACE in limits.kinds:
             chosen = [node for node in nodes if not node.is_anew][:MOST_ANEW]
             queues = []
@@ -274,8 +282,8 @@ class Search(Candidates):
     def _counted(
         self, states: Sequence[State], batch: Sequence[Candidate]
     ) -> Generator[list[Asked], list[Trial], list[State]]:
-        """The states with their faults. The faults of the most promising ones are counted, of each way to change a plan
-        one; the others are taken to have as many as before."""
+        """The states with their numbers of faults. For each way to change a plan, only the faults of the most promising
+        state are counted. All other states are assumed to have as many faults as the plan before the change."""
 
         def rank(k: int) -> tuple[bool, int, int, float]:
             trial, before = states[k].trial, batch[k].parent.trial
@@ -293,9 +301,9 @@ class Search(Candidates):
         return [replace(state, faults=count) for state, count in zip(states, faults, strict=True)]
 
     def _faults(self, states: Sequence[State], most: float) -> Generator[list[Asked], list[Trial], list[float]]:
-        """The number of faults of plans, counted up to a limit: a box that falls is taken off, with all boxes that need
-        it, until the rest stands. With a drive, this would be too expensive, so only the boxes that fell are
-        counted."""
+        """The number of faults of each plan, counted up to the limit ``most``. Boxes that fall are taken off one by
+        one, with all boxes that need them, until the rest stands. With a drive, this would be too expensive, so only
+        the boxes that fell are counted."""
         faults = [0.0] * len(states)
         falling = {k: (state.draft, state.trial) for k, state in enumerate(states) if not state.trial.stands}
         while falling:
@@ -316,8 +324,9 @@ class Search(Candidates):
         return faults
 
     def _stripped(self, state: State) -> Generator[list[Asked], list[Trial], list[State]]:
-        """The state without the boxes that fall, left out one by one with all boxes on them, until the remaining boxes
-        stand; empty: boxes that stand already fall. The loop always ends, since each step leaves out a box."""
+        """The state without the boxes that fall. They are left out one by one, with all boxes on them, until the
+        remaining boxes stand. Empty: a box that is already built, or the last box, would have to be left out. The loop
+        always ends, since each step leaves out a box."""
         while not state.trial.stands:
             lifted = lifted_with(state.draft, _lost(state.draft, state.trial))
             if min(lifted) < self.rules.built or len(lifted) >= len(state.draft.order):
@@ -333,8 +342,9 @@ class Search(Candidates):
         return [state]
 
     def _confirmed(self, states: list[State]) -> Generator[list[Asked], list[Trial], list[State]]:
-        """Score states that stand when judged, those with few changes first, until some are confirmed. Returns the
-        standing ones; other scored states get the trial of the score. With a drive all trials are scores."""
+        """Score states that stand when judged, those with the fewest changes first, until some of them also stand when
+        scored. Returns these. In ``states``, all scored states get the trial of their score. With a drive, nothing is
+        scored here, because all trials are scores."""
         numbers = [k for k, state in enumerate(states) if state.trial.stands]
         safest = [numbers[n] for n in self._safest([states[k] for k in numbers])]
         queue = sorted(safest, key=lambda k: len(states[k].changes))
@@ -368,8 +378,9 @@ class Search(Candidates):
         self.repairs = tuple(different[k] for k in sorted(range(len(ranks)), key=ranks.__getitem__))
 
     def _strengthened(self) -> Asking:
-        """Put the repair first that stands most often with errors, and change it further until it stands in the wanted
-        share of these worlds: where it falls then, as a plan is changed that falls without errors."""
+        """Put the repair first that stands most often in worlds with errors. Then change it further until it stands in
+        the wanted share of these worlds. It is changed where it falls in them, just as a plan that falls without errors
+        is changed where it falls."""
         options = self.options
         wanted = math.ceil(options.share * ERROR_WORLDS)
         compared: list[State] = []
@@ -410,7 +421,8 @@ class Search(Candidates):
             self.repairs = (best, *compared)
 
     def _needed(self, state: State, n_good: int) -> Generator[list[Asked], list[Trial], State]:
-        """The state without changes that it does not need to stand, and to stand in so many worlds with errors."""
+        """The state without needless changes. A change is needless if the plan stands without it, in at least
+        ``n_good`` of the worlds with errors, too."""
         while len(state.changes) > 1:
             lists = [(*state.changes[:k], *state.changes[k + 1 :]) for k in range(len(state.changes))]
             shorter = yield from self._trials_of(lists, judged=len(lists) > MOST_UNDONE)
@@ -423,7 +435,8 @@ class Search(Candidates):
         return state
 
     def _reduced(self, state: State) -> Generator[list[Asked], list[Trial], State]:
-        """The state without groups of needless changes if it has many: halves first, then smaller groups."""
+        """The state without groups of needless changes, if it has many changes. Halves of the changes are tried first,
+        then smaller groups."""
         size = len(state.changes) // 2 if len(state.changes) > MOST_UNDONE else 0
         shorter = state
         while size > 1:
@@ -440,10 +453,11 @@ class Search(Candidates):
         return state
 
     def _pruned(self, states: Sequence[State], *, judged: bool) -> Generator[list[Asked], list[Trial], list[State]]:
-        """States that stand, without needless changes, which are taken back one by one.
+        """The given states, which stand, without their needless changes. Changes are taken back one by one.
 
         Args:
-            judged: whether that is judged, and only the shortest is scored; scores of many would take minutes.
+            judged: whether shorter states are only judged, and only the shortest one of each state is scored. To score
+                all of them would take minutes.
         """
         shorter = list(states)
         remaining = [k for k, state in enumerate(states) if len(state.changes) > 1]

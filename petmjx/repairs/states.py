@@ -17,10 +17,12 @@ from petmjx.repairs.proposals import Proposal
 from petmjx.repairs.trials import Trial
 
 AT_ONCE: Final = 24
-"""Number of changed plans that are judged at once. If one stands, as many more are judged for the choice by errors."""
+"""Number of changed plans that are judged at once. If one of them stands, as many again are judged, so that worlds with
+errors can choose from more plans."""
 
 PER_BATCH: Final = 0.25
-"""A plan of which ``AT_ONCE`` changes were judged in vain counts as if it needed so much of a change more."""
+"""Each time ``AT_ONCE`` changes of a plan were judged in vain, the plan counts as if its repair needed this much of a
+change more."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -32,7 +34,7 @@ class State:
         changes: the changes.
         trial: its simulation.
         faults: an estimate of the changes that are still needed.
-        errors: number of a world with errors → the trial in it, for those in which the plan was judged.
+        errors: number of a world with errors → the trial in this world. Only worlds in which the plan was judged.
     """
 
     draft: Draft
@@ -43,12 +45,12 @@ class State:
 
     @property
     def n_good(self) -> int:
-        """Number of worlds with errors in which it stands."""
+        """Number of worlds with errors in which the plan stands."""
         return sum(trial.stands for trial in self.errors.values())
 
     @property
     def lost(self) -> dict[int, Trial]:
-        """The trials with errors in which it falls."""
+        """The trials in worlds with errors in which the plan falls, by the number of the world."""
         return {world: trial for world, trial in self.errors.items() if not trial.stands}
 
     @property
@@ -62,9 +64,9 @@ class Candidate:
     """A changed plan before its simulation.
 
     Attributes:
-        proposal: the changes that make it of another state's plan.
-        key: its rank: smaller is better.
-        parent: the other state.
+        proposal: the changes that turn the plan of ``parent`` into this plan.
+        key: rank of the plan; smaller is better.
+        parent: the state whose plan was changed.
     """
 
     draft: Draft
@@ -80,9 +82,10 @@ class Node:
     """A changed plan that may be changed further.
 
     Attributes:
-        queue: its allowed changes that were not judged, the most promising first; None: not proposed yet.
-        n_judged: its changes that were judged.
-        is_anew: whether it was built anew.
+        queue: the allowed changes of the plan that were not judged yet, the most promising first; None: no changes were
+            proposed yet.
+        n_judged: number of the plan's changes that were judged.
+        is_anew: whether ways to build the plan anew were already proposed.
     """
 
     state: State
@@ -92,19 +95,20 @@ class Node:
 
     @property
     def n_expected(self) -> float:
-        """The number of changes of a repair by way of this plan, by the estimate of its faults."""
+        """Expected number of changes of a repair that begins with this plan's changes: these changes plus the estimated
+        faults."""
         return len(self.state.changes) + self.state.faults
 
     @property
     def key(self) -> tuple[float, int, int, float]:
-        """Its rank: smaller is better. Plans of which many changes were judged in vain wait."""
+        """Rank of the plan; smaller is better. A plan of which many changes were judged in vain has a worse rank."""
         state = self.state
         n_held, n_standing = state.trial.progress
         return self.n_expected + PER_BATCH * (self.n_judged // AT_ONCE), -n_held, -n_standing, state.cost
 
 
 def n_counted(changes: Sequence[Change]) -> int:
-    """Number of changes but for boxes that are left out."""
+    """Number of changes. A box that is left out does not count."""
     return sum(change.kind is not Kind.LEAVE_OUT for change in changes)
 
 
@@ -115,13 +119,14 @@ def shortest(states: Sequence[State]) -> list[State]:
 
 
 def way_of(state: State) -> tuple[object, ...]:
-    """Equal for repairs that change the same boxes in the same ways by different amounts."""
+    """A key that is equal for repairs that change the same boxes in the same ways, even if by different amounts."""
     return tuple((change.kind, change.boxes) for change in state.changes)
 
 
 def batch_of(queues: Sequence[list[Candidate]], count: int) -> list[Candidate]:
     """Take equally many candidates off each ranked queue: the first of each way to change a box, then the second of
-    each. The first candidates by statics are often one move by many amounts."""
+    each. Otherwise, a batch would often be one move by many amounts, because statics ranks these candidates side by
+    side."""
     batch = []
     for queue in queues:
         ways: Counter[tuple[object, ...]] = Counter()

@@ -45,24 +45,27 @@ LONGEST_WAIT_S: Final = 2.0
 """Longest wait for a pallet to come to rest for a draft that is only judged."""
 
 JUDGED_TILT_DEG: Final = 5.0
-"""Tilt beyond which a box falls where a draft is only judged. Most boxes that shift tilt by more, so a world ends when
-they do. Of 133 generated plans that stand, boxes of one tilt by more than 3° (5.4°)."""
+"""A box that tilts by more than this counts as fallen if a draft is only judged. Most boxes that shift too far also
+tilt by more, so the world ends then. Of 133 generated plans that stand, one has a box that tilts by more than 3° (by
+5.4°)."""
 
 ON_A_GPU: Final = "mjx-warp"
 TABLE: Final = 512, 32
-"""Fewest rows of a table on a GPU, and boxes in steps of which it has columns. Each batch of trials has another number
-of worlds, and each size of a table takes seconds to compile."""
+"""Smallest number of rows of a table on a GPU; and the number of box columns is a multiple of the second value. Batches
+of trials differ in their numbers of worlds and boxes, and each size of a table takes seconds to compile. With these
+values, there are few sizes."""
 
 ERROR_WORLDS: Final = 8
-"""Worlds with errors in which repairs are judged at most."""
+"""Largest number of worlds with random errors in which a repair is judged."""
 
 
 class Asked(NamedTuple):
     """A draft to be simulated.
 
     Attributes:
-        is_judged: whether it is only judged, that is simulated once until a box is lost. Otherwise it is scored.
-        world: number of the world with errors in which it is judged, up to ``ERROR_WORLDS``; 0: without errors.
+        is_judged: True: the draft is only judged, that is, simulated once until a box is lost. False: it is scored.
+        world: number of the world with random errors in which the draft is judged, from 1 to ``ERROR_WORLDS``; 0: the
+            draft is simulated without errors.
     """
 
     draft: Draft
@@ -77,8 +80,8 @@ class Trial(NamedTuple):
         verdict, reason: as in the table ``worlds``.
         culprit: number of the box that first crossed a limit; None: none did.
         fallen: numbers of all boxes that crossed a threshold.
-        n_placed: boxes that were placed before the world ended.
-        n_held: boxes that were placed before the first one crossed a limit, as far as that is known.
+        n_placed: number of boxes that were placed before the world ended.
+        n_held: number of boxes that were placed before the first box crossed a limit, as far as that is known.
         margin: as in the table ``worlds``; NaN: no margin.
     """
 
@@ -162,12 +165,12 @@ class Question:
 
     @property
     def film_turns(self) -> float:
-        """Turns of film around unchanged plans."""
+        """Number of turns of film around plans before they are changed."""
         return self.sim.wrap.turns
 
     def trials(self, asked: Sequence[Asked]) -> list[Trial]:
-        """The trial of each draft. All are simulated at once, except those with other turns of film. If pallets must
-        survive a profile, all are scored, but for worlds with errors, which are at rest."""
+        """The trial of each draft. Drafts with the same number of turns of film are simulated together. If pallets must
+        survive a profile, all drafts are scored, except in worlds with errors, which are not shaken."""
         drafts = [one.draft for one in asked]
         self.n_simulated += len(drafts)
         results = self._judged(asked)
@@ -183,7 +186,8 @@ class Question:
         return [results[number] for number in range(len(drafts))]
 
     def _scored(self, drafts: Sequence[Draft], numbers: Sequence[int], run: RunOptions) -> dict[int, Trial]:
-        """Trials by scores, of drafts with the same turns of film."""
+        """Scores the drafts with these ``numbers``; number → trial. All of them have the same number of turns of
+        stretch film."""
         if not numbers:
             return {}
         plans = [drafts[number].as_plan(str(number)) for number in numbers]
@@ -197,9 +201,9 @@ class Question:
     def _judged(self, asked: Sequence[Asked]) -> dict[int, Trial]:
         """Trials of the drafts that are only judged, by their numbers.
 
-        Most drafts fall, and falling boxes are the costliest part of a simulation: a world that ends when a box is lost
-        takes a quarter of the time, as worlds with errors do. No draft is simulated again with other settings, as a
-        score would do (docs/rules.md, section 9). So a standing draft is scored before it counts as standing.
+        Most drafts fall, and falling boxes are the costliest part of a simulation. So a world ends when a box is lost,
+        like a world with errors. It then takes a quarter of the time. No draft is simulated again with other settings,
+        as a score would do (docs/rules.md, section 9). So a standing draft is scored before it counts as standing.
         """
         jobs: dict[tuple[int, bool], list[tuple[int, Job]]] = {}
         engines: dict[int, Engine] = {}

@@ -45,8 +45,8 @@ if TYPE_CHECKING:
     import pandas as pd
 
 _NAMES_WORLDS: Final = {"histories": "frames", "frames": "frames", "contacts": "frames"}
-"""To find the worlds of a part, another table's part of the same number is read. This mapping gives that other table. A
-table without an entry uses ``worlds``."""
+"""Table → another table that names the worlds. To find out which worlds a part of the first table holds, the part of
+the other table with the same number is read. For a table without an entry, the other table is ``worlds``."""
 
 
 def world_row(run: RunResults, plan_id: str, variant: int) -> dict[str, Any] | None:

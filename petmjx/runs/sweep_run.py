@@ -514,9 +514,10 @@ class SweepRun:
         return True
 
     def _recorded_rest(self, group: PlacementGroup, number: int) -> Probe:
-        """The outcome of a placement, as far as it follows from completed worlds. A placement that did not stand has a
-        single world, which has no steps. A failed test may have no steps either, but then the results also have the
-        other first tests of the search.
+        """The outcome of a placement, as far as completed worlds show it. A placement that did not stand has a single
+        world: the one of the lowest level, with 0 steps. If the search tested the lowest level and this test failed,
+        that world may also have 0 steps. But then the run also has worlds of the search's other first tests, at higher
+        levels.
         """
         row = self._row(group, number, 0)
         first = self._bisection([Probe(Verdict.STABLE)]).next_tests(0)

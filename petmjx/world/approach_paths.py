@@ -44,9 +44,9 @@ AT_PLACE_M: Final = 0.0002
 give way by a tenth of a millimetre."""
 
 MISSED_M: Final = 0.01
-"""A box counts as not placed if the hand releases it farther than this from its place, m. A box that finds room is
-within 5 mm of its place. A box that stands on the edge of a neighbour is too high by the neighbour's height, or by half
-of it."""
+"""A box counts as not placed if the hand releases it farther than this from its place, m. A box that finds room ends
+within 5 mm of its place. A box that comes to stand on the edge of a neighbour is too high by the neighbour's height, or
+by half of it."""
 
 LOWERING_RATE_1_S: Final = 400.0
 MOST_LOWERING_PER_STEP: Final = 0.8
@@ -64,8 +64,8 @@ which soft contacts may move neighbours that stand flush. An overlap of this amo
 apart visibly."""
 
 MOST_TILTED: Final = 0.5
-"""Tines tilt a box by at most this share of the tilt threshold, so that its release does not count as a first sign of
-failure."""
+"""Tines tilt a box by at most this share of the tilt threshold, so that the tilt of a released box does not count as a
+first sign of failure."""
 
 MOST_SIDESTEPS: Final = 8
 """Largest number of times that the start of a path is moved aside. If the start is still not free, it is moved up

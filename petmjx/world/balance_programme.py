@@ -31,8 +31,8 @@ BEYOND_M: Final = 1e-6
 tolerance is a tenth of this."""
 
 _OUTSIDE: Final = 10.0
-"""Cost of a metre outside an edge, relative to a metre inside; and cost of a moment that no support bears, relative to
-a metre outside.
+"""In the programme, a metre by which a load is outside an edge costs this many times as much as a metre inside. A
+moment that no support bears costs this many times as much as a metre outside.
 """
 
 _ALONG: Final = np.array([[1.0, 0.0], [0.0, 1.0], [-1.0, 0.0], [0.0, -1.0]])

@@ -103,10 +103,10 @@ def spring_law(physics: Physics, spring_n_m: float, inverse_mass: float) -> tupl
 
 
 def _spring_terms(physics: Physics, spring_n_m: Any, inverse_mass: Any) -> tuple[Any, Any, Any]:
-    """Both numbers of solref, and the impedance, for one contact or (p,) for many."""
+    """Both numbers of solref, and the impedance: three numbers for one contact, or arrays (p,) for p contacts."""
     time_s, damping = physics.solref
     time_s = time_s if time_s < 0 else max(time_s, 2 * physics.timestep_s)
-    # stiffness of the contact's spring at rest, in units of 1 / ((1 − d)·A), 1/s²
+    # stiffness of the contact's spring at rest, multiplied by (1 − d)·A; the product is in 1/s²
     stiffness = -time_s if time_s < 0 else 1 / (time_s * damping) ** 2
     lack = stiffness / (spring_n_m * inverse_mass)
     impedance = np.clip(1 - lack, LEAST_IMPEDANCE, physics.solimp[1])

@@ -131,11 +131,11 @@ def below_several(bearing: Bearing, among: NDArray[np.bool_]) -> NDArray[np.bool
 MOST_PROGRAMMES: Final = 2
 """Largest number of placements of a plan for which a linear programme is solved. One programme takes a few
 milliseconds, and more for a hundred boxes on several supports. After further placements, loads that seem to be beyond
-edges are left out, since only a programme could prove it."""
+edges are left out, since only a programme could prove that they are."""
 
 
 class BuildingLoads(NamedTuple):
-    """Loads after placements: p sorted pairs of a box and a box whose placement changes the load of the first.
+    """Loads after placements, as p sorted pairs: a box, and a box whose placement changes the load of the first box.
 
     Attributes:
         box: (p,) the box that has the load.
@@ -157,7 +157,7 @@ class LeastBuildingEdge(NamedTuple):
     Attributes:
         edge_m: distance from the edge, positive inside; NaN: there is no load.
         box: the box that has the load; -1: there is no load.
-        step: number of the box after whose placement this load acts; -1: no load.
+        step: number of the box after whose placement this load acts; -1: there is no load.
         nearest_m: distance of the load that is nearest to an edge, on either side.
         nearest_box: the box with the load nearest to an edge.
         nearest_step: number of the box after whose placement this load acts.
@@ -243,8 +243,8 @@ def building_loads_of(bearing: Bearing, placed: Sequence[int]) -> BuildingLoads:
 
 
 def _parts(bearing: Bearing, among: NDArray[np.bool_]) -> tuple[IntArray, IntArray, FloatArray]:
-    """Sorted pairs of a box, (p,), and a box whose weight it bears at least in part, (p,), and (p, 3) the parts. A box
-    also bears its own weight."""
+    """Three arrays for p sorted pairs of boxes: (p,) the bearing box; (p,) a box whose weight it bears at least in
+    part; and (p, 3) this part. A box also bears its own weight."""
     n, boxes = len(among), np.flatnonzero(among)
     alone = bearing.n_supports == 1
     below = np.full(n, CARRIER)

@@ -31,8 +31,8 @@ MOST_BACK_M: Final = 0.02
 """Largest distance by which a face may stand back from the outermost face of its side and still touch the film, m."""
 
 SLACK_M: Final = 0.005
-"""How far film draws a box in before it slackens, m: an assumption. Film that is stretched more also follows farther,
-and closes wider gaps."""
+"""How far film draws a box in before it slackens, m: an assumption. Film that is stretched more also draws a box in
+farther, and so closes wider gaps."""
 
 RATE_1_S: Final = 100.0
 """Natural frequency of a box held by film, 1/s: a box held by a force equal to its weight gives way by 1 mm."""

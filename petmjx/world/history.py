@@ -73,7 +73,7 @@ class Contacts:
 
 @dataclass(frozen=True, eq=False)
 class History:
-    """The history of one world: f frames of n boxes, in packing order. Values of boxes not yet placed are NaN.
+    """The history of one world: f frames of n boxes, in packing order. The values of a box are NaN until it is placed.
 
     A frame is taken after a step. Its poses are those after the step. Its forces, accelerations, contacts and drive are
     those during the step; MuJoCo evaluates them at the beginning of the step. For a box that was placed after the step,

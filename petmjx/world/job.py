@@ -14,7 +14,7 @@ from petmjx.world.scene import Scene
 
 FORCE: Final = "force"
 ACCELERATION: Final = "acceleration"
-"""Kinds of excitations and of profiles."""
+"""The two kinds of excitations and of profiles, by what the samples are: forces or accelerations."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -30,8 +30,8 @@ from petmjx.world.rectangle_hulls import HullTable
 IntArray = NDArray[np.intp]
 
 PULL: Final = 1e-9
-"""A support pulls if its force is below minus this share of the load, or if the force acts farther outside its area
-than this, m. Smaller values are rounding errors."""
+"""A support counts as pulling if its force is below minus this share of the load, or if the force acts farther than
+this length, m, outside the support's area. Smaller values are rounding errors."""
 
 ON_EDGE_M: Final = 1e-6
 """A load closer to the hull's edge than this counts as on the edge, m: the planes become infinitely steep there."""
@@ -45,7 +45,8 @@ _ENOUGH: Final = 1e-8
 stops shrinking, they end at ``_ENOUGH``: very near an edge, rounding prevents better results."""
 
 _RIDGE: Final = 1e-13
-"""Share that is added to the diagonal of second derivatives, which are singular if only one corner carries load."""
+"""This factor times (1 + the trace) is added to the diagonal of the second derivatives. Otherwise, their matrix is
+singular if only one corner carries load."""
 
 
 def pulls(force: FloatArray, low: FloatArray, high: FloatArray, load: FloatArray) -> NDArray[np.bool_]:
@@ -54,7 +55,7 @@ def pulls(force: FloatArray, low: FloatArray, high: FloatArray, load: FloatArray
     Args:
         force: (c, 3) force of each contact, and its first moments along x and y.
         low, high: (c, 2) corners of the areas, m.
-        load: (c,) load of the box above each contact.
+        load: (c,) load of the box above each contact: its own weight plus the weight that rests on it.
     """
     slack = -PULL * np.abs(load)
     least = np.minimum(force[:, 1:] - low * force[:, :1], high * force[:, :1] - force[:, 1:])
@@ -90,8 +91,8 @@ def pushes(load: FloatArray, owner: IntArray, low: FloatArray, high: FloatArray)
 
 
 def _projected_planes(to_cone: FloatArray, owner: IntArray, begins: IntArray, unit_loads: FloatArray) -> FloatArray:
-    """(c, 3) forces in the coordinates z: projections onto the cones of those pressure planes whose projections balance
-    the unit loads.
+    """(c, 3) forces of contacts in the coordinates z. They are the projections of pressure planes onto the cones. The
+    planes are those whose projections balance the unit loads.
     """
 
     def energy(plane: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
@@ -137,7 +138,8 @@ def _cone_projection(point: FloatArray) -> tuple[FloatArray, FloatArray]:
     inside = _ROOT * height >= large
     face = ~inside & (_ROOT * on_face >= small)
     ridge = ~(inside | face) & (on_ridge > 0)
-    # coordinates that the projection does not change: all of them inside the cone, and the smaller one on a face
+    # which coordinates the projection leaves unchanged: all of them for a point inside the cone, and for a point that
+    # is projected onto a face only the smaller one
     stays = np.stack([inside, inside | (face & ~first_is_large), inside | (face & first_is_large)], axis=1)
     towards = np.where(point < 0, -_ROOT, _ROOT)
     towards[:, 0] = 1.0

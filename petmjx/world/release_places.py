@@ -3,7 +3,7 @@
 Contacts are soft. Under its present loads, a pile has sunk by up to some tenths of a millimetre. A box's own contacts
 are a tenth of a millimetre deep once they carry the box. A box released at its planned place would fall by the sum of
 both lengths, land at centimetres per second, and might rock on an edge below it. So a box is released as deep in its
-support as its weight will press it, and lower by the distance that the support has sunk.
+support as its weight will press it in. It is also released lower by the distance by which the support has sunk.
 
 If places and sizes have errors, boxes may overlap when they appear. Contacts of overlapping boxes would throw them
 apart, and faster the stiffer the contacts and the shorter the timestep. Whether the pallet stands would then depend on
@@ -31,7 +31,7 @@ from petmjx.world.stackable_scenes import stacked_values
 from petmjx.world.supports import TOUCH_M
 
 NOTHING: Final = -2
-"""Value that replaces a support: the box hangs in the air or falls into its place."""
+"""Stands for a support if a box has none, because it hangs in the air or falls into its place."""
 
 MOST_FOLLOWED_M: Final = 0.002
 """Largest distance by which a box follows its support, m. A pile that has moved farther no longer carries the box as
@@ -125,7 +125,7 @@ def release_of_next(before: Stacks, boxes: NextBoxes, sim: Simulation) -> Releas
     box_below = np.where(area.any(axis=1), area.argmax(axis=1), nothing) if area.shape[1] else nothing
     support = np.where(low[:, 2] <= TOUCH_M, CARRIER, box_below)
     on_carrier, rows = support == CARRIER, np.arange(len(boxes))
-    # for a box without a support, its own mass and friction fill the fields of the support; they have no effect
+    # if a box has no support, the support's mass and friction are filled with its own, without effect
     masses = np.column_stack([before.mass, boxes.mass])
     below = np.where(support >= 0, support, masses.shape[1] - 1)
     share = 1.0 + boxes.mass / np.where(on_carrier, before.carrier_mass, masses[rows, below])

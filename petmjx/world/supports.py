@@ -198,8 +198,8 @@ class Bearing:
         return force
 
     def shared(self, contact: IntArray, load: FloatArray) -> FloatArray:
-        """(k, 3) the parts of loads that reach (k,) contacts of boxes with several supports, if supports are equal
-        springs.
+        """(k, 3) the parts of loads that reach these (k,) contacts of boxes with several supports, if supports share
+        loads like equal springs.
 
         Args:
             load: (k, 3) load of the upper box of each contact.

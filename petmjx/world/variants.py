@@ -328,7 +328,7 @@ def _changed_scenes(scene: Scene, change: PlacementChange, keys: Sequence[WorldK
     wrap = scene.wrap if change.wrap_turns is None else scene.wrap.changed(turns=change.wrap_turns)
     slippery = [_with_friction(scene, change, float(factor)) for factor in friction]
     fields = (slippery, half_size, mass, target, start_pos, start_quat)
-    # if worlds do not differ, they share one object, which pickles and tables then hold once
+    # worlds that do not differ share one object, so that pickles and tables hold it only once
     columns = (values if len(values) > 1 else itertools.repeat(values[0]) for values in fields)
     for _, base, half, kg, planned, place, turn in zip(keys, *columns, strict=False):
         yield replace(
@@ -469,7 +469,8 @@ def _set_down(scene: Scene, half_size: FloatArray, start_pos: FloatArray, yaw: F
     lower = _lower(scene)
     supports = lower & _overlap_mask(scene.target[:, :2], scene.half_size[:, :2])
     below = supports | (lower & _overlap_mask(start_pos[..., :2], _footprint_half(half_size, yaw)))
-    # A box that overlaps no other box in the plan stands on the carrier or floats above it.
+    # A box with no lower box under it in the plan (seen from above, it overlaps none) stands on the carrier or floats
+    # above it.
     support_top = np.where(supports, planned_top, -math.inf).max(axis=1, initial=-math.inf)
     stands = supports.any(axis=1)
     gap = np.where(stands, np.maximum(planned_bottom - support_top, 0.0), 0.0)

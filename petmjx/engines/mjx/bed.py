@@ -24,7 +24,8 @@ LEAST_MOMENT_M2: Final = 1e-9
 """Smallest second moment per area, m². If the moment is smaller, the area counts as a line."""
 
 LEAST_STEEP: Final = 1e-14
-"""Smallest square of the slope of the depth. If the square is smaller, the depth counts as uniform."""
+"""Smallest square of the slope of the depth along the face. If the square is smaller, the depth counts as equal
+everywhere on the face."""
 
 _SIGNS: Final = np.array([(-1.0, -1.0), (-1.0, 1.0), (1.0, -1.0), (1.0, 1.0)])
 
@@ -73,7 +74,8 @@ class FacePressure(NamedTuple):
 
 
 class Beds:
-    """Replaces contacts of two faces, at least one of them compliant, by points that have a bed's force and moments."""
+    """Replaces contacts of two faces, at least one of which is compliant, by contact points with the force and the
+    moments of a bed of springs."""
 
     def __init__(self, model: Any, data: Any, physics: Physics) -> None:
         self._physics = physics

@@ -64,7 +64,7 @@ class ProgramKey:
 
 @dataclass(frozen=True)
 class Program:
-    """``BatchRollout.chunk`` as a compiled program, with the model that it steps."""
+    """A compiled ``BatchRollout.chunk``, with the model whose worlds it steps."""
 
     model: PaddedModel
     chunk: Any
@@ -96,7 +96,7 @@ class MjxJaxEngine(Engine):
         set_up_jax()
         self.lanes = lanes or MOST_WORLDS
         self.programs: dict[ProgramKey, Program] = {}
-        """The programs that runs of this engine have used."""
+        """The compiled programs that runs of this engine have used, by key."""
         self._running = RunLock(self.name)
 
     def make_model(self, capacity: int, boards: int, sim: Simulation, *, held: bool) -> PaddedModel:

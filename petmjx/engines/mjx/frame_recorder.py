@@ -88,8 +88,8 @@ class Recorder:
 
     @staticmethod
     def _frames(steps: Any) -> Frames:
-        """Frames from steps of one world: a ``Trail`` on the host, without the axis of worlds. A box that was just
-        placed has no force on its top yet."""
+        """Makes frames of one world from its steps. The steps are a ``Trail`` on the host, without the axis of worlds.
+        In the frame after its placement, a box has no force on its top yet."""
         (fresh,) = np.nonzero(steps.fresh)
         steps.top_force[fresh, steps.placed[fresh] - 1] = 0.0
         return Frames(steps.number, steps.placed, steps.pose, steps.top_force, steps.carrier_pose)
@@ -130,7 +130,7 @@ class Recorder:
 
 
 def _of_state(job: Job, state: State) -> Frames:
-    """The frame of a state; its forces on tops are unknown."""
+    """The frame of a state. The forces on the boxes' tops are unknown."""
     n = job.scene.n_boxes
     pose = np.array(state.qpos, np.float32)[None, :n]
     return Frames(

@@ -31,7 +31,8 @@ UNBELIEVABLE = 1e10
 
 
 class _SampleInputs(NamedTuple):
-    """Values at the beginning of a step, for samples. Shapes and units are those of ``Rules.after_step``."""
+    """Values at the beginning of a step, which samples use. Shapes and units are those of the arguments of
+    ``Rules.after_step``."""
 
     qpos: Float[Array, "world box 7"]
     qacc: Float[Array, "world box 6"]
@@ -40,7 +41,7 @@ class _SampleInputs(NamedTuple):
 
 
 def _drive_end(state: State, worlds: Worlds) -> Int[Array, " world"]:
-    """Last step of each drive, unless its world comes to rest earlier."""
+    """Last step of each drive. A drive ends earlier if its world comes to rest."""
     return state.driven_from + worlds.drive_steps
 
 
@@ -48,8 +49,8 @@ def _drive_end(state: State, worlds: Worlds) -> Int[Array, " world"]:
 class Rules:
     """The rules and their constants, for worlds with room for ``capacity`` boxes.
 
-    ``driven``: settled worlds are shaken, and no boxes are placed. ``carries``: in some worlds, boxes do not just
-    appear at their places.
+    ``driven``: True: settled worlds are shaken. False: boxes are placed. ``carries``: whether boxes of some worlds fall
+    or are carried to their places, instead of appearing there.
     """
 
     sim: Simulation
@@ -59,7 +60,7 @@ class Rules:
     carries: bool = False
 
     def parked_pose(self) -> Float[Array, "box 7"]:
-        """Poses of boxes that are not in play."""
+        """Poses in which boxes wait that are not in play."""
         quat = jnp.broadcast_to(jnp.array(IDENTITY_QUAT), (self.capacity, 4))
         return jnp.concatenate([parked_positions(self.capacity), quat], axis=-1)
 
@@ -145,7 +146,7 @@ class Rules:
         )
 
     def _is_over(self, state: State, worlds: Worlds) -> Bool[Array, " world"]:
-        """Whether a box is beyond a threshold now, or has dropped."""
+        """Whether a box of each world is beyond a threshold of shift or tilt now, or has dropped."""
         limits = self.sim.thresholds
         middles = motion.middles(state.qpos, worlds.middle)
         shift = motion.shift(middles, worlds.target, limits.shift_floor_m, worlds.sinks)
@@ -154,8 +155,8 @@ class Rules:
         return (self._placed(state) & (excess > 1)).any(-1)
 
     def _is_lost(self, state: State, worlds: Worlds) -> Bool[Array, " world"]:
-        """Whether a box has dropped, or is tilted too far at the moment. In a drive, a tilted box counts only if it has
-        also swayed as far as its drive allows."""
+        """Whether a box of each world has dropped, or is tilted too far now. In a drive, a tilted box counts only if it
+        has also swayed as far as its drive allows."""
         tilted = motion.tilt_deg(state.qpos[..., 3:]) > self.sim.thresholds.tilt_deg
         if self.driven:
             tilted &= state.metrics.sway(motion.middles(state.qpos, worlds.middle)) >= worlds.allowed_sway[:, None]
@@ -255,7 +256,7 @@ class Rules:
         tilted = looked & (tilt > limits.tilt_deg)
         lost = dropped | (tilted & worlds.ends_when_lost[:, None])
         if looks:
-            # marks the box that is the culprit of an earlier look
+            # in each world, the box that an earlier look found to be the culprit
             first = jnp.arange(self.capacity)[None] == m.culprit[:, None]
             lost |= tilted & first & (m.sway(pos) >= worlds.allowed_sway[:, None])
         stopped = lost.any(-1) & self.sim.early_stop & ~last
@@ -378,7 +379,8 @@ class Rules:
         return jnp.where(patient & hopeful & ~restless, self._longest_wait(state, worlds), due)
 
     def _longest_wait(self, state: State, worlds: Worlds) -> Int[Array, " world"]:
-        """The last step of the wait for a moving world, counted from its last placement or the end of its drive."""
+        """The last step of the wait for a world that still moves. The wait is counted from the last placement, or from
+        the end of the drive."""
         if self.driven:
             return _drive_end(state, worlds) + self.timetable.longest_steps
         return jnp.asarray(self.timetable.longest)[state.last_placed_at]

@@ -27,7 +27,8 @@ class Sample(NamedTuple):
         presses: whether the force on the box's top counts.
         tilts: whether the box's tilt counts. Tilts also count at looks in a drive.
         looked: whether the box is checked. Boxes are also checked at the end of their world.
-        rested: whether the box is in a rest window; ``rests`` marks the worlds whose steps are counted.
+        rested: whether the force on the box's top counts for its force at rest. ``rests``: whether each world is in its
+            rest window.
     """
 
     step: Int[Array, " world"]
@@ -87,8 +88,8 @@ class Metrics(NamedTuple):
         return jnp.sqrt(((pos[..., :2] - self.sway_anchor) ** 2).sum(-1))
 
     def has_failed(self, thresholds: Thresholds) -> Bool[Array, " world"]:
-        """Whether a box has failed irreversibly: it has dropped, or was tilted too far at a look. A shift does not
-        count as irreversible, since it is judged at rest and may decrease until then."""
+        """Whether a box of each world has failed for good: it has dropped, or was tilted too far at a look. A shift is
+        not final, since it is judged at rest and may decrease until then."""
         failed = (self.drop_step >= 0) | (self.max_tilt > thresholds.tilt_deg)
         return (self.culprit >= 0) & failed.any(-1)
 
@@ -143,8 +144,8 @@ def run_metrics(
     ended: Bool[Array, " world"],
     thresholds: Thresholds,
 ) -> RunMetrics:
-    """The metrics that need the whole run, for placed boxes, from their last poses. Only worlds that reached their end
-    have forces at rest."""
+    """The metrics of placed boxes that need the whole run, computed from the last poses. Only worlds that reached their
+    end have forces at rest."""
     m = metrics
     shift = motion.shift(motion.middles(qpos, worlds.middle), worlds.target, thresholds.shift_floor_m, worlds.sinks)
     rested = (m.rest_samples > 0) & ended

@@ -95,5 +95,6 @@ class SlipLaw:
 
 
 def _tangent(rows: Float[Array, " constraint"], normal: NDArray[np.integer]) -> Float[Array, " contact"]:
-    """Lengths of the tangential parts."""
+    """(contact,) lengths of the tangential parts of values per constraint row, such as forces. ``normal``: rows of the
+    contacts' normals."""
     return jnp.hypot(rows[normal + 1], rows[normal + 2])

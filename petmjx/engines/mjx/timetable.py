@@ -35,9 +35,9 @@ class Timetable:
         settled_nominally: by number of boxes, the step after which a drive starts with the fixed schedule. The
             reference counts from the nominal moment of the last placement; rounding to steps delays the real moment a
             little.
-        sample_every, rest_steps: number of steps between two samples, and in the rest window.
+        sample_every, rest_steps: number of steps between two samples, and number of steps of the rest window.
         still_steps: number of steps before a world's end during which boxes must be still.
-        due_steps, longest_steps: as ``due`` and ``longest``, for waits after a drive, which are counted in steps.
+        due_steps, longest_steps: number of steps of the same two waits after a drive, where waits are counted in steps.
         one_by_one_end: last step of the fixed one-by-one check, by number of boxes.
         static_end: last step of the static check.
     """

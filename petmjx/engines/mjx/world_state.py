@@ -18,7 +18,7 @@ from petmjx.options.simulation import SOFT_START_STEPS
 from petmjx.world.scene import IDENTITY_QUAT
 
 NEVER = np.iinfo(np.int32).max
-"""A step that is never reached. The value also stands for an end that is not yet known."""
+"""A step that is never reached. It also stands for an end that is not known yet."""
 
 SOFT_START_BEGIN = -2 * SOFT_START_STEPS
 """Step counter of a fresh world: the steps of the soft start come before step 0."""
@@ -87,8 +87,8 @@ class State(NamedTuple):
     quiet_speed: Float[Array, "world box"]
     violent_since: Int[Array, " world"]
 
-    # Trembling: the number of looks since the last placement, and whether each box trembles (1). Since this was last
-    # decided: the length of each box's path, its largest distance from its start, m, and its start.
+    # Trembling: the number of looks since the last placement, and whether each box trembles (1). Since the last
+    # decision on trembling: the length of each box's path, its largest distance from its start, m, and its start.
     tremble_looks: Int[Array, " world"]
     trembles: Int[Array, "world box"]
     tremble_path: Float[Array, "world box"]

@@ -290,7 +290,7 @@ class WorldRun:
 
     @property
     def _sign(self) -> int | None:
-        """The step of the first sign, if a box has failed; else None."""
+        """The step at which the first sign of failure was seen, if a box has failed; else None."""
         return self._sign_step if self._metrics.has_failed else None
 
     def _set_end(self, step: int) -> None:

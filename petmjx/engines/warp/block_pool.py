@@ -43,9 +43,9 @@ class BlockPools:
         run = table.run
         pools = tuple(self._of_size(run, size, table.boards) for size in run.needs.sizes)
         usual = self._growth_of(run, run.needs.sizes[-1]) == 1
-        # There is no pool for small worlds if buffers are enlarged, since each of its many lanes would need such
-        # buffers. Nor is there one with stiff contacts: a step then takes five times as many iterations, and in some
-        # worlds many more. The other worlds of a block would wait for such a world.
+        # No pool for small worlds is made if buffers are enlarged: it would have many lanes, and each lane would need
+        # enlarged buffers. Nor is it made with stiff contacts: a step then takes five times as many iterations, and in
+        # some worlds many more. The other worlds of a block would wait for such a world.
         if usual and not is_stiff(run.sim.physics):
             worlds = int((np.asarray(table.table.placed)[: len(table.jobs)] <= FEW_BOXES.most_boxes).sum())
             few = small_world_pool(pools[-1], worlds, self._lanes)

@@ -19,8 +19,9 @@ SPARE_ROWS: Final = 4
 waiting worlds, blocks can begin with longer ones."""
 
 MOST_FOLLOWING_ROWS: Final = 2048
-"""Largest number of rows for jobs that do not exist yet, such as the many drives of a single placement. A GPU has fewer
-blocks than half of these rows."""
+"""Smallest number of rows of a table that further jobs may join later, such as the many drives that follow a single
+placement. If the stream has fewer jobs in all, the table has only as many rows as jobs. A GPU has fewer blocks than
+half of this number."""
 
 REFILL_SHARE: Final = 2
 """Jobs join a table while fewer than one in ``REFILL_SHARE`` of its rows are live, so that many join together. Jobs
@@ -32,7 +33,7 @@ slices in flight.
 """
 
 JOIN_ROWS, FEEDBACK_ROWS = 256, 64
-"""Number of jobs that are written into a table at a time; and the same number for jobs that follow from outcomes."""
+"""Number of jobs that are written into a table at a time. The second number is for jobs that follow from outcomes."""
 
 MOST_PROFILE_BYTES: Final = 1 << 30
 """Largest memory for the profiles of jobs that follow, bytes. This memory has room for 7,000 different profiles of 20
