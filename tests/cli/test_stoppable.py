@@ -54,7 +54,7 @@ def test_a_command_that_is_stopped_leaves_no_hidden_files(
 ) -> None:
     """Any command, also one without a run, such as ``label``, whose folder is locked by then."""
 
-    def episodes(self: Labeller, count: int, first: int = 0) -> Iterator[object]:
+    def episodes(self: Labeller, *arguments: object) -> Iterator[object]:
         assert [*tmp_path.glob("labels/.*")]
         signal.raise_signal(number)
         time.sleep(5)

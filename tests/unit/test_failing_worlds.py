@@ -96,7 +96,7 @@ def test_a_timeout_that_is_not_reached_changes_nothing() -> None:
 
 
 def test_only_the_engine_mujoco_has_a_timeout() -> None:
-    with pytest.raises(InputError, match="timeout belongs to the engine mujoco"):
+    with pytest.raises(InputError, match="only the engine mujoco can limit the time of a world"):
         make_engine("mjx-jax", world_timeout_s=5.0)
     with pytest.raises(InputError, match="world_timeout_s"):
         petmjx.score([make_plan()], world_timeout_s=0)
