@@ -24,9 +24,9 @@ from petmjx.repairs.changes import Change, Kind, applied, cost_of
 from petmjx.repairs.drafts import Draft
 from petmjx.repairs.repair_options import RepairOptions
 from petmjx.repairs.search import Search
-from petmjx.repairs.search_processes import OutOfTime, run_searches
+from petmjx.repairs.search_processes import run_searches
 from petmjx.repairs.states import State
-from petmjx.repairs.trials import OF_RUN, Asked, Question, Share, Trial
+from petmjx.repairs.trials import OF_RUN, Asked, OutOfTime, Question, Share, Trial
 from petmjx.results.notebook_tables import ShownColumn, block_as_html, table_as_html
 from petmjx.results.plan_lookup import plans_in_place
 from petmjx.results.share_intervals import wilson_interval
@@ -304,7 +304,7 @@ def _repaired(plans: Iterable[Plan], question: Question, options: RepairOptions)
     def ask(asked: list[Asked]) -> list[Trial]:
         if time.monotonic() > end_s:
             raise OutOfTime
-        return question.trials(asked)
+        return question.trials(asked, end_s)
 
     waiting = iter(plans)
     while group := list(islice(waiting, AT_ONCE)):

@@ -15,7 +15,7 @@ from typing import Any, Final
 
 from petmjx.engines.subprocess.task_pipe import Child, next_of, own_pipes
 from petmjx.repairs.search import Asking, Search
-from petmjx.repairs.trials import Asked, Trial
+from petmjx.repairs.trials import Asked, OutOfTime, Trial
 
 PLANS_EACH: Final = 4
 """Plans for which a process is worth its start, of two seconds."""
@@ -25,10 +25,6 @@ LOOK_S: Final = 0.05
 
 Ask = Callable[[list[Asked]], list[Trial]]
 """Simulates drafts. Raises ``OutOfTime`` if the time is up."""
-
-
-class OutOfTime(Exception):
-    """The time for the search is up: what is known so far counts."""
 
 
 def run_searches(searches: Sequence[Search], ask: Ask, processes: int) -> None:

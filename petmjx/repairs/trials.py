@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+import math
+import time
+from collections.abc import Generator, Mapping, Sequence
+from contextlib import ExitStack, closing
 from functools import partial
 from pathlib import Path
 from typing import Any, Final, NamedTuple
@@ -117,6 +120,10 @@ class Share(NamedTuple):
         return self.n_standing / self.n_worlds if self.n_worlds else float("nan")
 
 
+class OutOfTime(Exception):
+    """The time for the search is up: what is known so far counts."""
+
+
 class Question:
     """The requirement on plans: to stand at rest, or after a drive.
 
@@ -168,12 +175,19 @@ class Question:
         """Number of turns of film around plans before they are changed."""
         return self.sim.wrap.turns
 
-    def trials(self, asked: Sequence[Asked]) -> list[Trial]:
+    def trials(self, asked: Sequence[Asked], end_s: float = math.inf) -> list[Trial]:
         """The trial of each draft. Drafts with the same number of turns of film are simulated together. If pallets must
-        survive a profile, all drafts are scored, except in worlds with errors, which are not shaken."""
+        survive a profile, all drafts are scored, except in worlds with errors, which are not shaken.
+
+        Args:
+            end_s: time of ``time.monotonic`` at which drafts are judged no longer.
+
+        Raises:
+            OutOfTime: drafts were still being judged at ``end_s``.
+        """
         drafts = [one.draft for one in asked]
         self.n_simulated += len(drafts)
-        results = self._judged(asked)
+        results = self._judged(asked, end_s)
         turns = dict.fromkeys(draft.film_turns for draft in drafts)
         for film_turns in turns:
             numbers = [n for n, draft in enumerate(drafts) if draft.film_turns == film_turns and n not in results]
@@ -198,7 +212,7 @@ class Question:
             for number in numbers
         }
 
-    def _judged(self, asked: Sequence[Asked]) -> dict[int, Trial]:
+    def _judged(self, asked: Sequence[Asked], end_s: float) -> dict[int, Trial]:
         """Trials of the drafts that are only judged, by their numbers.
 
         Most drafts fall, and falling boxes are the costliest part of a simulation. So a world ends when a box is lost,
@@ -216,9 +230,15 @@ class Question:
         results: dict[int, Trial] = {}
         for (key, with_errors), numbered in jobs.items():
             sim = self._quick[int(with_errors)]
-            for outcome in engines[key].run([job for _, job in numbered], sim):
-                number = numbered[outcome.job][0]
-                results[number] = _trial_of(outcome, asked[number].draft.order, sim)
+            outcomes = engines[key].run([job for _, job in numbered], sim)
+            with ExitStack() as ending:
+                if isinstance(outcomes, Generator):
+                    ending.enter_context(closing(outcomes))
+                for outcome in outcomes:
+                    number = numbered[outcome.job][0]
+                    results[number] = _trial_of(outcome, asked[number].draft.order, sim)
+                    if time.monotonic() > end_s:
+                        raise OutOfTime
         return results
 
     def _scene(self, asked: Asked) -> Scene:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+import time
 import warnings
 from collections.abc import Callable, Generator, Sequence
 from contextlib import suppress
@@ -28,7 +30,7 @@ from petmjx.repairs.repair_options import RepairOptions
 from petmjx.repairs.search import Search
 from petmjx.repairs.search_processes import run_searches
 from petmjx.repairs.states import Candidate, State, batch_of
-from petmjx.repairs.trials import Asked, Question, Trial
+from petmjx.repairs.trials import Asked, OutOfTime, Question, Trial
 
 FAST = {"engine": "mujoco", "threads": 1, "worlds": 0, "trials": 40}
 """Repairs without worlds with errors, which take most of the time."""
@@ -500,6 +502,18 @@ def test_searches_in_several_processes_end_as_in_one() -> None:
     assert [search.complete for search in searches[::2]] == [True, False, False, False]
 
 
+def test_judging_ends_when_the_time_is_up() -> None:
+    """A batch on a GPU may have thousands of drafts. The engine can be used again."""
+    drafts = [Draft.of(make_plan(boxes=boxes)) for boxes in (TOWER, stack(2))]
+    question = Question({"engine": "mujoco", "threads": 1}, RepairOptions(worlds=0))
+    try:
+        with pytest.raises(OutOfTime):
+            question.trials([Asked(draft, is_judged=True) for draft in drafts], end_s=time.monotonic())
+        assert [trial.stands for trial in question.trials([Asked(draft, is_judged=True) for draft in drafts])][1]
+    finally:
+        question.close()
+
+
 def test_a_search_whose_seconds_are_spent_says_so() -> None:
     result = repaired(TOWER, seconds=0.1)
     assert not result.complete
@@ -588,11 +602,11 @@ def test_an_interrupted_repair_keeps_the_plans_that_are_done(
     petmjx.save_plans([make_plan("stands", stack(2)), make_plan("falls", COUNTERWEIGHT)], source)
     trials, requests = Question.trials, []
 
-    def stopped(question: Question, drafts: Sequence[Any]) -> list[Trial]:
+    def stopped(question: Question, drafts: Sequence[Any], end_s: float = math.inf) -> list[Trial]:
         if len(requests) == n_calls:
             raise KeyboardInterrupt
         requests.append(drafts)
-        return trials(question, drafts)
+        return trials(question, drafts, end_s)
 
     def no_shares(question: Question, plans: Sequence[Plan]) -> Any:
         raise KeyboardInterrupt
