@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Generator, Mapping, Sequence
-from contextlib import ExitStack, closing
+from collections.abc import Mapping, Sequence
 from functools import partial
 from pathlib import Path
 from typing import Any, Final, NamedTuple
@@ -230,15 +229,13 @@ class Question:
         results: dict[int, Trial] = {}
         for (key, with_errors), numbered in jobs.items():
             sim = self._quick[int(with_errors)]
-            outcomes = engines[key].run([job for _, job in numbered], sim)
-            with ExitStack() as ending:
-                if isinstance(outcomes, Generator):
-                    ending.enter_context(closing(outcomes))
-                for outcome in outcomes:
-                    number = numbered[outcome.job][0]
-                    results[number] = _trial_of(outcome, asked[number].draft.order, sim)
-                    if time.monotonic() > end_s:
-                        raise OutOfTime
+            for outcome in engines[key].run([job for _, job in numbered], sim):
+                number = numbered[outcome.job][0]
+                results[number] = _trial_of(outcome, asked[number].draft.order, sim)
+                if time.monotonic() > end_s:
+                    break  # the engine's run ends here
+            if time.monotonic() > end_s:
+                raise OutOfTime
         return results
 
     def _scene(self, asked: Asked) -> Scene:
