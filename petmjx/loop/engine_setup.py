@@ -45,8 +45,14 @@ def open_engine(requested_engine: str | Engine, n: int, of_run: dict[str, Any]) 
 
 def chooses_gpu(requested_engine: str | Engine, n: int) -> bool:
     """Whether this name chooses a GPU for n pallets."""
-    is_auto = requested_engine == AUTO and n >= MANY_PALLETS
-    return requested_engine == "mjx-warp" or (is_auto and why_no_warp() is None)
+    return isinstance(requested_engine, str) and _name_of(requested_engine, gpu=n >= MANY_PALLETS) == "mjx-warp"
+
+
+def _name_of(requested_engine: str, *, gpu: bool) -> str:
+    """The name of the engine that ``auto`` chooses; any other name is returned unchanged."""
+    if requested_engine != AUTO:
+        return requested_engine
+    return "mjx-warp" if gpu and why_no_warp() is None else "mujoco"
 
 
 def ready_engine(requested_engine: str | Engine, of_run: dict[str, Any], *, gpu: bool) -> tuple[Engine, bool]:
@@ -68,10 +74,8 @@ def ready_engine(requested_engine: str | Engine, of_run: dict[str, Any], *, gpu:
             else UserEngine(requested_engine, of_run.get("threads"))
         )
         return engine, False
-    name = requested_engine
-    if name == AUTO:
-        name = "mjx-warp" if gpu and why_no_warp() is None else "mujoco"
-    elif name not in ENGINES:
+    name = _name_of(requested_engine, gpu=gpu)
+    if name not in ENGINES:
         raise InputError(f"engine must be one of {', '.join(ENGINES)} and {AUTO}, {shown_value(requested_engine)}")
     return make_engine(name, **options_of(name, RunOptions(engine=requested_engine, **of_run))), True
 
