@@ -151,6 +151,7 @@ class Labeller:
         others: of ``petmjx.Pallets``.
 
     Attributes:
+        n_pallets: number of pallets in all groups.
         groups: the pallets of each group.
         options: all other options on which labels depend.
 
@@ -177,7 +178,7 @@ class Labeller:
         engine = others.get("engine", AUTO)
         if pallets is None:
             pallets = PALLETS_ON_GPU if chooses_gpu(engine, PALLETS_ON_GPU) else PALLETS_ON_CPU
-        n_pallets = integer_of(pallets, "pallets", 1)
+        self.n_pallets = n_pallets = integer_of(pallets, "pallets", 1)
         if groups is None:
             groups = GROUPS_ON_GPU if chooses_gpu(engine, n_pallets // GROUPS_ON_GPU) else 1
         n_groups = min(integer_of(groups, "groups", 1), n_pallets)
@@ -208,7 +209,7 @@ class Labeller:
         schedule = _Schedule(self, count, first)
         packings = [_Packing(self, pallets, schedule).steps() for pallets in self.groups]
         n_yielded = 0
-        with closing(prefetch(*packings, most=sum(map(len, self.groups)))) as steps:
+        with closing(prefetch(*packings, most=self.n_pallets)) as steps:
             for _ in steps:
                 progress(schedule.n_made)
                 for labels in schedule.take_ended():
@@ -277,7 +278,7 @@ class _Schedule:
 
     def __init__(self, labeller: Labeller, count: int, first: int) -> None:
         self._labeller, self._count = labeller, count
-        self._most_waiting = MOST_EPISODES * sum(map(len, labeller.groups))
+        self._most_waiting = MOST_EPISODES * labeller.n_pallets
         self._waiting: deque[Episode] = deque()
         """Episodes in order that are not over, or that wait for an earlier one."""
         self._ended: list[list[Label]] = []
@@ -386,10 +387,9 @@ class _Packing:
     def _begin(self) -> None:
         """Begin episodes on empty pallets, as the schedule allows."""
         empty = [row for row in range(len(self._pallets)) if row not in self.running]
-        episodes = self._schedule.begin(len(empty))
-        rows = empty[: len(episodes)]
-        self.running |= zip(rows, episodes, strict=True)
-        if rows:
+        if empty and (episodes := self._schedule.begin(len(empty))):
+            rows = empty[: len(episodes)]
+            self.running |= zip(rows, episodes, strict=True)
             self._pallets.reset(rows)
 
     def _end_over(self, rows: Iterable[int]) -> None:
