@@ -51,7 +51,7 @@ def main() -> None:
         looked[0] = time.perf_counter()
         return status, ended
 
-    Rollout.wait = timed  # type: ignore[method-assign]  # looked at from outside, for this program alone
+    Rollout.wait = timed  # type: ignore[method-assign]  # times the method of the product, in this program only
     progress, looked[0] = Progress(), time.perf_counter()
     worlds = (World(plan, 0, Job(build_scene(plan, sim))) for plan in plans)
     again = 0

@@ -71,7 +71,7 @@ class Scores(nn.Module):  # type: ignore[misc]  # Any where PyTorch is not insta
         return parts["candidates"].reshape(-1, *self._shape), torch.cat(rest, dim=1)
 
 
-class ScoringPolicy(MaskableMultiInputActorCriticPolicy):  # type: ignore[misc]  # the same
+class ScoringPolicy(MaskableMultiInputActorCriticPolicy):  # type: ignore[misc]  # Any where SB3 is not installed
     """A policy whose logits are the scores of candidates."""
 
     def _build_mlp_extractor(self) -> None:
@@ -83,7 +83,7 @@ class ScoringPolicy(MaskableMultiInputActorCriticPolicy):  # type: ignore[misc] 
         self.optimizer = self.optimizer_class(self.parameters(), lr=lr_schedule(1), **self.optimizer_kwargs)
 
 
-class Harder(BaseCallback):  # type: ignore[misc]  # the same
+class Harder(BaseCallback):  # type: ignore[misc]  # Any where SB3 is not installed
     """Raises the level of all environments with the steps, from 0 to 1 at half of the steps."""
 
     def __init__(self, steps: int) -> None:
