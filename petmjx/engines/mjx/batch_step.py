@@ -12,11 +12,12 @@ from jaxtyping import Array, Float
 from petmjx.engines.mjx.bed import Beds, Faces
 from petmjx.engines.mjx.landing import Landing, act
 from petmjx.engines.mjx.mjx_import import mjx
-from petmjx.engines.mjx.padded_template import FLOAT32_TOLERANCE, MAX_ITERATIONS, padded_template
+from petmjx.engines.mjx.newton import BlockSolver
+from petmjx.engines.mjx.padded_template import FLOAT32_TOLERANCE, MAX_ITERATIONS, contact_geoms, padded_template
 from petmjx.engines.mjx.slip import SlipLaw
 from petmjx.engines.mjx.top_forces import contact_force_z, pressed_box
 from petmjx.options.physics import Cone
-from petmjx.options.simulation import Simulation
+from petmjx.options.simulation import Simulation, Solver
 from petmjx.world.mujoco_model import CARRIER_NAME, geom_bodies
 
 LINE_SEARCH_ITERATIONS = 30
@@ -70,8 +71,11 @@ class PaddedModel:
         template.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_EULERDAMP
         self.capacity, self.held = capacity, held
         self.pyramidal = sim.physics.cone is Cone.PYRAMIDAL
-        self._slip = None if self.pyramidal else SlipLaw(sim.physics, self._model_of)
         self.model: Any = mjx.put_model(template, impl="jax")
+        self._slip: SlipLaw | None = None
+        if not self.pyramidal:
+            solver = BlockSolver(self.model, contact_geoms(self.model), conjugate=sim.solver is Solver.CG)
+            self._slip = SlipLaw(sim.physics, solver, self._model_of)
         self.carrier, self.bodies = template.body(CARRIER_NAME).id, template.nbody
         self._geom_bodies = jnp.asarray(geom_bodies(template, range(capacity)))
         self._data: Any = mjx.make_data(template, impl="jax")

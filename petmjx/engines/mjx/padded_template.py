@@ -11,7 +11,7 @@ from typing import Any
 import jax.numpy as jnp
 import mujoco
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Array, Float, Int
 
 from petmjx.engines.mjx.compliance import laws
 from petmjx.engines.mjx.world_constants import Worlds
@@ -34,6 +34,9 @@ MAX_ITERATIONS = 100
 
 LINE_SEARCH_ITERATIONS = 50
 """MuJoCo's default limit of line search iterations."""
+
+CONTACTS_PER_PAIR = 4
+"""Number of contacts of MJX's collider for two boxes, and for a plane and a box."""
 
 PARKING_HEIGHT_M = 50.0
 PARKING_PITCH_M = 8.0
@@ -70,6 +73,17 @@ def padded_template(
     option.iterations = iterations
     option.ls_iterations = line_search_iterations
     return spec.compile()
+
+
+def contact_geoms(model: Any) -> Int[np.ndarray, "pair 2"]:
+    """The geoms of each pair of an MJX model, in the order of MJX's contacts: pairs with the same types of geoms are
+    side by side (3.17: collision_driver.py). Each pair has ``CONTACTS_PER_PAIR`` contacts."""
+    from mujoco.mjx._src.collision_driver import geom_pairs
+
+    pairs_by_types: dict[tuple[int, int], list[tuple[int, int]]] = {}
+    for one, two, _ in geom_pairs(model):
+        pairs_by_types.setdefault((int(model.geom_type[one]), int(model.geom_type[two])), []).append((one, two))
+    return np.array([pair for pairs in pairs_by_types.values() for pair in pairs]).reshape(-1, 2)
 
 
 def _nominal_scene(capacity: int, boards: int, physics: Physics) -> Scene:

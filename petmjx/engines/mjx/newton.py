@@ -1,0 +1,358 @@
+"""The constraint solver of mjx-jax: MuJoCo's Newton method for elliptic cones, with matrices in blocks.
+
+MuJoCo finds the accelerations a (qacc) that minimise ½ (a − a₀)ᵀ M (a − a₀) + s(J·a − r). Here a₀ (qacc_smooth) are the
+accelerations without contacts, r (aref) the reference accelerations of the contacts, and s the cost of their cones
+(MuJoCo's documentation, "Computation", section "Constraint model"). Newton's direction solves H·x = −gradient with
+H = M + Jᵀ·s″·J; a line search follows.
+
+``mjx.solve`` (3.17) does the same, but treats s″ and J as dense matrices: an iteration multiplies (3·contacts)² ·
+velocities numbers, and the program has an instruction per contact that fills in s″. Its line search takes all its
+iterations under ``vmap``. But s″ consists of blocks of 3 × 3, and a contact touches two bodies. So here all products
+run over pairs of geoms, which have four contacts each, and the line search ends early.
+"""
+
+from __future__ import annotations
+
+from functools import partial
+from typing import Any, Final, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax.scipy.linalg import cho_factor, cho_solve
+from jaxtyping import Array, Bool, Float, Int
+from numpy.typing import NDArray
+
+from petmjx.engines.mjx.mjx_import import mjx
+
+ENOUGH_SLOPE: Final = 0.1
+"""The line search ends where the cost's derivative is at most this share of its initial value, as on mjx-warp
+(petmjx/engines/warp/solver/newton.cu)."""
+
+ROUNDING: Final = 8 * float(np.finfo(np.float32).eps)
+"""A derivative counts as zero if it is at most this share of the sum of its terms' magnitudes."""
+
+_TINY: Final = 1e-15
+"""MuJoCo's smallest divisor (mjMINVAL)."""
+
+_einsum = partial(jnp.einsum, precision=jax.lax.Precision.HIGHEST)  # by default, GPUs round factors to 10 bits
+
+Scalar = Float[Array, ""]
+Velocities = Float[Array, " velocity"]
+Rows = Float[Array, "contact 3"]
+
+
+class Problem(NamedTuple):
+    """What the solver needs of one world. The rows of a contact are its normal and its two tangents.
+
+    Attributes:
+        mass: the mass matrix.
+        smooth: accelerations without contacts.
+        jacobian: derivatives of the rows of each pair of geoms by the velocities of its two bodies.
+        stiffness: inverse regularisation of each row (MuJoCo's efc_D).
+        sliding: coefficients of sliding friction.
+        mu: coefficient of the regularised cone.
+        least: smallest change of the cost, and smallest gradient, for which another iteration is worth while.
+        iterations, evaluations: largest number of iterations, and of evaluations in a line search.
+    """
+
+    mass: Float[Array, "velocity velocity"]
+    smooth: Velocities
+    jacobian: Float[Array, "pair row 12"]
+    stiffness: Rows
+    sliding: Float[Array, "contact 2"]
+    mu: Float[Array, " contact"]
+    least: Scalar
+    iterations: Int[Array, ""]
+    evaluations: Int[Array, ""]
+
+
+class Cones(NamedTuple):
+    """The cones of a world's contacts for some residuals J·a − r, m/s².
+
+    Attributes:
+        sticks: whether the force is within the cone. Then the contact is a spring with three components.
+        slides: whether the force is on the cone's surface. In other contacts there is no force.
+        slip: unit vector of the tangential residual times friction, times friction.
+        speed: length of the tangential residual times friction.
+        gap: mu times the normal residual minus mu times ``speed``; negative for contacts that slide.
+        surface: stiffness of the cone's surface: the cost of sliding is ½ · surface · gap².
+    """
+
+    residual: Rows
+    sticks: Bool[Array, " contact"]
+    slides: Bool[Array, " contact"]
+    slip: Float[Array, "contact 2"]
+    speed: Float[Array, " contact"]
+    gap: Float[Array, " contact"]
+    surface: Float[Array, " contact"]
+
+    @classmethod
+    def of(cls, problem: Problem, residual: Rows) -> Cones:
+        """The cones for these residuals."""
+        mu = problem.mu
+        normal, tangent = mu * residual[:, 0], problem.sliding * residual[:, 1:]
+        speed = jnp.sqrt((tangent**2).sum(-1))
+        sticks = (normal < 0) & (mu * normal + speed <= 0)
+        return cls(
+            residual=residual,
+            sticks=sticks,
+            slides=~sticks & (normal < mu * speed),
+            slip=problem.sliding * tangent / jnp.maximum(speed, _TINY)[:, None],
+            speed=speed,
+            gap=normal - mu * speed,
+            surface=problem.stiffness[:, 0] / jnp.maximum(mu**2 * (1 + mu**2), _TINY),
+        )
+
+    def cost(self, problem: Problem) -> Scalar:
+        """s, the cost of all contacts."""
+        spring = (problem.stiffness * self.residual**2).sum(-1)
+        return 0.5 * jnp.where(self.sticks, spring, jnp.where(self.slides, self.surface * self.gap**2, 0.0)).sum()
+
+    def force(self, problem: Problem) -> Rows:
+        """−s′, the contact forces, N."""
+        along = jnp.concatenate([jnp.ones_like(self.speed)[:, None], -self.slip], axis=1)
+        sliding = -(self.surface * self.gap * problem.mu)[:, None] * along
+        sticking = -problem.stiffness * self.residual
+        return jnp.where(self.sticks[:, None], sticking, jnp.where(self.slides[:, None], sliding, 0.0))
+
+    def curvature(self, problem: Problem) -> Float[Array, "contact 3 3"]:
+        """s″, by the rows of each contact."""
+        mu = problem.mu[:, None, None]
+        along = jnp.concatenate([jnp.ones_like(self.speed)[:, None], -self.slip], axis=1)
+        # second derivative of ``speed``
+        turn = jnp.eye(2)[None] * (problem.sliding**2)[:, None] - self.slip[:, :, None] * self.slip[:, None]
+        bent = -(self.gap / jnp.maximum(self.speed, _TINY))[:, None, None] * turn
+        sliding = mu**2 * along[:, :, None] * along[:, None] + mu * jnp.pad(bent, ((0, 0), (1, 0), (1, 0)))
+        sliding = self.surface[:, None, None] * sliding
+        sticking = jnp.eye(3)[None] * problem.stiffness[:, None]
+        return jnp.where(
+            self.sticks[:, None, None], sticking, jnp.where(self.slides[:, None, None], sliding, 0.0)
+        )
+
+    def bend(self, problem: Problem, way: Rows) -> Scalar:
+        """wᵀ·s″·w for a change w of the residuals."""
+        tangent = problem.sliding * way[:, 1:]
+        closing = way[:, 0] - (self.slip * way[:, 1:]).sum(-1)
+        across = (tangent**2).sum(-1) - (self.slip * way[:, 1:]).sum(-1) ** 2
+        bent = -problem.mu * self.gap / jnp.maximum(self.speed, _TINY) * across
+        sliding = self.surface * ((problem.mu * closing) ** 2 + bent)
+        spring = (problem.stiffness * way**2).sum(-1)
+        return jnp.where(self.sticks, spring, jnp.where(self.slides, sliding, 0.0)).sum()
+
+
+class _Iterate(NamedTuple):
+    """State of the solver: accelerations, M·(a − a₀), residuals, forces, gradient, and cost now and before the last
+    iteration. Conjugate gradients also need the last direction, M⁻¹ · the last gradient, and the product of both
+    gradients."""
+
+    qacc: Velocities
+    inertial: Velocities
+    residual: Rows
+    force: Rows
+    gradient: Velocities
+    cost: Scalar
+    cost_before: Scalar
+    iterations: Int[Array, ""]
+    direction: Velocities
+    scaled: Velocities
+    scaled_square: Scalar
+
+
+class _Search(NamedTuple):
+    """State of a line search: the next step, the best step so far with its cost, the bracket of the minimum, and
+    whether the search has ended."""
+
+    step: Scalar
+    best: Scalar
+    cost: Scalar
+    low: Scalar
+    high: Scalar
+    evaluations: Int[Array, ""]
+    ends: Bool[Array, ""]
+
+
+class BlockSolver:
+    """Finds the accelerations and contact forces of one world; for use under ``jax.vmap``.
+
+    Args:
+        model: the MJX model of all worlds. Bodies are free or do not move, and all contacts have three rows.
+        geoms: the geoms of each pair, in the order of MJX's contacts.
+        conjugate: whether to use conjugate gradients instead of Newton's method.
+    """
+
+    def __init__(self, model: Any, geoms: NDArray[np.integer], *, conjugate: bool) -> None:
+        self._conjugate = conjugate
+        self._bodies = n = int(model.nv) // 6
+        block_of_body = np.where(model.body_dofnum > 0, model.body_dofadr // 6, n)
+        self._sides = block_of_body[np.asarray(model.geom_bodyid)[geoms]]
+        """(pair, 2) numbers of moving bodies; a body that does not move has the number of all moving bodies"""
+        self._sums = np.float32(self._sides.T.reshape(-1)[None] == np.arange(n)[:, None])
+        """(body, side · pair) sums over the pairs of each body, in a fixed order"""
+        self._couplings, self._layout = _couplings(self._sides, n)
+
+    def problem(self, model: Any, data: Any) -> Problem:
+        """The problem of a world, from its MJX model and from data that are ready for the solver."""
+        rows, pairs = data._impl, len(self._sides)
+        jacobian = rows.efc_J.reshape(pairs, -1, self._bodies, 6)
+        jacobian = jnp.pad(jacobian, ((0, 0), (0, 0), (0, 1), (0, 0)))
+        jacobian = jacobian[np.arange(pairs)[:, None], :, self._sides].swapaxes(1, 2)
+        mass = mjx.full_m(model, data)
+        sliding = rows.contact.friction[:, :2]
+        return Problem(
+            mass=mass,
+            smooth=data.qacc_smooth,
+            jacobian=jacobian.reshape(pairs, -1, 12),
+            stiffness=rows.efc_D.reshape(-1, 3),
+            sliding=sliding,
+            mu=sliding[:, 0] / jnp.sqrt(model.opt.impratio),
+            least=model.opt.tolerance * jnp.trace(mass),
+            iterations=model.opt.iterations,
+            evaluations=model.opt.ls_iterations,
+        )
+
+    def along(self, problem: Problem, velocities: Velocities) -> Rows:
+        """J·v: how the rows of all contacts change with these velocities, or accelerations."""
+        of_bodies = jnp.pad(velocities.reshape(-1, 6), ((0, 1), (0, 0)))
+        of_pairs = of_bodies[self._sides].reshape(-1, 12)
+        return _einsum("prv,pv->pr", problem.jacobian, of_pairs).reshape(-1, 3)
+
+    def solve(self, problem: Problem, pull: Rows, start: Velocities) -> tuple[Velocities, Rows, Rows]:
+        """The accelerations, the contact forces (N), and the residuals J·a − pull (m/s²).
+
+        The solver ends as MuJoCo's does: if the cost has changed by less than ``problem.least``, if the gradient is
+        less, or after ``problem.iterations``.
+
+        Args:
+            pull: reference accelerations of the rows, m/s².
+            start: accelerations to start from. The solver starts from ``problem.smooth`` if its cost is lower.
+        """
+        begin, smooth = (self._begin(problem, pull, qacc) for qacc in (start, problem.smooth))
+        begin = jax.tree.map(lambda a, b: jnp.where(begin.cost < smooth.cost, a, b), begin, smooth)
+        factor = cho_factor(problem.mass, lower=True) if self._conjugate else None
+
+        def goes_on(now: _Iterate) -> Bool[Array, ""]:
+            steep = jnp.sqrt(now.gradient @ now.gradient) >= problem.least
+            better = now.cost_before - now.cost >= problem.least
+            return (now.iterations < problem.iterations) & better & steep
+
+        def improve(now: _Iterate) -> _Iterate:
+            if factor is None:
+                curvature = Cones.of(problem, now.residual).curvature(problem)
+                hessian = cho_factor(self._hessian(problem, curvature), lower=True)
+                return self._moved(problem, now._replace(direction=-cho_solve(hessian, now.gradient)))
+            # Polak and Ribière: a share of the last direction, which is zero in the first iteration
+            scaled = cho_solve(factor, now.gradient)
+            share = now.gradient @ (scaled - now.scaled) / jnp.maximum(now.scaled_square, _TINY)
+            direction = jnp.maximum(share, 0.0) * now.direction - scaled
+            square = now.gradient @ scaled
+            return self._moved(problem, now._replace(direction=direction, scaled=scaled, scaled_square=square))
+
+        end = jax.lax.while_loop(goes_on, improve, begin)
+        return end.qacc, end.force, end.residual
+
+    def _begin(self, problem: Problem, pull: Rows, qacc: Velocities) -> _Iterate:
+        none, inertial = jnp.zeros_like(qacc), _einsum("ij,j->i", problem.mass, qacc - problem.smooth)
+        residual = self.along(problem, qacc) - pull
+        start = _Iterate(
+            qacc, inertial, residual, residual, none, jnp.inf, jnp.inf, jnp.int32(0), none, none, jnp.float32(0.0)
+        )
+        return self._valued(problem, start)
+
+    def _valued(self, problem: Problem, now: _Iterate) -> _Iterate:
+        """The same accelerations, with their forces, gradient and cost."""
+        cones = Cones.of(problem, now.residual)
+        force = cones.force(problem)
+        push = _einsum("prv,pr->pv", problem.jacobian, force.reshape(len(self._sides), -1))
+        push = _einsum("bs,sv->bv", self._sums, push.reshape(-1, 2, 6).swapaxes(0, 1).reshape(-1, 6))
+        cost = cones.cost(problem) + 0.5 * now.inertial @ (now.qacc - problem.smooth)
+        return now._replace(force=force, gradient=now.inertial - push.reshape(-1), cost=cost, cost_before=now.cost)
+
+    def _moved(self, problem: Problem, now: _Iterate) -> _Iterate:
+        """The next accelerations, from a line search along ``now.direction``."""
+        # between stiff contacts, the Hessian may have no Cholesky factor in float32; then the iterations end
+        valid = jnp.isfinite(now.direction).all()
+        now = now._replace(direction=jnp.where(valid, now.direction, 0.0))
+        inertial = _einsum("ij,j->i", problem.mass, now.direction)
+        way = self.along(problem, now.direction)
+        first = now.gradient @ now.direction
+        square = inertial @ now.direction
+        linear = now.inertial @ now.direction
+
+        def evaluated(before: _Search) -> _Search:
+            """The search after an evaluation: Newton's step within the bracket, or its middle."""
+            step = before.step
+            cones = Cones.of(problem, now.residual + step * way)
+            work = cones.force(problem) * way
+            slope = linear + step * square - work.sum()
+            # the cost, except for a constant
+            cost = cones.cost(problem) + step * (linear + 0.5 * step * square)
+            better = cost < before.cost
+            flat = jnp.abs(slope) <= ROUNDING * (jnp.abs(linear) + step * square + jnp.abs(work).sum())
+            gentle = jnp.abs(slope) <= -ENOUGH_SLOPE * first
+            # where the slope is negative, the cost has decreased, although rounding may hide it
+            ends = flat | (gentle & (better | (slope <= 0)))
+            low, high = jnp.where(slope < 0, step, before.low), jnp.where(slope < 0, before.high, step)
+            further = step - slope / (square + cones.bend(problem, way))
+            further = jnp.where((low < further) & (further < high), further, 0.5 * (low + high))
+            return _Search(
+                step=further,
+                best=jnp.where(better | ends, step, before.best),
+                cost=jnp.where(better, cost, before.cost),
+                low=low,
+                high=high,
+                evaluations=before.evaluations + 1,
+                ends=ends,
+            )
+
+        here = Cones.of(problem, now.residual)
+        step = -first / (square + here.bend(problem, way)) if self._conjugate else jnp.float32(1.0)
+        none = jnp.float32(0.0)
+        begin = _Search(step, none, here.cost(problem), none, jnp.float32(jnp.inf), jnp.int32(0), jnp.bool_(False))
+        goes_on = lambda search: ~search.ends & (search.evaluations < problem.evaluations)  # noqa: E731
+        step = jax.lax.while_loop(goes_on, evaluated, begin).best
+        moved = now._replace(
+            qacc=now.qacc + step * now.direction,
+            inertial=now.inertial + step * inertial,
+            residual=now.residual + step * way,
+            iterations=now.iterations + 1,
+        )
+        return self._valued(problem, moved)
+
+    def _hessian(
+        self, problem: Problem, curvature: Float[Array, "contact 3 3"]
+    ) -> Float[Array, "velocity velocity"]:
+        """M + Jᵀ·s″·J."""
+        pairs, n = len(self._sides), self._bodies
+        rows = problem.jacobian.reshape(-1, 3, 12)
+        bent = _einsum("crs,csv->crv", curvature, rows).reshape(problem.jacobian.shape)
+        blocks = _einsum("prv,prw->pvw", problem.jacobian, bent).reshape(pairs, 2, 6, 2, 6)
+        own = jnp.stack([blocks[:, 0, :, 0], blocks[:, 1, :, 1]]).reshape(-1, 36)
+        diagonal = _einsum("bs,sv->bv", self._sums, own)
+        coupling = jnp.pad(blocks[:, 0, :, 1], ((0, 1), (0, 0), (0, 0)))[self._couplings].sum(1)
+        parts = [diagonal.reshape(n, 6, 6), coupling, coupling.swapaxes(1, 2), jnp.zeros((1, 6, 6))]
+        full = jnp.concatenate(parts)[self._layout].swapaxes(1, 2).reshape(6 * n, 6 * n)
+        return problem.mass + full
+
+
+def _couplings(sides: NDArray[np.integer], bodies: int) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Where the blocks of the Hessian come from.
+
+    Returns:
+        Two tables. (coupling, k): the pairs of geoms of each pair of moving bodies; rows are filled up with the number
+        of pairs. (body, body): the block in the list of all bodies' own blocks, all couplings, all couplings
+        transposed, and a block of zeros.
+    """
+    pairs_by_bodies: dict[tuple[int, int], list[int]] = {}
+    for pair, (one, two) in enumerate(sides.tolist()):
+        if one < bodies and two < bodies:
+            assert one < two
+            pairs_by_bodies.setdefault((one, two), []).append(pair)
+    count = len(pairs_by_bodies)
+    table = np.full((count, max(map(len, pairs_by_bodies.values()), default=1)), len(sides))
+    layout = np.full((bodies, bodies), bodies + 2 * count)
+    np.fill_diagonal(layout, np.arange(bodies))
+    for row, ((one, two), some) in enumerate(pairs_by_bodies.items()):
+        table[row, : len(some)] = some
+        layout[one, two], layout[two, one] = bodies + row, bodies + count + row
+    return table, layout
