@@ -3,15 +3,19 @@
 from __future__ import annotations
 
 import math
+import threading
 import time
 from collections.abc import Iterator, Sequence
+from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, wait
+from contextlib import closing
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 
+from petmjx.common.machine import cpu_threads
 from petmjx.common.units import FloatArray
 from petmjx.engines.mjx.batch_step import PaddedModel
 from petmjx.engines.mjx.free_bodies import paths
@@ -31,7 +35,11 @@ from petmjx.world.free_bodies import FreeBodies
 from petmjx.world.job import ACCELERATION, Job
 
 MOST_WORLDS = 256
-"""Largest number of worlds in a batch if the user does not set ``lanes``."""
+"""Largest number of worlds in a batch on a GPU or another accelerator if the user does not set ``lanes``.
+
+On a CPU each world then is a batch of its own, and each CPU thread simulates a batch: XLA's instructions for a CPU take
+as long for each of eight worlds as for one, and worlds that do not wait for each other need fewer steps.
+"""
 
 FEWEST_WORLDS = 8
 """Smallest number of rows of a batch. Each number of rows needs its own program, which takes a minute to compile."""
@@ -70,6 +78,42 @@ class Program:
     chunk: Any
 
 
+class Phase(NamedTuple):
+    """A phase of a batch: its program, the kind of its excitation (None: placement), and the table of profiles."""
+
+    program: Program
+    drive: str | None
+    profiles: jax.Array
+
+
+@dataclass
+class Group:
+    """Jobs that can share a program.
+
+    Attributes:
+        indices: the jobs that are not in a batch yet.
+        capacity: number of boxes for which there is room.
+        profile_steps: number of steps of the longest profile.
+    """
+
+    indices: list[int]
+    capacity: int
+    profile_steps: int
+
+    @classmethod
+    def of(cls, jobs: Sequence[Job], indices: list[int]) -> Group:
+        """A group of stackable jobs."""
+        alike = [jobs[index] for index in indices]
+        steps = max(len(job.drive.excitation.samples) if job.drive else 0 for job in alike)
+        return cls(indices, round_up(max(job.scene.n_boxes for job in alike)), steps)
+
+    def take(self, most: int) -> list[int]:
+        """The jobs of the next batch, at most so many. Batches are of equal size, so that all can use one program."""
+        count = math.ceil(len(self.indices) / math.ceil(len(self.indices) / most))
+        some, self.indices = self.indices[:count], self.indices[count:]
+        return some
+
+
 MOST_KEPT = 16
 """Number of programs that a process keeps for later engines."""
 
@@ -95,6 +139,8 @@ class MjxJaxEngine(Engine):
     def __init__(self, lanes: int | None = None) -> None:
         set_up_jax()
         self.lanes = lanes or MOST_WORLDS
+        self._one_by_one = lanes is None and jax.default_backend() == "cpu"
+        self._counting = threading.Lock()
         self.programs: dict[ProgramKey, Program] = {}
         """The compiled programs that runs of this engine have used, by key."""
         self._running = RunLock(self.name)
@@ -110,7 +156,7 @@ class MjxJaxEngine(Engine):
 
     @says_at_hand
     def run(self, jobs: Sequence[Job], sim: Simulation, progress: Progress | None = None) -> Iterator[Outcome]:
-        """Simulate each job once. The outcomes of a batch are yielded together. If memory runs out, batches are halved.
+        """Simulate each job once. The outcomes of a batch are yielded together.
 
         Raises:
             RuntimeError: an earlier run of the same thread has not ended. (This run waits for runs of other threads.)
@@ -119,68 +165,91 @@ class MjxJaxEngine(Engine):
             return
         sim = without_skin(sim)
         progress = progress or Progress()
-        most = self.lanes
-        with self._running:
-            for alike in stackable_jobs(jobs):
-                capacity = round_up(max(jobs[index].scene.n_boxes for index in alike))
-                while alike:
-                    # batches of equal size, so that all can use one program
-                    batch_jobs = alike[: math.ceil(len(alike) / math.ceil(len(alike) / most))]
-                    room = min(max(padded_rows(len(batch_jobs)), FEWEST_WORLDS), most)
-                    rows, batch = np.arange(len(batch_jobs)), _load(jobs, batch_jobs, room, capacity, sim)
-                    if not self._simulate(batch, sim, progress):
-                        if most > 1:
-                            most = max(room // 2, 1)
-                            progress.message = f"out of device memory: trying again with {most} worlds at once"
-                            continue
-                        batch = _load(jobs, batch_jobs, room, capacity, sim)
-                        batch.give_up(rows, Flag.OUT_OF_MEMORY)
-                    picked = read_back(rows, batch.table, batch.worlds, sim)
-                    made = outcomes(picked, batch.jobs, batch_jobs, sim, batch.recorder)
-                    for count, outcome in enumerate(made, start=1):
-                        progress.at_hand = len(batch_jobs) - count
-                        yield outcome
-                    alike = alike[len(batch_jobs) :]
+        with self._running, closing(self._batches(jobs, sim, progress)) as batches:
+            for batch_jobs, batch in batches:
+                picked = read_back(np.arange(len(batch_jobs)), batch.table, batch.worlds, sim)
+                made = outcomes(picked, batch.jobs, batch_jobs, sim, batch.recorder)
+                for count, outcome in enumerate(made, start=1):
+                    progress.at_hand = len(batch_jobs) - count
+                    yield outcome
 
-    def _simulate(self, batch: Batch, sim: Simulation, progress: Progress) -> bool:
-        """Run a batch of stackable worlds to its end: first the placement, then the drive.
+    def _batches(self, jobs: Sequence[Job], sim: Simulation, progress: Progress) -> Iterator[tuple[list[int], Batch]]:
+        """The batches that have ended, with the indices of their jobs. If memory runs out, batches are halved.
 
-        Returns:
-            Whether device memory was sufficient. If not, compiled programs are dropped.
+        Batches run in threads of their own. Meanwhile, this thread loads the next batches and compiles their programs.
         """
-        job = batch.jobs[0]
-        try:
-            if not isinstance(job.start, State):
-                self._go_on(batch, sim, None, progress)
-            if job.drive is not None:
-                self._go_on(batch, sim, job.drive.excitation.kind, progress)
-        except Exception as error:
-            if not is_out_of_memory(error):
-                raise
-            self.programs.clear()
-            _kept.clear()
-            return False
-        return True
+        most, stop = 1 if self._one_by_one else self.lanes, threading.Event()
+        threads = cpu_threads() if self._one_by_one else 1
+        waiting = [Group.of(jobs, alike) for alike in stackable_jobs(jobs)]
+        running: dict[Future[None], tuple[Group, list[int], Batch]] = {}
+        with ThreadPoolExecutor(threads, self.name) as pool:
+            try:
+                while waiting or running:
+                    while waiting and len(running) < (2 * threads if self._one_by_one else 1):
+                        group = waiting[0]
+                        some = group.take(most)
+                        waiting = waiting if group.indices else waiting[1:]
+                        batch = _load(jobs, some, min(max(padded_rows(len(some)), FEWEST_WORLDS), most), group, sim)
+                        simulation: Future[None] = Future()
+                        try:
+                            phases = self._phases(batch, sim, progress)
+                            simulation = pool.submit(self._simulate, batch, phases, progress, stop)
+                        except Exception as error:
+                            simulation.set_exception(error)
+                        running[simulation] = group, some, batch
+                    for ended in wait(running, return_when=FIRST_COMPLETED).done:
+                        group, some, batch = running.pop(ended)
+                        if error := ended.exception():
+                            if not is_out_of_memory(error):
+                                raise error
+                            self.programs.clear()
+                            _kept.clear()
+                            room = len(batch.table.status)
+                            if most > 1:
+                                most = max(room // 2, 1)
+                                progress.message = f"out of device memory: trying again with {most} worlds at once"
+                                waiting = waiting if group.indices else [group, *waiting]
+                                group.indices = some + group.indices
+                                continue
+                            batch = _load(jobs, some, room, group, sim)
+                            batch.give_up(np.arange(len(some)), Flag.OUT_OF_MEMORY)
+                        yield some, batch
+            finally:
+                stop.set()
 
-    def _go_on(self, batch: Batch, sim: Simulation, drive: str | None, progress: Progress) -> None:
+    def _phases(self, batch: Batch, sim: Simulation, progress: Progress) -> list[Phase]:
+        """The phases of a batch of stackable worlds: first the placement, then the drive."""
+        job = batch.jobs[0]
+        drives: list[str | None] = [] if isinstance(job.start, State) else [None]
+        if job.drive is not None:
+            drives.append(job.drive.excitation.kind)
+        phases = []
+        for drive in drives:
+            # the placement needs no profiles; if it got their table, it would be compiled again for each shape of the
+            # table
+            profiles = jnp.zeros((1, 1, 3)) if drive is None else batch.profiles
+            phases.append(Phase(self._program(batch, sim, drive, profiles, progress), drive, profiles))
+        return phases
+
+    def _simulate(self, batch: Batch, phases: list[Phase], progress: Progress, stop: threading.Event) -> None:
         """Step the batch until no world is left in the placement or, with a drive, in the drive."""
-        # the placement needs no profiles; if it got their table, it would be compiled again for each shape of the table
-        profiles = jnp.zeros((1, 1, 3)) if drive is None else batch.profiles
-        program = self._program(batch, sim, drive, profiles, progress)
         worlds, capacity, _ = batch.worlds.half.shape
-        forces = program.model.no_forces(worlds)
-        going = (Status.RUNNING,) if drive is None else (Status.RUNNING, Status.SETTLED)
-        label = f"{'place' if drive is None else 'drive'} capacity {capacity}"
-        begin = time.perf_counter()
-        while running := int(np.isin(np.asarray(batch.table.status), going).sum()):
-            progress.message = f"{label}: {running} worlds running"
-            batch.table, forces, trail = program.chunk(batch.table, forces, batch.worlds, profiles)
-            if not batch.recorder.idle:
-                batch.recorder.add_trail(trail)
-            progress.world_steps += running * CHUNK_STEPS
-        spent = f"{label} seconds"
-        progress.extra[spent] = progress.extra.get(spent, 0) + time.perf_counter() - begin
-        progress.extra[f"{label} lanes"] = worlds
+        for program, drive, profiles in phases:
+            forces = program.model.no_forces(worlds)
+            going = (Status.RUNNING,) if drive is None else (Status.RUNNING, Status.SETTLED)
+            label = f"{'place' if drive is None else 'drive'} capacity {capacity}"
+            begin = time.perf_counter()
+            while not stop.is_set() and (running := int(np.isin(np.asarray(batch.table.status), going).sum())):
+                progress.message = f"{label}: {running} worlds running"
+                batch.table, forces, trail = program.chunk(batch.table, forces, batch.worlds, profiles)
+                if not batch.recorder.idle:
+                    batch.recorder.add_trail(trail)
+                with self._counting:
+                    progress.world_steps += running * CHUNK_STEPS
+            spent = f"{label} seconds"
+            with self._counting:
+                progress.extra[spent] = progress.extra.get(spent, 0) + time.perf_counter() - begin
+            progress.extra[f"{label} lanes"] = worlds
 
     def _program(
         self, batch: Batch, sim: Simulation, drive: str | None, profiles: jax.Array, progress: Progress
@@ -230,10 +299,10 @@ def stackable_jobs(jobs: Sequence[Job]) -> list[list[int]]:
     return [indices_by_key[key] for key in sorted(indices_by_key, key=lambda key: -key[0])]
 
 
-def _load(jobs: Sequence[Job], some: list[int], room: int, capacity: int, sim: Simulation) -> Batch:
-    """A batch of the jobs ``some``, with ``room`` rows and ``capacity`` boxes. Padding rows have already ended."""
-    timetable = build_timetable(sim, capacity)
-    batch = load([jobs[index] for index in some], room, capacity, sim, timetable)
+def _load(jobs: Sequence[Job], some: list[int], room: int, group: Group, sim: Simulation) -> Batch:
+    """A batch of the jobs ``some``, with ``room`` rows. Padding rows have already ended."""
+    timetable = build_timetable(sim, group.capacity)
+    batch = load([jobs[index] for index in some], room, group.capacity, sim, timetable, (0, group.profile_steps))
     status = np.array(batch.table.status)
     status[len(some) :] = Status.FINISHED
     batch.table = batch.table._replace(status=device_array(status))

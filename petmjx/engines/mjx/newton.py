@@ -126,9 +126,7 @@ class Cones(NamedTuple):
         sliding = mu**2 * along[:, :, None] * along[:, None] + mu * jnp.pad(bent, ((0, 0), (1, 0), (1, 0)))
         sliding = self.surface[:, None, None] * sliding
         sticking = jnp.eye(3)[None] * problem.stiffness[:, None]
-        return jnp.where(
-            self.sticks[:, None, None], sticking, jnp.where(self.slides[:, None, None], sliding, 0.0)
-        )
+        return jnp.where(self.sticks[:, None, None], sticking, jnp.where(self.slides[:, None, None], sliding, 0.0))
 
     def bend(self, problem: Problem, way: Rows) -> Scalar:
         """wᵀ·s″·w for a change w of the residuals."""
@@ -319,9 +317,7 @@ class BlockSolver:
         )
         return self._valued(problem, moved)
 
-    def _hessian(
-        self, problem: Problem, curvature: Float[Array, "contact 3 3"]
-    ) -> Float[Array, "velocity velocity"]:
+    def _hessian(self, problem: Problem, curvature: Float[Array, "contact 3 3"]) -> Float[Array, "velocity velocity"]:
         """M + Jᵀ·s″·J."""
         pairs, n = len(self._sides), self._bodies
         rows = problem.jacobian.reshape(-1, 3, 12)
