@@ -164,7 +164,7 @@ def test_contacts_in_mjx_jax_and_mujoco_are_alike() -> None:
         3, 1, physics, held=False, solver=SIM.solver, tolerance=1e-6, iterations=1, line_search_iterations=1
     )
     mjx_model, start = mjx.put_model(template, impl="jax"), mjx.make_data(template, impl="jax")
-    beds = JaxBeds(mjx_model, start, physics)
+    beds = JaxBeds(mjx_model, physics)
     worlds = upload_worlds([Job(scene)], 1, 3, {}, SIM)
 
     @jax.jit

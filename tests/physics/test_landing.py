@@ -17,9 +17,10 @@ from support.plans import Box, make_plan, make_scene, stack
 from benchmarks.landings import NEAR, landed
 from petmjx.common.errors import InputError
 from petmjx.common.units import STANDARD_GRAVITY
+from petmjx.engines.mjx.body_dynamics import Bodies, Links
 from petmjx.engines.mjx.landing import Landing, act
-from petmjx.engines.mjx.line_search import solve
 from petmjx.engines.mjx.mjx_import import mjx
+from petmjx.engines.mjx.newton import BlockSolver, Problem
 from petmjx.engines.mjx.padded_template import FLOAT32_TOLERANCE
 from petmjx.engines.mujoco.engine import MujocoEngine
 from petmjx.engines.mujoco.landing import Landings
@@ -147,6 +148,18 @@ def test_what_rests_is_the_same_with_the_law_of_landings() -> None:
     assert ends[0] == ends[1]
 
 
+def in_slots(contact: Any, links: Links) -> Any:
+    """C's contacts in the order of MJX's collider. Without a contact, a slot is padding."""
+    geoms = list(map(tuple, np.asarray(contact.geom).tolist()))
+    rows_of: dict[tuple[int, ...], list[int]] = {pair: [] for pair in geoms}
+    for row, pair in enumerate(geoms):
+        rows_of[pair].append(row)
+    padding = rows_of.pop((0, 0))
+    slots = [(rows_of.get(tuple(pair)) or padding).pop(0) for pair in links.geoms.tolist()]
+    assert not any(rows_of.values())
+    return jax.tree.map(lambda values: values[np.array(slots)], contact)
+
+
 def test_mjx_changes_contacts_as_c_does() -> None:
     """A corner that comes down on a box, the other one at rest; the next step, too."""
     sim = Simulation(physics={"restitution": 0.0, "skin_m": 0.0}, friction_pairs=PAPER, landing_pairs=[BOUNCY])
@@ -155,18 +168,22 @@ def test_mjx_changes_contacts_as_c_does() -> None:
     live.data.qvel[-6:] = (0.0, 0.0, -0.4, 1.0, 0.5, 0.0)
     model, data, landings = live.model, live.data, Landings(live.scene, sim)
     surface, table = jnp.array([0, 2, 1, 1]), jnp.asarray(filled_up_landings(live.scene.pair_landing))
+    device = mjx.put_model(model, impl="jax")
+    links = Links(device)
+    boxes = live.geom_bodies[links.geoms]
     state = Landing(jnp.zeros(2, jnp.int32), jnp.zeros((2, 6)), surface, table)
     for _ in range(2):
         mujoco.mj_step1(model, data)
-        fresh = mjx.put_data(model, data, impl="jax")
+        contact = in_slots(mjx.put_data(model, data, impl="jax")._impl.contact, links)
         at_rest, landing = data.efc_aref.copy(), state
         landings.act(live)
-        boxes = jnp.asarray(live.geom_bodies)[fresh._impl.contact.geom]
+        inputs = {name: jnp.asarray(getattr(data, name), jnp.float32) for name in ("qpos", "qvel")}
         with jax.numpy_rank_promotion("allow"):
-            changed, state = act(fresh, boxes, landing, sim)
-        active_rows = np.flatnonzero(np.asarray(fresh._impl.efc_J).any(axis=1))
+            rows = links.rows(Bodies.of(device, inputs), device, contact)
+            changed, state = act(rows, inputs["qvel"], boxes, contact, landing, links, sim)
+        active_rows = np.flatnonzero(np.asarray(changed.jacobian).reshape(-1, 12).any(axis=1))
         pulls, stiffness = (
-            np.sort(np.asarray(getattr(changed._impl, name))[active_rows]) for name in ("efc_aref", "efc_D")
+            np.sort(np.asarray(values).reshape(-1)[active_rows]) for values in (changed.pull, changed.stiffness)
         )
         np.testing.assert_allclose(pulls, np.sort(data.efc_aref), rtol=SAME_ROW, atol=SAME_ROW)
         np.testing.assert_allclose(stiffness, np.sort(data.efc_D), rtol=SAME_ROW)
@@ -191,7 +208,8 @@ SPHERE = """
 """A contact as in a landing: nearly hard, closing, and with next to no friction."""
 
 
-def test_mjx_stops_a_landing_wherever_its_solver_starts() -> None:
+@pytest.mark.parametrize("conjugate", [False, True])
+def test_mjx_stops_a_landing_wherever_its_solver_starts(conjugate: bool) -> None:
     """It starts above the answer, as in the second step of a landing; with ``mjx.solve`` half of these starts end up to
     5 m/s² off, since a root of a number that is rounded to less than 0 ends the line search (MJX 3.17)."""
     model = mujoco.MjModel.from_xml_string(SPHERE)
@@ -202,12 +220,17 @@ def test_mjx_stops_a_landing_wherever_its_solver_starts() -> None:
     starts = 1e-4 * np.random.default_rng(3).standard_normal((64, model.nv))
     starts[:, 2] += 1.5 * data.qacc[2]
     device = mjx.put_model(model, impl="jax").tree_replace({"opt.tolerance": jnp.float32(FLOAT32_TOLERANCE)})
-    fresh = mjx.put_data(model, data, impl="jax")
+    contact = mjx.put_data(model, data, impl="jax")._impl.contact
+    links = Links(device, contacts=1)
+    solver = BlockSolver(links, conjugate=conjugate)
+    bodies = Bodies.of(device, {name: jnp.asarray(getattr(data, name), jnp.float32) for name in ("qpos", "qvel")})
     with jax.numpy_rank_promotion("allow"):
-        accelerations = jax.jit(jax.vmap(lambda start: solve(device, fresh.replace(qacc_warmstart=start)).qacc))(
-            jnp.asarray(starts, jnp.float32)
-        )
-    np.testing.assert_allclose(accelerations, np.tile(data.qacc, (64, 1)), atol=SAME_ACCELERATION)
+        rows = links.rows(bodies, device, contact)
+    problem = Problem.of(device, bodies.mass, bodies.smooth(device, jnp.zeros((1, 6))), rows)
+    solved = jax.jit(jax.vmap(lambda start: solver.solve(problem, rows.pull, start)[0]))
+    np.testing.assert_allclose(
+        solved(jnp.asarray(starts, jnp.float32)), np.tile(data.qacc, (64, 1)), atol=SAME_ACCELERATION
+    )
 
 
 @pytest.mark.slow

@@ -10,10 +10,11 @@ import mujoco
 from jaxtyping import Array, Float
 
 from petmjx.engines.mjx.bed import Beds, Faces
+from petmjx.engines.mjx.body_dynamics import Bodies, Links
 from petmjx.engines.mjx.landing import Landing, act
 from petmjx.engines.mjx.mjx_import import mjx
-from petmjx.engines.mjx.newton import BlockSolver
-from petmjx.engines.mjx.padded_template import FLOAT32_TOLERANCE, MAX_ITERATIONS, contact_geoms, padded_template
+from petmjx.engines.mjx.newton import BlockSolver, Problem
+from petmjx.engines.mjx.padded_template import FLOAT32_TOLERANCE, MAX_ITERATIONS, padded_template
 from petmjx.engines.mjx.slip import SlipLaw
 from petmjx.engines.mjx.top_forces import contact_force_z, pressed_box
 from petmjx.options.physics import Cone
@@ -43,7 +44,10 @@ class StepResult(NamedTuple):
 
 
 class PaddedModel:
-    """Steps worlds of up to ``capacity`` boxes with the parts of ``mjx.step`` under ``vmap``.
+    """Steps worlds of up to ``capacity`` boxes under ``vmap``.
+
+    With elliptic cones, MJX finds the contacts, and the rest of the step is petmjx's own (body_dynamics.py, newton.py).
+    With pyramidal cones, all is done by the parts of ``mjx.step``.
 
     Model fields that differ between worlds are passed to each step. Contacts have fixed slots, so nothing can overflow.
 
@@ -72,19 +76,14 @@ class PaddedModel:
         self.capacity, self.held = capacity, held
         self.pyramidal = sim.physics.cone is Cone.PYRAMIDAL
         self.model: Any = mjx.put_model(template, impl="jax")
-        self._slip: SlipLaw | None = None
-        if not self.pyramidal:
-            solver = BlockSolver(self.model, contact_geoms(self.model), conjugate=sim.solver is Solver.CG)
-            self._slip = SlipLaw(sim.physics, solver, self._model_of)
         self.carrier, self.bodies = template.body(CARRIER_NAME).id, template.nbody
-        self._geom_bodies = jnp.asarray(geom_bodies(template, range(capacity)))
         self._data: Any = mjx.make_data(template, impl="jax")
-        self._physics, self._sim = sim.physics, sim
-        self._beds: Beds | None = None
-
-    def lay_beds(self) -> None:
-        """Allow compliant boxes from now on. Call this outside of compiled programs."""
-        self._beds = Beds(self.model, self._data, self._physics)
+        self._sim = sim
+        self._links = Links(self.model)
+        self._slip = SlipLaw(sim.physics, BlockSolver(self._links, conjugate=sim.solver is Solver.CG))
+        self._beds = Beds(self.model, sim.physics)
+        self._boxes = geom_bodies(template, range(capacity))[self._links.geoms]
+        """(contact, 2) the box to which each geom of a contact belongs; negative: no box"""
 
     def _model_of(self, fields: dict[str, jax.Array]) -> Any:
         """The model of one world."""
@@ -104,62 +103,75 @@ class PaddedModel:
     ) -> StepResult:
         """Simulate one step of all worlds.
 
+        Between stiff contacts, accelerations may become NaN in float32. Then those from which the solver started are
+        used, and the forces of the previous step.
+
         Args:
             fields: model fields that differ between worlds.
             inputs: fields of the data: qpos, qvel, qacc_warmstart, xfrc_applied, and the place of a held carrier.
             forces: constraint forces of the previous step.
-            faces: the faces of the geoms, needed for compliant boxes (``lay_beds``).
+            faces: the faces of the geoms, needed for compliant boxes.
             landing: the landing boxes, if a law of landing is in use.
         """
+        if self.pyramidal:
+            return self._step_of_mjx(fields, inputs, forces)
+        contact, height, bodies, problem, pull, landing = jax.vmap(self._ready)(fields, inputs, faces, landing)
+        start = inputs["qacc_warmstart"]
+        qacc, force = self._slip.solve(problem, pull, start)
+        lost = ~jnp.isfinite(qacc).all(-1, keepdims=True)
+        qacc, forces = jnp.where(lost, start, qacc), jnp.where(lost, forces, force.reshape(len(force), -1))
+        after = jax.vmap(lambda world, qacc: world.after(qacc, self._sim.physics.timestep_s))
+        qpos, qvel = after(bodies, qacc)
+        return StepResult(qpos, qvel, qacc, qacc, forces, self._top_force(contact, height, forces), landing)
 
-        def ready(
-            fields: dict[str, jax.Array], inputs: dict[str, jax.Array], faces: Faces | None, landing: Landing | None
-        ) -> tuple[Any, Landing | None]:
-            # These are the steps of mjx.forward up to the solver.
+    def _ready(
+        self, fields: dict[str, jax.Array], inputs: dict[str, jax.Array], faces: Faces | None, landing: Landing | None
+    ) -> tuple[Any, Float[Array, " geom"], Bodies, Problem, Float[Array, "contact 3"], Landing | None]:
+        """What the solver needs of one world: contacts, heights of geoms, bodies, the problem, and the reference
+        accelerations of contacts."""
+        model, links = self._model_of(fields), self._links
+        bodies = Bodies.of(model, inputs)
+        data = mjx.collision(model, self._data.replace(**links.geom_places(bodies, model, inputs)))
+        if faces is not None:
+            data = self._beds.pressed(data, faces)
+        contact, velocity = data._impl.contact, inputs["qvel"]
+        rows = links.rows(bodies, model, contact)
+        if landing is not None:
+            rows, landing = act(rows, velocity, self._boxes, contact, landing, links, self._sim)
+        rows = self._slip.with_friction(rows, velocity)
+        smooth = bodies.smooth(model, inputs["xfrc_applied"][-links.bodies :])
+        return contact, data.geom_xpos[:, 2], bodies, Problem.of(model, bodies.mass, smooth, rows), rows.pull, landing
+
+    def _step_of_mjx(
+        self,
+        fields: dict[str, Float[Array, "world ..."]],
+        inputs: dict[str, Float[Array, "world ..."]],
+        forces: Float[Array, "world constraint"],
+    ) -> StepResult:
+        """A step with the solver of MJX."""
+
+        def stepped(fields: dict[str, jax.Array], inputs: dict[str, jax.Array], forces: jax.Array) -> tuple[Any, Any]:
             model, data = self._model_of(fields), self._data.replace(**inputs)
-            if self._beds is None or faces is None:
-                data = mjx.fwd_position(model, data)
-            else:
-                data = self._beds.fwd_position(model, data, faces)
-            if landing is not None:
-                data, landing = act(data, self._geom_bodies[data._impl.contact.geom], landing, self._sim)
-            data = mjx.fwd_actuation(model, mjx.fwd_velocity(model, data))
-            return mjx.fwd_acceleration(model, data), landing
-
-        def ended(fields: dict[str, jax.Array], data: Any, forces: jax.Array) -> Any:
-            # Between stiff contacts, the solver's matrix may become NaN in float32. Then use the accelerations from
-            # which the solver started, and the forces of the previous step.
+            data = mjx.solve(model, mjx.fwd_acceleration(model, mjx.fwd_velocity(model, mjx.fwd_position(model, data))))
             lost = ~jnp.isfinite(data.qacc).all()
             qacc = jnp.where(lost, data.qacc_warmstart, data.qacc)
             forces = jnp.where(lost, forces, data._impl.efc_force)
-            ended_data = data.replace(qacc=qacc, qacc_warmstart=qacc).tree_replace({"_impl.efc_force": forces})
-            return mjx.euler(self._model_of(fields), ended_data)
+            return mjx.euler(model, data.replace(qacc=qacc, qacc_warmstart=qacc)), forces
 
-        data, landing = jax.vmap(ready)(fields, inputs, faces, landing)
-        if self._slip is not None:
-            data = self._slip.solve(fields, data)
-        else:
-            data = jax.vmap(lambda fields, data: mjx.solve(self._model_of(fields), data))(fields, data)
-        data = jax.vmap(ended)(fields, data, forces)
-        start, forces = data.qacc_warmstart, data._impl.efc_force
-        return StepResult(data.qpos, data.qvel, data.qacc, start, forces, self._top_force(data), landing)
+        data, forces = jax.vmap(stepped)(fields, inputs, forces)
+        top_force = self._top_force(data._impl.contact, data.geom_xpos[..., 2], forces)
+        return StepResult(data.qpos, data.qvel, data.qacc, data.qacc_warmstart, forces, top_force)
 
-    def _top_force(self, data: Any) -> Float[Array, "world box"]:
-        """Force that presses on each box's top in the step, N."""
-        contact = data._impl.contact
-        rows_per_contact = 4 if self.pyramidal else 3
-        geom = contact.geom[0]
-        # A contact has the same rows in every world. Inactive contacts have no force.
-        row = jnp.asarray(contact.efc_address)[:, None] + jnp.arange(rows_per_contact)
-        rows = data._impl.efc_force[:, row]
-        rows = jnp.pad(rows, ((0, 0), (0, 0), (0, 4 - rows_per_contact)))
+    def _top_force(
+        self, contact: Any, height: Float[Array, "world geom"], forces: Float[Array, "world constraint"]
+    ) -> Float[Array, "world box"]:
+        """Force that presses on each box's top in the step, N. ``height``: z of the geoms' centres, m."""
+        # a contact has the same rows in every world; inactive contacts have no force
+        rows = forces.reshape(len(forces), len(self._boxes), -1)
+        rows = jnp.pad(rows, ((0, 0), (0, 0), (0, 4 - rows.shape[-1])))
         force = contact_force_z(rows, contact.frame[..., 2], contact.friction[..., :2], pyramidal=self.pyramidal)
-        geom_z = data.geom_xpos[..., 2][:, geom]
-        body = jnp.broadcast_to(self._geom_bodies[geom], geom_z.shape)
+        geom_z = height[:, self._links.geoms]
+        body = jnp.broadcast_to(self._boxes, geom_z.shape)
         box, sign, counts = pressed_box(body, geom_z, contact.frame[..., 0, 2])
-        world = jnp.arange(len(force))[:, None]
-        return (
-            jnp.zeros((len(force), self.capacity))
-            .at[world, jnp.where(counts, box, self.capacity)]
-            .add(jnp.where(counts, sign * force, 0.0), mode="drop")
-        )
+        pressed = counts[..., None] & (box[..., None] == jnp.arange(self.capacity))
+        return jnp.where(pressed, (sign * force)[..., None], 0.0).sum(1)

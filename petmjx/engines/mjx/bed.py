@@ -15,7 +15,7 @@ import numpy as np
 from jaxtyping import Array, Bool, Float
 
 from petmjx.engines.mjx.compliance import spring_laws
-from petmjx.engines.mjx.mjx_import import mjx
+from petmjx.engines.mjx.padded_template import CONTACTS_PER_PAIR, contact_geoms
 from petmjx.engines.mjx.world_constants import Worlds
 from petmjx.options.physics import Physics
 from petmjx.world.compliance import EDGE_SHARE, FACE_COSINE, LEAST_SHARE, OUTWARD, POINTS_PER_BED
@@ -77,15 +77,13 @@ class Beds:
     """Replaces contacts of two faces, at least one of which is compliant, by contact points with the force and the
     moments of a bed of springs."""
 
-    def __init__(self, model: Any, data: Any, physics: Physics) -> None:
+    def __init__(self, model: Any, physics: Physics) -> None:
         self._physics = physics
-        # The geoms of a contact are the same in all steps. The program returns only them, so the compiler leaves out
-        # the collision itself.
-        geom = np.asarray(jax.jit(lambda model, data: mjx.collision(model, data)._impl.contact.geom)(model, data))
-        boxes = np.flatnonzero((np.asarray(model.geom_type)[geom] == mujoco.mjtGeom.mjGEOM_BOX).all(axis=1))
-        self._rows = boxes.reshape(-1, POINTS_PER_BED)  # rows of the contacts of each pair
-        self._geom = geom[self._rows[:, 0]]
-        assert (geom[self._rows] == self._geom[:, None]).all()
+        pairs = contact_geoms(model)
+        boxes = (np.asarray(model.geom_type)[pairs] == mujoco.mjtGeom.mjGEOM_BOX).all(axis=1)
+        self._geom = pairs[boxes]
+        self._rows = np.arange(len(pairs) * POINTS_PER_BED).reshape(-1, POINTS_PER_BED)[boxes]  # of each pair
+        assert POINTS_PER_BED == CONTACTS_PER_PAIR
 
     def pressed(self, data: Any, faces: Faces) -> Any:
         """The data after a collision, in which the contacts of beds replace those of the collider."""
@@ -118,13 +116,6 @@ class Beds:
             solimp=replaced(contact.solimp, solimp),
         )
         return data.tree_replace({"_impl.contact": contact})
-
-    def fwd_position(self, model: Any, data: Any, faces: Faces) -> Any:
-        """``mjx.fwd_position``, with beds."""
-        for part in (mjx.kinematics, mjx.com_pos, mjx.crb, mjx.factor_m, mjx.collision):
-            data = part(model, data)
-        data = self.pressed(data, faces)
-        return mjx.transmission(model, mjx.make_constraint(model, data))
 
 
 def _frame_of(normal: Float[Array, 3]) -> Float[Array, "3 3"]:

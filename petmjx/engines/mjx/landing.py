@@ -9,8 +9,10 @@ from __future__ import annotations
 from typing import Any, NamedTuple
 
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Float, Int
 
+from petmjx.engines.mjx.body_dynamics import ContactRows, Links, Velocities
 from petmjx.engines.mjx.world_constants import Worlds
 from petmjx.engines.mjx.world_state import State
 from petmjx.options.simulation import Simulation
@@ -34,22 +36,30 @@ class Landing(NamedTuple):
         return cls(state.landing_left, state.landing_qvel, surface, worlds.pair_landing)
 
 
-def act(data: Any, boxes: Int[Array, "contact 2"], landing: Landing, sim: Simulation) -> tuple[Any, Landing]:
-    """Change the contacts of landing boxes in one world's MJX data. Called between collision and solver.
+def act(
+    rows: ContactRows,
+    velocity: Velocities,
+    boxes: Int[np.ndarray, "contact 2"],
+    contact: Any,
+    landing: Landing,
+    links: Links,
+    sim: Simulation,
+) -> tuple[ContactRows, Landing]:
+    """Change the rows of landing boxes in one world. Called between collision and solver.
 
     Args:
+        velocity: velocities of all bodies (MuJoCo's qvel).
         boxes: the box to which each geom of a contact belongs; negative: no box.
+        contact: MJX's contacts.
 
     Returns:
-        The changed data and landings.
+        The changed rows and landings.
     """
     physics = sim.physics
-    rows, contact = data._impl, data._impl.contact
-    row = jnp.asarray(contact.efc_address)
     n = len(landing.left)
     place = jnp.where(boxes < 0, n, boxes)
-    jacobian, speeds = rows.efc_J[row], data.qvel[-6 * n :].reshape(n, 6)
-    closing = -jacobian @ data.qvel
+    speeds = velocity[-6 * n :].reshape(n, 6)
+    closing = -links.along(rows.jacobian, velocity)[:, 0]
     fast = jnp.broadcast_to((closing > FAST_M_S)[:, None], boxes.shape)
     hit = jnp.zeros(n, bool).at[place].max(fast, mode="drop")
     left = jnp.maximum(landing.left - 1, 0)
@@ -58,28 +68,24 @@ def act(data: Any, boxes: Int[Array, "contact 2"], landing: Landing, sim: Simula
     before = jnp.where(begins[:, None], speeds, landing.before)
     lands = jnp.pad(left > 0, (0, 1))[place].any(-1)
 
-    depth = rows.efc_margin[row] - rows.efc_pos[row]
     low, high, width = (contact.solimp[:, i] for i in range(3))
-    x = jnp.clip(jnp.abs(depth) / width, 0.0, 1.0)
+    x = jnp.clip(rows.depth / width, 0.0, 1.0)
     impedance = low + (high - low) * jnp.where(x <= 0.5, 2 * x**2, 1 - 2 * (1 - x) ** 2)
     stiffer = jnp.where((left > 0).any(), (1 - impedance) / impedance / ((1 - high) / high), 1.0)
-    three = row[:, None] + jnp.arange(3)
-    rows_d = rows.efc_D.at[three].multiply(stiffer[:, None])
 
-    old = data.qvel.at[-6 * n :].set(jnp.where((left > 0)[:, None], before, speeds).reshape(-1))
-    approach = -jacobian @ old
+    old = velocity.at[-6 * n :].set(jnp.where((left > 0)[:, None], before, speeds).reshape(-1))
+    approach = -links.along(rows.jacobian, old)[:, 0]
     usual, step_s = jnp.array([physics.restitution, physics.landing_s]), physics.timestep_s
-    surface = landing.surface[contact.geom]
+    surface = landing.surface[links.geoms]
     of_pair = landing.pair[surface[:, 0], surface[:, 1]]
     share, landing_s = jnp.where(of_pair == USUAL, usual[None], of_pair).T
     fall = jnp.abs(contact.frame[:, 0, 2]) * physics.gravity_m_s2
-    energy = jnp.maximum((share * approach) ** 2 + 2 * fall * (depth - AT_REST * physics.solimp[2]), 0.0)
+    energy = jnp.maximum((share * approach) ** 2 + 2 * fall * (rows.depth - AT_REST * physics.solimp[2]), 0.0)
     opening = jnp.where(share > 0, jnp.sqrt((fall * step_s / 2) ** 2 + energy) - fall * step_s / 2, 0.0)
     enough = (closing + opening) / step_s
     most = (1 + share) * approach / landing_s
     rigid = contact.solimp[:, 1] >= physics.solimp[1] * (1 - 1e-6)
     acts = lands & rigid & (approach > FAST_M_S) & (enough > 0)
-    pulls = rows.efc_aref.at[row].set(jnp.where(acts, jnp.minimum(enough, most), rows.efc_aref[row]))
-    return data.tree_replace({"_impl.efc_aref": pulls, "_impl.efc_D": rows_d}), landing._replace(
-        left=left, before=before
-    )
+    pull = rows.pull.at[:, 0].set(jnp.where(acts, jnp.minimum(enough, most), rows.pull[:, 0]))
+    changed = rows._replace(pull=pull, stiffness=rows.stiffness * stiffer[:, None])
+    return changed, landing._replace(left=left, before=before)

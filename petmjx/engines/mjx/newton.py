@@ -13,7 +13,6 @@ run over pairs of geoms, which have four contacts each, and the line search ends
 
 from __future__ import annotations
 
-from functools import partial
 from typing import Any, Final, NamedTuple
 
 import jax
@@ -23,7 +22,7 @@ from jax.scipy.linalg import cho_factor, cho_solve
 from jaxtyping import Array, Bool, Float, Int
 from numpy.typing import NDArray
 
-from petmjx.engines.mjx.mjx_import import mjx
+from petmjx.engines.mjx.body_dynamics import TINY, ContactRows, Links, Rows, Velocities, einsum
 
 ENOUGH_SLOPE: Final = 0.1
 """The line search ends where the cost's derivative is at most this share of its initial value, as on mjx-warp
@@ -32,21 +31,14 @@ ENOUGH_SLOPE: Final = 0.1
 ROUNDING: Final = 8 * float(np.finfo(np.float32).eps)
 """A derivative counts as zero if it is at most this share of the sum of its terms' magnitudes."""
 
-_TINY: Final = 1e-15
-"""MuJoCo's smallest divisor (mjMINVAL)."""
-
-_einsum = partial(jnp.einsum, precision=jax.lax.Precision.HIGHEST)  # by default, GPUs round factors to 10 bits
-
 Scalar = Float[Array, ""]
-Velocities = Float[Array, " velocity"]
-Rows = Float[Array, "contact 3"]
 
 
 class Problem(NamedTuple):
     """What the solver needs of one world. The rows of a contact are its normal and its two tangents.
 
     Attributes:
-        mass: the mass matrix.
+        mass: the diagonal of the mass matrix.
         smooth: accelerations without contacts.
         jacobian: derivatives of the rows of each pair of geoms by the velocities of its two bodies.
         stiffness: inverse regularisation of each row (MuJoCo's efc_D).
@@ -56,7 +48,7 @@ class Problem(NamedTuple):
         iterations, evaluations: largest number of iterations, and of evaluations in a line search.
     """
 
-    mass: Float[Array, "velocity velocity"]
+    mass: Velocities
     smooth: Velocities
     jacobian: Float[Array, "pair row 12"]
     stiffness: Rows
@@ -65,6 +57,21 @@ class Problem(NamedTuple):
     least: Scalar
     iterations: Int[Array, ""]
     evaluations: Int[Array, ""]
+
+    @classmethod
+    def of(cls, model: Any, mass: Velocities, smooth: Velocities, rows: ContactRows) -> Problem:
+        """The problem of a world with these contacts, and with the options of its MJX model."""
+        return cls(
+            mass=mass,
+            smooth=smooth,
+            jacobian=rows.jacobian,
+            stiffness=rows.stiffness,
+            sliding=rows.sliding,
+            mu=rows.sliding[:, 0] / jnp.sqrt(model.opt.impratio),
+            least=model.opt.tolerance * mass.sum(),
+            iterations=model.opt.iterations,
+            evaluations=model.opt.ls_iterations,
+        )
 
 
 class Cones(NamedTuple):
@@ -98,10 +105,10 @@ class Cones(NamedTuple):
             residual=residual,
             sticks=sticks,
             slides=~sticks & (normal < mu * speed),
-            slip=problem.sliding * tangent / jnp.maximum(speed, _TINY)[:, None],
+            slip=problem.sliding * tangent / jnp.maximum(speed, TINY)[:, None],
             speed=speed,
             gap=normal - mu * speed,
-            surface=problem.stiffness[:, 0] / jnp.maximum(mu**2 * (1 + mu**2), _TINY),
+            surface=problem.stiffness[:, 0] / jnp.maximum(mu**2 * (1 + mu**2), TINY),
         )
 
     def cost(self, problem: Problem) -> Scalar:
@@ -122,7 +129,7 @@ class Cones(NamedTuple):
         along = jnp.concatenate([jnp.ones_like(self.speed)[:, None], -self.slip], axis=1)
         # second derivative of ``speed``
         turn = jnp.eye(2)[None] * (problem.sliding**2)[:, None] - self.slip[:, :, None] * self.slip[:, None]
-        bent = -(self.gap / jnp.maximum(self.speed, _TINY))[:, None, None] * turn
+        bent = -(self.gap / jnp.maximum(self.speed, TINY))[:, None, None] * turn
         sliding = mu**2 * along[:, :, None] * along[:, None] + mu * jnp.pad(bent, ((0, 0), (1, 0), (1, 0)))
         sliding = self.surface[:, None, None] * sliding
         sticking = jnp.eye(3)[None] * problem.stiffness[:, None]
@@ -133,7 +140,7 @@ class Cones(NamedTuple):
         tangent = problem.sliding * way[:, 1:]
         closing = way[:, 0] - (self.slip * way[:, 1:]).sum(-1)
         across = (tangent**2).sum(-1) - (self.slip * way[:, 1:]).sum(-1) ** 2
-        bent = -problem.mu * self.gap / jnp.maximum(self.speed, _TINY) * across
+        bent = -problem.mu * self.gap / jnp.maximum(self.speed, TINY) * across
         sliding = self.surface * ((problem.mu * closing) ** 2 + bent)
         spring = (problem.stiffness * way**2).sum(-1)
         return jnp.where(self.sticks, spring, jnp.where(self.slides, sliding, 0.0)).sum()
@@ -174,46 +181,15 @@ class BlockSolver:
     """Finds the accelerations and contact forces of one world; for use under ``jax.vmap``.
 
     Args:
-        model: the MJX model of all worlds. Bodies are free or do not move, and all contacts have three rows.
-        geoms: the geoms of each pair, in the order of MJX's contacts.
+        links: the bodies of all contacts.
         conjugate: whether to use conjugate gradients instead of Newton's method.
     """
 
-    def __init__(self, model: Any, geoms: NDArray[np.integer], *, conjugate: bool) -> None:
-        self._conjugate = conjugate
-        self._bodies = n = int(model.nv) // 6
-        block_of_body = np.where(model.body_dofnum > 0, model.body_dofadr // 6, n)
-        self._sides = block_of_body[np.asarray(model.geom_bodyid)[geoms]]
-        """(pair, 2) numbers of moving bodies; a body that does not move has the number of all moving bodies"""
-        self._sums = np.float32(self._sides.T.reshape(-1)[None] == np.arange(n)[:, None])
+    def __init__(self, links: Links, *, conjugate: bool) -> None:
+        self.links, self._conjugate = links, conjugate
+        self._sums = np.float32(links.sides.T.reshape(-1)[None] == np.arange(links.bodies)[:, None])
         """(body, side · pair) sums over the pairs of each body, in a fixed order"""
-        self._couplings, self._layout = _couplings(self._sides, n)
-
-    def problem(self, model: Any, data: Any) -> Problem:
-        """The problem of a world, from its MJX model and from data that are ready for the solver."""
-        rows, pairs = data._impl, len(self._sides)
-        jacobian = rows.efc_J.reshape(pairs, -1, self._bodies, 6)
-        jacobian = jnp.pad(jacobian, ((0, 0), (0, 0), (0, 1), (0, 0)))
-        jacobian = jacobian[np.arange(pairs)[:, None], :, self._sides].swapaxes(1, 2)
-        mass = mjx.full_m(model, data)
-        sliding = rows.contact.friction[:, :2]
-        return Problem(
-            mass=mass,
-            smooth=data.qacc_smooth,
-            jacobian=jacobian.reshape(pairs, -1, 12),
-            stiffness=rows.efc_D.reshape(-1, 3),
-            sliding=sliding,
-            mu=sliding[:, 0] / jnp.sqrt(model.opt.impratio),
-            least=model.opt.tolerance * jnp.trace(mass),
-            iterations=model.opt.iterations,
-            evaluations=model.opt.ls_iterations,
-        )
-
-    def along(self, problem: Problem, velocities: Velocities) -> Rows:
-        """J·v: how the rows of all contacts change with these velocities, or accelerations."""
-        of_bodies = jnp.pad(velocities.reshape(-1, 6), ((0, 1), (0, 0)))
-        of_pairs = of_bodies[self._sides].reshape(-1, 12)
-        return _einsum("prv,pv->pr", problem.jacobian, of_pairs).reshape(-1, 3)
+        self._couplings, self._layout = _couplings(links.sides, links.bodies)
 
     def solve(self, problem: Problem, pull: Rows, start: Velocities) -> tuple[Velocities, Rows, Rows]:
         """The accelerations, the contact forces (N), and the residuals J·a − pull (m/s²).
@@ -227,7 +203,6 @@ class BlockSolver:
         """
         begin, smooth = (self._begin(problem, pull, qacc) for qacc in (start, problem.smooth))
         begin = jax.tree.map(lambda a, b: jnp.where(begin.cost < smooth.cost, a, b), begin, smooth)
-        factor = cho_factor(problem.mass, lower=True) if self._conjugate else None
 
         def goes_on(now: _Iterate) -> Bool[Array, ""]:
             steep = jnp.sqrt(now.gradient @ now.gradient) >= problem.least
@@ -235,13 +210,13 @@ class BlockSolver:
             return (now.iterations < problem.iterations) & better & steep
 
         def improve(now: _Iterate) -> _Iterate:
-            if factor is None:
+            if not self._conjugate:
                 curvature = Cones.of(problem, now.residual).curvature(problem)
                 hessian = cho_factor(self._hessian(problem, curvature), lower=True)
                 return self._moved(problem, now._replace(direction=-cho_solve(hessian, now.gradient)))
             # Polak and Ribière: a share of the last direction, which is zero in the first iteration
-            scaled = cho_solve(factor, now.gradient)
-            share = now.gradient @ (scaled - now.scaled) / jnp.maximum(now.scaled_square, _TINY)
+            scaled = now.gradient / problem.mass
+            share = now.gradient @ (scaled - now.scaled) / jnp.maximum(now.scaled_square, TINY)
             direction = jnp.maximum(share, 0.0) * now.direction - scaled
             square = now.gradient @ scaled
             return self._moved(problem, now._replace(direction=direction, scaled=scaled, scaled_square=square))
@@ -250,8 +225,8 @@ class BlockSolver:
         return end.qacc, end.force, end.residual
 
     def _begin(self, problem: Problem, pull: Rows, qacc: Velocities) -> _Iterate:
-        none, inertial = jnp.zeros_like(qacc), _einsum("ij,j->i", problem.mass, qacc - problem.smooth)
-        residual = self.along(problem, qacc) - pull
+        none, inertial = jnp.zeros_like(qacc), problem.mass * (qacc - problem.smooth)
+        residual = self.links.along(problem.jacobian, qacc) - pull
         start = _Iterate(
             qacc, inertial, residual, residual, none, jnp.inf, jnp.inf, jnp.int32(0), none, none, jnp.float32(0.0)
         )
@@ -261,8 +236,8 @@ class BlockSolver:
         """The same accelerations, with their forces, gradient and cost."""
         cones = Cones.of(problem, now.residual)
         force = cones.force(problem)
-        push = _einsum("prv,pr->pv", problem.jacobian, force.reshape(len(self._sides), -1))
-        push = _einsum("bs,sv->bv", self._sums, push.reshape(-1, 2, 6).swapaxes(0, 1).reshape(-1, 6))
+        push = einsum("prv,pr->pv", problem.jacobian, force.reshape(len(self.links.sides), -1))
+        push = einsum("bs,sv->bv", self._sums, push.reshape(-1, 2, 6).swapaxes(0, 1).reshape(-1, 6))
         cost = cones.cost(problem) + 0.5 * now.inertial @ (now.qacc - problem.smooth)
         return now._replace(force=force, gradient=now.inertial - push.reshape(-1), cost=cost, cost_before=now.cost)
 
@@ -271,8 +246,8 @@ class BlockSolver:
         # between stiff contacts, the Hessian may have no Cholesky factor in float32; then the iterations end
         valid = jnp.isfinite(now.direction).all()
         now = now._replace(direction=jnp.where(valid, now.direction, 0.0))
-        inertial = _einsum("ij,j->i", problem.mass, now.direction)
-        way = self.along(problem, now.direction)
+        inertial = problem.mass * now.direction
+        way = self.links.along(problem.jacobian, now.direction)
         first = now.gradient @ now.direction
         square = inertial @ now.direction
         linear = now.inertial @ now.direction
@@ -319,16 +294,16 @@ class BlockSolver:
 
     def _hessian(self, problem: Problem, curvature: Float[Array, "contact 3 3"]) -> Float[Array, "velocity velocity"]:
         """M + Jᵀ·s″·J."""
-        pairs, n = len(self._sides), self._bodies
+        pairs, n = len(self.links.sides), self.links.bodies
         rows = problem.jacobian.reshape(-1, 3, 12)
-        bent = _einsum("crs,csv->crv", curvature, rows).reshape(problem.jacobian.shape)
-        blocks = _einsum("prv,prw->pvw", problem.jacobian, bent).reshape(pairs, 2, 6, 2, 6)
+        bent = einsum("crs,csv->crv", curvature, rows).reshape(problem.jacobian.shape)
+        blocks = einsum("prv,prw->pvw", problem.jacobian, bent).reshape(pairs, 2, 6, 2, 6)
         own = jnp.stack([blocks[:, 0, :, 0], blocks[:, 1, :, 1]]).reshape(-1, 36)
-        diagonal = _einsum("bs,sv->bv", self._sums, own)
+        diagonal = einsum("bs,sv->bv", self._sums, own)
         coupling = jnp.pad(blocks[:, 0, :, 1], ((0, 1), (0, 0), (0, 0)))[self._couplings].sum(1)
         parts = [diagonal.reshape(n, 6, 6), coupling, coupling.swapaxes(1, 2), jnp.zeros((1, 6, 6))]
         full = jnp.concatenate(parts)[self._layout].swapaxes(1, 2).reshape(6 * n, 6 * n)
-        return problem.mass + full
+        return jnp.diag(problem.mass) + full
 
 
 def _couplings(sides: NDArray[np.integer], bodies: int) -> tuple[NDArray[np.int64], NDArray[np.int64]]:

@@ -35,8 +35,6 @@ class BatchRollout:
 
     def __init__(self, rules: Rules, model: PaddedModel, gives: bool = False, wraps: bool = False) -> None:
         self.rules, self.model, self.gives, self.wraps = rules, model, gives, wraps
-        if gives:
-            model.lay_beds()
 
     def compiled(
         self,

@@ -2,41 +2,36 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from typing import Any
 
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float
 
-from petmjx.engines.mjx.newton import BlockSolver, Problem, Rows, Velocities
+from petmjx.engines.mjx.body_dynamics import ContactRows, Rows, Velocities
+from petmjx.engines.mjx.newton import BlockSolver, Problem
 from petmjx.options.physics import Physics
 from petmjx.world.contact_laws import ENOUGH_M_S2, MOST_ROUNDS, RELAXATION, STICKS_M_S, kinetic_share, slack_m_s2
 
 
 class SlipLaw:
-    """The law of sliding contacts, for elliptic cones. Rows of open contacts are zeros and stay zeros.
+    """The law of sliding contacts, for elliptic cones. Rows of open contacts are zeros and stay zeros."""
 
-    Args:
-        model_of: function that returns a world's model, given its fields.
-    """
-
-    def __init__(self, physics: Physics, solver: BlockSolver, model_of: Callable[[Any], Any]) -> None:
+    def __init__(self, physics: Physics, solver: BlockSolver) -> None:
         self._slack = slack_m_s2(physics)
         self._kinetic = kinetic_share(physics)
         self._solver = solver
-        self._model_of = model_of
 
-    def solve(self, fields: Any, data: Any) -> Any:
-        """The data of all worlds, with the solver's accelerations and forces. All worlds are solved again as long as
-        contacts in any world need another round.
+    def solve(
+        self, problem: Problem, pull: Float[Array, "world contact 3"], start: Float[Array, "world velocity"]
+    ) -> tuple[Float[Array, "world velocity"], Float[Array, "world contact 3"]]:
+        """The accelerations and the contact forces (N). All worlds are solved again as long as contacts in any world
+        need another round.
 
         Args:
-            fields: fields of the model, for each world.
-            data: MJX's data, for each world, ready for the solver.
+            problem, pull, start: see ``BlockSolver.solve``, for each world.
         """
-        problem, pull = jax.vmap(self._problem)(fields, data)
-        excess, slides = jax.vmap(self._begin)(problem, pull, data.qacc_warmstart)
+        excess, slides = jax.vmap(self._begin)(problem, pull, start)
 
         def goes_on(carry: tuple[Any, ...]) -> Any:
             rounds, needs_round = carry[:2]
@@ -48,18 +43,17 @@ class SlipLaw:
             excess = jnp.where(matters[:, None], excess + RELAXATION * change, excess)
             return rounds + 1, matters.any(), excess, qacc, force
 
-        first: tuple[Any, ...] = (jnp.int32(0), jnp.bool_(False), excess, data.qacc_warmstart, jnp.zeros_like(pull))
+        first: tuple[Any, ...] = (jnp.int32(0), jnp.bool_(False), excess, start, jnp.zeros_like(pull))
         *_, qacc, force = jax.lax.while_loop(goes_on, again, first)
-        return data.replace(qacc=qacc).tree_replace({"_impl.efc_force": force.reshape(len(force), -1)})
+        return qacc, force
 
-    def _problem(self, fields: Any, data: Any) -> tuple[Problem, Rows]:
-        """One world's problem, with the friction of sliding contacts reduced, and its reference accelerations."""
-        problem = self._solver.problem(self._model_of(fields), data)
-        if self._kinetic != 1:
-            slip = _tangent(self._solver.along(problem, data.qvel))
-            share = 1.0 - (1.0 - self._kinetic) * jnp.clip(slip / STICKS_M_S - 1.0, 0.0, 1.0)
-            problem = problem._replace(sliding=problem.sliding * share[:, None], mu=problem.mu * share)
-        return problem, data._impl.efc_aref.reshape(-1, 3)
+    def with_friction(self, rows: ContactRows, velocity: Velocities) -> ContactRows:
+        """One world's rows, with the friction of sliding contacts reduced."""
+        if self._kinetic == 1:
+            return rows
+        slip = _tangent(self._solver.links.along(rows.jacobian, velocity))
+        share = 1.0 - (1.0 - self._kinetic) * jnp.clip(slip / STICKS_M_S - 1.0, 0.0, 1.0)
+        return rows._replace(sliding=rows.sliding * share[:, None])
 
     def _round(
         self,
@@ -82,7 +76,7 @@ class SlipLaw:
     ) -> tuple[Float[Array, " contact"], Bool[Array, " contact"]]:
         """The initial excess of one world's contacts, m/s², and whether each of them slides."""
         most = _tangent(pull) - self._slack
-        beyond = _tangent(self._solver.along(problem, start) - pull) - self._slack
+        beyond = _tangent(self._solver.links.along(problem.jacobian, start) - pull) - self._slack
         return jnp.clip(beyond, 0.0, jnp.maximum(most, 0.0)), most > 0
 
 
