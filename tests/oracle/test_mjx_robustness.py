@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+import threading
 from dataclasses import replace
 from typing import Any
 
@@ -21,7 +22,7 @@ from petmjx.engines.protocol import Progress
 from petmjx.engines.verdict import Flag, Outcome, Reason, Verdict
 from petmjx.options.simulation import Simulation
 from petmjx.world.history import Record
-from petmjx.world.job import Job
+from petmjx.world.job import ACCELERATION, Drive, Excitation, Job
 
 SHORT = Simulation(interval_s=0.3, sample_interval_s=0.05)
 MARKED_KG = 13.0
@@ -64,6 +65,36 @@ def test_no_number_is_invalid_and_harms_no_other_world(healthy: list[Outcome]) -
             assert outcome.n_steps < expected.n_steps
         else:
             assert_same(outcome, expected)  # bit for bit: tolerances are 0
+
+
+# ---------------------------------------------------------------------- threads of a CPU
+
+
+@pytest.fixture
+def one_by_one(monkeypatch: pytest.MonkeyPatch) -> FakeEngine:
+    """As by default on a CPU, on any device."""
+    engine = FakeEngine()
+    monkeypatch.setattr(engine, "_one_by_one", True)
+    return engine
+
+
+def test_worlds_one_by_one_are_the_same_and_share_programs(one_by_one: FakeEngine) -> None:
+    jobs = [Job(fake_scene(*masses)) for masses in ([1.0], [60.0, 1.0], [2.0, 1.0, 60.0])]
+    for k, samples in ((0, 100), (2, 900)):
+        excitation = Excitation(f"profile of {samples}", ACCELERATION, np.zeros((samples, 3)))
+        jobs[k] = replace(jobs[k], drive=Drive(excitation, rest_s=0.1))
+    outcomes = run_all(one_by_one, jobs, SHORT)
+    for outcome, expected in zip(outcomes, run_all(FakeEngine(1), jobs, SHORT), strict=True):
+        assert_same(outcome, expected)
+    assert {(key.worlds, key.drive) for key in one_by_one.programs} == {(1, None), (1, ACCELERATION)}
+    assert len(one_by_one.programs) == 2, "profiles of any length share one"
+
+
+def test_a_run_that_is_closed_leaves_no_thread(one_by_one: FakeEngine) -> None:
+    run = one_by_one.run(JOBS, SHORT)
+    next(run)
+    run.close()
+    assert not [thread.name for thread in threading.enumerate() if thread.name.startswith(one_by_one.name)]
 
 
 # ---------------------------------------------------------------------- memory

@@ -12,6 +12,7 @@ import jax.numpy as jnp
 import mujoco
 import numpy as np
 import pytest
+from support.contact_slots import in_slots
 from support.plans import Box, make_plan, make_scene, stack
 
 from benchmarks.landings import NEAR, landed
@@ -146,18 +147,6 @@ def test_what_rests_is_the_same_with_the_law_of_landings() -> None:
         (outcome,) = MujocoEngine(1).run([Job(make_scene(stack(4, kg=6.0), sim))], sim)
         ends.append((outcome.n_steps, outcome.boxes.pos.tolist(), outcome.boxes.rest_top_force_n.tolist()))
     assert ends[0] == ends[1]
-
-
-def in_slots(contact: Any, links: Links) -> Any:
-    """C's contacts in the order of MJX's collider. Without a contact, a slot is padding."""
-    geoms = list(map(tuple, np.asarray(contact.geom).tolist()))
-    rows_of: dict[tuple[int, ...], list[int]] = {pair: [] for pair in geoms}
-    for row, pair in enumerate(geoms):
-        rows_of[pair].append(row)
-    padding = rows_of.pop((0, 0))
-    slots = [(rows_of.get(tuple(pair)) or padding).pop(0) for pair in links.geoms.tolist()]
-    assert not any(rows_of.values())
-    return jax.tree.map(lambda values: values[np.array(slots)], contact)
 
 
 def test_mjx_changes_contacts_as_c_does() -> None:
