@@ -9,7 +9,7 @@ from collections.abc import Sequence
 from contextlib import suppress
 from typing import NoReturn
 
-from petmjx.common.processes import collect_rarely
+from petmjx.common.processes import claim_process, collect_rarely
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -33,6 +33,7 @@ def command() -> NoReturn:
     longer when programs of a GPU were loaded. So the process exits without freeing this memory; functions registered
     with ``atexit`` are still called. The garbage collector searches for cycles only rarely.
     """
+    claim_process()
     collect_rarely()
     code = main()
     atexit._run_exitfuncs()

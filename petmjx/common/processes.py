@@ -15,6 +15,8 @@ from typing import Final, TypeVar
 
 from petmjx.common.machine import cpu_threads
 
+_is_command = False
+
 
 def process_pool(processes: int, *, gpu: bool = True, nice: int = 0) -> ProcessPoolExecutor:
     """A pool of newly started processes. Forked processes would hang if a thread of this process held a lock.
@@ -117,6 +119,18 @@ EVERY: Final = (50_000, 20, 100)
 """Thresholds of Python's garbage collector: the number of new objects before it collects the youngest generation, and
 the number of collections before it collects each older one. With the default of 700, 10 and 10 it would scan all
 objects of JAX and Warp again and again while they start."""
+
+
+def claim_process() -> None:
+    """State that this process runs nothing but the command ``petmjx``."""
+    global _is_command
+    _is_command = True
+
+
+def is_command() -> bool:
+    """Whether this process runs nothing but the command ``petmjx``. Then no other code depends on modules and settings
+    that the whole process shares."""
+    return _is_command
 
 
 def collect_rarely() -> None:

@@ -1,7 +1,10 @@
-"""``mujoco.mjx``, imported without its message.
+"""``mujoco.mjx``, imported without its message, and by the command ``petmjx`` without Warp.
 
 If Warp is not installed, MJX prints a message to standard output (3.17: in ``mujoco/mjx/warp/__init__.py``). The engine
 mjx-jax does not need Warp, and a program may read standard output as JSON.
+
+If Warp is installed, MJX imports it with all its kernels, which takes 1.7 of 2.7 s. A process that runs nothing but the
+command does without them. In other processes, MJX might be used with Warp later.
 """
 
 from __future__ import annotations
@@ -13,7 +16,10 @@ from importlib.machinery import ModuleSpec, PathFinder, SourceFileLoader
 from types import ModuleType
 from typing import Any
 
+from petmjx.common.processes import is_command
+
 _PRINTS = "mujoco.mjx.warp"
+_WARP = ("warp", "mujoco.mjx.third_party.mujoco_warp")
 
 
 class _SilentLoader(SourceFileLoader):
@@ -28,9 +34,14 @@ class _SilentLoader(SourceFileLoader):
 
 
 class _SilentFinder(MetaPathFinder):
-    """Finds only the module that prints the message."""
+    """Finds only the module that prints the message. ``hides_warp``: whether Warp counts as not installed."""
+
+    def __init__(self, hides_warp: bool) -> None:
+        self._hides_warp = hides_warp
 
     def find_spec(self, fullname: str, path: Any, target: ModuleType | None = None) -> ModuleSpec | None:
+        if self._hides_warp and fullname in _WARP:
+            raise ModuleNotFoundError(fullname)
         # ``path`` is a list of folders, or an iterable made by importlib
         spec = PathFinder.find_spec(fullname, path) if fullname == _PRINTS else None
         if spec is None or not isinstance(spec.loader, SourceFileLoader):
@@ -40,7 +51,7 @@ class _SilentFinder(MetaPathFinder):
 
 
 def _import_mjx() -> Any:
-    finder = _SilentFinder()
+    finder = _SilentFinder(is_command() and "warp" not in sys.modules)
     sys.meta_path.insert(0, finder)
     try:
         return importlib.import_module("mujoco.mjx")
