@@ -60,11 +60,11 @@ def test_bodies_and_rows_are_those_of_mjx(ranks_may_differ: None) -> None:
         contacts = (rows.contact.geom, rows.efc_J, rows.efc_D, rows.efc_aref, rows.efc_margin - rows.efc_pos)
         smooth = bodies.smooth(model, inputs["xfrc_applied"][-links.bodies :])
         places = links.geom_places(bodies, model, inputs)
-        own = (places["geom_xpos"], places["geom_xmat"], smooth, *bodies.after(qacc, template.opt.timestep))
-        return of_mjx, own, contacts, links.rows(bodies, model, rows.contact)
+        computed = (places["geom_xpos"], places["geom_xmat"], smooth, *bodies.after(qacc, template.opt.timestep))
+        return of_mjx, computed, contacts, links.rows(bodies, model, rows.contact)
 
-    of_mjx, own, (geoms, jacobian, stiffness, pull, depth), rows = both(inputs)
-    for expected, values in zip(of_mjx, own, strict=True):
+    of_mjx, computed, (geoms, jacobian, stiffness, pull, depth), rows = both(inputs)
+    for expected, values in zip(of_mjx, computed, strict=True):
         np.testing.assert_allclose(values, expected, rtol=ROUNDING, atol=ROUNDING)
     np.testing.assert_array_equal(links.geoms, geoms)
     np.testing.assert_array_equal(contact_geoms(model), geoms[::4])
@@ -86,7 +86,7 @@ def test_the_solver_finds_the_accelerations_and_forces_of_c() -> None:
     model, data = world.model, world.data
     device = mjx.put_model(model, impl="jax").tree_replace({"opt.tolerance": jnp.float32(FLOAT32_TOLERANCE)})
     links = Links(device)
-    solver, at_rest = BlockSolver(links, conjugate=False), data.qacc.copy()
+    solver, at_rest = BlockSolver(links), data.qacc.copy()
 
     @jax.jit
     def solved(inputs: dict[str, jax.Array], contact: Any) -> tuple[jax.Array, jax.Array]:

@@ -19,7 +19,7 @@ from support.plans import make_plan as make_plan
 
 LANES = 8
 MOST_BOXES = 4
-"""A step costs as lanes × boxes⁴ on a CPU (MJX multiplies dense matrices of all candidate contacts)."""
+"""A step costs as lanes × boxes² on a CPU: all pairs of boxes may touch."""
 
 MORE: dict[str, tuple[Box, ...]] = {
     "uneven pile": (

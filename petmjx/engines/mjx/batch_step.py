@@ -75,12 +75,14 @@ class PaddedModel:
         template.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_EULERDAMP
         self.capacity, self.held = capacity, held
         self.pyramidal = sim.physics.cone is Cone.PYRAMIDAL
+        # runs simulate worlds with the solver cg on mujoco (petmjx/engines/attempts.py)
+        assert self.pyramidal or sim.solver is Solver.NEWTON
         self.model: Any = mjx.put_model(template, impl="jax")
         self.carrier, self.bodies = template.body(CARRIER_NAME).id, template.nbody
         self._data: Any = mjx.make_data(template, impl="jax")
         self._sim = sim
         self._links = Links(self.model)
-        self._slip = SlipLaw(sim.physics, BlockSolver(self._links, conjugate=sim.solver is Solver.CG))
+        self._slip = SlipLaw(sim.physics, BlockSolver(self._links))
         self._beds = Beds(self.model, sim.physics)
         self._boxes = geom_bodies(template, range(capacity))[self._links.geoms]
         """(contact, 2) the box to which each geom of a contact belongs; negative: no box"""
@@ -120,8 +122,7 @@ class PaddedModel:
         qacc, force = self._slip.solve(problem, pull, start)
         lost = ~jnp.isfinite(qacc).all(-1, keepdims=True)
         qacc, forces = jnp.where(lost, start, qacc), jnp.where(lost, forces, force.reshape(len(force), -1))
-        after = jax.vmap(lambda world, qacc: world.after(qacc, self._sim.physics.timestep_s))
-        qpos, qvel = after(bodies, qacc)
+        qpos, qvel = jax.vmap(lambda bodies, qacc: bodies.after(qacc, self._sim.physics.timestep_s))(bodies, qacc)
         return StepResult(qpos, qvel, qacc, qacc, forces, self._top_force(contact, height, forces), landing)
 
     def _ready(

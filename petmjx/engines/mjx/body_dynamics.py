@@ -169,8 +169,8 @@ def _springs(
 ) -> tuple[Float[Array, " contact"], Rows, Float[Array, " contact"]]:
     """Stiffness along the normal (1/s²), damping of each row (1/s), and impedance of contacts. Source: MuJoCo's
     documentation, "Modeling", section "Solver parameters"."""
-    own = (contact.solreffriction != 0).any(-1, keepdims=True)
-    tangent = jnp.where(own, contact.solreffriction, contact.solref)
+    differs = (contact.solreffriction != 0).any(-1, keepdims=True)
+    tangent = jnp.where(differs, contact.solreffriction, contact.solref)
     law = jnp.stack([contact.solref, tangent, tangent], axis=1)
     low, high = (jnp.clip(contact.solimp[:, i], mujoco.mjMINIMP, mujoco.mjMAXIMP) for i in range(2))
     time, ratio = jnp.maximum(law[..., 0], 2 * timestep_s), law[..., 1]

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import threading
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Generator, Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, wait
 from contextlib import closing
 from dataclasses import dataclass
@@ -173,7 +173,9 @@ class MjxJaxEngine(Engine):
                     progress.at_hand = len(batch_jobs) - count
                     yield outcome
 
-    def _batches(self, jobs: Sequence[Job], sim: Simulation, progress: Progress) -> Iterator[tuple[list[int], Batch]]:
+    def _batches(
+        self, jobs: Sequence[Job], sim: Simulation, progress: Progress
+    ) -> Generator[tuple[list[int], Batch], None, None]:
         """The batches that have ended, with the indices of their jobs. If memory runs out, batches are halved.
 
         Batches run in threads of their own. Meanwhile, this thread loads the next batches and compiles their programs.
@@ -199,9 +201,9 @@ class MjxJaxEngine(Engine):
                         running[simulation] = group, some, batch
                     for ended in wait(running, return_when=FIRST_COMPLETED).done:
                         group, some, batch = running.pop(ended)
-                        if error := ended.exception():
-                            if not is_out_of_memory(error):
-                                raise error
+                        if (failure := ended.exception()) is not None:
+                            if not (isinstance(failure, Exception) and is_out_of_memory(failure)):
+                                raise failure
                             self.programs.clear()
                             _kept.clear()
                             room = len(batch.table.status)

@@ -148,8 +148,7 @@ class Cones(NamedTuple):
 
 class _Iterate(NamedTuple):
     """State of the solver: accelerations, M·(a − a₀), residuals, forces, gradient, and cost now and before the last
-    iteration. Conjugate gradients also need the last direction, M⁻¹ · the last gradient, and the product of both
-    gradients."""
+    iteration."""
 
     qacc: Velocities
     inertial: Velocities
@@ -159,9 +158,6 @@ class _Iterate(NamedTuple):
     cost: Scalar
     cost_before: Scalar
     iterations: Int[Array, ""]
-    direction: Velocities
-    scaled: Velocities
-    scaled_square: Scalar
 
 
 class _Search(NamedTuple):
@@ -182,13 +178,12 @@ class BlockSolver:
 
     Args:
         links: the bodies of all contacts.
-        conjugate: whether to use conjugate gradients instead of Newton's method.
     """
 
-    def __init__(self, links: Links, *, conjugate: bool) -> None:
-        self.links, self._conjugate = links, conjugate
+    def __init__(self, links: Links) -> None:
+        self.links = links
         self._sums = np.float32(links.sides.T.reshape(-1)[None] == np.arange(links.bodies)[:, None])
-        """(body, side · pair) sums over the pairs of each body, in a fixed order"""
+        """(body, side · pair) 1 where a body is this side of the pair: a product sums over the pairs of each body"""
         self._couplings, self._layout = _couplings(links.sides, links.bodies)
 
     def solve(self, problem: Problem, pull: Rows, start: Velocities) -> tuple[Velocities, Rows, Rows]:
@@ -210,26 +205,19 @@ class BlockSolver:
             return (now.iterations < problem.iterations) & better & steep
 
         def improve(now: _Iterate) -> _Iterate:
-            if not self._conjugate:
-                curvature = Cones.of(problem, now.residual).curvature(problem)
-                hessian = cho_factor(self._hessian(problem, curvature), lower=True)
-                return self._moved(problem, now._replace(direction=-cho_solve(hessian, now.gradient)))
-            # Polak and Ribière: a share of the last direction, which is zero in the first iteration
-            scaled = now.gradient / problem.mass
-            share = now.gradient @ (scaled - now.scaled) / jnp.maximum(now.scaled_square, TINY)
-            direction = jnp.maximum(share, 0.0) * now.direction - scaled
-            square = now.gradient @ scaled
-            return self._moved(problem, now._replace(direction=direction, scaled=scaled, scaled_square=square))
+            curvature = Cones.of(problem, now.residual).curvature(problem)
+            hessian = cho_factor(self._hessian(problem, curvature), lower=True)
+            direction = -cho_solve(hessian, now.gradient)
+            # between stiff contacts, the Hessian may have no Cholesky factor in float32; then the iterations end
+            return self._moved(problem, now, jnp.where(jnp.isfinite(direction).all(), direction, 0.0))
 
         end = jax.lax.while_loop(goes_on, improve, begin)
         return end.qacc, end.force, end.residual
 
     def _begin(self, problem: Problem, pull: Rows, qacc: Velocities) -> _Iterate:
-        none, inertial = jnp.zeros_like(qacc), problem.mass * (qacc - problem.smooth)
         residual = self.links.along(problem.jacobian, qacc) - pull
-        start = _Iterate(
-            qacc, inertial, residual, residual, none, jnp.inf, jnp.inf, jnp.int32(0), none, none, jnp.float32(0.0)
-        )
+        inertial, unknown = problem.mass * (qacc - problem.smooth), jnp.float32(jnp.inf)
+        start = _Iterate(qacc, inertial, residual, residual, inertial, unknown, unknown, jnp.int32(0))
         return self._valued(problem, start)
 
     def _valued(self, problem: Problem, now: _Iterate) -> _Iterate:
@@ -241,16 +229,12 @@ class BlockSolver:
         cost = cones.cost(problem) + 0.5 * now.inertial @ (now.qacc - problem.smooth)
         return now._replace(force=force, gradient=now.inertial - push.reshape(-1), cost=cost, cost_before=now.cost)
 
-    def _moved(self, problem: Problem, now: _Iterate) -> _Iterate:
-        """The next accelerations, from a line search along ``now.direction``."""
-        # between stiff contacts, the Hessian may have no Cholesky factor in float32; then the iterations end
-        valid = jnp.isfinite(now.direction).all()
-        now = now._replace(direction=jnp.where(valid, now.direction, 0.0))
-        inertial = problem.mass * now.direction
-        way = self.links.along(problem.jacobian, now.direction)
-        first = now.gradient @ now.direction
-        square = inertial @ now.direction
-        linear = now.inertial @ now.direction
+    def _moved(self, problem: Problem, now: _Iterate, direction: Velocities) -> _Iterate:
+        """The next accelerations, from a line search along ``direction``."""
+        inertial, way = problem.mass * direction, self.links.along(problem.jacobian, direction)
+        first = now.gradient @ direction
+        square = inertial @ direction
+        linear = now.inertial @ direction
 
         def evaluated(before: _Search) -> _Search:
             """The search after an evaluation: Newton's step within the bracket, or its middle."""
@@ -278,14 +262,15 @@ class BlockSolver:
                 ends=ends,
             )
 
-        here = Cones.of(problem, now.residual)
-        step = -first / (square + here.bend(problem, way)) if self._conjugate else jnp.float32(1.0)
-        none = jnp.float32(0.0)
-        begin = _Search(step, none, here.cost(problem), none, jnp.float32(jnp.inf), jnp.int32(0), jnp.bool_(False))
-        goes_on = lambda search: ~search.ends & (search.evaluations < problem.evaluations)  # noqa: E731
+        def goes_on(search: _Search) -> Bool[Array, ""]:
+            return ~search.ends & (search.evaluations < problem.evaluations)
+
+        none, one = jnp.float32(0.0), jnp.float32(1.0)
+        cost = Cones.of(problem, now.residual).cost(problem)
+        begin = _Search(one, none, cost, none, jnp.float32(jnp.inf), jnp.int32(0), jnp.bool_(False))
         step = jax.lax.while_loop(goes_on, evaluated, begin).best
         moved = now._replace(
-            qacc=now.qacc + step * now.direction,
+            qacc=now.qacc + step * direction,
             inertial=now.inertial + step * inertial,
             residual=now.residual + step * way,
             iterations=now.iterations + 1,
@@ -298,8 +283,8 @@ class BlockSolver:
         rows = problem.jacobian.reshape(-1, 3, 12)
         bent = einsum("crs,csv->crv", curvature, rows).reshape(problem.jacobian.shape)
         blocks = einsum("prv,prw->pvw", problem.jacobian, bent).reshape(pairs, 2, 6, 2, 6)
-        own = jnp.stack([blocks[:, 0, :, 0], blocks[:, 1, :, 1]]).reshape(-1, 36)
-        diagonal = einsum("bs,sv->bv", self._sums, own)
+        of_sides = jnp.stack([blocks[:, 0, :, 0], blocks[:, 1, :, 1]]).reshape(-1, 36)
+        diagonal = einsum("bs,sv->bv", self._sums, of_sides)
         coupling = jnp.pad(blocks[:, 0, :, 1], ((0, 1), (0, 0), (0, 0)))[self._couplings].sum(1)
         parts = [diagonal.reshape(n, 6, 6), coupling, coupling.swapaxes(1, 2), jnp.zeros((1, 6, 6))]
         full = jnp.concatenate(parts)[self._layout].swapaxes(1, 2).reshape(6 * n, 6 * n)
