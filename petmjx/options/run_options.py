@@ -173,7 +173,7 @@ class RunOptions(CheckedRecord):
         None,
         ge=1,
         description="worlds that are simulated at once: with mjx-warp one per thread block, by default as many as "
-        "fit on the device; with mjx-jax one batch, by default up to 256",
+        "fit on the device; with mjx-jax one batch, by default up to 256, on a CPU one world per thread",
     )
     world_timeout_s: Annotated[float | None, within(0, 1e9), CliFlag("--world-timeout", "S")] = Field(
         None,

@@ -75,7 +75,7 @@ def simulate(engine: Engine, some: dict[str, Scene], sim: Simulation) -> dict[st
 
 @functools.cache
 def jax_engine() -> MjxJaxEngine:
-    """The one engine of the session: its programs take half a minute to compile."""
+    """The one engine of the session: its programs take ten seconds to compile."""
     return MjxJaxEngine(LANES)
 
 
