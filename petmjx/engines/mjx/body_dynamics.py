@@ -90,7 +90,7 @@ class ContactRows(NamedTuple):
         sliding: coefficients of sliding friction.
     """
 
-    jacobian: Float[Array, "pair row 12"]
+    jacobian: Float[Array, "pair constraint 12"]
     stiffness: Rows
     pull: Rows
     depth: Float[Array, " contact"]
@@ -131,7 +131,7 @@ class Links:
         place, turn = place[self._body_of_geom], turn[self._body_of_geom]
         return {"geom_xpos": place + einsum("gij,gj->gi", turn, model.geom_pos), "geom_xmat": turn}
 
-    def along(self, jacobian: Float[Array, "pair row 12"], velocities: Velocities) -> Rows:
+    def along(self, jacobian: Float[Array, "pair constraint 12"], velocities: Velocities) -> Rows:
         """How all rows change with these velocities, or accelerations."""
         of_bodies = jnp.pad(velocities.reshape(-1, 6), ((0, 1), (0, 0)))
         of_pairs = of_bodies[self.sides].reshape(-1, 12)
@@ -152,7 +152,9 @@ class Links:
             jacobian, 1 / soft, pull.at[:, 0].add(stiffness * impedance * depth), depth, contact.friction[:, :2]
         )
 
-    def _jacobian(self, bodies: Bodies, contact: Any, closed: Bool[Array, " contact"]) -> Float[Array, "pair row 12"]:
+    def _jacobian(
+        self, bodies: Bodies, contact: Any, closed: Bool[Array, " contact"]
+    ) -> Float[Array, "pair constraint 12"]:
         sides = self._contact_sides
         place = jnp.pad(bodies.place, ((0, 1), (0, 0)))[sides]
         turn = jnp.pad(bodies.turn, ((0, 1), (0, 0), (0, 0)))[sides]

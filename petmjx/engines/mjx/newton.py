@@ -50,7 +50,7 @@ class Problem(NamedTuple):
 
     mass: Velocities
     smooth: Velocities
-    jacobian: Float[Array, "pair row 12"]
+    jacobian: Float[Array, "pair constraint 12"]
     stiffness: Rows
     sliding: Float[Array, "contact 2"]
     mu: Float[Array, " contact"]
