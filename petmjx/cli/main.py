@@ -69,10 +69,11 @@ _COMMANDS = {
     "samples": "Write packing plans with BED-BPP's statistics.",
     "label": "Label placements by physics, to train models with.",
     "export": "Write the MuJoCo model of one plan.",
+    "warm-up": "Compile all kernels now, so that no run waits for them.",
     "doctor": "Show versions, devices and which engines work here.",
 }
-"""Names of a command, of its module in this package, and of its function in that module → what the command does, for
-the list of commands."""
+"""Names of commands → what each command does, for the list of commands. Its module in this package, and its function in
+that module, have the same name, with underscores."""
 
 
 def application(words: Sequence[str] = ()) -> typer.Typer:
@@ -93,7 +94,8 @@ def application(words: Sequence[str] = ()) -> typer.Typer:
     # Options before the command take no values, so the first other word is the command.
     command = next((word for word in words if not word.startswith("-")), "")
     for name in (command,) if command in _COMMANDS else _COMMANDS:
-        function = getattr(importlib.import_module(f"petmjx.cli.{name}"), name)
+        module = name.replace("-", "_")
+        function = getattr(importlib.import_module(f"petmjx.cli.{module}"), module)
         app.command(name, cls=SectionedCommand, short_help=_COMMANDS[name])(as_typed(function))
     return app
 

@@ -25,6 +25,10 @@ PACKAGES = ("mujoco", "mujoco-mjx", "jax", "jaxlib", "warp-lang", "numpy", "pand
 
 _NAME_BYTES = 128
 
+_ATTRIBUTES = (75, 76, 97)
+"""Attributes of a device in CUDA's driver (``CUdevice_attribute``): compute capability, major and minor, and the
+largest shared memory of a block that opts in."""
+
 _PREALLOCATE = "XLA_PYTHON_CLIENT_PREALLOCATE"
 _STARTING_JAX = threading.Lock()
 
@@ -72,6 +76,23 @@ def cuda_devices() -> tuple[str, ...]:
             driver.cuDeviceGetName(name, _NAME_BYTES, device)
         names.append(name.value.decode(errors="replace") or "unknown CUDA device")
     return tuple(names)
+
+
+@functools.cache
+def cuda_limits() -> tuple[int, int] | None:
+    """Two numbers of the first CUDA device: its compute capability times ten, such as 90, and the largest shared memory
+    of a thread block, bytes. None if there is no device, or if the driver does not answer."""
+    if not cuda_devices():
+        return None
+    driver, device = ctypes.CDLL("libcuda.so.1"), ctypes.c_int(0)
+    values = [ctypes.c_int(0) for _ in _ATTRIBUTES]
+    if driver.cuDeviceGet(ctypes.byref(device), 0) != 0:
+        return None
+    for value, attribute in zip(values, _ATTRIBUTES, strict=True):
+        if driver.cuDeviceGetAttribute(ctypes.byref(value), attribute, device) != 0:
+            return None
+    major, minor, shared_bytes = (value.value for value in values)
+    return 10 * major + minor, shared_bytes
 
 
 def jax_devices(platform: str | None = None) -> list[Any]:

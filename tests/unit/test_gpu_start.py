@@ -31,7 +31,8 @@ def started(monkeypatch: pytest.MonkeyPatch) -> threading.Event:
     event = threading.Event()
     monkeypatch.setattr(run_engine, "cuda_devices", lambda: ("a GPU",))
     monkeypatch.setattr(run_engine, "start_gpu", lambda: None)
-    monkeypatch.setattr(run_engine, "compile_ahead", lambda sim: event.set())
+    monkeypatch.setattr(run_engine, "begin_builds", lambda sim: None)
+    monkeypatch.setattr(run_engine, "compile_ahead", lambda sim, builds: event.set())
     return event
 
 

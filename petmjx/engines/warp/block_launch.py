@@ -22,7 +22,7 @@ from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor, wait
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
-from typing import Any, Final
+from typing import Any, Final, Protocol
 
 import warp as wp
 
@@ -215,6 +215,23 @@ def size_for(n_boxes: int) -> Size:
     return next(size for size in SIZES if n_boxes <= size.most_boxes)
 
 
+class DeviceLimits(Protocol):
+    """The properties of a device that decide about launches. Warp's devices have them.
+
+    Attributes:
+        is_cuda: whether the device is a GPU.
+        sm_count: number of multiprocessors.
+        max_shared_memory_per_block: largest shared memory of a block, bytes.
+    """
+
+    @property
+    def is_cuda(self) -> bool: ...
+    @property
+    def sm_count(self) -> int: ...
+    @property
+    def max_shared_memory_per_block(self) -> int: ...
+
+
 @dataclass(frozen=True)
 class Launch:
     """The execution configuration of a launch, and the sizes and features for which its kernel is compiled.
@@ -268,10 +285,20 @@ class Launch:
 
     @classmethod
     def of(
-        cls, size: Size, hands: bool = False, gives: bool = False, wraps: bool = False, lands: bool = False
+        cls,
+        size: Size,
+        hands: bool = False,
+        gives: bool = False,
+        wraps: bool = False,
+        lands: bool = False,
+        device: DeviceLimits | None = None,
     ) -> Launch:
-        """The launch for blocks of this size. If a GPU's shared memory is too small, blocks have fewer worlds."""
-        device = wp.get_device()
+        """The launch for blocks of this size. If a GPU's shared memory is too small, blocks have fewer worlds.
+
+        Args:
+            device: the device for which the kernel is compiled; None: Warp's current device.
+        """
+        device = device or wp.get_device()
         if not device.is_cuda:
             return cls(1, 1, 1, 0, most_panels(MAX_BOXES), hands, gives, wraps, lands=lands)
         panels = most_panels(size.most_boxes)
@@ -280,9 +307,8 @@ class Launch:
         if size.worlds > 1:
             room = most - TILE_BYTES * size.threads - size.worlds * newton_bytes
             if room < 0:
-                return cls.of(
-                    replace(size, threads=size.threads // 2, worlds=size.worlds // 2), hands, gives, wraps, lands
-                )
+                half = replace(size, threads=size.threads // 2, worlds=size.worlds // 2)
+                return cls.of(half, hands, gives, wraps, lands, device)
             words = min(size.shared_bytes, room) // size.worlds // (4 * PANEL**2) * PANEL**2
         else:
             words = min(size.shared_bytes, most - newton_bytes) // 4

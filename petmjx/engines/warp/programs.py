@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import functools
+import threading
 import time
 from threading import Lock
 from typing import Any
@@ -18,6 +19,7 @@ from petmjx.engines.mjx.timetable import Timetable
 from petmjx.engines.mjx.world_constants import Worlds
 from petmjx.engines.mjx.world_state import NEVER, State, of_flat
 from petmjx.engines.protocol import Progress
+from petmjx.engines.subprocess.kernel_builds import KernelBuilds
 from petmjx.engines.warp.block_launch import USUAL, Launch, load_kernels
 from petmjx.engines.warp.kernel_launcher import BlockPool, KernelLauncher
 from petmjx.engines.warp.small_world_blocks import small_world_queues
@@ -173,13 +175,21 @@ _COMPILING = Lock()
 once."""
 
 
-def load_usual_kernels(sim: Simulation) -> None:
+def load_usual_kernels(sim: Simulation, builds: KernelBuilds | None = None) -> None:
     """Compile the kernels that most runs with these options need, or load them from Warp's cache, before the plans are
-    known. Plans with compliant boxes, film, or many boxes need other kernels. Without a GPU, nothing is compiled."""
+    known. Plans with compliant boxes, film, or many boxes need other kernels. Without a GPU, nothing is compiled.
+
+    Args:
+        builds: processes that compile these kernels. The cache has the kernels when the processes have answered.
+    """
     if not wp.get_device().is_cuda:
         return
     hands, lands = not sim.placing.appears, sim.physics.has_landings
     with _COMPILING:
+        for _ in builds.answers() if builds is not None else ():
+            pass
+        if not threading.main_thread().is_alive():
+            return  # the program ends, and needs no kernels any more
         load_kernels([Launch.of(size, hands, lands=lands) for size in USUAL])
 
 
