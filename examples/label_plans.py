@@ -18,13 +18,14 @@ import petmjx
 
 
 def labels(results: petmjx.RunResults) -> pd.DataFrame:
-    """plan_id, stands (0 or 1, or a share), margin, and the first box to fail. Plans without an answer are left out."""
+    """A table of labels, one row per plan: plan_id, stands (0 or 1, or a share), margin, and the first box to fail.
+    Plans without a verdict are left out."""
     worlds = results.worlds
     nominal = worlds[worlds["variant"] == 0] if "variant" in worlds else worlds
     known = nominal[nominal["verdict"] != "invalid"]
     table = known[["plan_id", "margin", "reason", "culprit", "first_sign_s"]].copy()
     table.insert(1, "stands", (known["verdict"] == "stable").astype(float))
-    if results.summary is not None:  # of a run with confidence
+    if results.summary is not None:  # a run with --confidence
         table["stands"] = table["plan_id"].map(results.summary.set_index("plan_id")["share"]).astype(float)
     return table
 

@@ -41,12 +41,12 @@ from petmjx.packers.policy_network import Network
 from petmjx.plans.order_generator import stream
 
 STREAM = 105
-"""Random numbers of the search."""
+"""Key of the random numbers of the search."""
 
 
 @dataclass(frozen=True)
 class Plan:
-    """Settings of a training. The weights depend on these values alone."""
+    """Settings of a training. The weights depend only on these values."""
 
     seed: int
     updates: int
@@ -67,11 +67,12 @@ class Plan:
 
 @dataclass(frozen=True)
 class State:
-    """A training after some generations.
+    """State of a training after some generations.
 
     Attributes:
-        taste, head: the networks; of the first one the linear weights are searched.
-        search: where candidates are drawn.
+        taste, head: the networks for scores and for stability; the search changes the linear weights of the first
+            network.
+        search: the distribution from which candidates are drawn.
     """
 
     taste: Network
@@ -80,16 +81,16 @@ class State:
 
     @property
     def update(self) -> int:
-        """Generations so far."""
+        """Number of generations so far."""
         return int(self.search.count)
 
     @property
     def policy(self) -> Policy:
-        """The published weights: the middle of the candidates."""
+        """The policy with the weights that are published: the mean of the candidates' distribution."""
         return Policy(self.taste, self.head).with_linear(self.search.mean)
 
     def save(self, path: Path) -> None:
-        """Write it whole or not at all."""
+        """Write the state to a file, completely or not at all."""
         arrays = {**self.taste.arrays("taste"), **self.head.arrays("head"), **self.search.arrays}
         with path.with_suffix(".part").open("wb") as file:
             np.savez(file, allow_pickle=False, **arrays)
@@ -97,7 +98,7 @@ class State:
 
     @classmethod
     def load(cls, path: Path) -> State:
-        """Read it."""
+        """Read a state from a file."""
         with np.load(path, allow_pickle=False) as file:
             arrays = dict(file)
         search = Search(**{name: arrays[name] for name in Search.__dataclass_fields__})
@@ -105,13 +106,13 @@ class State:
 
 
 class Training:
-    """A training in a folder, with processes that pack."""
+    """A training in a folder. It packs orders in several processes."""
 
     def __init__(self, plan: Plan, out: Path, pool: ProcessPoolExecutor, labeller: Labeller) -> None:
         self.plan, self.out, self._pool, self._labeller = plan, out, pool, labeller
 
     def run(self, deadline: float, save_every: int) -> State:
-        """All stages, except finished ones."""
+        """Run all stages of the training that are not finished."""
         path, plan = self.out / "state.npz", self.plan
         if path.exists():
             state = State.load(path)
@@ -137,7 +138,7 @@ class Training:
         return self._ended(state)
 
     def _ended(self, state: State) -> State:
-        """The head at the end knows all labels, also those that are still coming."""
+        """The final state, whose head is fitted to all labels, including labels that are still being collected."""
         rounds = min(-(-state.update // self.plan.relabel), self.plan.rounds)
         if rounds:
             self._publish(state)
@@ -155,9 +156,9 @@ class Training:
     # ------------------------------------------------------------------ stages
 
     def _head(self, rounds: int, deadline: float) -> Network:
-        """The head, fitted to the labels of the first rounds."""
+        """The head, fitted to the labels of the first ``rounds`` rounds."""
         labels = self._labeller.labels(rounds, deadline - time.monotonic())
-        # in a process with one thread: sums do not depend on the machine's load
+        # in a process with one thread, so that sums do not depend on the load of the machine
         head, calibration = self._pool.submit(fit, labels, self.plan.seed, self.plan.fit_steps).result()
         (self.out / f"calibration-{rounds - 1}.json").write_text(json.dumps(calibration, indent=1))
         for placements, said in calibration.items():
@@ -166,7 +167,7 @@ class Training:
         return head
 
     def _begun(self) -> State:
-        """A policy that acts like the rule, with a head that believes that all placements stand."""
+        """The first state: a policy that acts like the rule, with a head that estimates that all placements stand."""
         row_blocks = list(self._pool.map(partial(spread, seed=self.plan.seed), range(self.plan.measured), chunksize=1))
         taste = self._pool.submit(scaled, np.concatenate(row_blocks)).result()
         return State(taste, believing(), Search.fresh(taste.linear, self.plan.sigma))
@@ -203,7 +204,7 @@ class Training:
             print(json.dumps({name: round(value, 4) for name, value in row.items()}), flush=True)
 
     def _cut_curves(self, update: int) -> None:
-        """Forget rows of updates that are made again."""
+        """Remove the rows of updates that will be made again."""
         path = self.out / "curves.jsonl"
         rows = path.read_text().splitlines() if path.exists() else []
         path.write_text("".join(f"{row}\n" for row in rows if json.loads(row)["update"] <= update))
