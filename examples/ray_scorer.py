@@ -2,7 +2,7 @@
 
     python examples/ray_scorer.py plans.json --actors 2
 
-With GPUs give each actor one: ``ScorerActor.options(num_gpus=1).remote(engine="mjx-warp")``.
+On GPUs, give each actor a GPU: ``ScorerActor.options(num_gpus=1).remote(engine="mjx-warp")``.
 """
 
 from __future__ import annotations

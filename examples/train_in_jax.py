@@ -2,9 +2,9 @@
 
     python examples/train_in_jax.py --updates 50 --pallets 64
 
-With ``--engine mjx-warp`` the pallets never leave the GPU (``--pallets 1024 --boxes 80``). Needs no library beside JAX:
-Adam and the network are written out, so that you can put your own in their place. One small network scores every
-candidate, so that what is learned of one place holds for all.
+With ``--engine mjx-warp`` the pallets never leave the GPU (``--pallets 1024 --boxes 80``). The program needs no library
+except JAX: it contains Adam and the network, so that you can replace them with your own. One small network scores every
+candidate place, so that what it learns from one place applies to all places.
 """
 
 from __future__ import annotations

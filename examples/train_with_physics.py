@@ -2,9 +2,9 @@
 
     python examples/train_with_physics.py --updates 30 --pallets 16
 
-The policy learns which of the lowest places to take, on generated orders; the reward counts standing boxes. Put your
-own network in place of ``Policy``: it needs ``observed["candidates"]``, (pallets, places, features), and the mask.
-Needs the extra ``gym``. On a GPU: ``--engine mjx-warp --pallets 2048``.
+The policy learns which of the lowest places to take, on generated orders. The reward is the number of standing boxes.
+You can replace ``Policy`` with your own network, which gets ``observed["candidates"]``, (pallets, places, features),
+and the mask. The program needs the extra ``gym``. On a GPU: ``--engine mjx-warp --pallets 2048``.
 """
 
 from __future__ import annotations

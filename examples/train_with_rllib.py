@@ -2,7 +2,7 @@
 
     python examples/train_with_rllib.py --updates 20
 
-RLlib steps single environments, each on an engine of its own, in as many processes as ``--runners``.
+RLlib steps single environments, each on an engine of its own, in ``--runners`` processes.
 """
 
 from __future__ import annotations

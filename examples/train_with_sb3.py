@@ -2,8 +2,8 @@
 
     python examples/train_with_sb3.py --steps 200000 --engine mjx-warp-cpu
 
-The policy learns on orders that grow and are placed more and more inexactly. On a GPU: ``--engine mjx-warp --pallets
-2048``. One small network scores every candidate, so that what is learned of one place holds for all.
+During the training, orders grow and boxes are placed more and more inexactly. On a GPU: ``--engine mjx-warp --pallets
+2048``. One small network scores every candidate place, so that what it learns from one place applies to all places.
 """
 
 from __future__ import annotations

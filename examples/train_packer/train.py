@@ -3,15 +3,16 @@
     python examples/train_packer/train.py --out trained --seed 0 --minutes 20 --engine mjx-warp
 
 1. The policy begins as a rule (rule.py).
-2. The packer improves by itself on drawn orders (rollouts.py): CMA-ES searches its weights (search.py), with a
-   stability head in place of physics. 3. Meanwhile pallets are packed side by side in ``petmjx.Pallets``, by the
-   policy, by rules and at random, as a robot would place the boxes, and the result of each placement is a label
-   (labels.py, labeller.py). 4. After each ``--relabel`` updates the head is fitted to all labels (head.py), and the
-   next round of labels begins.
+2. The packer improves by itself on drawn orders (rollouts.py): CMA-ES searches its weights (search.py). The stability
+   head, a network that estimates whether a placed box stands, takes the place of simulations.
+3. At the same time, pallets are packed side by side in ``petmjx.Pallets``, by the policy, by rules and at random, as a
+   robot would place the boxes. The simulated result of each placement is a label (labels.py, labeller.py).
+4. After every ``--relabel`` updates, the head is fitted to all labels (head.py), and the next round of labels begins.
 
-Everything is kept in ``--out``, and the same command with ``--resume`` continues where it stopped, with the same bits.
-``--minutes`` stops it; result.json has the number of updates. With the same number of ``--updates``, the weights are
-the same, to the bit, on the same machine, whatever ``--workers``. Needs no extra; figure.py draws the curves.
+The folder ``--out`` stores the state of the training. The same command with ``--resume`` continues a stopped training,
+with the same bits. ``--minutes`` limits the time; result.json has the number of updates that were made. With the same
+number of ``--updates``, the weights are the same to the bit on the same machine, whatever ``--workers``. The program
+needs no extra; figure.py draws the curves.
 """
 
 from __future__ import annotations
