@@ -25,7 +25,7 @@ Png = Annotated[Path | None, _file("png", "The same as a picture.")]
 
 
 def figure_files(pdf: Path | None, svg: Path | None, png: Path | None, overwrite: bool, *read: Any) -> list[Path]:
-    """The requested files. The files are checked before the figure is computed.
+    """The files that the user requested. They are checked here, before the figure is computed.
 
     Args:
         read: files and folders that the command reads.

@@ -104,7 +104,7 @@ def repair(
 
 
 def _written(result: Repairs, out: Path | None, html: Path | None) -> Iterator[str]:
-    """Lines about the written files."""
+    """Lines that name the written files."""
     if out is not None:
         yield f"{count_text(len(result.plans), 'plan')} in {printable(str(out))}"
     if html is not None:

@@ -22,7 +22,7 @@ from petmjx.packers.sample_plans import DEFAULT_LOOSE_SHARE, LeftOutItems
 
 DEFAULT_SAMPLES: Final = 100
 MOST_SHOWN: Final = 10
-"""Largest number of generated orders with left-out boxes that get a line each."""
+"""Largest number of generated orders with left-out boxes for which a separate line is printed."""
 
 
 @opt.takes(
