@@ -153,8 +153,9 @@ class Story:
         outcome: the verdict, the first box that failed, and metrics of each box.
         history: the frames, with the pose of each box. The last frame has the poses of ``outcome.boxes``.
         engine: the engine that simulated the world.
-        variant: index of the variant (the set of changes and errors of this simulation). 0 if the plan has only one
-            world. values: the variant's values, by column. Empty if the plan has only one world.
+        variant: index of the variant (the set of changes and errors of this simulation); 0 if the plan has only one
+            world.
+        values: the variant's values, by column. Empty if the plan has only one world.
         drive: the motion or force with which the carrier is shaken; None if it is not shaken.
         options: the options of the simulation: fields of ``petmjx.Simulation`` and their values, as in ``run.json``.
         note: an important remark for the reader, such as that the story was simulated on a different engine than the
