@@ -89,7 +89,8 @@ class Orders:
             and h, of the sizes that may be vertical.
         seed: seed of the generator's catalogue.
         articles: a table of articles, whose strengths take precedence over ``strength_n``.
-        reading: how to read files of orders that are not in BED-BPP's form. If None, the most plausible reading is used.
+        reading: how to read files of orders that are not in BED-BPP's form. If None, the most plausible reading is
+            taken.
 
     Attributes:
         reading: how files of orders are read; for generated orders, the reading without any options.
