@@ -50,9 +50,9 @@ def repair(
 ) -> None:
     """Find the smallest changes that make plans stand.
 
-    Changes are another order of placement, another place or orientation for a box, moves by some millimetres, exchanges
-    of two boxes, tie sheets, turns of film (with --profile) and, as the last resort, leaving boxes out. Boxes are named
-    by their numbers in the plan, from 0. Left is −x, front is −y.
+    Possible changes are a different order of placement, a different place or orientation of a box, moves by some
+    millimetres, exchanges of two boxes, tie sheets between layers, turns of stretch film (with --profile) and, as the
+    last resort, leaving boxes out. Boxes are named by their numbers in the plan, from 0. Left is −x, front is −y.
     """
     from petmjx.plans.plan_writer import check_plan_file
     from petmjx.repairs.repair import RepairInterrupted

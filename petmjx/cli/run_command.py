@@ -107,7 +107,7 @@ def stoppable() -> Iterator[None]:
 
 
 def _frames_of(frame: FrameType | None) -> Iterator[FrameType]:
-    """A frame and all its callers."""
+    """Yield a stack frame and the frames of all its callers."""
     while frame is not None:
         yield frame
         frame = frame.f_back

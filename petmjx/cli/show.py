@@ -61,8 +61,8 @@ def show(
 ) -> None:
     """Show what happens to one plan: in words, as a page, in pictures, or as a film.
 
-    The world is simulated exactly as in the run in DIR, or with these options. If no drawing is requested, its story is
-    printed in the terminal.
+    The plan is simulated exactly as in the run in DIR, or with these options. If no drawing is requested, a text about
+    the simulation is printed in the terminal.
     """
     from petmjx.results.read_files import source_files
     from petmjx.show.pictures.picture_files import check_drawing

@@ -39,7 +39,7 @@ def open_for_arrow(path: Path) -> pa.NativeFile:
     https://github.com/apache/arrow/issues/34314 and https://github.com/apache/arrow/issues/50482.
 
     Raises:
-        OSError: the file cannot be read, or is not a regular file; ``strerror`` tells which.
+        OSError: the file cannot be read, or is not a regular file; ``strerror`` has the reason.
         ValueError: no file can have this name.
     """
     # Python checks the file first, since Arrow would wait for FIFOs. pa.OSFile accepts names of any bytes. Other

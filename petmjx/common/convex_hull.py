@@ -8,10 +8,10 @@ Point = tuple[float, float]
 
 
 def convex_hull(points: Iterable[Point], least_turn: float = 0.0) -> list[Point]:
-    """The corners of the convex hull of the points, anticlockwise, beginning at the smallest x. Method:
+    """The corners of the convex hull of the points, anticlockwise, beginning at the smallest x.
 
-    Andrew 1979, "Another efficient algorithm for convex hulls in two dimensions", Information Processing Letters 9(5),
-    216–219.
+    Source of the method: Andrew 1979, "Another efficient algorithm for convex hulls in two dimensions", Information
+    Processing Letters 9(5), 216–219.
 
     Args:
         least_turn: a point counts as a corner if the turn of the outline at the point is larger than this value. The

@@ -46,7 +46,7 @@ def first_names(names: Sequence[str], most: int = 5) -> str:
 
 def is_text(text: str) -> bool:
     """Whether a string can be written as UTF-8. Strings with lone surrogates, which represent bytes that were not
-    UTF-8, cannot."""
+    UTF-8, cannot be written."""
     if text.isascii():
         return True
     try:

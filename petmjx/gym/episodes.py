@@ -58,7 +58,7 @@ class Episodes:
     """n episodes that run side by side. Every pallet belongs to one of the episodes.
 
     Args:
-        given: options of ``PalletizingOptions`` and arguments of ``petmjx.Pallets``.
+        options: options of ``PalletizingOptions`` and arguments of ``petmjx.Pallets``.
 
     Raises:
         InputError: an option is unusable.

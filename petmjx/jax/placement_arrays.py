@@ -21,7 +21,7 @@ class PlacementArrays(NamedTuple):
     """The results of m placements on pallets of at most k boxes. After a pallet's last box, numbers are 0.
 
     Attributes: as in ``petmjx.PlacementResults``, except that ``reason`` is an index into ``REASONS``, and ``margin``
-    is -1 for invalid worlds.
+    is -1 if the simulation is invalid.
     """
 
     stable: Bool[Array, " placement"]

@@ -41,7 +41,7 @@ class SettledEngine(Engine):
         return self._engine.device
 
     def settle(self, job: Job, world: int) -> None:
-        """Register that an open world has the boxes of this job, and is at rest."""
+        """Register that an open world (an open pallet's simulation) has the boxes of this job, and is at rest."""
         if self._same_bits:
             earlier = self._keys.pop(world, None)
             if earlier is not None and self._worlds.get(earlier) == world:
