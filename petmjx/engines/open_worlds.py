@@ -1,5 +1,4 @@
-"""Open worlds: an engine's interface for packers, which place boxes one by one and copy (*fork*) worlds to try
-places."""
+"""Open worlds: an engine's interface for packers, which place boxes one by one and try places in copies of worlds."""
 
 from __future__ import annotations
 
