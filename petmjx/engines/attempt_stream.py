@@ -38,7 +38,7 @@ PENDING_BOXES: Final = 1 << 20
 """The thread that makes worlds pauses while the waiting jobs have this number of boxes. Their scenes take 130 MB."""
 
 FIRST_WORLDS: Final = 1600
-"""Number of worlds with which a GPU begins. They keep all thread blocks for worlds of few boxes busy
+"""Number of worlds with which a GPU begins. These worlds keep all thread blocks for worlds of few boxes busy
 (``small_world_blocks``). The other worlds start on the GPU later."""
 
 PAUSE_S: Final = 0.02
@@ -72,9 +72,9 @@ def score_worlds(
     """Simulate worlds and yield the final result of each world, in any order.
 
     A thread makes the worlds and puts their jobs into a ``JobStream``, from which the engine takes the jobs. The thread
-    waits while the jobs in the stream have ``PENDING_BOXES`` boxes. Invalid worlds are collected. They are simulated
-    again together at the end, or earlier if ``most_pending`` of them wait. So memory does not grow with the number of
-    worlds. If CPU threads make an attempt beside a GPU (petmjx/engines/attempts.py), this attempt begins at once.
+    waits while the jobs in the stream have ``PENDING_BOXES`` boxes. Invalid worlds are collected, and simulated again
+    together at the end, or earlier if ``most_pending`` of them wait. So memory does not grow with the number of worlds.
+    If CPU threads make an attempt beside a GPU (petmjx/engines/attempts.py), this attempt begins at once.
 
     ``following`` returns the worlds that follow from the results so far, such as the drives (motions of the carrier) of
     a settled pallet. It returns each world exactly once, and is called after each outcome. An engine that reads a

@@ -233,7 +233,7 @@ class Engines:
         return self.fallback
 
     def beside(self, job: Job, sim: Simulation, *, doubles: bool, soft: bool, few: bool) -> str | None:
-        """Name of the engine that makes a further attempt at a job beside the engine of the run. None: the engine of
+        """Name of the engine that makes a further attempt at a job beside the engine of the run. If None, the engine of
         the run makes the attempt.
 
         Args:

@@ -203,9 +203,9 @@ def note_penetration(outcomes: Sequence[Outcome], jobs: Sequence[Job], sim: Simu
 
 
 def penetration_excluded(outcomes: Sequence[Outcome], scenes: Sequence[Scene], sim: Simulation) -> list[bool]:
-    """For each world, whether ``has_penetrated`` is certainly False: its boxes did not descend too far, and descent is
-    not the only reason for which it failed. All worlds are computed together, which is fast. For the other worlds,
-    ``has_penetrated`` must be computed. Holds only for elliptic friction cones."""
+    """For each world, whether ``has_penetrated`` is certainly False: the boxes of the world did not descend too far,
+    and descent is not the only reason for which the world failed. All worlds are computed together, which is fast. For
+    the other worlds, ``has_penetrated`` must be computed. Holds only for elliptic friction cones."""
     if not outcomes:
         return []
     enough_m = (1 - _SUM_ERROR) * BOUND_SHARE * sim.thresholds.shift_m

@@ -35,7 +35,7 @@ from petmjx.world.supports import Bearing
 CONTACTS_PER_SIDE: Final = 2
 
 SHARES: Final = np.array([1e-4, 3e-4, 1e-3, 3e-3, 0.01, 0.02, 0.05, 0.1, 0.2, 0.3, 0.5])
-"""The shares r for which e(r) is computed."""
+"""The shares r (defined above) for which e(r) is computed."""
 
 SAFETY: Final = 10.0
 """A load may tip over if its distance from the edge is at most this multiple of the loss, since boxes rock when the

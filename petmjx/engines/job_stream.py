@@ -23,7 +23,8 @@ class JobBounds(NamedTuple):
         jobs: largest number of jobs that are ready at the same time.
         box_counts: all numbers of boxes that occur in the jobs' scenes.
         drive_steps: number of samples of the longest drive (motion of the carrier).
-        excitations: number of different excitations (motions as arrays). None: each world may have its own.
+        excitations: number of different excitations (motions as arrays). If None, each world may have its own
+            excitation.
         wraps: whether stretch film is around the boxes in some drives.
     """
 
@@ -47,7 +48,7 @@ class JobStream(Generic[Tag]):
         most_boxes: ``put`` waits while the waiting jobs have at least this number of boxes in total.
         feedback: whether jobs may follow from outcomes.
         begin_with: number of jobs for which an engine that simulates many jobs at once should wait at first.
-        bounds: limits that hold for all jobs, including those that follow from outcomes. None: unknown.
+        bounds: limits that hold for all jobs, including those that follow from outcomes. None if they are unknown.
 
     Attributes:
         in_flight: stream number → tag, for the jobs that were taken and have no outcome yet.

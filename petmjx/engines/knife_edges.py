@@ -61,7 +61,8 @@ def kept_edges(
 
     Args:
         world: columns of the table ``worlds``, or fields of ``petmjx.engines.verdict.Outcome``.
-        plan_edge_m, rest_edge_m: (n,) distances of the boxes' loads, in the plan and at rest, m. None: not stored.
+        plan_edge_m, rest_edge_m: (n,) distances of the boxes' loads, in the plan and at rest, m. None if they are not
+            stored.
     """
     for name, when, of_boxes in (
         ("plan", BY_PLAN, plan_edge_m),
@@ -100,7 +101,7 @@ def sets_flag(edge_m: FloatArray, verdict: Verdict | None, *, rounding_m: float 
     inside in an unstable world. NaN does not set the flag.
 
     Args:
-        verdict: verdict of the world. None: only ``KNIFE_EDGE_M`` is used.
+        verdict: verdict of the world. If None, only ``KNIFE_EDGE_M`` is used.
         rounding_m: largest rounding error of the distances, m. Both limits are enlarged by it.
     """
     away_m = np.abs(edge_m) - rounding_m

@@ -33,7 +33,8 @@ class Reading:
             was up, and the world paused for this reason.
         pos, quat: (k, 3) centres of the placed boxes, m, and (k, 4) their orientations as quaternions (w, x, y, z).
         top_force_n: (k,) force on each box's top in the last step, N.
-        culprit: number of the first box that was beyond a threshold at a sample (a measurement every 0.2 s). -1: none.
+        culprit: number of the first box that was beyond a threshold at a sample (a measurement every 0.2 s), or -1 if
+            there is none.
         max_tilt_deg, max_top_force_n: (k,) largest tilt (degrees) and largest force on the top (N) at samples.
         dropped: (k,) whether each box had dropped at a sample.
     """

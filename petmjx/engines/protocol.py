@@ -32,8 +32,8 @@ class Progress:
     Attributes:
         thread_s: CPU time that the threads of the engine ``mujoco`` spent on finished worlds, s.
         message: what the engine does at the moment, such as "compiling".
-        work_share: share of the run's work that is done, from 0 to 1. The run sets it. If None, the share of finished
-            worlds is used.
+        work_share: share of the run's work that is done, from 0 to 1. The run sets this share. If None, the share of
+            finished worlds is used.
         at_hand: smallest number of outcomes that will follow the last outcome without delay. None if the engine does
             not report it. The number is used only if the engine's ``run`` is marked with ``says_at_hand``.
         pauses: whether the engine may yield None while no world ends, so that the caller can do other work.

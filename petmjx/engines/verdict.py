@@ -81,10 +81,12 @@ class Flag(IntFlag):
 
 @dataclass(eq=False)
 class Outcome:
-    """The outcome of one world. ``culprit`` is the number of a box in packing order, from 0. −1: no box."""
+    """The outcome of one world. ``culprit`` is the number of a box in packing order, from 0, or −1 if there is no
+    culprit."""
 
     job: int
-    """The stream number of the job (``JobStream``). If the jobs are a list, its index in the list."""
+    """The stream number of the job (``JobStream``). If the jobs are a list, this number is the index of the job in the
+    list."""
     verdict: Verdict
     reason: Reason
     culprit: int
@@ -96,7 +98,8 @@ class Outcome:
     flags: Flag
     boxes: BoxMetrics
     n_at_sign: int = 0
-    """Number of boxes that were placed when the culprit crossed a threshold. 0: no box did so before the end."""
+    """Number of boxes that were placed when the culprit crossed a threshold. It is 0 if no box did so before the
+    end."""
     solver: str = "newton"
     attempt: int = 1
     engine: str = ""
@@ -113,8 +116,8 @@ class Outcome:
     build_edge_box: int = -1
     build_edge_step: int = -1
     """The fields from ``plan_edge_m`` to ``build_edge_step`` have the smallest distances of loads from edges (m), the
-    numbers of the boxes that have these loads, and the number of the box after whose placement ``build_edge_m`` occurs.
-    -1: no box. petmjx.engines.outcome_checks sets these fields, and the distances of all boxes."""
+    numbers of the boxes that have these loads, and the number of the box after whose placement ``build_edge_m`` occurs,
+    or -1 if there is no such box. petmjx.engines.outcome_checks sets these fields, and the distances of all boxes."""
     message: str = ""
     """One line that says why there is no result, if ``reason`` is ``failed`` or ``timeout``."""
     history: History | None = None
@@ -218,9 +221,9 @@ def margin_of(verdict: Verdict, boxes: BoxMetrics, n_placed: int, thresholds: Th
     """Distance of a world from the nearest threshold, as a share of this threshold: 1 minus the largest excess of any
     placed box.
 
-    1: nothing moved; 0: on the threshold; negative: beyond it, and at most -1 if a box dropped. The margin is never
-    negative in a stable world, always negative in an unstable world, and NaN in an invalid world. See docs/metrics.md,
-    section "Margin".
+    The margin is 1 if nothing moved, 0 on the threshold, and negative beyond the threshold. If a box dropped, the
+    margin is at most -1. The margin is never negative in a stable world, always negative in an unstable world, and NaN
+    in an invalid world. See docs/metrics.md, section "Margin".
     """
     return _margins([(verdict, boxes, n_placed)], thresholds)[0]
 

@@ -38,8 +38,8 @@ class Recording:
     those of worlds that are still being simulated.
 
     Attributes:
-        record: settings of the recording, for the engine. None: nothing is recorded.
-        plan_ids: ids of the plans whose worlds are recorded. None: the worlds of all plans are recorded.
+        record: settings of the recording, for the engine. If None, nothing is recorded.
+        plan_ids: ids of the plans whose worlds are recorded. If None, the worlds of all plans are recorded.
         failed_only: whether to keep only the histories of worlds that are not stable.
     """
 
@@ -48,7 +48,7 @@ class Recording:
     failed_only: bool = False
 
     def of(self, plan: Plan) -> Record | None:
-        """The settings with which the engine records the worlds of a plan. None: these worlds are not recorded."""
+        """The settings with which the engine records the worlds of a plan, or None if these worlds are not recorded."""
         return self.record if self.plan_ids is None or plan.plan_id in self.plan_ids else None
 
     def kept(self, outcome: Outcome) -> Outcome:

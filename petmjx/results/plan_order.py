@@ -33,7 +33,7 @@ class WorldRanks:
     Args:
         plan_ids: ids of all plans in the order of the input, including the plans of other shards. Plans that are not
             listed come after these plans, in the order in which they first get a rank.
-        variants: numbers of the variants of each plan. None: they are unknown, as in a search.
+        variants: numbers of the variants of each plan, or None if they are unknown, as in a search.
     """
 
     def __init__(self, plan_ids: Iterable[str] = (), variants: range | None = None) -> None:
@@ -74,7 +74,8 @@ def rows_in_order(parts: Parts, table: str, columns: Sequence[str] | None = None
     order.
 
     Args:
-        columns: names of the columns to read, which must include ``plan_id`` and ``variant``. None: all columns.
+        columns: names of the columns to read, which must include ``plan_id`` and ``variant``. If None, all columns are
+            read.
 
     Raises:
         InputError: a part is damaged or missing.

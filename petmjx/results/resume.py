@@ -28,7 +28,7 @@ class CompletedWorlds:
     """The completed worlds of a run, and their rows in the table ``worlds``.
 
     Args:
-        parts: files of the run. None: no world is completed yet.
+        parts: files of the run. None if no world is completed yet.
         columns: columns of ``worlds`` to read, in addition to the columns that all runs have.
 
     Raises:

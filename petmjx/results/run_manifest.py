@@ -58,7 +58,7 @@ class PlanRecord(NamedTuple):
         volume_m3: total volume of the plan's boxes, m³.
         extent_x_m, extent_y_m: extents of the bounding box of all boxes, m.
         height_m: height of the top of the highest box above the carrier, m.
-        number: position of the plan in the input, where skipped plans also have a position. None: unknown.
+        number: position of the plan in the input, where skipped plans also have a position. None if it is unknown.
     """
 
     digest: str
@@ -74,7 +74,7 @@ def records_of(plans: Sequence[Plan], numbers: Mapping[str, int] | None = None) 
     """Plan id → record of the plan, in the order of the input.
 
     Args:
-        numbers: plan id → position of the plan in the input. None: no plan was skipped.
+        numbers: plan id → position of the plan in the input. None if no plan was skipped.
     """
     if not plans:
         return {}
@@ -124,7 +124,7 @@ class Manifest:
     Attributes:
         settings: command, simulation, sweep, engine and shard, as values that JSON can hold.
         plans: plan id → record, for all plans in the order of the input, including the plans of other shards.
-        placements: function that makes the table ``placements`` of the run's plans. None: the run has no such table.
+        placements: function that makes the table ``placements`` of the run's plans. If None, the run has no such table.
     """
 
     settings: Mapping[str, Any]
@@ -142,7 +142,8 @@ class Manifest:
         """Make the table ``plans``.
 
         Args:
-            ordered: plan id → counts from the comparison of the plan with its order. None: no columns about orders.
+            ordered: plan id → counts from the comparison of the plan with its order. If None, there are no columns
+                about orders.
         """
         columns: dict[str, Sequence[Any]] = {
             "plan_id": list(self.plans),
@@ -238,8 +239,8 @@ def _setting_differences(was: Any, now: Any) -> Iterator[str]:
 
 
 def differing_settings(was: Any, now: Any, path: str = "") -> Iterator[tuple[str, Any, Any]]:
-    """Yield the name of every setting that differs, such as "simulation.schedule", and its two values. None:
-    missing."""
+    """Yield the name of every setting that differs, such as "simulation.schedule", and its two values. A value is None
+    if the setting is missing."""
     if isinstance(was, Mapping) and isinstance(now, Mapping):
         for name in dict.fromkeys((*was, *now)):
             if name == "errors" and not path and not (name in was and name in now):

@@ -54,7 +54,7 @@ class Tables:
         with its digest. The copies do not belong to the run yet.
 
         Args:
-            ranks: new ranks for the rows. None: the rows keep their ranks, and the files are copied byte by byte.
+            ranks: new ranks for the rows. If None, the rows keep their ranks, and the files are copied byte by byte.
 
         Raises:
             InputError: a file of the other run is damaged or missing.

@@ -92,8 +92,8 @@ class RunWriter(RunInfo):
     (petmjx.results.plan_order).
 
     Args:
-        out_dir: folder of the run, which is created if it does not exist. None: a run that fits into one part stays in
-            memory; a larger run is written to a temporary folder, which is deleted together with the results.
+        out_dir: folder of the run, which is created if it does not exist. If None, a run that fits into one part stays
+            in memory; a larger run is written to a temporary folder, which is deleted together with the results.
         config: the values of all options as plain JSON values (from ``Simulation.model_dump(mode="json")`` and others).
         params: parameters of the variants of a sweep. Each parameter becomes a column of ``worlds``.
         variants: numbers of the variants of each plan, if they are the same for all plans. Ranks (positions in the
@@ -207,7 +207,8 @@ class RunWriter(RunInfo):
             outcome: the outcome. It is copied, so its arrays may be reused. Its ``state`` is not kept.
             attempts: all attempts (simulations) in order, if the world needed more than one.
             params: name of a parameter → value. Missing values become null.
-            interval_n: (boxes, 2) smallest and largest possible force on the top of each box at rest, N. None: unknown.
+            interval_n: (boxes, 2) smallest and largest possible force on the top of each box at rest, N. None if they
+                are unknown.
 
         Raises:
             ValueError: the outcome belongs to another plan, or a name is not a parameter of the run.
@@ -338,7 +339,8 @@ class RunWriter(RunInfo):
             request.reply.put((None, error))
 
     def _due_s(self) -> float | None:
-        """Time after which something must be written even if nothing is added, s. None: nothing waits to be written."""
+        """Time after which something must be written even if nothing is added, s. None if nothing waits to be
+        written."""
         due_s = []
         if self._is_full or self._is_behind:
             due_s.append(0.0)
@@ -520,7 +522,7 @@ class RunWriter(RunInfo):
         """Write the remaining worlds, state in ``run.json`` how the run ended, and leave the folder.
 
         Args:
-            error: error that ended the run. None: the run is complete.
+            error: error that ended the run. None if the run is complete.
 
         Returns:
             The error that occurred while the remaining worlds were written, if any.

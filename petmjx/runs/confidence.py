@@ -71,7 +71,7 @@ _OF_BOTH: Final = {
 their places, and once with boxes that appear at their places."""
 
 _TEXTS: Final = frozenset({"plan_id", "verdict", "reason", "coin_toss", "placing_matters"})
-"""Columns that hold no numbers."""
+"""Columns whose values are texts, not numbers."""
 
 
 def confidence_sweep(
@@ -81,7 +81,7 @@ def confidence_sweep(
 
     Args:
         n_worlds: number of worlds with errors for each plan, in addition to the nominal world (without errors).
-        errors: a sweep file of errors, or the name of a ready-made one. None: ``READY_MADE``.
+        errors: a sweep file of errors, or the name of a ready-made one. If None, it is ``READY_MADE``.
         simulation: fields of ``Simulation`` that replace those of the file.
         exact_too: whether to simulate each world with errors twice (``petmjx.options.run_options.Confidence``).
 

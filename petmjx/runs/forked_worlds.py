@@ -102,7 +102,7 @@ class LegStart:
     Attributes:
         changes: variants of the worlds that begin this leg together. Their chains are equal up to this leg.
         number: index of the leg in these chains.
-        before: the outcome of the previous leg. None: this is the first leg.
+        before: the outcome of the previous leg. None in the first leg.
     """
 
     settled: SettledPlacement

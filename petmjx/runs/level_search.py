@@ -41,7 +41,7 @@ class Probe:
     be resumed.
 
     Attributes:
-        culprit: number of the box that failed first. −1: no box failed.
+        culprit: number of the box that failed first, or −1 if no box failed.
         mode: the mode of failure (`failure_mode`).
         moving: whether boxes were still moving when the world ended. A longer wait may then change the verdict.
         values: column → value, for the columns that the sweep adds to ``worlds``.
@@ -72,12 +72,12 @@ class SearchBracket:
 
     Attributes:
         stands_at_rest: whether the pallet stood before any profile. If not, no level is tested.
-        survived: index of the largest survived level that is below all failed levels. −1: there is none.
+        survived: index of the largest survived level that is below all failed levels, or −1 if there is none.
         failed: index of the smallest level that failed; the number of levels if none failed; 0 if the pallet falls at
             rest.
         highest: index of the largest survived level, even if a smaller level failed.
-        box, mode: number of the box that failed first at level ``failed`` or at rest, and its mode of failure. −1: no
-            box failed.
+        box, mode: number of the box that failed first at level ``failed`` or at rest, and its mode of failure. The
+            number is −1 if no box failed.
     """
 
     stands_at_rest: bool
@@ -145,12 +145,12 @@ class Bisection:
         return (item, bracket.survived), (item, bracket.failed)
 
     def largest_survived(self, item: int) -> float | None:
-        """Largest survived level that is below all failed levels, in g or as a scale. None: there is none."""
+        """Largest survived level that is below all failed levels, in g or as a scale. None if there is none."""
         survived = self.items[item].survived
         return float(self.levels[survived]) if survived >= 0 else None
 
     def first_failed(self, item: int) -> float | None:
-        """Smallest level that failed, in g or as a scale. None: no level failed, or nothing was tested."""
+        """Smallest level that failed, in g or as a scale. None if no level failed, or if nothing was tested."""
         bracket = self.items[item]
         return (
             float(self.levels[bracket.failed]) if bracket.stands_at_rest and bracket.failed < len(self.levels) else None

@@ -57,12 +57,12 @@ class FinishedWorld:
     """One world with its final outcome.
 
     Attributes:
-        placement: outcome of the placement from which the world started. None: placement and world were simulated in
+        placement: outcome of the placement from which the world started. None if placement and world were simulated in
             one piece.
         driven: whether the drive (motion of the carrier) was simulated. If the placement does not stand and early stop
             is on, the drive is skipped, and the world gets the outcome of the placement. Without early stop, the drive
             is simulated, but the world cannot be stable.
-        ended_in: the leg in which a world of a chain ended. None: the pallet arrived, or the world has no chain.
+        ended_in: the leg in which a world of a chain ended. None if the pallet arrived, or if the world has no chain.
     """
 
     plan: Plan
@@ -138,7 +138,7 @@ class Study(ABC):
         """One line with the number of worlds, the expected number of steps, and the expected time.
 
         Args:
-            seconds: expected time of all worlds, s. None: unknown.
+            seconds: expected time of all worlds, s. None if it is unknown.
             recorded: number of completed worlds. The numbers of steps and the time in the line exclude them.
         """
         share = 1 - recorded / max(self.n_worlds, 1)

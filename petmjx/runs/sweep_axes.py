@@ -282,7 +282,7 @@ class AxisKind:
         unit: unit of the column. "1" for factors, "" for names.
         values: the type that checks the values.
         meaning: what the axis changes, in one line.
-        changes: names of the fields of `PlacementChange` that get the value of the axis. Empty: the axis changes the
+        changes: names of the fields of `PlacementChange` that get the value of the axis. Empty if the axis changes the
             drive (motion of the carrier).
         suffix: end of the column's name, which follows the name of the axis.
         plain: for axes of errors, the distribution that a plain number stands for. With a normal distribution, the

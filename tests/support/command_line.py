@@ -52,7 +52,7 @@ def placement(corner: Sequence[float], **item: Any) -> dict[str, Any]:
 
 TOWER = [placement((0, 0, 0)), placement((0, 0, 200))]
 OVERHANG = [placement((0, 0, 0)), placement((260, 0, 200))]
-"""A tower that stands, and a plan with a box that falls, since more than half of it overhangs."""
+"""A tower that stands, and a plan with a box that falls, since more than half of this box overhangs."""
 
 
 def write(path: Path, content: object) -> Path:

@@ -187,7 +187,7 @@ WAYS = (_flip, _delete, _duplicate, _truncate, _splice, _noise, _put_token, *3 *
 
 @dataclass(frozen=True)
 class Finding:
-    """A file that cost more than it may."""
+    """A damaged file with a complaint about loading it: too much time or memory, a traceback, or a bad message."""
 
     kind: str
     seed: int
@@ -223,7 +223,7 @@ def try_one(kind: str, seed: int, folder: Path, memory: bool = True) -> tuple[st
         memory: whether to check the peak of resident memory, which is that of the whole process.
 
     Returns:
-        "read" or "refused", and what should not have happened (None: nothing).
+        "read", "refused" or "failed", and what should not have happened, or None.
     """
     path = folder / KINDS[kind].file
     path.write_bytes(mutation(kind, seed))

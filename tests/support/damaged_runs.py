@@ -278,7 +278,7 @@ READINGS: Final = (*COMMANDS, "tables", "tell")
 
 
 def complaint(name: str, sound: str) -> str | None:
-    """What is wrong with the result of a command on a damaged folder. None: nothing."""
+    """What is wrong with the result of a command on a damaged folder. None if nothing is wrong."""
     try:
         code, text, err = read(name)
     except BaseException as error:

@@ -11,8 +11,8 @@ from petmjx.engines.subprocess.attempt_process import Answer, Task
 
 @dataclass
 class AtOnce:
-    """Simulates each task at once, on the engine with the task's name. Errors become answers, as in the real
-    process."""
+    """Simulates each task at once, on the engine with the task's name. Errors become answers, as in a real process
+    beside a run."""
 
     engine_named: Callable[[str], Engine]
     tasks: list[Task] = field(default_factory=list)

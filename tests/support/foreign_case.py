@@ -34,7 +34,7 @@ class Case:
         free: what the file does not tell, see ``difference``.
         order: "known", or "any" if rows are shuffled and no column tells the order.
         shuffled: whether rows are not in packing order.
-        refused: why no plan may be read from the file without asking the user. "": the file must be read.
+        refused: why no plan may be read from the file without asking the user. Empty if the file must be read.
         may_ask: whether asking the user is also right, since no reading is certain.
     """
 
@@ -75,7 +75,7 @@ class Case:
         return main
 
     def mismatch(self, plans: Sequence[ReadPlan]) -> str:
-        """What is wrong with the plans that were read from the file. "": nothing."""
+        """What is wrong with the plans that were read from the file. Empty if nothing is wrong."""
         if self.refused:
             return f"{len(plans)} plans were read, but {self.refused}" if plans else ""
         if len(plans) != len(self.picks):
@@ -112,7 +112,8 @@ class Damaged:
         return folder / main.name
 
     def lacks(self, message: str) -> str:
-        """What is missing in an error message: one line, the file, the row or the box, or the column. "": nothing."""
+        """What is missing in an error message: one line, the file, the row or the box, or the column. Empty if nothing
+        is missing."""
         if "\n" in message:
             return "one line"
         if self.case.name not in message:
@@ -131,7 +132,7 @@ def damaged(case: Case, kind: str | None = None) -> Damaged:
     """The file of a case with a damaged value, at a box in the middle of the file.
 
     Args:
-        kind: kind of damage, one of ``KINDS``. None: cases take turns. In a file without sizes, a negative size is
+        kind: kind of damage, one of ``KINDS``. If None, cases take turns. In a file without sizes, a negative size is
             replaced by a garbled number.
     """
     number = zlib.crc32(case.name.encode())
@@ -170,7 +171,7 @@ ROUNDED_KG = 0.0051
 
 
 def difference(right: Packing, read: ReadPlan, free: frozenset[str] = frozenset(), order: str = "known") -> str:
-    """How a plan that was read differs from the right plan. "": not at all.
+    """How a plan that was read differs from the right plan. Empty if it does not differ.
 
     Args:
         free: what the file does not tell. "shift": the place of the deck under the boxes; "mirror": whether the axes

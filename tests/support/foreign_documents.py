@@ -29,9 +29,9 @@ class Place:
 
     Attributes:
         row: for tables, number of the row in the file or sheet, from 1 and including the header; for texts, XML and
-            JSON Lines, number of the line, from 1; for JSON and arrays, index of the box in its plan, from 0. None: the
-            file cannot be opened at all.
-        column: the header, the key, or the index of the column. "": the whole row or file.
+            JSON Lines, number of the line, from 1; for JSON and arrays, index of the box in its plan, from 0. None if
+            the file cannot be opened at all.
+        column: the header, the key, or the index of the column. Empty for the whole row or file.
     """
 
     row: int | None
@@ -209,7 +209,7 @@ class Table(Document):
 
     Attributes:
         sheets: title → rows of cells, including title rows and the header. Only workbooks have several sheets.
-        header: index of the header row. None: there is no header, and columns are named by their numbers, from 1.
+        header: index of the header row. If None, there is no header, and columns are named by their numbers, from 1.
         boxes: for each box, its sheet and the index of its row.
         size, place: indices of the columns of a size and of a coordinate.
         text_numbers: whether a workbook has numbers as text, as after an import.

@@ -128,11 +128,11 @@ def json_boxes(
         place, size: keys of the three values: "x y z"; in a dictionary of their own, "position:x y z"; or as a list,
             "position".
         far: whether the far corners are written instead of sizes.
-        weight, ids, step: keys of these values. "": not written.
-        root: where the boxes are. "": a list; otherwise the key of the list; "by id": a dictionary of boxes; "layers":
-            pallets, layers, boxes; "lines": JSON Lines.
-        deck: keys of the sizes of the deck, in the same form as those of boxes. "": not written.
-        unit: unit that follows each number, which is then a text. "": numbers.
+        weight, ids, step: keys of these values. Empty if they are not written.
+        root: where the boxes are. An empty text: the file is a list of boxes. A key: the list with this key. "by id": a
+            dictionary of boxes; "layers": pallets, layers, boxes; "lines": JSON Lines.
+        deck: keys of the sizes of the deck, in the same form as those of boxes. Empty if they are not written.
+        unit: unit that follows each number, which is then a text. Empty if numbers are written as numbers.
         extra: further entries of the root.
     """
 

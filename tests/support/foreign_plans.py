@@ -43,8 +43,8 @@ class Packing:
         name: name of the pallet.
         size: (n, 3) sizes of the boxes as placed.
         corner: (n, 3) front-left-bottom corners of the boxes. z = 0 is the top of the deck.
-        weight: (n,) masses of the boxes. None: the file does not have them.
-        ids: names of the n boxes. Empty: the file does not have them.
+        weight: (n,) masses of the boxes. None if the file does not have them.
+        ids: names of the n boxes. Empty if the file does not have them.
         articles: names of the articles of the n boxes.
         turned: (n,) whether the length of each box's article lies along y.
         deck: sizes of the deck along x and y.
@@ -136,7 +136,7 @@ class View:
         deck: (3,) sizes of the deck or bin along the tool's axes. The vertical one is its largest height.
         decimals: number of decimals of lengths.
         vertical: index of the axis that points up.
-        step: (n,) position of each box in packing order, from 1. None: rows are in packing order.
+        step: (n,) position of each box in packing order, from 1. If None, rows are in packing order.
     """
 
     plan: Packing

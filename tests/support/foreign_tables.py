@@ -262,7 +262,7 @@ def table(
     Args:
         words: key of ``HEADERS``, which has the names of the columns.
         fields: names of the columns' fields, in the order of the columns.
-        units: units of lengths and of masses in the headers. "": not named.
+        units: units of lengths and of masses in the headers. Empty if units are not named.
         style: format of a unit behind a header.
         titles: rows above the header.
         unit_row: whether units are in a row of their own below the header.

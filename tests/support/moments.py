@@ -49,8 +49,8 @@ class Moments:
     """Counts the moments at which a run uses the file system, and disturbs the run at one of them.
 
     Attributes:
-        act: function that is called at the moment number ``at``, and, if ``lasts``, at all later moments. None: nothing
-            happens.
+        act: function that is called at the moment number ``at``, and, if ``lasts``, at all later moments. If None,
+            nothing happens.
         count: number of moments so far.
     """
 

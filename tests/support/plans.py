@@ -99,6 +99,6 @@ def make_world(plan: Plan, sim: Simulation | None = None) -> World:
 
 
 def falling() -> Scene:
-    """Three boxes. More than half of the second box overhangs the first one, so the second falls and takes the third
-    along."""
+    """Three boxes. More than half of the second box overhangs the first box. So the second box falls, and the third box
+    falls with it."""
     return make_scene(stack(3, -200.0, size_mm=(300, 200, 150)))

@@ -22,7 +22,7 @@ def every_step(sim: Simulation) -> Record:
 
 @dataclass(frozen=True)
 class Trace:
-    """The events in a world. Numbers are numbers of steps; −1: never.
+    """The events in a world. Numbers are numbers of steps, or −1 for events that never happen.
 
     Attributes:
         placed: the step after which each box was placed.
@@ -103,7 +103,7 @@ class Seen:
         count, quiet_by_look, every = 0, {}, self.sim.quiet.poll_steps
         for frame, step in enumerate(self.steps[1:], start=1):
             if step % every == 0:
-                moved_m = box_motion.moved(pose[frame - 1], pose[frame], radius_m)  # NaN: not placed yet
+                moved_m = box_motion.moved(pose[frame - 1], pose[frame], radius_m)  # NaN if not placed yet
                 fast = (moved_m >= self.sim.quiet.quiet_m_s * self.sim.physics.timestep_s).any()
                 quiet_by_look[step] = count = 0 if fast else count + every
             if step in self.placed:

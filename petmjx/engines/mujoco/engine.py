@@ -42,9 +42,10 @@ class MujocoEngine(Engine):
     reasons are a model that does not compile, a lack of memory, or an error in MuJoCo.
 
     Args:
-        threads: number of worlds that are simulated at once. None: the number of CPU threads that this process may use.
-        world_timeout_s: longest wall-clock time of one attempt at a world, s. None: the limit follows from the world's
-            expected time (petmjx/engines/mujoco/cpu_budget.py).
+        threads: number of worlds that are simulated at once. If None, it is the number of CPU threads that this process
+            may use.
+        world_timeout_s: longest wall-clock time of one attempt at a world, s. If None, the limit follows from the
+            world's expected time (petmjx/engines/mujoco/cpu_budget.py).
     """
 
     name = "mujoco"

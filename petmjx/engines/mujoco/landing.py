@@ -43,7 +43,7 @@ class Landings:
     """The landing boxes of a world, and their velocities before they landed.
 
     Attributes:
-        left: (n,) number of further steps for which each box counts as landing. 0: the box is not landing.
+        left: (n,) number of further steps for which each box counts as landing, or 0 if the box is not landing.
         before: (n, 6) velocities of the landing boxes before they touched anything, m/s and rad/s.
     """
 

@@ -68,12 +68,13 @@ class LiveWorld:
     order.
 
     Args:
-        templates: compiled models of open worlds, which are filled in instead of compiling a model. None: compile.
-        held: pose in which the carrier is clamped from the beginning. None: the carrier is free.
+        templates: compiled models of open worlds, which are filled in instead of compiling a model. If None, models are
+            compiled.
+        held: pose in which the carrier is clamped from the beginning. If None, the carrier is free.
 
     Attributes:
         order: (capacity,) numbers of the boxes in the order of their bodies.
-        hand: the hand that carries the box placed last. None: all placed boxes are released.
+        hand: the hand that carries the box placed last. None if all placed boxes are released.
         geom_bodies: (ngeom,) the body to which each geom belongs: the number of a box, ``CARRIER`` or ``FLOOR``.
         pyramidal: whether friction cones are pyramidal.
     """
@@ -156,7 +157,7 @@ class LiveWorld:
 
     @cached_property
     def approach_path(self) -> ApproachPath | None:
-        """The paths along which boxes approach their places. None: boxes appear at their places."""
+        """The paths along which boxes approach their places. If None, boxes appear at their places."""
         return approach_path_of(self.scene, self._sim)
 
     @property

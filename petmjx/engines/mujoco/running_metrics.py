@@ -104,8 +104,8 @@ class OracleMetrics:
         poses. In a drive (motion of the carrier), it also falls if the culprit is tilted too far and has moved too far.
 
         Args:
-            culprit: number of the box that crossed a threshold first, at an earlier check. -1: no box did, or the
-                culprit does not end a drive.
+            culprit: number of the box that crossed a threshold first, at an earlier check. It is -1 if no box did, or
+                if the culprit does not end a drive.
         """
         if self.any_dropped:
             return True

@@ -25,7 +25,7 @@ class Stepper:
     Args:
         sim: the options, which determine when the rules check whether the pallet is quiet. The largest forces include
             the forces in the steps of these checks.
-        budget: the time budget of the world. None: no limit.
+        budget: the time budget of the world. If None, there is no limit.
     """
 
     def __init__(self, sim: Simulation, budget: Budget | None) -> None:
@@ -45,7 +45,7 @@ class Stepper:
 
         Args:
             first: number of the first step.
-            metrics: object that records the forces on tops. None: forces are not needed.
+            metrics: object that records the forces on tops. None if forces are not needed.
             acts: whether a drive (motion of the carrier) acts. If so, any step may have the largest forces.
         """
         number, end, budget = first, first + count, self._budget

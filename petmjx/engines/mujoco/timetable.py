@@ -74,7 +74,7 @@ class Waits:
         wait that begins at the first sign of failure.
 
         Args:
-            sign_step: step of the first sign of failure. None: no box has failed.
+            sign_step: step of the first sign of failure. None if no box has failed.
         """
         if self.in_drive:
             return NEVER

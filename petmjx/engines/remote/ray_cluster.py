@@ -108,7 +108,7 @@ class _LocalRay:
     handlers into a bare KeyboardInterrupt. The thread lives as long as Ray, since Ray's processes end with this thread.
 
     Args:
-        address: address of the head of a cluster. None: start a new Ray that uses only this machine.
+        address: address of the head of a cluster. If None, a new Ray is started that uses only this machine.
     """
 
     def __init__(self, ray: Any, address: str | None) -> None:
@@ -135,7 +135,7 @@ class _LocalRay:
             raise
 
     def end(self) -> None:
-        """Start to stop Ray or to leave the cluster, once Ray has started. Returns at once."""
+        """Let a thread stop Ray, or leave the cluster, as soon as Ray has started. This method returns at once."""
         self._enough.set()
 
     def wait_until_ended(self) -> None:
@@ -232,8 +232,8 @@ class Cluster:
     If the program that uses petmjx has already started Ray, this Ray is used and is not ended.
 
     Args:
-        address: address of the head of a cluster (HOST:PORT, or ``auto`` for a cluster on this machine). None: a new
-            cluster that uses only this machine.
+        address: address of the head of a cluster (HOST:PORT, or ``auto`` for a cluster on this machine). If None, a new
+            cluster is started that uses only this machine.
 
     Raises:
         EngineUnavailable: Ray is not installed or cannot start.

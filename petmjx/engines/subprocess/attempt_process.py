@@ -88,7 +88,7 @@ def answer_to(
     Args:
         engines: name → engine, for the engines of this thread. A missing engine is created and added.
         stops: function that returns whether the outcome is no longer needed.
-        granule: the number of box columns of tables is a multiple of this. None: the engine's default.
+        granule: the number of box columns of tables is a multiple of this. If None, the engine's default is used.
     """
     outcome, progress = None, Progress(pauses=True)
     try:

@@ -186,7 +186,7 @@ class Size:
             bytes. A multiprocessor has 256 kB for all its blocks. The remaining memory serves as cache.
         worlds: number of worlds of a block: one for all its threads, or one for each warp (32 threads).
         pause_after: number of iterations after which the solver of a world pauses, so that the other worlds of the
-            block need not wait for this world. 0: the solver never pauses.
+            block need not wait for this world. If 0, the solver never pauses.
     """
 
     most_boxes: int
@@ -258,7 +258,8 @@ class Launch:
 
     @property
     def tile_words(self) -> int:
-        """Size of the tile (an array in shared memory) of a block, in units of four bytes. 0: there is no tile."""
+        """Size of the tile (an array in shared memory) of a block, in units of four bytes. It is 0 if there is no
+        tile."""
         newton_words = newton.own_bytes(self.panels, self.worlds) // 4 if self.worlds > 1 else 0
         return self.worlds * (self.shared_words + newton_words)
 

@@ -26,8 +26,8 @@ class BlockPools:
     """Makes the block pools for an engine's tables, and enlarges buffers that overflow. Enlarged buffers stay large.
 
     Args:
-        lanes: largest number of worlds of one size that are simulated at the same time. None: the number for which the
-            device has room.
+        lanes: largest number of worlds of one size that are simulated at the same time. If None, it is the number for
+            which the device has room.
         blocks: function that returns the number of blocks of a launch.
     """
 

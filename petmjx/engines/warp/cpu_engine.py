@@ -28,7 +28,8 @@ class MjxWarpCpuEngine(MjxWarpEngine):
     The outcome of a world does not depend on the number of threads.
 
     Args:
-        threads: number of worlds that are simulated at once. None: the number of CPU threads that this process may use.
+        threads: number of worlds that are simulated at once. If None, it is the number of CPU threads that this process
+            may use.
 
     Raises:
         EngineUnavailable: Warp is not installed, or JAX uses a GPU in this process. The message says which.

@@ -56,7 +56,7 @@ class MjxWarpEngine(Engine):
     (petmjx/engines/attempts.py).
 
     Args:
-        lanes: largest number of worlds in blocks of one kind. None: the number for which the device has room.
+        lanes: largest number of worlds in blocks of one kind. If None, it is the number for which the device has room.
         allow_cpu: whether to run Warp's kernels on the CPU if there is no CUDA device. This is slow, and meant for
             tests.
         most_rows: largest number of worlds whose states are on the device at the same time. It limits the memory,
@@ -70,7 +70,8 @@ class MjxWarpEngine(Engine):
             a larger value helps long runs that begin with few jobs, and a series of runs with different numbers of
             jobs.
         depth_first: whether worlds that follow from outcomes are simulated before other worlds begin. On a GPU it is
-            False: the longest of all worlds come first, since many blocks would be idle if long worlds came last.
+            False, so that the longest of all worlds come first, since many blocks would be idle if long worlds came
+            last.
 
     Raises:
         EngineUnavailable: there is no CUDA device, or Warp is not installed. The message says which.

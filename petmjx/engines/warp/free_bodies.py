@@ -132,7 +132,7 @@ def _block_pool(
     shapes = growth * (width + MORE_BOXES) + boards - 1
     pool = BlockPool(launch, blocks(launch), width, boards, PAIRS_PER_BOX * shapes, CONTACTS_PER_BOX * shapes)
     few = small_world_pool(pool, worlds) if k <= FEW_BOXES.most_boxes else None
-    # least=0: these blocks are used to the end, even if few worlds are left
+    # with least=0, these blocks are used to the end, even if few worlds are left
     return pool if few is None else replace(few, least=0)
 
 

@@ -62,7 +62,8 @@ class BlockPool:
         boards: largest number of shapes of a carrier.
         npairmax: largest number of pairs of near geoms of a world.
         nconmax: largest number of contacts of a world.
-        least: smallest number of worlds with which the pool is used (small_world_blocks.py). 0: it is always used.
+        least: smallest number of worlds with which the pool is used (small_world_blocks.py). If 0, the pool is always
+            used.
         last: whether the pool is for the last worlds of a run (tail_blocks.py).
     """
 
@@ -199,8 +200,9 @@ _CHANGED = (
 
 _IDS = itertools.count()
 _LAUNCHERS: weakref.WeakValueDictionary[int, KernelLauncher] = weakref.WeakValueDictionary()
-"""Number → launcher. JAX never frees a function that it calls. If such a function belonged to a launcher, the memory of
-the run would never be freed. So the function ``_launch`` gets only the number of the launcher."""
+"""Number of a launcher → the launcher. JAX never frees a function that it calls. If such a function belonged to a
+launcher, the memory of the run would never be freed. So the function ``_launch`` gets only the number of the
+launcher."""
 
 
 def _launch(launcher: int, *arrays: Any) -> None:

@@ -68,7 +68,7 @@ class Simulator:
         most_boxes: largest number of boxes of a world.
         boards: largest number of shapes of a carrier.
         room: factor by which buffers are larger than the default.
-        threads: number of CPU threads. None: one.
+        threads: number of CPU threads. If None, there is one thread.
         traits: features for which the kernel is compiled. A kernel with fewer features spills fewer registers to
             memory.
     """

@@ -51,7 +51,7 @@ class WarpWorlds(OpenWorlds):
     Args:
         scenes: the scenes of the worlds.
         most_boxes: largest number of boxes that a world will ever have.
-        threads: number of CPU threads on which the worlds run. None: one.
+        threads: number of CPU threads on which the worlds run. If None, there is one thread.
 
     Attributes:
         open: the worlds, on the device.
@@ -258,8 +258,9 @@ class WarpWorlds(OpenWorlds):
         """The row numbers of these worlds, padded with numbers beyond the tables.
 
         Args:
-            length: length of the result. None: a power of two, at least as large as in any earlier call. So later calls
-                compile nothing, although the number of worlds changes as pallets end and start again.
+            length: length of the result. If None, the length is a power of two, at least as large as in any earlier
+                call. So later calls compile nothing, although the number of worlds changes as pallets end and start
+                again.
         """
         if length is None:
             length = self._most_rows = max(self._most_rows, padded_rows(len(worlds)))

@@ -17,8 +17,8 @@ from petmjx.engines.warp.kernel_launcher import BlockPool
 
 ENOUGH_SHARE, LEAST_SHARE = 0.75, 0.25
 """Limits for the use of blocks for small worlds, as shares of their lanes (places for a world). The blocks come into
-use if small worlds fill at least the first share of the lanes. They are no longer used if small worlds fill less than
-the second share. For fewer worlds, blocks of one world are faster."""
+use if small worlds fill at least the first share of the lanes. The blocks go out of use if small worlds fill less than
+the second share of the lanes. For fewer worlds, blocks of one world are faster."""
 
 
 def small_world_pool(pool: BlockPool, worlds: int, lanes: int | None = None) -> BlockPool | None:
@@ -27,7 +27,7 @@ def small_world_pool(pool: BlockPool, worlds: int, lanes: int | None = None) -> 
     Args:
         pool: the pool from which these worlds come.
         worlds: number of worlds that begin with few boxes.
-        lanes: largest number of worlds in blocks of one kind. None: the number for which the device has room.
+        lanes: largest number of worlds in blocks of one kind. If None, it is the number for which the device has room.
     """
     one = pool.launch
     launch = Launch.of(FEW_BOXES, *one.traits)

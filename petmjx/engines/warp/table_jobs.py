@@ -33,11 +33,12 @@ the device works on slices that have already been started.
 """
 
 JOIN_ROWS, FEEDBACK_ROWS = 256, 64
-"""Number of jobs that are written into a table at a time. The second number is for jobs that follow from outcomes."""
+"""Number of jobs that are written into a table at a time: ``JOIN_ROWS`` in general, ``FEEDBACK_ROWS`` for jobs that
+follow from outcomes."""
 
 MOST_PROFILE_BYTES: Final = 1 << 30
-"""Largest memory for the profiles (motions of the carrier) of jobs that follow, bytes. It has room for 7,000 different
-profiles of 20 s. Further worlds wait until the row of a profile is free."""
+"""Largest memory for the profiles (motions of the carrier) of jobs that follow, bytes. This memory has room for 7,000
+different profiles of 20 s. Further worlds wait until the row of a profile is free."""
 
 _SAMPLE_BYTES: Final = 3 * 4
 

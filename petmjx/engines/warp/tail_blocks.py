@@ -20,8 +20,9 @@ from petmjx.engines.warp.kernel_launcher import BlockPool
 from petmjx.engines.warp.small_world_blocks import compacted_queue
 
 MOST_EXPECTED: Final = 16
-"""Largest number of worlds that get such blocks while other worlds still wait: the worlds that are expected to end last
-because they have the largest numbers of steps so far. Each of their blocks takes the room of two usual blocks."""
+"""Largest number of worlds that get blocks for last worlds while other worlds still wait: the worlds that are expected
+to end last because they have the largest numbers of steps so far. Each of their blocks takes the room of two usual
+blocks."""
 
 LONG: Final = 2.0
 """A world is *long* if its number of steps is more than LONG times the mean number of steps of finished worlds."""
@@ -35,7 +36,7 @@ def tail_pool(pool: BlockPool, lanes: int | None = None) -> BlockPool | None:
 
     Args:
         pool: the pool from which these worlds come.
-        lanes: largest number of worlds in blocks of one kind. None: the number for which the device has room.
+        lanes: largest number of worlds in blocks of one kind. If None, it is the number for which the device has room.
     """
     one = pool.launch
     if one.per_sm == 1:

@@ -127,7 +127,7 @@ class TableSlices:
         waits: whether each slice waits for the outcomes of the previous slice. This is necessary if worlds are
             recorded, since the CPU must fetch their frames.
         pools: object that enlarges buffers.
-        rollout_for: function that returns the buffers (``Rollout``) for the table. None: memory has run out.
+        rollout_for: function that returns the buffers (``Rollout``) for the table, or None if memory has run out.
     """
 
     def __init__(

@@ -45,9 +45,9 @@ else:
     Ref = wp.ref
     """Type of a record that is passed by reference to a function of a kernel.
 
-    Records have hundreds of fields. Passing them by value takes half of the compile time, for copies. A function that
-    is generic in another argument must still take records by value, since Warp (1.18) cannot match references in such a
-    function.
+    Records have hundreds of fields. If they are passed by value, half of the compile time goes into copies. A function
+    that is generic in another argument must still take records by value, since Warp (1.18) cannot match references in
+    such a function.
     """
 
 TYPES: Mapping[Any, Any] = {Float: wp.float32, Int: wp.int32, Bool: wp.bool}
@@ -88,7 +88,7 @@ class Model:
     skin: float  # margin added to boxes in collision detection, m
     carrier_skin: float  # the same margin for the carrier, m
     pyramidal: int  # 1 with pyramidal friction cones
-    friction_damping: float  # damping along a contact's tangents, 1/s; 0: the same as along its normal
+    friction_damping: float  # damping along a contact's tangents, 1/s; 0 if as along the normal
     slip_slack: float  # tangential acceleration up to which a slip is not corrected, m/s²; inf: no slip is corrected
     kinetic_share: float  # friction of contacts that slide fast, as a share of friction at rest
     impratio_invsqrt: wp.float64  # 1 / √impratio
@@ -194,7 +194,7 @@ class Workspace:
     pair_geom2: Annotated[wp.array2d[int], "block pair"]
     pair_normal: Annotated[wp.array2d[wp.vec3], "block pair"]
     pair_points: Annotated[wp.array3d[wp.vec4], "block pair 8"]  # a contact point, and the distance there
-    pair_spring: Annotated[wp.array2d[float], "block pair"]  # stiffness of its contacts, N/m; 0: both geoms are rigid
+    pair_spring: Annotated[wp.array2d[float], "block pair"]  # stiffness of its contacts, N/m; 0 if both geoms are rigid
     # for each geom: the first pair in which it is pair_geom1
     geom1_pairadr: Annotated[wp.array2d[int], "block geom_end"]
     geom2_pair: Annotated[wp.array2d[int], "block pair"]  # the pairs, sorted by pair_geom2
@@ -214,7 +214,7 @@ class Workspace:
     ncon: Annotated[wp.array[int], "block"]
     nfree: Annotated[wp.array[int], "block"]  # number of free bodies
     solver_niter: Annotated[wp.array[int], "block"]
-    solver_paused: Annotated[wp.array[int], "block"]  # iterations before the solver paused; 0: it has ended
+    solver_paused: Annotated[wp.array[int], "block"]  # iterations before the solver paused; 0 if it has ended
     world: Annotated[wp.array[int], "block"]  # the world of a block; negative: no world
     frame: Annotated[wp.array[int], "block"]  # the frame that a block writes
 
@@ -223,7 +223,7 @@ class Workspace:
 class FrameBuffer:
     """Frames of recorded worlds, in the order in which blocks write them. All worlds of a call share this buffer."""
 
-    every: Annotated[wp.array[int], "world"]  # number of steps between two frames of a world; 0: not recorded
+    every: Annotated[wp.array[int], "world"]  # number of steps between two frames of a world; 0 if not recorded
     used: Annotated[wp.array[int], "1"]
     of: Annotated[wp.array[int], "frame"]  # the world to which each frame belongs
     step: Annotated[wp.array[int], "frame"]
@@ -256,10 +256,10 @@ class Thread:
     placed: int  # number of placed boxes
     geoms: int  # number of geoms: the floor, and the shapes of the carrier and of the placed boxes
     held: int  # 1 if the carrier cannot move, and so is not a free body
-    hands: int  # 1 if a hand may carry boxes; 0: the compiler leaves hands out
-    gives: int  # 1 if boxes may be compliant; 0: the compiler leaves compliance out
-    wraps: int  # 1 if film may hold boxes; 0: the compiler leaves film out
-    lands: int  # 1 if the law of landing boxes may act; 0: the compiler leaves it out
+    hands: int  # 1 if a hand may carry boxes; if 0, the compiler leaves hands out
+    gives: int  # 1 if boxes may be compliant; if 0, the compiler leaves compliance out
+    wraps: int  # 1 if film may hold boxes; if 0, the compiler leaves film out
+    lands: int  # 1 if the law of landing boxes may act; if 0, the compiler leaves it out
     carried: int  # 1 if a hand holds the box that was placed last
 
 
