@@ -277,7 +277,7 @@ def _parts(bearing: Bearing, among: NDArray[np.bool_]) -> tuple[IntArray, IntArr
         goes_on = np.flatnonzero(under != CARRIER)
         box, step = under[goes_on], step[goes_on]
     box, step = (np.concatenate(numbers) for numbers in zip(*pairs, strict=True))
-    weights = (bearing.weights + 0.0)[:, :3].copy()  # + 0.0 turns -0.0 into 0.0, as in sums
+    weights = (bearing.weights + 0.0)[:, :3].copy()  # + 0.0 turns -0.0 into 0.0, as a sum would
     several = bearing.n_supports[box] > 1
     keys, parts = _shared_parts(bearing, box[several] * n + step[several], weights.take(step[several], axis=0))
     box, step = np.concatenate([box[~several], keys // n]), np.concatenate([step[~several], keys % n])
@@ -338,7 +338,7 @@ def _passed(bearing: Bearing, contact: IntArray, load: FloatArray) -> FloatArray
         contact: (k,) numbers of the contacts.
         load: (k, 3) load of the upper box of each contact.
     """
-    passed = load + 0.0  # + 0.0 turns -0.0 into 0.0, as in sums
+    passed = load + 0.0  # + 0.0 turns -0.0 into 0.0, as a sum would
     several = np.flatnonzero(bearing.n_supports.take(bearing.upper.take(contact)) > 1)
     passed[several] = bearing.shared(contact[several], load.take(several, axis=0))
     return passed

@@ -176,7 +176,7 @@ def check_surfaces(plans: Iterable[Plan], sim: Simulation) -> list[str]:
     stiffness have no effect.
 
     Raises:
-        InputError: see ``find_surfaces``.
+        InputError: for one of the plans, ``find_surfaces`` raises an error.
     """
     plans = list(plans)
     with_materials = [plan for plan in plans if plan.materials]

@@ -26,7 +26,7 @@ class OpenScenes:
 
     Args:
         scenes: the scenes at the start.
-        blank: the values that all added boxes share.
+        blank: the empty carrier, with the values that all added boxes share.
     """
 
     def __init__(self, scenes: Sequence[Scene], blank: EmptyCarrier) -> None:
@@ -109,7 +109,7 @@ class NextBoxes:
     """One box for each of m worlds. Units are those of ``Scene``.
 
     Attributes:
-        half_size: (m, 3) half extents, m.
+        half_size: (m, 3) half extents of the boxes, m.
         target: (m, 3) planned middles, at which boxes are also released, m.
         mass: (m,) masses, kg.
     """

@@ -78,7 +78,7 @@ def build_spec(
         n_boxes: number of boxes in the model, the first ones in packing order. If None, the model has all boxes.
 
     Raises:
-        ValueError: ``n_boxes`` is not in 0…scene.n_boxes.
+        ValueError: ``n_boxes`` is not between 0 and the number of the scene's boxes.
     """
     count = scene.n_boxes if n_boxes is None else n_boxes
     if not 0 <= count <= scene.n_boxes:

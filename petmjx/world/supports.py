@@ -509,7 +509,7 @@ def find_bearings(
     boxes, most_gap_m = Boxes.of(scenes, targets), np.broadcast_to(most_gap_m, len(scenes))
     first, counts = boxes.first, np.diff(boxes.first)
     plain = np.array([is_plain(scene) for scene in scenes], bool)
-    parts = [(*np.zeros((2, 0), np.intp), *np.zeros((2, 0, 2)))]  # scenes may have no contacts at all
+    parts = [(*np.zeros((2, 0), np.intp), *np.zeros((2, 0, 2)))]  # empty arrays, since scenes may have no contacts
     for k in np.flatnonzero(~plain).tolist():
         one = find_bearing(replace(scenes[k], target=targets[k]), float(most_gap_m[k]))
         lower = np.where(one.lower == CARRIER, CARRIER, one.lower + first[k])

@@ -105,11 +105,11 @@ class PlacementChange:
         size_rel: relative change of each dimension of a box (0.01 = 1 % larger).
         x_mm, y_mm, yaw_deg: errors of a box's place along x and y, mm, and of its rotation about the vertical, degrees.
         drop_height_mm: height above its place at which a box is released, mm. Negative random heights count as 0.
-        placing_name: how boxes are placed, a value of ``petmjx.options.placing.Way``. None: as the options state.
+        placing_name: how boxes are placed, a value of ``petmjx.options.placing.Way``. If None, the options apply.
         placing_height_mm, placing_side_mm, placing_speed_m_s, placing_force_n, tines_height_mm: values that replace
-            fields of ``petmjx.options.placing.Placing``. None: as the options state.
-        wrap_turns: number of turns of film that replaces that of ``petmjx.options.wrap.Wrap``. None: as the options
-            state.
+            fields of ``petmjx.options.placing.Placing``. If one is None, the options apply.
+        wrap_turns: number of turns of film that replaces that of ``petmjx.options.wrap.Wrap``. If None, the
+            options apply.
         shifts_from_release: whether a box's shift is measured from its place of release, not from its planned place.
     """
 
@@ -187,7 +187,7 @@ class LegSpec:
         drives: what shakes the pallet, in order, with a pause of ``pause_s`` between two drives. If there are no
             drives, the pallet rests for ``pause_s``.
         pause_s: duration of a pause, s.
-        wrap_turns: turns of film around the pallet during the leg. None: as the options state.
+        wrap_turns: turns of film around the pallet during the leg. If None, the options apply.
         open_walls: walls of the carrier that are open during the leg, in addition to those that the options open.
     """
 
@@ -498,7 +498,7 @@ def _set_down(scene: Scene, half_size: FloatArray, start_pos: FloatArray, yaw: F
     centre_z = planned_bottom + half_z
     bears: NDArray[np.bool_] = np.any(below, axis=0)
     left: NDArray[np.bool_] = np.any(bears, axis=1)
-    while left.any():  # each pass takes all boxes whose boxes below are in place
+    while left.any():  # each pass sets down all boxes whose boxes below are in place
         boxes = np.flatnonzero(left & ~np.any(bears & left, axis=1))
         left[boxes] = False
         actual_top = np.where(below[:, boxes], (centre_z + half_z)[:, None], -math.inf).max(axis=2)

@@ -144,7 +144,7 @@ def _is_psd(rows: PsdTable) -> PsdTable:
     lowest = min(density for _, density in rows)
     if lowest < MIN_DENSITY:
         raise ValueError(f"must have densities of at least {MIN_DENSITY:g} g²/Hz, got {lowest:g}")
-    with np.errstate(all="ignore"):  # an overflow is refused below
+    with np.errstate(all="ignore"):  # a result that overflows is refused below
         rms_g = psd_rms_g(rows)
     if not rms_g <= MAX_RMS_G:
         raise ValueError(f"must have an RMS of at most {MAX_RMS_G:g} g, got {rms_g:g} g")

@@ -214,7 +214,7 @@ _TABLES: Final = TypeAdapter(dict[Name, ProfileTable])
 
 
 def define_profiles(tables: Any, folder: Path) -> dict[str, Profile]:
-    """The profiles that a sweep file defines, by name. Called by a validator.
+    """The profiles that a sweep file defines, by name. A validator of pydantic calls this function.
 
     Args:
         tables: the table ``profiles`` of the sweep file.
