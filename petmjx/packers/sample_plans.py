@@ -149,7 +149,7 @@ def write_samples(
     number of plans written so far. The other arguments are those of :func:`generate`.
 
     Raises:
-        InputError: as :func:`generate`, or the file cannot be written.
+        InputError: an argument is wrong (see :func:`generate`), or the file cannot be written.
     """
     samples = generate(
         n,
