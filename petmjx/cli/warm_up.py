@@ -44,6 +44,7 @@ def warm_up(
     builds, begin, console, faults = all_builds(gpus), time.perf_counter(), results_console(), []
     if not gpus:
         console.print("no GPU here: name the GPUs for which to compile with --arch; the kernels for CPUs are compiled")
+    console.print(f"{count_text(len(builds), 'kernel')} to compile; each takes some 10 to 60 s of a CPU thread")
     for number, answer in enumerate(KernelBuilds(builds).answers(), start=1):
         build = answer.build
         device = "CPU" if build.gpu is None else f"GPU sm_{build.gpu.arch}"
