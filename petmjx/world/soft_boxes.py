@@ -232,8 +232,8 @@ def _add_flex(spec: mujoco.MjSpec, box: str) -> mujoco.MjsFlex:
 def add_soft_box(
     spec: mujoco.MjSpec, scene: Scene, physics: Physics, box: int, friction: Triple, rgba: Sequence[float]
 ) -> None:
-    """Add a soft box to a spec, at the box's release place. The box becomes the last 27 bodies of the spec, each with
-    three slide joints."""
+    """Add a soft box to a MuJoCo model, at the box's release place. The box becomes 27 bodies with three slide joints
+    each, which follow all bodies that ``spec`` has so far."""
     half, name = scene.half_size[box], f"box_{box}"
     (turn,) = rotations(scene.start_quat[box, None])
     places = scene.start_pos[box] + points_of(half) @ turn.T
