@@ -355,7 +355,7 @@ class BoxMetrics:
 
 
 def _of_numbers(kind: type[BoxMetrics], numbers: FloatArray, shape: tuple[int, ...]) -> BoxMetrics:
-    """The metrics of (…, n) boxes from their pickled array. The function for unpickling."""
+    """The metrics of (…, n) boxes from their pickled array. Python calls this function to unpickle ``BoxMetrics``."""
     values: dict[str, NDArray[Any]] = {}
     size, begin = math.prod(shape), 0
     for metric in box_metrics():

@@ -531,7 +531,7 @@ class _Builder:
         parts = self.boxes.parts or ("",) * self.columns.n_boxes
         column = self.columns.plan
         if column is not None and len(set(column)) * 2 > self.columns.n_boxes + 2 and len(set(column)) > 1:
-            column = None  # nearly every box has its own name, so the column does not name plans
+            column = None  # nearly every row has another name, so the column does not name plans
         stem = Path(self.source).name.split(".")[0] or "plan"
         names = [
             "/".join(filter(None, (part, "" if column is None else column[row]))) for row, part in enumerate(parts)
@@ -547,7 +547,8 @@ class _Builder:
         return [f"{stem}/{name}" if name.isdigit() else name or stem for name in names]
 
     def _decks(self, plans: Mapping[str, NDArray[np.int64]], size: FloatArray, low: FloatArray) -> set[int]:
-        """Rows that describe a pallet, not a box: named as a pallet, pallet-sized, and below all boxes."""
+        """Numbers of the rows that describe a pallet, not a box: these rows are named as a pallet, have the size of a
+        pallet, and lie below all boxes."""
         decks = set()
         for rows in plans.values():
             if len(rows) < 2 or np.isnan(low[rows]).any():
