@@ -24,8 +24,8 @@ GRANULE = 4
 compiled programs."""
 
 PROFILE_GRANULE = 512
-"""The number of steps of a table of profiles is a multiple of this number, so that the legs of a chain can share compiled
-programs, although the legs differ in length."""
+"""The number of steps of a table of profiles is a multiple of this number, so that the legs of a chain can share
+compiled programs, although the legs differ in length."""
 
 
 @dataclass
