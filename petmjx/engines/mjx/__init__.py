@@ -8,8 +8,8 @@ Array shapes are annotations, which tests check at every call. The axes:
 * ``shape``: shapes of the bodies, in the order of bodies; MuJoCo's geoms are the floor and then these shapes;
 * ``surface``: surfaces of shapes; friction is given for pairs of surfaces;
 * ``coordinate`` and ``velocity``: generalised positions and velocities of one world;
-* ``constraint``: rows of MuJoCo's constraints; ``contact`` and ``geom``: MuJoCo's contacts and shapes; ``pair``: pairs of
-  geoms that may touch, with four contacts each;
+* ``constraint``: rows of MuJoCo's constraints; ``contact`` and ``geom``: MuJoCo's contacts and shapes; ``pair``: pairs
+  of geoms that may touch, with four contacts each;
 * ``profile`` and ``step``: rows of the table of profiles, and steps of a profile or of the clock;
 * ``n_boxes``: one entry for each number of boxes, from 0 on;
 * ``row`` and ``word``: rows that are read back from a table, and the numbers in each row;

@@ -42,7 +42,7 @@ as long for each of eight worlds as for one, and worlds that do not wait for eac
 """
 
 FEWEST_WORLDS = 8
-"""Smallest number of rows of a batch. Each number of rows needs its own program, which takes some ten seconds to compile."""
+"""Smallest number of rows of a batch. Each number of rows needs its own program, which takes ten seconds to compile."""
 
 
 @dataclass(frozen=True)
