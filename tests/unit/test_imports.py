@@ -177,6 +177,17 @@ def test_mjx_warp_does_not_wait_for_mjx() -> None:
     assert done.stdout.split() == []
 
 
+def test_the_command_does_not_wait_for_the_warp_of_mjx() -> None:
+    """Warp can still be imported later, and MJX prints no message about it."""
+    pytest.importorskip("warp", reason="warp-lang is not installed (extra: warp)")
+    code = (
+        "import sys\nfrom petmjx.common.processes import claim_process\nclaim_process()\n"
+        "from petmjx.engines.mjx.mjx_import import mjx\nprint('warp' in sys.modules, mjx.step.__name__)\nimport warp"
+    )
+    command = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert command.stdout == "False step\n"
+
+
 def test_public_names_are_there_and_cheap() -> None:
     import petmjx
 
