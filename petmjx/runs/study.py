@@ -23,7 +23,7 @@ from petmjx.engines.verdict import Attempt, Outcome
 from petmjx.engines.world_results import World
 from petmjx.options.run_options import RunOptions
 from petmjx.options.simulation import Simulation
-from petmjx.plans.loose_boxes import placed_shares
+from petmjx.plans.loose_boxes import statics_of
 from petmjx.plans.plan import Plan
 from petmjx.plans.plan_set import Skipped
 from petmjx.results.history_tables import Recording
@@ -191,8 +191,7 @@ class Nominal(Study):
             work=Work(
                 sim,
                 [plan.n_boxes for plan in shard_plans],
-                carried=int(sim.placing.carries),
-                placed_share=placed_shares(shard_plans),
+                **statics_of(shard_plans)._asdict(),
             ),
             n_worlds=len(shard_plans),
             amount=count_text(len(shard_plans), "plan"),
