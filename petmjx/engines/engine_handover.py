@@ -20,6 +20,7 @@ from petmjx.common.units import FloatArray
 from petmjx.engines.attempt_runner import run_engine
 from petmjx.engines.attempts import ready_for
 from petmjx.engines.cost_model import Costs
+from petmjx.engines.engine_choice import GAIN
 from petmjx.engines.job_stream import JobStream
 from petmjx.engines.mujoco.engine import MujocoEngine
 from petmjx.engines.open_worlds import MOST_BOXES, OpenWorlds
@@ -36,9 +37,6 @@ tenfold."""
 
 SLOWER: Final = 2.0
 """Estimates hold within this factor. So worlds that are slower by less than this are no reason for a handover."""
-
-GAIN: Final = 1.5
-"""The kernels must be faster by this factor for the remaining worlds, since estimates of time are not more exact."""
 
 Faster = TypeVar("Faster", bound=Engine)
 

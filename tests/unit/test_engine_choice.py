@@ -239,6 +239,18 @@ def test_auto_takes_kernels_on_cpu_threads_where_there_is_no_gpu(monkeypatch: py
     assert chosen([43] * 5000) == "mjx-warp-cpu"
 
 
+@pytest.mark.parametrize(("mujoco_s", "names"), [(19.0, ("mujoco",) * 2), (29.0, ("mjx-warp-cpu", "mujoco"))])
+def test_a_compiler_must_be_worth_waiting_for(mujoco_s: float, names: tuple[str, str]) -> None:
+    """Kernels of an earlier run need only be faster; kernels that must be compiled, much faster."""
+    seconds = {"mujoco": mujoco_s, "mjx-warp": 99.0, "mjx-warp-cpu": 20.0}
+
+    def chosen(seconds: dict[str, float], compiles: bool) -> str:
+        return choose(seconds, 2, why_no_gpu=lambda: "no GPU", why_no_kernel=lambda: None, compiles=compiles)[0]
+
+    assert (chosen(seconds, False), chosen(seconds, True)) == names
+    assert chosen(seconds | {"mujoco": 31.0}, True) == "mjx-warp-cpu"
+
+
 @pytest.mark.usefixtures("gpu")
 def test_the_reason_has_both_times() -> None:
     for cpu, name in ((3.0, "mujoco"), (700.0, "mjx-warp")):
