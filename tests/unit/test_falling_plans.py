@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from support.plans import Box, make_plan
 
-from benchmarks.estimates import shelf_plan
+from benchmarks.estimates import cut, shelf_plan
 from petmjx.engines.cost_model import (
     FALL_BOXES,
     FALL_STEPS,
@@ -22,12 +22,16 @@ from petmjx.engines.cost_model import (
     Work,
 )
 from petmjx.engines.engine_choice import choose
+from petmjx.engines.mujoco.engine import MujocoEngine
+from petmjx.engines.protocol import Progress
 from petmjx.options.run_options import RunOptions
 from petmjx.options.simulation import Check, Schedule, Simulation
 from petmjx.packers.sample_plans import generate_one
 from petmjx.plans.loose_boxes import MOST_LOOKED_AT, first_loose, statics_of
 from petmjx.plans.plan import Plan
 from petmjx.plans.plan_validation import parse_plan
+from petmjx.results.history_tables import Recording
+from petmjx.results.resume import CompletedWorlds
 from petmjx.runs.study import Nominal
 from petmjx.runs.sweep_file import find_sweep, load_sweep
 from petmjx.runs.sweep_worlds import SweepPlan
@@ -172,6 +176,19 @@ def test_good_packers_are_not_taken_for_bad_ones() -> None:
         plan_id, placements = generate_one(index, 21, packer="balanced")
         plans.append(parse_plan(plan_id, "test", placements, len(placements), {}))
     np.testing.assert_array_equal(statics_of(plans).placed_share, 1.0)
+
+
+def test_progress_of_a_score_follows_the_expected_time() -> None:
+    """The longest worlds come first, so one of three plans is most of the work."""
+    tower = boxes(*((0, 0, 200.0 * k) for k in range(6)))
+    plans = [replace(plan, plan_id=name) for name, plan in (("a", cut(tower, 1)), ("b", tower), ("c", cut(tower, 1)))]
+    study, progress = Nominal(SIM, plans, RunOptions()), Progress()
+    worlds = study.worlds(MujocoEngine(1), CompletedWorlds(), Recording(), progress)
+    shares = {world.plan.plan_id: progress.work_share for world in worlds}
+    once_s, tower_s = MEASURED.kernel.placing_s(study.work)[:2]
+    assert [*shares] == ["b", "a", "c"]
+    total_s = tower_s + 2 * once_s
+    assert [*shares.values()] == pytest.approx([tower_s / total_s, 1 - once_s / total_s, 1.0])
 
 
 def test_film_makes_steps_of_a_drive_dearer() -> None:
