@@ -25,8 +25,8 @@ from petmjx.plans.plan import Plan
 from petmjx.world.job import Job
 from petmjx.world.scene import build_scene
 
-WORTH_S: Final = 2.0
-"""Smallest expected time of a run for which the machine is measured, s. For shorter runs nobody reads the estimate."""
+WORTH_S: Final = 1.0
+"""Smallest expected time of a run for which the machine is measured, s. The measurement takes 0.1 to 0.3 s."""
 
 BOX_MM: Final = (400.0, 300.0, 200.0)
 SIDE, LAYERS, ROUNDS = 3, 3, 2
@@ -45,7 +45,7 @@ Traits = tuple[bool, bool, bool, bool]
 
 
 def costs_here(work: Work, threads: int) -> Costs:
-    """The costs on this machine. Its speed is measured only for runs of more than a few seconds. Kernels that it has
+    """The costs on this machine. Its speed is measured only for runs of at least a second. Kernels that it has
     compiled before start sooner.
 
     Args:
