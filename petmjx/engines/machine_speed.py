@@ -7,11 +7,10 @@ The speed is measured in CPU time of the thread, so that other programs on the m
 from __future__ import annotations
 
 import functools
+import hashlib
 import time
-import zlib
 from contextlib import suppress
 from dataclasses import replace
-from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Final
 
@@ -19,6 +18,7 @@ import numpy as np
 
 from petmjx.common.compile_caches import cache_folder
 from petmjx.common.errors import EngineUnavailable
+from petmjx.common.machine import package_versions
 from petmjx.engines.cost_model import MEASURED, Costs, Work
 from petmjx.options.simulation import Simulation
 from petmjx.plans.plan import Plan
@@ -83,18 +83,21 @@ def _traits(work: Work) -> Traits:
 def _note_of(traits: Traits) -> Path:
     """The file that notes a compiled kernel. It is in Warp's cache, so it is deleted together with the kernel."""
     letters = "".join("-x"[trait] for trait in traits)
-    return cache_folder("warp") / f"petmjx-{_kernel_code()}-{letters}"
+    return cache_folder("warp") / f"cpu-kernel-{kernel_code()}-{letters}"
 
 
 @functools.cache
-def _kernel_code() -> str:
-    """A name that changes with Warp and with the source of the kernels. Warp need not be imported for it."""
-    folder = Path(__file__).parent / "warp"
-    code = b"".join(file.read_bytes() for file in sorted(folder.rglob("*")) if file.suffix in (".py", ".cu", ".cuh"))
-    try:
-        return f"{version('warp-lang')}-{zlib.crc32(code):08x}"
-    except PackageNotFoundError:
-        return "none"
+def kernel_code() -> str:
+    """A digest of what determines the kernels: their sources, and the versions of packages. Warp need not be
+    imported for it. The kernels themselves have names that only Warp can find, after a second or two."""
+    digest = hashlib.sha256(repr(sorted(package_versions().items())).encode())
+    for file in sorted((Path(__file__).parent / "warp").rglob("*")):
+        if file.suffix in _SOURCES:
+            digest.update(file.read_bytes())
+    return digest.hexdigest()[:16]
+
+
+_SOURCES: Final = (".py", ".cu", ".cuh")
 
 
 @functools.cache

@@ -1,11 +1,11 @@
 """The table of all metrics: name, unit, type, meaning, time of sampling, and how boxes' values become a world's value.
 
-The table defines the columns of ``boxes`` and ``worlds`` (petmjx.results.schema), how they are filled
-(petmjx.results.world_rows), by which values two runs are compared (petmjx.analysis.run_comparison), and the tables of
-docs/metrics.md (``python -m petmjx.engines.metrics`` prints them). The arithmetic is in the packages of the engines, in
-NumPy and in JAX.
+Four places use this table: the columns of the tables ``boxes`` and ``worlds`` (petmjx.results.schema), the code that
+fills them (petmjx.results.world_rows), the comparison of two runs (petmjx.analysis.run_comparison), and the tables of
+docs/metrics.md (``python -m petmjx.engines.metrics`` prints them). The engines compute the values, in NumPy, JAX and
+Warp.
 
-How to add a metric, step by step: docs/extending.md.
+docs/extending.md explains step by step how to add a metric.
 """
 
 from __future__ import annotations
@@ -26,24 +26,25 @@ DIMENSIONLESS: Final = "1"
 """Unit of counts, indices and factors."""
 
 TEXT: Final = ""
-"""Unit of columns that have no quantity: texts and booleans."""
+"""Unit of columns that hold no quantity, but texts or booleans."""
 
 RESTLESS_M_S: Final = 0.01
 RISING_M_S2: Final = 0.5
-"""Forces on tops count in a step if it begins with a box faster than ``RESTLESS_M_S`` and accelerates a box upwards by
-more than ``RISING_M_S2``. In other steps, forces count only at looks for quiet (docs/rules.md, section 7). In the steps
-that are left out, forces exceed the weight on a top by at most a twentieth, since boxes press with more than their
-weight only while they are accelerated upwards."""
+"""The largest force on tops includes the force in a step if a box is faster than ``RESTLESS_M_S`` when the step begins,
+and a box accelerates upwards by more than ``RISING_M_S2``. Of all other steps, only those at which the rules check
+whether the pallet is quiet are included (docs/rules.md, section 7). In the steps that are left out, a force exceeds the
+weight on the top by at most a twentieth: boxes press with more than their weight only while they accelerate upwards."""
 
 GONE_TILT: Final = 1.25
 GONE_DESCENT: Final = 1.5
-"""In some trials, the only question is whether the pallet stands. Such trials end at the look for quiet at which a box
-is *gone*: it is tilted by ``GONE_TILT`` times the tilt threshold, or has descended by ``GONE_DESCENT`` times the shift
-threshold. A box that begins at rest cannot rise again by itself."""
+"""If only the question whether the pallet stands matters, a trial simulation ends as soon as a box is *gone*. A box is
+gone if it is tilted by ``GONE_TILT`` times the tilt threshold, or has descended by ``GONE_DESCENT`` times the shift
+threshold. A box that starts at rest cannot rise again by itself. Boxes are examined at each check whether the pallet is
+quiet."""
 
 
 class SampleAt(StrEnum):
-    """The time in a run at which a metric is taken."""
+    """The time in a run at which a metric is measured."""
 
     PLAN = "plan"
     STEPS = "steps"
@@ -54,7 +55,7 @@ class SampleAt(StrEnum):
 
 
 class Reduction(StrEnum):
-    """How the values of a world's boxes become one value of the world. Boxes without a value are ignored."""
+    """How the values of a world's boxes become one value of the world. Boxes without a value are left out."""
 
     LARGEST = "largest magnitude"
     SMALLEST = "smallest"
@@ -63,13 +64,13 @@ class Reduction(StrEnum):
 
 @dataclass(frozen=True)
 class Column:
-    """One column of results.
+    """One column of a result table.
 
     Attributes:
         dtype: NumPy type of the column on disk.
-        meaning: one line, written into the Parquet file.
-        compared: whether a comparison of two runs shows |b - a| for this column.
-        relative: whether it also shows |b - a| / a.
+        meaning: the meaning of the column in one line, which is written into the Parquet file.
+        compared: whether a comparison of the runs a and b shows |b - a| for this column.
+        relative: whether this comparison also shows |b - a| / a.
     """
 
     name: str
@@ -82,7 +83,7 @@ class Column:
 
 @dataclass(frozen=True)
 class WorldReduction:
-    """The column of ``worlds`` that is computed from a metric of boxes."""
+    """The column of the table ``worlds`` that is computed from the boxes' values of a metric."""
 
     name: str
     reduction: Reduction
@@ -91,19 +92,19 @@ class WorldReduction:
 
 @dataclass(frozen=True)
 class BoxMetric:
-    """A quantity of boxes. It is one column of ``boxes``, or one column per component.
+    """A quantity that each box has. It is one column of the table ``boxes``, or one column per component.
 
     Attributes:
-        attribute: field of ``BoxMetrics`` that holds (n,) values or (n, components).
-        columns: name → meaning, for each component.
+        attribute: field of ``BoxMetrics`` that holds the values, as an array (n,) or (n, components).
+        columns: name → meaning of the column of each component.
         definition: the formula, for docs/metrics.md.
-        dtype: float32 for measured values (exact to 1 µm at 8 m; the MJX engines use it, too), float64 for times, bool
-            for yes or no.
+        dtype: type of the column. Measured values are float32 (exact to 1 µm at 8 m; the MJX engines use float32, too),
+            times are float64, and yes-or-no values are bool.
         of_world: the column of ``worlds`` that is computed from this metric, if any.
-        driven_only: whether only runs with profiles have this metric.
-        legs_only: whether only chains of several legs have this metric.
-        compared, relative: as in :class:`Column`. For metrics of type bool, only the number of boxes per world for
-            which the metric is true is compared.
+        driven_only: whether only runs with profiles (motions of the carrier) have this metric.
+        legs_only: whether only chains of several legs (parts of a journey) have this metric.
+        compared, relative: see :class:`Column`. For metrics of type bool, a comparison shows only the number of boxes
+            per world for which the metric is true.
     """
 
     attribute: str
@@ -119,13 +120,13 @@ class BoxMetric:
     relative: bool = False
 
     def nothing(self, *n: int) -> NDArray[np.float64] | NDArray[np.bool_]:
-        """Values of (…, n) boxes for which the metric was not measured: NaN, or False."""
+        """The values of (…, n) boxes for which the metric was not measured: NaN, or False for type bool."""
         shape = (*n, len(self.columns)) if len(self.columns) > 1 else n
         return np.zeros(shape, np.bool_) if self.dtype is np.bool_ else np.full(shape, np.nan)
 
     def world_columns(self) -> list[Column]:
-        """The metric's column of ``worlds``, if any. The measured values in this column are float64, since there are
-        few worlds."""
+        """The column of ``worlds`` that is computed from this metric, if any. Measured values in this column are
+        float64, since there are far fewer worlds than boxes."""
         if self.of_world is None:
             return []
         counts = self.of_world.reduction is Reduction.COUNT
@@ -135,8 +136,9 @@ class BoxMetric:
 
 @dataclass(frozen=True)
 class WorldMetric:
-    """A quantity of a whole world: a column of ``worlds`` and a field of ``Outcome`` with the same name. A whole number
-    is the number of a box or a step, from 0; -1 in the outcome becomes null in the table."""
+    """A quantity of a whole world. It is a column of the table ``worlds``, and a field of ``Outcome`` with the same
+    name. If the type is int32, the value is the number of a box or a step, from 0. The value -1 of the outcome becomes
+    null in the table."""
 
     name: str
     unit: str
@@ -158,47 +160,57 @@ class WorldMetric:
 def _largest(
     name: str, unit: str, when: SampleAt, definition: str, of_box: str, of_world: str, relative: bool = False
 ) -> BoxMetric:
-    """A metric with one column. ``worlds`` has the largest value in a column of the same name. ``of_box`` and
-    ``of_world`` are the meanings of the two columns."""
+    """A metric of boxes with one column. A column of ``worlds`` with the same name holds the largest value of the
+    world's boxes. ``of_box`` and ``of_world`` are the meanings of the two columns."""
     reduced = WorldReduction(name, Reduction.LARGEST, of_world)
     return BoxMetric(name, unit, {name: of_box}, when, definition, of_world=reduced, relative=relative)
 
 
 def _number(name: str, meaning: str, when: SampleAt) -> WorldMetric:
-    """A metric that is the number of a box or a step."""
+    """A metric of a world that is the number of a box or a step."""
     return WorldMetric(name, DIMENSIONLESS, meaning, when, np.int32, compared=False)
 
 
 METRICS: tuple[BoxMetric | WorldMetric, ...] = (
     WorldMetric(
         "margin", DIMENSIONLESS,
-        "distance to the nearest threshold as a share of it: 1 nothing moved, 0 on it, < 0 beyond; null if invalid",
+        "distance to the nearest threshold as a share of that threshold: 1 if nothing moved, 0 on the threshold, "
+        "< 0 beyond it; null if the world is invalid",
         SampleAt.LOOKS,
     ),
     WorldMetric(
         "plan_edge_m", "m",
-        "smallest distance of a box's load from the edge of what bears it, in the plan; < 0 beyond it; null if invalid",
+        "smallest distance of a box's load from the edge of the box's supports, in the plan; < 0 beyond the edge; "
+        "null if the world is invalid",
         SampleAt.PLAN, compared=False,
     ),
-    _number("plan_edge_box", "whose load that is (packing order from 0)", SampleAt.PLAN),
+    _number("plan_edge_box", "box whose load has the distance plan_edge_m (packing order from 0)", SampleAt.PLAN),
     WorldMetric(
-        "rest_edge_m", "m", "the same where the boxes came to rest; null unless the world is stable and was not shaken",
+        "rest_edge_m", "m",
+        "smallest distance of a box's load from the edge of the box's supports, with all boxes where they came to "
+        "rest; < 0 beyond the edge; null unless the world is stable and was not shaken",
         SampleAt.END, compared=False,
     ),
-    _number("rest_edge_box", "whose load that is", SampleAt.END),
+    _number("rest_edge_box", "box whose load has the distance rest_edge_m (packing order from 0)", SampleAt.END),
     WorldMetric(
         "build_edge_m", "m",
-        "the same over all steps in which the plan is built; null if all boxes are placed at once, or with errors",
+        "smallest distance of a box's load from the edge of the box's supports, after any placement while the plan is "
+        "built; < 0 beyond the edge; null if all boxes are placed at once, or with errors",
         SampleAt.PLAN, compared=False,
     ),
-    _number("build_edge_box", "whose load that is", SampleAt.PLAN),
-    _number("build_edge_step", "the box whose placement leads to it (packing order from 0)", SampleAt.PLAN),
-    WorldMetric("first_sign_s", "s", "when the culprit crossed a threshold; null where none did", SampleAt.LOOKS),
+    _number("build_edge_box", "box whose load has the distance build_edge_m (packing order from 0)", SampleAt.PLAN),
+    _number(
+        "build_edge_step", "box after whose placement the distance build_edge_m occurs (packing order from 0)",
+        SampleAt.PLAN,
+    ),
+    WorldMetric(
+        "first_sign_s", "s", "time at which the culprit crossed a threshold; null if no box crossed one", SampleAt.LOOKS
+    ),
     BoxMetric(
         "shift_m", "m",
-        {"shift_x_m": "final centre - planned centre, x; components below the floor are 0; null if never placed",
-         "shift_y_m": "final centre - planned centre, y",
-         "shift_z_m": "final centre - planned centre, z"},
+        {"shift_x_m": "x of final centre - planned centre; 0 if |x| < shift_floor_m; null if the box was never placed",
+         "shift_y_m": "y of final centre - planned centre; 0 and null as for x",
+         "shift_z_m": "z of final centre - planned centre; 0 and null as for x"},
         SampleAt.END, "c − c_planned of the box's centre c; a component with a magnitude below `shift_floor_m` is 0; "
         "downwards, the planned descent of boxes with a stiffness does not count",
         of_world=WorldReduction(
@@ -208,19 +220,21 @@ METRICS: tuple[BoxMetric | WorldMetric, ...] = (
     _largest(
         "max_tilt_deg", "deg", SampleAt.LOOKS,
         "max 2·asin √(x² + y²), with (w, x, y, z) the box's unit quaternion",
-        of_box="largest angle of the box's z axis to the world's",
-        of_world="largest angle of any box's z axis to the world's",
+        of_box="largest angle between the box's z axis and the world's z axis",
+        of_world="largest angle between any box's z axis and the world's z axis",
     ),
     BoxMetric(
-        "dropped", TEXT, {"dropped": "the box fell off the carrier"}, SampleAt.LOOKS,
-        "once c_z < 0, or the lowest point c_z − Σⱼ |R_zj|·hⱼ < `drop_hull_z_m`; "
+        "dropped", TEXT, {"dropped": "whether the box fell off the carrier"}, SampleAt.LOOKS,
+        "true once c_z < 0, or once the lowest point c_z − Σⱼ |R_zj|·hⱼ < `drop_hull_z_m`; "
         "R is the box's rotation matrix, h its half sizes",
-        dtype=np.bool_, of_world=WorldReduction("n_dropped", Reduction.COUNT, "boxes that dropped"),
+        dtype=np.bool_, of_world=WorldReduction("n_dropped", Reduction.COUNT, "number of boxes that dropped"),
     ),
     BoxMetric(
-        "drop_s", "s", {"drop_s": "when it dropped; null where it did not"}, SampleAt.LOOKS,
-        "time of the first check at which it had dropped", dtype=np.float64,
-        of_world=WorldReduction("first_drop_s", Reduction.SMALLEST, "when the first box dropped; null where none did"),
+        "drop_s", "s", {"drop_s": "time at which the box dropped; null if it did not drop"}, SampleAt.LOOKS,
+        "time of the first check at which the box had dropped", dtype=np.float64,
+        of_world=WorldReduction(
+            "first_drop_s", Reduction.SMALLEST, "time at which the first box dropped; null if no box dropped"
+        ),
     ),
     _largest(
         "max_lin_acc", "m/s^2", SampleAt.SAMPLES,
@@ -228,48 +242,55 @@ METRICS: tuple[BoxMetric | WorldMetric, ...] = (
         of_box="largest sampled linear acceleration", of_world="largest sampled linear acceleration of any box",
     ),
     _largest(
-        "max_ang_acc", "rad/s^2", SampleAt.SAMPLES, "max ‖α‖, with α the angular part of the same `qacc`",
+        "max_ang_acc", "rad/s^2", SampleAt.SAMPLES,
+        "max ‖α‖, with α the angular part of MuJoCo's `qacc` of the box's free joint",
         of_box="largest sampled angular acceleration", of_world="largest sampled angular acceleration of any box",
     ),
     _largest(
         "max_top_force_n", "N", SampleAt.STEPS,
         "max F, with F the force on the box's top (below); at least `rest_top_force_n`",
-        of_box="largest force on its top in any step, at least the one at rest",
-        of_world="largest force on top of any box in any step, at least the one at rest", relative=True,
+        of_box="largest force on the box's top in any step, at least the force at rest",
+        of_world="largest force on the top of any box in any step, at least the force at rest", relative=True,
     ),
     _largest(
         "rest_top_force_n", "N", SampleAt.REST,
         "mean of F over all steps of the last `rest_window_s` of a world that reached its end",
-        of_box="force on its top at rest; null where the world never came to rest",
-        of_world="largest force on top of any box at rest; null where the world never came to rest", relative=True,
+        of_box="force on the box's top at rest; null if the world never came to rest",
+        of_world="largest force on the top of any box at rest; null if the world never came to rest", relative=True,
     ),
     BoxMetric(
         "pos", "m",
         {"pos_x_m": "final centre, x", "pos_y_m": "final centre, y",
          "pos_z_m": "final centre, z; 0 is the carrier's top"},
-        SampleAt.END, "c; compared by the distance between two runs' centres", compared=False,
+        SampleAt.END, "c; two runs are compared by the distance between their centres", compared=False,
     ),
     BoxMetric(
         "quat", DIMENSIONLESS, {f"quat_{part}": f"final orientation, unit quaternion, {part}" for part in "wxyz"},
-        SampleAt.END, "unit quaternion; compared by the angle between two runs' orientations", compared=False,
+        SampleAt.END, "unit quaternion; two runs are compared by the angle between their orientations", compared=False,
     ),
     BoxMetric(
         "plan_edge_m", "m",
-        {"plan_edge_m": "how far inside the nearest edge of what bears it its load acts, in the plan; < 0 beyond it"},
-        SampleAt.PLAN, "the smaller distance of its own weight and of its load; its load's where that alone is inside",
+        {"plan_edge_m": "distance of the box's load from the edge of its supports, in the plan; < 0 beyond the edge"},
+        SampleAt.PLAN,
+        "the smaller of two distances from the edge: that of the box's own weight, and that of its load (own weight "
+        "and all boxes on it); only that of the load, if the load is inside and the own weight is not",
         compared=False,
     ),
     BoxMetric(
-        "rest_edge_m", "m", {"rest_edge_m": "the same where the boxes came to rest"}, SampleAt.END,
-        "the same, with all boxes at their last places", compared=False,
+        "rest_edge_m", "m",
+        {"rest_edge_m": "distance of the box's load from the edge of its supports, with all boxes where they came to "
+         "rest; < 0 beyond the edge"},
+        SampleAt.END, "as `plan_edge_m`, with all boxes at their last places", compared=False,
     ),
     BoxMetric(
-        "max_sway_m", "m", {"max_sway_m": "largest horizontal distance from where the box was when the forces began"},
+        "max_sway_m", "m",
+        {"max_sway_m": "largest horizontal distance of the box from its place at the beginning of the profile"},
         SampleAt.LOOKS, "max √(Δx² + Δy²) of c since the profile's beginning", driven_only=True,
     ),
     BoxMetric(
         "sustained_top_force_n", "N",
-        {"sustained_top_force_n": "largest force on its top at rest, after any leg; null where it took no leg"},
+        {"sustained_top_force_n": "largest force on the box's top at rest, after the placement or any leg; null if the "
+         "world took no leg"},
         SampleAt.REST, "max of `rest_top_force_n` at the ends of the placement and of the legs", driven_only=True,
         legs_only=True, relative=True,
     ),
@@ -278,15 +299,16 @@ METRICS: tuple[BoxMetric | WorldMetric, ...] = (
         "n_steps", DIMENSIONLESS, "simulated steps after the soft start", SampleAt.END, np.int64, compared=False
     ),
 )  # fmt: skip
-"""All metrics, in the order of their columns. In ``boxes``, metrics with ``driven_only`` come last."""
+"""All metrics, in the order of their columns. In the table ``boxes``, metrics with ``driven_only`` come last."""
 
 
 @dataclass(eq=False)
 class BoxMetrics:
-    """The metrics of one world's n boxes, in packing order. ``METRICS`` has the meaning and unit of each.
+    """The metrics of the n boxes of one world, in packing order. ``METRICS`` defines the meaning and unit of each
+    metric.
 
-    ``shift_m`` and ``pos`` are (n, 3), ``quat`` is (n, 4) as (w, x, y, z), all others are (n,). NaN means that there is
-    no value.
+    ``shift_m`` and ``pos`` have the shape (n, 3), ``quat`` has (n, 4) with the order (w, x, y, z), all other fields
+    have (n,). NaN means that there is no value.
     """
 
     shift_m: FloatArray
@@ -306,10 +328,11 @@ class BoxMetrics:
 
     @classmethod
     def measured(cls, *n: int, **values: NDArray[Any]) -> BoxMetrics:
-        """Metrics of n boxes, or of (…, n), from the values that an engine has measured. Other metrics have no values.
+        """Metrics of n boxes, or of (…, n) boxes, from the values that an engine has measured. All other metrics are
+        NaN, or False for type bool.
 
         Raises:
-            TypeError: there is no metric with the name of a value.
+            TypeError: the name of a value is not the name of a metric.
         """
         missing: dict[str, Any] = {
             metric.attribute: metric.nothing(*n) for metric in box_metrics() if metric.attribute not in values
@@ -317,20 +340,22 @@ class BoxMetrics:
         return cls(**missing, **values)
 
     def with_edges(self, plan_edge_m: FloatArray, rest_edge_m: FloatArray) -> Self:
-        """These metrics with other distances from edges. ``dataclasses.replace`` would take ten times as long."""
+        """A copy of these metrics with other distances of loads from edges, m. ``dataclasses.replace`` would take ten
+        times as long."""
         other = object.__new__(type(self))
         vars(other).update(vars(self), plan_edge_m=plan_edge_m, rest_edge_m=rest_edge_m)
         return other
 
     def __reduce__(self) -> tuple[Any, ...]:
-        """Pickle and copy all metrics as one float64 array: eleven small arrays take two and a half times as long.
-        Attributes that are not metrics are lost."""
+        """Pickle and copy all metrics as one float64 array. Pickling eleven small arrays takes two and a half times as
+        long. Attributes that are not metrics are lost.
+        """
         values = [getattr(self, metric.attribute).ravel() for metric in box_metrics()]
         return _of_numbers, (type(self), np.concatenate(values, dtype=np.float64), self.max_tilt_deg.shape)
 
 
 def _of_numbers(kind: type[BoxMetrics], numbers: FloatArray, shape: tuple[int, ...]) -> BoxMetrics:
-    """The metrics of (…, n) boxes, from their pickled array."""
+    """The metrics of (…, n) boxes from their pickled array. Python calls this function to unpickle ``BoxMetrics``."""
     values: dict[str, NDArray[Any]] = {}
     size, begin = math.prod(shape), 0
     for metric in box_metrics():
@@ -345,20 +370,21 @@ def _of_numbers(kind: type[BoxMetrics], numbers: FloatArray, shape: tuple[int, .
 FORCE_INTERVAL: Final = tuple(
     Column(
         name, "N", np.float32,
-        f"{word} force on its top at rest that balance and friction allow; null where it is not known", compared=False,
+        f"{word} force on the box's top at rest that balance and friction allow; null if it is not known",
+        compared=False,
     )
-    for name, word in (("rest_top_force_low_n", "least"), ("rest_top_force_high_n", "most"))
+    for name, word in (("rest_top_force_low_n", "smallest"), ("rest_top_force_high_n", "largest"))
 )  # fmt: skip
-"""Optional columns of ``boxes``, after the metrics (petmjx.analysis.force_intervals)."""
+"""Optional columns of the table ``boxes``, which follow the metrics (petmjx.analysis.force_intervals)."""
 
 
 @functools.cache
 def box_metrics(driven: bool = True, legs: bool = True) -> tuple[BoxMetric, ...]:
-    """The metrics of boxes, in the order of their columns.
+    """All metrics of boxes, in the order of their columns.
 
     Args:
-        driven: include metrics that only runs with profiles have.
-        legs: include metrics that only chains of several legs have.
+        driven: include the metrics that only runs with profiles (motions of the carrier) have.
+        legs: include the metrics that only chains of several legs (parts of a journey) have.
     """
     every = (metric for metric in METRICS if isinstance(metric, BoxMetric))
     metrics = [m for m in every if (driven or not m.driven_only) and (legs or not m.legs_only)]
@@ -367,12 +393,12 @@ def box_metrics(driven: bool = True, legs: bool = True) -> tuple[BoxMetric, ...]
 
 @functools.cache
 def world_metrics() -> tuple[WorldMetric, ...]:
-    """The metrics of whole worlds."""
+    """All metrics of whole worlds."""
     return tuple(metric for metric in METRICS if isinstance(metric, WorldMetric))
 
 
 def box_columns(driven: bool = True, legs: bool = True) -> list[Column]:
-    """The columns of ``boxes`` that hold metrics."""
+    """The columns of the table ``boxes`` that hold metrics."""
     return [
         Column(name, m.unit, m.dtype, meaning, m.compared and m.dtype is not np.bool_, m.relative)
         for m in box_metrics(driven, legs)
@@ -381,16 +407,16 @@ def box_columns(driven: bool = True, legs: bool = True) -> list[Column]:
 
 
 def world_columns() -> list[Column]:
-    """The columns of ``worlds`` that hold metrics."""
+    """The columns of the table ``worlds`` that hold metrics."""
     return [column for metric in METRICS for column in metric.world_columns()]
 
 
 def reduce_boxes(reduction: Reduction, values: FloatArray, starts: NDArray[np.int64]) -> FloatArray:
-    """One value for each world from the values of its boxes; if no box has a value: NaN, or 0 for counts.
+    """One value for each world from the values of its boxes. If no box has a value, the result is NaN, or 0 for counts.
 
     Args:
-        values: (rows, components) values of the boxes of all worlds, world after world; NaN: no value.
-        starts: (worlds,) first row of each world; every world has at least one box.
+        values: (rows, components) values of the boxes of all worlds, world after world. NaN means no value.
+        starts: (worlds,) number of the first row of each world. Every world has at least one box.
     """
     if not len(starts):
         return np.empty(0)
@@ -420,7 +446,7 @@ def markdown() -> str:
 
 
 def _table(rows: Sequence[tuple[str, ...]]) -> Iterator[str]:
-    """Lines of a Markdown table; the first row is the header."""
+    """The lines of a Markdown table. The first row is the header."""
     for number, row in enumerate(rows):
         yield "| " + " | ".join(cell.replace("|", "\\|") for cell in row) + " |"
         if number == 0:

@@ -1,4 +1,4 @@
-"""Estimates of time and steps against records of runs: of many kinds, with 5 to 140 boxes, on all engines."""
+"""Estimates of time and steps are compared with records of runs of many kinds, with 5 to 140 boxes, on all engines."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ SHORTEST_S = 0.2
 
 
 def work_of(line: dict[str, Any]) -> Work:
-    """What a record's run had to simulate. Of many plans it has a few sizes that stand for all."""
+    """The work of a recorded run. If a run had many plans, the record has a few sizes that represent all plans."""
     values = dict(line["work"])
     if (options := values.pop("sim", None)) is None:  # records on GPUs
         options = {name: values.pop(name) for name in ("check", "schedule", "carrier") if name in values}

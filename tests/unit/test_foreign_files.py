@@ -1,4 +1,5 @@
-"""What is no file of plans is named for what it is, with the place, and what to do about it: one line each."""
+"""Tests of files that do not contain plans. A message of one line states what the file is, where the fault is, and what
+the user can do."""
 
 from __future__ import annotations
 
@@ -63,8 +64,11 @@ KINDS = {
     "a.npz": (arrays(), "holds no array of boxes, whose shape must be (n, 6 to 64): a (3,)"),
     "a.zip": (archive("plans.json"), "is a ZIP archive: unpack it"),
     "a.pkl": (pickle.dumps([1]), "is a Python pickle, which is never read"),
-    "scene.xml": (b'<?xml version="1.0"?>\n<mujoco/>', "is a MuJoCo scene without a free body that is one box"),
-    "bare.xml": (b"\n <mujoco model='x'/>", "is a MuJoCo scene without a free body"),
+    "scene.xml": (
+        b'<?xml version="1.0"?>\n<mujoco/>',
+        "is a MuJoCo scene in which no free body consists of exactly one box",
+    ),
+    "bare.xml": (b"\n <mujoco model='x'/>", "is a MuJoCo scene in which no free body"),
     "page.csv": (b"<!DOCTYPE html><html>", "is a web page (HTML)"),
     "words.txt": (b"hello\nworld\n", "is text of another kind: plans are JSON, or tables whose names end in .csv"),
     "plans.csv": (b'{\n "a": []}', "is JSON: it is read as such if its name ends in .json"),
@@ -84,7 +88,8 @@ MIXED = {
 
 @pytest.mark.parametrize("name", MIXED)
 def test_points_beside_decimal_commas_are_refused(name: str, tmp_path: Path) -> None:
-    """Also if the comma is in another row and column. Without a comma in the file a point is a point."""
+    """Numbers with points are refused if the file also has numbers with decimal commas, even in another row and column.
+    If the file has no comma, a point is a decimal point."""
     number, message = MIXED[name]
     rows = table(";", x_mm=number), table(";", plan_id="b", weight_kg="5,5").split("\n")[1]
     (tmp_path / "plans.csv").write_text("".join(rows))

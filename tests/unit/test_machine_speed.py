@@ -1,5 +1,5 @@
-"""Estimates for this machine: its speed is measured where that matters, CPU times follow it, and kernels that it has
-compiled start sooner."""
+"""Tests of time estimates for this machine. Its speed is measured if it matters, and estimated CPU times are scaled
+accordingly. Kernels that it has compiled before start sooner."""
 
 from __future__ import annotations
 
@@ -60,10 +60,10 @@ def test_a_kernel_of_an_earlier_run_starts_sooner(monkeypatch: pytest.MonkeyPatc
     machine_speed.note_compiled((True, False, False, SIM.physics.has_landings))
     assert machine_speed.costs_here(by_hand, 1) == LOADED
     # the kernels of another version are other kernels
-    real_code = machine_speed._kernel_code
-    monkeypatch.setattr(machine_speed, "_kernel_code", lambda: "other")
+    real_code = machine_speed.kernel_code
+    monkeypatch.setattr(machine_speed, "kernel_code", lambda: "other")
     assert machine_speed.costs_here(usual, 1) == MEASURED
-    monkeypatch.setattr(machine_speed, "_kernel_code", real_code)
+    monkeypatch.setattr(machine_speed, "kernel_code", real_code)
     for note in no_kernels.iterdir():
         note.unlink()
     assert machine_speed.costs_here(usual, 1) == MEASURED
@@ -104,7 +104,8 @@ def test_the_fastest_round_counts_within_bounds(seconds: float, factor: float, m
 
 
 def test_the_block_stands() -> None:
-    """So its steps are those of pallets at rest, and it takes as many on any machine."""
+    """The block of boxes that measures the machine's speed stands. So its steps are like those of pallets at rest, and
+    their number is the same on every machine."""
     (outcome,) = MujocoEngine(1).run([Job(build_scene(machine_speed.block(), SIM))], SIM)
     assert (outcome.verdict, outcome.n_boxes) == (Verdict.STABLE, machine_speed.SIDE**2 * machine_speed.LAYERS)
     assert machine_speed.block_s() > 0.0
