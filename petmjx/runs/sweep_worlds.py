@@ -340,7 +340,7 @@ class SweepPlan(Design):
             legs = [leg for legs in self.ways.values() for leg in legs]
             drives = [self._leg_steps(leg) for leg in legs]
             in_film = (steps for leg, steps in zip(legs, drives, strict=True) if leg.wrap_turns)
-            filmed = max(filmed, sum(in_film) / sum(drives))
+            filmed = max(filmed, sum(in_film) / max(sum(drives), 1.0))
         n_legs = len(drives) / len(self.ways) if self.sweep.legs else 1
         return Work(
             sim=sim,
